@@ -1,0 +1,71 @@
+"""The crowd that benchmarks and tests share: people on a jittered grid who cross a square hall with shelves."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax.base import Nearby, Obstacles, Pedestrians
+from sean_jax.nearby import tabulate
+
+DENSITY = 0.1  # people per m2
+
+
+def side(people: int) -> float:
+    """Side [m] of the square hall."""
+    return float(np.sqrt(people / DENSITY))
+
+
+def boxes(people: int, walls: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``walls`` obstacles: four thin outer walls, the rest shelves on a lattice (center, half_extent, yaw)."""
+    if walls == 0:
+        return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
+    half = side(people) / 2 + 1.0
+    center = [(-half, 0.0), (half, 0.0), (0.0, -half), (0.0, half)]
+    extent = [(0.0, half), (0.0, half), (half, 0.0), (half, 0.0)]
+    rows = int(np.ceil(np.sqrt(walls - 4)))
+    for k in range(walls - 4):
+        spot = (np.array([k % rows, k // rows]) + 0.5) / rows * 2 - 1
+        center.append(tuple(spot * side(people) / 2))
+        extent.append((min(0.5, half / rows / 4), half / rows / 3))
+    yaw = np.where(np.arange(walls) < 4, 0.0, 0.1 * np.arange(walls))
+    return np.array(center), np.array(extent), yaw
+
+
+def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Nearby | None, dict[str, np.ndarray]]:
+    """(people, table of obstacles, all in float64): nobody inside a shelf, everybody on the way to the opposite side."""
+    random = np.random.default_rng(seed)
+    center, half, yaw = boxes(people, walls)
+    rows = int(np.ceil(np.sqrt(4 * people)))
+    cell = side(people) / rows
+    grid = (np.stack(np.meshgrid(np.arange(rows), np.arange(rows)), -1).reshape(-1, 2) + 0.5) * cell
+    grid = grid - side(people) / 2 + random.uniform(-0.5, 0.5, grid.shape) * max(cell - 0.6, 0.0)
+    reach = np.sqrt((half**2).sum(-1)) + 0.35 if walls else np.zeros(0)
+    free = (np.linalg.norm(grid[:, None] - center[None, 4:], axis=-1) > reach[None, 4:]).all(1)
+    grid = grid[free]
+    x = grid[random.permutation(len(grid))[:people]]
+    if len(x) < people:
+        raise ValueError(f"workload: {people} people do not fit between {walls} walls")
+    heading = -x / np.linalg.norm(x, axis=-1, keepdims=True)
+    preferred = np.clip(random.normal(1.34, 0.26, people), 0.5, 2.2)
+    exact = dict(
+        x=x, v=heading * preferred[:, None] * random.uniform(0.5, 1.0, (people, 1)), heading=heading,
+        desired=heading * preferred[:, None], preferred=preferred, center=center, half=half, yaw=yaw,
+    )  # fmt: skip
+    exact = {key: value.astype(np.float32).astype(np.float64) for key, value in exact.items()}
+    single = {key: jnp.asarray(value, jnp.float32) for key, value in exact.items()}
+    pedestrians = Pedestrians(
+        position=single["x"],
+        velocity=single["v"],
+        heading=single["heading"],
+        desired_velocity=single["desired"],
+        group=jnp.full(people, -1, jnp.int32),
+        present=jnp.ones(people, bool),
+        preferred_speed=single["preferred"],
+        robot_distance=jnp.zeros(people, jnp.float32),
+    )
+    obstacles = Obstacles(
+        center=single["center"], half_extent=single["half"], yaw=single["yaw"],
+        height=jnp.full(walls, 2.0, jnp.float32),
+    )  # fmt: skip
+    half = side(people) / 2 + 1.0
+    floor = jnp.asarray([-half, -half, half, half], jnp.float32)
+    return pedestrians, tabulate(obstacles, floor) if walls else None, exact

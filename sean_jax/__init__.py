@@ -1,0 +1,38 @@
+"""sean_jax: social robot navigation as pure JAX functions (SEAN 2.0, Tsoi et al. 2022)."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sean_jax.assembly import make
+    from sean_jax.classifiers import SITUATIONS
+    from sean_jax.drawing import view
+    from sean_jax.parallel import rollout, simulate
+    from sean_jax.scenario import observe, reset, results, step
+
+__version__ = "0.1.0"
+
+# Where each public name lives; read on first use, so that `sean --help` need not import JAX.
+_HOMES = {
+    "make": "assembly",
+    "SITUATIONS": "classifiers",
+    "view": "drawing",
+    "rollout": "parallel",
+    "simulate": "parallel",
+    "observe": "scenario",
+    "reset": "scenario",
+    "results": "scenario",
+    "step": "scenario",
+}
+
+__all__ = ["SITUATIONS", "make", "observe", "reset", "results", "rollout", "simulate", "step", "view"]
+
+
+def __getattr__(name: str):
+    if name in _HOMES:
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

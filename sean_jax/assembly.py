@@ -1,0 +1,99 @@
+"""make(): from names to a scenario; says what does not exist and what does not go together."""
+
+import functools
+from pathlib import Path
+
+import jax.numpy as jnp
+
+from sean_jax import behaviors, classifiers, files, metrics, navigation, robots, social_forces, tasks
+from sean_jax import environment as environments
+from sean_jax.base import Scenario
+
+PERSON_CLEARANCE = 0.25  # m: people's paths stand off from obstacles by a body of 0.2 m and some room
+
+
+def make(
+    environment: str | Path = "warehouse",
+    *,
+    behavior: str = "graph",
+    task: str = "join_group",
+    robot: str | Path = "kuri",
+    people: int | None = None,
+    forces: str | social_forces.Parameters = "helbing1995",
+    dynamics: str = "mjx",
+    time_step: float = 0.1,
+    time_limit: float = 120.0,
+    goal_radius: float = 1.2,
+    hold_time: float = 5.0,
+    task_distance: tuple[float, float] = (4.0, 20.0),
+    thresholds: classifiers.Thresholds | None = None,
+) -> Scenario:
+    """A scenario (section IV-B) from the names of its parts.
+
+    Args:
+        environment: name of an environment, or the folder of one.
+        behavior: of the pedestrians, a key of ``behaviors.BEHAVIORS``.
+        task: of the robot, a key of ``tasks.TASKS``.
+        robot: a key of ``robots.ROBOTS``, or an MJCF file.
+        people: how many; the environment's own number if None.
+        forces: a key of ``social_forces.PRESETS``, or parameters.
+        dynamics: of the robot, ``mjx`` or its closed-form ``twin``.
+        time_step: of control [s].
+        time_limit: of an episode [s].
+        goal_radius: within which the goal counts as reached [m] (SEAN 2.0: 1.2).
+        hold_time: to be spent there for the task to be completed [s] (SEAN 2.0: 5).
+        task_distance: least and greatest length [m] of the shortest path from start to goal.
+        thresholds: of the situation classifiers; the paper's if None.
+
+    Raises:
+        ValueError: one sentence that names the value and the cure.
+    """
+    _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time, task_distance)
+    folder = environments.find(environment)
+    scene, model = environments.load(folder), robots.load(robot, dynamics)
+    count = environments.default_people(folder) if people is None else people
+    parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
+    walking = _navigation(folder, PERSON_CLEARANCE)
+    driving = walking if model.radius <= PERSON_CLEARANCE else _navigation(folder, model.radius)
+    return Scenario(
+        environment=scene,
+        navigation=driving,
+        behavior=behaviors.BEHAVIORS[behavior](folder, scene, walking, count),
+        forces=parameters,
+        thresholds=classifiers.thresholds() if thresholds is None else thresholds,
+        goal_radius=jnp.asarray(goal_radius, jnp.float32),
+        hold_time=jnp.asarray(hold_time, jnp.float32),
+        task_distance=jnp.asarray(task_distance, jnp.float32),
+        robot=model,
+        task=tasks.TASKS[task],
+        move=social_forces.move,
+        situations=tuple(classifiers.SITUATIONS.items()),
+        metrics=tuple(metrics.METRICS.items()),
+        time_step=time_step,
+        time_limit=time_limit,
+        people=count,
+        task_name=task,
+    )
+
+
+@functools.lru_cache(maxsize=8)
+def _navigation(folder: Path, radius: float) -> navigation.Navigation:
+    """Built once per process for each environment and radius; files are read again, tables are not made again."""
+    return navigation.build(environments.load(folder), radius)
+
+
+def _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time, task_distance) -> None:
+    for name, value, choices in (("behavior", behavior, behaviors.BEHAVIORS), ("task", task, tasks.TASKS)):
+        if value not in choices:
+            raise ValueError(f"{name}: '{value}' is not one of {', '.join(choices)}{files.suggest(value, choices)}")
+    if task in tasks.NEEDS_GROUPS and behavior != "graph":
+        raise ValueError(f"task: '{task}' needs groups, which only behavior 'graph' has, not '{behavior}'.")
+    if people is not None and people < 1:
+        raise ValueError(f"people: {people} is too few; give 1 or more.")
+    for name, value in (("time_step", time_step), ("time_limit", time_limit), ("goal_radius", goal_radius)):
+        if not value > 0:
+            raise ValueError(f"{name}: {value} must be more than 0.")
+    if hold_time < 0:
+        raise ValueError(f"hold_time: {hold_time} must not be negative.")
+    if not 0 <= task_distance[0] < task_distance[1]:
+        raise ValueError(f"task_distance: {task_distance} must be a least and a greater distance in metres.")

@@ -1,0 +1,214 @@
+"""The shared data of a scenario (section IV-B) and the signatures that a user's own function must have.
+
+Units are SI, angles are radians, the ground plane is (x, y) with z up. Headings are unit vectors. Absent
+people are masked by ``present``, never NaN. ``N`` people, ``G`` groups, ``W`` obstacles, ``S`` situations,
+``V`` via points of a navigation table. None of these has a batch axis: ``jax.vmap`` adds it.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+from flax import struct
+
+Array = jax.Array
+
+
+@struct.dataclass
+class Pedestrians:
+    position: Array  # (N, 2) m
+    velocity: Array  # (N, 2) m/s
+    heading: Array  # (N, 2) unit vector
+    desired_velocity: Array  # (N, 2) m/s, set by the behavior, followed by the pedestrian model
+    group: Array  # (N,) int32 index of the group that the person stands in, -1 none
+    present: Array  # (N,) bool
+    preferred_speed: Array  # (N,) m/s, drawn per episode
+    robot_distance: Array  # (N,) m, drawn per episode: how much farther from a moving robot than from a person
+
+
+@struct.dataclass
+class Groups:
+    """Conversational groups: each with one place left open, where a robot can join (section IV-E)."""
+
+    center: Array  # (G, 2) m, centre of the o-space
+    radius: Array  # (G,) m, of the ring on which members stand
+    opening: Array  # (G, 2) m, the open place on that ring
+    present: Array  # (G,) bool
+
+
+@struct.dataclass
+class Robot:
+    position: Array  # (2,) m
+    heading: Array  # (2,) unit vector
+    speed: Array  # () m/s, along the heading
+    turn_rate: Array  # () rad/s, counter-clockwise
+    body: Any  # generalised coordinates of the robot model
+
+
+@struct.dataclass
+class Obstacles:
+    """Upright boxes: the one source of geometry for forces, navigation, rays and contact."""
+
+    center: Array  # (W, 2) m
+    half_extent: Array  # (W, 2) m
+    yaw: Array  # (W,) rad
+    height: Array  # (W,) m
+
+
+@struct.dataclass
+class Nearby:
+    """For each cell of a grid the obstacles within reach of it: what people and robots feel, without the rest."""
+
+    rows: Array  # (X, Y, K, 6): center x, y and half extent x, y [m], cosine and sine of the yaw; spare rows far away
+    origin: Array  # (2,) m, lower left corner of the grid
+    cell: Array  # () m, side of a cell
+
+
+@struct.dataclass
+class Environment:
+    """A physical environment (section IV-C)."""
+
+    floor: Array  # (4,) m: x_min, y_min, x_max, y_max
+    obstacles: Obstacles
+    nearby: Nearby
+    name: str = struct.field(pytree_node=False)
+
+
+@struct.dataclass
+class RobotTask:
+    """Where the robot starts and where it shall go (section IV-E)."""
+
+    start: Array  # (2,) m
+    start_heading: Array  # (2,) unit vector
+    goal: Array  # (2,) m
+    goal_heading: Array  # (2,) unit vector
+    start_group: Array  # () int32 index of the group that the start is a member's place of, -1 none
+    goal_group: Array  # () int32 likewise for the goal
+    geodesic: Array  # () m, length of the shortest path from start to goal
+    to_goal: Array  # (V,) m, length of the shortest path from each via point to the goal
+
+
+@struct.dataclass
+class Moment:
+    """A robot among people at one moment, as arrays alone: all that situations and metrics read.
+
+    A simulation fills it from its state (``scenario.moment``); a recording can fill it as well.
+    """
+
+    people: Pedestrians
+    position: Array  # (2,) m, of the robot
+    heading: Array  # (2,) unit vector
+    velocity: Array  # (2,) m/s
+    start: Array  # (2,) m
+    goal: Array  # (2,) m
+    start_group: Array  # () int32, -1 none
+    goal_group: Array  # () int32, -1 none
+    geodesic: Array  # () m, shortest path from start to goal
+    situations: Array  # (S,) bool, () of zeros before they are classified
+    tick: Array  # () int32
+    robot_radius: Array  # () m
+    person_radius: Array  # () m
+    time_step: float = struct.field(pytree_node=False)  # s
+
+
+@struct.dataclass
+class State:
+    """Everything that the future depends on: equal states and equal actions give equal futures."""
+
+    key: Array  # () typed PRNG key of the episode; each use is fold_in(key, tick)
+    tick: Array  # () int32, steps taken
+    pedestrians: Pedestrians
+    groups: Groups
+    robot: Robot
+    task: RobotTask
+    memory: Any  # of the pedestrian behavior
+    situations: Array  # (S,) bool, in the order of scenario.situations
+    metrics: Any  # dict of name -> running value
+    time_at_goal: Array  # () s, spent inside the goal radius without a break
+    completed: Array  # () bool, latched
+    timed_out: Array  # () bool, latched; never together with completed
+
+
+@struct.dataclass
+class Behavior:
+    """A pedestrian behavior (section IV-D): who goes where.
+
+    ``reset(scenario, key) -> (Pedestrians, Groups, memory)``
+    ``direct(scenario, state, key) -> State`` with new desired velocities, group members and memory.
+    """
+
+    data: Any  # what the functions look up
+    name: str = struct.field(pytree_node=False)
+    reset: Callable = struct.field(pytree_node=False)
+    direct: Callable = struct.field(pytree_node=False)
+
+
+@struct.dataclass
+class RobotModel:
+    """A robot (Fig. 3): its limits and how it moves.
+
+    ``place(model, position, heading) -> Robot`` at rest;
+    ``drive(scenario, state, action) -> Robot`` one control step later.
+    """
+
+    mass: Array  # () kg, wheels included
+    inertia: Array  # () kg m2 about the vertical axis
+    wheel_radius: Array  # () m
+    wheel_inertia: Array  # () kg m2, about its axle, gears included
+    track: Array  # () m between the wheels, effective for skid steer
+    friction: Array  # () tyre friction coefficient
+    servo_gain: Array  # () N m s/rad, of the wheel speed servo
+    servo_torque: Array  # () N m, at most
+    max_speed: Array  # () m/s
+    max_turn_rate: Array  # () rad/s
+    max_acceleration: Array  # () m/s2
+    max_turn_acceleration: Array  # () rad/s2
+    data: Any  # the MJX model, or ()
+    name: str = struct.field(pytree_node=False)
+    radius: float = struct.field(pytree_node=False)  # m, of the disc that touches people and obstacles
+    time_step: float = struct.field(pytree_node=False)  # s, of the physics
+    place: Callable = struct.field(pytree_node=False)
+    drive: Callable = struct.field(pytree_node=False)
+
+
+@struct.dataclass
+class Scenario:
+    """A physical environment, a pedestrian behavior and a robot task (section IV-B), with all that they look up."""
+
+    environment: Environment
+    navigation: Any  # navigation.Navigation for the robot's radius
+    behavior: Behavior
+    forces: Any  # social_forces.Parameters
+    thresholds: Any  # classifiers.Thresholds
+    goal_radius: Array  # () m, the goal is reached inside it
+    hold_time: Array  # () s, to be spent inside it for the task to be completed
+    task_distance: Array  # (2,) m, least and greatest geodesic distance from start to goal
+    robot: RobotModel
+    task: Callable = struct.field(pytree_node=False)  # (scenario, pedestrians, groups, key) -> RobotTask
+    move: Callable = struct.field(pytree_node=False)  # (scenario, state) -> Pedestrians: the pedestrian model
+    situations: tuple = struct.field(pytree_node=False)  # ((name, (moment, thresholds) -> () bool), ...)
+    metrics: tuple = struct.field(pytree_node=False)  # ((name, metrics.Metric), ...)
+    time_step: float = struct.field(pytree_node=False)  # s, of control
+    time_limit: float = struct.field(pytree_node=False)  # s
+    people: int = struct.field(pytree_node=False)
+    task_name: str = struct.field(pytree_node=False)
+
+
+@struct.dataclass
+class Frame:
+    """What a rollout keeps of each step: enough to draw, and to compute anything of section IV-H afterwards."""
+
+    position: Array  # (2,) m, of the robot
+    heading: Array  # (2,) unit vector
+    velocity: Array  # (2,) m/s
+    action: Array  # (2,) m/s and rad/s, the command that led here
+    people: Array  # (N, 2) m
+    people_velocity: Array  # (N, 2) m/s
+    people_heading: Array  # (N, 2) unit vector
+    group: Array  # (N,) int32, -1 none
+    goal: Array  # (2,) m
+    situations: Array  # (S,) bool
+    active: Array  # () bool, the episode had not ended before this step
+
+
+Policy = Callable[[Scenario, State, Array], Array]  # (scenario, state, key) -> (2,) linear m/s, angular rad/s

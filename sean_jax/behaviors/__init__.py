@@ -1,0 +1,8 @@
+"""Pedestrian behaviors (section IV-D, high level): who goes where."""
+
+from sean_jax.behaviors import graph_behavior
+
+BEHAVIORS = {"graph": graph_behavior.build}
+"""name -> (folder of the environment, environment, navigation for people, number of people) -> Behavior"""
+
+__all__ = ["BEHAVIORS"]

@@ -1,0 +1,41 @@
+"""Where people can start: places in discs that are free, and far enough apart for any choice of them to be valid."""
+
+import numpy as np
+
+from sean_jax.base import Environment
+from sean_jax.environment import clearance
+from sean_jax.navigation import Navigation
+
+APART = 0.55  # m between two places: bodies of 0.2 m and some room
+TRIES = 40  # candidates for each place that would fit
+
+
+def places(
+    environment: Environment, navigation: Navigation, center, radius, weight, avoid: list, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """(P, 2) places [m] and (P,) the disc of each, of discs (M, 2), (M,) [m] with a positive weight (M,).
+
+    Dart throwing on the host: uniform candidates are kept if they are clear of obstacles by the navigation's
+    radius, outside the discs to ``avoid`` [(center (2,), radius)], and no nearer than 0.55 m to another.
+    """
+    generator = np.random.default_rng(seed)
+    center, radius, weight = (np.asarray(part, float) for part in (center, radius, weight))
+    number = np.ceil(TRIES * radius**2 / APART**2).astype(int) * (weight > 0)
+    disc = np.repeat(np.arange(len(radius)), number)
+    distance = radius[disc] * np.sqrt(generator.uniform(size=len(disc)))
+    angle = generator.uniform(0, 2 * np.pi, len(disc))
+    spots = center[disc] + distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    free = np.asarray(clearance(environment, spots.astype(np.float32))) > float(navigation.radius)
+    for middle, reach in avoid:
+        free &= np.linalg.norm(spots - np.asarray(middle, float), axis=-1) > reach
+    spots, disc = spots[free], disc[free]
+    order = generator.permutation(len(spots))
+    kept: list[int] = []
+    taken: dict[tuple[int, int], list[int]] = {}  # by cell of that size, so that only neighbours are compared
+    for index in order:
+        i, j = (int(part) for part in np.floor(spots[index] / APART))
+        near = [k for a in (i - 1, i, i + 1) for b in (j - 1, j, j + 1) for k in taken.get((a, b), [])]
+        if not near or np.linalg.norm(spots[near] - spots[index], axis=-1).min() >= APART:
+            taken.setdefault((i, j), []).append(index)
+            kept.append(index)
+    return spots[kept], disc[kept]

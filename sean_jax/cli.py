@@ -1,0 +1,113 @@
+"""The command line: ``sean run``, ``sean list``.
+
+Nothing heavy is imported before a command is chosen, so that ``sean --help`` answers at once.
+"""
+
+import dataclasses
+import importlib.metadata
+import os
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from sean_jax.main_job.options import Options
+
+WRONG, FAILED, STOPPED = 2, 1, 130  # exit codes: bad input, a broken simulation, Ctrl-C
+
+
+@dataclasses.dataclass(frozen=True)
+class List:
+    """What there is to choose from for each option."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code: 0, or 2 for bad input, 1 for a NaN, 130 for Ctrl-C."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments in (["--version"], ["-V"]):
+        print(f"sean_jax {_version()}")
+        return 0
+    try:
+        command = _parse(arguments)
+        cache_compilations()
+        if isinstance(command, List):
+            from sean_jax.main_job import choices
+
+            choices.print_choices()
+            return 0
+        return _run(command)
+    except ValueError as error:
+        return _fail(str(error), WRONG)
+    except OSError as error:
+        where = f" ({error.filename})" if error.filename else ""
+        return _fail(f"{(error.strerror or str(error)).lower()}{where}; nothing was written.", WRONG)
+    except FloatingPointError as error:
+        return _fail(f"{error} Nothing was written; earlier runs are as they were.", FAILED)
+    except KeyboardInterrupt:
+        code = _fail("stopped before a batch of episodes was finished; nothing was written.", STOPPED)
+        if any(thread.name == "sean-compiler" for thread in threading.enumerate()):
+            os._exit(code)  # the compiler cannot be interrupted, and the interpreter would wait for it
+        return code
+
+
+def cache_compilations() -> None:
+    """Let JAX keep what it compiles in the user's cache folder; what the user has set already is respected."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sean_jax" / "xla"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+
+
+def _parse(arguments: list[str]) -> Options | List:
+    import tyro
+
+    commands = (
+        Annotated[Options, tyro.conf.subcommand("run", default=Options())]
+        | Annotated[List, tyro.conf.subcommand("list", default=List())]
+    )
+    return tyro.cli(
+        commands,  # pyright: ignore[reportArgumentType]
+        prog="sean",
+        description="Social robot navigation in JAX: simulate, measure, report. `sean --version` names this version.",
+        args=arguments,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+    )
+
+
+def _run(options: Options) -> int:
+    from rich.console import Console
+
+    from sean_jax import main_job
+
+    console = Console(quiet=options.quiet)
+    folder, episodes = main_job.run(options, console)
+    console.print(f"report: [bold]{folder / 'report.html'}[/]", highlight=False, soft_wrap=True)
+    if episodes < options.episodes:
+        return _fail(f"stopped; the {episodes} episodes finished until then are in {folder}.", STOPPED)
+    return 0
+
+
+def _fail(sentence: str, code: int) -> int:
+    from rich.console import Console
+
+    sys.stdout.flush()
+    Console(stderr=True).print(f"[bold red]sean:[/] {_escape(sentence)}", highlight=False, soft_wrap=True)
+    return code
+
+
+def _escape(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+def _version() -> str:
+    try:
+        return importlib.metadata.version("sean-jax")
+    except importlib.metadata.PackageNotFoundError:
+        return "(not installed)"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,11 @@
+"""Pictures of a scenario seen from above: stills, heat maps and animations (Figs. 1 and 2 of the paper).
+
+The robot is an orange square and people are discs, as in Fig. 2; x points right, y up the page, distances are
+metres. Nothing here touches pyplot's global state, and matplotlib is imported only when something is drawn.
+"""
+
+from sean_jax.drawing.animation import animate
+from sean_jax.drawing.colors import situation_colors
+from sean_jax.drawing.pictures import graph_of, heat_map, top_down, view
+
+__all__ = ["animate", "graph_of", "heat_map", "situation_colors", "top_down", "view"]

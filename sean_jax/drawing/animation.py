@@ -1,0 +1,137 @@
+"""One episode as a looping GIF: the still background is drawn once, people and robot per picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sean_jax.base import Environment, Frame
+from sean_jax.drawing import colors, parts
+
+TAIL = 2.0  # s, of the line that a person draws behind
+
+
+def animate(
+    environment: Environment,
+    frames: Frame,
+    path: Any,
+    *,
+    graph: Any = None,
+    situations: tuple[str, ...] = tuple(colors.SITUATION_COLORS),
+    time_step: float = 0.1,
+    every: int = 5,
+    speed: float = 4.0,
+    size: int = 640,
+    title: str = "",
+) -> None:
+    """Write one episode as a GIF.
+
+    ``frames`` are its (T, ...) frames, ``path`` a path or a binary file, ``size`` the width in pixels. Every
+    ``every``-th frame is shown, ``speed`` times as fast as it happened. Raises ValueError for frames with a
+    batch axis.
+    """
+    from PIL import Image
+
+    frames = parts.one_episode(frames)
+    scene = _Scene(environment, frames, graph, situations, time_step, size, title, every)
+    shown = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
+    sample = scene.picture(shown[-1])
+    palette_colors = (*colors.situation_colors(situations), colors.NO_SITUATION, colors.ROBOT, colors.MEMBER)
+    for k, color in enumerate(palette_colors):  # so that each has its place in the palette from the first picture on
+        sample.paste(color, (0, 12 * k, 48, 12 * k + 12))
+    palette = sample.quantize(96)
+    pictures = [scene.picture(t).quantize(palette=palette, dither=Image.Dither.NONE) for t in shown]
+    pause = max(20, round(1000 * every * time_step / speed / 10) * 10)  # GIF counts in hundredths of a second
+    pictures[0].save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=pictures[1:],
+        duration=[pause] * (len(pictures) - 1) + [2000],
+        loop=0,
+        optimize=False,
+    )
+
+
+class _Scene:
+    """Everything in pixels, at twice the size: halving a picture smooths its edges."""
+
+    def __init__(self, environment, frames, graph, situations, time_step, size, title, every) -> None:
+        from matplotlib import get_data_path
+        from PIL import Image, ImageFont
+
+        figure, axes = parts.canvas(environment, 6.4, "")
+        parts.draw_obstacles(axes, environment)
+        if graph is not None:
+            parts.draw_graph(axes, graph, alone=False)
+        parts.draw_scale(axes, environment)
+        figure.set_dpi(2 * size / 6.4)
+        figure.canvas.draw()
+        self.background = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())  # pyright: ignore
+        height, self.every = self.background.height, every
+        corner = np.array([0.0, height])
+        flip = np.array([1.0, -1.0])
+
+        def pixels(points: np.ndarray) -> np.ndarray:
+            points = np.asarray(points, float)
+            return corner + flip * axes.transData.transform(points.reshape(-1, 2)).reshape(points.shape)
+
+        self.metre = float((axes.transData.transform((1.0, 0.0)) - axes.transData.transform((0.0, 0.0)))[0])
+        self.line = max(2, round(self.metre * 0.07))
+        font = Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
+        self.font = ImageFont.truetype(str(font), round(size / 22))
+        self.people, self.group = pixels(frames.people), frames.group
+        self.looks = self.people + flip * frames.people_heading * (1.9 * parts.PERSON_RADIUS * self.metre)
+        self.path, self.heading, self.goal = pixels(frames.position), flip * frames.heading, pixels(frames.goal[-1])
+        self.shades = parts.step_colors(frames, situations)
+        self.flags = np.asarray(frames.situations, bool)
+        self.names, self.name_colors = situations, colors.situation_colors(situations)
+        self.time_step, self.title = time_step, title
+        self.tail = round(TAIL / time_step)
+
+    def picture(self, t: int) -> Any:
+        """Frame ``t`` as an RGB image."""
+        from PIL import ImageDraw
+
+        image = self.background.copy()
+        draw, metre, line = ImageDraw.Draw(image), self.metre, self.line
+
+        def disc(place, radius, **look) -> None:
+            draw.ellipse((place[0] - radius, place[1] - radius, place[0] + radius, place[1] + radius), **look)
+
+        disc(self.path[0], 0.42 * metre, outline=colors.ROBOT, width=2 * line)
+        disc(self.goal, 0.75 * metre, outline=colors.ROBOT, width=2 * line)
+        disc(self.goal, 0.28 * metre, fill=colors.ROBOT)
+        for first in range(0, t, self.every):
+            last = min(first + self.every, t)
+            draw.line([*self.path[first], *self.path[last]], fill=self.shades[last], width=3 * line)
+        tails = self.people[max(0, t - self.tail) : t + 1 : max(1, self.tail // 5)]
+        for n in range(tails.shape[1] if len(tails) > 1 else 0):
+            draw.line([tuple(place) for place in tails[:, n]], fill=colors.TRAIL, width=line)
+        for place, look, group in zip(self.people[t], self.looks[t], self.group[t], strict=True):
+            draw.line([*place, *look], fill=colors.PERSON_EDGE, width=line)
+            face = colors.MEMBER if group >= 0 else colors.PERSON
+            disc(place, parts.PERSON_RADIUS * metre, fill=face, outline=colors.PERSON_EDGE, width=line)
+        ahead = self.heading[t] * (parts.SQUARE * metre)
+        aside = np.array([-ahead[1], ahead[0]])
+        square = [self.path[t] + a * ahead + b * aside for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+        draw.polygon([tuple(c) for c in square], fill=colors.ROBOT, outline=colors.ROBOT_EDGE, width=line)
+        draw.line([*self.path[t], *(self.path[t] + ahead)], fill=colors.ROBOT_EDGE, width=line)
+        self._caption(draw, t)
+        return image.reduce(2)
+
+    def _caption(self, draw: Any, t: int) -> None:
+        """Below the floor: title and time at the middle, the situations that hold at the right."""
+        wide, tall = self.background.size
+        base = tall - 0.6 * self.font.size
+        draw.text((0.30 * wide, base), f"{t * self.time_step:.1f} s", font=self.font, fill=colors.INK, anchor="rs")
+        if self.title:
+            draw.text((0.33 * wide, base), self.title, font=self.font, fill=colors.MUTED, anchor="ls")
+        x = wide * (1 - parts.MARGIN)
+        for flag, name, color in reversed(list(zip(self.flags[t], self.names, self.name_colors, strict=True))):
+            if flag:
+                label = name.replace("_", " ")
+                draw.text((x, base), label, font=self.font, fill=color, anchor="rs")
+                x -= draw.textlength(label, font=self.font) + self.font.size

@@ -1,0 +1,31 @@
+"""The colours of every picture, table and page: situations, people, robot, obstacles.
+
+The situations wear Paul Tol's "bright" scheme, which colour-blind readers can tell apart.
+"""
+
+SITUATION_COLORS = {
+    "cross_path": "#ee6677",
+    "down_path": "#4477aa",
+    "join_group": "#228833",
+    "leave_group": "#aa3377",
+    "empty": "#b4b6ba",
+}
+SPARE_COLORS = ("#66ccee", "#ccbb44", "#997700", "#004488", "#882255")  # for situations of the user's own
+NO_SITUATION = "#5a6274"
+
+PAPER = "#fffffe"  # odd values, so that a page can replace them in a drawing by its own light or dark ones
+FLOOR = "#f4f6f9"
+INK = "#1c2333"
+MUTED = "#6c7589"
+ROBOT, ROBOT_EDGE = "#f58a07", "#5e3200"
+PERSON, MEMBER, PERSON_EDGE = "#fdfefd", "#6fd0ea", "#2b3448"
+TRAIL = "#6a80b4"
+EDGE, FAINT_EDGE = "#8d99b3", "#c3cad8"  # of the behavior graph
+OBSTACLE = "#4d5b78"  # drawn the more opaque the higher it is
+HEAT = ("#ffe8c400", "#fdcf94", "#f78d4f", "#dd3a25", "#a3082f")
+
+
+def situation_colors(names: tuple[str, ...]) -> list[str]:
+    """One colour for each situation; names that are not the paper's get the spare ones in turn."""
+    spare = [name for name in names if name not in SITUATION_COLORS]
+    return [SITUATION_COLORS.get(name) or SPARE_COLORS[spare.index(name) % len(SPARE_COLORS)] for name in names]

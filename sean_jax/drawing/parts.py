@@ -1,0 +1,248 @@
+"""What the pictures are made of: floor, obstacles, behavior graph, trails, people, robot, legend, scale."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from sean_jax.base import Environment, Frame
+from sean_jax.drawing import colors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TALL = 4.0  # m, obstacles at least this high get the darkest shade
+PERSON_RADIUS = 0.25  # m, as drawn: a body of 0.2 m and its edge
+SQUARE = 0.36  # m, half the side of the drawn robot: larger than life, or it would be hard to find
+ONE_WAY = 10.0  # an edge is one-way if its other direction costs this many times as much
+MARGIN, FOOT = 0.02, 0.075  # of the floor's width, around it and below it
+
+
+def one_episode(frames: Frame) -> Frame:
+    """The frames (T, ...) as numpy arrays, cut after the last active one; ValueError if they have a batch axis."""
+    if np.ndim(frames.active) != 1:
+        raise ValueError(f"frames of one episode have one leading axis, these have {np.ndim(frames.active)}.")
+    frames = jax.tree.map(np.asarray, frames)
+    last = int(np.flatnonzero(frames.active)[-1]) + 1 if np.any(frames.active) else 1
+    return jax.tree.map(lambda leaf: leaf[:last], frames)
+
+
+def step_colors(frames: Frame, situations: tuple[str, ...]) -> list[str]:
+    """The colour of each step (T,): that of the first situation that holds, if any does."""
+    shades = [*colors.situation_colors(situations), colors.NO_SITUATION]
+    flags = np.asarray(frames.situations, bool)
+    first = np.where(flags.any(-1), flags.argmax(-1), len(situations))
+    return [shades[index] for index in first]
+
+
+def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, Axes]:
+    """A figure ``width`` inches wide whose only axes show the floor in true proportion, without ticks."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
+    x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
+    span = x1 - x0
+    low, high = y0 - FOOT * span, y1 + MARGIN * span
+    wide, tall = span * (1 + 2 * MARGIN), high - low
+    head = 0.32 if title else 0.0  # inches
+    drawn = width * tall / wide
+    figure = Figure(figsize=(width, drawn + head), facecolor=colors.PAPER)
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.0, 0.0, 1.0, drawn / (drawn + head)))
+    axes.set_xlim(x0 - MARGIN * span, x1 + MARGIN * span)
+    axes.set_ylim(low, high)
+    axes.set_axis_off()
+    axes.add_patch(
+        Rectangle((x0, y0), span, y1 - y0, facecolor=colors.FLOOR, edgecolor=colors.MUTED, linewidth=0.8, zorder=0)
+    )
+    if title:
+        top = 1 - 0.14 / (drawn + head)
+        figure.text(MARGIN * span / wide, top, title, fontsize=10, color=colors.INK, va="center", weight="bold")
+    return figure, axes
+
+
+def draw_obstacles(axes: Axes, environment: Environment) -> None:
+    """Every box, the higher the darker."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.colors import to_rgba
+
+    boxes = jax.tree.map(np.asarray, environment.obstacles)
+    corners = boxes.half_extent[:, None] * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], float)
+    cosine, sine = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
+    x = boxes.center[:, None, 0] + cosine * corners[..., 0] - sine * corners[..., 1]
+    y = boxes.center[:, None, 1] + sine * corners[..., 0] + cosine * corners[..., 1]
+    outlines = list(np.stack([x, y], -1))
+    opacity = 0.18 + 0.44 * np.clip(boxes.height / TALL, 0, 1) ** 0.7
+    axes.add_collection(PolyCollection(outlines, facecolors=colors.FLOOR, edgecolors="none", zorder=2))
+    for alphas, filled in ((opacity, True), (np.minimum(1.5 * opacity, 1.0), False)):
+        shades = [to_rgba(colors.OBSTACLE, alpha) for alpha in alphas]
+        face, edge = (shades, "none") if filled else ("none", shades)
+        axes.add_collection(PolyCollection(outlines, facecolors=face, edgecolors=edge, linewidths=0.6, zorder=2))
+
+
+def draw_graph(axes: Axes, graph: Any, alone: bool) -> None:
+    """Nodes as discs, edges as lines: thick where flow is high, dotted where low, with an arrow where one-way.
+
+    ``alone`` names the nodes; otherwise the graph steps back behind what is drawn over it.
+    """
+    from matplotlib.collections import EllipseCollection, LineCollection
+
+    position, radius = np.asarray(graph.position), np.asarray(graph.radius)
+    group, weight = np.asarray(graph.is_group, bool), np.asarray(graph.weight)
+    color = colors.EDGE if alone else colors.FAINT_EDGE
+    lines, styles, widths = [], [], []
+    for u, v in np.argwhere(np.triu(np.isfinite(weight) | np.isfinite(weight.T), 1)):
+        there, back = weight[u, v], weight[v, u]
+        one_way = max(there, back) >= ONE_WAY * min(there, back)
+        start, end = (position[u], position[v]) if there <= back else (position[v], position[u])
+        lines.append((start, end))
+        flow = min(there, back)
+        styles.append((0, (1, 1.6)) if not one_way and flow > 1 else "-")
+        widths.append(2.6 if not one_way and flow < 1 else 1.2)
+        if one_way:
+            along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
+            tip = 0.5 * (start + end) + 0.5 * along
+            axes.annotate(
+                "",
+                xy=tuple(tip),
+                xytext=tuple(tip - 0.1 * along),
+                arrowprops=dict(arrowstyle="-|>", color=color, mutation_scale=13, linewidth=0),
+                zorder=3,
+            )
+    axes.add_collection(LineCollection(lines, colors=color, linewidths=widths, linestyles=styles, zorder=3))
+    for members, shade in ((~group, color), (group, colors.MEMBER)):
+        size = 2 * radius[members]
+        for alpha, face, edge in ((0.16, shade, "none"), (1.0, "none", shade)):
+            axes.add_collection(
+                EllipseCollection(
+                    size, size, np.zeros_like(size), units="xy", offsets=position[members],
+                    offset_transform=axes.transData, facecolors=face, edgecolors=edge, alpha=alpha,
+                    linewidths=0.9, linestyles="--" if shade == colors.MEMBER else "-", zorder=3,
+                )
+            )  # fmt: skip
+    if alone:
+        from matplotlib.patheffects import withStroke
+
+        halo = [withStroke(linewidth=2.5, foreground=colors.FLOOR)]
+        for name, place in zip(graph.names, position, strict=True):
+            label = name.replace("_", " ")
+            x, y = (float(v) for v in place)
+            axes.text(x, y, label, fontsize=7, color=colors.INK, ha="center", va="center", path_effects=halo, zorder=4)
+
+
+def draw_trails(axes: Axes, frames: Frame, steps: int) -> None:
+    """Where each person walked in the last ``steps`` frames, fading with age."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import to_rgb
+
+    people = np.asarray(frames.people)[-steps - 1 :]
+    stride = max(1, len(people) // 240)
+    people = people[::-stride][::-1]
+    if len(people) < 2:
+        return
+    segments = np.stack([people[:-1], people[1:]], 2)  # (T - 1, N, 2, 2)
+    age = np.linspace(0.03, 1.0, len(segments)) ** 1.6
+    shade = np.concatenate([np.tile(to_rgb(colors.TRAIL), (len(segments), 1)), 0.75 * age[:, None]], 1)
+    drawn = LineCollection(
+        list(segments.reshape(-1, 2, 2)), colors=np.repeat(shade, people.shape[1], 0), linewidths=1.1, zorder=4
+    )
+    drawn.set_rasterized(True)  # thousands of segments: an image is smaller than their outlines
+    drawn.set_capstyle("butt")
+    axes.add_collection(drawn)
+
+
+def draw_people(axes: Axes, frames: Frame) -> None:
+    """Each person at the last frame: a disc with a tick where the person looks, in another colour in a group."""
+    from matplotlib.collections import EllipseCollection, LineCollection
+
+    place, look, group = frames.people[-1], frames.people_heading[-1], frames.group[-1]
+    ends = np.stack([place, place + 1.9 * PERSON_RADIUS * look], 1)
+    axes.add_collection(LineCollection(list(ends), colors=colors.PERSON_EDGE, linewidths=0.9, zorder=6))
+    size = np.full(len(place), 2 * PERSON_RADIUS)
+    faces = [colors.MEMBER if index >= 0 else colors.PERSON for index in group]
+    axes.add_collection(
+        EllipseCollection(
+            size, size, np.zeros_like(size), units="xy", offsets=place, offset_transform=axes.transData,
+            facecolors=faces, edgecolors=colors.PERSON_EDGE, linewidths=0.8, zorder=7,
+        )
+    )  # fmt: skip
+
+
+def draw_robot(axes: Axes, frames: Frame, situations: tuple[str, ...]) -> None:
+    """The robot's path in the colours of the situations, its start (ring), goal (target) and last pose (square)."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.patches import Circle, Polygon
+
+    path = np.asarray(frames.position)
+    shades = step_colors(frames, situations)
+    axes.plot(*path.T, color=colors.PAPER, linewidth=5.0, solid_capstyle="round", zorder=8)
+    runs = np.flatnonzero([True, *(a != b for a, b in zip(shades[1:], shades[:-1], strict=True))])
+    pieces = [path[max(a - 1, 0) : b] for a, b in zip(runs, [*runs[1:], len(path)], strict=True)]
+    axes.add_collection(
+        LineCollection(pieces, colors=[shades[a] for a in runs], linewidths=3.0, zorder=9, capstyle="butt")
+    )
+    axes.add_patch(Circle(path[0], 0.42, facecolor=colors.PAPER, edgecolor=colors.ROBOT, linewidth=1.8, zorder=10))
+    goal = (float(frames.goal[-1][0]), float(frames.goal[-1][1]))
+    for radius, face in ((0.75, "none"), (0.28, colors.ROBOT)):
+        axes.add_patch(Circle(goal, radius, facecolor=face, edgecolor=colors.ROBOT, linewidth=1.8, zorder=10))
+    ahead = frames.heading[-1]
+    aside = np.array([-ahead[1], ahead[0]])
+    square = [path[-1] + SQUARE * (a * ahead + b * aside) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+    axes.add_patch(Polygon(square, facecolor=colors.ROBOT, edgecolor=colors.ROBOT_EDGE, linewidth=1.0, zorder=11))
+    axes.plot(*zip(path[-1], path[-1] + SQUARE * ahead, strict=True), color=colors.ROBOT_EDGE, linewidth=1.4, zorder=12)
+
+
+def draw_scale(axes: Axes, environment: Environment) -> None:
+    """A bar of a round length below the floor's left corner."""
+    x0, y0, x1, _ = (float(v) for v in np.asarray(environment.floor))
+    span = x1 - x0
+    bar = max(length for length in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if length <= max(0.15 * span, 0.5))
+    y = y0 - 0.030 * span
+    tick = 0.008 * span
+    axes.plot([x0, x0, x0 + bar, x0 + bar], [y + tick, y, y, y + tick], color=colors.MUTED, linewidth=1.1, zorder=5)
+    axes.text(x0, y - 0.010 * span, f"{bar:g} m", fontsize=8, color=colors.MUTED, ha="left", va="top", zorder=5)
+
+
+def draw_legend(axes: Axes, graph: bool, frames: Frame | None, situations: tuple[str, ...]) -> None:
+    """What the marks mean, in one row or two below the floor; only the situations that occurred are named."""
+    from matplotlib.legend_handler import HandlerTuple
+    from matplotlib.lines import Line2D
+
+    def mark(shape: str, face: str, edge: str, size: float = 6.5) -> Line2D:
+        return Line2D([], [], linestyle="", marker=shape, markersize=size, markerfacecolor=face, markeredgecolor=edge)
+
+    entries: list[tuple[Any, str]] = []
+    if frames is not None:
+        entries += [
+            (mark("s", colors.ROBOT, colors.ROBOT_EDGE), "robot"),
+            (mark("o", colors.PAPER, colors.ROBOT), "start"),
+            ((mark("o", "none", colors.ROBOT, 8.5), mark("o", colors.ROBOT, colors.ROBOT, 3)), "goal"),
+            (mark("o", colors.PERSON, colors.PERSON_EDGE), "person"),
+            (mark("o", colors.MEMBER, colors.PERSON_EDGE), "in a group"),
+        ]
+        seen = set(step_colors(frames, situations))
+        shades = [*zip(situations, colors.situation_colors(situations), strict=True), ("none", colors.NO_SITUATION)]
+        for name, color in shades:
+            if color in seen:
+                entries.append((Line2D([], [], color=color, linewidth=3), name.replace("_", " ")))
+    elif graph:
+        entries += [
+            (mark("o", "#e9ecf2", colors.EDGE, 8), "waypoint"),
+            (mark("o", "#e2f4f9", colors.MEMBER, 8), "group"),
+            (Line2D([], [], color=colors.EDGE, linewidth=1.2), "both ways"),
+            (Line2D([], [], color=colors.EDGE, linewidth=1.2, marker=">", markersize=5), "one way"),
+        ]
+    if entries:
+        handles, labels = zip(*entries, strict=True)
+        legend = axes.legend(
+            handles, labels, loc="lower right", bbox_to_anchor=(1.0 - MARGIN, 0.0),
+            ncols=5 if frames is not None else 4,
+            fontsize=7.5, frameon=False, labelcolor=colors.INK, handlelength=1.1, handletextpad=0.5,
+            columnspacing=1.2, borderpad=0.1, borderaxespad=0.2, labelspacing=0.35,
+            handler_map={tuple: HandlerTuple(ndivide=1)},
+        )  # fmt: skip
+        legend.set_zorder(20)

@@ -1,0 +1,112 @@
+"""Stills: the environment with what happened in it, and where people spent their time."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from sean_jax.base import Environment, Frame, Scenario
+from sean_jax.drawing import animation, colors, parts
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def top_down(
+    environment: Environment,
+    *,
+    graph: Any = None,
+    frames: Frame | None = None,
+    situations: tuple[str, ...] = tuple(colors.SITUATION_COLORS),
+    time_step: float = 0.1,
+    trail: float = 40.0,
+    width: float = 6.4,
+    title: str = "",
+) -> Figure:
+    """The environment from above, with what happened in it.
+
+    ``graph`` is a behavior graph to draw below, ``frames`` the (T, ...) frames of one episode: people's trails over
+    the last ``trail`` seconds, where they stood at its end, and the robot's path in the colours of the situations.
+    ``width`` is in inches. Raises ValueError for frames with a batch axis: draw one episode at a time.
+    """
+    figure, axes = parts.canvas(environment, width, title)
+    parts.draw_obstacles(axes, environment)
+    if graph is not None:
+        parts.draw_graph(axes, graph, alone=frames is None)
+    if frames is not None:
+        frames = parts.one_episode(frames)
+        parts.draw_trails(axes, frames, round(trail / time_step))
+        parts.draw_people(axes, frames)
+        parts.draw_robot(axes, frames, situations)
+    parts.draw_legend(axes, graph is not None, frames, situations)
+    parts.draw_scale(axes, environment)
+    return figure
+
+
+def heat_map(environment: Environment, seconds: np.ndarray, *, width: float = 6.4, title: str = "") -> Figure:
+    """Where people spent their time.
+
+    ``seconds`` (rows, columns) s is the time that people spent in each of the equal cells that cover the floor,
+    row 0 at its lowest y.
+    """
+    from matplotlib.colors import LinearSegmentedColormap, PowerNorm
+
+    figure, axes = parts.canvas(environment, width, title)
+    x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
+    density = np.asarray(seconds, float) * seconds.size / ((x1 - x0) * (y1 - y0))
+    busy = density[density > 0]
+    most = float(np.quantile(busy, 0.97)) if busy.size else 1.0
+    image = axes.imshow(
+        density,
+        extent=(x0, x1, y0, y1),
+        origin="lower",
+        cmap=LinearSegmentedColormap.from_list("heat", colors.HEAT),
+        norm=PowerNorm(0.5, 0.0, most),
+        interpolation="nearest",
+        aspect="auto",
+        zorder=1,
+    )
+    parts.draw_obstacles(axes, environment)
+    parts.draw_scale(axes, environment)
+    span = x1 - x0
+    below = axes.inset_axes((x1 - 0.38 * span, y0 - 0.034 * span, 0.38 * span, 0.014 * span), transform=axes.transData)
+    bar = figure.colorbar(image, cax=below, orientation="horizontal", extend="max")
+    bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
+    below.tick_params(size=0, labelsize=7.5, labelcolor=colors.MUTED, pad=2)
+    place = (x1 - 0.40 * span, y0 - 0.027 * span)
+    axes.text(*place, "person-seconds per m²", fontsize=7.5, color=colors.MUTED, ha="right", va="center")
+    return figure
+
+
+def view(trajectory: Frame, scenario: Scenario, animate: bool = False) -> Any:
+    """A trajectory for a notebook: a matplotlib ``Figure``, or with ``animate`` a moving IPython ``Image``.
+
+    ``trajectory`` has a leading time axis (T, ...); of a batch (B, T, ...) the first episode is shown. The behavior
+    graph is drawn if the scenario has one.
+    """
+    frames = trajectory
+    while np.ndim(frames.active) > 1:
+        frames = jax.tree.map(lambda leaf: leaf[0], frames)
+    names = tuple(name for name, _ in scenario.situations)
+    graph = graph_of(scenario)
+    if not animate:
+        return top_down(
+            scenario.environment, graph=graph, frames=frames, situations=names, time_step=scenario.time_step
+        )
+    from IPython.display import Image
+
+    stream = io.BytesIO()
+    animation.animate(scenario.environment, frames, stream, graph=graph, situations=names, time_step=scenario.time_step)
+    return Image(data=stream.getvalue(), format="gif")
+
+
+def graph_of(scenario: Scenario) -> Any:
+    """The behavior graph that the scenario's people walk on, None if they walk otherwise."""
+    data = scenario.behavior.data
+    for found in (data, getattr(data, "graph", None)):
+        if all(hasattr(found, field) for field in ("position", "radius", "is_group", "weight", "names")):
+            return found
+    return None

@@ -1,0 +1,177 @@
+"""Physical environments (section IV-C): a folder's files become obstacles on a floor, with places to stand on it."""
+
+import os
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pydantic
+
+from sean_jax import files
+from sean_jax.base import Array, Environment, Obstacles
+from sean_jax.geometry import from_box
+from sean_jax.nearby import tabulate
+
+HERE = Path(__file__).resolve().parent
+# Beside the package in a checkout, inside it once installed.
+ENVS: Path = next((path for path in (HERE / "envs", HERE.parent / "envs") if path.is_dir()), HERE / "envs")
+
+SETTINGS, SCENE = "environment.yaml", "scene.xml"
+UPRIGHT = 1e-4  # how far from 1 the cosine of a box's tilt may be
+LOWEST = 0.05  # m above the floor, to which a box must reach down
+BATCH = 1024  # candidates that free_points looks at in one go
+
+
+class Settings(pydantic.BaseModel):
+    """What environment.yaml holds."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    name: Annotated[str, pydantic.Field(min_length=1)]
+    floor: tuple[float, float, float, float]  # m: x_min, y_min, x_max, y_max
+    people: Annotated[int, pydantic.Field(ge=0)]  # unless told otherwise
+    source: str = ""
+
+
+def available() -> list[str]:
+    """Names of the environments that come with the package."""
+    return sorted(path.parent.name for path in ENVS.glob(f"*/{SETTINGS}"))
+
+
+def find(name_or_path: str | Path) -> Path:
+    """Folder of an environment that comes with the package, or of any other by its path; ValueError if none."""
+    names = available()
+    if str(name_or_path) in names:
+        return ENVS / str(name_or_path)
+    folder = Path(name_or_path).expanduser()
+    if (folder / SETTINGS).is_file():
+        return folder
+    if folder.is_dir() and (os.sep in str(name_or_path) or "/" in str(name_or_path)):
+        raise ValueError(f"{folder} is no environment: it holds no {SETTINGS}.")
+    hint = files.suggest(str(name_or_path), names) or f"; give one of them or a folder with {SETTINGS} and {SCENE}."
+    raise ValueError(f"environment '{name_or_path}' is not one of {', '.join(names)}{hint}")
+
+
+def default_people(folder: str | Path) -> int:
+    """How many people an environment has unless told otherwise."""
+    return _settings(Path(folder)).people
+
+
+def load(name_or_path: str | Path) -> Environment:
+    """The environment of that name or folder: environment.yaml and the upright boxes of scene.xml.
+
+    Raises ValueError for an unknown name and FileError for files that cannot be used.
+    """
+    folder = find(name_or_path)
+    settings = _settings(folder)
+    floor = jnp.asarray(np.array(settings.floor, np.float32))
+    obstacles = _boxes(folder / SCENE)
+    return Environment(floor=floor, obstacles=obstacles, nearby=tabulate(obstacles, floor), name=settings.name)
+
+
+def clearance(environment: Environment, points: Array) -> Array:
+    """(P,) distance [m] from each of the points (P, 2) [m] to the nearest obstacle or edge of the floor.
+
+    Negative inside an obstacle and off the floor.
+    """
+    x, y = points[:, 0], points[:, 1]
+    each_box = jax.vmap(lambda px, py, box: from_box(px, py, box)[0], in_axes=(None, None, 0))
+    to_boxes = jax.vmap(each_box, in_axes=(0, 0, None))(x, y, environment.obstacles)  # (P, W) m
+    x_min, y_min, x_max, y_max = environment.floor
+    to_edge = jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
+    return jnp.minimum(jnp.min(to_boxes, axis=1, initial=jnp.inf), to_edge)
+
+
+def free_points(environment: Environment, radius: float, number: int, seed: int = 0) -> np.ndarray:
+    """(number, 2) float32 places [m], uniform over where a disc of that radius [m] touches no obstacle or edge.
+
+    Drawn on the host, outside jit; the same seed gives the same places. Whether one can walk from one to another
+    is for navigation to say. Raises ValueError if (almost) no place is free.
+    """
+    generator = np.random.default_rng(seed)
+    floor = np.asarray(environment.floor, np.float64)
+    found: list[np.ndarray] = []
+    measure = jax.jit(clearance)  # here, for outside jit, op by op, it takes a second the first time
+    missing, tried = number, 0
+    while missing > 0:
+        places = generator.uniform(floor[:2], floor[2:], (BATCH, 2)).astype(np.float32)
+        free = places[np.asarray(measure(environment, jnp.asarray(places))) >= radius]
+        found.append(free[:missing])
+        missing -= len(found[-1])
+        tried += BATCH
+        if tried >= 20 * BATCH and (number - missing) * 2000 < tried:
+            raise ValueError(
+                f"environment '{environment.name}' has hardly any place where a disc of {radius:g} m is clear of "
+                f"obstacles ({number - missing} of {tried} tried); use a smaller radius."
+            )
+    return np.concatenate([np.zeros((0, 2), np.float32), *found])
+
+
+def _settings(folder: Path) -> Settings:
+    return files.load(folder / SETTINGS, Settings, _floor_problems)
+
+
+def _floor_problems(settings: Settings) -> list[files.Problem]:
+    x_min, y_min, x_max, y_max = settings.floor
+    if x_min < x_max and y_min < y_max:
+        return []
+    return [(("floor",), f"{list(settings.floor)} is empty; give x_min, y_min, x_max, y_max in this order")]
+
+
+def _boxes(path: Path) -> Obstacles:
+    """The boxes of an MJCF file. Horizontal planes are floors; geoms that nothing can touch are decoration.
+
+    MJCF makes decoration of a geom by contype="0" conaffinity="0".
+    """
+    if not path.is_file():
+        raise files.FileError(f"{path}: there is no such file; an environment's obstacles are MJCF boxes in it.")
+    mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise files.FileError(f"{files.shown(path)}: MuJoCo cannot read it: {' '.join(str(error).split())}.") from None
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    kind = [mujoco.mjtGeom(number).name.removeprefix("mjGEOM_").lower() for number in model.geom_type]
+    solid = [index for index in range(model.ngeom) if model.geom_contype[index] or model.geom_conaffinity[index]]
+    clauses = {index: _refusal(model, data, index, kind[index]) for index in solid}
+    lines = [f"{files.shown(path)}: {_called(model, index)} {text}." for index, text in clauses.items() if text]
+    boxes = [index for index in solid if kind[index] == "box"]
+    if not boxes and not lines:
+        lines = [f"{files.shown(path)}: has no box that can be touched; obstacles are geoms of type 'box'."]
+    if lines:
+        raise files.FileError("\n".join(lines))
+    position, half, turn = data.geom_xpos[boxes], model.geom_size[boxes], data.geom_xmat[boxes]
+    return Obstacles(
+        center=jnp.asarray(position[:, :2], jnp.float32),
+        half_extent=jnp.asarray(half[:, :2], jnp.float32),
+        yaw=jnp.asarray(np.arctan2(turn[:, 3], turn[:, 0]), jnp.float32),
+        height=jnp.asarray(position[:, 2] + half[:, 2], jnp.float32),
+    )
+
+
+def _called(model: Any, index: int) -> str:
+    name = model.geom(index).name
+    return f"geom '{name}'" if name else f"the unnamed geom number {index + 1}"
+
+
+def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
+    """Why a geom cannot be an obstacle, in words that follow its name; empty if it can, or is the floor."""
+    tilt = data.geom_xmat[index, 8]  # cosine of the angle between its z axis and the vertical
+    if kind == "plane":
+        return "" if tilt > 1 - UPRIGHT else "is a tilted plane; make the wall a box"
+    if kind != "box":
+        return f"is a {kind}; replace it by one or more boxes"
+    if model.body_weldid[model.geom_bodyid[index]] != 0:
+        return "is on a body with a joint; obstacles stand still, so remove the joint"
+    if abs(tilt) < 1 - UPRIGHT:
+        return "is tilted; turn it about the vertical axis only"
+    bottom, top = data.geom_xpos[index, 2] + model.geom_size[index, 2] * np.array([-1.0, 1.0])
+    if bottom > LOWEST:
+        return f"begins {bottom:.2f} m above the floor; extend it down to z = 0"
+    if top <= 0:
+        return "lies below the floor; its top must be above z = 0"
+    return ""

@@ -1,0 +1,5 @@
+"""The Behavior Graph (section IV-D): annotation, shortest-path tables, conversational formations."""
+
+from sean_jax.graph.behavior_graph import BehaviorGraph
+
+__all__ = ["BehaviorGraph"]

@@ -1,0 +1,207 @@
+"""The annotation of a Behavior Graph (section IV-D): what graph.yaml may say, and the graph that it means."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pydantic
+
+from sean_jax import files
+from sean_jax.base import Environment
+from sean_jax.graph.behavior_graph import BehaviorGraph
+from sean_jax.graph.formation import reach
+from sean_jax.graph.places import PERSON, clearance, places
+from sean_jax.graph.routes import routes
+
+NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge
+STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
+Positive = Annotated[float, pydantic.Field(gt=0)]
+NotNegative = Annotated[float, pydantic.Field(ge=0)]
+
+
+class Node(pydantic.BaseModel):
+    """A waypoint, which people pass, or a group, where they stand and talk."""
+
+    model_config = STRICT
+
+    kind: Literal["waypoint", "group"]
+    position: tuple[float, float]  # m
+    radius: Positive  # m
+    spawn: NotNegative = 0.0  # weight with which somebody starts here
+    capacity: Annotated[int, pydantic.Field(ge=2, le=32)] | None = None  # people, of a group
+    stay: tuple[NotNegative, NotNegative] | None = None  # s, least and greatest, of a group
+    id: int | None = None  # number in the graph that this one was made from
+
+
+class Edge(pydantic.BaseModel):
+    """Two directed edges between a pair of nodes, with one of the paper's pairs of weights."""
+
+    model_config = STRICT
+
+    between: tuple[str, str]
+    flow: Literal["medium", "high", "low", "forward", "backward"] | None = None  # medium if weights is absent too
+    weights: tuple[float, float] | None = None  # there and back, instead of flow
+
+
+class Annotation(pydantic.BaseModel):
+    """What graph.yaml holds."""
+
+    model_config = STRICT
+
+    version: Literal[1]
+    source: str = ""
+    c_min: Annotated[float, pydantic.Field(gt=0, lt=1)]
+    c_max: Annotated[float, pydantic.Field(gt=1)]
+    nodes: Annotated[dict[str, Node], pydantic.Field(min_length=1)]
+    edges: list[Edge]
+
+    def flows(self) -> dict[str, tuple[float, float]]:
+        """The paper's pairs <c_uv, c_vu> of edge weights by name."""
+        low, high = self.c_min, self.c_max
+        pairs = {"medium": (1.0, 1.0), "high": (low, low), "low": (high, high)}
+        return pairs | {"forward": (1.0, high), "backward": (high, 1.0)}
+
+    def weights(self, edge: Edge) -> tuple[float, float]:
+        """The pair of weights of an edge."""
+        return edge.weights or self.flows()[edge.flow or "medium"]
+
+
+def read(path: Path | str, environment: Environment) -> BehaviorGraph:
+    """The graph of a graph.yaml in that environment; files.FileError lists all that is wrong with it."""
+    return build(files.load(path, Annotation, check, lambda found: check_against(found, environment)), environment)
+
+
+def build(annotation: Annotation, environment: Environment, seed: int = 0) -> BehaviorGraph:
+    """Arrays and tables of a checked annotation; ``seed`` draws the places of its nodes."""
+    nodes = list(annotation.nodes.values())
+    position = np.array([node.position for node in nodes], np.float64)
+    radius = np.array([node.radius for node in nodes], np.float64)
+    is_group = np.array([node.kind == "group" for node in nodes], bool)
+    capacity = np.array([node.capacity or 0 for node in nodes], np.int32)
+    weight = _edge_costs(annotation, position)
+    cost, next_hop = routes(weight, is_group)
+    groups = np.flatnonzero(is_group)
+    return BehaviorGraph(
+        position=jnp.asarray(position, jnp.float32),
+        radius=jnp.asarray(radius, jnp.float32),
+        is_group=jnp.asarray(is_group),
+        capacity=jnp.asarray(capacity, jnp.int32),
+        stay=jnp.asarray([node.stay or (0.0, 0.0) for node in nodes], jnp.float32),
+        spawn=jnp.asarray([node.spawn for node in nodes], jnp.float32),
+        weight=jnp.asarray(weight, jnp.float32),
+        cost=jnp.asarray(cost, jnp.float32),
+        next_hop=jnp.asarray(next_hop, jnp.int32),
+        waypoints=jnp.asarray(np.flatnonzero(~is_group), jnp.int32),
+        groups=jnp.asarray(groups, jnp.int32),
+        seat_group=jnp.asarray(np.repeat(np.arange(len(groups)), capacity[groups]), jnp.int32),
+        places=jnp.asarray(places(environment, position, radius, seed), jnp.float32),
+        names=tuple(annotation.nodes),
+    )
+
+
+def _edge_costs(annotation: Annotation, position: np.ndarray) -> np.ndarray:
+    """(M, M) Euclidean length [m] times weight, inf without an edge."""
+    index = {name: number for number, name in enumerate(annotation.nodes)}
+    weight = np.full((len(index), len(index)), np.inf)
+    for edge in annotation.edges:
+        a, b = (index[name] for name in edge.between)
+        length = float(np.hypot(*(position[a] - position[b])))
+        there, back = annotation.weights(edge)
+        weight[a, b], weight[b, a] = length * there, length * back
+    return weight
+
+
+def check(annotation: Annotation) -> Iterator[files.Problem]:
+    """What is wrong between the fields of an annotation."""
+    for name, node in annotation.nodes.items():
+        if node.kind == "group":
+            if node.capacity is None:
+                yield ("nodes", name, "capacity"), "is missing; a group needs one, such as 'capacity: 4'"
+            if node.stay is None:
+                yield ("nodes", name, "stay"), "is missing; a group needs one in seconds, such as 'stay: [5, 10]'"
+            elif node.stay[0] > node.stay[1]:
+                yield (
+                    ("nodes", name, "stay"),
+                    f"[{node.stay[0]:g}, {node.stay[1]:g}] is not ordered; give the least time first",
+                )
+        else:
+            for key in ("capacity", "stay"):
+                if getattr(node, key) is not None:
+                    cure = "remove it, or make the kind 'group'"
+                    yield ("nodes", name, key), f"only a group has one and this is a waypoint; {cure}"
+    if not any(node.kind == "waypoint" for node in annotation.nodes.values()):
+        yield ("nodes",), "none is a waypoint; people need at least one to go to when the groups are full"
+    if not any(node.spawn > 0 for node in annotation.nodes.values()):
+        yield ("nodes",), "no spawn is above 0; give at least one node 'spawn: 1'"
+    seen: dict[frozenset[str], int] = {}
+    for number, edge in enumerate(annotation.edges):
+        here = ("edges", number)
+        unknown = [side for side in (0, 1) if edge.between[side] not in annotation.nodes]
+        for side in unknown:
+            word = edge.between[side]
+            hint = files.suggest(word, annotation.nodes) or "; add it to nodes or remove the edge"
+            yield (*here, "between", side), f"there is no node '{word}'{hint}"
+        pair = frozenset(edge.between)
+        if len(pair) == 1:
+            yield (*here, "between"), f"the edge leads from '{edge.between[0]}' to itself; remove it"
+        elif pair in seen:
+            yield (*here, "between"), f"edges[{seen[pair]}] already joins these two; remove one of them"
+        seen.setdefault(pair, number)
+        if edge.weights is not None and edge.flow is not None:
+            yield (*here, "weights"), "flow is given as well; remove one of them"
+        elif edge.weights is not None and edge.weights not in annotation.flows().values():
+            sets = ", ".join(f"{name} [{a:g}, {b:g}]" for name, (a, b) in annotation.flows().items())
+            yield (*here, "weights"), f"[{edge.weights[0]:g}, {edge.weights[1]:g}] is not one of {sets}"
+    if all(name in annotation.nodes for edge in annotation.edges for name in edge.between):
+        yield from _unreachable(annotation)  # a misspelt name would seem to cut nodes off
+
+
+def _unreachable(annotation: Annotation) -> Iterator[files.Problem]:
+    """Nodes that no walker can reach without cutting through a group. Both ways of an edge have a finite weight."""
+    nodes = annotation.nodes
+    beside: dict[str, set[str]] = {name: set() for name in nodes}
+    for edge in annotation.edges:
+        a, b = edge.between
+        beside[a].add(b)
+        beside[b].add(a)
+    best: set[str] = set()
+    for name, node in nodes.items():
+        if node.kind == "group" or name in best:
+            continue
+        reached, pending = {name}, [name]
+        while pending:
+            here = pending.pop()
+            if nodes[here].kind == "waypoint":
+                new = beside[here] - reached
+                reached |= new
+                pending += new
+        best = max(best, reached, key=len)
+    start = next((name for name in nodes if name in best and nodes[name].kind == "waypoint"), "")
+    for name in nodes:
+        if start and name not in best:
+            yield ("nodes", name), f"no path over waypoints leads here from '{start}'; add an edge to a waypoint"
+
+
+def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
+    """What is wrong with where the nodes lie in an environment."""
+    points = jnp.asarray([node.position for node in annotation.nodes.values()], jnp.float32)
+    to_box, to_edge = (np.asarray(distance) for distance in jax.jit(clearance)(environment, points))
+    for (name, node), box, edge in zip(annotation.nodes.items(), to_box, to_edge, strict=True):
+        here = ("nodes", name, "position")
+        ring = reach(node.capacity) + PERSON if node.kind == "group" and node.capacity else 0.0
+        free = min(box, edge)
+        place = f"[{node.position[0]:g}, {node.position[1]:g}]"
+        if edge < 0:
+            floor = ", ".join(f"{value:g}" for value in np.asarray(environment.floor))
+            yield here, f"{place} is not on the floor [{floor}]; move it"
+        elif box <= 0:
+            yield here, f"{place} is inside an obstacle; move it by {NODE_CLEARANCE - box:.2f} m or more"
+        elif free < NODE_CLEARANCE:
+            what = "obstacle" if box < edge else "edge of the floor"
+            yield here, f"{place} is {free:.2f} m from an {what}, less than {NODE_CLEARANCE:g} m; move it"
+        elif free < ring:
+            cure = "move it or lower its capacity"
+            yield here, f"{place} has {free:.2f} m of room where a group of {node.capacity} needs {ring:.2f} m; {cure}"

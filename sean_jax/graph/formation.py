@@ -1,0 +1,96 @@
+"""Conversational formations: people on a ring around an empty o-space, one place of it left open (section IV-D).
+
+Kendon's F-formation [38], with the distances and directions measured in the Cocktail Party data [46]: 409 groups
+of 2 to 6 people.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax.base import Array
+from sean_jax.geometry import unit_vectors
+
+# Members' mean distance [m] from their centroid and its standard deviation, by group size.
+MEASURED = {2: (0.45, 0.14), 3: (0.58, 0.19), 4: (0.67, 0.20), 5: (0.77, 0.20), 6: (0.83, 0.17)}
+LARGEST = 32  # people in a group that the tables below know; beyond it they repeat
+
+# Angle [rad] between a member's heading and the direction to the centre, at these shares of all members: half of
+# them within 30 degrees, 68 % within 45, 91 % within 90.
+SHARES = (0.0, 0.5, 0.68, 0.91, 1.0)
+ANGLES = tuple(np.deg2rad((0.0, 30.0, 45.0, 90.0, 180.0)).tolist())
+
+NEIGHBOR = 0.55  # m, least distance of neighbouring places of the ring
+APART = 0.5  # m, least distance of any two seats, and of a seat and the opening
+JITTER = 0.12  # m, most by which a seat is off its place, along the ring and across it together
+
+
+def _tables() -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation [m] of the ring's radius by group size, float32 (LARGEST + 1,).
+
+    With one of n + 1 places open, members' centroid is not the ring's centre: the data's distance from the centroid
+    is a share of the ring's radius.
+    """
+    mean, deviation = np.ones(LARGEST + 1), np.ones(LARGEST + 1)
+    for size in range(1, LARGEST + 1):
+        angle = 2 * np.pi * np.arange(1, size + 1) / (size + 1)
+        ring = np.stack([np.cos(angle), np.sin(angle)], -1)
+        share = float(np.mean(np.linalg.norm(ring - ring.mean(0), axis=-1))) if size > 1 else 1.0
+        distance, spread = MEASURED.get(size, (0.26 + 0.10 * size, 0.18))
+        mean[size], deviation[size] = distance / share, spread / share
+    return mean.astype(np.float32), deviation.astype(np.float32)
+
+
+MEAN, DEVIATION = _tables()
+
+
+def reach(capacity: int) -> float:
+    """Distance [m] from a group's centre within which all its seats lie."""
+    size = min(capacity, LARGEST)
+    return float(MEAN[size] + DEVIATION[size]) + JITTER
+
+
+def formation(key: Array, capacity: Array, center: Array, seat_group: Array) -> tuple[Array, Array, Array, Array]:
+    """Where the members of groups stand and look, and where each group has a place for one more.
+
+    ``capacity`` (G,) int32, ``center`` (G, 2) m and ``seat_group`` (Q,) int32, the group of each seat, of which a
+    group has as many as its capacity. Returns the seats' position (Q, 2) m and heading (Q, 2) unit, the ring's
+    radius (G,) m and the opening (G, 2) m. No two seats, and no seat and the opening, are closer than 0.5 m.
+    """
+    groups, seats = capacity.shape[0], seat_group.shape[0]
+    ring_key, turn_key, order_key, jitter_key, side_key, angle_key = jax.random.split(key, 6)
+
+    count = capacity.astype(jnp.float32) + 1.0  # places of the ring
+    half_chord = jnp.sin(jnp.pi / count)
+    size = jnp.clip(capacity, 0, LARGEST)
+    mean, deviation = jnp.asarray(MEAN)[size], jnp.asarray(DEVIATION)[size]
+    tightest = (0.5 * NEIGHBOR / half_chord - mean) / deviation
+    lower = jnp.clip(tightest, -1.0, 0.999)
+    radius = mean + deviation * jax.random.truncated_normal(ring_key, lower, 1.0, (groups,), jnp.float32)
+
+    turn = jax.random.uniform(turn_key, (groups,), jnp.float32, 0.0, 2.0 * jnp.pi)
+    opening = center + radius[:, None] * jnp.stack([jnp.cos(turn), jnp.sin(turn)], -1)
+
+    # Which place of the ring a seat is: seats of a group in random order, counted from the opening.
+    score = jax.random.uniform(order_key, (seats,), jnp.float32)
+    number = jnp.arange(seats)
+    tie = (score[None, :] == score[:, None]) & (number[None, :] < number[:, None])
+    earlier = ((score[None, :] < score[:, None]) | tie) & (seat_group[None, :] == seat_group[:, None])
+    place = 1.0 + jnp.sum(earlier, axis=1, dtype=jnp.float32)
+    angle = turn[seat_group] + place * (2.0 * jnp.pi / count)[seat_group]
+
+    # A seat stays within a disc around its place that is small enough to keep neighbours apart.
+    room = jnp.clip(radius * half_chord - 0.5 * APART, 0.0, JITTER)[seat_group]
+    off = jax.random.uniform(jitter_key, (seats, 2), jnp.float32, -1.0, 1.0) * (room * 0.7071)[:, None]
+    outward = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    along = jnp.stack([-jnp.sin(angle), jnp.cos(angle)], -1)
+    offset = outward * (radius[seat_group] + off[:, 0])[:, None] + along * off[:, 1][:, None]
+
+    share = jax.random.uniform(angle_key, (seats,), jnp.float32)
+    away = jnp.interp(share, jnp.asarray(SHARES, jnp.float32), jnp.asarray(ANGLES, jnp.float32))
+    away = jnp.where(jax.random.bernoulli(side_key, 0.5, (seats,)), away, -away)
+    inward = unit_vectors(-offset, outward)
+    cosine, sine = jnp.cos(away), jnp.sin(away)
+    x, y = inward[:, 0], inward[:, 1]
+    heading = jnp.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+    return center[seat_group] + offset, heading, radius, opening

@@ -1,0 +1,62 @@
+"""Where in a node's disc people can stand (section IV-D: goals are points of the disc, not its centre)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax.base import Array, Environment
+from sean_jax.geometry import crosses_box, from_box
+
+PERSON = 0.25  # m, kept free around a place: a body of 0.2 m and some room
+NUMBER = 64  # places a node
+ROUND = 256  # candidates a node in one round
+FULL_ROUNDS = 4  # with candidates from the whole disc, before discs shrink
+SHRINK = 0.7  # of the disc's radius, each later round
+
+
+def clearance(environment: Environment, points: Array) -> tuple[Array, Array]:
+    """(P,) signed distance [m] from each of the points (P, 2) [m] to the nearest obstacle, and to the floor's edge."""
+    x, y = points[:, 0], points[:, 1]
+    each_box = jax.vmap(lambda px, py, box: from_box(px, py, box)[0], in_axes=(None, None, 0))
+    to_boxes = jax.vmap(each_box, in_axes=(0, 0, None))(x, y, environment.obstacles)  # (P, W) m
+    x_min, y_min, x_max, y_max = environment.floor
+    to_edge = jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
+    return jnp.min(to_boxes, axis=1, initial=jnp.inf), to_edge
+
+
+def in_sight(environment: Environment, center: Array, points: Array) -> Array:
+    """(P,) bool: a person can walk straight from the center (P, 2) [m] to the point (P, 2) [m]."""
+    each_box = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
+    each_pair = jax.vmap(each_box, in_axes=(0, 0, 0, 0, None, None))
+    px, py, qx, qy = center[:, 0], center[:, 1], points[:, 0], points[:, 1]
+    return ~jnp.any(each_pair(px, py, qx, qy, environment.obstacles, PERSON), axis=1)
+
+
+def places(environment: Environment, position: np.ndarray, radius: np.ndarray, seed: int = 0) -> np.ndarray:
+    """(M, 64, 2) float32 points [m], uniform over what is free and in sight of the disc (M, 2), (M,) [m] of a node.
+
+    Drawn on the host, outside jit. Where a disc has too little room, the rest are points nearer to its centre,
+    which must be clear of obstacles and of the floor's edge by more than the radius of a person.
+    """
+    count = len(position)
+    generator = np.random.default_rng(seed)
+    kept = [np.zeros((0, 2), np.float32) for _ in range(count)]
+    radius = np.array(radius, np.float64)
+    center = jnp.asarray(np.repeat(np.asarray(position, np.float32), ROUND, axis=0))
+    turn = 0
+    while min(len(points) for points in kept) < NUMBER:
+        distance = np.sqrt(generator.uniform(size=(count, ROUND))) * radius[:, None]
+        angle = generator.uniform(0.0, 2.0 * np.pi, (count, ROUND))
+        offset = np.stack([distance * np.cos(angle), distance * np.sin(angle)], -1)
+        drawn = (np.asarray(position, np.float64)[:, None, :] + offset).astype(np.float32)
+        flat = jnp.asarray(drawn.reshape(-1, 2))
+        # Compiled here: outside jit, op by op, it takes seconds the first time.
+        seen, (_, to_edge) = jax.jit(in_sight)(environment, center, flat), jax.jit(clearance)(environment, flat)
+        free = (np.asarray(seen) & (np.asarray(to_edge) >= PERSON)).reshape(count, ROUND)
+        kept = [np.concatenate([old, new[ok]])[:NUMBER] for old, new, ok in zip(kept, drawn, free, strict=True)]
+        turn += 1
+        if turn >= FULL_ROUNDS:
+            radius *= SHRINK
+        if turn > 100:
+            raise ValueError("a node's centre is not clear of obstacles.")
+    return np.stack(kept)

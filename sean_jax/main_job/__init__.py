@@ -1,0 +1,172 @@
+"""The main job, ``sean run``: a batch of episodes from scenario to report (sections III to V of the paper).
+
+Importing this imports no JAX: the command line must answer at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sean_jax.main_job.options import Options
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from sean_jax.base import Scenario
+    from sean_jax.main_job.results import Results
+
+__all__ = ["Options", "run"]
+
+
+def run(options: Options, console: Console) -> tuple[Path, int]:
+    """Simulate, summarize, write; the folder written and the number of episodes in it.
+
+    Fewer episodes than asked for are there after Ctrl-C between two batches; KeyboardInterrupt is raised if none
+    were finished. Raises ValueError for options that cannot be met, FloatingPointError for numbers that are not
+    finite; then nothing is written.
+    """
+    options.check()
+    folder = options.folder(datetime.datetime.now().strftime("%Y%m%d-%H%M%S"))
+    from sean_jax.main_job.output import unfinished
+
+    with unfinished(folder) as temporary:
+        with console.status("importing JAX"):
+            from sean_jax.main_job import progress, simulation, statistics, table
+
+        with console.status("preparing the scenario"):
+            scenarios = [_scenario(options, task) for task in options.tasks]
+            policy = _policy(options.policy)
+        _introduce(console, scenarios[0], options)
+        with progress.shown(console) as watch:
+            results = simulation.run_batches(scenarios, policy, options.episodes, options.batch, options.seed, watch)
+        summary = _summary(scenarios[0], options, results, statistics.aggregate(results))
+        with console.status("drawing the report"):
+            _write(temporary, scenarios[0], options, results, summary)
+    table.print_table(console, summary, _title(scenarios[0], options, len(results.tasks)))
+    return folder, len(results.tasks)
+
+
+def _scenario(options: Options, task: str) -> Scenario:
+    from sean_jax.assembly import make
+
+    return make(
+        options.environment,
+        behavior=options.behavior,
+        task=task,
+        robot=options.robot,
+        people=options.people,
+        forces=options.forces,
+        dynamics=options.dynamics,
+        time_limit=options.time_limit,
+    )
+
+
+def _policy(name: str) -> Any:
+    import difflib
+
+    from sean_jax.policies import POLICIES
+
+    if name not in POLICIES:
+        near = difflib.get_close_matches(name, POLICIES, 1)
+        cure = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(POLICIES)}."
+        raise ValueError(f"there is no policy {name!r}; {cure}")
+    return POLICIES[name]
+
+
+def _title(scenario: Scenario, options: Options, episodes: int) -> str:
+    what = f"{scenario.environment.name} · {options.behavior} · {' / '.join(options.tasks)} · {options.robot}"
+    return f"{what} · {scenario.people} people · {episodes} episodes"
+
+
+def _introduce(console: Console, scenario: Scenario, options: Options) -> None:
+    import jax
+
+    devices = jax.devices()
+    console.print(f"[bold]{_title(scenario, options, options.episodes)}[/]", highlight=False)
+    console.print(
+        f"[dim]{options.time_limit:g} s each, policy {options.policy}, seed {options.seed}, "
+        f"on {len(devices)} × {devices[0].device_kind}[/]",
+        highlight=False,
+    )
+
+
+def _summary(scenario: Scenario, options: Options, results: Results, aggregated: dict[str, Any]) -> dict[str, Any]:
+    import jax
+
+    simulated = float(results.seconds.sum())
+    return {
+        "scenario": {
+            "environment": scenario.environment.name,
+            "behavior": options.behavior,
+            "tasks": list(options.tasks),
+            "robot": options.robot,
+            "policy": options.policy,
+            "people": scenario.people,
+        },
+        "episodes": len(results.tasks),
+        "episodes_wanted": results.wanted,
+        "simulated_seconds": round(simulated, 3),
+        **aggregated,
+        "checks": {
+            "largest_penetration_mm": round(max(1000.0 * results.penetration, 0.0), 4),
+            "people_inside_obstacles": bool(results.penetration > float(scenario.forces.radius)),
+            "largest_groups": [int(size) for size in results.group_size],
+            "not_finite": 0,
+        },
+        "timing": {
+            "compile_seconds": round(results.compile_seconds, 3),
+            "run_seconds": round(results.run_seconds, 3),
+            "simulated_seconds_per_second": round(simulated / max(results.run_seconds, 1e-9), 1),
+            "device": f"{len(jax.devices())} x {jax.devices()[0].device_kind}",
+        },
+    }
+
+
+def _write(folder: Path, scenario: Scenario, options: Options, results: Results, summary: dict[str, Any]) -> None:
+    from sean_jax import drawing, report
+    from sean_jax.main_job import output, statistics, table
+
+    versions = output.versions()
+    config = {
+        "command": options.command,
+        "options": {**dataclasses.asdict(options), "people": scenario.people},
+        "time_step": scenario.time_step,
+        "versions": versions,
+    }
+    output.write_yaml(folder / "config.yaml", config)
+    output.write_episodes(folder / "episodes.csv", results)
+    output.write_json(folder / "summary.json", summary)
+    graph = drawing.graph_of(scenario)
+    if results.frames:
+        drawing.animate(
+            scenario.environment,
+            results.frames[0],
+            folder / "episode.gif",
+            graph=graph,
+            situations=results.situations,
+            time_step=scenario.time_step,
+            title=results.tasks[0].replace("_", " "),
+        )
+    page = report.Report(
+        title=_title(scenario, options, len(results.tasks)),
+        command=options.command,
+        versions=versions,
+        environment=scenario.environment,
+        graph=graph,
+        situations=results.situations,
+        rows=[dataclasses.asdict(row) for row in table.rows(summary, complete=True)],
+        shares=statistics.exclusive_shares(results),
+        heat=results.heat,
+        tasks=results.tasks,
+        completed=results.completed,
+        seconds=results.seconds,
+        frames=results.frames,
+        time_step=scenario.time_step,
+        time_limit=scenario.time_limit,
+        checks=summary["checks"],
+        timing=summary["timing"],
+    )
+    (folder / "report.html").write_text(report.html(page), encoding="utf-8")

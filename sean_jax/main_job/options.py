@@ -1,0 +1,80 @@
+"""What the main job is told: the options of ``sean run`` (section IV-B names the parts of a scenario).
+
+Nothing here imports JAX, so that ``sean --help`` answers at once.
+"""
+
+import dataclasses
+import shlex
+from pathlib import Path
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Simulate a batch of episodes and write a table, a report and an animation. `sean list` names the choices."""
+
+    environment: str = "warehouse"
+    """Physical environment: a name, or the folder of your own."""
+    behavior: str = "graph"
+    """Pedestrian behavior: who goes where."""
+    task: str = "join_group,leave_group"
+    """Robot task; several, separated by commas, take turns."""
+    robot: str = "kuri"
+    """Robot."""
+    policy: str = "go_to_goal"
+    """Who drives the robot."""
+    people: int | None = None
+    """Number of people; the environment's own number by default (62 in the warehouse)."""
+    forces: str = "helbing1995"
+    """Constants of the social forces."""
+    dynamics: str = "mjx"
+    """How the robot moves: mjx, or its closed-form twin, which is faster."""
+    episodes: int = 64
+    """Number of episodes."""
+    seed: int = 0
+    """The same seed gives the same episodes."""
+    time_limit: float = 120.0
+    """Longest duration of an episode in seconds."""
+    batch: int = 1024
+    """Most episodes that are simulated at once."""
+    name: str = ""
+    """Name of the run, environment and behavior by default: the end of the folder's name."""
+    out: str = ""
+    """Folder to write, runs/<date>-<time>-<name> by default; it must not exist or be empty."""
+    quiet: bool = False
+    """Say nothing but errors."""
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        return tuple(part.strip() for part in self.task.split(",") if part.strip())
+
+    @property
+    def command(self) -> str:
+        """The command that gives these results again, in full."""
+        words = ["sean", "run"]
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.name not in ("name", "out", "quiet", "batch") and value is not None:
+                words += ["--" + field.name.replace("_", "-"), f"{value:g}" if isinstance(value, float) else str(value)]
+        return shlex.join(words)
+
+    def folder(self, now: str) -> Path:
+        """The folder to write; ``now`` is the date and time in its name."""
+        return Path(self.out) if self.out else Path("runs") / f"{now}-{self.label}"
+
+    @property
+    def label(self) -> str:
+        kept = self.name or f"{Path(self.environment).name}-{self.behavior}"
+        return "".join(c if c.isalnum() or c in "-_." else "-" for c in kept)
+
+    def check(self) -> None:
+        """Raises ValueError, in one sentence, for what no scenario could run with."""
+        for option, least in (("people", 1), ("episodes", 1), ("batch", 1)):
+            value = getattr(self, option)
+            if value is not None and value < least:
+                raise ValueError(f"--{option} is {value}, but must be at least {least}.")
+        if not 0 < self.time_limit < 1e6:
+            raise ValueError(f"--time-limit is {self.time_limit:g} s, but must be above zero (120 is the default).")
+        if not 0 <= self.seed < 2**32:
+            raise ValueError(f"--seed is {self.seed}, but must lie between 0 and {2**32 - 1}.")
+        if not self.tasks:
+            raise ValueError("--task names no task, try --task join_group; `sean list` shows them all.")

@@ -1,0 +1,290 @@
+"""Many episodes in one compiled call, with what is counted on the way (sections III-A, IV-H).
+
+Episode ``i`` is drawn from ``fold_in(key(seed), i)`` alone, so it does not depend on how many others there are.
+"""
+
+import dataclasses
+import functools
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from sean_jax import geometry, parallel
+from sean_jax.base import Array, Frame, Policy, Scenario, State
+from sean_jax.main_job.results import Results
+from sean_jax.scenario import reset, results
+
+CHUNK = 100  # control steps between two looks at the progress
+CELL = 0.5  # m, of the heat map
+KEPT = 4  # episodes of which the frames are kept
+COMPILER = "sean-compiler"  # name of the thread that compiles
+
+
+@struct.dataclass
+class Tally:
+    """Running counts over the steps of a batch of B episodes in which an episode was active."""
+
+    heat: Array  # (rows, columns) int32 person-steps per cell of the floor, row 0 lowest
+    together: Array  # (2 ** S,) int32 steps per set of situations, situation s is bit s
+    penetration: Array  # () m, deepest that a person's body was inside an obstacle, negative: closest to one
+    group_size: Array  # (G,) int32 most members seen in each group
+    steps: Array  # (B,) int32 active steps
+    faulty: Array  # (B,) bool, a number was NaN or infinite
+    metrics: dict[str, Array]  # (B,) or (B, 1 + S) each, as they were at the end: afterwards the robot drives on
+
+
+@dataclasses.dataclass
+class Watch:
+    """What is told while it runs; each field is a function."""
+
+    compiling: Callable[[str], None] = lambda text: None
+    begun: Callable[[float], None] = lambda total: None  # s to simulate at most, over all episodes
+    advanced: Callable[[float, float], None] = lambda simulated, speed: None  # s so far, simulated s per s
+
+
+@dataclasses.dataclass
+class Programs:
+    """What is compiled for a batch of B episodes; ``scenarios`` take turns."""
+
+    scenarios: Sequence[Scenario]
+    size: int  # B, a multiple of the number of scenarios
+    draw: list[Callable]  # of each scenario: (scenario, seed, numbers) -> states
+    advance: Callable  # (scenario, states, tally, counted) -> (states, tally, frames)
+    seconds: float  # s, taken to compile
+
+
+@dataclasses.dataclass
+class Batch:
+    """What is left of a batch when it is done, as numpy arrays."""
+
+    completed: np.ndarray  # (B,)
+    timed_out: np.ndarray  # (B,)
+    metrics: dict[str, np.ndarray]
+    tally: Tally
+    frames: list[Frame]  # (T, ...) of the kept episodes
+
+
+def run_batches(
+    scenarios: Sequence[Scenario], policy: Policy, episodes: int, batch: int, seed: int, watch: Watch
+) -> Results:
+    """Simulate ``episodes`` episodes, at most about ``batch`` at once.
+
+    ``scenarios`` differ in their task alone and take turns. After Ctrl-C the finished batches are returned, or
+    KeyboardInterrupt is raised if there are none. Raises FloatingPointError naming the episodes with a NaN.
+    """
+    turns, limit = len(scenarios), scenarios[0].time_limit
+    size = math.ceil(min(episodes, batch) / turns) * turns
+    programs = prepare(scenarios, policy, size, seed, watch)
+    watch.begun(math.ceil(episodes / size) * limit)
+    began, batches, before = time.perf_counter(), [], 0.0
+    try:
+        for base in range(0, episodes, size):
+
+            def advanced(done: float, simulated: float, base: int = base, before: float = before) -> None:
+                speed = (before + simulated) / (time.perf_counter() - began)
+                watch.advanced(base // size * limit + done, speed)
+
+            batches.append(run_batch(programs, seed, base, min(size, episodes - base), advanced))
+            before += float(batches[-1].tally.steps.sum()) * scenarios[0].time_step
+    except KeyboardInterrupt:
+        if not batches:
+            raise
+    return _results(programs, batches, episodes, time.perf_counter() - began)
+
+
+def prepare(scenarios: Sequence[Scenario], policy: Policy, size: int, seed: int, watch: Watch) -> Programs:
+    """Compile everything for batches of ``size`` episodes."""
+    began, first, rounds = time.perf_counter(), scenarios[0], size // len(scenarios)
+    example = _numbers(0, rounds)
+    draw = [_compile(watch, f"start of {s.task_name}", _draw, s, jnp.uint32(seed), example) for s in scenarios]
+    states = _start(draw, scenarios, seed, 0, rounds)
+    run = _advance(policy, min(CHUNK, _steps(first)), min(KEPT, size))
+    some = (first, states, _empty_tally(first, states), jnp.ones((size,), bool))
+    advance = _compile(watch, f"step of {size} episodes", run, *some, donate=(1, 2))
+    return Programs(scenarios, size, draw, advance, time.perf_counter() - began)
+
+
+def run_batch(programs: Programs, seed: int, base: int, kept: int, advanced: Callable[[float, float], None]) -> Batch:
+    """The episodes from number ``base`` on until all have ended; the first ``kept`` count, the rest fill the batch.
+
+    ``advanced(seconds, simulated)`` is told how far each episode is and how much robot time is simulated.
+    """
+    first, size = programs.scenarios[0], programs.size
+    states = _start(programs.draw, programs.scenarios, seed, base, size // len(programs.scenarios))
+    tally, counted, frames = _empty_tally(first, states), jnp.arange(size) < kept, []
+    chunk = min(CHUNK, _steps(first))
+    for done in range(chunk, _steps(first) + chunk, chunk):
+        states, tally, shown = programs.advance(first, states, tally, counted)
+        if base == 0:
+            frames.append(jax.tree.map(np.asarray, shown))
+        over = bool(np.all(np.asarray(states.completed | states.timed_out)))
+        simulated = float(np.asarray(tally.steps).sum()) * first.time_step
+        advanced(first.time_limit if over else min(done * first.time_step, first.time_limit), simulated)
+        if over:
+            break
+    ended = (states.completed, states.timed_out, tally.metrics, (tally.steps, tally.faulty))
+    completed, timed_out, summary, (steps, faulty) = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], ended)
+    tally = dataclasses.replace(jax.tree.map(np.asarray, tally), steps=steps, faulty=faulty, metrics={})
+    return Batch(completed, timed_out, summary, tally, _episodes(frames, min(KEPT, kept)) if frames else [])
+
+
+def _results(programs: Programs, batches: list[Batch], wanted: int, seconds: float) -> Results:
+    first, tallies = programs.scenarios[0], [batch.tally for batch in batches]
+    completed = np.concatenate([batch.completed for batch in batches])
+    measured = {name: np.concatenate([batch.metrics[name] for batch in batches]) for name in batches[0].metrics}
+    found = Results(
+        situations=tuple(name for name, _ in first.situations),
+        tasks=[programs.scenarios[i % len(programs.scenarios)].task_name for i in range(len(completed))],
+        completed=completed,
+        timed_out=np.concatenate([batch.timed_out for batch in batches]),
+        seconds=np.concatenate([tally.steps for tally in tallies]) * first.time_step,
+        metrics=measured,
+        counts=tuple(name for name, metric in first.metrics if metric.unit == "count"),
+        heat=np.stack([tally.heat for tally in tallies]).sum(0, dtype=np.int64) * first.time_step,
+        together=np.stack([tally.together for tally in tallies]).sum(0, dtype=np.int64) * first.time_step,
+        penetration=max(float(tally.penetration) for tally in tallies),
+        group_size=np.max([tally.group_size for tally in tallies], 0),
+        frames=batches[0].frames,
+        compile_seconds=programs.seconds,
+        run_seconds=seconds,
+        wanted=wanted,
+    )
+    _refuse_nan(found, np.concatenate([tally.faulty for tally in tallies]))
+    return found
+
+
+def _steps(scenario: Scenario) -> int:
+    return max(1, math.ceil(scenario.time_limit / scenario.time_step - 1e-6))
+
+
+def _compile(watch: Watch, what: str, function: Callable, *example: Any, donate: tuple[int, ...] = ()) -> Callable:
+    """``function`` compiled for arguments like ``example``; Ctrl-C is not kept waiting by the compiler."""
+    watch.compiling(what)
+    lowered = jax.jit(function, donate_argnums=donate).lower(*example)
+    outcome: list[Any] = []
+
+    def work() -> None:
+        try:
+            outcome.append(lowered.compile())
+        except Exception as error:  # carried over to the thread that waits
+            outcome.append(error)
+
+    thread = threading.Thread(target=work, name=COMPILER, daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(0.1)
+    if isinstance(outcome[0], Exception):
+        raise outcome[0]
+    return outcome[0]
+
+
+def _numbers(first: int, count: int, stride: int = 1) -> Array:
+    return jnp.asarray(np.arange(count) * stride + first, jnp.uint32)
+
+
+def _draw(scenario: Scenario, seed: Array, episodes: Array) -> State:
+    """The starts (B, ...) of the numbered ``episodes`` (B,)."""
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), episodes)
+    return jax.vmap(reset, (None, 0))(scenario, keys)
+
+
+def _start(draws: list[Callable], scenarios: Sequence[Scenario], seed: int, base: int, rounds: int) -> State:
+    """``rounds`` episodes of each scenario, taking turns, from number ``base`` on."""
+    turns = len(scenarios)
+    each = [
+        draw(scenario, jnp.uint32(seed), _numbers(base + turn, rounds, turns))
+        for turn, (draw, scenario) in enumerate(zip(draws, scenarios, strict=True))
+    ]
+    return jax.tree.map(lambda *xs: jnp.stack(xs, 1).reshape((turns * rounds, *xs[0].shape[1:])), *each)
+
+
+def _empty_tally(scenario: Scenario, states: State) -> Tally:
+    x0, y0, x1, y1 = (float(v) for v in np.asarray(scenario.environment.floor))
+    cells = (math.ceil((y1 - y0) / CELL - 1e-6), math.ceil((x1 - x0) / CELL - 1e-6))
+    size = states.tick.shape[0]
+    measured = jax.eval_shape(jax.vmap(results, (None, 0)), scenario, states)
+    return Tally(
+        heat=jnp.zeros(cells, jnp.int32),
+        together=jnp.zeros((2 ** len(scenario.situations),), jnp.int32),
+        penetration=jnp.full((), -1e9, jnp.float32),
+        group_size=jnp.zeros(states.groups.radius.shape[-1:], jnp.int32),
+        steps=jnp.zeros((size,), jnp.int32),
+        faulty=jnp.zeros((size,), bool),
+        metrics=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), measured),
+    )
+
+
+def _advance(policy: Policy, steps: int, kept: int) -> Callable:
+    """(scenario, states, tally, counted) -> (states, tally, frames (steps, kept, ...)), ``steps`` control steps on."""
+
+    def advance(scenario: Scenario, states: State, tally: Tally, counted: Array):
+        def one(carry, _):
+            before, tally = carry
+            states, frames = jax.vmap(lambda state: parallel.simulate(scenario, policy, state, 1))(before)
+            frames = jax.tree.map(lambda leaf: leaf[:, 0], frames)
+            tally = _count(scenario, tally, frames, states.pedestrians.present, frames.active & counted)
+            ended = jax.vmap(results, (None, 0))(scenario, states)
+            tally = dataclasses.replace(
+                tally, metrics=jax.tree.map(functools.partial(_where, frames.active), ended, tally.metrics)
+            )
+            return (states, tally), jax.tree.map(lambda leaf: leaf[:kept], frames)
+
+        (states, tally), frames = jax.lax.scan(one, (states, tally), None, length=steps)
+        return states, tally, frames
+
+    return advance
+
+
+def _where(here: Array, new: Array, old: Array) -> Array:
+    """``new`` (B, ...) where ``here`` (B,), else ``old``."""
+    return jnp.where(here.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+
+def _count(scenario: Scenario, tally: Tally, frames: Frame, present: Array, active: Array) -> Tally:
+    """One more step of B episodes: ``frames`` (B, ...), people ``present`` (B, N), ``active`` (B,)."""
+    here = present & active[:, None]
+    x, y = frames.people[..., 0], frames.people[..., 1]
+    rows, columns = tally.heat.shape
+    floor = scenario.environment.floor
+    column = jnp.clip(((x - floor[0]) / CELL).astype(jnp.int32), 0, columns - 1)
+    row = jnp.clip(((y - floor[1]) / CELL).astype(jnp.int32), 0, rows - 1)
+    distance, _, _ = jax.vmap(geometry.from_box, (None, None, 0))(x, y, scenario.environment.obstacles)
+    inside = jnp.where(here, scenario.forces.radius - jnp.min(distance, 0), -jnp.inf)
+    bits = jnp.asarray(2 ** np.arange(frames.situations.shape[-1]), jnp.int32)
+    held = jnp.sum(jnp.where(frames.situations, bits[None, :], 0), -1)
+    index = jnp.arange(tally.group_size.shape[0], dtype=jnp.int32)
+    members = jnp.sum((frames.group[..., None] == index[None, None, :]) & here[..., None], 1, dtype=jnp.int32)
+    sound = jnp.isfinite(frames.people).all((1, 2)) & jnp.isfinite(frames.position).all(-1)
+    sound &= jnp.isfinite(frames.people_velocity).all((1, 2)) & jnp.isfinite(frames.velocity).all(-1)
+    return dataclasses.replace(
+        tally,
+        heat=tally.heat.at[row, column].add(here.astype(jnp.int32)),
+        together=tally.together.at[held].add(active.astype(jnp.int32)),
+        penetration=jnp.maximum(tally.penetration, jnp.max(inside)),
+        group_size=jnp.maximum(tally.group_size, jnp.max(members, 0)),
+        steps=tally.steps + active.astype(jnp.int32),
+        faulty=tally.faulty | (~sound & active),
+    )
+
+
+def _episodes(chunks: list[Frame], kept: int) -> list[Frame]:
+    """The frames (T, ...) of each kept episode, cut after its last active step."""
+    frames = jax.tree.map(lambda *xs: np.concatenate(xs), *chunks)
+    lengths = [max(1, int(frames.active[:, i].sum())) for i in range(kept)]
+    return [jax.tree.map(lambda leaf: leaf[:n, i], frames) for i, n in enumerate(lengths)]  # noqa: B023
+
+
+def _refuse_nan(found: Results, faulty: np.ndarray) -> None:
+    for values in found.metrics.values():
+        faulty = faulty | np.isnan(values.reshape(len(faulty), -1)[:, 0])
+    if faulty.any():
+        which = np.flatnonzero(faulty)
+        listed = ", ".join(map(str, which[:8])) + (f" and {len(which) - 8} more" if len(which) > 8 else "")
+        raise FloatingPointError(f"{len(which)} of {len(faulty)} episodes hold numbers that are not finite: {listed}.")

@@ -1,0 +1,41 @@
+"""Metrics (section IV-H): one fold per step, constant memory, split by social situation where that has a sense."""
+
+from typing import Any
+
+from sean_jax.base import Array, Moment
+from sean_jax.metrics import path, proximity
+from sean_jax.metrics.metric import Metric
+
+METRICS: dict[str, Metric] = {
+    "time_in_situation": path.time_in_situation,
+    "path_length": path.path_length,
+    "path_efficiency": path.path_efficiency,
+    "time_not_moving": path.time_not_moving,
+    "min_distance_to_goal": path.min_distance_to_goal,
+    "final_distance_to_goal": path.final_distance_to_goal,
+    "min_distance_to_people": proximity.min_distance_to_people,
+    "intimate_robot_on_person": proximity.intimate_robot_on_person,
+    "intimate_person_on_robot": proximity.intimate_person_on_robot,
+    "personal_robot_on_person": proximity.personal_robot_on_person,
+    "personal_person_on_robot": proximity.personal_person_on_robot,
+    "collision_robot_on_person": proximity.collision_robot_on_person,
+    "collision_person_on_robot": proximity.collision_person_on_robot,
+}
+
+
+def start(moment: Moment, metrics: tuple = tuple(METRICS.items())) -> dict[str, Any]:
+    """Running values before the first step."""
+    return {name: metric.start(moment) for name, metric in metrics}
+
+
+def fold(values: dict[str, Any], before: Moment, after: Moment, metrics: tuple = tuple(METRICS.items())) -> dict:
+    """Running values one step later."""
+    return {name: metric.fold(values[name], before, after) for name, metric in metrics}
+
+
+def results(values: dict[str, Any], last: Moment, metrics: tuple = tuple(METRICS.items())) -> dict[str, Array]:
+    """The metrics at the last moment: () each, or (1 + S,) with the overall figure before those by situation."""
+    return {name: metric.result(values[name], last) for name, metric in metrics}
+
+
+__all__ = ["METRICS", "Metric", "fold", "results", "start"]

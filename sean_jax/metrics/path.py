@@ -1,0 +1,84 @@
+"""Metrics of the robot's path (section IV-H): length, efficiency, time not moving, distance to the goal."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from sean_jax.base import Array, Moment
+from sean_jax.geometry import length
+from sean_jax.metrics.metric import Metric, by_second, nothing, split, value_itself
+
+STILL = 0.05  # m: not moving is having moved no farther than this in the last second (SEAN 2.0)
+
+
+class Sampled(NamedTuple):
+    """A sum over seconds and where the robot was at the last one."""
+
+    position: Array  # (2,) m
+    amount: Array  # (1 + S,)
+
+
+def _start(moment: Moment) -> Sampled:
+    return Sampled(moment.position, nothing(moment))
+
+
+def _moved(value: Sampled, after: Moment) -> Array:
+    gap = after.position - value.position
+    return length(gap[0], gap[1])
+
+
+def _sample(value: Sampled, after: Moment, amount: Array) -> Sampled:
+    now = by_second(after)
+    return Sampled(
+        jnp.where(now, after.position, value.position),
+        value.amount + jnp.where(now, amount, 0.0) * split(after),
+    )
+
+
+def _fold_length(value: Sampled, before: Moment, after: Moment) -> Sampled:
+    return _sample(value, after, _moved(value, after))
+
+
+def _length(value: Sampled, moment: Moment) -> Array:
+    """The sum at whole seconds and the rest of the last one."""
+    return value.amount + _moved(value, moment) * split(moment)
+
+
+def _efficiency(value: Sampled, moment: Moment) -> Array:
+    return _length(value, moment)[0] / jnp.maximum(moment.geodesic, 1e-3)
+
+
+def _fold_still(value: Sampled, before: Moment, after: Moment) -> Sampled:
+    return _sample(value, after, jnp.where(_moved(value, after) <= STILL, 1.0, 0.0))
+
+
+def _still(value: Sampled, moment: Moment) -> Array:
+    return value.amount
+
+
+def _to_goal(moment: Moment) -> Array:
+    gap = moment.goal - moment.position
+    return length(gap[0], gap[1])
+
+
+path_length = Metric(_start, _fold_length, _length, "m")
+"""Length of the path through the robot's positions at 1 Hz, ||p_i+1 - p_i|| summed."""
+
+path_efficiency = Metric(_start, _fold_length, _efficiency, "1")
+"""Travelled over geodesic distance of the shortest path from start to goal: at least about 1, lower is better."""
+
+time_not_moving = Metric(_start, _fold_still, _still, "s")
+"""Seconds in which the robot moved no farther than 0.05 m."""
+
+min_distance_to_goal = Metric(
+    _to_goal, lambda value, before, after: jnp.minimum(value, _to_goal(after)), value_itself, "m"
+)
+"""Least distance to the goal in a straight line."""
+
+final_distance_to_goal = Metric(_to_goal, lambda value, before, after: _to_goal(after), value_itself, "m")
+"""Last distance to the goal in a straight line."""
+
+time_in_situation = Metric(
+    nothing, lambda value, before, after: value + after.time_step * split(after), value_itself, "s"
+)
+"""Seconds of the episode, and those spent in each situation."""

@@ -1,0 +1,205 @@
+"""Shortest paths around obstacles: one table over the inflated corners of obstacles, looked up inside jit.
+
+A shortest path among boxes bends only at corners. The corners, moved out by the walker's radius, are the via
+points of a visibility graph; Dijkstra over it gives the table of distances, and a grid says which via points can
+be seen from where. All of that is built once on the host; inside jit a path is a look-up and a minimum.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from sean_jax import environment as environments
+from sean_jax.base import Array, Environment, Obstacles
+from sean_jax.geometry import crosses_box, from_box, length, rotate
+
+CELL = 0.25  # m
+AT = 0.3  # m: a walker that close to a via point has passed it
+MARGIN = 0.05  # m, by which via points stand off farther than the radius
+SLIM = 0.7  # of the radius: a box grown by less than 1 / sqrt(2) of it never covers a legal place at its corner
+PLACES = 1024  # free places kept for drawing starts and goals
+
+
+@struct.dataclass
+class Navigation:
+    """Tables of shortest paths for a disc of one radius."""
+
+    via: Array  # (V, 2) m, points where a path can bend
+    edge: Array  # (V, V) m, straight from one to another; inf where something is in the way
+    distance: Array  # (V, V) m, along the shortest path; inf where there is none
+    visible: Array  # (X, Y, V) bool, seen from the middle of the cell
+    origin: Array  # (2,) m, lower left corner of the grid
+    places: Array  # (P, 2) m, uniform over where the disc is free and from where it can go anywhere else
+    obstacles: Obstacles
+    radius: Array  # () m
+
+
+def build(environment: Environment, radius: float, cell: float = CELL) -> Navigation:
+    """The tables for a disc of that radius [m]; runs on the host, once.
+
+    Raises:
+        ValueError: there is hardly a free place for such a disc.
+    """
+    boxes = environment.obstacles
+    via = _corners(environment, radius + MARGIN, radius)
+    visible = np.asarray(jax.jit(_sees_all)(via, via, boxes, radius - 1e-3))
+    gap = np.linalg.norm(via[:, None] - via[None], axis=-1)
+    edge = np.where(visible & (gap > 0), gap, np.inf)
+    i, j = np.nonzero(np.isfinite(edge))
+    distance = dijkstra(csr_matrix((gap[i, j], (i, j)), shape=gap.shape))
+    floor = np.asarray(environment.floor)
+    count = np.ceil((floor[2:] - floor[:2]) / cell).astype(int)
+    middle = [floor[k] + (np.arange(count[k]) + 0.5) * cell for k in (0, 1)]
+    spots = np.stack(np.meshgrid(*middle, indexing="ij"), -1).reshape(-1, 2).astype(np.float32)
+    seen = np.asarray(jax.jit(_sees_from_cells)(spots, via, boxes, radius)).reshape(*count, len(via))
+    drawn = environments.free_points(environment, radius + 2 * MARGIN, PLACES, seed=1)
+    return Navigation(
+        via=jnp.asarray(via),
+        edge=jnp.asarray(edge, jnp.float32),
+        distance=jnp.asarray(distance, jnp.float32),
+        visible=jnp.asarray(seen),
+        origin=jnp.asarray(floor[:2], jnp.float32),
+        places=jnp.asarray(_connected(drawn, via, distance, boxes, radius)),
+        obstacles=boxes,
+        radius=jnp.asarray(radius, jnp.float32),
+    )
+
+
+def sees(boxes: Obstacles, p: Array, q: Array, radius: Array | float) -> Array:
+    """() bool: a disc of that radius [m] can move straight from p (2,) to q (2,), exactly."""
+    hit = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))(p[0], p[1], q[0], q[1], boxes, radius)
+    return ~hit.any()
+
+
+def seen_from(navigation: Navigation, position: Array) -> Array:
+    """(V,) bool: the via points seen from the cell around the position (2,) [m]."""
+    most = jnp.asarray(navigation.visible.shape[:2], jnp.int32) - 1
+    index = jnp.clip(jnp.floor((position - navigation.origin) / CELL).astype(jnp.int32), 0, most)
+    return navigation.visible[index[0], index[1]]
+
+
+def to_goal(navigation: Navigation, goal: Array) -> Array:
+    """(V,) length [m] of the shortest path from each via point to a goal (2,) [m]; inf where there is none."""
+    open_way = jax.vmap(lambda via: sees(navigation.obstacles, via, goal, navigation.radius * SLIM))(navigation.via)
+    last = jnp.where(open_way, _from(navigation.via, goal), jnp.inf)
+    return jnp.min(navigation.distance + last[None, :], axis=1)
+
+
+def geodesic(navigation: Navigation, position: Array, goal: Array, to_goal: Array) -> Array:
+    """() length [m] of the shortest path from the position (2,) to the goal (2,), whose ``to_goal`` (V,) is given."""
+    ahead = goal - position
+    straight = sees(navigation.obstacles, position, goal, navigation.radius * SLIM)
+    around = jnp.min(_detour(navigation, position, to_goal))
+    return jnp.where(straight, length(ahead[0], ahead[1]), around)
+
+
+def next_point(navigation: Navigation, position: Array, goal: Array, to_goal: Array) -> Array:
+    """(2,) [m] where the shortest path from the position (2,) bends next, or the goal (2,) if it lies in sight."""
+    straight = sees(navigation.obstacles, position, goal, navigation.radius * SLIM)
+    detour = _detour(navigation, position, to_goal)
+    lost = ~jnp.isfinite(jnp.min(detour))
+    first = jnp.argmin(detour)
+    after = _after(navigation, goal, to_goal)[first]
+    ahead = navigation.via[first] - position
+    index = jnp.where(length(ahead[0], ahead[1]) < AT, after, first)
+    seen = index < navigation.via.shape[0]
+    return jnp.where(straight | lost | ~seen, goal, navigation.via[jnp.where(seen, index, 0)])
+
+
+def towards(navigation: Navigation, points: Array) -> tuple[Array, Array]:
+    """Which via point to head for on the way to each of the points (M, 2) [m]; runs on the host, once.
+
+    (X, Y, M) int16 from each cell, and (V, M) int16 from each via point: an index of a via point, or V where the
+    point itself is seen (or cannot be reached).
+    """
+    goal_side = jax.vmap(to_goal, in_axes=(None, 0))(navigation, points)  # (M, V)
+    cells, none = navigation.visible.shape[:2], navigation.via.shape[0]
+    i, j = jnp.meshgrid(*(jnp.arange(n, dtype=jnp.float32) for n in cells), indexing="ij")
+    spots = navigation.origin + (jnp.stack([i, j], -1).reshape(-1, 2) + 0.5) * CELL
+    seen = navigation.visible.reshape(-1, none)
+    direct = jax.jit(_sees_from_cells)(spots, points, navigation.obstacles, navigation.radius)
+
+    def best(spot, visible, in_sight):
+        first = jnp.where(visible, _from(navigation.via, spot), jnp.inf)
+        total = first[None, :] + goal_side
+        lost = ~jnp.isfinite(jnp.min(total, axis=1))
+        return jnp.where(in_sight | lost, none, jnp.argmin(total, axis=1))
+
+    first = jax.jit(jax.vmap(best))(spots, seen, direct).astype(jnp.int16).reshape(*cells, points.shape[0])
+    after = jax.vmap(_after, in_axes=(None, 0, 0), out_axes=1)(navigation, points, goal_side)
+    return first, after.astype(jnp.int16)
+
+
+def _after(navigation: Navigation, goal: Array, to_goal: Array) -> Array:
+    """(V,) index of the via point that follows each one on the way to the goal (2,); V where the goal follows."""
+    onward = navigation.edge + to_goal[None, :]
+    last = to_goal <= _from(navigation.via, goal) + 1e-4
+    return jnp.where(last, navigation.via.shape[0], jnp.argmin(onward, axis=1))
+
+
+def clear_way(boxes: Obstacles, p: Array, q: Array, growth: Array) -> Array:
+    """() bool: the segment from p (2,) to q (2,) misses all boxes grown by so much [m] on each side; cheap."""
+    cosine, sine = jnp.cos(boxes.yaw), jnp.sin(boxes.yaw)
+    pu, pv = rotate(p[0] - boxes.center[:, 0], p[1] - boxes.center[:, 1], cosine, -sine)
+    qu, qv = rotate(q[0] - boxes.center[:, 0], q[1] - boxes.center[:, 1], cosine, -sine)
+    hu, hv = boxes.half_extent[:, 0] + growth, boxes.half_extent[:, 1] + growth
+    # Separating axes of a segment and a rectangle: its two sides and the segment's own normal.
+    mu, mv, du, dv = 0.5 * (pu + qu), 0.5 * (pv + qv), 0.5 * (qu - pu), 0.5 * (qv - pv)
+    apart = (jnp.abs(mu) > hu + jnp.abs(du)) | (jnp.abs(mv) > hv + jnp.abs(dv))
+    apart |= jnp.abs(mu * dv - mv * du) > hu * jnp.abs(dv) + hv * jnp.abs(du)
+    return apart.all()
+
+
+def _detour(navigation: Navigation, position: Array, to_goal: Array) -> Array:
+    """(V,) length [m] of the way to the goal by each via point; inf for those out of sight."""
+    return jnp.where(seen_from(navigation, position), _from(navigation.via, position) + to_goal, jnp.inf)
+
+
+def _from(points: Array, position: Array) -> Array:
+    gap = points - position
+    return length(gap[:, 0], gap[:, 1])
+
+
+def _sees_all(points: Array, others: Array, boxes: Obstacles, radius: float) -> Array:
+    return jax.vmap(lambda p: jax.vmap(lambda q: sees(boxes, p, q, radius))(others))(points)
+
+
+def _sees_from_cells(spots: Array, points: Array, boxes: Obstacles, radius: float) -> Array:
+    """(cells, V) bool, by boxes grown by less than the radius; a middle inside them is first led out of them."""
+    growth = radius * SLIM
+
+    def from_spot(spot):
+        for _ in range(2):
+            distance, nx, ny = jax.vmap(from_box, in_axes=(None, None, 0))(spot[0], spot[1], boxes)
+            nearest = jnp.argmin(distance)
+            out = jnp.maximum(radius - distance[nearest], 0.0)
+            spot = spot + out * jnp.stack([nx[nearest], ny[nearest]])
+        return jax.vmap(lambda point: clear_way(boxes, spot, point, growth))(points)
+
+    return jax.lax.map(from_spot, spots, batch_size=256)
+
+
+def _corners(environment: Environment, offset: float, radius: float) -> np.ndarray:
+    """(V, 2) corners of all boxes moved out by the offset, without those that are off the floor or not free."""
+    boxes = environment.obstacles
+    cosine, sine = np.cos(boxes.yaw), np.sin(boxes.yaw)
+    points = []
+    for su in (-1, 1):
+        for sv in (-1, 1):
+            u, v = su * (boxes.half_extent[:, 0] + offset), sv * (boxes.half_extent[:, 1] + offset)
+            points.append(np.stack([cosine * u - sine * v, sine * u + cosine * v], -1) + boxes.center)
+    via = np.concatenate(points).astype(np.float32)
+    return via[np.asarray(environments.clearance(environment, jnp.asarray(via))) > radius]
+
+
+def _connected(places: np.ndarray, via: np.ndarray, distance: np.ndarray, boxes: Obstacles, radius: float):
+    """The places that see a via point of the largest connected part; all of them where nothing is in the way."""
+    if not len(via):
+        return places
+    reached = np.isfinite(distance)
+    largest = reached[np.argmax(reached.sum(1))]
+    seen = np.asarray(jax.jit(_sees_all)(places, via, boxes, radius * SLIM))
+    return places[(seen & largest).any(1)]

@@ -1,0 +1,45 @@
+"""Obstacles near a place, looked up by cell: most of an environment is too far away to be felt or touched."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax.base import Array, Nearby, Obstacles
+
+REACH = 3.0  # m: exp(-d / 0.2 m) has fallen to 3e-7 there
+FAR = 1e4  # m, where spare rows lie
+
+
+def tabulate(obstacles: Obstacles, floor: Array, cell: float = 1.0, reach: float = REACH) -> Nearby:
+    """The table for obstacles (W) on a floor (4,) [m]: for each cell all that lie within ``reach`` of any of it.
+
+    Runs on the host, once. The number of rows K is that of the fullest cell, at least one.
+    """
+    lower, upper = np.asarray(floor[:2], float), np.asarray(floor[2:], float)
+    count = np.maximum(1, np.ceil((upper - lower) / cell).astype(int))
+    x = lower[0] + (np.arange(count[0]) + 0.5) * cell
+    y = lower[1] + (np.arange(count[1]) + 0.5) * cell
+    spots = np.stack(np.meshgrid(x, y, indexing="ij"), -1)  # (X, Y, 2)
+    center, half = np.asarray(obstacles.center, float), np.asarray(obstacles.half_extent, float)
+    cosine, sine = np.cos(np.asarray(obstacles.yaw, float)), np.sin(np.asarray(obstacles.yaw, float))
+    offset = spots[:, :, None] - center  # (X, Y, W, 2)
+    local = np.stack([cosine * offset[..., 0] + sine * offset[..., 1],
+                      cosine * offset[..., 1] - sine * offset[..., 0]], -1)  # fmt: skip
+    distance = np.linalg.norm(np.maximum(np.abs(local) - half, 0.0), axis=-1)
+    felt = distance <= reach + cell / np.sqrt(2)
+    rows = np.zeros((*count, max(1, int(felt.sum(-1).max(initial=0))), 6), np.float32)
+    rows[..., 0], rows[..., 1], rows[..., 4] = FAR, FAR, 1.0
+    table = np.concatenate([center, half, cosine[:, None], sine[:, None]], 1)
+    for i, j in np.argwhere(felt.any(-1)):
+        near = np.flatnonzero(felt[i, j])
+        rows[i, j, : len(near)] = table[near]
+    return Nearby(
+        rows=jnp.asarray(rows), origin=jnp.asarray(lower, jnp.float32), cell=jnp.asarray(cell, jnp.float32)
+    )
+
+
+def around(nearby: Nearby, x: Array, y: Array) -> Array:
+    """(..., K, 6) rows of the obstacles near the places (x, y) [m]; places off the grid take the nearest cell."""
+    most_x, most_y = nearby.rows.shape[0] - 1, nearby.rows.shape[1] - 1
+    i = jnp.clip(jnp.floor((x - nearby.origin[0]) / nearby.cell).astype(jnp.int32), 0, most_x)
+    j = jnp.clip(jnp.floor((y - nearby.origin[1]) / nearby.cell).astype(jnp.int32), 0, most_y)
+    return nearby.rows[i, j]

@@ -1,0 +1,36 @@
+"""Whole episodes in one call: a scan over steps, to be vmapped over keys or states."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from sean_jax.base import Array, Frame, Policy, Scenario, State
+from sean_jax.scenario import frame, reset, step
+
+POLICY_STREAM = 1  # folded into an episode's key, so that a policy's chance is apart from people's
+
+
+def rollout(
+    scenario: Scenario, policy: Policy, key: Array, steps: int, record: Callable = frame
+) -> tuple[State, Frame]:
+    """An episode from its reset: the last state, and what ``record`` keeps of each step, stacked (steps, ...).
+
+    ``record(before, after, action)`` gives a pytree; ``base.Frame`` unless told otherwise. An episode that has
+    ended goes on with its metrics standing still: ``Frame.active`` tells.
+    """
+    return simulate(scenario, policy, reset(scenario, key), steps, record)
+
+
+def simulate(
+    scenario: Scenario, policy: Policy, state: State, steps: int, record: Callable = frame
+) -> tuple[State, Frame]:
+    """As ``rollout``, from a state."""
+
+    def one(before: State, _) -> tuple[State, Frame]:
+        key = jax.random.fold_in(jax.random.fold_in(before.key, POLICY_STREAM), before.tick)
+        action = jnp.asarray(policy(scenario, before, key), jnp.float32)
+        after = step(scenario, before, action)
+        return after, record(before, after, action)
+
+    return jax.lax.scan(one, state, length=steps)

@@ -1,0 +1,189 @@
+"""The report of a run: one self-contained HTML page, readable in the light, in the dark and on paper.
+
+It holds the table of Table I and Fig. 4 for this run, the pictures of Fig. 1, and how to get them again.
+"""
+
+import dataclasses
+import html as markup
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sean_jax import drawing
+from sean_jax.base import Environment, Frame
+from sean_jax.drawing import colors
+from sean_jax.report import figures
+
+STYLE = Path(__file__).with_name("style.css")
+
+
+@dataclasses.dataclass
+class Report:
+    """What the page tells; E episodes, S situations."""
+
+    title: str
+    command: str
+    versions: dict[str, str]
+    environment: Environment
+    graph: Any  # behavior graph or None
+    situations: tuple[str, ...]
+    rows: list[dict[str, Any]]  # name, title, unit, definition, cells (1 + S) and intervals (1 + S) as text
+    shares: dict[str, float]  # situation or "none" -> share of robot time, adding up to one
+    heat: np.ndarray  # (rows, columns) s
+    tasks: list[str]  # (E,)
+    completed: np.ndarray  # (E,) bool
+    seconds: np.ndarray  # (E,) s
+    frames: list[Frame]  # of the first episodes
+    time_step: float  # s
+    time_limit: float  # s
+    checks: dict[str, Any]
+    timing: dict[str, Any]
+
+
+def html(report: Report) -> str:
+    """The whole page as text; it refers to nothing outside itself."""
+    sections = [
+        _tiles(report),
+        _section("Situations", _situations(report)),
+        _section("Results", _table(report)),
+        _section("Episodes", _episodes(report)),
+        _section("People and time", _people_and_time(report)),
+        _section("Checks", _facts(_checks(report))),
+        _section("How to get this again", _again(report)),
+        _section("What the numbers mean", _definitions(report)),
+    ]
+    title = markup.escape(report.title)
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title}</title>'
+        f"<style>\n{STYLE.read_text(encoding='utf-8')}</style></head>\n<body><main><header>"
+        f"<p class=kicker>sean_jax · report of a run</p><h1>{title}</h1></header>\n"
+        + "\n".join(sections)
+        + "\n</main></body></html>\n"
+    )
+
+
+def _section(title: str, body: str) -> str:
+    return f"<section><h2>{title}</h2>\n{body}</section>"
+
+
+def _words(name: str) -> str:
+    return markup.escape(name.replace("_", " "))
+
+
+def _dot(color: str) -> str:
+    return f'<i class=dot style="background:{color}"></i>'
+
+
+def _tiles(report: Report) -> str:
+    by_name = {row["name"]: row for row in report.rows}
+    tiles = []
+    for name in ("completed", "seconds", "path_efficiency", "time_not_moving", "personal_robot_on_person"):
+        if row := by_name.get(name):
+            unit = f"<small> {row['unit']}</small>" if row["unit"] else ""
+            interval = f"<p>{row['intervals'][0]}</p>" if row["intervals"][0] else "<p>&nbsp;</p>"
+            tiles.append(f"<div><h3>{row['title']}</h3><b>{row['cells'][0] or '–'}{unit}</b>{interval}</div>")
+    return f"<div class=tiles>{''.join(tiles)}</div>"
+
+
+def _situations(report: Report) -> str:
+    shades = dict(zip(report.situations, colors.situation_colors(report.situations), strict=True))
+    shades["none"] = colors.NO_SITUATION
+    shown = {name: share for name, share in report.shares.items() if share > 0}
+    parts = "".join(
+        f'<i style="width:{100 * share:.3f}%;background:{shades[name]}" title="{_words(name)} {100 * share:.1f} %"></i>'
+        for name, share in shown.items()
+    )
+    names = {"none": "none of these"}
+    legend = "".join(
+        f"<li>{_dot(shades[name])}{_words(names.get(name, name))} <b>{100 * share:.1f} %</b></li>"
+        for name, share in report.shares.items()
+        if share > 0 or name != "none"
+    )
+    return (
+        f"<div class=bar>{parts}</div><ul class=legend>{legend}</ul>"
+        "<p class=note>Share of the robot's time; a moment in several situations is divided equally among them here, "
+        "and counts fully for each in the table.</p>"
+    )
+
+
+def _table(report: Report) -> str:
+    shades = colors.situation_colors(report.situations)
+    head = "".join(
+        f"<th>{_dot(color)}{_words(name)}</th>" for name, color in zip(report.situations, shades, strict=True)
+    )
+    body = []
+    for row in report.rows:
+        unit = f" <small>{row['unit']}</small>" if row["unit"] else ""
+        cells = "".join(
+            f"<td>{cell}<small>{interval}</small></td>" if cell else "<td class=none>–</td>"
+            for cell, interval in zip(row["cells"], row["intervals"], strict=True)
+        )
+        body.append(f"<tr><th>{_words(row['title'])}{unit}</th>{cells}</tr>")
+    return (
+        f"<div class=wide><table><thead><tr><th></th><th>overall</th>{head}</tr></thead>"
+        f"<tbody>{''.join(body)}</tbody></table></div>"
+        "<p class=note>Small print: 95 % bootstrap intervals over episodes. Violations and collisions are times "
+        "per episode; a dash is a situation that did not occur or a metric that is not split.</p>"
+    )
+
+
+def _episodes(report: Report) -> str:
+    pictures = []
+    for i, frames in enumerate(report.frames):
+        figure = drawing.top_down(
+            report.environment,
+            graph=report.graph,
+            frames=frames,
+            situations=report.situations,
+            time_step=report.time_step,
+        )
+        outcome = "completed" if report.completed[i] else "not completed"
+        caption = f"Episode {i} · {_words(report.tasks[i])} · {outcome} in {report.seconds[i]:.1f} s"
+        pictures.append(f"<figure>{figures.svg(figure, f'episode-{i}')}<figcaption>{caption}</figcaption></figure>")
+    note = (
+        "<p class=note>The first episodes from above: the robot's path in the colours of the situations, people where "
+        "they stood at the end, with their trails over the last 40 s.</p>"
+    )
+    return f"<div class=grid>{''.join(pictures)}</div>{note}"
+
+
+def _people_and_time(report: Report) -> str:
+    heat = figures.svg(drawing.heat_map(report.environment, report.heat), "heat-map")
+    shown = [f"<figure>{heat}<figcaption>Where people were, over all episodes</figcaption></figure>"]
+    if report.graph is not None:
+        graph = figures.svg(drawing.top_down(report.environment, graph=report.graph), "behavior-graph")
+        shown.append(
+            f"<figure>{graph}<figcaption>Behavior graph of the {_words(report.environment.name)}</figcaption></figure>"
+        )
+    chart = figures.durations(report.completed, report.seconds, report.time_limit)
+    bars = f"<figure>{chart}<figcaption>How long the episodes lasted</figcaption></figure>"
+    return f"<div class=grid>{''.join(shown)}</div><div class=alone>{bars}</div>"
+
+
+def _checks(report: Report) -> dict[str, str]:
+    return {
+        "deepest that a body was in an obstacle": f"{report.checks['largest_penetration_mm']:.3f} mm",
+        "most people seen in each group": ", ".join(map(str, report.checks["largest_groups"])) or "there are no groups",
+        "numbers that are not finite": str(report.checks["not_finite"]),
+        "simulated": f"{float(report.seconds.sum()):,.0f} s of robot time, "
+        f"{report.timing['simulated_seconds_per_second']:,.0f} s per second on {report.timing['device']}",
+        "time taken": f"{report.timing['compile_seconds']:.1f} s to compile, "
+        f"{report.timing['run_seconds']:.1f} s to run",
+    }
+
+
+def _facts(facts: dict[str, str]) -> str:
+    return (
+        "<dl>" + "".join(f"<dt>{markup.escape(k)}</dt><dd>{markup.escape(v)}</dd>" for k, v in facts.items()) + "</dl>"
+    )
+
+
+def _again(report: Report) -> str:
+    return f"<pre>{markup.escape(report.command)}</pre>{_facts(report.versions)}"
+
+
+def _definitions(report: Report) -> str:
+    units = {row["name"]: f" [{row['unit']}]" if row["unit"] else "" for row in report.rows}
+    return _facts({row["title"] + units[row["name"]]: row["definition"] for row in report.rows})

@@ -1,0 +1,102 @@
+"""Reads a robot (Fig. 3) from its MJCF file: masses, wheels, servos and limits, checked against the dynamics."""
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration")
+NUMERICS = (*LIMITS, "radius", "friction")
+BUILD = (
+    "a base with the joints slide x, slide y and hinge z, then a left and a right wheel hinge with a velocity servo "
+    "each, without springs, damping and friction losses in the joints"
+)
+
+
+def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
+    """The ``mujoco.MjModel`` of a file, the figures of a ``RobotModel`` by field name, and its mass matrix (5,).
+
+    Raises ValueError, one sentence that names the file, for a file that is no MJCF, lacks a figure, or describes
+    another kind of robot than a planar differential-drive base.
+    """
+    mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise ValueError(f"{path}: MuJoCo cannot read this robot: {' '.join(str(error).split())}") from error
+    disable = mujoco.mjtDisableBit
+    for unused in (disable.mjDSBL_CONSTRAINT, disable.mjDSBL_SPRING, disable.mjDSBL_DAMPER, disable.mjDSBL_EULERDAMP):
+        model.opt.disableflags |= int(unused)
+    numerics = _numerics(path, model)
+    _check_build(path, model)
+    mass = _mass_matrix(path, model)
+    left, right = model.body_pos[2], model.body_pos[3]
+    wheel = int(np.flatnonzero(model.geom_bodyid == 2)[0])
+    figures = {
+        "mass": mass[0],
+        "inertia": mass[2],
+        "wheel_radius": model.geom_size[wheel, 0],
+        "wheel_inertia": mass[3],
+        "track": left[1] - right[1],
+        "servo_gain": model.actuator_gainprm[0, 0],
+        "servo_torque": model.actuator_forcerange[0, 1],
+        **{key: numerics[key] for key in NUMERICS if key != "radius"},
+    }
+    fields = {key: jnp.asarray(value, jnp.result_type(float)) for key, value in figures.items()}
+    return model, {**fields, "radius": numerics["radius"], "time_step": float(model.opt.timestep)}, mass
+
+
+def _numerics(path: Path, model: Any) -> dict[str, float]:
+    there = {model.numeric(i).name: model.numeric_data[model.numeric_adr[i]] for i in range(model.nnumeric)}
+    for key in NUMERICS:
+        if key not in there:
+            raise ValueError(f'{path}: <custom> lacks <numeric name="{key}" data="..."/>, which every robot needs')
+        if not (np.isfinite(there[key]) and there[key] > 0.0):
+            raise ValueError(f"{path}: the numeric {key} is {there[key]:g}, but must be a positive number")
+    return {key: float(there[key]) for key in NUMERICS}
+
+
+def _check_build(path: Path, model: Any) -> None:
+    """The joints, bodies and servos that the equations of motion are written for."""
+    axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 0], [0, 1, 0]]
+    fits = (
+        (model.nbody, model.njnt, model.nu) == (4, 5, 2)
+        and model.jnt_type.tolist() == [2, 2, 3, 3, 3]
+        and model.jnt_bodyid.tolist() == [1, 1, 1, 2, 3]
+        and np.allclose(model.jnt_axis, axes)
+        and model.actuator_trnid[:, 0].tolist() == [3, 4]
+        and np.allclose(model.actuator_gear[:, 0], 1.0)
+        and np.allclose(model.actuator_biasprm[:, :3], np.outer(model.actuator_gainprm[:, 0], [0.0, 0.0, -1.0]))
+        and bool(model.actuator_forcelimited.all())
+        and np.allclose(model.actuator_forcerange[0], model.actuator_forcerange[1] * [[1.0, 1.0]])
+        and np.isclose(model.actuator_forcerange[0].sum(), 0.0)
+        and np.isclose(model.body_pos[2, 1], -model.body_pos[3, 1])
+        and model.body_pos[2, 1] > 0.0
+        and bool((model.geom_bodyid == 2).any())
+        and not (model.dof_damping.any() or model.jnt_stiffness.any() or model.dof_frictionloss.any())
+    )
+    if not fits:
+        raise ValueError(f"{path}: a robot must be {BUILD} (see envs/robots/kuri.xml)")
+
+
+def _mass_matrix(path: Path, model: Any) -> np.ndarray:
+    """Diagonal (5,) of the mass matrix, which has to be diagonal and the same everywhere."""
+    mujoco: Any = import_module("mujoco")
+    data = mujoco.MjData(model)
+    matrices = []
+    for position in (np.zeros(5), np.array([1.0, -2.0, 0.7, 1.9, -0.4])):
+        data.qpos[:] = position
+        mujoco.mj_forward(model, data)
+        matrix = np.zeros((5, 5))
+        for i, axis in enumerate(np.eye(5)):
+            mujoco.mj_mulM(model, data, matrix[i], axis)
+        matrices.append(matrix)
+    diagonal = np.diag(matrices[0]).copy()
+    scale = np.sqrt(np.outer(diagonal, diagonal))
+    if max(np.max(np.abs(matrix - np.diag(diagonal)) / scale) for matrix in matrices) > 1e-6:
+        raise ValueError(f"{path}: the centre of mass must lie above the middle of the axle, the origin of the base")
+    if not np.isclose(diagonal[3], diagonal[4]):
+        raise ValueError(f"{path}: the left and the right wheel must have the same inertia, armature included")
+    return diagonal

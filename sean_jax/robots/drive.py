@@ -1,0 +1,108 @@
+"""One control step of a differential-drive robot (Fig. 3): a command (v, omega), its limits, the physics, the odometry.
+
+The MJX robot and its closed-form twin differ in nothing but the physics step. Gradients through the MJX robot are those
+of its twin, which agree with them to rounding and cost a fraction; forward mode (``jax.jvp``) needs the twin itself.
+"""
+
+import functools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from sean_jax.base import Array, Robot, RobotModel, Scenario, State
+from sean_jax.geometry import rotate
+from sean_jax.robots import mjx_dynamics, twin
+from sean_jax.robots.ground import Surroundings
+
+
+def place(model: RobotModel, position: Array, heading: Array) -> Robot:
+    """A robot at rest at ``position`` (2,) m that looks along ``heading`` (2,), a unit vector."""
+    yaw = jnp.arctan2(heading[1], heading[0])
+    zero = jnp.zeros((), position.dtype)
+    body = jnp.stack([position[0], position[1], yaw, zero, zero]), jnp.zeros((5,), position.dtype)
+    return Robot(position=position, heading=heading, speed=zero, turn_rate=zero, body=body)
+
+
+def drive_mjx(scenario: Scenario, state: State, action: Array) -> Robot:
+    """The robot one control step after the command ``action`` (2,): m/s and rad/s, simulated by MJX.
+
+    People are where ``state`` has them at the end of the control step, and came there at their velocity.
+    Raises ValueError if the control step is no multiple of the physics step.
+    """
+    return _drive(_physics, scenario, state, action)
+
+
+def drive_twin(scenario: Scenario, state: State, action: Array) -> Robot:
+    """As ``drive_mjx``, simulated by the closed-form twin."""
+    return _drive(_simulate_twin, scenario, state, action)
+
+
+def wheel_speeds(model: RobotModel, robot: Robot, action: Array, time_step: float) -> Array:
+    """(2,) rad/s, left and right, for the command within the limits that is nearest to ``action`` (2,) m/s, rad/s.
+
+    Acceleration is limited against the speeds as they are, over one control step. A number that is not finite is 0.
+    """
+    action = jnp.where(jnp.isfinite(action), action, 0.0)
+    speed = _limited(action[0], robot.speed, model.max_acceleration * time_step, model.max_speed)
+    turn_rate = _limited(action[1], robot.turn_rate, model.max_turn_acceleration * time_step, model.max_turn_rate)
+    rim = 0.5 * model.track * turn_rate
+    return jnp.stack([speed - rim, speed + rim]) / model.wheel_radius
+
+
+def _limited(wanted: Array, now: Array, change: Array, most: Array) -> Array:
+    return jnp.clip(jnp.clip(wanted, now - change, now + change), -most, most)
+
+
+def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -> Robot:
+    model, people = scenario.robot, state.pedestrians
+    around = Surroundings(
+        obstacles=scenario.environment.obstacles,
+        position=people.position,
+        velocity=people.velocity,
+        present=people.present,
+        person_radius=scenario.forces.radius,
+    )
+    targets = wheel_speeds(model, state.robot, action, scenario.time_step)
+    steps = round(scenario.time_step / model.time_step)
+    if abs(steps * model.time_step - scenario.time_step) > 1e-6:
+        raise ValueError(f"the step {scenario.time_step} s is no multiple of {model.name}'s step {model.time_step} s")
+    position, velocity = physics(steps, model, around, state.robot.body, targets)
+    # Whole turns are taken off, or single precision would lose the angle of a robot that turns for long.
+    turns = jnp.round(position[2:] / (2.0 * jnp.pi))
+    position = jnp.concatenate([position[:2], position[2:] - 2.0 * jnp.pi * turns])
+    cosine, sine = jnp.cos(position[2]), jnp.sin(position[2])
+    speed, _ = rotate(velocity[0], velocity[1], cosine, -sine)
+    heading = jnp.stack([cosine, sine])
+    return Robot(position[:2], heading, speed, velocity[2], (position, velocity))
+
+
+def _simulate(substep: Callable, steps: int, model: RobotModel, around: Surroundings, body: tuple, targets: Array):
+    def one(body: tuple, done: Array) -> tuple:
+        return substep(model, around, model.time_step * (steps - done), body, targets), None
+
+    return jax.lax.scan(one, body, jnp.arange(steps).astype(body[0].dtype))[0]
+
+
+def _simulate_twin(steps: int, model: RobotModel, around: Surroundings, body: tuple, targets: Array) -> tuple:
+    return _simulate(twin.substep, steps, model, around, body, targets)
+
+
+@functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _physics(steps: int, model: RobotModel, around: Surroundings, body: tuple, targets: Array) -> tuple:
+    """``body`` after that many physics steps of MJX."""
+    return _simulate(mjx_dynamics.substep, steps, model, around, body, targets)
+
+
+def _physics_forward(steps: int, *arguments) -> tuple:
+    return _physics(steps, *arguments), arguments
+
+
+def _physics_backward(steps: int, arguments: tuple, cotangent: tuple) -> tuple:
+    model, *rest = arguments
+    _, backward = jax.vjp(functools.partial(_simulate_twin, steps), model.replace(data=()), *rest)
+    of_model, *of_rest = backward(cotangent)
+    return of_model.replace(data=None), *of_rest  # None: the MJX model itself is a constant
+
+
+_physics.defvjp(_physics_forward, _physics_backward)

@@ -1,0 +1,150 @@
+"""The social force model (section IV-D [28][44][45]): accelerations, and one semi-implicit Euler step."""
+
+import jax
+import jax.numpy as jnp
+
+from sean_jax.base import Array, Groups, Nearby, Pedestrians, Robot, Scenario, State
+from sean_jax.geometry import angle_between, length, rotate, unit
+from sean_jax.social_forces.parameters import Parameters
+from sean_jax.social_forces.repulsion import TINY, sidestep
+from sean_jax.social_forces.walls import distances, keep_out, wall_forces
+
+SUBSTEP = 0.05  # s, at most: a tenth of the relaxation time
+ABSENT = -2  # marks who is not there where a group index is -1 for nobody's member
+
+
+def move(scenario: Scenario, state: State) -> Pedestrians:
+    """People one control step later, the robot held where it was; the pedestrian model ``social_forces``."""
+    substeps = max(1, round(scenario.time_step / SUBSTEP))
+    time_step = scenario.time_step / substeps
+    nearby = scenario.environment.nearby
+
+    def substep(people: Pedestrians, _):
+        return advance(scenario.forces, people, nearby, state.groups, state.robot, time_step), None
+
+    return jax.lax.scan(substep, state.pedestrians, length=substeps)[0]
+
+
+def advance(
+    parameters: Parameters,
+    people: Pedestrians,
+    nearby: Nearby | None,
+    groups: Groups | None,
+    robot: Robot | None,
+    time_step: float,
+) -> Pedestrians:
+    """People ``time_step`` [s] later; ``nearby`` obstacles, ``groups`` and ``robot`` may be None."""
+    px, py = people.position[:, 0], people.position[:, 1]
+    vx, vy = people.velocity[:, 0], people.velocity[:, 1]
+    look_x, look_y = _look(people)
+    fx, fy = pair_forces(parameters, people, look_x, look_y)
+    if robot is not None:
+        fx, fy = _add((fx, fy), robot_force(parameters, people, look_x, look_y, robot))
+    if groups is not None:
+        fx, fy = _add((fx, fy), group_forces(parameters, people, groups))
+    walls = None if nearby is None else distances(px, py, nearby)
+    if walls is not None:
+        fx, fy = _add((fx, fy), wall_forces(*walls, parameters))
+    fx, fy = _yield(parameters, fx, fy, people.heading)
+    drive_x, drive_y = (people.desired_velocity[:, 0] - vx), (people.desired_velocity[:, 1] - vy)
+    vx = vx + (drive_x / parameters.relaxation_time + fx) * time_step
+    vy = vy + (drive_y / parameters.relaxation_time + fy) * time_step
+    speed = length(vx, vy)
+    greatest = parameters.speed_ratio * people.preferred_speed
+    slower = jnp.where(speed > greatest, greatest / jnp.where(speed > greatest, speed, 1.0), 1.0)
+    vx, vy = vx * slower, vy * slower
+    if walls is not None:
+        vx, vy = keep_out(vx, vy, walls[0] - parameters.radius, walls[1], walls[2], time_step)
+    velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
+    heading = _turn(people, velocity, parameters.turn_rate * time_step)
+    return people.replace(position=people.position + velocity * time_step, velocity=velocity, heading=heading)
+
+
+def pair_forces(parameters: Parameters, people: Pedestrians, look_x: Array, look_y: Array) -> tuple[Array, Array]:
+    """(N,) x and y parts [m/s2] of what each person feels from all others: repulsion in sight, and sidestep.
+
+    Standing members of one group do not push one another: their formation holds them apart (section IV-D).
+    """
+
+    def pair(px, py, vx, vy, hx, hy, group, qx, qy, wx, wy, other_group):
+        dx, dy = px - qx, py - qy
+        fx, fy = parameters.repulsion(dx, dy, wx, wy, vx, vy, parameters)
+        weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
+        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, parameters)
+        dd = dx * dx + dy * dy
+        together = (group >= 0) & (group == other_group)
+        felt = (other_group > ABSENT) & (dd > 0.0) & (dd < parameters.perception * parameters.perception) & ~together
+        return jnp.where(felt, weight * fx + sx, 0.0), jnp.where(felt, weight * fy + sy, 0.0)
+
+    one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
+    group = jnp.where(people.present, people.group, ABSENT)
+    others = jax.vmap(pair, in_axes=(None,) * 7 + (0,) * 5)
+    fx, fy = jax.vmap(others, in_axes=(0,) * 7 + (None,) * 5)(*one, look_x, look_y, group, *one, group)
+    return fx.sum(1), fy.sum(1)
+
+
+def robot_force(parameters: Parameters, people: Pedestrians, look_x: Array, look_y: Array, robot: Robot):
+    """(N,) x and y parts [m/s2] of the push of the robot: a person's, shifted by the distance drawn for it [45]."""
+    wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
+    moving = jnp.abs(robot.speed) > parameters.robot_moving
+
+    def push(px, py, vx, vy, hx, hy, extra):
+        dx, dy = px - robot.position[0], py - robot.position[1]
+        fx, fy = parameters.repulsion(dx, dy, wx, wy, vx, vy, parameters)
+        weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
+        weight = weight * jnp.where(moving, jnp.exp(extra / parameters.range), 1.0)
+        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, parameters)
+        return weight * fx + sx, weight * fy + sy
+
+    position, velocity = people.position, people.velocity
+    return jax.vmap(push)(
+        position[:, 0], position[:, 1], velocity[:, 0], velocity[:, 1], look_x, look_y, people.robot_distance
+    )
+
+
+def group_forces(parameters: Parameters, people: Pedestrians, groups: Groups) -> tuple[Array, Array]:
+    """(N,) x and y parts [m/s2] by which the o-spaces of groups keep out whoever is no standing member (Kendon)."""
+
+    def push(px, py, member_of, index, center, radius, present):
+        dx, dy = px - center[0], py - center[1]
+        dd = dx * dx + dy * dy + TINY
+        inverse = jax.lax.rsqrt(dd)
+        size = parameters.group_strength * jnp.exp((radius - dd * inverse) / parameters.group_range) * inverse
+        size = jnp.where(present & (member_of != index), size, 0.0)
+        return size * dx, size * dy
+
+    index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
+    each_group = jax.vmap(push, in_axes=(None, None, None, 0, 0, 0, 0))
+    fx, fy = jax.vmap(each_group, in_axes=(0, 0, 0, None, None, None, None))(
+        people.position[:, 0], people.position[:, 1], people.group, index, groups.center, groups.radius, groups.present
+    )
+    return fx.sum(1), fy.sum(1)
+
+
+def _look(people: Pedestrians) -> tuple[Array, Array]:
+    """Direction in which each person looks: where they want to go, or their heading when they stand."""
+    x, y = unit(people.desired_velocity[:, 0], people.desired_velocity[:, 1])
+    standing = (people.group >= 0) | ((x == 0.0) & (y == 0.0))
+    return jnp.where(standing, people.heading[:, 0], x), jnp.where(standing, people.heading[:, 1], y)
+
+
+def _yield(parameters: Parameters, fx: Array, fy: Array, heading: Array) -> tuple[Array, Array]:
+    """The social force with its part against the heading scaled by ``reversing`` and that across it damped."""
+    hx, hy = heading[:, 0], heading[:, 1]
+    along, across = fx * hx + fy * hy, fy * hx - fx * hy
+    along = jnp.where(along < 0.0, along * parameters.reversing, along)
+    across = across / parameters.lateral_damping
+    return along * hx - across * hy, along * hy + across * hx
+
+
+def _turn(people: Pedestrians, velocity: Array, most: Array) -> Array:
+    """Headings turned towards the velocity by at most that angle [rad]; standing members keep theirs."""
+    angle = angle_between(people.heading, velocity)
+    walking = (people.group < 0) & (length(velocity[:, 0], velocity[:, 1]) > 0.1)
+    angle = jnp.where(walking, jnp.clip(angle, -most, most), 0.0)
+    x, y = rotate(people.heading[:, 0], people.heading[:, 1], jnp.cos(angle), jnp.sin(angle))
+    return jnp.stack(unit(x, y), -1)
+
+
+def _add(one: tuple[Array, Array], other: tuple[Array, Array]) -> tuple[Array, Array]:
+    return one[0] + other[0], one[1] + other[1]

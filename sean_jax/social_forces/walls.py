@@ -1,0 +1,43 @@
+"""What obstacles do to people: the wall force, and the guarantee that no body enters an obstacle.
+
+Helbing & Molnar (1995), eq. (5): U(d) = U0 exp(-d / R), the force being its negative gradient.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+
+from sean_jax.base import Array, Nearby
+from sean_jax.geometry import from_rectangle
+from sean_jax.nearby import around
+
+
+def distances(px: Array, py: Array, nearby: Nearby) -> tuple[Array, Array, Array]:
+    """(N, K) distance [m] from the surfaces of the obstacles near each person (N,) to their centre, and normals."""
+    rows = around(nearby, px, py)
+    return from_rectangle(px[:, None], py[:, None], *(rows[..., part] for part in range(6)))
+
+
+def wall_forces(distance: Array, nx: Array, ny: Array, parameters: Any) -> tuple[Array, Array]:
+    """(N,) x and y parts [m/s2] of the push of all obstacles along their normals."""
+    push = parameters.wall_strength * jnp.exp((parameters.wall_reach - distance) / parameters.wall_range)
+    push = push * (1.0 + parameters.wall_lever * (distance - 1.0))
+    push = jnp.where(distance < parameters.perception, push, 0.0)
+    return (push * nx).sum(1), (push * ny).sum(1)
+
+
+def keep_out(vx: Array, vy: Array, gap: Array, nx: Array, ny: Array, time_step: float) -> tuple[Array, Array]:
+    """Velocities (N,) [m/s] with which nobody ends the step inside an obstacle.
+
+    A body at that gap (N, K) [m] may approach by no more than the gap in one step: n . v >= -gap / time_step.
+    For a convex obstacle this linear bound is exact or stricter. The most violated bound is mended first, twice:
+    exact at the inner corner of two walls; a body that is inside (a negative gap) is led out.
+    """
+    for _ in range(2):
+        excess = -gap / time_step - (nx * vx[:, None] + ny * vy[:, None])
+        worst = jnp.max(excess, axis=1)
+        chosen = excess == worst[:, None]
+        share = jnp.maximum(worst, 0.0) / jnp.sum(jnp.where(chosen, 1.0, 0.0), axis=1)
+        vx = vx + share * jnp.sum(jnp.where(chosen, nx, 0.0), axis=1)
+        vy = vy + share * jnp.sum(jnp.where(chosen, ny, 0.0), axis=1)
+    return vx, vy

@@ -1,0 +1,53 @@
+"""Join Group and Leave Group (section IV-E): the robot's goal, or its start, is a member's place in a group."""
+
+import jax
+import jax.numpy as jnp
+
+from sean_jax import navigation as paths
+from sean_jax.base import Array, Groups, Pedestrians, RobotTask, Scenario
+from sean_jax.geometry import unit_vectors
+from sean_jax.tasks.places import far_place
+
+
+def join_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
+    """A goal in the opening of a random group, facing its centre; a start a drawn distance away."""
+    group, opening, inward, away, facing = _poses(scenario, pedestrians, groups, key)
+    to_goal = paths.to_goal(scenario.navigation, opening)
+    return RobotTask(
+        start=away,
+        start_heading=facing,
+        goal=opening,
+        goal_heading=inward,
+        start_group=jnp.full_like(group, -1),
+        goal_group=group,
+        geodesic=paths.geodesic(scenario.navigation, away, opening, to_goal),
+        to_goal=to_goal,
+    )
+
+
+def leave_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
+    """A start in the opening of a random group, facing its centre; a goal a drawn distance away."""
+    group, opening, inward, away, facing = _poses(scenario, pedestrians, groups, key)
+    to_goal = paths.to_goal(scenario.navigation, away)
+    return RobotTask(
+        start=opening,
+        start_heading=inward,
+        goal=away,
+        goal_heading=facing,
+        start_group=group,
+        goal_group=jnp.full_like(group, -1),
+        geodesic=paths.geodesic(scenario.navigation, opening, away, to_goal),
+        to_goal=to_goal,
+    )
+
+
+def _poses(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> tuple:
+    """A group's index (), its opening (2,) with the heading into it, and a far place (2,) with a random heading."""
+    group_key, place_key, turn_key = jax.random.split(key, 3)
+    chance = jnp.where(groups.present, jax.random.uniform(group_key, groups.radius.shape, jnp.float32), -1.0)
+    group = jnp.argmax(chance).astype(jnp.int32)
+    opening = groups.opening[group]
+    inward = unit_vectors(groups.center[group] - opening, jnp.asarray([1.0, 0.0], jnp.float32))
+    angle = jax.random.uniform(turn_key, (), jnp.float32, 0.0, 2 * jnp.pi)
+    away = far_place(scenario, pedestrians, opening, place_key)
+    return group, opening, inward, away, jnp.stack([jnp.cos(angle), jnp.sin(angle)])

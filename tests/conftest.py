@@ -1,0 +1,40 @@
+"""What all tests share: strict array rules, one compilation cache, a small scenario, a folder of recordings."""
+
+import os
+import tempfile
+from pathlib import Path
+
+# Before jax is imported, and inherited by the programs that tests start. Compiled programs depend on the machine,
+# so they are kept in its temporary folder and not in a home folder that machines may share.
+_CACHE = Path(tempfile.gettempdir()) / f"sean_jax-tests-{os.getuid() if hasattr(os, 'getuid') else os.getlogin()}"
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+
+import jax  # noqa: E402
+import pytest  # noqa: E402
+
+# Silent broadcasting of (N,) against (N, N), and silent changes of type, are errors here.
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+@pytest.fixture(scope="session")
+def scenario():
+    """A warehouse with 16 people and the closed-form robot: small, and compiled once for all tests that share it."""
+    import sean_jax
+
+    return sean_jax.make("warehouse", behavior="graph", task="join_group", robot="kuri", people=16, dynamics="twin")
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """Folder of recorded real trajectories, which are other people's work and not part of this repository."""
+    folder = os.environ.get("SEAN_JAX_DATA")
+    if not folder:
+        pytest.skip("set SEAN_JAX_DATA to a folder of recorded trajectories")
+    path = Path(folder)
+    if not path.is_dir():
+        pytest.fail(f"SEAN_JAX_DATA={folder} is not a folder")
+    return path

@@ -1,0 +1,175 @@
+"""The command line: quick help, whole folders or none, one sentence for what is wrong."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from sean_jax import cli, main_job
+
+SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
+
+
+def run(*arguments: str, capsys) -> tuple[int, str]:
+    code = cli.main(["run", *arguments])
+    return code, capsys.readouterr().err
+
+
+def test_help_imports_no_jax_and_names_every_option():
+    program = (
+        "import sys\n"
+        "from sean_jax import cli\n"
+        "try:\n    cli.main(['run', '--help'])\n"
+        "except SystemExit as end:\n    assert end.code == 0\n"
+        "print([name for name in ('jax', 'numpy', 'mujoco', 'matplotlib') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+    for option in "environment behavior task robot policy people episodes seed time-limit out".split():
+        assert f"--{option} " in done.stdout
+
+
+def test_version_is_printed(capsys):
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("sean_jax ")
+
+
+def test_compilation_cache_goes_to_the_users_cache_unless_set(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    cli.cache_compilations()
+    assert Path(os.environ["JAX_COMPILATION_CACHE_DIR"]) == tmp_path / "sean_jax" / "xla"
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
+    cli.cache_compilations()
+    assert os.environ["JAX_COMPILATION_CACHE_DIR"] == "elsewhere"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--time-limit", "-3"], "--time-limit is -3 s"),
+        (["--time-limit", "nan"], "--time-limit is nan s"),
+        (["--episodes", "0"], "--episodes is 0"),
+        (["--people", "0"], "--people is 0"),
+        (["--people", "-4"], "--people is -4"),
+        (["--seed", "-1"], "--seed is -1"),
+        (["--task", ","], "--task names no task"),
+    ],
+)
+def test_options_that_cannot_be_met_are_refused_in_one_sentence(arguments, said, capsys, tmp_path):
+    code, error = run(*arguments, "--out", str(tmp_path / "run"), capsys=capsys)
+    assert code == 2 and error.startswith("sean: ") and said in error and len(error.splitlines()) == 1
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("option", "wrong", "right"),
+    [
+        ("--environment", "warehose", "warehouse"),
+        ("--behavior", "grph", "graph"),
+        ("--task", "join_grup", "join_group"),
+        ("--robot", "kurri", "kuri"),
+        ("--policy", "go_to_gaol", "go_to_goal"),
+        ("--forces", "helbing95", "helbing1995"),
+        ("--dynamics", "twinn", "twin"),
+    ],
+)
+def test_unknown_names_are_answered_with_the_one_meant(option, wrong, right, capsys, tmp_path):
+    code, error = run(option, wrong, "--out", str(tmp_path / "run"), capsys=capsys)
+    assert code == 2 and error.startswith("sean: ") and wrong in error and right in error
+    assert not any(tmp_path.iterdir())
+
+
+def test_too_many_people_are_refused_with_the_most_that_fit(capsys, tmp_path):
+    code, error = run("--people", "10000", "--out", str(tmp_path / "run"), capsys=capsys)
+    assert code == 2 and "10000" in error and not any(tmp_path.iterdir())
+
+
+def test_folder_that_cannot_be_written_is_refused(capsys, tmp_path):
+    (tmp_path / "file").write_text("kept")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "old").write_text("kept")
+    for place, said in (("file/run", "cannot write"), ("file", "is a file"), ("full", "is not empty")):
+        code, error = run("--out", str(tmp_path / place), capsys=capsys)
+        assert code == 2 and said in error and len(error.splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "full", "old"]
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "said"),
+    [
+        (OSError(28, "No space left on device", "episodes.csv"), 2, "no space left on device"),
+        (FloatingPointError("1 of 4 episodes hold numbers that are not finite: 2."), 1, "not finite: 2."),
+        (KeyboardInterrupt(), 130, "stopped"),
+    ],
+)
+def test_what_goes_wrong_midway_ends_in_one_sentence(raised, code, said, capsys, monkeypatch, tmp_path):
+    def fail(*arguments):
+        raise raised
+
+    monkeypatch.setattr(main_job, "_scenario", fail)
+    assert run("--out", str(tmp_path / "run"), capsys=capsys)[0] == code
+    assert cli.main(["run", "--out", str(tmp_path / "run")]) == code
+    assert said in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
+def test_run_writes_a_whole_folder_and_the_same_bytes_for_the_same_seed(tmp_path, capsys):
+    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        out = ["--episodes", "3", "--seed", seed, "--out", str(tmp_path / name)]
+        assert run(*SMALL, *out, capsys=capsys) == (0, "")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b", "c"]
+    written = {"config.yaml", "episodes.csv", "summary.json", "report.html", "episode.gif"}
+    assert {path.name for path in (tmp_path / "a").iterdir()} == written
+    rows = {name: (tmp_path / name / "episodes.csv").read_bytes() for name in "abc"}
+    assert rows["a"] == rows["b"] != rows["c"]
+    lines = rows["a"].decode().splitlines()
+    assert [line.split(",")[1] for line in lines[1:]] == ["join_group", "leave_group", "join_group"]
+    config = yaml.safe_load((tmp_path / "a" / "config.yaml").read_text())
+    assert config["options"]["people"] == 8 and "--seed 1" in config["command"]
+    summary = json.loads((tmp_path / "a" / "summary.json").read_text())
+    assert summary["episodes"] == 3 and 0 < summary["simulated_seconds"] <= 9.0
+    assert summary["checks"]["largest_penetration_mm"] <= 1.0
+    assert max(summary["checks"]["largest_groups"]) <= 5
+
+
+def test_ctrl_c_between_batches_keeps_the_finished_ones(tmp_path, capsys, monkeypatch):
+    from sean_jax.main_job import simulation
+
+    started = []
+    begin = simulation._start
+
+    def interrupted(programs, scenarios, seed, base, rounds):
+        started.append(base)
+        if base >= 2:
+            raise KeyboardInterrupt
+        return begin(programs, scenarios, seed, base, rounds)
+
+    monkeypatch.setattr(simulation, "_start", interrupted)
+    out = ["--episodes", "6", "--batch", "2", "--seed", "1", "--out", str(tmp_path / "run")]
+    code, error = run(*SMALL, *out, capsys=capsys)
+    assert code == 130 and "the 2 episodes finished" in error and 2 in started
+    assert len((tmp_path / "run" / "episodes.csv").read_text().splitlines()) == 3
+
+
+def test_batches_change_nothing_that_is_drawn(tmp_path, capsys):
+    for name, batch in (("one", "4"), ("two", "2")):
+        out = ["--episodes", "4", "--batch", batch, "--out", str(tmp_path / name)]
+        assert run(*SMALL, *out, capsys=capsys) == (0, "")
+    tables = []
+    for name in ("one", "two"):
+        lines = (tmp_path / name / "episodes.csv").read_text().splitlines()[1:]
+        tables.append(np.array([[float(cell or 0) for cell in line.split(",")[4:]] for line in lines]))
+    np.testing.assert_allclose(tables[0], tables[1], atol=2e-3)
+
+
+def test_list_names_every_choice(capsys):
+    assert cli.main(["list"]) == 0
+    said = capsys.readouterr().out
+    for name in ("warehouse", "graph", "join_group", "leave_group", "kuri", "go_to_goal", "helbing1995", "twin"):
+        assert name in said

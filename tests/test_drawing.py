@@ -1,0 +1,154 @@
+"""Pictures show what happened: every mark stands where the frame says, in the colour of its situation."""
+
+import io
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from PIL import Image
+
+from sean_jax import drawing
+from sean_jax.base import Environment, Frame, Obstacles
+from sean_jax.drawing import colors, parts
+
+STEPS, PEOPLE = 41, 3
+
+
+def environment() -> Environment:
+    nothing: Any = ()
+    boxes: Any = Obstacles(
+        center=np.array([[0.0, 3.0], [-4.0, -2.0]], np.float32),
+        half_extent=np.array([[2.0, 0.5], [0.5, 1.0]], np.float32),
+        yaw=np.array([0.0, np.pi / 4], np.float32),
+        height=np.array([4.0, 0.8], np.float32),
+    )
+    floor: Any = np.array([-6.0, -5.0, 6.0, 5.0], np.float32)
+    return Environment(floor=floor, obstacles=boxes, nearby=nothing, name="yard")
+
+
+def frames() -> Any:
+    time = np.linspace(0, 1, STEPS, dtype=np.float32)
+    robot = np.stack([-5 + 10 * time, np.zeros(STEPS, np.float32)], -1)
+    people = np.stack([np.stack([np.full(STEPS, n - 1.0), -4 + 4 * time], -1) for n in range(PEOPLE)], 1)
+    situations = np.zeros((STEPS, 5), bool)
+    situations[:20, 4] = True
+    situations[20:30, 0] = True
+    situations[25:30, 2] = True
+    return Frame(
+        position=robot,
+        heading=np.tile([1.0, 0.0], (STEPS, 1)),
+        velocity=np.zeros((STEPS, 2)),
+        action=np.zeros((STEPS, 2)),
+        people=people.astype(np.float32),
+        people_velocity=np.zeros((STEPS, PEOPLE, 2)),
+        people_heading=np.tile([0.0, 1.0], (STEPS, PEOPLE, 1)),
+        group=np.tile(np.array([-1, 0, -1], np.int32), (STEPS, 1)),
+        goal=np.tile([5.0, 0.0], (STEPS, 1)),
+        situations=situations,
+        active=np.arange(STEPS) < 36,
+    )  # pyright: ignore[reportArgumentType]
+
+
+class Graph:
+    position = np.array([[-3.0, 0.0], [3.0, 0.0], [0.0, -3.0]])
+    radius = np.array([1.0, 0.8, 0.6])
+    is_group = np.array([False, False, True])
+    weight = np.array([[np.inf, 1.0, 1.0], [100.0, np.inf, np.inf], [1.0, np.inf, np.inf]])
+    names = ("west", "east", "talk")
+
+
+def pixels(figure: Any) -> np.ndarray:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=100)
+    return np.asarray(Image.open(stream).convert("RGB"))
+
+
+def shade_at(figure: Any, x: float, y: float) -> str:
+    image = pixels(figure)
+    across, up = figure.axes[0].transData.transform((x, y)) * 100 / figure.dpi
+    return to_hex(image[image.shape[0] - 1 - int(up), int(across)] / 255)
+
+
+def test_step_colors_take_the_first_situation_that_holds():
+    shades = parts.step_colors(frames(), tuple(colors.SITUATION_COLORS))
+    assert shades[0] == colors.SITUATION_COLORS["empty"]
+    assert shades[27] == colors.SITUATION_COLORS["cross_path"]
+    assert shades[35] == colors.NO_SITUATION
+
+
+def test_situation_colors_differ_for_the_users_own_situations():
+    names = (*colors.SITUATION_COLORS, "queue", "doorway")
+    assert len(set(drawing.situation_colors(names))) == len(names)
+
+
+def test_episode_is_cut_after_its_last_active_step():
+    assert len(parts.one_episode(frames()).active) == 36
+
+
+def test_top_down_puts_the_marks_where_the_frames_say():
+    figure = drawing.top_down(environment(), frames=frames())
+    last = frames().position[35]
+    assert shade_at(figure, last[0] - 0.2, last[1] - 0.2) == colors.ROBOT
+    assert shade_at(figure, *frames().people[35, 1]) == colors.MEMBER
+    assert shade_at(figure, *frames().people[35, 0]) == colors.PERSON
+    assert shade_at(figure, -3.0, 0.0) == colors.SITUATION_COLORS["empty"]
+    assert shade_at(figure, *frames().position[22]) == colors.SITUATION_COLORS["cross_path"]
+    assert shade_at(figure, -3.0, -4.5) == colors.FLOOR
+
+
+def test_obstacles_are_turned_and_darker_where_higher():
+    figure = drawing.top_down(environment())
+    high, low, floor = (int(shade_at(figure, *p)[1:3], 16) for p in ((0.0, 3.0), (-4.0, -2.0), (4.0, -4.0)))
+    assert high < low < floor
+    along = np.array([-np.sin(np.pi / 4), np.cos(np.pi / 4)])  # the long side of the turned box
+    assert shade_at(figure, *(np.array([-4.0, -2.0]) + 0.9 * along)) != colors.FLOOR
+    assert shade_at(figure, -4.0, -2.0 + 0.95) == colors.FLOOR  # inside only if it were not turned
+
+
+def test_graph_draws_an_arrow_for_the_one_way_edge_alone_and_names_the_nodes():
+    axes = drawing.top_down(environment(), graph=Graph).axes[0]
+    arrows = [text for text in axes.texts if getattr(text, "arrow_patch", None) is not None]
+    assert len(arrows) == 1
+    tip: Any = arrows[0].xy  # pyright: ignore[reportAttributeAccessIssue]
+    assert tip[0] > 0.0  # from west to east, past the middle
+    assert {"west", "east", "talk"} <= {text.get_text() for text in axes.texts}
+
+
+def test_heat_map_has_row_zero_lowest():
+    seconds = np.zeros((10, 12))
+    seconds[0, 11] = 5.0
+    figure = drawing.heat_map(environment(), seconds)
+    assert shade_at(figure, 5.5, -4.5) == colors.HEAT[-1]
+    assert shade_at(figure, 5.5, 4.5) == colors.FLOOR
+
+
+def test_animation_shows_every_nth_frame_and_the_last(tmp_path):
+    path = tmp_path / "episode.gif"
+    drawing.animate(environment(), frames(), path, graph=Graph, every=5, size=200)
+    with Image.open(path) as gif:
+        count = gif.n_frames  # pyright: ignore[reportAttributeAccessIssue]
+        first = gif.convert("RGB")
+        gif.seek(count - 1)
+        last = gif.convert("RGB")
+    assert count == 8  # frames 0, 5, ..., 30 and 35
+    x, scale = frames().position[35][0] + 0.2, 200 / (12.0 * (1 + 2 * parts.MARGIN))  # pixels a metre
+    there = (round((x + 6.0 + 12.0 * parts.MARGIN) * scale), round((5.0 + 12.0 * parts.MARGIN + 0.2) * scale))
+    orange = np.array([0xF5, 0x8A, 0x07])
+    assert np.abs(np.array(last.getpixel(there)) - orange).max() < 40
+    assert np.abs(np.array(first.getpixel(there)) - orange).max() > 100
+
+
+def test_a_batch_of_frames_is_refused():
+    from jax import tree
+
+    batch = tree.map(lambda leaf: np.stack([leaf, leaf]), frames())
+    with pytest.raises(ValueError, match="one leading axis, these have 2"):
+        drawing.top_down(environment(), frames=batch)
+
+
+def test_pyplot_is_left_alone():
+    before = "matplotlib.pyplot" in sys.modules
+    drawing.top_down(environment(), frames=frames())
+    assert ("matplotlib.pyplot" in sys.modules) == before

@@ -1,0 +1,168 @@
+"""The report and the figures in it: self-contained, complete, and equal to a plain computation."""
+
+import dataclasses
+import html.parser
+import json
+
+import numpy as np
+import pytest
+from test_drawing import Graph, environment, frames
+
+from sean_jax import report
+from sean_jax.main_job import output, statistics, table
+from sean_jax.main_job.results import Results
+
+NAMES = ("cross_path", "down_path", "join_group", "leave_group", "empty")
+EPISODES = 12
+
+
+def results() -> Results:
+    draw = np.random.default_rng(3)
+    spent = draw.uniform(0, 5, (EPISODES, 5)).astype(np.float32)
+    spent[:, 1] = 0.0  # nobody walked down the robot's path
+    spent[::2, 2] = 0.0
+    seconds = spent.sum(1)
+    completed = np.arange(EPISODES) % 3 != 0
+    counts = draw.poisson(0.7, (EPISODES, 5)).astype(np.float32)
+    efficiency = draw.uniform(1, 1.5, EPISODES).astype(np.float32)
+    return Results(
+        situations=NAMES,
+        tasks=["join_group", "leave_group"] * (EPISODES // 2),
+        completed=completed,
+        timed_out=~completed,
+        seconds=seconds,
+        metrics={
+            "path_efficiency": efficiency,
+            "time_in_situation": np.concatenate([seconds[:, None], spent], 1),
+            "intimate_robot_on_person": np.concatenate([counts.sum(1, keepdims=True), counts], 1),
+            "min_distance_to_people": np.where(np.arange(EPISODES) == 4, np.inf, 0.8).astype(np.float32),
+        },
+        counts=("intimate_robot_on_person",),
+        heat=np.ones((20, 24)),
+        together=np.array([1.0, 2.0, 0.0, 4.0] + [0.0] * 28),
+        penetration=-0.1,
+        group_size=np.array([5, 3, 3]),
+        frames=[frames()],
+        compile_seconds=1.0,
+        run_seconds=2.0,
+        wanted=EPISODES,
+    )
+
+
+def test_means_equal_plain_ones():
+    found, given = statistics.aggregate(results()), results()
+    spent = given.metrics["time_in_situation"].astype(float)
+    assert found["situations"]["cross_path"]["mean"] == pytest.approx(spent[:, 1].sum() / spent[:, 0].sum())
+    efficiency = given.metrics["path_efficiency"]
+    overall = found["metrics"]["path_efficiency"]["overall"]
+    assert overall["mean"] == pytest.approx(efficiency[given.completed].mean())
+    assert overall["episodes"] == given.completed.sum()
+    joined = given.completed & (spent[:, 3] > 0)
+    assert found["metrics"]["path_efficiency"]["join_group"]["mean"] == pytest.approx(efficiency[joined].mean())
+    assert found["metrics"]["path_efficiency"]["down_path"] is None
+    assert found["metrics"]["completed"]["overall"]["mean"] == pytest.approx(8 / 12)
+    counts = given.metrics["intimate_robot_on_person"]
+    assert found["metrics"]["intimate_robot_on_person"]["empty"]["mean"] == pytest.approx(counts[:, 5].mean())
+    assert found["metrics"]["min_distance_to_people"]["overall"]["mean"] == pytest.approx(0.8)
+    json.dumps(found, allow_nan=False)
+
+
+def test_bootstrap_interval_equals_the_normal_one_for_many_episodes():
+    draw = np.random.default_rng(0).normal(10.0, 2.0, 400)
+    weights = np.random.default_rng(1).multinomial(400, np.full(400, 1 / 400), size=4000)
+    low, high = statistics.ratio(draw, np.ones(400), weights)["interval"]  # pyright: ignore[reportOptionalSubscript]
+    half = 1.96 * draw.std() / 20
+    assert low == pytest.approx(draw.mean() - half, abs=0.03) and high == pytest.approx(draw.mean() + half, abs=0.03)
+
+
+def test_exclusive_shares_divide_shared_time_and_add_up_to_one():
+    shares = statistics.exclusive_shares(results())  # 1 s of none, 2 s of the first, 4 s of the first two
+    assert shares["cross_path"] == pytest.approx(4 / 7) and shares["down_path"] == pytest.approx(2 / 7)
+    assert shares["none"] == pytest.approx(1 / 7) and sum(shares.values()) == pytest.approx(1.0)
+
+
+def test_episodes_file_is_the_same_bytes_again_and_reads_back(tmp_path):
+    for name in ("one.csv", "two.csv"):
+        output.write_episodes(tmp_path / name, results())
+    assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "two.csv").read_bytes()
+    lines = (tmp_path / "one.csv").read_text().splitlines()
+    rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
+    assert len(rows) == EPISODES and rows[3]["task"] == "leave_group" and rows[3]["completed"] == "False"
+    assert float(rows[5]["seconds"]) == pytest.approx(results().seconds[5], abs=1e-3)
+    assert rows[0]["time_in_situation__down_path"] == "0.000000"
+    assert rows[4]["min_distance_to_people"] == ""
+    counts = results().metrics["intimate_robot_on_person"]
+    assert [int(row["intimate_robot_on_person__empty"]) for row in rows] == counts[:, 5].tolist()
+
+
+def test_unfinished_folder_appears_whole_or_not_at_all(tmp_path):
+    with output.unfinished(tmp_path / "deep" / "run") as folder:
+        (folder / "a").write_text("1")
+        assert not (tmp_path / "deep" / "run").exists()
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["run"]
+    with pytest.raises(KeyboardInterrupt), output.unfinished(tmp_path / "other" / "run") as folder:
+        (folder / "a").write_text("1")
+        raise KeyboardInterrupt
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["deep"]
+
+
+class Reader(html.parser.HTMLParser):
+    """Collects the attributes that could lead outside, the tags left open, and the text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.open: list[str] = []
+        self.text = ""
+
+    def handle_starttag(self, tag, attrs):
+        self.links += [value or "" for name, value in attrs if name in ("src", "href", "xlink:href", "action")]
+        if tag not in ("meta", "br", "hr", "img", "link", "input"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_startendtag(self, tag, attrs):
+        self.links += [value or "" for name, value in attrs if name in ("src", "href", "xlink:href", "action")]
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_report_is_whole_and_refers_to_nothing_outside():
+    given = results()
+    found = statistics.aggregate(given)
+    rows = table.rows(found, complete=True)
+    page = report.html(
+        report.Report(
+            title="yard <1>",
+            command="sean run --environment yard",
+            versions={"jax": "1.2.3"},
+            environment=environment(),
+            graph=Graph,
+            situations=NAMES,
+            rows=[dataclasses.asdict(row) for row in rows],
+            shares=statistics.exclusive_shares(given),
+            heat=given.heat,
+            tasks=given.tasks,
+            completed=given.completed,
+            seconds=given.seconds,
+            frames=given.frames,
+            time_step=0.1,
+            time_limit=25.0,
+            checks={"largest_penetration_mm": 0.0, "largest_groups": [5, 3, 3], "not_finite": 0},
+            timing={"compile_seconds": 1.0, "run_seconds": 2.0, "simulated_seconds_per_second": 5.0, "device": "cpu"},
+        )
+    )
+    reader = Reader()
+    reader.feed(page)
+    assert not reader.open
+    assert reader.links and all(link.startswith(("#", "data:")) for link in reader.links)
+    assert "://" not in page and "@import" not in page
+    for row in rows:
+        assert row.title in reader.text and row.definition in reader.text
+    for said in ("yard <1>", "sean run --environment yard", "1.2.3", "Episode 0 · join group · not completed"):
+        assert said in reader.text
+    ids = [part.split('"')[0] for part in page.split(' id="')[1:]]
+    assert len(set(ids)) == len(ids)

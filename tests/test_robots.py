@@ -1,0 +1,341 @@
+"""Robots: their files, how they move, stop and touch; the MJX robot against its twin, C MuJoCo and differences."""
+
+import subprocess
+import sys
+from importlib import import_module
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sean_jax import robots
+from sean_jax.base import Obstacles
+from sean_jax.robots.twin import diagonal
+
+mujoco: Any = import_module("mujoco")  # which has no type stubs
+BATCH, STEPS, TIME_STEP = 8, 200, 0.1
+FAR = (90.0, 90.0, 1.0, 1.0, 0.0)
+WALL = (1.5, 0.0, 0.5, 5.0, 0.0)  # its face is x = 1
+PERSON_RADIUS, RADIUS = 0.3, 0.16
+
+
+def world(boxes=(), people=(), velocity=None):
+    """Three boxes (x, y, half extents, yaw) and two people, the missing ones far away and absent."""
+    boxes = np.array([*boxes, *[FAR] * (3 - len(boxes))])
+    present = np.arange(2) < len(people)
+    people = np.array([*people, *[(80.0, 80.0)] * (2 - len(people))])
+    number = jnp.result_type(float)
+    return SimpleNamespace(
+        obstacles=Obstacles(*(jnp.asarray(x, number) for x in (boxes[:, :2], boxes[:, 2:4], boxes[:, 4], np.ones(3)))),
+        people=jnp.asarray(people, number),
+        velocity=jnp.zeros((2, 2), number) if velocity is None else jnp.asarray(velocity, number),
+        present=jnp.asarray(present),
+    )
+
+
+def leaves(place):
+    return place.obstacles, place.people, place.velocity, place.present
+
+
+def advance(model, place, robot, people, action):
+    obstacles, _, velocity, present = place
+    radius = jnp.asarray(PERSON_RADIUS, velocity.dtype)
+    scenario = SimpleNamespace(
+        environment=SimpleNamespace(obstacles=obstacles),
+        robot=model,
+        time_step=TIME_STEP,
+        forces=SimpleNamespace(radius=radius),
+    )
+    pedestrians = SimpleNamespace(position=people, velocity=velocity, present=present)
+    return model.drive(scenario, SimpleNamespace(robot=robot, pedestrians=pedestrians), action)
+
+
+def rollout(model, place, start, actions):
+    def one(carry, action):
+        robot, people = carry
+        people = people + TIME_STEP * place[2]
+        robot = advance(model, place, robot, people, action)
+        return (robot, people), (robot, people)
+
+    robot = model.place(model, start[:2], jnp.stack([jnp.cos(start[2]), jnp.sin(start[2])]))
+    return jax.lax.scan(one, (robot, place[1]), actions)[1]
+
+
+batched = jax.jit(jax.vmap(rollout, in_axes=(None, None, 0, 0)))  # one compilation a dynamics for nearly all tests
+
+
+def run(model, actions, place=None, start=(0.0, 0.0, 0.0)):
+    """Robot and people after each action (T, 2), of one robot; numpy arrays."""
+    actions = np.asarray(actions, np.float32)
+    padded = np.concatenate([actions, np.repeat(actions[-1:], STEPS - len(actions), 0)])
+    many = jnp.asarray(np.broadcast_to(padded, (BATCH, STEPS, 2)))
+    starts = jnp.asarray(np.broadcast_to(np.asarray(start, np.float32), (BATCH, 3)))
+    out = batched(model, leaves(place or world()), starts, many)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[0, : len(actions)], out)
+
+
+@pytest.fixture(scope="module")
+def kuri():
+    return robots.load("kuri")
+
+
+@pytest.fixture(scope="module")
+def twin():
+    return robots.load("kuri", "twin")
+
+
+@pytest.fixture(scope="module")
+def wild():
+    """Commands far beyond the limits that change all the time, and starts among walls and people."""
+    random = np.random.default_rng(0)
+    actions = random.uniform(-1.0, 1.0, (BATCH, STEPS // 4, 2)).repeat(4, 1) * [1.0, 6.0]
+    starts = random.uniform(-0.5, 0.5, (BATCH, 3)) * [1.0, 1.0, 6.0]
+    return jnp.asarray(starts, jnp.float32), jnp.asarray(actions, jnp.float32)
+
+
+CLUTTER = world([WALL, (0.0, 1.4, 2.0, 0.3, 0.3), (-1.6, 0.0, 0.4, 3.0, -0.2)], [(0.4, -0.9), (-0.5, -1.2)])
+
+
+@pytest.mark.parametrize(
+    ("place", "steps", "near"), [(world(), 200, 1e-5), (CLUTTER, 40, 1e-4)], ids=["free", "clutter"]
+)
+def test_twin_equals_mjx(kuri, twin, wild, place, steps, near):
+    """To rounding; among people for as long as gliding off a disc, which is unstable, has not amplified that."""
+    mjx_robot, _ = batched(kuri, leaves(place), *wild)
+    twin_robot, _ = batched(twin, leaves(place), *wild)
+    for name in ("position", "heading", "speed", "turn_rate"):
+        ours, theirs = getattr(mjx_robot, name)[:, :steps], getattr(twin_robot, name)[:, :steps]
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=near, err_msg=name)
+    travelled = np.abs(np.diff(np.asarray(mjx_robot.position), axis=1)).sum((1, 2))
+    assert (travelled > 1.0).all()
+
+
+def test_limits_hold_under_wild_commands(kuri, wild):
+    robot, _ = batched(kuri, leaves(world()), *wild)
+    speed, turn_rate = np.asarray(robot.speed), np.asarray(robot.turn_rate)
+    assert np.abs(speed).max() == pytest.approx(0.5, rel=0.01)
+    assert np.abs(turn_rate).max() == pytest.approx(3.0, rel=0.01)
+    assert np.abs(np.diff(speed)).max() <= 5.0 * TIME_STEP * 1.02
+    assert np.abs(np.diff(turn_rate)).max() <= 10.0 * TIME_STEP * 1.02
+    np.testing.assert_allclose(np.linalg.norm(robot.heading, axis=-1), 1.0, atol=1e-5)
+
+
+def test_wheels_equal_c_mujoco(kuri):
+    """Without grip, the file as C MuJoCo steps it must give the same wheels; likewise with other parameters."""
+    other = kuri.replace(wheel_inertia=kuri.wheel_inertia + 0.002, servo_gain=kuri.servo_gain * 0.5)
+    assert float(diagonal(other)[3]) == pytest.approx(0.0060613, rel=1e-4)
+    for model, armature, gain in ((kuri, 0.004, 0.2), (other, 0.006, 0.1)):
+        actions = np.array([[0.5, 0.0]] * 8 + [[0.0, 1.0]] * 8)
+        robot, _ = run(model.replace(friction=jnp.zeros(())), actions)
+        oracle = mujoco.MjModel.from_xml_path(str(robots.ROBOTS["kuri"]))
+        oracle.dof_armature[3:] = armature
+        oracle.actuator_gainprm[:, 0], oracle.actuator_biasprm[:, 2] = gain, -gain
+        data = mujoco.MjData(oracle)
+        for i, (speed, turn) in enumerate(actions):
+            data.ctrl[:] = np.array([speed - 0.0875 * turn, speed + 0.0875 * turn]) / 0.035
+            mujoco.mj_step(oracle, data, 5)
+            np.testing.assert_allclose(robot.body[1][i], data.qvel, rtol=1e-5, atol=1e-5)
+            difference = robot.body[0][i] - data.qpos
+            np.testing.assert_allclose(difference - 2 * np.pi * np.round(difference / (2 * np.pi)), 0.0, atol=1e-4)
+
+
+def test_step_response_settles_without_overshoot(kuri):
+    robot, _ = run(kuri, [[0.5, 0.0]] * 10)
+    assert robot.speed[1] == pytest.approx(0.5, rel=0.02) and robot.speed.max() < 0.5 * 1.01
+    np.testing.assert_allclose(robot.speed[4:], 0.5, rtol=0.002)
+    np.testing.assert_allclose(robot.position[:, 1], 0.0, atol=1e-6)
+    np.testing.assert_allclose(np.diff(robot.position[4:, 0]), 0.05, rtol=0.005)
+    robot, _ = run(kuri, [[0.0, 3.0]] * 10)
+    assert robot.turn_rate[4] == pytest.approx(3.0, rel=0.02)
+    np.testing.assert_allclose(robot.position, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("speed", "turn_rate"), [(0.5, 1.0), (0.3, -0.8), (0.5, 3.0), (-0.4, 0.7)])
+def test_circle(kuri, speed, turn_rate):
+    robot, _ = run(kuri, [[speed, turn_rate]] * 120)
+    x, y = robot.position[20:].T.astype(float)
+    a, b, c = np.linalg.lstsq(np.stack([2 * x, 2 * y, np.ones_like(x)], 1), x * x + y * y, rcond=None)[0]
+    assert np.sqrt(c + a * a + b * b) == pytest.approx(abs(speed / turn_rate), rel=0.02)
+    angle = np.unwrap(np.arctan2(y - b, x - a))
+    assert (angle[-1] - angle[0]) / (99 * TIME_STEP) == pytest.approx(turn_rate, rel=0.02)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.6])
+@pytest.mark.parametrize("boxes", [[WALL], [(1.5, y, 0.5, 0.8, 0.0) for y in (-0.5, 0.9, 2.4)]])
+def test_wall_stops_the_robot_that_glides_along_it(kuri, boxes, yaw):
+    """One box or three that overlap: no bounce, no ghost bump at the joints."""
+    robot, _ = run(kuri, [[0.5, 0.0]] * 60, world(boxes), (0.0, 0.0, yaw))
+    gap = 1.0 - RADIUS - robot.position[:, 0]
+    assert gap.min() > -0.001 and abs(gap[-1]) < 0.001
+    assert robot.body[1][:, 0].min() > -0.01
+    if yaw:
+        assert robot.position[-1, 1] > 0.9 and robot.body[1][-1, 1] > 0.1
+    else:
+        np.testing.assert_allclose(robot.position[-1], robot.position[-2], atol=1e-5)
+
+
+def test_corner_holds_the_robot(kuri):
+    robot, _ = run(kuri, [[0.5, 0.0]] * 80, world([WALL, (0.0, 1.5, 3.0, 0.5, 0.0)]), (0.0, 0.0, 0.8))
+    assert robot.position.max() < 1.0 - RADIUS + 0.001
+    np.testing.assert_allclose(robot.position[-1], 1.0 - RADIUS, atol=0.001)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.05])
+def test_person_is_not_pushed_through(kuri, offset):
+    robot, people = run(kuri, [[0.5, 0.0]] * 60, world(people=[(1.0, offset)]))
+    gap = np.linalg.norm(robot.position - people[:, 0], axis=1) - RADIUS - PERSON_RADIUS
+    assert gap.min() > -0.001
+    assert (abs(gap[-1]) < 0.001) == (offset == 0.0)
+
+
+def test_absent_person_is_no_obstacle(kuri):
+    place = world(people=[(1.0, 0.0)])
+    place.present = jnp.zeros((2,), bool)
+    robot, _ = run(kuri, [[0.5, 0.0]] * 40, place)
+    assert robot.position[-1, 0] > 1.9
+
+
+def test_person_who_walks_into_the_robot_pushes_it_but_not_into_a_wall(kuri):
+    walks = world(people=[(1.5, 0.0)], velocity=[(-1.3, 0.0), (0.0, 0.0)])
+    robot, people = run(kuri, [[0.0, 0.0]] * 20, walks)
+    gap = np.linalg.norm(robot.position - people[:, 0], axis=1) - RADIUS - PERSON_RADIUS
+    assert gap.min() > -0.001 and robot.position[-1, 0] < -0.5
+    squeezed = world([(-1.0, 0.0, 0.5, 3.0, 0.0)], [(1.5, 0.0)], [(-1.3, 0.0), (0.0, 0.0)])
+    robot, _ = run(kuri, [[0.0, 0.0]] * 20, squeezed)
+    assert robot.position[:, 0].min() > -0.5 + RADIUS - 0.001
+
+
+def test_overlap_at_the_start_is_undone_gently(kuri):
+    robot, _ = run(kuri, [[0.0, 0.0]] * 20, world([WALL]), (0.95, 0.0, 0.0))
+    assert robot.position[-1, 0] == pytest.approx(1.0 - RADIUS, abs=0.001)
+    assert np.abs(robot.speed).max() <= 0.501
+
+
+def test_command_that_is_not_finite_counts_as_zero(kuri):
+    moving, _ = run(kuri, [[0.5, 0.5]] * 5 + [[np.nan, np.inf]] * 10)
+    stopped, _ = run(kuri, [[0.5, 0.5]] * 5 + [[0.0, 0.0]] * 10)
+    np.testing.assert_array_equal(moving.position, stopped.position)
+    assert abs(moving.speed[-1]) < 1e-3
+
+
+def test_one_trace_strong_types_and_vmap_equals_a_loop(kuri, wild):
+    traces = []
+
+    @jax.jit
+    def once(model, place, start, action):
+        traces.append(1)
+        robot = model.place(model, start[:2], jnp.stack([jnp.cos(start[2]), jnp.sin(start[2])]))
+        return advance(model, place, robot, place[1], action)
+
+    starts, actions = wild
+    together, _ = batched(kuri, leaves(CLUTTER), starts, actions)
+    for i, model in enumerate((kuri, kuri, robots.load("kuri"))):
+        robot = once(model, leaves(CLUTTER), starts[i], actions[i, 0])
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b[i, 0], atol=2e-6), robot, together)  # noqa: B023
+    assert len(traces) == 1
+    assert all(leaf.dtype == jnp.float32 and not leaf.weak_type for leaf in jax.tree.leaves(robot))
+    placed = kuri.place(kuri, jnp.zeros((2,)), jnp.array([0.6, 0.8]))
+    assert jax.tree.map(lambda leaf: leaf.shape, placed) == jax.tree.map(lambda leaf: leaf.shape, robot)
+    np.testing.assert_allclose(placed.body[0][2], np.arctan2(0.8, 0.6), rtol=1e-6)
+
+
+def test_gradients_equal_differences_of_the_mjx_robot():
+    """The gradient of the twin, against central differences in double precision of what MJX computes."""
+    steps, change = 10, 1e-6
+    with jax.enable_x64(True):
+        model = robots.load("kuri")
+        place = leaves(world([(1.0, 0.0, 0.5, 3.0, 0.4)], [(0.48, -0.46)]))
+        target = jnp.array([[0.3, 0.4]])
+
+        def loss(actions, start):
+            robot, _ = rollout(model, place, start, actions)
+            return jnp.sum((robot.position - target) ** 2) + robot.heading[-1, 1] * robot.speed[-1]
+
+        both = jax.jit(jax.vmap(jax.value_and_grad(loss)))
+        random = np.random.default_rng(3)
+        # Meets the wall, glides along it, and is held by the person in the end.
+        actions = random.uniform(-1.0, 1.0, (steps, 2)) * [0.15, 0.3] + [0.33, -0.2]
+        shifts = change * np.eye(2 * steps).reshape(-1, steps, 2)
+        still = np.zeros((1, steps, 2))
+        batch = np.concatenate([[actions], still, still, actions + shifts, actions - shifts])
+        starts = np.zeros((len(batch), 3)) + [0.12, 0.0, 0.0]
+        starts[2, 0] = 0.3  # the third touches the wall
+        values, gradients = both(jnp.asarray(batch), jnp.asarray(starts))
+        values, gradients = np.asarray(values), np.asarray(gradients)
+    assert np.isfinite(gradients).all()
+    differences = (values[3 : 3 + 2 * steps] - values[3 + 2 * steps :]).reshape(steps, 2) / (2 * change)
+    assert np.abs(differences).max() > 0.01
+    np.testing.assert_allclose(gradients[0], differences, rtol=1e-3, atol=1e-6)
+
+
+def test_kuri_is_its_figures(kuri):
+    assert float(kuri.mass) == pytest.approx(6.0) and kuri.radius == RADIUS and kuri.time_step == 0.02
+    assert float(kuri.wheel_radius) == pytest.approx(0.035) and float(kuri.track) == pytest.approx(0.175)
+    limits = kuri.max_speed, kuri.max_turn_rate, kuri.max_acceleration, kuri.max_turn_acceleration
+    assert [float(limit) for limit in limits] == [0.5, 3.0, 5.0, 10.0]
+
+
+@pytest.mark.parametrize("path", robots.ROBOTS.values(), ids=list(robots.ROBOTS))
+def test_robot_files_open_in_mujoco_and_carry_the_sensor_mounts(path):
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert not model.geom_contype.any() and not model.geom_conaffinity.any()
+    assert model.site("lidar").pos[2] > 0.0
+    mounts = {model.camera(i).name for i in range(model.ncam)}
+    assert mounts == {"depth", "first_person", "third_person", "overhead"}
+    assert robots.load(path, "twin").name == path.stem
+
+
+@pytest.mark.parametrize(
+    ("wrong", "dynamics", "message"),
+    [
+        ("kurri", "mjx", "did you mean 'kuri'"),
+        ("zzz", "mjx", "there are: kuri"),
+        ("nowhere/kuri.xml", "mjx", "no robot file 'nowhere/kuri.xml'"),
+        ("kuri", "twinn", "did you mean 'twin'"),
+    ],
+)
+def test_unknown_names(wrong, dynamics, message):
+    with pytest.raises(ValueError, match=message):
+        robots.load(wrong, dynamics)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('<numeric name="friction"', '<numeric name="frictoin"', 'bad.xml: <custom> lacks <numeric name="friction"'),
+        ('name="radius" data="0.16"', 'name="radius" data="-1"', "bad.xml: the numeric radius is -1"),
+        ("</worldbody>", "", "bad.xml: MuJoCo cannot read"),
+        ('pos="0 0 0.405"', 'pos="0.1 0 0.405"', "bad.xml: the centre of mass"),
+        ('<joint name="y" type="slide"', '<joint name="y" type="hinge"', "bad.xml: a robot must be a base with"),
+    ],
+)
+def test_bad_files_are_refused_in_one_sentence(tmp_path, old, new, message):
+    text = robots.ROBOTS["kuri"].read_text()
+    assert old in text
+    path = tmp_path / "bad.xml"
+    path.write_text(text.replace(old, new))
+    with pytest.raises(ValueError, match=message) as error:
+        robots.load(path)
+    assert "\n" not in str(error.value)
+
+
+def test_control_step_must_be_a_multiple_of_the_physics_step(twin):
+    with pytest.raises(ValueError, match="no multiple"):
+        run(twin.replace(time_step=0.03), [[0.1, 0.0]])
+
+
+def test_mjx_is_imported_only_for_an_mjx_robot():
+    code = """
+import sys
+from sean_jax import robots
+robots.load("kuri", "twin")
+assert "mujoco.mjx" not in sys.modules
+robots.load("kuri")
+assert "mujoco.mjx" in sys.modules
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""

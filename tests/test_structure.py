@@ -1,0 +1,262 @@
+"""The house keeps its shape: floors, small documented modules, light start, clean repository (docs/architecture.md)."""
+
+import ast
+import inspect
+import re
+import subprocess
+import sys
+import tomllib
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "sean_jax"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+HEAVY = ("jax", "mujoco", "matplotlib", "flax", "optax", "orbax", "scipy")
+FAMILIES = {
+    "sean_jax.social_forces": "PRESETS",
+    "sean_jax.classifiers": "SITUATIONS",
+    "sean_jax.behaviors": "BEHAVIORS",
+    "sean_jax.tasks": "TASKS",
+    "sean_jax.robots": "ROBOTS",
+    "sean_jax.metrics": "METRICS",
+    "sean_jax.policies": "POLICIES",
+}
+
+
+def dotted(path: Path) -> str:
+    """Module name of a file: sean_jax/graph/tables.py -> sean_jax.graph.tables."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+NAMES = {dotted(path) for path in MODULES}
+
+
+def room(module: str) -> str:
+    """The part that has a floor: sean_jax.graph.tables -> graph; the package itself has the empty name."""
+    return (module.split(".") + [""])[1]
+
+
+def floors() -> dict[str, int]:
+    """The table of docs/architecture.md: rows '| 2 | `environment`, `graph` | ... |'."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| ([^|]+) \|", text, re.M)
+    return {name: int(floor) for floor, names in rows for name in re.findall(r"`(\w+)`", names)}
+
+
+def imports(source: str, module: str, is_package: bool) -> list[tuple[str, int]]:
+    """Every module of sean_jax that a source imports, with its line; imports inside functions count."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found += [(alias.name, node.lineno) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parts = module.split(".")
+                parts = parts[: len(parts) - node.level + is_package]
+                base = ".".join([*parts, *filter(None, [node.module])])
+            for alias in node.names:
+                full = f"{base}.{alias.name}"
+                found.append((full if full in NAMES else base, node.lineno))
+    return [(name, line) for name, line in found if name == "sean_jax" or name.startswith("sean_jax.")]
+
+
+def top_level_imports(path: Path) -> list[str]:
+    """Names imported when the module is, those guarded by TYPE_CHECKING left out."""
+    found = []
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            found.append(node.module or "")
+    return found
+
+
+def test_every_module_has_a_floor_and_every_floor_a_module():
+    rooms = {room(name) for name in NAMES} - {""}
+    assert rooms == set(floors())
+
+
+def test_imports_go_down():
+    """The package's public names, which have the empty name, stand between the floors 5 and 6."""
+    floor = floors() | {"": 5.5}
+    wrong = []
+    for path in MODULES:
+        module = dotted(path)
+        for name, line in imports(path.read_text(encoding="utf-8"), module, path.name == "__init__.py"):
+            here, there = room(module), room(name)
+            if here != there and floor[there] >= floor[here]:
+                wrong.append(f"{path.relative_to(ROOT)}:{line}: {here or module} imports {name} from above or beside")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_imports_are_read_in_every_form():
+    source = (
+        "import sean_jax.base\ndef f():\n    from . import tasks\n    from ..graph import x\n    from jax import y\n"
+    )
+    found = [name for name, _ in imports(source, "sean_jax.robots.kuri", False)]
+    assert found == ["sean_jax.base", "sean_jax.robots", "sean_jax.graph"]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: dotted(path))
+def test_module_is_small_and_says_what_it_is(path):
+    text = path.read_text(encoding="utf-8")
+    tree = ast.parse(text)
+    lines = len(text.splitlines())
+    assert lines <= 300, f"{lines} lines"
+    assert text.startswith('"""') and ast.get_docstring(tree), "the first line is a docstring"
+    bare = {getattr(node, field, None) for node in ast.walk(tree) for field in ("id", "arg", "name")} & {"env"}
+    assert not bare, "an environment is the place and a scenario the whole: neither is called 'env'"
+    vague = [part for part in path.relative_to(PACKAGE).with_suffix("").parts if part in ("utils", "helpers", "misc")]
+    assert not vague
+
+
+def test_optional_packages_stay_in_their_rooms():
+    """optax and orbax belong to learning, Gymnasium and its like to adapters; mujoco has three rooms."""
+    rooms = {"optax": {"learning"}, "orbax": {"learning"}, "mujoco": {"environment", "robots", "drawing"}}
+    rooms |= dict.fromkeys(("gymnasium", "brax", "rclpy", "torch"), {"adapters"})
+    for path in MODULES:
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+        names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level]
+        for name in names:
+            package = name.split(".")[0]
+            assert room(dotted(path)) in rooms.get(package, {room(dotted(path))}), f"{dotted(path)} imports {name}"
+
+
+def test_command_line_starts_without_heavy_imports():
+    program = f"import sys, sean_jax.cli; print([name for name in {HEAVY!r} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
+
+
+def test_mjx_is_imported_late():
+    """Importing mjx costs seconds: no module does so when it is itself imported."""
+    assert not [dotted(path) for path in MODULES if any("mjx" in name for name in top_level_imports(path))]
+
+
+def described_values(package: str) -> set[str]:
+    """Names of a package's module-level values whose assignment is followed by a string that describes them."""
+    found = set()
+    for path in (ROOT / package.replace(".", "/")).glob("*.py"):
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        for node, after in zip(body, body[1:], strict=False):
+            if isinstance(node, ast.Assign) and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+                found |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+    return found
+
+
+@pytest.mark.parametrize("module", FAMILIES)
+def test_family_is_a_plain_documented_dict(module):
+    """An entry is a function, a value that holds functions, or a data file; functions are at module level."""
+    family = getattr(import_module(module), FAMILIES[module])
+    assert type(family) is dict and family
+    for name, entry in family.items():
+        assert re.fullmatch(r"[a-z][a-z0-9_]*", name)
+        if isinstance(entry, Path):
+            assert entry.is_file()
+            continue
+        values = entry if isinstance(entry, tuple) else [entry] if callable(entry) else vars(entry).values()
+        functions = [value for value in values if callable(value)]
+        if isinstance(entry, tuple):
+            assert name in described_values(module), f"{name}: its assignment is not followed by a docstring"
+        assert functions, f"{name} holds no function"
+        for function in functions:
+            assert inspect.isfunction(function), f"{name}: {function} is not a plain function"
+            if function is entry or not isinstance(entry, tuple):
+                assert function is vars(sys.modules[function.__module__]).get(function.__name__), (
+                    f"{name}: {function.__qualname__} is not at module level: made anew, a static field traces again"
+                )
+                assert inspect.getdoc(function), f"{name}: {function.__name__} has no docstring"
+
+
+def test_public_names_exist_and_are_documented():
+    import sean_jax
+
+    assert sean_jax.__all__
+    for name in sean_jax.__all__:
+        value = getattr(sean_jax, name)
+        assert name in dir(sean_jax)
+        if inspect.isfunction(value) or inspect.isclass(value) or isinstance(value, ModuleType):
+            assert inspect.getdoc(value), name
+    with pytest.raises(AttributeError):
+        sean_jax.no_such_name  # noqa: B018
+
+
+def repository_files() -> list[Path]:
+    """All files that git tracks or would track."""
+    done = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard", "-z"], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    if done.returncode != 0:
+        pytest.skip("not a git checkout")
+    return [ROOT / name for name in done.stdout.split("\0") if name and (ROOT / name).is_file()]
+
+
+def test_repository_names_no_registry_host_and_no_machine():
+    # In pieces, so that this file does not contain what it looks for.
+    hosts = [
+        "py" + r"pi\.org",
+        "python" + r"hosted\.org",
+        "npm" + r"js\.(org|com)",
+        "deb" + r"ian\.org",
+        "anaconda" + r"\.org",
+    ]
+    folders = ["wo" + "rk", "fa" + "rm", "ro" + "ot", "ho" + r"me/\w+", "Us" + r"ers/\w+", "tmp/" + r"\w+"]
+    pattern = re.compile("|".join([*hosts, rf"(?<![\w.~/:-])/(?:{'|'.join(folders)})(?=[/\"'\s)]|$)"]), re.M)
+    assert pattern.search("see https://files.python" + "hosted.org/x") and pattern.search('open("/ho' + 'me/ann/x")')
+    found = []
+    for path in repository_files():
+        data = path.read_bytes()
+        if b"\0" in data:
+            continue
+        text = data.decode("utf-8")
+        for match in pattern.finditer(text):
+            found.append(f"{path.relative_to(ROOT)}:{text.count(chr(10), 0, match.start()) + 1}: {match.group()}")
+    assert not found, "\n".join(found)
+
+
+def test_constraints_pin_every_dependency_and_name_no_place():
+    text = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    assert not re.search(r"https?://|file:|--index|--find-links|@", text)
+    pinned = {re.sub(r"[-_.]+", "-", name).lower() for name in re.findall(r"^([\w.-]+)==", text, re.M)}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    wanted = project["dependencies"] + [
+        item for name in ("test", "dev", "learning", "notebooks") for item in extras[name]
+    ]
+    names = {re.sub(r"[-_.]+", "-", re.match(r"[\w.-]+", item).group()).lower() for item in wanted}
+    assert names <= pinned, f"not in constraints.txt: {sorted(names - pinned)}"
+
+
+def test_readme_and_ci_run_the_same_test_command():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    blocks = "\n".join(re.findall(r"```(?:bash|console|sh)\n(.*?)```", readme, re.S))
+    commands = [line.split("#")[0].strip() for line in blocks.splitlines()]
+    install, test = next(line for line in commands if line.endswith("&& pytest")).split(" && ")
+    ci = [line.strip() for line in (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()]
+    assert ci.index(install) + 1 == ci.index(test)
+    assert "pip install . -c constraints.txt && sean run" in commands
+    assert len(readme.splitlines()) <= 200
+
+
+def test_readme_names_options_that_exist():
+    from sean_jax.main_job.options import Options
+
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"(?<![\w-])--([a-z][a-z-]*)", readme)) - {"help"}
+    assert named <= {field.replace("_", "-") for field in Options.__dataclass_fields__}
+
+
+def test_data_files_of_the_package():
+    assert (PACKAGE / "py.typed").is_file()
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert f'\n__version__ = "{version}"\n' in (PACKAGE / "__init__.py").read_text(encoding="utf-8")
+    assert f"[{version}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
