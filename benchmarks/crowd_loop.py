@@ -66,6 +66,8 @@ def step(x, v, heading, desired, preferred, boxes, p, law, dt):
         oncoming = ((w - v[i]) @ look < 0) & (bearing >= p["side_cosine"]) & (length(d) < p["side_range"])
         right = np.array([look[1], -look[0]])
         force = force + np.where(oncoming, p["side_preference"] * bearing, 0.0)[:, None] * right
+        overlap = np.maximum(2 * p["radius"] - length(d), 0.0)
+        force = force + (p["body"] * overlap / length(d))[:, None] * d
         total = force[length(d) < p["perception"]].sum(0)
         if len(boxes[2]):
             distance, normal = from_boxes(x[i], boxes)
@@ -81,9 +83,8 @@ def step(x, v, heading, desired, preferred, boxes, p, law, dt):
         u = u * min(1.0, p["speed_ratio"] * preferred[i] / length(u)) if length(u) > 0 else u
         if len(boxes[2]):
             for _ in range(2):
-                excess = -(distance - p["radius"]) / dt - normal @ u
-                k = int(np.argmax(excess))
-                u = u + max(excess[k], 0.0) * normal[k]
+                excess = np.maximum(-(distance - p["radius"]) / dt - normal @ u, 0.0)
+                u = u + (excess[:, None] * normal).sum(0)
         new_v[i], new_x[i] = u, x[i] + u * dt
         turn = 0.0
         if length(u) > 0.1:

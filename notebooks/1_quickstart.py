@@ -54,7 +54,7 @@ print("robot at", state.robot.position, "m, to go to", state.task.goal, "m,", st
 # %%
 step = jax.jit(sean_jax.step)
 for _ in range(10):
-    state = step(scenario, state, jnp.array([0.5, 0.2]))
+    state = step(scenario, state, jnp.array([0.1, 0.5]))
 print("after", state.tick, "steps at", state.robot.position, "m, at", state.robot.speed, "m/s")
 
 # %% [markdown]
@@ -121,7 +121,7 @@ for trial in range(20):
     value, gradient = improve(actions, twin.forces)
     if trial % 5 == 0:
         print(f"{value:.3f} m")
-    actions = actions - 0.2 * gradient
+    actions = actions - 2.0 * gradient
 
 # %% [markdown]
 # The same gradient reaches every constant of the crowd: how far is the nearest person from the robot in the end, and

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from sean_jax.main_job.options import Options
+from sean_jax.main_job.options import BadInput, Options
 
 WRONG, FAILED, STOPPED = 2, 1, 130  # exit codes: bad input, a broken simulation, Ctrl-C
 
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             choices.print_choices()
             return 0
         return _run(command)
-    except ValueError as error:
+    except BadInput as error:
         return _fail(str(error), WRONG)
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""

@@ -87,7 +87,7 @@ def test_unknown_names_are_answered_with_the_one_meant(option, wrong, right, cap
 
 def test_too_many_people_are_refused_with_the_most_that_fit(capsys, tmp_path):
     code, error = run("--people", "10000", "--out", str(tmp_path / "run"), capsys=capsys)
-    assert code == 2 and "10000" in error and not any(tmp_path.iterdir())
+    assert code == 2 and "10000 do not fit" in error and "the most that do is" in error and not any(tmp_path.iterdir())
 
 
 def test_folder_that_cannot_be_written_is_refused(capsys, tmp_path):
@@ -112,7 +112,7 @@ def test_what_goes_wrong_midway_ends_in_one_sentence(raised, code, said, capsys,
     def fail(*arguments):
         raise raised
 
-    monkeypatch.setattr(main_job, "_scenario", fail)
+    monkeypatch.setattr(main_job, "_scenarios", fail)
     assert run("--out", str(tmp_path / "run"), capsys=capsys)[0] == code
     assert cli.main(["run", "--out", str(tmp_path / "run")]) == code
     assert said in capsys.readouterr().err
@@ -121,7 +121,7 @@ def test_what_goes_wrong_midway_ends_in_one_sentence(raised, code, said, capsys,
 
 def test_run_writes_a_whole_folder_and_the_same_bytes_for_the_same_seed(tmp_path, capsys):
     for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
-        out = ["--episodes", "3", "--seed", seed, "--out", str(tmp_path / name)]
+        out = ["--episodes", "3", "--batch", "2", "--seed", seed, "--out", str(tmp_path / name)]
         assert run(*SMALL, *out, capsys=capsys) == (0, "")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b", "c"]
     written = {"config.yaml", "episodes.csv", "summary.json", "report.html", "episode.gif"}
@@ -141,22 +141,23 @@ def test_run_writes_a_whole_folder_and_the_same_bytes_for_the_same_seed(tmp_path
 def test_ctrl_c_between_batches_keeps_the_finished_ones(tmp_path, capsys, monkeypatch):
     from sean_jax.main_job import simulation
 
-    started = []
-    begin = simulation._start
+    batches = []
+    run_batch = simulation.run_batch
 
-    def interrupted(programs, scenarios, seed, base, rounds):
-        started.append(base)
+    def interrupted(programs, seed, base, kept, advanced):
+        batches.append(base)
         if base >= 2:
             raise KeyboardInterrupt
-        return begin(programs, scenarios, seed, base, rounds)
+        return run_batch(programs, seed, base, kept, advanced)
 
-    monkeypatch.setattr(simulation, "_start", interrupted)
+    monkeypatch.setattr(simulation, "run_batch", interrupted)
     out = ["--episodes", "6", "--batch", "2", "--seed", "1", "--out", str(tmp_path / "run")]
     code, error = run(*SMALL, *out, capsys=capsys)
-    assert code == 130 and "the 2 episodes finished" in error and 2 in started
+    assert code == 130 and "the 2 episodes finished" in error and batches == [0, 2]
     assert len((tmp_path / "run" / "episodes.csv").read_text().splitlines()) == 3
 
 
+@pytest.mark.slow
 def test_batches_change_nothing_that_is_drawn(tmp_path, capsys):
     for name, batch in (("one", "4"), ("two", "2")):
         out = ["--episodes", "4", "--batch", batch, "--out", str(tmp_path / name)]

@@ -99,10 +99,10 @@ def draw_graph(axes: Axes, graph: Any, alone: bool) -> None:
         there, back = weight[u, v], weight[v, u]
         one_way = max(there, back) >= ONE_WAY * min(there, back)
         start, end = (position[u], position[v]) if there <= back else (position[v], position[u])
+        flow = min(there, back) / max(float(np.hypot(*(end - start))), 1e-9)  # 1 medium, less for more people
         lines.append((start, end))
-        flow = min(there, back)
-        styles.append((0, (1, 1.6)) if not one_way and flow > 1 else "-")
-        widths.append(2.6 if not one_way and flow < 1 else 1.2)
+        styles.append((0, (1, 1.6)) if not one_way and flow > 1.01 else "-")
+        widths.append(2.6 if not one_way and flow < 0.99 else 1.2)
         if one_way:
             along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
             tip = 0.5 * (start + end) + 0.5 * along

@@ -53,6 +53,7 @@ def heat_map(environment: Environment, seconds: np.ndarray, *, width: float = 6.
     row 0 at its lowest y.
     """
     from matplotlib.colors import LinearSegmentedColormap, PowerNorm
+    from matplotlib.ticker import MaxNLocator
 
     figure, axes = parts.canvas(environment, width, title)
     x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
@@ -73,7 +74,7 @@ def heat_map(environment: Environment, seconds: np.ndarray, *, width: float = 6.
     parts.draw_scale(axes, environment)
     span = x1 - x0
     below = axes.inset_axes((x1 - 0.38 * span, y0 - 0.034 * span, 0.38 * span, 0.014 * span), transform=axes.transData)
-    bar = figure.colorbar(image, cax=below, orientation="horizontal", extend="max")
+    bar = figure.colorbar(image, cax=below, orientation="horizontal", extend="max", ticks=MaxNLocator(3))
     bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
     below.tick_params(size=0, labelsize=7.5, labelcolor=colors.MUTED, pad=2)
     place = (x1 - 0.40 * span, y0 - 0.027 * span)

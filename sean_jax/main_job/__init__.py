@@ -10,7 +10,7 @@ import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sean_jax.main_job.options import Options
+from sean_jax.main_job.options import BadInput, Options
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from sean_jax.base import Scenario
     from sean_jax.main_job.results import Results
 
-__all__ = ["Options", "run"]
+__all__ = ["BadInput", "Options", "run"]
 
 
 def run(options: Options, console: Console) -> tuple[Path, int]:
     """Simulate, summarize, write; the folder written and the number of episodes in it.
 
     Fewer episodes than asked for are there after Ctrl-C between two batches; KeyboardInterrupt is raised if none
-    were finished. Raises ValueError for options that cannot be met, FloatingPointError for numbers that are not
+    were finished. Raises BadInput for options that cannot be met, FloatingPointError for numbers that are not
     finite; then nothing is written.
     """
     options.check()
@@ -37,8 +37,8 @@ def run(options: Options, console: Console) -> tuple[Path, int]:
             from sean_jax.main_job import progress, simulation, statistics, table
 
         with console.status("preparing the scenario"):
-            scenarios = [_scenario(options, task) for task in options.tasks]
             policy = _policy(options.policy)
+            scenarios = _scenarios(options)
         _introduce(console, scenarios[0], options)
         with progress.shown(console) as watch:
             results = simulation.run_batches(scenarios, policy, options.episodes, options.batch, options.seed, watch)
@@ -49,19 +49,26 @@ def run(options: Options, console: Console) -> tuple[Path, int]:
     return folder, len(results.tasks)
 
 
-def _scenario(options: Options, task: str) -> Scenario:
+def _scenarios(options: Options) -> list[Scenario]:
+    """One for each task; they differ in nothing else."""
     from sean_jax.assembly import make
 
-    return make(
-        options.environment,
-        behavior=options.behavior,
-        task=task,
-        robot=options.robot,
-        people=options.people,
-        forces=options.forces,
-        dynamics=options.dynamics,
-        time_limit=options.time_limit,
-    )
+    try:
+        return [
+            make(
+                options.environment,
+                behavior=options.behavior,
+                task=task,
+                robot=options.robot,
+                people=options.people,
+                forces=options.forces,
+                dynamics=options.dynamics,
+                time_limit=options.time_limit,
+            )
+            for task in options.tasks
+        ]
+    except ValueError as error:
+        raise BadInput(str(error)) from error
 
 
 def _policy(name: str) -> Any:
@@ -72,7 +79,7 @@ def _policy(name: str) -> Any:
     if name not in POLICIES:
         near = difflib.get_close_matches(name, POLICIES, 1)
         cure = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(POLICIES)}."
-        raise ValueError(f"there is no policy {name!r}; {cure}")
+        raise BadInput(f"there is no policy {name!r}; {cure}")
     return POLICIES[name]
 
 
@@ -85,11 +92,12 @@ def _introduce(console: Console, scenario: Scenario, options: Options) -> None:
     import jax
 
     devices = jax.devices()
-    console.print(f"[bold]{_title(scenario, options, options.episodes)}[/]", highlight=False)
+    console.print(f"[bold]{_title(scenario, options, options.episodes)}[/]", highlight=False, soft_wrap=True)
     console.print(
         f"[dim]{options.time_limit:g} s each, policy {options.policy}, seed {options.seed}, "
         f"on {len(devices)} × {devices[0].device_kind}[/]",
         highlight=False,
+        soft_wrap=True,
     )
 
 

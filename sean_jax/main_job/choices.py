@@ -18,13 +18,17 @@ def print_choices() -> None:
     """Every option of ``sean run`` that takes a name, each of its names and one line on it."""
     console = Console()
     for option, choices in offered():
-        console.print(f"[bold]--{option}[/]", highlight=False)
+        console.print(f"[bold]--{option}[/]", highlight=False, soft_wrap=True)
         width = max(len(name) for name in choices)
         for name, line in choices.items():
-            console.print(f"  [bold cyan]{name:<{width}}[/]  {line}", highlight=False)
-    console.print("[bold]situations[/] that are told apart and [bold]metrics[/] that are measured", highlight=False)
+            console.print(f"  [bold cyan]{name:<{width}}[/]  {line}", highlight=False, soft_wrap=True)
+    console.print(
+        "[bold]situations[/] that are told apart and [bold]metrics[/] that are measured",
+        highlight=False,
+        soft_wrap=True,
+    )
     for choices in measured():
-        console.print("  " + ", ".join(choices), highlight=False)
+        console.print("  " + ", ".join(choices), highlight=False, soft_wrap=True)
 
 
 def offered() -> Iterator[tuple[str, dict[str, str]]]:

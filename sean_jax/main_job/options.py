@@ -8,6 +8,10 @@ import shlex
 from pathlib import Path
 
 
+class BadInput(ValueError):
+    """What the user asked for cannot be done; the message is one sentence that says what to do instead."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Options:
     """Simulate a batch of episodes and write a table, a report and an animation. `sean list` names the choices."""
@@ -67,14 +71,14 @@ class Options:
         return "".join(c if c.isalnum() or c in "-_." else "-" for c in kept)
 
     def check(self) -> None:
-        """Raises ValueError, in one sentence, for what no scenario could run with."""
+        """Raises BadInput for what no scenario could run with."""
         for option, least in (("people", 1), ("episodes", 1), ("batch", 1)):
             value = getattr(self, option)
             if value is not None and value < least:
-                raise ValueError(f"--{option} is {value}, but must be at least {least}.")
+                raise BadInput(f"--{option} is {value}, but must be at least {least}.")
         if not 0 < self.time_limit < 1e6:
-            raise ValueError(f"--time-limit is {self.time_limit:g} s, but must be above zero (120 is the default).")
+            raise BadInput(f"--time-limit is {self.time_limit:g} s, but must be above zero (120 is the default).")
         if not 0 <= self.seed < 2**32:
-            raise ValueError(f"--seed is {self.seed}, but must lie between 0 and {2**32 - 1}.")
+            raise BadInput(f"--seed is {self.seed}, but must lie between 0 and {2**32 - 1}.")
         if not self.tasks:
-            raise ValueError("--task names no task, try --task join_group; `sean list` shows them all.")
+            raise BadInput("--task names no task, try --task join_group; `sean list` shows them all.")

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from sean_jax.main_job.options import BadInput
 from sean_jax.main_job.results import Results
 
 PACKAGES = ("sean-jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
@@ -22,22 +23,22 @@ PACKAGES = ("sean-jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
 def unfinished(folder: Path) -> Iterator[Path]:
     """A new empty folder beside ``folder`` that becomes ``folder`` at the end, or vanishes if anything is raised.
 
-    Raises ValueError, in one sentence, if ``folder`` holds something already or cannot be written.
+    Raises BadInput if ``folder`` holds something already or cannot be written.
     """
     folder = Path(os.path.abspath(folder))
     made: list[Path] = []
     temporary = folder.parent / f".{folder.name}.unfinished-{os.getpid()}"
     try:
         if folder.exists() and not folder.is_dir():
-            raise ValueError(f"{folder} is a file, give the name of a new folder with --out.")
+            raise BadInput(f"{folder} is a file, give the name of a new folder with --out.")
         made = [parent for parent in folder.parents if not parent.exists()]
         if folder.is_dir() and any(folder.iterdir()):
-            raise ValueError(f"the folder {folder} is not empty, choose another with --out.")
+            raise BadInput(f"the folder {folder} is not empty, choose another with --out.")
         temporary.mkdir(parents=True)
     except OSError as error:
         _remove_empty(made)
         reason = (error.strerror or str(error)).lower()
-        raise ValueError(f"cannot write {folder}: {reason}; choose another folder with --out.") from error
+        raise BadInput(f"cannot write {folder}: {reason}; choose another folder with --out.") from error
     try:
         yield temporary
         if folder.is_dir():

@@ -23,16 +23,12 @@ def shown(console: Console) -> Iterator[Watch]:
         transient=True,
     )
     began = time.perf_counter()
-    compiled: list[tuple[str, float]] = []
 
     def compiling(what: str) -> None:
-        compiled.append((what, time.perf_counter()))
-        bar.update(task, description=f"compiling the {what}", total=None, note="")
+        bar.update(task, description=what, total=None, note="")
 
     def begun(total: float) -> None:
-        ends = [start for _, start in compiled[1:]] + [time.perf_counter()]
-        parts = ", ".join(f"{what} {end - start:.1f} s" for (what, start), end in zip(compiled, ends, strict=True))
-        console.print(f"[dim]compiled in {time.perf_counter() - began:.1f} s: {parts}[/]", highlight=False)
+        console.print(f"[dim]compiled in {time.perf_counter() - began:.1f} s[/]", highlight=False)
         bar.reset(task, description="simulating", total=total, note="")
 
     def advanced(simulated: float, speed: float) -> None:

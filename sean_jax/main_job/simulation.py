@@ -17,7 +17,7 @@ import numpy as np
 from flax import struct
 
 from sean_jax import geometry, parallel
-from sean_jax.base import Array, Frame, Policy, Scenario, State
+from sean_jax.base import Array, Frame, Policy, RobotTask, Scenario, State
 from sean_jax.main_job.results import Results
 from sean_jax.scenario import reset, results
 
@@ -44,7 +44,7 @@ class Tally:
 class Watch:
     """What is told while it runs; each field is a function."""
 
-    compiling: Callable[[str], None] = lambda text: None
+    compiling: Callable[[str], None] = lambda what: None
     begun: Callable[[float], None] = lambda total: None  # s to simulate at most, over all episodes
     advanced: Callable[[float, float], None] = lambda simulated, speed: None  # s so far, simulated s per s
 
@@ -54,8 +54,8 @@ class Programs:
     """What is compiled for a batch of B episodes; ``scenarios`` take turns."""
 
     scenarios: Sequence[Scenario]
-    size: int  # B, a multiple of the number of scenarios
-    draw: list[Callable]  # of each scenario: (scenario, seed, numbers) -> states
+    size: int  # B
+    draw: Callable  # (scenario, seed, numbers (B,)) -> (states, empty tally)
     advance: Callable  # (scenario, states, tally, counted) -> (states, tally, frames)
     seconds: float  # s, taken to compile
 
@@ -66,7 +66,7 @@ class Batch:
 
     completed: np.ndarray  # (B,)
     timed_out: np.ndarray  # (B,)
-    metrics: dict[str, np.ndarray]
+    metrics: dict[str, np.ndarray]  # (B,) or (B, 1 + S)
     tally: Tally
     frames: list[Frame]  # (T, ...) of the kept episodes
 
@@ -79,9 +79,8 @@ def run_batches(
     ``scenarios`` differ in their task alone and take turns. After Ctrl-C the finished batches are returned, or
     KeyboardInterrupt is raised if there are none. Raises FloatingPointError naming the episodes with a NaN.
     """
-    turns, limit = len(scenarios), scenarios[0].time_limit
-    size = math.ceil(min(episodes, batch) / turns) * turns
-    programs = prepare(scenarios, policy, size, seed, watch)
+    size, limit = min(episodes, batch), scenarios[0].time_limit
+    programs = prepare(scenarios, policy, size, watch)
     watch.begun(math.ceil(episodes / size) * limit)
     began, batches, before = time.perf_counter(), [], 0.0
     try:
@@ -99,15 +98,22 @@ def run_batches(
     return _results(programs, batches, episodes, time.perf_counter() - began)
 
 
-def prepare(scenarios: Sequence[Scenario], policy: Policy, size: int, seed: int, watch: Watch) -> Programs:
+def prepare(scenarios: Sequence[Scenario], policy: Policy, size: int, watch: Watch) -> Programs:
     """Compile everything for batches of ``size`` episodes."""
-    began, first, rounds = time.perf_counter(), scenarios[0], size // len(scenarios)
-    example = _numbers(0, rounds)
-    draw = [_compile(watch, f"start of {s.task_name}", _draw, s, jnp.uint32(seed), example) for s in scenarios]
-    states = _start(draw, scenarios, seed, 0, rounds)
-    run = _advance(policy, min(CHUNK, _steps(first)), min(KEPT, size))
-    some = (first, states, _empty_tally(first, states), jnp.ones((size,), bool))
-    advance = _compile(watch, f"step of {size} episodes", run, *some, donate=(1, 2))
+    began, first = time.perf_counter(), scenarios[0]
+    watch.compiling(f"tracing {size} episodes")
+    numbers = jnp.zeros((size,), jnp.uint32)
+    x0, y0, x1, y1 = np.asarray(first.environment.floor, float)
+    cells = (math.ceil((y1 - y0) / CELL - 1e-6), math.ceil((x1 - x0) / CELL - 1e-6))
+    draw = jax.jit(_drawing(tuple(scenario.task for scenario in scenarios), cells))
+    states, tally = jax.eval_shape(draw, first, jnp.uint32(0), numbers)
+    advance = jax.jit(_advance(policy, min(CHUNK, _steps(first)), min(KEPT, size)), donate_argnums=(1, 2))
+    lowered = [
+        draw.lower(first, jnp.uint32(0), numbers),
+        advance.lower(first, states, tally, jnp.ones((size,), bool)),
+    ]
+    watch.compiling(f"compiling {size} episodes")
+    draw, advance = _compile(lowered)
     return Programs(scenarios, size, draw, advance, time.perf_counter() - began)
 
 
@@ -117,8 +123,9 @@ def run_batch(programs: Programs, seed: int, base: int, kept: int, advanced: Cal
     ``advanced(seconds, simulated)`` is told how far each episode is and how much robot time is simulated.
     """
     first, size = programs.scenarios[0], programs.size
-    states = _start(programs.draw, programs.scenarios, seed, base, size // len(programs.scenarios))
-    tally, counted, frames = _empty_tally(first, states), jnp.arange(size) < kept, []
+    numbers = jnp.asarray(np.arange(base, base + size), jnp.uint32)
+    states, tally = programs.draw(first, jnp.uint32(seed), numbers)
+    counted, frames = jnp.arange(size) < kept, []
     chunk = min(CHUNK, _steps(first))
     for done in range(chunk, _steps(first) + chunk, chunk):
         states, tally, shown = programs.advance(first, states, tally, counted)
@@ -138,7 +145,7 @@ def run_batch(programs: Programs, seed: int, base: int, kept: int, advanced: Cal
 def _results(programs: Programs, batches: list[Batch], wanted: int, seconds: float) -> Results:
     first, tallies = programs.scenarios[0], [batch.tally for batch in batches]
     completed = np.concatenate([batch.completed for batch in batches])
-    measured = {name: np.concatenate([batch.metrics[name] for batch in batches]) for name in batches[0].metrics}
+    measured = {name: np.concatenate([batch.metrics[name] for batch in batches]) for name, _ in first.metrics}
     found = Results(
         situations=tuple(name for name, _ in first.situations),
         tasks=[programs.scenarios[i % len(programs.scenarios)].task_name for i in range(len(completed))],
@@ -164,50 +171,46 @@ def _steps(scenario: Scenario) -> int:
     return max(1, math.ceil(scenario.time_limit / scenario.time_step - 1e-6))
 
 
-def _compile(watch: Watch, what: str, function: Callable, *example: Any, donate: tuple[int, ...] = ()) -> Callable:
-    """``function`` compiled for arguments like ``example``; Ctrl-C is not kept waiting by the compiler."""
-    watch.compiling(what)
-    lowered = jax.jit(function, donate_argnums=donate).lower(*example)
-    outcome: list[Any] = []
+def _compile(lowered: Sequence[Any]) -> list[Callable]:
+    """Each program compiled, all at the same time; Ctrl-C is not kept waiting by the compiler."""
+    outcome: dict[int, Any] = {}
 
-    def work() -> None:
+    def work(index: int) -> None:
         try:
-            outcome.append(lowered.compile())
+            outcome[index] = lowered[index].compile()
         except Exception as error:  # carried over to the thread that waits
-            outcome.append(error)
+            outcome[index] = error
 
-    thread = threading.Thread(target=work, name=COMPILER, daemon=True)
-    thread.start()
-    while thread.is_alive():
-        thread.join(0.1)
-    if isinstance(outcome[0], Exception):
-        raise outcome[0]
-    return outcome[0]
-
-
-def _numbers(first: int, count: int, stride: int = 1) -> Array:
-    return jnp.asarray(np.arange(count) * stride + first, jnp.uint32)
+    threads = [threading.Thread(target=work, args=(i,), name=COMPILER, daemon=True) for i in range(len(lowered))]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        time.sleep(0.02)
+    for result in outcome.values():
+        if isinstance(result, Exception):
+            raise result
+    return [outcome[index] for index in range(len(lowered))]
 
 
-def _draw(scenario: Scenario, seed: Array, episodes: Array) -> State:
-    """The starts (B, ...) of the numbered ``episodes`` (B,)."""
-    keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), episodes)
-    return jax.vmap(reset, (None, 0))(scenario, keys)
+def _drawing(tasks: tuple[Callable, ...], cells: tuple[int, int]) -> Callable:
+    """(scenario, seed, numbers (B,)) -> the starts of the numbered episodes, which take turns at ``tasks``."""
+
+    def draw(scenario: Scenario, seed: Array, numbers: Array) -> tuple[State, Tally]:
+        def one(number: Array) -> State:
+            turn = (number % len(tasks)).astype(jnp.int32)
+
+            def task(scenario: Scenario, *others: Any) -> RobotTask:
+                return jax.lax.switch(turn, [functools.partial(each, scenario) for each in tasks], *others)
+
+            return reset(dataclasses.replace(scenario, task=task), jax.random.fold_in(jax.random.key(seed), number))
+
+        states = jax.vmap(one)(numbers)
+        return states, _empty_tally(scenario, states, cells)
+
+    return draw
 
 
-def _start(draws: list[Callable], scenarios: Sequence[Scenario], seed: int, base: int, rounds: int) -> State:
-    """``rounds`` episodes of each scenario, taking turns, from number ``base`` on."""
-    turns = len(scenarios)
-    each = [
-        draw(scenario, jnp.uint32(seed), _numbers(base + turn, rounds, turns))
-        for turn, (draw, scenario) in enumerate(zip(draws, scenarios, strict=True))
-    ]
-    return jax.tree.map(lambda *xs: jnp.stack(xs, 1).reshape((turns * rounds, *xs[0].shape[1:])), *each)
-
-
-def _empty_tally(scenario: Scenario, states: State) -> Tally:
-    x0, y0, x1, y1 = (float(v) for v in np.asarray(scenario.environment.floor))
-    cells = (math.ceil((y1 - y0) / CELL - 1e-6), math.ceil((x1 - x0) / CELL - 1e-6))
+def _empty_tally(scenario: Scenario, states: State, cells: tuple[int, int]) -> Tally:
     size = states.tick.shape[0]
     measured = jax.eval_shape(jax.vmap(results, (None, 0)), scenario, states)
     return Tally(
@@ -256,7 +259,7 @@ def _count(scenario: Scenario, tally: Tally, frames: Frame, present: Array, acti
     column = jnp.clip(((x - floor[0]) / CELL).astype(jnp.int32), 0, columns - 1)
     row = jnp.clip(((y - floor[1]) / CELL).astype(jnp.int32), 0, rows - 1)
     distance, _, _ = jax.vmap(geometry.from_box, (None, None, 0))(x, y, scenario.environment.obstacles)
-    inside = jnp.where(here, scenario.forces.radius - jnp.min(distance, 0), -jnp.inf)
+    inside = jnp.where(here, scenario.forces.radius - jnp.min(distance, 0, initial=jnp.inf), -jnp.inf)
     bits = jnp.asarray(2 ** np.arange(frames.situations.shape[-1]), jnp.int32)
     held = jnp.sum(jnp.where(frames.situations, bits[None, :], 0), -1)
     index = jnp.arange(tally.group_size.shape[0], dtype=jnp.int32)

@@ -103,4 +103,6 @@ def print_table(console: Console, summary: dict[str, Any], title: str) -> None:
         unit = f" [dim]{row.unit}[/]" if row.unit else ""
         table.add_row(f"{row.title}{unit}", *(cell or "[dim]–[/]" for cell in row.cells))
     console.print(table)
-    console.print("[dim]Violations and collisions are times per episode; 95 % intervals are in summary.json.[/]")
+    console.print(
+        "[dim]Violations and collisions are times per episode; 95 % intervals are in summary.json.[/]", soft_wrap=True
+    )

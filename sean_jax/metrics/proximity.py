@@ -60,11 +60,22 @@ def _metric(limit: Callable, by_robot: bool) -> Metric:
 
 
 intimate_robot_on_person = _metric(intimate_limit, True)
+"""Times that the moving robot came within 0.45 m of somebody."""
+
 intimate_person_on_robot = _metric(intimate_limit, False)
+"""Times that somebody came within 0.45 m of the robot."""
+
 personal_robot_on_person = _metric(personal_limit, True)
+"""Times that the moving robot came within 1.2 m of somebody."""
+
 personal_person_on_robot = _metric(personal_limit, False)
+"""Times that somebody came within 1.2 m of the robot."""
+
 collision_robot_on_person = _metric(touch_limit, True)
+"""Times that the moving robot touched somebody."""
+
 collision_person_on_robot = _metric(touch_limit, False)
+"""Times that somebody touched the robot."""
 
 min_distance_to_people = Metric(
     _least, lambda value, before, after: jnp.minimum(value, _least(after)), value_itself, "m"

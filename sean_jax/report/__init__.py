@@ -5,6 +5,7 @@ It holds the table of Table I and Fig. 4 for this run, the pictures of Fig. 1, a
 
 import dataclasses
 import html as markup
+import re
 from pathlib import Path
 from typing import Any
 
@@ -181,7 +182,8 @@ def _facts(facts: dict[str, str]) -> str:
 
 
 def _again(report: Report) -> str:
-    return f"<pre>{markup.escape(report.command)}</pre>{_facts(report.versions)}"
+    words = (f"<span>{markup.escape(word)}</span>" for word in re.split(r" (?=--)", report.command))
+    return f"<pre>{' '.join(words)}</pre>{_facts(report.versions)}"
 
 
 def _definitions(report: Report) -> str:

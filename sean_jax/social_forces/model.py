@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 
 from sean_jax.base import Array, Groups, Nearby, Pedestrians, Robot, Scenario, State
-from sean_jax.geometry import angle_between, length, rotate, unit
+from sean_jax.geometry import angle_between, length, rotate, sum_vectors, unit
 from sean_jax.social_forces.parameters import Parameters
-from sean_jax.social_forces.repulsion import TINY, sidestep
+from sean_jax.social_forces.repulsion import TINY, body, sidestep
 from sean_jax.social_forces.walls import distances, keep_out, wall_forces
 
 SUBSTEP = 0.05  # s, at most: a tenth of the relaxation time
@@ -20,7 +20,7 @@ def move(scenario: Scenario, state: State) -> Pedestrians:
     nearby = scenario.environment.nearby
 
     def substep(people: Pedestrians, _):
-        return advance(scenario.forces, people, nearby, state.groups, state.robot, time_step), None
+        return advance(scenario.forces, people, nearby, state.groups, state.robot, time_step, scenario.robot.radius), None
 
     return jax.lax.scan(substep, state.pedestrians, length=substeps)[0]
 
@@ -32,6 +32,7 @@ def advance(
     groups: Groups | None,
     robot: Robot | None,
     time_step: float,
+    robot_radius: float = 0.0,
 ) -> Pedestrians:
     """People ``time_step`` [s] later; ``nearby`` obstacles, ``groups`` and ``robot`` may be None."""
     px, py = people.position[:, 0], people.position[:, 1]
@@ -39,7 +40,7 @@ def advance(
     look_x, look_y = _look(people)
     fx, fy = pair_forces(parameters, people, look_x, look_y)
     if robot is not None:
-        fx, fy = _add((fx, fy), robot_force(parameters, people, look_x, look_y, robot))
+        fx, fy = _add((fx, fy), robot_force(parameters, people, look_x, look_y, robot, robot_radius))
     if groups is not None:
         fx, fy = _add((fx, fy), group_forces(parameters, people, groups))
     walls = None if nearby is None else distances(px, py, nearby)
@@ -71,20 +72,25 @@ def pair_forces(parameters: Parameters, people: Pedestrians, look_x: Array, look
         fx, fy = parameters.repulsion(dx, dy, wx, wy, vx, vy, parameters)
         weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
         sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, parameters)
+        bx, by = body(dx, dy, 2.0 * parameters.radius, parameters)
         dd = dx * dx + dy * dy
         together = (group >= 0) & (group == other_group)
         felt = (other_group > ABSENT) & (dd > 0.0) & (dd < parameters.perception * parameters.perception) & ~together
-        return jnp.where(felt, weight * fx + sx, 0.0), jnp.where(felt, weight * fy + sy, 0.0)
+        return jnp.where(felt, weight * fx + sx + bx, 0.0), jnp.where(felt, weight * fy + sy + by, 0.0)
 
     one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
     group = jnp.where(people.present, people.group, ABSENT)
     others = jax.vmap(pair, in_axes=(None,) * 7 + (0,) * 5)
-    fx, fy = jax.vmap(others, in_axes=(0,) * 7 + (None,) * 5)(*one, look_x, look_y, group, *one, group)
-    return fx.sum(1), fy.sum(1)
+    return sum_vectors(*jax.vmap(others, in_axes=(0,) * 7 + (None,) * 5)(*one, look_x, look_y, group, *one, group), 1)
 
 
-def robot_force(parameters: Parameters, people: Pedestrians, look_x: Array, look_y: Array, robot: Robot):
-    """(N,) x and y parts [m/s2] of the push of the robot: a person's, shifted by the distance drawn for it [45]."""
+def robot_force(
+    parameters: Parameters, people: Pedestrians, look_x: Array, look_y: Array, robot: Robot, radius: float
+) -> tuple[Array, Array]:
+    """(N,) x and y parts [m/s2] of the push of a robot of that radius [m].
+
+    A person's, shifted by the distance drawn for a moving robot [45].
+    """
     wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
     moving = jnp.abs(robot.speed) > parameters.robot_moving
 
@@ -94,7 +100,8 @@ def robot_force(parameters: Parameters, people: Pedestrians, look_x: Array, look
         weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
         weight = weight * jnp.where(moving, jnp.exp(extra / parameters.range), 1.0)
         sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, parameters)
-        return weight * fx + sx, weight * fy + sy
+        bx, by = body(dx, dy, parameters.radius + radius, parameters)
+        return weight * fx + sx + bx, weight * fy + sy + by
 
     position, velocity = people.position, people.velocity
     return jax.vmap(push)(
@@ -115,10 +122,10 @@ def group_forces(parameters: Parameters, people: Pedestrians, groups: Groups) ->
 
     index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
     each_group = jax.vmap(push, in_axes=(None, None, None, 0, 0, 0, 0))
-    fx, fy = jax.vmap(each_group, in_axes=(0, 0, 0, None, None, None, None))(
+    pushes = jax.vmap(each_group, in_axes=(0, 0, 0, None, None, None, None))(
         people.position[:, 0], people.position[:, 1], people.group, index, groups.center, groups.radius, groups.present
     )
-    return fx.sum(1), fy.sum(1)
+    return sum_vectors(*pushes, 1)
 
 
 def _look(people: Pedestrians) -> tuple[Array, Array]:

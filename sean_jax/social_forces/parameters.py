@@ -6,7 +6,8 @@ two laws, which differ in form and not in a number, are static.
 Sources: [HM95] Helbing & Molnar, Phys. Rev. E 51, 4282 (1995). [J07] Johansson, Helbing & Shukla, Adv. Complex
 Syst. 10, 271 (2007), the elliptical specification II fitted to video. [S2] SEAN 2.0's published code
 (yale-sean/social_sim_unity, SFAgent.cs and Parameters.cs), forces divided by its body mass of 80 kg. [M09]
-Moussaid et al., Proc. R. Soc. B 276, 2755 (2009). [K90] Kendon, Conducting Interaction (1990).
+Moussaid et al., Proc. R. Soc. B 276, 2755 (2009). [H00] Helbing, Farkas & Vicsek, Nature 407, 487
+(2000). [K90] Kendon, Conducting Interaction (1990).
 """
 
 import difflib
@@ -35,6 +36,7 @@ class Parameters:
     strength: Array  # m/s2, A of the repulsion A exp((reach - b) / range)
     range: Array  # m, B of the repulsion
     reach: Array  # m, added to the exponent's distance (SEAN: both radii and half a metre)
+    body: Array  # 1/s2, by which overlapping bodies part: k / m of [H00]
     anticipation: Array  # s, the step that b looks ahead; 0 makes ellipses circles
     own_motion: Array  # 1, share of the own velocity in that step: 0 as in [HM95], 1 as in [J07]
     perception: Array  # m, nobody farther away is felt
@@ -74,6 +76,7 @@ _HELBING_1995 = dict(
     strength=2.1 / 0.3,  # [HM95] V0 / sigma
     range=0.3,  # [HM95] sigma
     reach=0.0,
+    body=200.0,  # ours: [H00] has 1500, too stiff for a step of 0.05 s; an overlap stays within centimetres
     anticipation=2.0,  # [HM95]
     own_motion=0.0,  # [HM95]
     perception=1e6,
@@ -86,8 +89,8 @@ _HELBING_1995 = dict(
     side_preference=0.3,  # ours: half of [S2]'s, to the right as [M09] observed
     side_cosine=0.5,  # [S2]
     side_range=3.0,  # ours: two people who close at 2.7 m/s have a second
-    robot_factor_least=0.5,  # [S2]
-    robot_factor_greatest=1.0,  # [S2]
+    robot_factor_least=1.0,  # ours, up to 0.6 m farther than from a person: Vassallo et al. (2017) saw people
+    robot_factor_greatest=8.0,  # pass a robot at 0.83 +- 0.27 m
     robot_moving=0.1,  # [S2]
     group_strength=1.0,  # ours: bends a path around the ring, does not stop a member who comes to stand on it
     group_range=0.3,  # ours
@@ -123,6 +126,8 @@ _SEAN2 = _HELBING_1995 | dict(
     wall_lever=1.0,  # [S2]
     side_preference=-50.0 / 80.0,  # [S2] A / 10 / m, to the left
     side_range=2.0,  # [S2] perception
+    robot_factor_least=0.5,  # [S2]
+    robot_factor_greatest=1.0,  # [S2]
     lateral_damping=5.0,  # [S2] LATERAL_DAMPENING
     reversing=0.0,  # [S2]
 )

@@ -45,6 +45,17 @@ def circular(dx: Array, dy: Array, wx: Array, wy: Array, vx: Array, vy: Array, p
     return push * dx, push * dy
 
 
+def body(dx: Array, dy: Array, apart: Array, parameters: Any) -> tuple:
+    """Push [m/s2] of a touching body: proportional to the overlap of two discs that touch at ``apart`` [m].
+
+    The body force of Helbing, Farkas & Vicsek (2000), without the sliding friction.
+    """
+    dd = dx * dx + dy * dy + TINY
+    inverse = jax.lax.rsqrt(dd)
+    push = parameters.body * jnp.maximum(apart - dd * inverse, 0.0) * inverse
+    return push * dx, push * dy
+
+
 def in_cone(fx: Array, fy: Array, dx: Array, dy: Array, hx: Array, hy: Array, parameters: Any) -> Array:
     """Weight of a push: 1 if it comes from within the angle of sight about the heading, else ``back_weight``.
 

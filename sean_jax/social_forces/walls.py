@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from sean_jax.base import Array, Nearby
-from sean_jax.geometry import from_rectangle
+from sean_jax.geometry import from_rectangle, sum_vectors
 from sean_jax.nearby import around
 
 
@@ -23,21 +23,18 @@ def wall_forces(distance: Array, nx: Array, ny: Array, parameters: Any) -> tuple
     push = parameters.wall_strength * jnp.exp((parameters.wall_reach - distance) / parameters.wall_range)
     push = push * (1.0 + parameters.wall_lever * (distance - 1.0))
     push = jnp.where(distance < parameters.perception, push, 0.0)
-    return (push * nx).sum(1), (push * ny).sum(1)
+    return sum_vectors(push * nx, push * ny, 1)
 
 
 def keep_out(vx: Array, vy: Array, gap: Array, nx: Array, ny: Array, time_step: float) -> tuple[Array, Array]:
     """Velocities (N,) [m/s] with which nobody ends the step inside an obstacle.
 
     A body at that gap (N, K) [m] may approach by no more than the gap in one step: n . v >= -gap / time_step.
-    For a convex obstacle this linear bound is exact or stricter. The most violated bound is mended first, twice:
+    For a convex obstacle this linear bound is exact or stricter. All violated bounds are mended together, twice:
     exact at the inner corner of two walls; a body that is inside (a negative gap) is led out.
     """
     for _ in range(2):
-        excess = -gap / time_step - (nx * vx[:, None] + ny * vy[:, None])
-        worst = jnp.max(excess, axis=1)
-        chosen = excess == worst[:, None]
-        share = jnp.maximum(worst, 0.0) / jnp.sum(jnp.where(chosen, 1.0, 0.0), axis=1)
-        vx = vx + share * jnp.sum(jnp.where(chosen, nx, 0.0), axis=1)
-        vy = vy + share * jnp.sum(jnp.where(chosen, ny, 0.0), axis=1)
+        excess = jnp.maximum(-gap / time_step - (nx * vx[:, None] + ny * vy[:, None]), 0.0)
+        x, y = sum_vectors(excess * nx, excess * ny, 1)
+        vx, vy = vx + x, vy + y
     return vx, vy

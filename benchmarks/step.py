@@ -1,0 +1,92 @@
+"""Speed of a whole control step, and of its parts, in scenario-steps per second.
+
+    python benchmarks/step.py --batches 64 256                  on a CPU
+    python benchmarks/step.py --batches 1024 8192 32768         on a GPU
+"""
+
+import argparse
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import sean_jax
+from sean_jax import scenario as stages
+from sean_jax.policies import go_to_goal
+
+
+def parts(scenario) -> dict:
+    """name -> (state -> state), each one stage of the step, the whole, and the whole with the policy."""
+    command = jnp.asarray([0.4, 0.3], jnp.float32)
+
+    def chance(state):
+        return jax.random.fold_in(state.key, state.tick)
+
+    def driven(state):
+        return stages.step(scenario, state, go_to_goal(scenario, state, state.key))
+
+    def policy(state):
+        action = go_to_goal(scenario, state, state.key)
+        return state.replace(robot=state.robot.replace(speed=state.robot.speed + 1e-6 * action[0]))
+
+    def classify(state):
+        state = stages.classify(scenario, state)
+        moved = state.robot.position + 1e-6 * state.situations.astype(jnp.float32).sum()
+        return state.replace(robot=state.robot.replace(position=moved))
+
+    def measure(state):
+        after = state.replace(tick=state.tick + 1, robot=state.robot.replace(position=state.robot.position + 1e-4))
+        return stages.measure(scenario, state, after)
+
+    return {
+        "direct_pedestrians": lambda s: stages.direct_pedestrians(scenario, s, chance(s)).replace(tick=s.tick + 1),
+        "move_pedestrians": lambda s: stages.move_pedestrians(scenario, s),
+        "move_robot": lambda s: stages.move_robot(scenario, s, command),
+        "classify": classify,
+        "measure": measure,
+        "step": lambda s: stages.step(scenario, s, command),
+        "policy go_to_goal": policy,
+        "step + policy": driven,
+    }
+
+
+def main() -> None:
+    """Print the table."""
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--batches", nargs="+", type=int, default=[64])
+    arguments.add_argument("--people", type=int, default=62)
+    arguments.add_argument("--dynamics", nargs="+", default=["mjx", "twin"])
+    arguments.add_argument("--forces", default="helbing1995")
+    arguments.add_argument("--only", nargs="+", default=None, help="names of parts")
+    chosen = arguments.parse_args()
+    print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, {chosen.people} people, {chosen.forces}")
+    print(f"{'robot':>5} {'B':>6} {'part':>20} {'us/step':>10} {'steps/s':>12} {'compile s':>9} {'temp MiB':>9}")
+    for dynamics in chosen.dynamics:
+        scenario = sean_jax.make("warehouse", people=chosen.people, dynamics=dynamics, forces=chosen.forces)
+        for batch in chosen.batches:
+            keys = jax.random.split(jax.random.key(0), batch)
+            states = jax.jit(jax.vmap(lambda key: sean_jax.reset(scenario, key)))(keys)  # noqa: B023
+            for name, part in parts(scenario).items():
+                if chosen.only and name not in chosen.only:
+                    continue
+                steps = int(np.clip(4e5 / batch, 4, 200))
+                begun = time.perf_counter()
+                many = jax.vmap(part)
+                run = jax.jit(lambda s: jax.lax.scan(lambda c, _: (many(c), None), s, length=steps)[0])  # noqa: B023
+                compiled = run.lower(states).compile()
+                compile_seconds = time.perf_counter() - begun
+                jax.block_until_ready(compiled(states))
+                spent = []
+                for _ in range(5):
+                    begun = time.perf_counter()
+                    jax.block_until_ready(compiled(states))
+                    spent.append(time.perf_counter() - begun)
+                each = float(np.median(spent)) / steps
+                memory = getattr(compiled.memory_analysis(), "temp_size_in_bytes", 0) / 2**20
+                print(f"{dynamics:>5} {batch:6d} {name:>20} {1e6 * each:10.1f} {batch / each:12.0f} "
+                      f"{compile_seconds:9.1f} {memory:9.1f}", flush=True)  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
