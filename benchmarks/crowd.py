@@ -1,12 +1,13 @@
 """Crowd speed: agent-steps per second of the social force step, beside a float64 numpy loop of the same law.
 
-    python benchmarks/crowd.py                        (1, 62), (256, 62) and (1, 1000) people, open and with walls
-    python benchmarks/crowd.py --sizes 8192x62        any B x N
+python benchmarks/crowd.py                        (1, 62), (256, 62) and (1, 1000) people, open and with walls
+python benchmarks/crowd.py --sizes 8192x62        any B x N
 """
 
 import argparse
 import resource
 import time
+from dataclasses import replace
 
 import crowd_loop
 import jax
@@ -35,7 +36,7 @@ def batch_of(people, size: int):
     cosine, sine = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
     many = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size, *leaf.shape)), people)
     vx, vy = many.velocity[..., 0], many.velocity[..., 1]
-    return many.replace(velocity=jnp.stack([cosine * vx - sine * vy, sine * vx + cosine * vy], -1))
+    return replace(many, velocity=jnp.stack([cosine * vx - sine * vy, sine * vx + cosine * vy], -1))
 
 
 def measure(batch: int, people: int, walls: int, preset: str) -> dict:

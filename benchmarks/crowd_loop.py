@@ -7,6 +7,7 @@ import numpy as np
 
 
 def length(v):
+    """Length of vectors (..., 2)."""
     return np.sqrt((v**2).sum(-1))
 
 
@@ -44,6 +45,7 @@ def repulsion(d, w, v, p):
 
 
 def sight(push, d, look, p, law):
+    """Weights (M,) of M pushes (M, 2) from relative positions d (M, 2), for somebody who looks along ``look`` (2,)."""
     if law == "in_cone":
         inside = -(push @ look) >= p["sight_cosine"] * length(push)
         return np.where(inside, 1.0, p["back_weight"])

@@ -1,11 +1,12 @@
 """Speed of a whole control step, and of its parts, in scenario-steps per second.
 
-    python benchmarks/step.py --batches 64 256                  on a CPU
-    python benchmarks/step.py --batches 1024 8192 32768         on a GPU
+python benchmarks/step.py --batches 64 256                  on a CPU
+python benchmarks/step.py --batches 1024 8192 32768         on a GPU
 """
 
 import argparse
 import time
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -28,19 +29,20 @@ def parts(scenario) -> dict:
 
     def policy(state):
         action = go_to_goal(scenario, state, state.key)
-        return state.replace(robot=state.robot.replace(speed=state.robot.speed + 1e-6 * action[0]))
+        return replace(state, robot=replace(state.robot, speed=state.robot.speed + 1e-6 * action[0]))
 
     def classify(state):
         state = stages.classify(scenario, state)
         moved = state.robot.position + 1e-6 * state.situations.astype(jnp.float32).sum()
-        return state.replace(robot=state.robot.replace(position=moved))
+        return replace(state, robot=replace(state.robot, position=moved))
 
     def measure(state):
-        after = state.replace(tick=state.tick + 1, robot=state.robot.replace(position=state.robot.position + 1e-4))
+        robot = replace(state.robot, position=state.robot.position + 1e-4)
+        after = replace(state, tick=state.tick + 1, robot=robot)
         return stages.measure(scenario, state, after)
 
     return {
-        "direct_pedestrians": lambda s: stages.direct_pedestrians(scenario, s, chance(s)).replace(tick=s.tick + 1),
+        "direct_pedestrians": lambda s: replace(stages.direct_pedestrians(scenario, s, chance(s)), tick=s.tick + 1),
         "move_pedestrians": lambda s: stages.move_pedestrians(scenario, s),
         "move_robot": lambda s: stages.move_robot(scenario, s, command),
         "classify": classify,

@@ -31,7 +31,7 @@ def boxes(people: int, walls: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Nearby | None, dict[str, np.ndarray]]:
-    """(people, table of obstacles, all in float64): nobody inside a shelf, everybody on the way to the opposite side."""
+    """(people, table of obstacles, all in float64): nobody inside a shelf, all on the way to the opposite side."""
     random = np.random.default_rng(seed)
     center, half, yaw = boxes(people, walls)
     rows = int(np.ceil(np.sqrt(4 * people)))

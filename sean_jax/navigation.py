@@ -101,7 +101,7 @@ def next_point(navigation: Navigation, position: Array, goal: Array, to_goal: Ar
     straight = sees(navigation.obstacles, position, goal, navigation.radius * SLIM)
     detour = _detour(navigation, position, to_goal)
     lost = ~jnp.isfinite(jnp.min(detour))
-    first = jnp.argmin(detour)
+    first = jnp.argmin(detour).astype(jnp.int32)
     after = _after(navigation, goal, to_goal)[first]
     ahead = navigation.via[first] - position
     index = jnp.where(length(ahead[0], ahead[1]) < AT, after, first)
@@ -118,7 +118,7 @@ def towards(navigation: Navigation, points: Array) -> tuple[Array, Array]:
     goal_side = jax.vmap(to_goal, in_axes=(None, 0))(navigation, points)  # (M, V)
     cells, none = navigation.visible.shape[:2], navigation.via.shape[0]
     i, j = jnp.meshgrid(*(jnp.arange(n, dtype=jnp.float32) for n in cells), indexing="ij")
-    spots = navigation.origin + (jnp.stack([i, j], -1).reshape(-1, 2) + 0.5) * CELL
+    spots = navigation.origin[None, :] + (jnp.stack([i, j], -1).reshape(-1, 2) + 0.5) * CELL
     seen = navigation.visible.reshape(-1, none)
     direct = jax.jit(_sees_from_cells)(spots, points, navigation.obstacles, navigation.radius)
 
@@ -126,7 +126,7 @@ def towards(navigation: Navigation, points: Array) -> tuple[Array, Array]:
         first = jnp.where(visible, _from(navigation.via, spot), jnp.inf)
         total = first[None, :] + goal_side
         lost = ~jnp.isfinite(jnp.min(total, axis=1))
-        return jnp.where(in_sight | lost, none, jnp.argmin(total, axis=1))
+        return jnp.where(in_sight | lost, none, jnp.argmin(total, axis=1).astype(jnp.int32))
 
     first = jax.jit(jax.vmap(best))(spots, seen, direct).astype(jnp.int16).reshape(*cells, points.shape[0])
     after = jax.vmap(_after, in_axes=(None, 0, 0), out_axes=1)(navigation, points, goal_side)
@@ -137,10 +137,10 @@ def _after(navigation: Navigation, goal: Array, to_goal: Array) -> Array:
     """(V,) index of the via point that follows each one on the way to the goal (2,); V where the goal follows."""
     onward = navigation.edge + to_goal[None, :]
     last = to_goal <= _from(navigation.via, goal) + 1e-4
-    return jnp.where(last, navigation.via.shape[0], jnp.argmin(onward, axis=1))
+    return jnp.where(last, navigation.via.shape[0], jnp.argmin(onward, axis=1).astype(jnp.int32))
 
 
-def clear_way(boxes: Obstacles, p: Array, q: Array, growth: Array) -> Array:
+def clear_way(boxes: Obstacles, p: Array, q: Array, growth: Array | float) -> Array:
     """() bool: the segment from p (2,) to q (2,) misses all boxes grown by so much [m] on each side; cheap."""
     cosine, sine = jnp.cos(boxes.yaw), jnp.sin(boxes.yaw)
     pu, pv = rotate(p[0] - boxes.center[:, 0], p[1] - boxes.center[:, 1], cosine, -sine)
@@ -159,7 +159,7 @@ def _detour(navigation: Navigation, position: Array, to_goal: Array) -> Array:
 
 
 def _from(points: Array, position: Array) -> Array:
-    gap = points - position
+    gap = points - position[None, :]
     return length(gap[:, 0], gap[:, 1])
 
 

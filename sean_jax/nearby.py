@@ -32,9 +32,7 @@ def tabulate(obstacles: Obstacles, floor: Array, cell: float = 1.0, reach: float
     for i, j in np.argwhere(felt.any(-1)):
         near = np.flatnonzero(felt[i, j])
         rows[i, j, : len(near)] = table[near]
-    return Nearby(
-        rows=jnp.asarray(rows), origin=jnp.asarray(lower, jnp.float32), cell=jnp.asarray(cell, jnp.float32)
-    )
+    return Nearby(rows=jnp.asarray(rows), origin=jnp.asarray(lower, jnp.float32), cell=jnp.asarray(cell, jnp.float32))
 
 
 def around(nearby: Nearby, x: Array, y: Array) -> Array:

@@ -29,7 +29,7 @@ def simulate(
 
     def one(before: State, _) -> tuple[State, Frame]:
         key = jax.random.fold_in(jax.random.fold_in(before.key, POLICY_STREAM), before.tick)
-        action = jnp.asarray(policy(scenario, before, key), jnp.float32)
+        action = jnp.asarray(policy(scenario, before, key), before.robot.position.dtype)
         after = step(scenario, before, action)
         return after, record(before, after, action)
 

@@ -1,5 +1,7 @@
 """A scenario (section IV-B) as three functions: reset, step and observe."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 
@@ -34,7 +36,7 @@ def reset(scenario: Scenario, key: Array) -> State:
     )
     state = classify(scenario, state)
     now = moment(scenario, state)
-    return state.replace(metrics={name: metric.start(now) for name, metric in scenario.metrics})
+    return replace(state, metrics={name: metric.start(now) for name, metric in scenario.metrics})
 
 
 def step(scenario: Scenario, state: State, action: Array) -> State:
@@ -47,7 +49,7 @@ def step(scenario: Scenario, state: State, action: Array) -> State:
     after = direct_pedestrians(scenario, state, key)
     after = move_pedestrians(scenario, after)
     after = move_robot(scenario, after, action)
-    after = after.replace(tick=state.tick + 1)
+    after = replace(after, tick=state.tick + 1)
     after = classify(scenario, after)
     after = measure(scenario, state, after)
     return finish(scenario, state, after)
@@ -62,20 +64,20 @@ def direct_pedestrians(scenario: Scenario, state: State, key: Array) -> State:
 @jax.named_scope("move_pedestrians")
 def move_pedestrians(scenario: Scenario, state: State) -> State:
     """Section IV-D, low level: how they get there."""
-    return state.replace(pedestrians=scenario.move(scenario, state))
+    return replace(state, pedestrians=scenario.move(scenario, state))
 
 
 @jax.named_scope("move_robot")
 def move_robot(scenario: Scenario, state: State, action: Array) -> State:
     """Fig. 3: the robot's dynamics, with people where they are after their step."""
-    return state.replace(robot=scenario.robot.drive(scenario, state, action))
+    return replace(state, robot=scenario.robot.drive(scenario, state, action))
 
 
 @jax.named_scope("classify")
 def classify(scenario: Scenario, state: State) -> State:
     """Section III-A: the social situations that occur now."""
     now = moment(scenario, state)
-    return state.replace(situations=jnp.stack([holds(now, scenario.thresholds) for _, holds in scenario.situations]))
+    return replace(state, situations=jnp.stack([holds(now, scenario.thresholds) for _, holds in scenario.situations]))
 
 
 @jax.named_scope("measure")
@@ -85,7 +87,7 @@ def measure(scenario: Scenario, before: State, after: State) -> State:
     over = before.completed | before.timed_out
     folded = {name: metric.fold(before.metrics[name], then, now) for name, metric in scenario.metrics}
     kept = jax.tree.map(lambda old, new: jnp.where(over, old, new), before.metrics, folded)
-    return after.replace(metrics=kept)
+    return replace(after, metrics=kept)
 
 
 def finish(scenario: Scenario, before: State, after: State) -> State:
@@ -96,7 +98,7 @@ def finish(scenario: Scenario, before: State, after: State) -> State:
     last = jnp.asarray(round(scenario.time_limit / scenario.time_step), jnp.int32)
     completed = before.completed | (~before.timed_out & inside & (held >= scenario.hold_time - 1e-4))
     timed_out = before.timed_out | (~completed & (after.tick >= last))
-    return after.replace(time_at_goal=held, completed=completed, timed_out=timed_out)
+    return replace(after, time_at_goal=held, completed=completed, timed_out=timed_out)
 
 
 def moment(scenario: Scenario, state: State) -> Moment:
@@ -141,7 +143,7 @@ def observe(scenario: Scenario, state: State) -> Observation:
         path=in_frame(ahead - robot.position),
         speed=robot.speed,
         turn_rate=robot.turn_rate,
-        people=in_frame(people.position - robot.position),
+        people=in_frame(people.position - robot.position[None, :]),
         people_velocity=in_frame(people.velocity),
         people_present=people.present,
         situations=state.situations,

@@ -4,6 +4,7 @@ People without a goal are first assigned to seats of group nodes, until all are 
 waypoint nodes, along the cheapest path over waypoints. Whoever reaches a seat stays for a drawn duration.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -126,12 +127,13 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     memory = _next_hop(graph, people, memory, free, chance[2])
     standing = memory.stay > 0.0
     seat = jnp.maximum(memory.seat, 0)
-    people = people.replace(
+    people = replace(
+        people,
         desired_velocity=_desired_velocity(tables, people, memory),
         group=jnp.where(standing, graph.seat_group[seat], -1),
         heading=jnp.where(standing[:, None], memory.seat_heading[seat], people.heading),
     )
-    return state.replace(pedestrians=people, memory=memory)
+    return replace(state, pedestrians=people, memory=memory)
 
 
 def _stay_or_leave(scenario, people, memory, graph, chance) -> tuple[Memory, Array]:
@@ -155,18 +157,18 @@ def _assign(graph: BehaviorGraph, memory: Memory, free: Array, chance: Array) ->
     Whoever leaves a seat now goes to a waypoint, so that nobody turns on the spot to sit down again.
     """
     seats = jnp.arange(graph.seat_group.shape[0], dtype=jnp.int32)
-    taken = (memory.seat[:, None] == seats).any(0)
+    taken = (memory.seat[:, None] == seats[None, :]).any(0)
     seekers = free & (memory.seat < 0)
     rank = jnp.cumsum(seekers, dtype=jnp.int32) - 1
     order = jnp.cumsum(~taken, dtype=jnp.int32) - 1
-    match = seekers[:, None] & ~taken & (rank[:, None] == order)
+    match = seekers[:, None] & ~taken[None, :] & (rank[:, None] == order[None, :])
     given = match.any(1)
     seat = jnp.where(given, jnp.argmax(match, axis=1).astype(jnp.int32), jnp.where(free, -1, memory.seat))
-    here = (graph.waypoints == memory.hop[:, None]).any(1)
+    here = (graph.waypoints[None, :] == memory.hop[:, None]).any(1)
     others = graph.waypoints.shape[0] - here.astype(jnp.int32)
-    index = jnp.minimum((chance * others).astype(jnp.int32), jnp.maximum(others - 1, 0))
-    own = jnp.argmax(graph.waypoints == memory.hop[:, None], axis=1).astype(jnp.int32)
-    index = jnp.minimum(index + (here & (index >= own)), graph.waypoints.shape[0] - 1)
+    index = jnp.minimum((chance * others.astype(jnp.float32)).astype(jnp.int32), jnp.maximum(others - 1, 0))
+    own = jnp.argmax(graph.waypoints[None, :] == memory.hop[:, None], axis=1).astype(jnp.int32)
+    index = jnp.minimum(index + (here & (index >= own)).astype(jnp.int32), graph.waypoints.shape[0] - 1)
     node = jnp.where(given, graph.groups[graph.seat_group[jnp.maximum(seat, 0)]], graph.waypoints[index])
     return memory._replace(seat=seat, goal=jnp.where(free, node, memory.goal))
 

@@ -18,20 +18,22 @@ MOVING = 5e-4  # m/s: SEAN rounds the robot's speed to three decimals
 
 
 def intimate_limit(moment: Moment) -> Array:
+    """() distance [m] of intimacy."""
     return jnp.full_like(moment.robot_radius, INTIMATE)
 
 
 def personal_limit(moment: Moment) -> Array:
+    """() distance [m] of personal space."""
     return jnp.full_like(moment.robot_radius, PERSONAL)
 
 
 def touch_limit(moment: Moment) -> Array:
-    """Bodies touch, with SEAN's margin of 1 cm."""
+    """() distance [m] at which bodies touch, with SEAN's margin of 1 cm."""
     return moment.robot_radius + moment.person_radius + 0.01
 
 
 def _squares(moment: Moment) -> Array:
-    gap = moment.people.position - moment.position
+    gap = moment.people.position - moment.position[None, :]
     return jnp.where(moment.people.present, (gap * gap).sum(1), jnp.inf)
 
 
@@ -39,7 +41,7 @@ def _entries(limit: Callable, by_robot: bool) -> Callable:
     def fold(value: Array, before: Moment, after: Moment) -> Array:
         square = limit(after) ** 2
         entered = (_squares(after) <= square) & (_squares(before) > square)
-        toward = (after.velocity * (after.people.position - after.position)).sum(1) > 0.0
+        toward = (after.velocity[None, :] * (after.people.position - after.position[None, :])).sum(1) > 0.0
         moving = (after.velocity * after.velocity).sum() > MOVING * MOVING
         fault = toward & moving
         count = jnp.where(entered & (fault == by_robot), 1.0, 0.0).sum()
@@ -81,4 +83,3 @@ min_distance_to_people = Metric(
     _least, lambda value, before, after: jnp.minimum(value, _least(after)), value_itself, "m"
 )
 """Least distance from the robot's centre to anybody's; 1000 where there is nobody."""
-

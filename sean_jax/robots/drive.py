@@ -6,6 +6,7 @@ of its twin, which agree with them to rounding and cost a fraction; forward mode
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -100,9 +101,9 @@ def _physics_forward(steps: int, *arguments) -> tuple:
 
 def _physics_backward(steps: int, arguments: tuple, cotangent: tuple) -> tuple:
     model, *rest = arguments
-    _, backward = jax.vjp(functools.partial(_simulate_twin, steps), model.replace(data=()), *rest)
+    _, backward = jax.vjp(functools.partial(_simulate_twin, steps), replace(model, data=()), *rest)
     of_model, *of_rest = backward(cotangent)
-    return of_model.replace(data=None), *of_rest  # None: the MJX model itself is a constant
+    return replace(of_model, data=None), *of_rest  # None: the MJX model itself is a constant
 
 
 _physics.defvjp(_physics_forward, _physics_backward)

@@ -1,5 +1,7 @@
 """The social force model (section IV-D [28][44][45]): accelerations, and one semi-implicit Euler step."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 
@@ -20,7 +22,8 @@ def move(scenario: Scenario, state: State) -> Pedestrians:
     nearby = scenario.environment.nearby
 
     def substep(people: Pedestrians, _):
-        return advance(scenario.forces, people, nearby, state.groups, state.robot, time_step, scenario.robot.radius), None
+        after = advance(scenario.forces, people, nearby, state.groups, state.robot, time_step, scenario.robot.radius)
+        return after, None
 
     return jax.lax.scan(substep, state.pedestrians, length=substeps)[0]
 
@@ -58,7 +61,7 @@ def advance(
         vx, vy = keep_out(vx, vy, walls[0] - parameters.radius, walls[1], walls[2], time_step)
     velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
     heading = _turn(people, velocity, parameters.turn_rate * time_step)
-    return people.replace(position=people.position + velocity * time_step, velocity=velocity, heading=heading)
+    return replace(people, position=people.position + velocity * time_step, velocity=velocity, heading=heading)
 
 
 def pair_forces(parameters: Parameters, people: Pedestrians, look_x: Array, look_y: Array) -> tuple[Array, Array]:

@@ -12,7 +12,9 @@ Moussaid et al., Proc. R. Soc. B 276, 2755 (2009). [H00] Helbing, Farkas & Vicse
 
 import difflib
 from collections.abc import Callable
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
@@ -60,7 +62,7 @@ class Parameters:
     sight: Callable = struct.field(pytree_node=False)
 
 
-def _leaves(**values: float) -> dict[str, np.ndarray]:
+def _leaves(**values: float) -> dict[str, Any]:
     return {name: np.asarray(value, np.float32) for name, value in values.items()}
 
 
@@ -149,11 +151,4 @@ def preset(name: str) -> Parameters:
         near = difflib.get_close_matches(name, PRESETS, 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         raise ValueError(f"forces: '{name}' is not one of {', '.join(PRESETS)}{hint}")
-    chosen = PRESETS[name]
-    return chosen.replace(
-        **{
-            key: jnp.asarray(value, jnp.float32)
-            for key, value in vars(chosen).items()
-            if key not in ("repulsion", "sight")
-        }
-    )
+    return jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), PRESETS[name])

@@ -1,0 +1,96 @@
+"""Gradients of whole rollouts: finite, and equal to central differences in float64, through MJX as well."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax.policies import go_to_goal
+
+STEPS = 40
+STEP = 1e-5  # of the central differences
+
+
+def in_double(tree):
+    """The tree with all its floating-point leaves in float64."""
+
+    def cast(leaf):
+        if not hasattr(leaf, "dtype") or not jnp.issubdtype(leaf.dtype, jnp.floating):
+            return leaf
+        return jnp.asarray(leaf, jnp.float64)
+
+    return jax.tree.map(cast, tree)
+
+
+@pytest.fixture(params=["twin", pytest.param("mjx", marks=pytest.mark.slow)])
+def double(request):
+    """A scenario with eight people and a state in which two of them come towards the robot, in float64."""
+    scenario = sean_jax.make(people=8, dynamics=request.param)
+    state = sean_jax.reset(scenario, jax.random.key(3))
+    robot = state.robot.position
+    ahead = state.task.goal - robot
+    ahead = ahead / jnp.linalg.norm(ahead)
+    side = jnp.stack([-ahead[1], ahead[0]])
+    people = state.pedestrians
+    spots = jnp.stack([robot + 1.5 * ahead + 0.12 * side, robot + 2.2 * ahead - 0.25 * side])
+    people = people.replace(
+        position=people.position.at[6:].set(spots),
+        velocity=people.velocity.at[6:].set(-0.8 * ahead),
+        group=people.group.at[6:].set(-1),
+    )
+    memory = state.memory
+    onward = robot - 6.0 * ahead
+    memory = memory._replace(
+        stay=memory.stay.at[6:].set(0.0), seat=memory.seat.at[6:].set(-1), target=memory.target.at[6:].set(onward)
+    )
+    facing = scenario.robot.place(scenario.robot, robot, ahead)
+    state = state.replace(pedestrians=people, memory=memory, robot=facing)
+    with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):
+        yield in_double(scenario), in_double(state)
+
+
+def distance_left(scenario, state, policy):
+    """Distance [m] of the robot from its goal after the rollout."""
+    last, _ = sean_jax.simulate(scenario, policy, state, STEPS)
+    gap = last.robot.position - state.task.goal
+    return jnp.sqrt((gap * gap).sum())
+
+
+def agree(value, gradient, at, directions):
+    """Derivatives along some directions, by the gradient and by central differences."""
+    for direction in directions:
+        by_gradient = float((gradient * direction).sum())
+        by_difference = float(value(at + STEP * direction) - value(at - STEP * direction)) / (2 * STEP)
+        assert by_gradient == pytest.approx(by_difference, rel=1e-3, abs=1e-7), (by_gradient, by_difference)
+
+
+def test_with_respect_to_actions(double):
+    scenario, state = double
+
+    def value(actions):
+        def policy(scenario, state, key):
+            return actions[state.tick]
+
+        return distance_left(scenario, state, policy)
+
+    actions = jnp.asarray(np.tile([0.35, 0.2], (STEPS, 1)) + 0.02 * np.sin(np.arange(2 * STEPS)).reshape(-1, 2))
+    run = jax.jit(value)
+    gradient = jax.jit(jax.grad(value))(actions)
+    assert np.isfinite(np.asarray(gradient)).all() and np.abs(np.asarray(gradient)).max() > 1e-3
+    random = np.random.default_rng(0)
+    agree(run, gradient, actions, [jnp.asarray(random.normal(size=actions.shape)) for _ in range(4)])
+
+
+def test_with_respect_to_force_parameters(double):
+    scenario, state = double
+    names = ("strength", "range", "relaxation_time", "side_preference")
+    at = jnp.stack([getattr(scenario.forces, name) for name in names])
+
+    def value(constants):
+        forces = scenario.forces.replace(**dict(zip(names, constants, strict=True)))
+        return distance_left(scenario.replace(forces=forces), state, go_to_goal)
+
+    gradient = jax.jit(jax.grad(value))(at)
+    assert np.isfinite(np.asarray(gradient)).all() and np.abs(np.asarray(gradient)).max() > 1e-4
+    agree(jax.jit(value), gradient, at, list(jnp.eye(len(names))))

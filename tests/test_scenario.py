@@ -1,0 +1,160 @@
+"""Scenario: valid resets, one trace, episodes that a key alone decides, and how they end."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax.environment import clearance
+from sean_jax.policies import go_to_goal
+
+SEEDS = 24
+
+
+@pytest.fixture(scope="module")
+def starts(scenario):
+    """States after reset for many keys."""
+    keys = jax.random.split(jax.random.key(0), SEEDS)
+    return jax.jit(jax.vmap(lambda key: sean_jax.reset(scenario, key)))(keys)
+
+
+@pytest.fixture(scope="module")
+def episode(scenario):
+    """A compiled rollout of 150 steps, the last state and the frames of two keys."""
+    run = jax.jit(jax.vmap(lambda key: sean_jax.rollout(scenario, go_to_goal, key, 150)))
+    return run, *run(jax.random.split(jax.random.key(1), 2))
+
+
+def test_nobody_starts_in_an_obstacle_or_in_somebody(scenario, starts):
+    people = np.asarray(starts.pedestrians.position)
+    free = jax.jit(lambda points: clearance(scenario.environment, points))
+    assert np.asarray(free(jnp.asarray(people.reshape(-1, 2)))).min() >= 0.2
+    apart = np.linalg.norm(people[:, :, None] - people[:, None], axis=-1) + 9 * np.eye(people.shape[1])
+    assert apart.min() >= 0.5
+
+
+def test_robot_starts_free_and_clear_of_people(scenario, starts):
+    robots = starts.robot.position
+    free = np.asarray(clearance(scenario.environment, robots))
+    assert free.min() >= scenario.robot.radius
+    gap = np.linalg.norm(np.asarray(starts.pedestrians.position) - np.asarray(robots)[:, None], axis=-1)
+    assert gap.min() >= 0.5
+
+
+def test_start_and_goal_are_as_far_apart_as_asked(scenario, starts):
+    walk = np.asarray(starts.task.geodesic)
+    straight = np.linalg.norm(np.asarray(starts.task.goal - starts.task.start), axis=-1)
+    assert (walk >= straight - 1e-3).all()
+    assert (walk >= 3.9).all() and (walk <= 20.1).all()
+    assert len(np.unique(np.asarray(starts.task.goal_group))) == 3  # every group is drawn at times
+
+
+def test_equal_keys_give_equal_episodes_and_others_do_not(episode):
+    run, last, frames = episode
+    again_last, again_frames = run(jax.random.split(jax.random.key(1), 2))
+    for one, other in zip(jax.tree.leaves((last.robot, frames)), jax.tree.leaves((again_last.robot, again_frames))):
+        np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
+    assert np.abs(np.asarray(frames.people[0]) - np.asarray(frames.people[1])).max() > 1.0
+
+
+def test_a_batch_is_its_episodes(scenario, episode):
+    _, last, frames = episode
+    key = jax.random.split(jax.random.key(1), 2)[1]
+    alone_last, alone = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, 150))(key)
+    np.testing.assert_allclose(np.asarray(alone.position[:60]), np.asarray(frames.position[1, :60]), atol=1e-3)
+    assert int(alone_last.tick) == 150 == int(last.tick[1])
+
+
+def test_a_rollout_stays_finite_out_of_obstacles_and_within_speed(scenario, episode):
+    _, last, frames = episode
+    for leaf in jax.tree.leaves((last.pedestrians, last.robot, last.metrics, frames)):
+        assert np.isfinite(np.asarray(leaf, float)).all()
+    everyone = jnp.asarray(np.asarray(frames.people).reshape(-1, 2))
+    assert np.asarray(clearance(scenario.environment, everyone)).min() >= 0.2 - 1e-3
+    assert np.asarray(clearance(scenario.environment, frames.position.reshape(-1, 2))).min() >= 0.16 - 0.02
+    speed = np.linalg.norm(np.asarray(frames.people_velocity), axis=-1)
+    assert speed.max() <= 1.3 * np.asarray(last.pedestrians.preferred_speed).max() + 0.3
+
+
+def test_a_step_traces_once(scenario):
+    traces = []
+
+    @jax.jit
+    def step(state, action):
+        traces.append(1)
+        return sean_jax.step(scenario, state, action)
+
+    state = sean_jax.reset(scenario, jax.random.key(0))
+    for _ in range(3):
+        state = step(state, jnp.zeros(2, jnp.float32))
+    assert len(traces) == 1
+    assert int(state.tick) == 3
+
+
+def test_a_task_is_completed_after_the_goal_is_held_and_never_timed_out_too(scenario):
+    short = scenario.replace(time_limit=1.0, hold_time=jnp.float32(0.3))
+    state = sean_jax.reset(short, jax.random.key(2))
+    at_goal = state.replace(robot=short.robot.place(short.robot, state.task.goal, state.task.goal_heading))
+    step = jax.jit(lambda state: sean_jax.step(short, state, jnp.zeros(2, jnp.float32)))
+    ended = {}
+    for name, begun in (("held", at_goal), ("away", state)):
+        flags = []
+        for _ in range(12):
+            begun = step(begun)
+            flags.append((bool(begun.completed), bool(begun.timed_out)))
+        ended[name] = flags
+    assert ended["held"][:2] == [(False, False)] * 2 and ended["held"][2:] == [(True, False)] * 10
+    assert ended["away"][:9] == [(False, False)] * 9 and ended["away"][9:] == [(False, True)] * 3
+
+
+def test_metrics_stand_still_after_the_end(scenario):
+    short = scenario.replace(time_limit=0.5)
+    last, frames = jax.jit(lambda key: sean_jax.rollout(short, go_to_goal, key, 20))(jax.random.key(3))
+    assert float(sean_jax.results(short, last)["time_in_situation"][0]) == pytest.approx(0.5)
+    assert np.asarray(frames.active).sum() == 5
+
+
+def test_observation_is_in_the_robots_frame(scenario):
+    state = sean_jax.reset(scenario, jax.random.key(4))
+    seen = sean_jax.observe(scenario, state)
+    heading, position = np.asarray(state.robot.heading), np.asarray(state.robot.position)
+    left = np.array([-heading[1], heading[0]])
+    gap = np.asarray(state.pedestrians.position) - position
+    np.testing.assert_allclose(np.asarray(seen.people), np.stack([gap @ heading, gap @ left], -1), atol=1e-5)
+    to_goal = np.asarray(state.task.goal) - position
+    np.testing.assert_allclose(np.asarray(seen.goal), [to_goal @ heading, to_goal @ left], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (dict(environment="warehose"), "did you mean 'warehouse'"),
+        (dict(behavior="grap"), "did you mean 'graph'"),
+        (dict(task="join"), "task: 'join' is not one of join_group, leave_group"),
+        (dict(robot="kurri"), "did you mean 'kuri'"),
+        (dict(forces="helbing"), "did you mean 'helbing1995'"),
+        (dict(people=10_000), "the most that do is"),
+        (dict(people=0), "people: 0 is too few"),
+        (dict(time_limit=-1.0), "time_limit: -1.0 must be more than 0"),
+        (dict(time_step=0.0), "time_step: 0.0 must be more than 0"),
+        (dict(hold_time=-2.0), "hold_time: -2.0 must not be negative"),
+        (dict(task_distance=(5.0, 4.0)), "task_distance"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_sentence(arguments, words):
+    with pytest.raises(ValueError, match="(?s)" + words.replace("(", r"\(")) as refused:
+        sean_jax.make(**({"people": 16, "dynamics": "twin"} | arguments))
+    assert "\n" not in str(refused.value)
+
+
+def test_the_largest_number_that_fits_fits():
+    with pytest.raises(ValueError) as refused:
+        sean_jax.make(people=10_000, dynamics="twin")
+    most = int(str(refused.value).rstrip(".").split()[-1])
+    full = sean_jax.make(people=most, dynamics="twin")
+    people = np.asarray(jax.jit(lambda key: sean_jax.reset(full, key))(jax.random.key(0)).pedestrians.position)
+    apart = np.linalg.norm(people[:, None] - people[None], axis=-1) + 9 * np.eye(most)
+    assert apart.min() >= 0.5
+    with pytest.raises(ValueError, match=f"the most that do is {most}"):
+        sean_jax.make(people=most + 1, dynamics="twin")
