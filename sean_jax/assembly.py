@@ -1,5 +1,6 @@
 """make(): from names to a scenario; says what does not exist and what does not go together."""
 
+import dataclasses
 import functools
 from pathlib import Path
 
@@ -76,6 +77,12 @@ def make(
     )
 
 
+def with_task(scenario: Scenario, task: str) -> Scenario:
+    """The same scenario with another robot task; ValueError if there is none of that name or it does not fit."""
+    _check_task(task, scenario.behavior.name)
+    return dataclasses.replace(scenario, task=tasks.TASKS[task], task_name=task)
+
+
 @functools.lru_cache(maxsize=8)
 def _navigation(folder: Path, radius: float) -> navigation.Navigation:
     """Built once per process for each environment and radius; files are read again, tables are not made again."""
@@ -83,11 +90,8 @@ def _navigation(folder: Path, radius: float) -> navigation.Navigation:
 
 
 def _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time, task_distance) -> None:
-    for name, value, choices in (("behavior", behavior, behaviors.BEHAVIORS), ("task", task, tasks.TASKS)):
-        if value not in choices:
-            raise ValueError(f"{name}: '{value}' is not one of {', '.join(choices)}{files.suggest(value, choices)}")
-    if task in tasks.NEEDS_GROUPS and behavior != "graph":
-        raise ValueError(f"task: '{task}' needs groups, which only behavior 'graph' has, not '{behavior}'.")
+    _check_name("behavior", behavior, behaviors.BEHAVIORS)
+    _check_task(task, behavior)
     if people is not None and people < 1:
         raise ValueError(f"people: {people} is too few; give 1 or more.")
     for name, value in (("time_step", time_step), ("time_limit", time_limit), ("goal_radius", goal_radius)):
@@ -97,3 +101,14 @@ def _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time
         raise ValueError(f"hold_time: {hold_time} must not be negative.")
     if not 0 <= task_distance[0] < task_distance[1]:
         raise ValueError(f"task_distance: {task_distance} must be a least and a greater distance in metres.")
+
+
+def _check_task(task: str, behavior: str) -> None:
+    _check_name("task", task, tasks.TASKS)
+    if task in tasks.NEEDS_GROUPS and behavior != "graph":
+        raise ValueError(f"task: '{task}' needs groups, which only behavior 'graph' has, not '{behavior}'.")
+
+
+def _check_name(option: str, name: str, choices: dict) -> None:
+    if name not in choices:
+        raise ValueError(f"{option}: '{name}' is not one of {', '.join(choices)}{files.suggest(name, choices)}")

@@ -9,18 +9,20 @@ import jax.numpy as jnp
 
 from sean_jax.base import Array, Obstacles
 
+TINY = 1e-24  # a smaller square counts as zero, for 1 / sqrt(square) ** 3, in gradients, would overflow
+
 
 def length(x: Array, y: Array) -> Array:
-    """Euclidean length of (x, y) [m]; its gradient at the origin is zero, not NaN."""
+    """Euclidean length of (x, y) [m]; zero, with zero gradient, below 1e-12 m."""
     square = x * x + y * y
-    zero = square == 0.0
+    zero = square < TINY
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
 
 
 def unit(x: Array, y: Array) -> tuple[Array, Array]:
-    """(x, y) divided by its length; (0, 0), with zero gradient, at the origin."""
+    """(x, y) divided by its length; (0, 0), with zero gradient, where that is below 1e-12."""
     square = x * x + y * y
-    zero = square == 0.0
+    zero = square < TINY
     scale = jnp.where(zero, 0.0, 1.0 / jnp.sqrt(jnp.where(zero, 1.0, square)))
     return x * scale, y * scale
 
@@ -41,19 +43,19 @@ def sum_vectors(x: Array, y: Array, axis: int) -> tuple[Array, Array]:
 
 
 def unit_vectors(vectors: Array, otherwise: Array) -> Array:
-    """(..., 2) vectors scaled to length one; ``otherwise`` (..., 2) where a vector is zero."""
+    """(..., 2) vectors scaled to length one; ``otherwise`` (..., 2) where one is shorter than 1e-12."""
     x, y = vectors[..., 0], vectors[..., 1]
     ux, uy = unit(x, y)
-    zero = (x == 0.0) & (y == 0.0)
+    zero = x * x + y * y < TINY
     return jnp.where(zero[..., None], otherwise, jnp.stack([ux, uy], -1))
 
 
 def angle_between(heading: Array, target: Array) -> Array:
-    """Signed angle [rad] in (-pi, pi] from one (..., 2) direction to another, counter-clockwise."""
+    """Signed angle [rad] in (-pi, pi] from one (..., 2) direction to another, counter-clockwise; 0 if one is zero."""
     cross = heading[..., 0] * target[..., 1] - heading[..., 1] * target[..., 0]
     dot = heading[..., 0] * target[..., 0] + heading[..., 1] * target[..., 1]
-    zero = (cross == 0.0) & (dot == 0.0)
-    return jnp.arctan2(cross, jnp.where(zero, 1.0, dot))
+    zero = cross * cross + dot * dot < TINY
+    return jnp.arctan2(jnp.where(zero, 0.0, cross), jnp.where(zero, 1.0, dot))
 
 
 def from_box(x: Array, y: Array, box: Obstacles) -> tuple[Array, Array, Array]:
@@ -75,7 +77,7 @@ def from_rectangle(x, y, cx, cy, hx, hy, cosine, sine) -> tuple[Array, Array, Ar
     over_u, over_v = jnp.abs(u) - hx, jnp.abs(v) - hy
     out_u, out_v = jnp.maximum(over_u, 0.0), jnp.maximum(over_v, 0.0)
     square = out_u * out_u + out_v * out_v
-    outside = square > 0.0
+    outside = square > TINY
     inverse = jax.lax.rsqrt(jnp.where(outside, square, 1.0))
     by_u = over_u > over_v
     nu = jnp.where(outside, out_u * inverse, jnp.where(by_u, 1.0, 0.0)) * side_u

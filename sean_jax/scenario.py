@@ -124,8 +124,7 @@ def moment(scenario: Scenario, state: State) -> Moment:
 
 def results(scenario: Scenario, state: State) -> dict[str, Array]:
     """The metrics of the episode so far: () each, or (1 + S,) with the overall figure before those by situation."""
-    now = moment(scenario, state)
-    return {name: metric.result(state.metrics[name], now) for name, metric in scenario.metrics}
+    return {name: metric.result(state.metrics[name]) for name, metric in scenario.metrics}
 
 
 def observe(scenario: Scenario, state: State) -> Observation:

@@ -37,7 +37,7 @@ def inside(points, half, yaw, center):
 def test_from_box_equals_the_nearest_of_many_boundary_points():
     random = np.random.default_rng(0)
     boxes = draw_boxes(random, 40)
-    points = (boxes[0] + random.uniform(-2.5, 2.5, (40, 2))).astype(np.float32).astype(np.float64)
+    points = (boxes[0] + random.uniform(-1.5, 1.5, (40, 2))).astype(np.float32).astype(np.float64)
     far, nx, ny = jax.jit(geometry.from_box)(*jnp.asarray(points.T, jnp.float32), as_boxes(*boxes))
     within = 0
     for k, point in enumerate(points):

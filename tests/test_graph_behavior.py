@@ -96,7 +96,7 @@ def test_stays_last_as_drawn_and_members_face_inward(scenario, history):
     standing = memory.stay > 0
     begins = standing[:, 1:] & ~standing[:, :-1]
     drawn = memory.stay[:, 1:][begins]
-    assert begins.sum() >= 3 and (drawn >= 5 - 0.11).all() and (drawn <= 10).all()
+    assert begins.sum() >= 3 and (drawn >= 10).all() and (drawn <= 15).all()
     assert (people.group[standing] >= 0).all() and (people.group[~standing] == -1).all()
     center = graph.position[graph.groups][people.group[standing]]
     inward = center - people.position[standing]

@@ -51,22 +51,20 @@ def run(options: Options, console: Console) -> tuple[Path, int]:
 
 def _scenarios(options: Options) -> list[Scenario]:
     """One for each task; they differ in nothing else."""
-    from sean_jax.assembly import make
+    from sean_jax.assembly import make, with_task
 
     try:
-        return [
-            make(
-                options.environment,
-                behavior=options.behavior,
-                task=task,
-                robot=options.robot,
-                people=options.people,
-                forces=options.forces,
-                dynamics=options.dynamics,
-                time_limit=options.time_limit,
-            )
-            for task in options.tasks
-        ]
+        first = make(
+            options.environment,
+            behavior=options.behavior,
+            task=options.tasks[0],
+            robot=options.robot,
+            people=options.people,
+            forces=options.forces,
+            dynamics=options.dynamics,
+            time_limit=options.time_limit,
+        )
+        return [first, *(with_task(first, task) for task in options.tasks[1:])]
     except ValueError as error:
         raise BadInput(str(error)) from error
 

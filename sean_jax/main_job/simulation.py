@@ -37,7 +37,6 @@ class Tally:
     group_size: Array  # (G,) int32 most members seen in each group
     steps: Array  # (B,) int32 active steps
     faulty: Array  # (B,) bool, a number was NaN or infinite
-    metrics: dict[str, Array]  # (B,) or (B, 1 + S) each, as they were at the end: afterwards the robot drives on
 
 
 @dataclasses.dataclass
@@ -136,10 +135,11 @@ def run_batch(programs: Programs, seed: int, base: int, kept: int, advanced: Cal
         advanced(first.time_limit if over else min(done * first.time_step, first.time_limit), simulated)
         if over:
             break
-    ended = (states.completed, states.timed_out, tally.metrics, (tally.steps, tally.faulty))
-    completed, timed_out, summary, (steps, faulty) = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], ended)
-    tally = dataclasses.replace(jax.tree.map(np.asarray, tally), steps=steps, faulty=faulty, metrics={})
-    return Batch(completed, timed_out, summary, tally, _episodes(frames, min(KEPT, kept)) if frames else [])
+    measured = jax.vmap(results, (None, 0))(first, states)
+    ended = (states.completed, states.timed_out, measured, (tally.steps, tally.faulty))
+    completed, timed_out, measured, (steps, faulty) = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], ended)
+    tally = dataclasses.replace(jax.tree.map(np.asarray, tally), steps=steps, faulty=faulty)
+    return Batch(completed, timed_out, measured, tally, _episodes(frames, min(KEPT, kept)) if frames else [])
 
 
 def _results(programs: Programs, batches: list[Batch], wanted: int, seconds: float) -> Results:
@@ -212,7 +212,6 @@ def _drawing(tasks: tuple[Callable, ...], cells: tuple[int, int]) -> Callable:
 
 def _empty_tally(scenario: Scenario, states: State, cells: tuple[int, int]) -> Tally:
     size = states.tick.shape[0]
-    measured = jax.eval_shape(jax.vmap(results, (None, 0)), scenario, states)
     return Tally(
         heat=jnp.zeros(cells, jnp.int32),
         together=jnp.zeros((2 ** len(scenario.situations),), jnp.int32),
@@ -220,7 +219,6 @@ def _empty_tally(scenario: Scenario, states: State, cells: tuple[int, int]) -> T
         group_size=jnp.zeros(states.groups.radius.shape[-1:], jnp.int32),
         steps=jnp.zeros((size,), jnp.int32),
         faulty=jnp.zeros((size,), bool),
-        metrics=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), measured),
     )
 
 
@@ -233,21 +231,12 @@ def _advance(policy: Policy, steps: int, kept: int) -> Callable:
             states, frames = jax.vmap(lambda state: parallel.simulate(scenario, policy, state, 1))(before)
             frames = jax.tree.map(lambda leaf: leaf[:, 0], frames)
             tally = _count(scenario, tally, frames, states.pedestrians.present, frames.active & counted)
-            ended = jax.vmap(results, (None, 0))(scenario, states)
-            tally = dataclasses.replace(
-                tally, metrics=jax.tree.map(functools.partial(_where, frames.active), ended, tally.metrics)
-            )
             return (states, tally), jax.tree.map(lambda leaf: leaf[:kept], frames)
 
         (states, tally), frames = jax.lax.scan(one, (states, tally), None, length=steps)
         return states, tally, frames
 
     return advance
-
-
-def _where(here: Array, new: Array, old: Array) -> Array:
-    """``new`` (B, ...) where ``here`` (B,), else ``old``."""
-    return jnp.where(here.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
 def _count(scenario: Scenario, tally: Tally, frames: Frame, present: Array, active: Array) -> Tally:

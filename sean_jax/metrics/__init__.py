@@ -33,9 +33,9 @@ def fold(values: dict[str, Any], before: Moment, after: Moment, metrics: tuple =
     return {name: metric.fold(values[name], before, after) for name, metric in metrics}
 
 
-def results(values: dict[str, Any], last: Moment, metrics: tuple = tuple(METRICS.items())) -> dict[str, Array]:
-    """The metrics at the last moment: () each, or (1 + S,) with the overall figure before those by situation."""
-    return {name: metric.result(values[name], last) for name, metric in metrics}
+def results(values: dict[str, Any], metrics: tuple = tuple(METRICS.items())) -> dict[str, Array]:
+    """The metrics so far: () each, or (1 + S,) with the overall figure before those by situation."""
+    return {name: metric.result(values[name]) for name, metric in metrics}
 
 
 __all__ = ["METRICS", "Metric", "fold", "results", "start"]

@@ -12,12 +12,12 @@ class Metric(NamedTuple):
     """A streaming metric.
 
     ``start(moment) -> value`` a pytree; ``fold(value, before, after) -> value`` one step later;
-    ``result(value, last moment) -> array``: () or, where it can be split by situation, (1 + S,), overall first.
+    ``result(value) -> array``: () or, where it can be split by situation, (1 + S,), overall first.
     """
 
     start: Callable[[Moment], Any]
     fold: Callable[[Any, Moment, Moment], Any]
-    result: Callable[[Any, Moment], Array]
+    result: Callable[[Any], Array]
     unit: str
 
 
@@ -37,6 +37,6 @@ def nothing(moment: Moment) -> Array:
     return jnp.zeros_like(split(moment))
 
 
-def value_itself(value: Array, moment: Moment) -> Array:
+def value_itself(value: Array) -> Array:
     """The running value as it stands."""
     return value

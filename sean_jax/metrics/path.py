@@ -12,14 +12,25 @@ STILL = 0.05  # m: not moving is having moved no farther than this in the last s
 
 
 class Sampled(NamedTuple):
-    """A sum over seconds and where the robot was at the last one."""
+    """A sum over whole seconds, and where the robot was at the last of them."""
 
     position: Array  # (2,) m
     amount: Array  # (1 + S,)
+    since: Array  # (1 + S,) m moved since then
+    geodesic: Array  # () m
 
 
 def _start(moment: Moment) -> Sampled:
-    return Sampled(moment.position, nothing(moment))
+    return Sampled(moment.position, nothing(moment), nothing(moment), moment.geodesic)
+
+
+def _sample(value: Sampled, after: Moment, moved: Array, amount: Array) -> Sampled:
+    now = by_second(after)
+    return value._replace(
+        position=jnp.where(now, after.position, value.position),
+        amount=value.amount + jnp.where(now, amount, 0.0) * split(after),
+        since=jnp.where(now, 0.0, moved) * split(after),
+    )
 
 
 def _moved(value: Sampled, after: Moment) -> Array:
@@ -27,32 +38,25 @@ def _moved(value: Sampled, after: Moment) -> Array:
     return length(gap[0], gap[1])
 
 
-def _sample(value: Sampled, after: Moment, amount: Array) -> Sampled:
-    now = by_second(after)
-    return Sampled(
-        jnp.where(now, after.position, value.position),
-        value.amount + jnp.where(now, amount, 0.0) * split(after),
-    )
-
-
 def _fold_length(value: Sampled, before: Moment, after: Moment) -> Sampled:
-    return _sample(value, after, _moved(value, after))
+    moved = _moved(value, after)
+    return _sample(value, after, moved, moved)
 
 
-def _length(value: Sampled, moment: Moment) -> Array:
-    """The sum at whole seconds and the rest of the last one."""
-    return value.amount + _moved(value, moment) * split(moment)
+def _length(value: Sampled) -> Array:
+    return value.amount + value.since
 
 
-def _efficiency(value: Sampled, moment: Moment) -> Array:
-    return _length(value, moment)[0] / jnp.maximum(moment.geodesic, 1e-3)
+def _efficiency(value: Sampled) -> Array:
+    return _length(value)[0] / jnp.maximum(value.geodesic, 1e-3)
 
 
 def _fold_still(value: Sampled, before: Moment, after: Moment) -> Sampled:
-    return _sample(value, after, jnp.where(_moved(value, after) <= STILL, 1.0, 0.0))
+    moved = _moved(value, after)
+    return _sample(value, after, moved, jnp.where(moved <= STILL, 1.0, 0.0))
 
 
-def _still(value: Sampled, moment: Moment) -> Array:
+def _still(value: Sampled) -> Array:
     return value.amount
 
 
