@@ -84,9 +84,11 @@ def step(x, v, heading, desired, preferred, boxes, p, law, dt):
         u = v[i] + ((desired[i] - v[i]) / p["relaxation_time"] + total) * dt
         u = u * min(1.0, p["speed_ratio"] * preferred[i] / length(u)) if length(u) > 0 else u
         if len(boxes[2]):
-            for _ in range(2):
-                excess = np.maximum(-(distance - p["radius"]) / dt - normal @ u, 0.0)
-                u = u + (excess[:, None] * normal).sum(0)
+            gap = distance - p["radius"]
+            excess = np.maximum(-gap / dt - normal @ u, 0.0)
+            u = u + (excess[:, None] * normal).sum(0)
+            approach, allowed = -normal @ u, np.maximum(gap / dt + 1e-3, 0.0)
+            u = u * min([1.0, *(allowed[approach > allowed] / approach[approach > allowed])])
         new_v[i], new_x[i] = u, x[i] + u * dt
         turn = 0.0
         if length(u) > 0.1:

@@ -79,7 +79,7 @@ def test_warehouse_is_the_graph_of_the_paper(graph):
     assert sorted(ids) == list(range(1, 16)) and ids[13] == "dock"
     assert np.all(np.asarray(graph.spawn) >= 0) and float(graph.spawn.sum()) == 55
     stay = np.asarray(graph.stay)
-    assert np.all(stay[12:] == [10, 15]) and not stay[:12].any()
+    assert np.all(stay[12:] == [5, 10]) and not stay[:12].any()
     for leaf in jax.tree.leaves(graph):
         assert not leaf.weak_type and leaf.dtype in (jnp.float32, jnp.int32, jnp.bool_)
 

@@ -96,7 +96,7 @@ def test_stays_last_as_drawn_and_members_face_inward(scenario, history):
     standing = memory.stay > 0
     begins = standing[:, 1:] & ~standing[:, :-1]
     drawn = memory.stay[:, 1:][begins]
-    assert begins.sum() >= 3 and (drawn >= 10).all() and (drawn <= 15).all()
+    assert begins.sum() >= 3 and (drawn >= 5).all() and (drawn <= 10).all()
     assert (people.group[standing] >= 0).all() and (people.group[~standing] == -1).all()
     center = graph.position[graph.groups][people.group[standing]]
     inward = center - people.position[standing]
@@ -122,3 +122,28 @@ def test_few_people_fill_the_groups_first():
     small = sean_jax.make(people=4, dynamics="twin")
     state = sean_jax.reset(small, jax.random.key(0))
     assert (np.asarray(state.pedestrians.group) >= 0).all()
+
+
+def test_a_seat_goes_over_to_a_much_nearer_walker(scenario):
+    graph = scenario.behavior.data.graph
+    names = {name: index for index, name in enumerate(graph.names)}
+    dock, near, far = names["dock"], names["tables_1"], names["west_aisle_2"]
+    state = sean_jax.reset(scenario, jax.random.key(0))
+    people = state.pedestrians
+    nobody = jnp.full(16, -1, jnp.int32)
+    seat = nobody.at[0].set(0)  # person 0 is on the way to a seat at the dock from the far corner
+    hop = jnp.full(16, far, jnp.int32).at[1].set(near).at[2].set(near)
+    goal = jnp.full(16, names["tables_4"], jnp.int32).at[0].set(dock)
+    zeros = jnp.zeros(16, jnp.float32)
+    memory = Memory(goal, hop, people.position, seat, zeros, state.memory.seat_position, state.memory.seat_heading)
+    chance = jnp.full(16, 0.3, jnp.float32)
+
+    def hand_over(onward):
+        return graph_behavior._hand_over(graph, people, memory, onward, chance)
+
+    after = hand_over(jnp.arange(16) == 1)
+    assert int(after.seat[1]) == 0 and int(after.goal[1]) == dock
+    assert int(after.seat[0]) == -1 and not bool(graph.is_group[after.goal[0]])
+    unchanged = hand_over(jnp.arange(16) == 3)  # who is at the far node as well has no shorter way
+    assert (np.asarray(unchanged.seat) == np.asarray(seat)).all()
+

@@ -1,7 +1,9 @@
 """Graph-based pedestrian behavior (section IV-D): people walk, gather and disperse on the Behavior Graph.
 
 People without a goal are first assigned to seats of group nodes, until all are taken; the rest go to random
-waypoint nodes, along the cheapest path over waypoints. Whoever reaches a seat stays for a drawn duration.
+waypoint nodes, along the cheapest path over waypoints. Whoever reaches a seat stays for a drawn duration. A seat
+that somebody is still far from goes to a nearer walker who passes a node, and the farther one walks elsewhere: so
+groups last although people arrive from afar.
 """
 
 from dataclasses import replace
@@ -23,6 +25,7 @@ from sean_jax.social_forces import draw_traits
 
 ARRIVED = 1.0  # m from the point aimed at, where a waypoint counts as reached (SEAN 2.0)
 SEATED = 0.25  # m from a seat, where the walk ends and the stay begins
+NEARER = 5.0  # m, by which a walker's way to a seat must be shorter to take it over
 SETTLING = 0.5  # s, in which the last steps to a seat are taken
 
 
@@ -124,7 +127,9 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     chance = jax.random.uniform(key, (3, scenario.people), jnp.float32)
     memory, free = _stay_or_leave(scenario, people, memory, graph, chance[0])
     memory = _assign(graph, memory, free, chance[1])
-    memory = _next_hop(graph, people, memory, free, chance[2])
+    onward = free | _passes(people, memory)
+    memory = _hand_over(graph, people, memory, onward, chance[1])
+    memory = _next_hop(graph, memory, onward, chance[2])
     standing = memory.stay > 0.0
     seat = jnp.maximum(memory.seat, 0)
     people = replace(
@@ -164,20 +169,52 @@ def _assign(graph: BehaviorGraph, memory: Memory, free: Array, chance: Array) ->
     match = seekers[:, None] & ~taken[None, :] & (rank[:, None] == order[None, :])
     given = match.any(1)
     seat = jnp.where(given, jnp.argmax(match, axis=1).astype(jnp.int32), jnp.where(free, -1, memory.seat))
-    here = (graph.waypoints[None, :] == memory.hop[:, None]).any(1)
-    others = graph.waypoints.shape[0] - here.astype(jnp.int32)
+    node = graph.groups[graph.seat_group[jnp.maximum(seat, 0)]]
+    goal = jnp.where(given, node, _other_waypoint(graph, memory.hop, chance))
+    return memory._replace(seat=seat, goal=jnp.where(free, goal, memory.goal))
+
+
+def _other_waypoint(graph: BehaviorGraph, hop: Array, chance: Array) -> Array:
+    """(N,) a waypoint node other than ``hop`` (N,), uniform in ``chance`` (N,)."""
+    number = graph.waypoints.shape[0]
+    is_own = graph.waypoints[None, :] == hop[:, None]
+    here, own = is_own.any(1), jnp.argmax(is_own, axis=1).astype(jnp.int32)
+    others = number - here.astype(jnp.int32)
     index = jnp.minimum((chance * others.astype(jnp.float32)).astype(jnp.int32), jnp.maximum(others - 1, 0))
-    own = jnp.argmax(graph.waypoints[None, :] == memory.hop[:, None], axis=1).astype(jnp.int32)
-    index = jnp.minimum(index + (here & (index >= own)).astype(jnp.int32), graph.waypoints.shape[0] - 1)
-    node = jnp.where(given, graph.groups[graph.seat_group[jnp.maximum(seat, 0)]], graph.waypoints[index])
-    return memory._replace(seat=seat, goal=jnp.where(free, node, memory.goal))
+    return graph.waypoints[jnp.minimum(index + (here & (index >= own)).astype(jnp.int32), number - 1)]
 
 
-def _next_hop(graph, people: Pedestrians, memory: Memory, free: Array, chance: Array) -> Memory:
-    """The next node on the way, for those who have reached one or have a new goal, and a point of its disc."""
+def _passes(people: Pedestrians, memory: Memory) -> Array:
+    """(N,) who has reached a node on the way to another."""
     gap = memory.target - people.position
-    passed = (length(gap[:, 0], gap[:, 1]) < ARRIVED) & (memory.hop != memory.goal)
-    onward = free | passed
+    return (length(gap[:, 0], gap[:, 1]) < ARRIVED) & (memory.hop != memory.goal)
+
+
+def _hand_over(graph: BehaviorGraph, people: Pedestrians, memory: Memory, onward: Array, chance: Array) -> Memory:
+    """One seat a step goes from somebody who is still nodes away from it to the walker at a node who is nearest."""
+    seats = jnp.arange(graph.seat_group.shape[0], dtype=jnp.int32)
+    holds = memory.seat[:, None] == seats[None, :]
+    holder = jnp.argmax(holds, axis=0).astype(jnp.int32)
+    far = holds.any(0) & (memory.hop[holder] != memory.goal[holder])
+    node = graph.groups[graph.seat_group]
+    gap = memory.target[holder] - people.position[holder]
+    rest = graph.cost[memory.hop[holder], node] + length(gap[:, 0], gap[:, 1])
+    shorter = rest[None, :] - graph.cost[memory.hop[:, None], node[None, :]]
+    shorter = jnp.where((onward & (memory.seat < 0))[:, None] & far[None, :], shorter, -jnp.inf)
+    best = jnp.argmax(shorter).astype(jnp.int32)
+    taker, seat = best // seats.shape[0], best % seats.shape[0]
+    happens = shorter[taker, seat] > NEARER
+    person = jnp.arange(memory.seat.shape[0], dtype=jnp.int32)
+    takes, loses = happens & (person == taker), happens & (person == holder[seat])
+    goal = jnp.where(loses, _other_waypoint(graph, memory.hop, chance), memory.goal)
+    return memory._replace(
+        seat=jnp.where(takes, seat, jnp.where(loses, -1, memory.seat)),
+        goal=jnp.where(takes, node[seat], goal),
+    )
+
+
+def _next_hop(graph: BehaviorGraph, memory: Memory, onward: Array, chance: Array) -> Memory:
+    """The next node on the way, for those who go on from one, and a point of its disc."""
     following = graph.next_hop[memory.hop, memory.goal]
     hop = jnp.where(onward, jnp.where(following >= 0, following, memory.goal), memory.hop)
     number = graph.places.shape[1]

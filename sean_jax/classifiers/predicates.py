@@ -36,7 +36,7 @@ def parallel_trajectory(d1: Array, d2: Array, angle: Array) -> Array:
 
 
 def _cosine(d1: Array, d2: Array) -> Array:
-    """Cosine of the angle between two vectors; 2, so that no predicate holds, if one of them is zero."""
+    """Cosine of the angle between two vectors; -2, so that no predicate holds, if one of them is zero."""
     square = (d1 * d1).sum() * (d2 * d2).sum()
     zero = square == 0.0
-    return jnp.where(zero, 2.0, (d1 * d2).sum() / jnp.sqrt(jnp.where(zero, 1.0, square)))
+    return jnp.where(zero, -2.0, (d1 * d2).sum() / jnp.sqrt(jnp.where(zero, 1.0, square)))

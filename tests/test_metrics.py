@@ -1,0 +1,297 @@
+"""Metrics of section IV-H, folded over paths made by hand and over random ones that a plain loop measures too."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sean_jax import metrics
+from sean_jax.base import Moment, Pedestrians
+
+PEOPLE, SITUATIONS, STEP = 3, 5, 0.1
+FAR = (50.0, 50.0)
+ROBOT_RADIUS, PERSON_RADIUS = 0.16, 0.2
+fold = jax.jit(metrics.fold)
+results = jax.jit(metrics.results)
+EVENTS = [f"{limit}_{who}" for limit in ("intimate", "personal", "collision")
+          for who in ("robot_on_person", "person_on_robot")]  # fmt: skip
+
+
+def at(tick=0, position=(0, 0), velocity=(0, 0), people=(), situations=(), goal=(0, 0), geodesic=1.0) -> Moment:
+    """A moment with up to three people; the others are absent, and stand where the robot is."""
+    occurring = np.zeros(SITUATIONS, bool)
+    occurring[list(situations)] = True
+    persons = Pedestrians(
+        position=np.array([*people, *[position] * (PEOPLE - len(people))], np.float32),
+        velocity=np.zeros((PEOPLE, 2), np.float32),
+        heading=np.ones((PEOPLE, 2), np.float32),
+        desired_velocity=np.zeros((PEOPLE, 2), np.float32),
+        group=np.full(PEOPLE, -1, np.int32),
+        present=np.arange(PEOPLE) < len(people),
+        preferred_speed=np.ones(PEOPLE, np.float32),
+        robot_distance=np.zeros(PEOPLE, np.float32),
+    )
+    here = Moment(
+        people=persons,
+        position=np.array(position, np.float32),
+        heading=np.array([1.0, 0.0], np.float32),
+        velocity=np.array(velocity, np.float32),
+        start=np.zeros(2, np.float32),
+        goal=np.array(goal, np.float32),
+        start_group=np.array(-1, np.int32),
+        goal_group=np.array(-1, np.int32),
+        geodesic=np.array(geodesic, np.float32),
+        situations=occurring,
+        tick=np.array(tick, np.int32),
+        robot_radius=np.array(ROBOT_RADIUS, np.float32),
+        person_radius=np.array(PERSON_RADIUS, np.float32),
+        time_step=STEP,
+    )
+    return jax.device_put(here)
+
+
+def measure(moments: list[Moment]) -> dict[str, np.ndarray]:
+    """The metrics over a sequence of moments, by the package."""
+    values = metrics.start(moments[0])
+    for before, after in zip(moments[:-1], moments[1:], strict=True):
+        values = fold(values, before, after)
+    return {name: np.asarray(value) for name, value in results(values).items()}
+
+
+def drive(positions, **others) -> dict[str, np.ndarray]:
+    return measure([at(tick, position, **others) for tick, position in enumerate(positions)])
+
+
+def along(*corners, speed=0.5):
+    """Positions every 0.1 s on the straight lines between corners."""
+    found = [np.array(corners[0], float)]
+    for one, other in zip(corners[:-1], corners[1:], strict=True):
+        steps = round(np.linalg.norm(np.subtract(other, one)) / speed / STEP)
+        found += [one + np.subtract(other, one) * k / steps for k in range(1, steps + 1)]
+    return found
+
+
+def test_straight_line():
+    found = drive(along((0, 0), (3, 4)), goal=(3, 4), geodesic=5.0)
+    assert found["path_length"][0] == pytest.approx(5.0, rel=1e-5)
+    assert found["path_efficiency"] == pytest.approx(1.0, rel=1e-5)
+    assert found["time_in_situation"][0] == pytest.approx(10.0, rel=1e-5)
+    assert found["time_not_moving"][0] == 0.0
+    assert found["final_distance_to_goal"] == pytest.approx(0.0, abs=1e-6)
+    assert found["min_distance_to_goal"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_detour_and_the_rest_of_the_last_second():
+    """Three sides of a square of 2 m, then 0.7 s more: whole seconds, and what is left."""
+    way = along((0, 0), (0, 2), (2, 2), (2, 0), (2, -0.35))
+    found = drive(way, goal=(2, 0), geodesic=2.0)
+    assert found["path_length"][0] == pytest.approx(6.35, rel=1e-5)
+    assert found["path_efficiency"] == pytest.approx(3.175, rel=1e-5)
+    assert found["min_distance_to_goal"] == pytest.approx(0.0, abs=1e-6)
+    assert found["final_distance_to_goal"] == pytest.approx(0.35, rel=1e-5)
+
+
+def test_path_is_sampled_once_a_second():
+    """A robot that shakes within each second has gone nowhere; it does move, at other times than SEAN looks."""
+    way = [(0.2 * (tick % 10 != 0), 0.0) for tick in range(41)]
+    found = drive(way)
+    assert found["path_length"][0] == pytest.approx(0.0, abs=1e-6)
+    assert found["time_not_moving"][0] == 4.0
+
+
+def test_time_not_moving():
+    """2 s of standing, 3 s at 0.049 m/s, 4 s at 0.06 m/s."""
+    x = np.concatenate([np.zeros(21), 0.0049 * np.arange(1, 31), 0.147 + 0.006 * np.arange(1, 41)])
+    found = drive([(value, 0.0) for value in x])
+    assert found["time_not_moving"][0] == 5.0
+    assert found["path_length"][0] == pytest.approx(0.147 + 0.24, rel=1e-4)
+
+
+def test_one_person_met_twice():
+    """The robot drives up to somebody, within each limit, backs off out of all, and comes again."""
+    there, away = 1.5 - 0.36, -0.4
+    way = along((0, 0), (there, 0), (away, 0), (there, 0), (away, 0))
+    speed = np.diff(np.array(way), axis=0, prepend=[way[0]]) / STEP
+    found = measure([at(k, p, v, people=[(1.5, 0)]) for k, (p, v) in enumerate(zip(way, speed, strict=True))])
+    assert {name: found[name][0] for name in EVENTS} == {
+        name: 2.0 if name.endswith("robot_on_person") else 0.0 for name in EVENTS
+    }
+    assert found["min_distance_to_people"] == pytest.approx(0.36, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "who"),
+    [
+        ((0.3, 0.0), "robot_on_person"),  # towards the person, who is at +x
+        ((0.01, 0.4), "robot_on_person"),  # hardly towards
+        ((-0.3, 0.0), "person_on_robot"),  # fleeing
+        ((0.0, 0.5), "person_on_robot"),  # across: no part towards
+        ((0.0, 0.0), "person_on_robot"),  # at rest
+        ((4e-4, 0.0), "person_on_robot"),  # at rest to three decimals
+        ((6e-4, 0.0), "robot_on_person"),
+    ],
+)
+def test_fault(velocity, who):
+    for limit, distance in (("personal", 1.1), ("intimate", 0.4), ("collision", 0.3)):
+        moments = [at(0, people=[(2.0, 0.0)]), at(1, velocity=velocity, people=[(distance, 0.0)])]
+        found = measure(moments)
+        for name in EVENTS:
+            reached = {"personal": 1.2, "intimate": 0.45, "collision": 0.37}[name.split("_")[0]] > distance
+            assert found[name][0] == float(reached and name.endswith(who)), (limit, name)
+
+
+@pytest.mark.parametrize(("limit", "metres"), [("collision", 0.37), ("intimate", 0.45), ("personal", 1.2)])
+def test_limits(limit, metres):
+    for distance, expected in ((metres + 1e-4, 0.0), (metres - 1e-4, 1.0)):
+        found = measure([at(0, people=[(3.0, 0.0)]), at(1, people=[(0.0, distance)])])
+        assert found[f"{limit}_person_on_robot"][0] == expected
+
+
+def test_staying_or_starting_inside_is_no_entry():
+    inside = [at(k, people=[(0.3, 0.0)]) for k in range(5)]
+    assert all(measure(inside)[name][0] == 0.0 for name in EVENTS)
+    entered = [at(0, people=[(3.0, 0.0)]), *inside]
+    assert measure(entered)["collision_person_on_robot"][0] == 1.0
+
+
+def test_each_person_counts_and_absent_people_do_not():
+    found = measure([at(0, people=[(3, 0), (0, 3), (9, 9)]), at(1, people=[(1, 0), (0, 1), (9, 9)])])
+    assert found["personal_person_on_robot"][0] == 2.0
+    found = measure([at(0), at(1), at(2)])  # all absent ones stand on the robot
+    assert all(found[name][0] == 0.0 for name in EVENTS)
+    assert found["min_distance_to_people"] == pytest.approx(1000.0)
+    here = at(0, people=[(3, 0)])
+    appears = replace(at(1, people=[(1, 0)]), people=at(1, people=[(1, 0)]).people)
+    gone = replace(here, people=replace(here.people, present=jnp.zeros(PEOPLE, bool)))
+    assert measure([gone, appears])["personal_person_on_robot"][0] == 1.0
+
+
+def test_split_by_situation():
+    """Amounts count for every situation of the moment at which they are counted, and once overall."""
+    way = along((0, 0), (4, 0))  # 80 steps
+    occurring = [(0,) if tick <= 40 else (1, 4) for tick in range(81)]
+    people = [[(2.05, 1.0)]] * 81
+    found = measure([at(k, p, (0.5, 0), people[k], occurring[k], geodesic=4.0) for k, p in enumerate(way)])
+    np.testing.assert_allclose(found["time_in_situation"], [8.0, 4.0, 4.0, 0, 0, 4.0], rtol=1e-5)
+    np.testing.assert_allclose(found["path_length"], [4.0, 2.0, 2.0, 0, 0, 2.0], rtol=1e-5)
+    np.testing.assert_array_equal(found["personal_robot_on_person"], [1, 1, 0, 0, 0, 0])
+    halves = [at(k, p, situations=(k % 2,)) for k, p in enumerate([(0, 0)] * 31)]
+    found = measure(halves)  # a whole second is an even tick
+    np.testing.assert_array_equal(found["time_not_moving"], [3, 3, 0, 0, 0, 0])
+    assert found["time_in_situation"][1:].sum() == pytest.approx(found["time_in_situation"][0])
+
+
+def by_loop(sequence) -> dict[str, np.ndarray]:
+    """The same metrics in plain Python and double precision, from a list of dicts."""
+    out = {name: np.zeros(1 + SITUATIONS) for name in (*EVENTS, "path_length", "time_not_moving", "time_in_situation")}
+    sampled = sequence[0]["position"]
+    least, near_goal = np.inf, np.inf
+    for tick, now in enumerate(sequence):
+        weights = np.array([1.0, *now["situations"]])
+        gaps = np.linalg.norm(now["people"] - now["position"], axis=1)[now["present"]]
+        least, near_goal = min([least, *gaps]), min(near_goal, np.linalg.norm(now["position"] - now["goal"]))
+        if tick == 0:
+            continue
+        then = sequence[tick - 1]
+        out["time_in_situation"] += STEP * weights
+        if tick % 10 == 0:
+            moved = np.linalg.norm(now["position"] - sampled)
+            out["path_length"] += moved * weights
+            out["time_not_moving"] += (moved <= 0.05) * weights
+            sampled = now["position"]
+        for k in range(PEOPLE):
+            for name, limit in (("intimate", 0.45), ("personal", 1.2), ("collision", 0.37)):
+                was = then["present"][k] and np.linalg.norm(then["people"][k] - then["position"]) <= limit
+                inside = now["present"][k] and np.linalg.norm(now["people"][k] - now["position"]) <= limit
+                if inside and not was:
+                    moving = round(float(np.linalg.norm(now["velocity"])), 3) != 0
+                    robot = moving and now["velocity"] @ (now["people"][k] - now["position"]) > 0
+                    out[f"{name}_{'robot_on_person' if robot else 'person_on_robot'}"] += weights
+    last = sequence[-1]
+    out["path_length"] += np.linalg.norm(last["position"] - sampled) * np.array([1.0, *last["situations"]])
+    out["path_efficiency"] = out["path_length"][0] / last["geodesic"]
+    out["min_distance_to_people"], out["min_distance_to_goal"] = least, near_goal
+    out["final_distance_to_goal"] = np.linalg.norm(last["position"] - last["goal"])
+    return out
+
+
+def wander(seed: int, steps: int = 153):
+    random = np.random.default_rng(seed)
+    speed = random.uniform(0, 1.5, steps)[:, None] * (random.uniform(size=steps) > 0.3)[:, None]
+    angle = np.cumsum(random.normal(0, 0.4, steps))
+    velocity = speed * np.stack([np.cos(angle), np.sin(angle)], -1)
+    velocity[np.arange(steps) % 40 > 24] = 0.0
+    position = np.cumsum(velocity * STEP, 0)
+    people = (
+        position[:, None] + np.cumsum(random.normal(0, 0.25, (steps, PEOPLE, 2)), 0) + random.normal(0, 0.5, (3, 2))
+    )
+    present = random.uniform(size=(steps, PEOPLE)) < 0.95
+    occurring = random.uniform(size=(steps, SITUATIONS)) < 0.4
+    return [
+        dict(
+            position=position[k].astype(np.float32).astype(float),
+            velocity=velocity[k].astype(np.float32).astype(float),
+            people=people[k].astype(np.float32).astype(float),
+            present=present[k],
+            situations=occurring[k],
+            goal=np.array([1.0, 2.0]),
+            geodesic=3.0,
+        )
+        for k in range(steps)
+    ]
+
+
+def as_moment(tick: int, now: dict) -> Moment:
+    one = at(tick, now["position"], now["velocity"], now["people"], np.flatnonzero(now["situations"]), now["goal"], 3.0)
+    return replace(one, people=replace(one.people, present=jnp.asarray(now["present"])))
+
+
+def test_random_paths_equal_a_plain_loop_and_vmap_equals_a_loop():
+    sequences = [wander(seed) for seed in range(3)]
+    moments = [[as_moment(tick, now) for tick, now in enumerate(sequence)] for sequence in sequences]
+    found = [measure(sequence) for sequence in moments]
+    seen = np.zeros(len(EVENTS))
+    for ours, sequence in zip(found, sequences, strict=True):
+        theirs = by_loop(sequence)
+        assert set(ours) == set(theirs) == set(metrics.METRICS)
+        for name, value in theirs.items():
+            np.testing.assert_allclose(ours[name], value, rtol=2e-5, atol=1e-5, err_msg=name)
+        seen += [theirs[name][0] for name in EVENTS]
+    assert (seen > 2).all()
+    together = jax.tree.map(
+        lambda *leaves: jnp.stack(leaves), *[jax.tree.map(lambda *x: jnp.stack(x), *m) for m in moments]
+    )
+
+    def run(sequence):
+        first, before, after = (
+            jax.tree.map(lambda leaf: leaf[part], sequence)  # noqa: B023
+            for part in (0, slice(None, -1), slice(1, None))
+        )
+        values = jax.lax.scan(lambda v, pair: (metrics.fold(v, *pair), None), metrics.start(first), (before, after))[0]
+        return metrics.results(values)
+
+    for name, value in jax.jit(jax.vmap(run))(together).items():
+        np.testing.assert_allclose(value, np.stack([one[name] for one in found]), rtol=1e-5, atol=1e-6, err_msg=name)
+
+
+def test_units_shapes_and_types():
+    """Values keep their types from step to step, or a rollout would be traced again; each metric names its unit."""
+    here = at(0, people=[(1, 0)])
+    values = metrics.start(here)
+    after = fold(values, here, here)
+    for one, other in zip(jax.tree.leaves(values), jax.tree.leaves(after), strict=True):
+        assert one.dtype == other.dtype == jnp.float32 and one.shape == other.shape and not one.weak_type
+    assert {metric.unit for metric in metrics.METRICS.values()} <= {"m", "s", "1", "count"}
+    for name, value in results(after).items():
+        assert value.shape in ((), (1 + SITUATIONS,)), name
+
+
+def test_gradients_are_finite_where_the_robot_stands_at_its_goal_on_somebody():
+    def loss(position):
+        here = [replace(at(k, people=[(0, 0)]), position=position) for k in (0, 10)]
+        values = metrics.fold(metrics.start(here[0]), *here)
+        return sum(value.sum() for value in metrics.results(values).values())
+
+    assert np.isfinite(jax.grad(loss)(jnp.zeros(2))).all()
