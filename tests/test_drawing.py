@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 from PIL import Image
 
 from sean_jax import drawing
@@ -152,3 +153,8 @@ def test_pyplot_is_left_alone():
     before = "matplotlib.pyplot" in sys.modules
     drawing.top_down(environment(), frames=frames())
     assert ("matplotlib.pyplot" in sys.modules) == before
+
+
+def test_a_trajectory_is_drawn_without_its_scenario_too():
+    bare = drawing.view(frames())
+    assert isinstance(bare, Figure) and len(bare.axes) >= 1

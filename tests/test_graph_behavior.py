@@ -52,7 +52,9 @@ def test_people_without_a_goal_take_empty_seats_first(scenario):
     people, seats = 16, 11
     nobody = jnp.full(people, -1, jnp.int32)
     at = jnp.full(people, int(graph.waypoints[0]), jnp.int32)
-    memory = Memory(at, at, jnp.zeros((people, 2)), nobody, jnp.zeros(people), jnp.zeros((seats, 2)), jnp.zeros((seats, 2)))
+    memory = Memory(
+        at, at, jnp.zeros((people, 2)), nobody, jnp.zeros(people), jnp.zeros((seats, 2)), jnp.zeros((seats, 2))
+    )
     chance = jnp.linspace(0.0, 0.999, people, dtype=jnp.float32)
     free = jnp.ones(people, bool)
     given = graph_behavior._assign(graph, memory, free, chance)
@@ -102,9 +104,15 @@ def test_stays_last_as_drawn_and_members_face_inward(scenario, history):
     inward = center - people.position[standing]
     cosine = (people.heading[standing] * inward).sum(-1) / np.linalg.norm(inward, axis=-1)
     assert np.median(cosine) > 0.7
-    gap = np.linalg.norm(people.position[standing] - np.take_along_axis(
-        np.broadcast_to(memory.seat_position[:, :, :, :], memory.seat_position.shape),
-        np.maximum(memory.seat, 0)[..., None], axis=2)[standing], axis=-1)
+    gap = np.linalg.norm(
+        people.position[standing]
+        - np.take_along_axis(
+            np.broadcast_to(memory.seat_position[:, :, :, :], memory.seat_position.shape),
+            np.maximum(memory.seat, 0)[..., None],
+            axis=2,
+        )[standing],
+        axis=-1,
+    )
     assert np.quantile(gap, 0.95) < 0.35
 
 
@@ -146,4 +154,3 @@ def test_a_seat_goes_over_to_a_much_nearer_walker(scenario):
     assert int(after.seat[0]) == -1 and not bool(graph.is_group[after.goal[0]])
     unchanged = hand_over(jnp.arange(16) == 3)  # who is at the far node as well has no shorter way
     assert (np.asarray(unchanged.seat) == np.asarray(seat)).all()
-

@@ -53,7 +53,8 @@ def test_start_and_goal_are_as_far_apart_as_asked(scenario, starts):
 def test_equal_keys_give_equal_episodes_and_others_do_not(episode):
     run, last, frames = episode
     again_last, again_frames = run(jax.random.split(jax.random.key(1), 2))
-    for one, other in zip(jax.tree.leaves((last.robot, frames)), jax.tree.leaves((again_last.robot, again_frames))):
+    pairs = zip(jax.tree.leaves((last.robot, frames)), jax.tree.leaves((again_last.robot, again_frames)), strict=True)
+    for one, other in pairs:
         np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
     assert np.abs(np.asarray(frames.people[0]) - np.asarray(frames.people[1])).max() > 1.0
 

@@ -6,10 +6,12 @@ import io
 from typing import TYPE_CHECKING, Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.base import Environment, Frame, Scenario
+from sean_jax.base import Environment, Frame, Obstacles, Scenario
 from sean_jax.drawing import animation, colors, parts
+from sean_jax.nearby import tabulate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,26 +84,36 @@ def heat_map(environment: Environment, seconds: np.ndarray, *, width: float = 6.
     return figure
 
 
-def view(trajectory: Frame, scenario: Scenario, animate: bool = False) -> Any:
+def view(trajectory: Frame, scenario: Scenario | None = None, animate: bool = False) -> Any:
     """A trajectory for a notebook: a matplotlib ``Figure``, or with ``animate`` a moving IPython ``Image``.
 
     ``trajectory`` has a leading time axis (T, ...); of a batch (B, T, ...) the first episode is shown. The behavior
-    graph is drawn if the scenario has one.
+    graph is drawn if the scenario has one; without a scenario, people and robot are drawn on an empty floor.
     """
     frames = trajectory
     while np.ndim(frames.active) > 1:
         frames = jax.tree.map(lambda leaf: leaf[0], frames)
-    names = tuple(name for name, _ in scenario.situations)
-    graph = graph_of(scenario)
+    if scenario is None:
+        environment, graph, names, time_step = _empty_floor(frames), None, tuple(colors.SITUATION_COLORS), 0.1
+    else:
+        environment, graph, time_step = scenario.environment, graph_of(scenario), scenario.time_step
+        names = tuple(name for name, _ in scenario.situations)
     if not animate:
-        return top_down(
-            scenario.environment, graph=graph, frames=frames, situations=names, time_step=scenario.time_step
-        )
+        return top_down(environment, graph=graph, frames=frames, situations=names, time_step=time_step)
     from IPython.display import Image
 
     stream = io.BytesIO()
-    animation.animate(scenario.environment, frames, stream, graph=graph, situations=names, time_step=scenario.time_step)
+    animation.animate(environment, frames, stream, graph=graph, situations=names, time_step=time_step)
     return Image(data=stream.getvalue(), format="gif")
+
+
+def _empty_floor(frames: Frame) -> Environment:
+    """A floor without obstacles that holds everybody's way, with 2 m around it."""
+    seen = np.concatenate([np.asarray(frames.people).reshape(-1, 2), np.asarray(frames.position).reshape(-1, 2)])
+    floor = jnp.asarray(np.concatenate([seen.min(0) - 2.0, seen.max(0) + 2.0]), jnp.float32)
+    none, pairs = jnp.zeros(0, jnp.float32), jnp.zeros((0, 2), jnp.float32)
+    obstacles = Obstacles(center=pairs, half_extent=pairs, yaw=none, height=none)
+    return Environment(floor=floor, obstacles=obstacles, nearby=tabulate(obstacles, floor), name="empty floor")
 
 
 def graph_of(scenario: Scenario) -> Any:

@@ -1,5 +1,6 @@
 """The social force model (section IV-D [28][44][45]): accelerations, and one semi-implicit Euler step."""
 
+import math
 from dataclasses import replace
 
 import jax
@@ -17,7 +18,7 @@ ABSENT = -2  # marks who is not there where a group index is -1 for nobody's mem
 
 def move(scenario: Scenario, state: State) -> Pedestrians:
     """People one control step later, the robot held where it was; the pedestrian model ``social_forces``."""
-    substeps = max(1, round(scenario.time_step / SUBSTEP))
+    substeps = math.ceil(scenario.time_step / SUBSTEP - 1e-6)
     time_step = scenario.time_step / substeps
     nearby = scenario.environment.nearby
 

@@ -32,7 +32,7 @@ def elliptical(dx: Array, dy: Array, wx: Array, wy: Array, vx: Array, vy: Array,
     ahead = dot < 0.0
     bb = 0.5 * jnp.where(ahead, cross * cross / (d * e + jnp.abs(dot)), d * e + dot) + TINY
     inverse_b = jax.lax.rsqrt(bb)
-    push = parameters.strength * jnp.exp((parameters.reach - bb * inverse_b) / parameters.range)
+    push = parameters.strength * jnp.exp((parameters.reach - bb * inverse_b) * (1.0 / parameters.range))
     push = push * (0.25 * (d + e) * inverse_b)
     return push * (dx * inverse_d + ex * inverse_e), push * (dy * inverse_d + ey * inverse_e)
 
@@ -41,7 +41,7 @@ def circular(dx: Array, dy: Array, wx: Array, wy: Array, vx: Array, vy: Array, p
     """Repulsion [m/s2] A exp((reach - |d|) / B) along d: the circular specification, and SEAN 2.0's own."""
     dd = dx * dx + dy * dy + TINY
     inverse = jax.lax.rsqrt(dd)
-    push = parameters.strength * jnp.exp((parameters.reach - dd * inverse) / parameters.range) * inverse
+    push = parameters.strength * jnp.exp((parameters.reach - dd * inverse) * (1.0 / parameters.range)) * inverse
     return push * dx, push * dy
 
 

@@ -22,7 +22,7 @@ def distances(px: Array, py: Array, nearby: Nearby) -> tuple[Array, Array, Array
 
 def wall_forces(distance: Array, nx: Array, ny: Array, parameters: Any) -> tuple[Array, Array]:
     """(N,) x and y parts [m/s2] of the push of all obstacles along their normals."""
-    push = parameters.wall_strength * jnp.exp((parameters.wall_reach - distance) / parameters.wall_range)
+    push = parameters.wall_strength * jnp.exp((parameters.wall_reach - distance) * (1.0 / parameters.wall_range))
     push = push * (1.0 + parameters.wall_lever * (distance - 1.0))
     push = jnp.where(distance < parameters.perception, push, 0.0)
     return sum_vectors(push * nx, push * ny, 1)

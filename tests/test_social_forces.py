@@ -1,0 +1,458 @@
+"""Social forces: against a float64 loop, potentials and closed forms; walls that hold; gradients that are finite."""
+
+import functools
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import crowd_loop
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import workload
+from crowd import exact
+from scipy import stats
+
+from sean_jax import social_forces
+from sean_jax.base import Groups, Nearby, Obstacles, Pedestrians, Robot
+from sean_jax.nearby import tabulate
+from sean_jax.social_forces import repulsion
+from sean_jax.social_forces.model import group_forces, move, pair_forces, robot_force
+
+STEP = 0.05
+PRESETS = list(social_forces.PRESETS)
+FLOOR = (-12.0, -12.0, 12.0, 12.0)
+pairs = jax.jit(pair_forces)
+
+
+@functools.partial(jax.jit, static_argnames="steps")
+def walk(parameters, people, table=None, groups=None, robot=None, steps=1):
+    """People after each of so many steps."""
+
+    def one(carry, _):
+        after = social_forces.advance(parameters, carry, table, groups, robot, STEP, 0.16)
+        return after, after
+
+    return jax.lax.scan(one, people, length=steps)[1]
+
+
+def crowd(position, desired, velocity=None, preferred=None, **others) -> Pedestrians:
+    """People who look where they want to go, and by default already walk there."""
+    position, desired = np.array(position, np.float32), np.array(desired, np.float32)
+    speed = np.linalg.norm(desired, axis=1)
+    heading = np.where(speed[:, None] > 0, desired / np.where(speed > 0, speed, 1)[:, None], [1.0, 0.0])
+    people = Pedestrians(
+        position=position,
+        velocity=desired if velocity is None else np.array(velocity, np.float32),
+        heading=heading.astype(np.float32),
+        desired_velocity=desired,
+        group=np.full(len(position), -1, np.int32),
+        present=np.ones(len(position), bool),
+        preferred_speed=np.array(speed if preferred is None else preferred, np.float32),
+        robot_distance=np.zeros(len(position), np.float32),
+    )
+    return jax.device_put(replace(people, **others))
+
+
+def scene(*boxes) -> tuple[Nearby, tuple[np.ndarray, ...]]:
+    """Table and float64 arrays of boxes (center x, y, half extent x, y, yaw in degrees)."""
+    rows = np.array(boxes, np.float32)
+    center, half, yaw = rows[:, :2], rows[:, 2:4], np.deg2rad(rows[:, 4]).astype(np.float32)
+    obstacles = Obstacles(*(jnp.asarray(part) for part in (center, half, yaw, np.ones(len(rows), np.float32))))
+    return tabulate(obstacles, jnp.asarray(FLOOR)), tuple(part.astype(float) for part in (center, half, yaw))
+
+
+def clearance(position, boxes) -> np.ndarray:
+    """(...,) signed distance to the nearest of the boxes, in float64."""
+    center, half, yaw = boxes
+    offset = np.asarray(position, float)[..., None, :] - center
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    u = cosine * offset[..., 0] + sine * offset[..., 1]
+    v = cosine * offset[..., 1] - sine * offset[..., 0]
+    over = np.abs(np.stack([u, v], -1)) - half
+    outside = np.linalg.norm(np.maximum(over, 0), axis=-1)
+    return np.where((over < 0).all(-1), over.max(-1), outside).min(-1)
+
+
+def constants(name: str, **changes: Any) -> social_forces.Parameters:
+    changes = {key: jnp.asarray(value, jnp.float32) for key, value in changes.items()}
+    return replace(social_forces.preset(name), **changes)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_step_equals_the_float64_loop(preset):
+    """As printed, one person at a time, with code and arithmetic that share nothing with the package."""
+    number, walls = 20, 8
+    p, law, state, boxes = exact(number, walls, preset)
+    people, table, _ = workload.crowd(number, walls)
+    after = walk(social_forces.preset(preset), people, table, steps=20)
+    started = state[0]
+    for step in range(20):
+        state = crowd_loop.step(*state, boxes, p, law, STEP) + state[3:]
+        if step in (0, 19):
+            limit = 1e-5 if step == 0 else 1e-3
+            for name, theirs in zip(("position", "velocity", "heading"), state[:3], strict=True):
+                ours = np.asarray(getattr(after, name)[step])
+                assert np.linalg.norm(ours - theirs) <= limit * np.linalg.norm(theirs), (name, step)
+    assert np.linalg.norm(state[0] - started, axis=1).mean() > 0.3
+    apart = np.linalg.norm(started[:, None] - started, axis=-1) + 9 * np.eye(number)
+    assert apart.min() < 2.0 and clearance(state[0], boxes).min() < 1.0  # they had something to feel
+
+
+@pytest.mark.parametrize("own_motion", [0.0, 1.0])
+def test_elliptical_repulsion_is_the_gradient_of_its_potential(own_motion):
+    """V(b) = A B exp(-b / B), 2 b = sqrt((|d| + |d - y|)^2 - |y|^2): eq. (3) and (4) of Helbing & Molnar (1995)."""
+    strength, reach_of, ahead = 7.0, 0.3, 2.0
+    random = np.random.default_rng(0)
+    d, w, v = random.normal(size=(3, 200, 2)) * [[[0.8]], [[0.7]], [[0.7]]]
+    y = (w - own_motion * v) * ahead
+
+    def potential(d):
+        far = np.linalg.norm(d, axis=-1) + np.linalg.norm(d - y, axis=-1)
+        b = 0.5 * np.sqrt(far**2 - (y**2).sum(-1))
+        return strength * reach_of * np.exp(-b / reach_of)
+
+    change = 1e-5
+    numeric = -np.stack([(potential(d + e) - potential(d - e)) / (2 * change) for e in change * np.eye(2)], -1)
+    with jax.enable_x64(True):
+        p = SimpleNamespace(strength=strength, range=reach_of, reach=0.0, anticipation=ahead, own_motion=own_motion)
+        parts = [jnp.asarray(part) for vectors in (d, w, v) for part in vectors.T]
+        ours = np.stack(jax.jit(functools.partial(repulsion.elliptical, parameters=p))(*parts), -1)
+    between = np.abs(d[:, 0] * y[:, 1] - d[:, 1] * y[:, 0]) < 1e-2 * np.linalg.norm(
+        y, axis=1
+    )  # on the other's way b has a kink
+    np.testing.assert_allclose(ours[~between], numeric[~between], rtol=1e-4, atol=1e-6)
+    assert (~between).sum() > 150 and np.abs(numeric).max() > 1.0
+
+
+def test_circular_repulsion_and_body_are_as_printed():
+    d = np.array([[0.3, 0.4], [-1.2, 0.5], [0.1, 0.0]])
+    size = np.linalg.norm(d, axis=1)
+    p = SimpleNamespace(strength=6.25, range=0.16, reach=0.9, body=200.0)
+    ours = np.stack(repulsion.circular(*jnp.asarray(d.T, jnp.float32), 0, 0, 0, 0, p), -1)
+    np.testing.assert_allclose(ours, (6.25 * np.exp((0.9 - size) / 0.16) / size)[:, None] * d, rtol=2e-5)
+    ours = np.stack(repulsion.body(*jnp.asarray(d.T, jnp.float32), 0.4, p), -1)
+    np.testing.assert_allclose(ours, [[0, 0], [0, 0], [60.0, 0]], rtol=1e-4)
+
+
+def test_robot_pushes_like_a_person_but_farther_when_it_moves():
+    parameters = social_forces.preset("johansson2007")
+    extra = np.array([0.3, -0.2, 0.0], np.float32)
+    people = crowd([(0.9, 0.2), (-0.5, 1.0), (0.0, -0.7)], [(-1.0, 0.0), (0.5, 0.5), (0.0, 1.2)], robot_distance=extra)
+    look = people.heading[:, 0], people.heading[:, 1]
+
+    def robot(speed, at=(0.1, 0.1)):
+        heading = jnp.array([0.6, 0.8])
+        return Robot(jnp.asarray(at, jnp.float32), heading, jnp.asarray(speed, jnp.float32), jnp.zeros(()), ())
+
+    def push(speed):
+        return np.stack(jax.jit(robot_force)(parameters, people, *look, robot(speed), 0.2), -1)
+
+    def person(speed):
+        """What a person at the robot's place adds to the forces between the three."""
+        x = jnp.concatenate([people.position, jnp.array([[0.1, 0.1]])])
+        v = jnp.concatenate([people.velocity, speed * jnp.array([[0.6, 0.8]])])
+        four = crowd(x, np.ones((4, 2)), v)
+        look4 = [jnp.concatenate([part, jnp.ones(1)]) for part in look]
+        alone = np.stack(pairs(parameters, people, *look), -1)
+        return np.stack(pairs(parameters, four, *look4), -1)[:3] - alone
+
+    np.testing.assert_allclose(push(0.05), person(0.05), rtol=1e-3, atol=1e-5)
+    motion = jnp.full((3,), 0.3), jnp.full((3,), 0.4)
+    apart = (people.position - 0.1).T
+    side = np.stack(jax.jit(repulsion.sidestep)(*apart, *motion, *people.velocity.T, *look, parameters), -1)
+    farther = (person(0.5) - side) * np.exp(extra / 3.22)[:, None] + side
+    np.testing.assert_allclose(push(0.5), farther, rtol=1e-3, atol=1e-5)
+
+
+def test_group_keeps_others_out_but_not_its_members():
+    parameters = constants("helbing1995", group_strength=2.0, group_range=0.4)
+    x = np.array([(0.9, 0.0), (0.0, 2.0), (-0.3, -0.4)])
+    people = crowd(x, np.zeros((3, 2)), group=np.array([-1, -1, 0], np.int32))
+    center = jnp.array([[0.0, 0.0], [5.0, 5.0], [0.0, 1.0]])
+    groups = Groups(center, jnp.array([0.6, 1.0, 0.5]), center, jnp.array([True, True, False]))
+    exact_force = np.zeros((3, 2))
+    for k in range(3):
+        for g in range(2):  # the third is not there
+            if people.group[k] != g:
+                d = x[k] - np.asarray(center[g])
+                size = np.linalg.norm(d)
+                exact_force[k] += 2.0 * np.exp((float(groups.radius[g]) - size) / 0.4) * d / size
+    np.testing.assert_allclose(np.stack(jax.jit(group_forces)(parameters, people, groups), -1), exact_force, rtol=1e-4)
+
+
+def test_members_of_one_group_do_not_push_one_another():
+    people = crowd([(0, 0), (0.6, 0), (0, 0.7)], np.zeros((3, 2)), group=np.array([1, 1, 2], np.int32))
+    forces = np.stack(pairs(social_forces.preset("helbing1995"), people, *people.heading.T), -1)
+    only_third = crowd([(0, 0), (0, 0.7)], np.zeros((2, 2)))
+    pair = np.stack(pairs(social_forces.preset("helbing1995"), only_third, *only_third.heading.T), -1)
+    np.testing.assert_allclose(forces[0], pair[0], rtol=1e-5)
+    assert forces[2, 1] > 0.5
+    strangers = replace(people, group=jnp.full(3, -1, jnp.int32))
+    assert pairs(social_forces.preset("helbing1995"), strangers, *people.heading.T)[0][0] < -0.5
+
+
+def test_one_walker_takes_up_the_preferred_speed():
+    """v = v0 (1 - (1 - dt / tau)^n), the discrete form of v0 (1 - exp(-t / tau))."""
+    people = crowd([(0.0, 0.0)], [(0.8, -1.0)], [(0.0, 0.0)])
+    after = walk(social_forces.preset("helbing1995"), people, steps=200)
+    speed = np.linalg.norm(after.velocity[:, 0], axis=1)
+    wanted = np.hypot(0.8, 1.0)
+    np.testing.assert_allclose(speed, wanted * (1 - (1 - STEP / 0.5) ** np.arange(1, 201)), rtol=1e-5)
+    np.testing.assert_allclose(after.position[-1, 0], np.asarray(after.velocity[:, 0], float).sum(0) * STEP, rtol=1e-5)
+    assert speed[-1] == pytest.approx(wanted, rel=1e-6)
+
+
+def test_speed_and_turning_are_limited():
+    people = crowd([(0.0, 0.0)], [(-3.0, 0.1)], [(2.0, 0.0)], preferred=[1.0])
+    people = replace(people, heading=jnp.array([[1.0, 0.0]]))
+    for preset, ratio, rate in (("helbing1995", 1.3, 2 * np.pi), ("sean2", 1.0, np.deg2rad(120))):
+        after = walk(social_forces.preset(preset), people, steps=40)
+        assert np.linalg.norm(after.velocity, axis=-1).max() <= ratio * 1.00001
+        angle = np.unwrap(np.arctan2(after.heading[:, 0, 1], after.heading[:, 0, 0]))
+        assert np.abs(np.diff(angle)).max() == pytest.approx(rate * STEP, rel=1e-3)
+        np.testing.assert_allclose(np.linalg.norm(after.heading, axis=-1), 1.0, atol=1e-5)
+        assert angle[-1] == pytest.approx(np.pi, abs=0.05)
+
+
+L_CORRIDOR = [  # 2 m wide: from (-9, 0) to (0, 0), and on to (0, 9)
+    (-4, -1.1, 6, 0.1, 0),
+    (1.1, 4, 0.1, 5.2, 0),
+    (-5.5, 1.1, 4.5, 0.1, 0),
+    (-1.1, 5.5, 0.1, 4.5, 0),
+    (-9.5, 0, 0.1, 1.2, 0),
+]
+
+
+@pytest.mark.parametrize(("preset", "changes"), [
+    ("helbing1995", {}), ("helbing1995", {"wall_strength": 0.0}), ("sean2", {})
+])  # fmt: skip
+def test_twenty_people_round_a_corner_stay_in_the_corridor(preset, changes):
+    """RiMEA test 6 and NIST verification 2.3, also where nothing but the guarantee keeps people off the walls."""
+    parameters = constants(preset, **changes)
+    table, boxes = scene(*L_CORRIDOR)
+    random = np.random.default_rng(1)
+    x = np.stack(np.meshgrid(np.linspace(-8.5, -1.5, 10), [-0.4, 0.4]), -1).reshape(-1, 2)
+    x = x + random.uniform(-0.1, 0.1, x.shape)
+    speed = np.full(20, 0.6) if preset == "sean2" else random.uniform(1.0, 1.6, 20)
+
+    @jax.jit
+    def run(people):
+        def one(people, _):
+            turned = people.position[:, 0] > -0.6
+            aim = jnp.where(turned[:, None], jnp.array([[0.0, 8.0]]), jnp.array([[0.0, 0.0]])) - people.position
+            way = aim / jnp.linalg.norm(aim, axis=1, keepdims=True)
+            people = replace(people, desired_velocity=way * people.preferred_speed[:, None])
+            people = social_forces.advance(parameters, people, table, None, None, STEP)
+            return people, people.position
+
+        return jax.lax.scan(one, people, length=400)[1]
+
+    path = np.asarray(run(crowd(x, speed[:, None] * np.array([[1.0, 0.0]]))))
+    assert clearance(path, boxes).min() > 0.2 - 0.001
+    assert (path[..., 0] < 1).all() and (path[..., 1] > -1).all()
+    rounded = (path[-1, :, 1] > 1.5).sum()
+    assert rounded >= (10 if preset == "helbing1995" else 3)
+
+
+@pytest.mark.parametrize("wall_strength", [50.0, 0.0])
+def test_fast_walkers_stop_at_walls_and_in_corners(wall_strength):
+    """2.8 m/s straight into 0.2 m of wall, into an inner corner, and into wedges of 60 and 30 degrees."""
+    parameters = constants("helbing1995", wall_strength=wall_strength)
+    cases = [
+        ([(2, 0, 0.1, 3, 0)], (0, 0), (2.8, 0)),
+        ([(2, 0, 0.1, 3, 0), (0, 2, 3, 0.1, 0)], (0, 0), (1.98, 1.98)),
+        ([(0, 2, 5, 0.5, -30), (0, -2, 5, 0.5, 30)], (-1, 0), (2.8, 0)),
+        ([(0, 1, 5, 0.5, -15), (0, -1, 5, 0.5, 15)], (-3, 0), (2.8, 0)),
+        ([(2, 1, 0.1, 1, 0), (2, -1, 0.1, 1, 0), (2, 3, 0.1, 1, 0)], (0, 0.01), (2.8, 0)),
+    ]
+    for boxes, start, velocity in cases:
+        boxes = boxes + [(9.0, 9.0, 0.1, 0.1, 0.0)] * (3 - len(boxes))
+        table, exact_boxes = scene(*boxes)
+        rows = jnp.pad(table.rows, ((0, 0), (0, 0), (0, 3 - table.rows.shape[2]), (0, 0)), mode="edge")
+        after = walk(parameters, crowd([start], [velocity]), replace(table, rows=rows), steps=100)
+        gap = clearance(after.position[:, 0], exact_boxes) - 0.2
+        assert gap.min() > -0.001, boxes
+        assert gap[-1] < 0.4 and np.linalg.norm(after.velocity[-1]) < 0.2  # they got there, and stand
+        assert np.asarray(after.position[-1, 0, 0]) < 2.1
+
+
+def test_a_wall_lets_people_walk_along_it():
+    """Pressed against it at a slant, on one box and across the joint of two, without a wall force."""
+    parameters = constants("helbing1995", wall_strength=0.0)
+    table, boxes = scene((-4, 1, 4, 0.5, 0), (4, 1, 4, 0.5, 0))
+    after = walk(parameters, crowd([(-6.0, 0.3)], [(1.0, 0.4)]), table, steps=200)
+    assert clearance(after.position, boxes).min() > 0.2 - 0.001
+    np.testing.assert_allclose(after.velocity[20:, 0, 0], 1.0, atol=0.05)  # at the joint, its corner is felt
+
+
+def test_who_starts_inside_an_obstacle_is_led_out():
+    table, boxes = scene((0, 0, 1, 1, 20))
+    after = walk(social_forces.preset("helbing1995"), crowd([(0.8, 0.1)], [(-1.0, 0.0)]), table, steps=40)
+    assert clearance(after.position[-1], boxes)[0] > 0.199
+    assert np.isfinite(after.position).all()
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_head_on_people_pass_on_the_preferred_side(preset):
+    people = crowd([(-3.0, 0.0), (3.0, 0.0)], [(1.2, 0.0), (-1.2, 0.0)])
+    for preference in (0.6, -0.6):
+        parameters = constants(preset, side_preference=preference, perception=10.0)
+        after = walk(parameters, people, steps=200)
+        x, y = np.asarray(after.position[..., 0]), np.asarray(after.position[..., 1])
+        met = np.argmax(x[:, 0] > x[:, 1])
+        assert x[-1, 0] > x[-1, 1], "they have passed"
+        right = y[met, 0] < y[met, 1]  # the one who walks along +x has the right hand at -y
+        assert right == (preference > 0)
+        assert np.linalg.norm(after.position[:, 0] - after.position[:, 1], axis=1).min() > 0.3
+    assert (float(social_forces.preset(preset).side_preference) < 0) == (preset == "sean2")
+
+
+def test_absent_people_push_nobody_and_stay():
+    parameters = social_forces.preset("helbing1995")
+    x, desired = [(0, 0), (0.5, 0.1), (0.5, 0.1), (2.0, 0.0)], [(1.0, 0), (-1.0, 0), (-1.0, 0), (-1.2, 0)]
+    present = np.array([True, False, False, True])
+    many = walk(parameters, crowd(x, desired, present=present), steps=30)
+    moved = crowd([x[0], (40, 40), (-40, 40), x[3]], desired, present=present)
+    np.testing.assert_allclose(many.position[:, [0, 3]], walk(parameters, moved, steps=30).position[:, [0, 3]])
+    np.testing.assert_array_equal(many.position[-1, 1], np.float32([0.5, 0.1]))
+    np.testing.assert_array_equal(many.velocity[-1, 1], 0.0)
+    there = walk(parameters, crowd(x, desired), steps=30)
+    assert np.abs(there.position[-1, 0] - many.position[-1, 0]).max() > 0.05
+
+
+def test_jit_traces_once_and_types_are_strong():
+    traces = []
+
+    @jax.jit
+    def once(people, table, groups, robot):
+        traces.append(1)
+        return social_forces.advance(social_forces.preset("sean2"), people, table, groups, robot, STEP, 0.16)
+
+    table, _ = scene((0, 3, 1, 1, 0))
+    groups = Groups(jnp.zeros((1, 2)), jnp.ones(1), jnp.zeros((1, 2)), jnp.ones(1, bool))
+    robot = Robot(jnp.ones(2), jnp.array([1.0, 0.0]), jnp.zeros(()), jnp.zeros(()), ())
+    people = crowd([(0, 0), (1, 1)], [(1, 0), (0, 1)])
+    for _ in range(3):
+        people = once(people, table, groups, robot)
+    assert len(traces) == 1
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(people))
+
+
+def test_vmap_equals_a_loop():
+    parameters = social_forces.preset("helbing1995")
+    table, _ = scene((0, 1.5, 1, 0.3, 10), (0, -1.5, 1, 0.3, -10))
+    random = np.random.default_rng(2)
+    crowds = [crowd(random.uniform(-2, 2, (4, 2)), random.normal(size=(4, 2))) for _ in range(5)]
+    together = jax.tree.map(lambda *leaves: jnp.stack(leaves), *crowds)
+    batch = jax.jit(jax.vmap(lambda people: walk(parameters, people, table, steps=5)))(together)
+    for k, people in enumerate(crowds):
+        alone = walk(parameters, people, table, steps=5)
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b[k], atol=1e-5), alone, batch)  # noqa: B023
+
+
+BOX = (0.0, 2.0, 1.0, 0.5, 0.0)  # its lower face is y = 1.5
+DEGENERATE = {
+    "apart": [(0, 0), (2, 0)],
+    "coincident": [(0, 0), (0, 0)],
+    "nearly coincident": [(0, 0), (1e-12, 0)],
+    "on a wall": [(0, 1.5), (0, 1.3)],
+    "on a corner": [(1, 1.5), (-1, 1.5)],
+    "inside a wall": [(0, 2.0), (0.3, 1.9)],
+    "on the robot and in the middle of a group": [(-3, 0), (-3, -3)],
+}
+SPEEDS = {"zero": (0.0, 0.0), "dying away": (1e-22, 3e-23), "slow": (1e-13, 0.0), "walking": (1.0, 0.2)}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_gradients_are_finite_in_degenerate_cases(preset):
+    """Of one step and of three, with respect to positions, velocities, wishes and every constant."""
+    table, _ = scene(BOX)
+    robot = Robot(jnp.array([-3.0, 0.0]), jnp.array([1.0, 0.0]), jnp.asarray(0.3), jnp.zeros(()), ())
+    groups = Groups(jnp.array([[-3.0, -3.0]]), jnp.ones(1), jnp.zeros((1, 2)), jnp.ones(1, bool))
+
+    def loss(parameters, position, velocity, desired, heading):
+        people = crowd(np.zeros((2, 2)), np.ones((2, 2)))
+        people = replace(people, position=position, velocity=velocity, desired_velocity=desired, heading=heading)
+        for _ in range(2):
+            people = social_forces.advance(parameters, people, table, groups, robot, STEP, 0.16)
+        return jnp.sum(people.position * jnp.array([[1.0, 2.0]])) + jnp.sum(people.velocity) + people.heading[0, 1]
+
+    cases = [(np.array(x), np.array([v, v])) for x in DEGENERATE.values() for v in SPEEDS.values()]
+    x, v = (jnp.asarray(np.stack(part), jnp.float32) for part in zip(*cases, strict=True))
+    heading = jnp.broadcast_to(jnp.array([0.6, 0.8]), x.shape)
+    slope = jax.jit(jax.vmap(jax.grad(loss, (0, 1, 2, 3)), (None, 0, 0, 0, None)))
+    gradient = slope(social_forces.preset(preset), x, v, v[:, ::-1], heading[0])
+    names = [f"{one}, {speed}" for one in DEGENERATE for speed in SPEEDS]
+    for path, leaf in jax.tree_util.tree_leaves_with_path(gradient):
+        bad = ~np.isfinite(np.asarray(leaf)).reshape(len(names), -1).all(1)
+        assert not bad.any(), (jax.tree_util.keystr(path), [names[k] for k in np.flatnonzero(bad)])
+    assert np.abs(gradient[1]).max() > 0.1
+
+
+def test_one_person_alone_and_gradients_without_obstacles():
+    people = crowd([(0.0, 0.0)], [(0.0, 0.0)])
+    parameters = social_forces.preset("helbing1995")
+    slope = jax.grad(lambda x: walk(parameters, replace(people, position=x)).position.sum())
+    np.testing.assert_allclose(slope(people.position), 1.0)
+    none = crowd(np.zeros((0, 2)), np.zeros((0, 2)))
+    assert walk(social_forces.preset("helbing1995"), none).position.shape == (1, 0, 2)
+
+
+def test_move_takes_substeps_of_at_most_a_twentieth_of_a_second():
+    table, _ = scene((0, 1.5, 1, 0.3, 10))
+    people = crowd([(0, 0), (1, 0.2)], [(1.0, 0), (-1.0, 0)])
+    robot = Robot(jnp.array([0.5, -1.0]), jnp.array([1.0, 0.0]), jnp.asarray(0.3), jnp.zeros(()), ())
+    parameters = social_forces.preset("helbing1995")
+    state: Any = SimpleNamespace(pedestrians=people, groups=None, robot=robot)
+    one = jax.jit(lambda people, length: social_forces.advance(parameters, people, table, None, robot, length, 0.16))
+    for time_step, substeps in ((0.1, 2), (0.05, 1), (0.02, 1), (0.07, 2)):
+        scenario: Any = SimpleNamespace(
+            time_step=time_step, forces=parameters, environment=SimpleNamespace(nearby=table),
+            robot=SimpleNamespace(radius=0.16),
+        )  # fmt: skip
+        by_hand = people
+        for _ in range(substeps):
+            by_hand = one(by_hand, jnp.float32(time_step / substeps))
+        np.testing.assert_allclose(move(scenario, state).position, by_hand.position, atol=1e-6)
+
+
+def test_traits_are_drawn_as_told():
+    number = 40_000
+    draw = jax.jit(social_forces.draw_traits, static_argnums=2)
+    speed, extra = (
+        np.asarray(part, float) for part in draw(social_forces.preset("helbing1995"), jax.random.key(0), number)
+    )
+    expected = stats.truncnorm((0.5 - 1.34) / 0.26, (2.2 - 1.34) / 0.26, 1.34, 0.26)
+    assert speed.mean() == pytest.approx(1.34, abs=5 * 0.26 / np.sqrt(number))
+    assert speed.std() == pytest.approx(0.26, rel=0.02)
+    assert speed.min() >= 0.5 and speed.max() <= 2.2
+    assert stats.kstest(speed, expected.cdf).pvalue > 1e-3
+    factor = np.exp(extra / 0.3)
+    assert factor.min() >= 0.999 and factor.max() <= 8.001
+    assert stats.kstest(factor, stats.uniform(1, 7).cdf).pvalue > 1e-3
+    assert abs(np.corrcoef(speed, extra)[0, 1]) < 0.02
+    narrow = constants("helbing1995", speed_least=1.2, speed_greatest=1.4)
+    speed = np.asarray(draw(narrow, jax.random.key(1), number))
+    assert 1.2 <= speed[0].min() < 1.201 and 1.399 < speed[0].max() <= 1.4
+
+
+def test_sean2_draws_one_speed_and_shorter_robot_distances():
+    speed, extra = social_forces.draw_traits(social_forces.preset("sean2"), jax.random.key(2), 2000)
+    np.testing.assert_array_equal(speed, np.float32(0.6))
+    least = 0.16 * np.log(0.5)
+    assert least - 1e-6 <= float(extra.min()) < 0.95 * least and -0.01 < float(extra.max()) <= 0.0
+
+
+def test_presets_have_their_published_constants():
+    helbing, sean = social_forces.preset("helbing1995"), social_forces.preset("sean2")
+    assert float(helbing.strength * helbing.range) == pytest.approx(2.1)  # V0 m2/s2
+    assert float(helbing.wall_strength * helbing.wall_range) == pytest.approx(10.0)  # U0 m2/s2
+    assert float(sean.strength) == pytest.approx(6.25) and float(sean.wall_strength) == pytest.approx(100.0)
+    with pytest.raises(ValueError, match="did you mean 'helbing1995'"):
+        social_forces.preset("helbing1996")
+    for name in PRESETS:
+        assert all(
+            leaf.dtype == jnp.float32 and leaf.shape == () for leaf in jax.tree.leaves(social_forces.preset(name))
+        )
