@@ -109,6 +109,7 @@ class Moment:
     robot_radius: Array  # () m
     person_radius: Array  # () m
     time_step: float = struct.field(pytree_node=False)  # s
+    obstacles: Obstacles | None = None  # all upright boxes; None where nothing is known of them
 
 
 @struct.dataclass

@@ -119,6 +119,7 @@ def moment(scenario: Scenario, state: State) -> Moment:
         robot_radius=jnp.asarray(scenario.robot.radius, jnp.float32),
         person_radius=scenario.forces.radius,
         time_step=scenario.time_step,
+        obstacles=scenario.environment.obstacles,
     )
 
 
