@@ -42,7 +42,7 @@ class Robot:
     heading: Array  # (2,) unit vector
     speed: Array  # () m/s, along the heading
     turn_rate: Array  # () rad/s, counter-clockwise
-    body: Any  # generalised coordinates of the robot model
+    body: Any  # of the robot model: generalised coordinates and velocities, the last command and its age
 
 
 @struct.dataclass
@@ -164,6 +164,7 @@ class RobotModel:
     max_turn_rate: Array  # () rad/s
     max_acceleration: Array  # () m/s2
     max_turn_acceleration: Array  # () rad/s2
+    command_timeout: Array  # () s, for which a command holds when no new one (a NaN) follows it; then the robot stops
     data: Any  # the MJX model, or ()
     name: str = struct.field(pytree_node=False)
     radius: float = struct.field(pytree_node=False)  # m, of the disc that touches people and obstacles

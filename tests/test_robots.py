@@ -10,8 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.optimize
 
-from sean_jax import robots
+import sean_jax
+from sean_jax import environment, robots
 from sean_jax.base import Obstacles
 from sean_jax.robots.twin import diagonal
 
@@ -214,11 +216,22 @@ def test_overlap_at_the_start_is_undone_gently(kuri):
     assert np.abs(robot.speed).max() <= 0.501
 
 
-def test_command_that_is_not_finite_counts_as_zero(kuri):
-    moving, _ = run(kuri, [[0.5, 0.5]] * 5 + [[np.nan, np.inf]] * 10)
-    stopped, _ = run(kuri, [[0.5, 0.5]] * 5 + [[0.0, 0.0]] * 10)
-    np.testing.assert_array_equal(moving.position, stopped.position)
-    assert abs(moving.speed[-1]) < 1e-3
+def test_command_holds_until_its_timeout_and_then_the_robot_stops(kuri):
+    """0.25 s are two steps of 0.1 s more; an action of which a part is not finite is no new command."""
+    held, _ = run(kuri, [[0.5, 0.5]] * 5 + [[np.nan, np.nan]] * 10)
+    told, _ = run(kuri, [[0.5, 0.5]] * 7 + [[0.0, 0.0]] * 8)
+    np.testing.assert_array_equal(held.position, told.position)
+    np.testing.assert_allclose(held.speed[5:7], 0.5, rtol=0.01)
+    assert abs(held.speed[-1]) < 1e-3 and abs(held.turn_rate[-1]) < 1e-3
+    np.testing.assert_allclose(held.body.age[4:9], [0.0, 0.1, 0.2, 0.3, 0.4], atol=1e-6)
+    often, _ = run(kuri, [[0.5, 0.5], [np.nan, np.inf], [0.1, np.nan]] * 5)
+    always, _ = run(kuri, [[0.5, 0.5]] * 15)
+    np.testing.assert_array_equal(often.position, always.position)
+    never, _ = run(kuri, [[np.nan, np.nan]] * 5)
+    np.testing.assert_array_equal(never.position, 0.0)
+    longer, _ = run(kuri.replace(command_timeout=jnp.float32(0.55)), [[0.5, 0.5]] * 5 + [[np.nan, np.nan]] * 10)
+    told, _ = run(kuri, [[0.5, 0.5]] * 10 + [[0.0, 0.0]] * 5)
+    np.testing.assert_array_equal(longer.position, told.position)
 
 
 def test_one_trace_strong_types_and_vmap_equals_a_loop(kuri, wild):
@@ -271,11 +284,137 @@ def test_gradients_equal_differences_of_the_mjx_robot():
     np.testing.assert_allclose(gradients[0], differences, rtol=1e-3, atol=1e-6)
 
 
-def test_kuri_is_its_figures(kuri):
-    assert float(kuri.mass) == pytest.approx(6.0) and kuri.radius == RADIUS and kuri.time_step == 0.02
-    assert float(kuri.wheel_radius) == pytest.approx(0.035) and float(kuri.track) == pytest.approx(0.175)
-    limits = kuri.max_speed, kuri.max_turn_rate, kuri.max_acceleration, kuri.max_turn_acceleration
-    assert [float(limit) for limit in limits] == [0.5, 3.0, 5.0, 10.0]
+FIGURES = {  # mass, wheel radius, track; greatest speed, turn rate, acceleration, turn acceleration; radius
+    "jackal": (18.431, 0.098, 0.37559, 0.5, 8.0, 5.0, 25.0, 0.27),
+    "kuri": (6.0, 0.035, 0.175, 0.5, 3.0, 5.0, 10.0, 0.16),
+    "pioneer3dx": (9.0, 0.0975, 0.33, 1.2, 5.24, 1.0, 5.0, 0.25),
+    "turtlebot3": (1.0, 0.033, 0.16, 1.0, 1.7, 0.8, 1.5, 0.11),
+    "warthog": (260.0, 0.3, 1.08, 5.0, 4.0, 5.0, 10.0, 0.95),
+}
+
+
+@pytest.fixture(scope="module", params=robots.ROBOTS)
+def every(request):
+    """Each robot by its twin, which compiles sooner; the twins equal the MJX robots, as two tests here show."""
+    return robots.load(request.param, "twin")
+
+
+def by_hand(model, commands):
+    """Speed, turn rate, way and turn in each control step of commands (T, 2), of a robot whose wheels do not slip.
+
+    A change of speed of the base is one of the wheels' too, so that half of m r2 joins the inertia of each wheel; for
+    turning it is half of I (2 r / track)2.
+    """
+    figures = {name: float(getattr(model, name)) for name in ("mass", "inertia", "wheel_radius", "wheel_inertia")}
+    mass, inertia, radius, wheel = figures.values()
+    arm = float(model.track) / 2
+    gain, torque = float(model.servo_gain), float(model.servo_torque)
+    most = float(model.max_acceleration), float(model.max_turn_acceleration)
+    top = float(model.max_speed), float(model.max_turn_rate)
+    now, out = [0.0, 0.0], []
+    for command in commands:
+        target = [
+            np.clip(np.clip(command[k], now[k] - 0.1 * most[k], now[k] + 0.1 * most[k]), -top[k], top[k])
+            for k in (0, 1)
+        ]
+        gone = [0.0, 0.0]
+        for _ in range(5):
+            ahead, turn = target[0] - now[0], target[1] - now[1]
+            left = np.clip(gain * (ahead - arm * turn) / radius, -torque, torque)
+            right = np.clip(gain * (ahead + arm * turn) / radius, -torque, torque)
+            now[0] += 0.02 * (left + right) / radius / (mass + 2 * wheel / radius**2)
+            now[1] += 0.02 * (right - left) * arm / radius / (inertia + 2 * wheel * (arm / radius) ** 2)
+            gone = [gone[k] + 0.02 * now[k] for k in (0, 1)]
+        out.append((*now, *gone))
+    return np.array(out)
+
+
+def test_every_robot_is_its_figures(every):
+    figures = (every.mass, every.wheel_radius, every.track, every.max_speed, every.max_turn_rate,
+               every.max_acceleration, every.max_turn_acceleration, every.radius)  # fmt: skip
+    np.testing.assert_allclose([float(figure) for figure in figures], FIGURES[every.name], rtol=1e-6)
+    assert float(every.command_timeout) == 0.25 and every.time_step == 0.02
+    assert float(every.servo_gain) * every.time_step <= float(every.wheel_inertia)  # or a wheel off the ground swings
+
+
+def test_every_robot_answers_a_step_as_its_equation_says(every):
+    """Speed up, stop; turn up, stop: each robot's first-order servos, torque limits and acceleration limits."""
+    top, turn = float(every.max_speed), 0.8 * float(every.max_turn_rate)
+    for command in ((top, 0.0), (0.0, turn), (0.4 * top, 0.3 * turn)):
+        commands = [command] * 30 + [(0.0, 0.0)] * 30
+        robot, _ = run(every, commands)
+        expected = by_hand(every, commands)
+        np.testing.assert_allclose(robot.speed, expected[:, 0], atol=1e-3 * max(0.2, top))  # a turn within a step
+        np.testing.assert_allclose(robot.turn_rate, expected[:, 1], atol=2e-3)
+        assert robot.speed[29] == pytest.approx(command[0], rel=0.01, abs=1e-4)
+        assert robot.turn_rate[29] == pytest.approx(command[1], rel=0.01, abs=1e-4)
+        assert abs(robot.speed[-1]) < 1e-3 and abs(robot.turn_rate[-1]) < 1e-3
+
+
+def test_every_robot_drives_a_circle_of_its_radius(every):
+    speed, turn_rate = 0.5 * float(every.max_speed), 0.3 * float(every.max_turn_rate)
+    robot, _ = run(every, [[speed, turn_rate]] * 120)
+    x, y = robot.position[40:].T.astype(float)
+    a, b, c = np.linalg.lstsq(np.stack([2 * x, 2 * y, np.ones_like(x)], 1), x * x + y * y, rcond=None)[0]
+    assert np.sqrt(c + a * a + b * b) == pytest.approx(speed / turn_rate, rel=0.01)
+    angle = np.unwrap(np.arctan2(y - b, x - a))
+    assert (angle[-1] - angle[0]) / (79 * TIME_STEP) == pytest.approx(turn_rate, rel=0.01)
+
+
+def test_every_robot_drives_a_square(every):
+    """Four sides, and quarter turns at the rate which by hand gives a right angle: corners where they should be."""
+    forward = [(0.4 * float(every.max_speed), 0.0)] * 16 + [(0.0, 0.0)] * 9
+
+    def corner(rate):
+        return [(0.0, rate)] * 16 + [(0.0, 0.0)] * 9
+
+    rate = scipy.optimize.brentq(lambda rate: by_hand(every, corner(rate))[:, 3].sum() - np.pi / 2, 0.5, 1.6)
+    edge = by_hand(every, forward)[:, 2].sum()
+    robot, _ = run(every, (forward + corner(rate)) * 4)
+    corners = robot.position[[50 * k + 24 for k in range(4)]]
+    np.testing.assert_allclose(corners, edge * np.array([[1, 0], [1, 1], [0, 1], [0, 0]]), atol=0.005 * edge)
+    np.testing.assert_allclose(robot.position[-1], 0.0, atol=0.005 * edge)
+    np.testing.assert_allclose(robot.heading[-1], [1.0, 0.0], atol=0.01)
+
+
+def test_every_robot_stops_at_a_wall_and_does_not_push_through_a_person(every):
+    fast = float(every.max_speed)
+    robot, _ = run(every, [[fast, 0.0]] * 60, world([WALL]), (-2.0, 0.0, 0.0))
+    gap = 1.0 - every.radius - robot.position[:, 0]
+    assert gap.min() > -0.001 and abs(gap[-1]) < 0.001
+    np.testing.assert_allclose(robot.position[-1], robot.position[-2], atol=1e-4)
+    robot, people = run(every, [[fast, 0.0]] * 60, world(people=[(1.0, 0.0)]), (-2.0, 0.0, 0.0))
+    gap = np.linalg.norm(robot.position - people[:, 0], axis=1) - every.radius - PERSON_RADIUS
+    assert gap.min() > -0.001 and abs(gap[-1]) < 0.001 and robot.position[-1, 0] < 1.0
+
+
+OTHERS = [pytest.param(name, marks=() if name == "jackal" else pytest.mark.slow) for name in FIGURES if name != "kuri"]
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_every_other_twin_equals_its_mjx_robot(name, wild):
+    """In free space and among walls and people, to rounding, which grows among sliding tyres."""
+    model, other = robots.load(name), robots.load(name, "twin")
+    starts, actions = wild
+    actions = actions * jnp.stack([model.max_speed, model.max_turn_rate])[None, None, :]
+    for place, steps in ((world(), 60), (CLUTTER, 20)):
+        ours, _ = batched(model, leaves(place), starts, actions)
+        theirs, _ = batched(other, leaves(place), starts, actions)
+        for field in ("position", "heading", "speed", "turn_rate"):
+            one, two = getattr(ours, field)[:, :steps], getattr(theirs, field)[:, :steps]
+            near = 2e-4 * max(1.0, float(model.max_speed))
+            np.testing.assert_allclose(one, two, rtol=0, atol=near, err_msg=field)
+
+
+@pytest.mark.parametrize(("name", "radius"), [("jackal", 0.27), ("warthog", 0.95)])
+def test_robot_wider_than_people_walk_has_its_own_paths(name, radius):
+    """They stand off from obstacles by its radius, while people keep theirs."""
+    scenario = sean_jax.make("warehouse", robot=name, people=8, dynamics="twin")
+    assert float(scenario.navigation.radius) == pytest.approx(radius)
+    for places in (scenario.navigation.via, scenario.navigation.places):
+        assert float(environment.clearance(scenario.environment, places).min()) > radius
+    state = jax.jit(lambda key: sean_jax.reset(scenario, key))(jax.random.key(0))
+    assert float(environment.clearance(scenario.environment, state.robot.position[None, :])[0]) > radius
 
 
 @pytest.mark.parametrize("path", robots.ROBOTS.values(), ids=list(robots.ROBOTS))
@@ -292,7 +431,7 @@ def test_robot_files_open_in_mujoco_and_carry_the_sensor_mounts(path):
     ("wrong", "dynamics", "message"),
     [
         ("kurri", "mjx", "did you mean 'kuri'"),
-        ("zzz", "mjx", "there are: kuri"),
+        ("zzz", "mjx", "there are: jackal, kuri"),
         ("nowhere/kuri.xml", "mjx", "no robot file 'nowhere/kuri.xml'"),
         ("kuri", "twinn", "did you mean 'twin'"),
     ],

@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration")
+LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration", "command_timeout")
 NUMERICS = (*LIMITS, "radius", "friction")
 BUILD = (
     "a base with the joints slide x, slide y and hinge z, then a left and a right wheel hinge with a velocity servo "

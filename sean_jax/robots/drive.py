@@ -7,6 +7,7 @@ of its twin, which agree with them to rounding and cost a fraction; forward mode
 import functools
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,17 +18,28 @@ from sean_jax.robots import mjx_dynamics, twin
 from sean_jax.robots.ground import Surroundings
 
 
+class Body(NamedTuple):
+    """What a robot's future depends on, apart from the world."""
+
+    position: Array  # (5,) x, y [m], yaw, left and right wheel angle [rad]
+    velocity: Array  # (5,) their rates
+    command: Array  # (2,) m/s and rad/s, the last that was given
+    age: Array  # () s since then
+
+
 def place(model: RobotModel, position: Array, heading: Array) -> Robot:
     """A robot at rest at ``position`` (2,) m that looks along ``heading`` (2,), a unit vector."""
     yaw = jnp.arctan2(heading[1], heading[0])
     zero = jnp.zeros((), position.dtype)
-    body = jnp.stack([position[0], position[1], yaw, zero, zero]), jnp.zeros((5,), position.dtype)
+    at = jnp.stack([position[0], position[1], yaw, zero, zero])
+    body = Body(at, jnp.zeros((5,), position.dtype), jnp.zeros((2,), position.dtype), zero)
     return Robot(position=position, heading=heading, speed=zero, turn_rate=zero, body=body)
 
 
 def drive_mjx(scenario: Scenario, state: State, action: Array) -> Robot:
     """The robot one control step after the command ``action`` (2,): m/s and rad/s, simulated by MJX.
 
+    An action that is not finite is no new command: the last one holds until ``command_timeout``, then the robot stops.
     People are where ``state`` has them at the end of the control step, and came there at their velocity.
     Raises ValueError if the control step is no multiple of the physics step.
     """
@@ -42,13 +54,23 @@ def drive_twin(scenario: Scenario, state: State, action: Array) -> Robot:
 def wheel_speeds(model: RobotModel, robot: Robot, action: Array, time_step: float) -> Array:
     """(2,) rad/s, left and right, for the command within the limits that is nearest to ``action`` (2,) m/s, rad/s.
 
-    Acceleration is limited against the speeds as they are, over one control step. A number that is not finite is 0.
+    Acceleration is limited against the speeds as they are, over one control step.
     """
-    action = jnp.where(jnp.isfinite(action), action, 0.0)
     speed = _limited(action[0], robot.speed, model.max_acceleration * time_step, model.max_speed)
     turn_rate = _limited(action[1], robot.turn_rate, model.max_turn_acceleration * time_step, model.max_turn_rate)
     rim = 0.5 * model.track * turn_rate
     return jnp.stack([speed - rim, speed + rim]) / model.wheel_radius
+
+
+def held(model: RobotModel, body: Body, action: Array, time_step: float) -> tuple[Array, Array]:
+    """The command (2,) that acts now, and its age () s: ``action`` if it is finite, else the last one that was.
+
+    A command that is older than the robot's timeout has become (0, 0).
+    """
+    given = jnp.isfinite(action).all()
+    age = jnp.where(given, 0.0, body.age + time_step)
+    late = age > model.command_timeout + 1e-4  # an age is a sum of steps, which is rounded
+    return jnp.where(given, action, jnp.where(late, 0.0, body.command)), age
 
 
 def _limited(wanted: Array, now: Array, change: Array, most: Array) -> Array:
@@ -64,18 +86,20 @@ def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -
         present=people.present,
         person_radius=scenario.forces.radius,
     )
-    targets = wheel_speeds(model, state.robot, action, scenario.time_step)
+    body = state.robot.body
+    command, age = held(model, body, action, scenario.time_step)
+    targets = wheel_speeds(model, state.robot, command, scenario.time_step)
     steps = round(scenario.time_step / model.time_step)
     if abs(steps * model.time_step - scenario.time_step) > 1e-6:
         raise ValueError(f"the step {scenario.time_step} s is no multiple of {model.name}'s step {model.time_step} s")
-    position, velocity = physics(steps, model, around, state.robot.body, targets)
+    position, velocity = physics(steps, model, around, (body.position, body.velocity), targets)
     # Whole turns are taken off, or single precision would lose the angle of a robot that turns for long.
     turns = jnp.round(position[2:] / (2.0 * jnp.pi))
     position = jnp.concatenate([position[:2], position[2:] - 2.0 * jnp.pi * turns])
     cosine, sine = jnp.cos(position[2]), jnp.sin(position[2])
     speed, _ = rotate(velocity[0], velocity[1], cosine, -sine)
     heading = jnp.stack([cosine, sine])
-    return Robot(position[:2], heading, speed, velocity[2], (position, velocity))
+    return Robot(position[:2], heading, speed, velocity[2], Body(position, velocity, command, age))
 
 
 def _simulate(substep: Callable, steps: int, model: RobotModel, around: Surroundings, body: tuple, targets: Array):
