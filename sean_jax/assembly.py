@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -27,6 +28,9 @@ def make(
     goal_radius: float = 1.2,
     hold_time: float = 5.0,
     task_distance: tuple[float, float] = (4.0, 20.0),
+    start: tuple[float, ...] | None = None,
+    goal: tuple[float, ...] | None = None,
+    situations: str | Mapping[str, Callable] = "paper",
     thresholds: classifiers.Thresholds | None = None,
 ) -> Scenario:
     """A scenario (section IV-B) from the names of its parts.
@@ -44,42 +48,51 @@ def make(
         goal_radius: within which the goal counts as reached [m] (SEAN 2.0: 1.2).
         hold_time: to be spent there for the task to be completed [s] (SEAN 2.0: 5).
         task_distance: least and greatest length [m] of the shortest path from start to goal.
-        thresholds: of the situation classifiers; the paper's if None.
+        start: of task ``custom``: (x, y) [m] or (x, y, heading [degrees]).
+        goal: likewise.
+        situations: that are classified: a key of ``classifiers.SITUATION_SETS``, or name -> (moment, thresholds) -> bool.
+        thresholds: of the situation classifiers; those of the set if None, else the paper's.
 
     Raises:
         ValueError: one sentence that names the value and the cure.
     """
     _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time, task_distance)
+    _check_poses(task, start, goal)
     folder = environments.find(environment)
     scene, model = environments.load(folder), robots.load(robot, dynamics)
     count = environments.default_people(folder) if people is None else people
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     walking = _navigation(folder, PERSON_CLEARANCE)
     driving = walking if model.radius <= PERSON_CLEARANCE else _navigation(folder, model.radius)
-    return Scenario(
+    scenario = Scenario(
         environment=scene,
         navigation=driving,
         behavior=behaviors.BEHAVIORS[behavior](folder, scene, walking, count),
         forces=parameters,
-        thresholds=classifiers.thresholds() if thresholds is None else thresholds,
+        thresholds=_thresholds(situations) if thresholds is None else thresholds,
         goal_radius=jnp.asarray(goal_radius, jnp.float32),
         hold_time=jnp.asarray(hold_time, jnp.float32),
         task_distance=jnp.asarray(task_distance, jnp.float32),
         robot=model,
         task=tasks.TASKS[task],
         move=social_forces.move,
-        situations=tuple(classifiers.SITUATIONS.items()),
+        situations=_situations(situations),
         metrics=tuple(metrics.METRICS.items()),
         time_step=time_step,
         time_limit=time_limit,
         people=count,
         task_name=task,
     )
+    if start is None or goal is None:
+        return scenario
+    return dataclasses.replace(scenario, task=tasks.poses(scenario, start, goal))
 
 
 def with_task(scenario: Scenario, task: str) -> Scenario:
     """The same scenario with another robot task; ValueError if there is none of that name or it does not fit."""
     _check_task(task, scenario.behavior.name)
+    if task == "custom":
+        raise ValueError("task: 'custom' needs a start and a goal; give them to make with it as the only task.")
     return dataclasses.replace(scenario, task=tasks.TASKS[task], task_name=task)
 
 
@@ -107,6 +120,27 @@ def _check_task(task: str, behavior: str) -> None:
     _check_name("task", task, tasks.TASKS)
     if task in tasks.NEEDS_GROUPS and behavior != "graph":
         raise ValueError(f"task: '{task}' needs groups, which only behavior 'graph' has, not '{behavior}'.")
+
+
+def _check_poses(task: str, start: tuple[float, ...] | None, goal: tuple[float, ...] | None) -> None:
+    given = [name for name, pose in (("start", start), ("goal", goal)) if pose is not None]
+    if task == "custom" and len(given) < 2:
+        raise ValueError("task: 'custom' needs a start and a goal; give start=(x, y) and goal=(x, y) in metres.")
+    if task != "custom" and given:
+        raise ValueError(f"{given[0]}: task '{task}' draws its own; choose task 'custom' to give it.")
+
+
+def _situations(situations: str | Mapping[str, Callable]) -> tuple:
+    if isinstance(situations, str):
+        _check_name("situations", situations, classifiers.SITUATION_SETS)
+        return tuple(classifiers.SITUATION_SETS[situations].items())
+    if not situations:
+        raise ValueError("situations: none is given; give at least one, or a name like 'paper'.")
+    return tuple(situations.items())
+
+
+def _thresholds(situations: str | Mapping[str, Callable]) -> classifiers.Thresholds:
+    return classifiers.THRESHOLD_SETS[situations if isinstance(situations, str) else "paper"]()
 
 
 def _check_name(option: str, name: str, choices: dict) -> None:

@@ -1,14 +1,16 @@
 """Where people can start: places in discs that are free, and far enough apart for any choice of them to be valid."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from sean_jax.base import Environment
 from sean_jax.environment import clearance
-from sean_jax.navigation import Navigation
+from sean_jax.navigation import Navigation, geodesic, to_goal
 
 APART = 0.55  # m between two places: bodies of 0.2 m and some room
 TRIES = 40  # candidates for each place that would fit
+FILLING = 10  # likewise, where a whole floor is filled
 
 
 def places(
@@ -30,13 +32,38 @@ def places(
     for middle, reach in avoid:
         free &= np.linalg.norm(spots - np.asarray(middle, float), axis=-1) > reach
     spots, disc = spots[free], disc[free]
-    order = generator.permutation(len(spots))
+    kept = apart(spots, generator)
+    return spots[kept], disc[kept]
+
+
+def uniform(environment: Environment, navigation: Navigation, people: int, seed: int = 0) -> np.ndarray:
+    """(P, 2) float32 places [m] all over where one can walk, no two nearer than 0.55 m: ``people`` or more if they fit.
+
+    The navigation's own free places do for most numbers of people; for more, the floor is filled.
+    """
+    generator = np.random.default_rng(seed)
+    spots = np.asarray(navigation.places)
+    kept = apart(spots, generator)
+    if len(kept) >= people:
+        return spots[kept]
+    floor = np.asarray(environment.floor, float)
+    number = int(FILLING * np.prod(floor[2:] - floor[:2]) / APART**2)
+    spots = generator.uniform(floor[:2], floor[2:], (number, 2)).astype(np.float32)
+    spots = spots[np.asarray(jax.jit(clearance)(environment, jnp.asarray(spots))) > float(navigation.radius)]
+    aim = navigation.places[0]
+    walk = jax.jit(lambda spots, row: jax.lax.map(lambda p: geodesic(navigation, p, aim, row), spots, batch_size=1024))
+    spots = spots[np.isfinite(np.asarray(walk(jnp.asarray(spots), to_goal(navigation, aim))))]
+    return spots[apart(spots, generator)]
+
+
+def apart(spots: np.ndarray, generator: np.random.Generator) -> list[int]:
+    """Indices of a random choice of the spots (P, 2) [m], to which none can be added that is 0.55 m from all of it."""
     kept: list[int] = []
     taken: dict[tuple[int, int], list[int]] = {}  # by cell of that size, so that only neighbours are compared
-    for index in order:
+    for index in generator.permutation(len(spots)):
         i, j = (int(part) for part in np.floor(spots[index] / APART))
         near = [k for a in (i - 1, i, i + 1) for b in (j - 1, j, j + 1) for k in taken.get((a, b), [])]
         if not near or np.linalg.norm(spots[near] - spots[index], axis=-1).min() >= APART:
             taken.setdefault((i, j), []).append(index)
             kept.append(index)
-    return spots[kept], disc[kept]
+    return kept

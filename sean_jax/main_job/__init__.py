@@ -63,6 +63,8 @@ def _scenarios(options: Options) -> list[Scenario]:
             forces=options.forces,
             dynamics=options.dynamics,
             time_limit=options.time_limit,
+            start=options.start,
+            goal=options.goal,
         )
         return [first, *(with_task(first, task) for task in options.tasks[1:])]
     except ValueError as error:

@@ -22,6 +22,10 @@ class Options:
     """Pedestrian behavior: who goes where."""
     task: str = "join_group,leave_group"
     """Robot task; several, separated by commas, take turns."""
+    start: tuple[float, ...] | None = None
+    """Of the task custom: x and y in metres, and a heading in degrees if you like."""
+    goal: tuple[float, ...] | None = None
+    """Likewise."""
     robot: str = "kuri"
     """Robot."""
     policy: str = "go_to_goal"
@@ -58,7 +62,9 @@ class Options:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if field.name not in ("name", "out", "quiet", "batch") and value is not None:
-                words += ["--" + field.name.replace("_", "-"), f"{value:g}" if isinstance(value, float) else str(value)]
+                values = value if isinstance(value, tuple) else (value,)
+                written = (f"{value:g}" if isinstance(value, float) else str(value) for value in values)
+                words += ["--" + field.name.replace("_", "-"), *written]
         return shlex.join(words)
 
     def folder(self, now: str) -> Path:

@@ -1,0 +1,114 @@
+"""Random pedestrian behavior (section IV-D): everybody walks from anywhere to anywhere, alone.
+
+Starts and goals are uniform on the navigable plane, ways lead around obstacles, and whoever arrives draws a new
+goal. There are no groups. Goals are drawn from places for which the lengths of all ways are tabulated, so that a
+new goal costs a look-up.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from sean_jax import navigation as paths
+from sean_jax.base import Array, Behavior, Environment, Groups, Pedestrians, Scenario, State
+from sean_jax.behaviors import starts
+from sean_jax.geometry import length
+from sean_jax.social_forces import draw_traits
+
+ARRIVED = 1.0  # m from the goal (SEAN 2.0)
+
+
+@struct.dataclass
+class Tables:
+    """What the behavior looks up."""
+
+    navigation: paths.Navigation
+    start: Array  # (Q, 2) m, places where somebody can start, none too close to another
+    to_goal: Array  # (P, V) m, from each via point to each of the navigation's places; inf where there is no way
+
+
+class Memory(NamedTuple):
+    goal: Array  # (N,) int32 index of a place of the navigation
+
+
+def build(folder: Path, environment: Environment, navigation: paths.Navigation, people: int) -> Behavior:
+    """People who walk from anywhere to anywhere, alone.
+
+    Raises:
+        ValueError: so many people do not fit.
+    """
+    start = starts.uniform(environment, navigation, people)
+    if people > len(start):
+        raise ValueError(f"people: {people} do not fit in {environment.name}; the most that do is {len(start)}.")
+    rows = jax.jit(lambda places: jax.lax.map(lambda p: paths.to_goal(navigation, p), places, batch_size=32))
+    tables = Tables(navigation=navigation, start=jnp.asarray(start, jnp.float32), to_goal=rows(navigation.places))
+    return Behavior(data=tables, name="random", reset=reset, direct=direct)
+
+
+def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
+    """People at uniformly drawn starts, each with a uniformly drawn goal."""
+    tables: Tables = scenario.behavior.data
+    people = scenario.people
+    place_key, goal_key, trait_key, turn_key = jax.random.split(key, 4)
+    chosen = jax.lax.top_k(jax.random.uniform(place_key, tables.start.shape[:1], jnp.float32), people)[1]
+    angle = jax.random.uniform(turn_key, (people,), jnp.float32, 0.0, 2 * jnp.pi)
+    preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
+    position = tables.start[chosen]
+    pedestrians = Pedestrians(
+        position=position,
+        velocity=jnp.zeros_like(position),
+        heading=jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1),
+        desired_velocity=jnp.zeros_like(position),
+        group=jnp.full(people, -1, jnp.int32),
+        present=jnp.ones(people, bool),
+        preferred_speed=preferred_speed,
+        robot_distance=robot_distance,
+    )
+    return pedestrians, no_groups(), Memory(_draw(tables, goal_key, people))
+
+
+def direct(scenario: Scenario, state: State, key: Array) -> State:
+    """A new goal for who has arrived; desired velocities along the shortest ways."""
+    tables: Tables = scenario.behavior.data
+    people, places = state.pedestrians, tables.navigation.places
+    gap = places[state.memory.goal] - people.position
+    arrived = length(gap[:, 0], gap[:, 1]) < ARRIVED
+    goal = jnp.where(arrived, _draw(tables, key, scenario.people), state.memory.goal)
+    ahead = jax.vmap(_ahead, in_axes=(None, 0, 0, 0))(
+        tables.navigation, people.position, places[goal], tables.to_goal[goal]
+    )
+    gap = ahead - people.position
+    speed = people.preferred_speed / jnp.maximum(length(gap[:, 0], gap[:, 1]), 1e-6)
+    return replace(state, pedestrians=replace(people, desired_velocity=gap * speed[:, None]), memory=Memory(goal))
+
+
+def no_groups() -> Groups:
+    """Groups of which there are none (G = 0)."""
+    pairs, none = jnp.zeros((0, 2), jnp.float32), jnp.zeros(0, jnp.float32)
+    return Groups(center=pairs, radius=none, opening=pairs, present=jnp.zeros(0, bool))
+
+
+def _draw(tables: Tables, key: Array, people: int) -> Array:
+    return jax.random.randint(key, (people,), 0, tables.navigation.places.shape[0], jnp.int32)
+
+
+def _ahead(navigation: paths.Navigation, position: Array, goal: Array, to_goal: Array) -> Array:
+    """(2,) m: the goal if the way to it is clear, else where the shortest way bends next.
+
+    As ``navigation.next_point``, with cheaper tests of what is clear: this is done for everybody at every step.
+    """
+    clear = paths.clear_way(navigation.obstacles, position, goal, navigation.radius * paths.SLIM)
+    gap = navigation.via - position[None, :]
+    distance = length(gap[:, 0], gap[:, 1])
+    way = jnp.where(paths.seen_from(navigation, position), distance + to_goal, jnp.inf)
+    first = jnp.argmin(way)
+    rest = goal - navigation.via[first]
+    last = to_goal[first] <= length(rest[0], rest[1]) + 1e-4
+    after = jnp.argmin(navigation.edge[first] + to_goal)
+    onward = jnp.where(last, goal, navigation.via[after])
+    bend = jnp.where(distance[first] < paths.AT, onward, navigation.via[first])
+    return jnp.where(clear | ~jnp.isfinite(way[first]), goal, bend)

@@ -1,0 +1,66 @@
+"""Random A-B and Busy A-B Navigation (section IV-E): from one place to another, anywhere or where it is busy."""
+
+import jax
+import jax.numpy as jnp
+
+from sean_jax.base import Array, Groups, Pedestrians, RobotTask, Scenario
+from sean_jax.environment import clearance
+from sean_jax.tasks.clusters import busiest
+from sean_jax.tasks.places import CANDIDATES, choose_pair
+
+RING = 5.0  # m, from the person in the middle of the largest cluster (SEAN 2.0)
+SNAP = 1.0  # m, by which a place may be off the ring (SEAN 2.0)
+GOALS = 4  # goals that starts are rated for
+ROOM = 0.1  # m, to obstacles beside the robot's radius
+
+
+def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
+    """A uniformly drawn start and goal, as far apart as ``scenario.task_distance`` asks, and headings."""
+    places = scenario.navigation.places
+    draw_key, choice_key, turn_key = jax.random.split(key, 3)
+    spots = places[jax.random.randint(draw_key, (GOALS + CANDIDATES,), 0, places.shape[0], jnp.int32)]
+    goals, starts = spots[:GOALS], spots[GOALS:]
+    nothing = jnp.zeros(GOALS, jnp.float32), jnp.zeros(CANDIDATES, jnp.float32)
+    return _task(choose_pair(scenario, pedestrians, goals, starts, *nothing, choice_key), turn_key)
+
+
+def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
+    """A start and a goal 5 m around the person in the middle of the largest of three clusters of people.
+
+    Clusters are found by k-means (section IV-E). Where too little of the ring is free, places off it that are
+    nearest to it are taken. With nobody there, the ring is around any free place.
+    """
+    navigation = scenario.navigation
+    cluster_key, ring_key, draw_key, goal_key, choice_key, turn_key = jax.random.split(key, 6)
+    index = jax.random.randint(draw_key, (CANDIDATES,), 0, navigation.places.shape[0], jnp.int32)
+    anywhere = navigation.places[index]
+    middle = pedestrians.position[busiest(pedestrians.position, pedestrians.present, cluster_key)]
+    middle = jnp.where(pedestrians.present.any(), middle, anywhere[0])
+    share = jax.random.uniform(ring_key, (2, CANDIDATES), jnp.float32)
+    angle, off = 2.0 * jnp.pi * share[0], RING + SNAP * (2.0 * share[1] - 1.0)
+    around = middle[None, :] + off[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    spots = jnp.concatenate([around, anywhere])
+    gap = spots - middle[None, :]
+    cost = jnp.maximum(jnp.abs(jnp.sqrt((gap * gap).sum(-1)) - RING) - SNAP - 1e-4, 0.0)
+    free = clearance(scenario.environment, spots) > navigation.radius + ROOM
+    cost = jnp.where(free, cost, jnp.inf)
+    chance = jax.random.uniform(goal_key, cost.shape, jnp.float32)
+    best = jax.lax.top_k(-cost + 0.01 * chance, GOALS)[1]
+    return _task(choose_pair(scenario, pedestrians, spots[best], spots, cost[best], cost, choice_key), turn_key)
+
+
+def _task(pair: tuple[Array, Array, Array, Array], key: Array) -> RobotTask:
+    start, goal, to_goal, walk = pair
+    angle = jax.random.uniform(key, (2,), jnp.float32, 0.0, 2 * jnp.pi)
+    heading = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    nobody = jnp.full((), -1, jnp.int32)
+    return RobotTask(
+        start=start,
+        start_heading=heading[0],
+        goal=goal,
+        goal_heading=heading[1],
+        start_group=nobody,
+        goal_group=nobody,
+        geodesic=walk,
+        to_goal=to_goal,
+    )

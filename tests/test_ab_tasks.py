@@ -1,0 +1,148 @@
+"""Tasks between two places (section IV-E): valid for every key; k-means equal to scipy's; poses given by the user."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.cluster.vq import kmeans2
+
+import sean_jax
+from sean_jax.assembly import with_task
+from sean_jax.environment import clearance
+from sean_jax.tasks import TASKS
+from sean_jax.tasks.ab_tasks import RING, SNAP
+from sean_jax.tasks.clusters import busiest, k_means
+
+SEEDS = 48
+
+
+@pytest.fixture(scope="module")
+def busy():
+    return sean_jax.make(behavior="random", task="busy_ab_nav", people=14, dynamics="twin")
+
+
+@pytest.fixture(scope="module", params=["random_ab_nav", "busy_ab_nav"])
+def drawn(request, busy):
+    """Scenario, people and tasks for many keys."""
+    scenario = with_task(busy, request.param)
+
+    def one(key):
+        people, groups, _ = scenario.behavior.reset(scenario, key)
+        return people, scenario.task(scenario, people, groups, jax.random.fold_in(key, 1))
+
+    people, tasks = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(0), SEEDS))
+    return scenario, people, tasks
+
+
+def test_places_are_free_clear_of_people_and_as_far_apart_as_asked(drawn):
+    scenario, people, tasks = drawn
+    walk = np.asarray(tasks.geodesic)
+    assert (walk >= 4.0).all() and (walk <= 20.0).all()
+    for place in (tasks.start, tasks.goal):
+        assert np.asarray(clearance(scenario.environment, place)).min() >= scenario.robot.radius
+        gap = np.linalg.norm(np.asarray(people.position) - np.asarray(place)[:, None], axis=-1)
+        assert gap.min() >= 1.0
+    assert (np.asarray(tasks.goal_group) == -1).all() and (np.asarray(tasks.start_group) == -1).all()
+    np.testing.assert_allclose(np.linalg.norm(np.asarray(tasks.start_heading), axis=-1), 1.0, rtol=1e-5)
+    assert len(np.unique(np.asarray(tasks.start)[:, 0])) > 40
+
+
+def test_places_are_all_over_or_around_the_largest_cluster(drawn):
+    scenario, people, tasks = drawn
+    position, ends = np.asarray(people.position), np.stack([np.asarray(tasks.start), np.asarray(tasks.goal)], 1)
+    if scenario.task_name == "random_ab_nav":
+        floor = np.asarray(scenario.environment.floor)
+        share = ((ends.reshape(-1, 2) - floor[:2]) / (floor[2:] - floor[:2])).mean(0)
+        np.testing.assert_allclose(share, 0.5, atol=0.12)
+        return
+    # both ends lie 5 +- 1 m from one and the same person
+    off = np.abs(np.linalg.norm(position[:, :, None] - ends[:, None], axis=-1) - RING).max(-1)
+    assert (off.min(1) <= SNAP + 1e-3).all()
+
+
+def test_k_means_equals_scipy():
+    random = np.random.default_rng(0)
+    run = jax.jit(k_means)
+    for _ in range(20):
+        points = random.normal(size=(30, 2)) * 3 + random.choice([-6.0, 0.0, 5.0], (30, 1))
+        there = random.uniform(size=30) < 0.8
+        start = points[there][:3]
+        expected, labels = kmeans2(points[there], start, iter=10, minit="matrix")
+        centers, mine = run(*(jnp.asarray(x, jnp.float32) for x in (points,)), jnp.asarray(there), jnp.float32(start))
+        np.testing.assert_allclose(np.asarray(centers), expected, atol=1e-4)
+        assert np.asarray(mine)[there].tolist() == labels.tolist()
+        assert (np.asarray(mine)[~there] == -1).all()
+
+
+def test_an_empty_cluster_keeps_its_centre():
+    points = jnp.asarray([[0.0, 0.0], [1.0, 0.0]], jnp.float32)
+    start = jnp.asarray([[0.0, 0.0], [1.0, 0.0], [50.0, 0.0]], jnp.float32)
+    centers, _ = k_means(points, jnp.ones(2, bool), start)
+    np.testing.assert_array_equal(np.asarray(centers), np.asarray(start))
+
+
+def test_the_busiest_person_is_in_the_middle_of_the_largest_cluster():
+    random = np.random.default_rng(1)
+    crowd = random.normal(size=(9, 2)) * 0.5 + [4.0, 4.0]
+    points = np.concatenate([crowd, random.normal(size=(3, 2)) * 0.3 - [6.0, 0.0], [[9.0, -9.0]]])
+    there = np.ones(13, bool)
+    total = np.linalg.norm(crowd[:, None] - crowd[None], axis=-1).sum(1)
+    found = [
+        int(busiest(jnp.asarray(points, jnp.float32), jnp.asarray(there), jax.random.key(seed))) for seed in range(4)
+    ]
+    assert all(index < 9 for index in found)
+    assert total.argmin() in found
+    alone = int(busiest(jnp.asarray(points, jnp.float32), jnp.arange(13) == 12, jax.random.key(0)))
+    assert alone == 12
+
+
+def test_custom_task_is_the_one_given():
+    scenario = sean_jax.make(
+        behavior="random", task="custom", people=4, dynamics="twin", start=(0.0, 17.0, 90.0), goal=(0.0, -17.0)
+    )
+    state = sean_jax.reset(scenario, jax.random.key(0))
+    np.testing.assert_allclose(np.asarray(state.robot.position), [0.0, 17.0])
+    np.testing.assert_allclose(np.asarray(state.robot.heading), [0.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(np.asarray(state.task.goal_heading), [0.0, -1.0], atol=1e-6)
+    assert 34.0 <= float(state.task.geodesic) < 60.0
+    again = sean_jax.make(
+        behavior="random", task="custom", people=4, dynamics="twin", start=(0.0, 17.0, 90.0), goal=(0.0, -17.0)
+    )
+    assert again.task == scenario.task and hash(again.task) == hash(scenario.task)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (dict(behavior="random", task="join_group"), "needs groups, which only behavior 'graph' has"),
+        (dict(task="custom"), "needs a start and a goal"),
+        (dict(task="custom", start=(0.0, 0.0)), "needs a start and a goal"),
+        (dict(task="random_ab_nav", goal=(0.0, 0.0)), "draws its own; choose task 'custom'"),
+        (dict(task="custom", start=(0.0, 90.0), goal=(0.0, 17.0)), "start: .0, 90. lies off the floor"),
+        (dict(task="custom", start=(0.0, 17.0), goal=(0.0,)), "must be x and y in metres"),
+    ],
+)
+def test_what_does_not_go_together_is_refused_with_the_reason(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        sean_jax.make(**arguments, people=4, dynamics="twin")
+
+
+def test_a_place_in_an_obstacle_or_behind_walls_is_refused(tmp_path):
+    (tmp_path / "environment.yaml").write_text("name: cell\nfloor: [0, 0, 8, 6]\npeople: 1\n")
+    walls = '<geom type="box" size=".1 3 1" pos="4 3 1"/><geom type="box" size=".3 .3 1" pos="6 3 1"/>'
+    (tmp_path / "scene.xml").write_text(f"<mujoco><worldbody>{walls}</worldbody></mujoco>")
+    common: Any = dict(behavior="random", task="custom", people=1, dynamics="twin", start=(2.0, 3.0))
+    with pytest.raises(ValueError, match="goal: .6, 3. lies off the floor or inside an obstacle"):
+        sean_jax.make(tmp_path, goal=(6.0, 3.0), **common)
+    with pytest.raises(ValueError, match="there is no way from"):
+        sean_jax.make(tmp_path, goal=(7.0, 1.0), **common)
+
+
+def test_custom_is_refused_as_one_of_several_tasks(busy):
+    with pytest.raises(ValueError, match="needs a start and a goal"):
+        with_task(busy, "custom")
+    with pytest.raises(ValueError, match="needs a start and a goal"):
+        nothing: Any = None
+        TASKS["custom"](busy, nothing, nothing, nothing)

@@ -1,0 +1,109 @@
+"""Random behavior (section IV-D): uniform starts and goals that can be reached, ways around obstacles, no groups."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax import navigation as paths
+from sean_jax.behaviors import random_behavior, starts
+from sean_jax.drawing import view
+from sean_jax.environment import clearance
+from sean_jax.policies import go_to_goal
+
+PEOPLE, STEPS = 12, 500
+
+
+@pytest.fixture(scope="module")
+def random_scenario():
+    return sean_jax.make(behavior="random", task="random_ab_nav", people=PEOPLE, dynamics="twin")
+
+
+@pytest.fixture(scope="module")
+def episode(random_scenario):
+    """Frames and goals of an episode of 50 s."""
+
+    def record(before, after, action):
+        return sean_jax.scenario.frame(before, after, action), after.memory.goal
+
+    run = jax.jit(lambda key: sean_jax.rollout(random_scenario, go_to_goal, key, STEPS, record))
+    last, (frames, goals) = run(jax.random.key(0))
+    return last, frames, np.asarray(goals)
+
+
+def test_people_walk_around_obstacles_to_their_goals_and_on_to_others(random_scenario, episode):
+    last, frames, goals = episode
+    people = np.asarray(frames.people)
+    changed = goals[1:] != goals[:-1]
+    assert changed.sum() >= PEOPLE  # in 50 s everybody arrives about once
+    places = np.asarray(random_scenario.behavior.data.navigation.places)
+    for step, person in np.argwhere(changed):
+        assert np.linalg.norm(people[step, person] - places[goals[step, person]]) < random_behavior.ARRIVED + 0.01
+    room = np.asarray(clearance(random_scenario.environment, jnp.asarray(people.reshape(-1, 2))))
+    assert room.min() >= 0.2 - 1e-3
+    moved = np.linalg.norm(people[200:] - people[:-200], axis=-1)
+    assert (moved.max(0) > 3.0).all()  # nobody is stuck for all the time
+    assert all(np.isfinite(np.asarray(leaf, float)).all() for leaf in jax.tree.leaves((last.pedestrians, frames)))
+
+
+def test_there_are_no_groups_and_everything_works_without(random_scenario, episode):
+    last, frames, _ = episode
+    assert (np.asarray(frames.group) == -1).all() and last.groups.radius.shape == (0,)
+    names = [name for name, _ in random_scenario.situations]
+    group_ones = [names.index("join_group"), names.index("leave_group")]
+    assert not np.asarray(frames.situations)[:, group_ones].any()
+    assert view(frames, random_scenario).axes
+
+
+def test_next_points_lead_along_shortest_paths(random_scenario):
+    """The cheap look-up of everybody's way gives ways as long as those of the exact one."""
+    tables = random_scenario.behavior.data
+    navigation = tables.navigation
+    spots, goals = navigation.places[:60], jnp.arange(100, 160, dtype=jnp.int32)
+
+    def both(spot, goal):
+        place, row = navigation.places[goal], tables.to_goal[goal]
+        ahead = random_behavior._ahead(navigation, spot, place, row)
+        through = jnp.sqrt(((ahead - spot) ** 2).sum()) + paths.geodesic(navigation, ahead, place, row)
+        return through, paths.geodesic(navigation, spot, place, row), paths.to_goal(navigation, place)
+
+    through, shortest, rows = jax.jit(jax.vmap(both))(spots, goals)
+    np.testing.assert_allclose(np.asarray(rows), np.asarray(tables.to_goal)[np.asarray(goals)], rtol=1e-5)
+    assert (np.asarray(through) <= np.asarray(shortest) + 0.3).all()
+    straight = np.linalg.norm(np.asarray(spots - navigation.places[goals]), axis=-1)
+    assert (np.asarray(shortest) > straight + 0.05).sum() >= 10  # many ways do bend
+
+
+def test_starts_and_goals_are_uniform_and_apart(random_scenario):
+    keys = jax.random.split(jax.random.key(3), 64)
+    people, _, memory = jax.jit(jax.vmap(lambda key: random_scenario.behavior.reset(random_scenario, key)))(keys)
+    position = np.asarray(people.position)
+    gap = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1) + 9 * np.eye(PEOPLE)
+    assert gap.min() >= starts.APART - 1e-5
+    places = np.asarray(random_scenario.behavior.data.navigation.places)
+    expected = quarters(places, random_scenario)
+    for drawn in (position.reshape(-1, 2), places[np.asarray(memory.goal).ravel()]):
+        np.testing.assert_allclose(quarters(drawn, random_scenario), expected, atol=0.07)
+
+
+def quarters(points, scenario):
+    """Share of the points in each quarter of the floor."""
+    floor = np.asarray(scenario.environment.floor)
+    right, upper = (points > (floor[:2] + floor[2:]) / 2).T
+    return np.bincount(2 * right + upper, minlength=4) / len(points)
+
+
+def test_more_people_than_fit_are_refused_with_the_most_that_do(tmp_path):
+    (tmp_path / "environment.yaml").write_text("name: yard\nfloor: [0, 0, 6, 5]\npeople: 4\n")
+    (tmp_path / "scene.xml").write_text(
+        '<mujoco><worldbody><geom type="box" size=".5 .5 1" pos="3 2.5 1"/></worldbody></mujoco>'
+    )
+    with pytest.raises(ValueError, match="do not fit in yard; the most that do is ") as refused:
+        sean_jax.make(tmp_path, behavior="random", task="random_ab_nav", people=500, dynamics="twin")
+    most = int(str(refused.value).rstrip(".").split()[-1])
+    assert 30 < most < 120
+    full = sean_jax.make(tmp_path, behavior="random", task="random_ab_nav", people=most, dynamics="twin")
+    assert full.people == most
+    with pytest.raises(ValueError, match=f"is {most}"):
+        sean_jax.make(tmp_path, behavior="random", task="random_ab_nav", people=most + 1, dynamics="twin")
