@@ -50,7 +50,7 @@ def make(
         task_distance: least and greatest length [m] of the shortest path from start to goal.
         start: of task ``custom``: (x, y) [m] or (x, y, heading [degrees]).
         goal: likewise.
-        situations: that are classified: a key of ``classifiers.SITUATION_SETS``, or name -> (moment, thresholds) -> bool.
+        situations: that are classified: a key of ``classifiers.SITUATION_SETS``, or a dict of them (see base.Scenario).
         thresholds: of the situation classifiers; those of the set if None, else the paper's.
 
     Raises:
@@ -58,6 +58,7 @@ def make(
     """
     _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time, task_distance)
     _check_poses(task, start, goal)
+    chosen, usual = _situations(situations)
     folder = environments.find(environment)
     scene, model = environments.load(folder), robots.load(robot, dynamics)
     count = environments.default_people(folder) if people is None else people
@@ -69,14 +70,14 @@ def make(
         navigation=driving,
         behavior=behaviors.BEHAVIORS[behavior](folder, scene, walking, count),
         forces=parameters,
-        thresholds=_thresholds(situations) if thresholds is None else thresholds,
+        thresholds=usual() if thresholds is None else thresholds,
         goal_radius=jnp.asarray(goal_radius, jnp.float32),
         hold_time=jnp.asarray(hold_time, jnp.float32),
         task_distance=jnp.asarray(task_distance, jnp.float32),
         robot=model,
         task=tasks.TASKS[task],
         move=social_forces.move,
-        situations=_situations(situations),
+        situations=chosen,
         metrics=tuple(metrics.METRICS.items()),
         time_step=time_step,
         time_limit=time_limit,
@@ -130,17 +131,14 @@ def _check_poses(task: str, start: tuple[float, ...] | None, goal: tuple[float, 
         raise ValueError(f"{given[0]}: task '{task}' draws its own; choose task 'custom' to give it.")
 
 
-def _situations(situations: str | Mapping[str, Callable]) -> tuple:
+def _situations(situations: str | Mapping[str, Callable]) -> tuple[tuple, Callable]:
+    """((name, function), ...) and who makes their usual thresholds."""
     if isinstance(situations, str):
         _check_name("situations", situations, classifiers.SITUATION_SETS)
-        return tuple(classifiers.SITUATION_SETS[situations].items())
+        return tuple(classifiers.SITUATION_SETS[situations].items()), classifiers.THRESHOLD_SETS[situations]
     if not situations:
         raise ValueError("situations: none is given; give at least one, or a name like 'paper'.")
-    return tuple(situations.items())
-
-
-def _thresholds(situations: str | Mapping[str, Callable]) -> classifiers.Thresholds:
-    return classifiers.THRESHOLD_SETS[situations if isinstance(situations, str) else "paper"]()
+    return tuple(situations.items()), classifiers.thresholds
 
 
 def _check_name(option: str, name: str, choices: dict) -> None:

@@ -1,5 +1,38 @@
-"""Classifiers of social situations (sections III-A and IV-G)."""
+"""Classifiers of social situations (sections III-A and IV-G), and of conversational groups."""
 
+from sean_jax.classifiers.conversation import found_groups, o_space_groups, o_space_votes
+from sean_jax.classifiers.encounters import crowded, following, frontal_approach, overtaking
+from sean_jax.classifiers.obstructions import blind_corner, narrow_passage
+from sean_jax.classifiers.sean2 import SEAN2_SITUATIONS, sean2_thresholds
 from sean_jax.classifiers.situations import SITUATIONS, Thresholds, classify, thresholds
 
-__all__ = ["SITUATIONS", "Thresholds", "classify", "thresholds"]
+MORE_SITUATIONS = {
+    "overtaking": overtaking,
+    "frontal_approach": frontal_approach,
+    "following": following,
+    "crowded": crowded,
+    "blind_corner": blind_corner,
+    "narrow_passage": narrow_passage,
+}
+"""Situations beyond the paper's five, as its future work asks: (moment, thresholds) -> () bool."""
+
+SITUATION_SETS = {"paper": SITUATIONS, "sean2": SEAN2_SITUATIONS, "more": SITUATIONS | MORE_SITUATIONS}
+"""name -> situations: as printed, as SEAN 2.0's code has them, as printed and those beyond."""
+
+THRESHOLD_SETS = {"paper": thresholds, "sean2": sean2_thresholds, "more": thresholds}
+"""name of a set of situations -> () -> its thresholds"""
+
+__all__ = [
+    "MORE_SITUATIONS",
+    "SEAN2_SITUATIONS",
+    "SITUATIONS",
+    "SITUATION_SETS",
+    "THRESHOLD_SETS",
+    "Thresholds",
+    "classify",
+    "found_groups",
+    "o_space_groups",
+    "o_space_votes",
+    "sean2_thresholds",
+    "thresholds",
+]

@@ -6,27 +6,51 @@ Each equation speaks of one agent; a situation occurs when it holds for any of t
 
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 from flax import struct
 
 from sean_jax.base import Array, Moment, Pedestrians
-from sean_jax.classifiers.predicates import member, near, parallel_trajectory, perpendicular_trajectory, walking
+from sean_jax.classifiers.predicates import (
+    any_person,
+    member,
+    near,
+    parallel_trajectory,
+    perpendicular_trajectory,
+    walking,
+)
 
 
 @struct.dataclass
 class Thresholds:
-    """Constants of the predicates (section V-B)."""
+    """Constants of the predicates (section V-B), and of the situations beyond the paper's five."""
 
     near: Array  # () m, D: twice the personal distance of Hall
     walking: Array  # () m/s, V
     angle: Array  # () rad, A
     arrival: Array  # () m, x_r = x'_r of equation (3) holds within it; ours, the paper has an equality
+    reach: Array  # () m, how far an encounter is foreseen: where Hall's social distance ends
+    personal: Array  # () m, Hall's personal distance: passing within it is passing close
+    moving: Array  # () m/s, who is slower stands, in the situations beyond the five; ours
+    gaining: Array  # () m/s, difference in speed of overtaking, below it of following; ours
+    crowd: Array  # () 1/m2, density of people: where Fruin's best level of service for walkways ends
+    hides: Array  # () m, height of an obstacle that people and robots cannot look over; ours
 
 
-def thresholds(near: float = 2.4, walking: float = 1.4, angle: float = jnp.pi / 12, arrival: float = 0.2) -> Thresholds:
-    """The paper's thresholds: D = 2.4 m, V = 1.4 m/s, A = 15 degrees."""
-    return Thresholds(*(jnp.asarray(value, jnp.float32) for value in (near, walking, angle, arrival)))
+def thresholds(
+    near: float = 2.4,
+    walking: float = 1.4,
+    angle: float = jnp.pi / 12,
+    arrival: float = 0.2,
+    reach: float = 3.6,
+    personal: float = 1.2,
+    moving: float = 0.1,
+    gaining: float = 0.2,
+    crowd: float = 0.31,
+    hides: float = 1.0,
+) -> Thresholds:
+    """The paper's thresholds, D = 2.4 m, V = 1.4 m/s, A = 15 degrees, and those of the other situations."""
+    values = (near, walking, angle, arrival, reach, personal, moving, gaining, crowd, hides)
+    return Thresholds(*(jnp.asarray(value, jnp.float32) for value in values))
 
 
 def cross_path(moment: Moment, thresholds: Thresholds) -> Array:
@@ -39,7 +63,7 @@ def cross_path(moment: Moment, thresholds: Thresholds) -> Array:
             & perpendicular_trajectory(moment.heading, agent.heading, thresholds.angle)
         )
 
-    return _any(moment, holds)
+    return any_person(moment, holds)
 
 
 def down_path(moment: Moment, thresholds: Thresholds) -> Array:
@@ -50,7 +74,7 @@ def down_path(moment: Moment, thresholds: Thresholds) -> Array:
             moment.heading, agent.heading, thresholds.angle
         )
 
-    return _any(moment, holds)
+    return any_person(moment, holds)
 
 
 def join_group(moment: Moment, thresholds: Thresholds) -> Array:
@@ -59,7 +83,7 @@ def join_group(moment: Moment, thresholds: Thresholds) -> Array:
     def holds(agent: Pedestrians) -> Array:
         return near(moment.position, agent.position, thresholds.near) & member(agent.group, moment.goal_group)
 
-    return _any(moment, holds) & ~near(moment.position, moment.goal, thresholds.arrival)
+    return any_person(moment, holds) & ~near(moment.position, moment.goal, thresholds.arrival)
 
 
 def leave_group(moment: Moment, thresholds: Thresholds) -> Array:
@@ -68,7 +92,7 @@ def leave_group(moment: Moment, thresholds: Thresholds) -> Array:
     def holds(agent: Pedestrians) -> Array:
         return near(moment.position, agent.position, thresholds.near) & member(agent.group, moment.start_group)
 
-    return _any(moment, holds)
+    return any_person(moment, holds)
 
 
 def empty(moment: Moment, thresholds: Thresholds) -> Array:
@@ -77,7 +101,7 @@ def empty(moment: Moment, thresholds: Thresholds) -> Array:
     def holds(agent: Pedestrians) -> Array:
         return near(moment.position, agent.position, thresholds.near)
 
-    return ~_any(moment, holds)
+    return ~any_person(moment, holds)
 
 
 SITUATIONS: dict[str, Callable[[Moment, Thresholds], Array]] = {
@@ -92,7 +116,3 @@ SITUATIONS: dict[str, Callable[[Moment, Thresholds], Array]] = {
 def classify(moment: Moment, thresholds: Thresholds, situations: tuple = tuple(SITUATIONS.items())) -> Array:
     """(S,) bool: which of the named situations occur at that moment; several can."""
     return jnp.stack([holds(moment, thresholds) for _, holds in situations])
-
-
-def _any(moment: Moment, holds: Callable[[Pedestrians], Array]) -> Array:
-    return (jax.vmap(holds)(moment.people) & moment.people.present).any()
