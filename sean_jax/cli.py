@@ -1,16 +1,19 @@
-"""The command line: ``sean run``, ``sean list``.
+"""The command line: ``sean run``, ``sean import-map``, ``sean list``.
 
 Nothing heavy is imported before a command is chosen, so that ``sean --help`` answers at once.
 """
 
 import dataclasses
 import importlib.metadata
+import math
 import os
 import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
+
+import tyro
 
 from sean_jax.main_job.options import BadInput, Options
 
@@ -20,6 +23,22 @@ WRONG, FAILED, STOPPED = 2, 1, 130  # exit codes: bad input, a broken simulation
 @dataclasses.dataclass(frozen=True)
 class List:
     """What there is to choose from for each option."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ImportMap:
+    """Make an environment of a ROS map, the YAML file of a map_server with its image."""
+
+    map: Annotated[Path, tyro.conf.Positional]
+    """YAML file of the map."""
+    out: Path
+    """Folder to write; it must not exist or be empty. Its path then serves as --environment."""
+    people: int | None = None
+    """Default number of people; one for each 25 m2 of free floor by default."""
+    height: float = 2.0
+    """Height of all obstacles in metres, for a map has none."""
+    unknown: Literal["obstacle", "free"] = "obstacle"
+    """What cells are that the map does not know."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -36,6 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             choices.print_choices()
             return 0
+        if isinstance(command, ImportMap):
+            return _import_map(command)
         return _run(command)
     except BadInput as error:
         return _fail(str(error), WRONG)
@@ -59,11 +80,10 @@ def cache_compilations() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 
-def _parse(arguments: list[str]) -> Options | List:
-    import tyro
-
+def _parse(arguments: list[str]) -> Options | ImportMap | List:
     commands = (
         Annotated[Options, tyro.conf.subcommand("run", default=Options())]
+        | Annotated[ImportMap, tyro.conf.subcommand("import-map")]
         | Annotated[List, tyro.conf.subcommand("list", default=List())]
     )
     return tyro.cli(
@@ -85,6 +105,20 @@ def _run(options: Options) -> int:
     console.print(f"report: [bold]{folder / 'report.html'}[/]", highlight=False, soft_wrap=True)
     if episodes < options.episodes:
         return _fail(f"stopped; the {episodes} episodes finished until then are in {folder}.", STOPPED)
+    return 0
+
+
+def _import_map(command: ImportMap) -> int:
+    from sean_jax import maps
+
+    options = dataclasses.asdict(command)
+    try:
+        made = maps.import_map(options.pop("map"), options.pop("out"), **options)
+    except ValueError as error:
+        return _fail(str(error), WRONG)
+    share = math.floor(made.agreement * 1e4) / 1e2  # rounded up, 99.999 % would read as all
+    print(f"{made.folder}: {made.boxes} boxes describe {share:.2f} % of the map's {made.cells} cells.")
+    print(f"next: sean run --environment {made.folder} --behavior random --task random_ab_nav, or write a graph.yaml.")
     return 0
 
 

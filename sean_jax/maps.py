@@ -1,0 +1,262 @@
+"""ROS maps become environments (section IV-C): an occupancy image is described by few upright boxes.
+
+Conventions of map_server: the origin is the lower left corner of the image, whose rows run from top to bottom;
+p = (255 - x) / 255 is how occupied a pixel of value x is, or x / 255 with ``negate``.
+"""
+
+import dataclasses
+import json
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pydantic
+from PIL import Image, UnidentifiedImageError
+
+from sean_jax import environment as environments
+from sean_jax import files
+
+AGREE = 0.995  # least share of cells that are the same in the map and in the boxes
+SPARED = 0.2  # of the cells that may differ: slivers along larger boxes are left out that many at most
+OCCUPIED = 65  # occupancy [%] from which a cell of a "scale" or "raw" map is an obstacle; map_saver's default
+AREA_OF_ONE = 25.0  # m2 of free floor for each of the people, as in the warehouse
+MOST_BOXES = 5000  # more are noise, and no path could be planned among them
+MOST_PEOPLE = 60
+
+
+class MapFile(pydantic.BaseModel):
+    """What the YAML file of a ROS map holds; other keys are for other programs."""
+
+    model_config = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    image: Annotated[str, pydantic.Field(min_length=1)]
+    resolution: Annotated[float, pydantic.Field(gt=0)]  # m, side of a pixel
+    origin: tuple[float, float, float]  # m, m, rad: pose of the lower left corner
+    negate: bool | Literal[0, 1] = 0
+    occupied_thresh: Annotated[float, pydantic.Field(ge=0, le=1)]
+    free_thresh: Annotated[float, pydantic.Field(ge=0, le=1)]
+    mode: Literal["trinary", "scale", "raw"] = "trinary"
+
+
+@dataclasses.dataclass(frozen=True)
+class Raster:
+    """The cells of a map: column i, row j is the square from ``origin + resolution * (i, j)``, so row 0 is lowest."""
+
+    occupied: np.ndarray  # (rows, columns) bool
+    unknown: np.ndarray  # (rows, columns) bool, neither occupied nor free
+    resolution: float  # m
+    origin: tuple[float, float]  # m
+
+
+@dataclasses.dataclass(frozen=True)
+class Imported:
+    """What an import made."""
+
+    folder: Path
+    boxes: int
+    people: int
+    cells: int
+    agreement: float  # share of cells that are equal in the map and in the boxes
+
+
+def read(path: Path | str) -> Raster:
+    """The map of a map_server YAML file and its PGM or PNG image.
+
+    Raises FileError, with a sentence, for files that cannot be used.
+    """
+    path = Path(path)
+    found = files.load(path, MapFile, _problems)
+    image = path.parent / found.image
+    try:
+        with Image.open(image) as opened:
+            shades, opaque = _shades(opened)
+    except FileNotFoundError:
+        raise files.FileError(f"{files.shown(path)}: image: there is no file {image}.") from None
+    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise files.FileError(f"{files.shown(image)}: is no image that can be read ({error}).") from None
+    if found.mode == "raw":
+        value = np.where(shades <= 100, shades, -1.0)
+    else:
+        share = shades / 255 if found.negate else (255 - shades) / 255
+        low, high = found.free_thresh, found.occupied_thresh
+        between = 99 * (share - low) / max(high - low, 1e-9) if found.mode == "scale" else -1.0
+        value = np.where(share > high, 100.0, np.where(share < low, 0.0, between))
+    value = np.where(opaque, value, -1.0)[::-1]
+    return Raster(value >= OCCUPIED, value < 0, found.resolution, found.origin[:2])
+
+
+def _problems(found: MapFile) -> list[files.Problem]:
+    problems: list[files.Problem] = []
+    if found.origin[2] != 0:
+        problems.append((("origin", 2), f"the map is turned by {found.origin[2]:g} rad; turn its image and give 0"))
+    if found.free_thresh > found.occupied_thresh:
+        problems.append((("free_thresh",), f"{found.free_thresh:g} is more than occupied_thresh; exchange them"))
+    return problems
+
+
+def _shades(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, columns) mean of the colours, 0 to 255, and whether the pixel is opaque at all."""
+    if image.mode.startswith("I") or image.mode == "F":  # 16 bits
+        values = np.asarray(image, float)
+        return values * (255 / 65535 if values.max(initial=0) > 255 else 1.0), np.ones(values.shape, bool)
+    values = np.asarray(image.convert("RGBA"), float)
+    return values[..., :3].mean(-1), values[..., 3] > 0
+
+
+def rectangles(occupied: np.ndarray, spare: int = 0) -> np.ndarray:
+    """(B, 4) int: few rectangles [column, row, column end, row end) that cover the occupied cells (rows, columns).
+
+    From the first cell that is not covered yet, in the order of the rows, the rectangle that covers most new cells;
+    rectangles may overlap. Of slivers, whose own cells all touch a kept rectangle, ``spare`` cells may stay uncovered.
+    """
+    rows, columns = occupied.shape
+    run = np.zeros((rows, columns + 1), int)  # occupied cells from here to the right
+    for column in range(columns - 1, -1, -1):
+        run[:, column] = np.where(occupied[:, column], run[:, column + 1] + 1, 0)
+    covered = np.zeros((rows, columns), int)
+    found: list[tuple[int, int, int, int]] = []
+    for row in range(rows):
+        while True:
+            free = occupied[row] & (covered[row] == 0)
+            if not free.any():
+                break
+            box = _widen(occupied, _best(run, covered, row, int(free.argmax())))
+            found.append(box)
+            covered[box[1] : box[3], box[0] : box[2]] += 1
+            if len(found) > MOST_BOXES:
+                raise ValueError(
+                    f"the map needs more than {MOST_BOXES} boxes; smooth its image, or lower its resolution."
+                )
+    return np.array(_without_slivers(found, covered, spare), int).reshape(-1, 4)
+
+
+def _best(run: np.ndarray, covered: np.ndarray, row: int, column: int) -> tuple[int, int, int, int]:
+    """The rectangle upwards and to the right of a cell that covers most cells that nothing covers yet."""
+    depth = int(np.argmin(np.append(run[row:, column] > 0, False)))
+    width = np.minimum.accumulate(run[row : row + depth, column])
+    new = np.cumsum(covered[row : row + depth, column : column + width[0]] == 0, axis=1)
+    heights = np.flatnonzero(np.append(width[1:] != width[:-1], True)) + 1  # as high as each width allows
+    gains = [int(new[:height, width[height - 1] - 1].sum()) for height in heights]
+    height = int(heights[int(np.argmax(gains))])
+    return column, row, column + int(width[height - 1]), row + height
+
+
+def _widen(occupied: np.ndarray, box: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """The box extended to the left and downwards as far as cells are occupied."""
+    left, low, right, high = box
+    while left > 0 and occupied[low:high, left - 1].all():
+        left -= 1
+    while low > 0 and occupied[low - 1, left:right].all():
+        low -= 1
+    return left, low, right, high
+
+
+def _without_slivers(found: list[tuple[int, int, int, int]], covered: np.ndarray, spare: int) -> list:
+    """The boxes without those that add few cells along others; obstacles that stand alone are kept."""
+    kept = []
+    for left, low, right, high in sorted(found, key=lambda box: (box[2] - box[0]) * (box[3] - box[1])):
+        part = covered[low:high, left:right]
+        own = part == 1
+        count = int(own.sum())
+        if count <= spare:
+            part -= 1
+            around = np.pad(covered, 1)[low : high + 2, left : right + 2] > 0
+            shifts = [around[a : a + high - low, b : b + right - left] for a in range(3) for b in range(3)]
+            if (np.any(shifts, axis=0) | ~own).all():
+                spare -= count
+                continue
+            part += 1
+        kept.append((left, low, right, high))
+    return sorted(kept, key=lambda box: (box[1], box[0]))
+
+
+def import_map(
+    path: Path | str, folder: Path | str, *, people: int | None = None, height: float = 2.0, unknown: str = "obstacle"
+) -> Imported:
+    """Write the environment of a ROS map to a folder, which must not exist or be empty.
+
+    ``people`` is the default number of people, one for each 25 m2 of free floor if None; ``height`` [m] is that of
+    all boxes, for a map has none; ``unknown`` says what unknown cells are, ``obstacle`` or ``free``. What was written
+    is read again and compared with the map, cell by cell. Raises ValueError, with a sentence.
+    """
+    folder = Path(folder)
+    if not height > 0:
+        raise ValueError(f"height is {height:g} m; it must be more than 0.")
+    if people is not None and people < 0:
+        raise ValueError(f"people is {people}; it must not be negative.")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ValueError(f"{folder} exists and is not an empty folder; give another one.")
+    raster = read(path)
+    solid = raster.occupied | raster.unknown if unknown == "obstacle" else raster.occupied
+    if not solid.any() or solid.all():
+        what = "every" if solid.any() else "no"
+        raise ValueError(f"{files.shown(Path(path))}: {what} cell is an obstacle; look at negate and the thresholds.")
+    boxes = rectangles(solid, int(solid.size * (1 - AGREE) * SPARED))
+    free = float((~solid).sum()) * raster.resolution**2
+    count = max(1, min(MOST_PEOPLE, round(free / AREA_OF_ONE))) if people is None else people
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:  # a whole folder is written, or none
+        made = Path(scratch) / "environment"
+        made.mkdir()
+        name = folder.resolve().name
+        source = f"ROS map {Path(path).name}, {raster.resolution:g} m a cell"
+        (made / environments.SETTINGS).write_text(_settings(raster, name, count, source), encoding="utf-8")
+        (made / environments.SCENE).write_text(_scene(raster, boxes, height), encoding="utf-8")
+        agreement = float(np.mean(rasterised(environments.load(made).obstacles, raster) == solid))
+        if agreement < AGREE:
+            raise ValueError(f"the boxes describe only {agreement:.2%} of the map's cells; nothing was written.")
+        if folder.exists():
+            folder.rmdir()
+        shutil.move(made, folder)
+    return Imported(folder, len(boxes), count, solid.size, agreement)
+
+
+def rasterised(obstacles, raster: Raster) -> np.ndarray:
+    """(rows, columns) bool: the cells of the raster whose middle lies in one of the boxes, none of them turned."""
+    rows, columns = raster.occupied.shape
+    x = raster.origin[0] + (np.arange(columns) + 0.5) * raster.resolution
+    y = raster.origin[1] + (np.arange(rows) + 0.5) * raster.resolution
+    inside = np.zeros((rows, columns), bool)
+    for (cx, cy), (hx, hy) in zip(np.asarray(obstacles.center), np.asarray(obstacles.half_extent), strict=True):
+        inside |= (np.abs(y - cy) < hy)[:, None] & (np.abs(x - cx) < hx)[None, :]
+    return inside
+
+
+def _floor(raster: Raster) -> list[float]:
+    """x_min, y_min, x_max, y_max [m]"""
+    rows, columns = raster.occupied.shape
+    x, y = raster.origin
+    return [round(value, 6) for value in (x, y, x + columns * raster.resolution, y + rows * raster.resolution)]
+
+
+def _settings(raster: Raster, name: str, people: int, source: str) -> str:
+    floor = ", ".join(f"{value:.9g}" for value in _floor(raster))
+    return (
+        f"name: {json.dumps(name)}\nfloor: [{floor}]  # m: x_min, y_min, x_max, y_max\n"
+        f"people: {people}  # unless told otherwise\nsource: {json.dumps(source)}\n"
+    )
+
+
+def _scene(raster: Raster, boxes: np.ndarray, height: float) -> str:
+    x0, y0, x1, y1 = _floor(raster)
+    middle, half = f"{(x0 + x1) / 2:g} {(y0 + y1) / 2:g}", f"{(x1 - x0) / 2:g} {(y1 - y0) / 2:g}"
+    span, size, lines = max(x1 - x0, y1 - y0), raster.resolution, []
+    for number, (left, low, right, high) in enumerate(boxes, 1):
+        center = raster.origin[0] + size * (left + right) / 2, raster.origin[1] + size * (low + high) / 2
+        position = f"{center[0]:.9g} {center[1]:.9g} {height / 2:g}"
+        extent = f"{size * (right - left) / 2:.9g} {size * (high - low) / 2:.9g} {height / 2:g}"
+        lines.append(f'    <geom name="box_{number}" type="box" pos="{position}" size="{extent}"/>')
+    return "\n".join([
+        '<mujoco model="map">',
+        f'  <statistic center="{middle} 0" extent="{span:g}"/>',
+        "  <worldbody>",
+        f'    <light name="sun" directional="true" pos="{middle} {span:g}" dir="-0.35 0.25 -0.9" castshadow="false"/>',
+        f'    <camera name="top" pos="{middle} {1.15 * span:g}" fovy="48"/>',
+        f'    <geom name="floor" type="plane" pos="{middle} 0" size="{half} 0.1" rgba="0.78 0.78 0.76 1"/>',
+        *lines,
+        "  </worldbody>",
+        "</mujoco>",
+        "",
+    ])  # fmt: skip
