@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from sean_jax import behaviors, classifiers, files, metrics, navigation, robots, social_forces, tasks
 from sean_jax import environment as environments
-from sean_jax.base import Scenario
+from sean_jax.base import Behavior, Scenario
 
 PERSON_CLEARANCE = 0.25  # m: people's paths stand off from obstacles by a body of 0.2 m and some room
 
@@ -28,6 +28,8 @@ def make(
     goal_radius: float = 1.2,
     hold_time: float = 5.0,
     task_distance: tuple[float, float] = (4.0, 20.0),
+    recording: str | Path | None = None,
+    frame_rate: float | None = None,
     start: tuple[float, ...] | None = None,
     goal: tuple[float, ...] | None = None,
     situations: str | Mapping[str, Callable] = "paper",
@@ -48,6 +50,8 @@ def make(
         goal_radius: within which the goal counts as reached [m] (SEAN 2.0: 1.2).
         hold_time: to be spent there for the task to be completed [s] (SEAN 2.0: 5).
         task_distance: least and greatest length [m] of the shortest path from start to goal.
+        recording: of behavior ``playback``: a CSV file with the columns frame, id, x, y [m].
+        frame_rate: of the recording [1/s]; 25 if None.
         start: of task ``custom``: (x, y) [m] or (x, y, heading [degrees]).
         goal: likewise.
         situations: that are classified: a key of ``classifiers.SITUATION_SETS``, or a dict of them (see base.Scenario).
@@ -61,14 +65,14 @@ def make(
     chosen, usual = _situations(situations)
     folder = environments.find(environment)
     scene, model = environments.load(folder), robots.load(robot, dynamics)
-    count = environments.default_people(folder) if people is None else people
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     walking = _navigation(folder, PERSON_CLEARANCE)
     driving = walking if model.radius <= PERSON_CLEARANCE else _navigation(folder, model.radius)
+    directed, count = _behavior(behavior, folder, scene, walking, people, recording, frame_rate, time_step)
     scenario = Scenario(
         environment=scene,
         navigation=driving,
-        behavior=behaviors.BEHAVIORS[behavior](folder, scene, walking, count),
+        behavior=directed,
         forces=parameters,
         thresholds=usual() if thresholds is None else thresholds,
         goal_radius=jnp.asarray(goal_radius, jnp.float32),
@@ -76,7 +80,7 @@ def make(
         task_distance=jnp.asarray(task_distance, jnp.float32),
         robot=model,
         task=tasks.TASKS[task],
-        move=social_forces.move,
+        move=behaviors.playback.follow if behavior == "playback" else social_forces.move,
         situations=chosen,
         metrics=tuple(metrics.METRICS.items()),
         time_step=time_step,
@@ -101,6 +105,23 @@ def with_task(scenario: Scenario, task: str) -> Scenario:
 def _navigation(folder: Path, radius: float) -> navigation.Navigation:
     """Built once per process for each environment and radius; files are read again, tables are not made again."""
     return navigation.build(environments.load(folder), radius)
+
+
+def _behavior(name, folder, scene, walking, people, recording, frame_rate, time_step) -> tuple[Behavior, int]:
+    """The behavior and the number of people; in playback there are as many as are recorded at once."""
+    build = behaviors.BEHAVIORS[name]
+    if name != "playback":
+        for option, value in (("recording", recording), ("frame_rate", frame_rate)):
+            if value is not None:
+                raise ValueError(f"{option}: behavior '{name}' has none; choose behavior 'playback'.")
+        count = environments.default_people(folder) if people is None else people
+        return build(folder, scene, walking, count), count
+    rate = behaviors.playback.FRAME_RATE if frame_rate is None else frame_rate
+    directed = behaviors.playback.build(folder, scene, walking, 0, recording, rate, time_step)
+    count = behaviors.playback.most_people(directed)
+    if people not in (None, count):
+        raise ValueError(f"people: {people}, but {count} are there at once in the recording; leave people out.")
+    return directed, count
 
 
 def _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time, task_distance) -> None:

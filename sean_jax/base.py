@@ -86,6 +86,7 @@ class RobotTask:
     goal_group: Array  # () int32 likewise for the goal
     geodesic: Array  # () m, length of the shortest path from start to goal
     to_goal: Array  # (V,) m, length of the shortest path from each via point to the goal
+    turning: Array | None = None  # () rad, rotation along the shortest path from the start's heading; reset fills it in
 
 
 @struct.dataclass
@@ -110,6 +111,9 @@ class Moment:
     person_radius: Array  # () m
     time_step: float = struct.field(pytree_node=False)  # s
     obstacles: Obstacles | None = None  # all upright boxes; None where nothing is known of them
+    turning: Array | None = None  # () rad, rotation along the shortest path from the start's heading; None: straight
+    goal_radius: Array | None = None  # () m, inside it the goal is reached; None: SEAN's 1.2
+    robot_top_speed: Array | None = None  # () m/s; None: Kuri's 0.5
 
 
 @struct.dataclass
@@ -208,6 +212,7 @@ class Frame:
     people_velocity: Array  # (N, 2) m/s
     people_heading: Array  # (N, 2) unit vector
     group: Array  # (N,) int32, -1 none
+    present: Array  # (N,) bool
     goal: Array  # (2,) m
     situations: Array  # (S,) bool
     active: Array  # () bool, the episode had not ended before this step

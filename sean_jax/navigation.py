@@ -44,7 +44,9 @@ def build(environment: Environment, radius: float, cell: float = CELL) -> Naviga
         ValueError: there is hardly a free place for such a disc.
     """
     boxes = environment.obstacles
+    drawn = environments.free_points(environment, radius + 2 * MARGIN, PLACES, seed=1)
     via = _corners(environment, radius + MARGIN, radius)
+    via = via if len(via) else drawn[:1]  # an open place: no path bends, but the tables must not be empty
     visible = np.asarray(jax.jit(_sees_all)(via, via, boxes, radius - 1e-3))
     gap = np.linalg.norm(via[:, None] - via[None], axis=-1)
     edge = np.where(visible & (gap > 0), gap, np.inf)
@@ -55,7 +57,6 @@ def build(environment: Environment, radius: float, cell: float = CELL) -> Naviga
     middle = [floor[k] + (np.arange(count[k]) + 0.5) * cell for k in (0, 1)]
     spots = np.stack(np.meshgrid(*middle, indexing="ij"), -1).reshape(-1, 2).astype(np.float32)
     seen = np.asarray(jax.jit(_sees_from_cells)(spots, via, boxes, radius)).reshape(*count, len(via))
-    drawn = environments.free_points(environment, radius + 2 * MARGIN, PLACES, seed=1)
     return Navigation(
         via=jnp.asarray(via),
         edge=jnp.asarray(edge, jnp.float32),
@@ -196,9 +197,7 @@ def _corners(environment: Environment, offset: float, radius: float) -> np.ndarr
 
 
 def _connected(places: np.ndarray, via: np.ndarray, distance: np.ndarray, boxes: Obstacles, radius: float):
-    """The places that see a via point of the largest connected part; all of them where nothing is in the way."""
-    if not len(via):
-        return places
+    """The places that see a via point of the largest connected part."""
     reached = np.isfinite(distance)
     largest = reached[np.argmax(reached.sum(1))]
     seen = np.asarray(jax.jit(_sees_all)(places, via, boxes, radius * SLIM))

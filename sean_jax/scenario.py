@@ -20,6 +20,8 @@ def reset(scenario: Scenario, key: Array) -> State:
     people_key, task_key, run_key = jax.random.split(key, 3)
     pedestrians, groups, memory = scenario.behavior.reset(scenario, people_key)
     task = scenario.task(scenario, pedestrians, groups, task_key)
+    path = task.start, task.start_heading, task.goal, task.to_goal
+    task = replace(task, turning=paths.turning(scenario.navigation, *path))
     state = State(
         key=run_key,
         tick=jnp.zeros((), jnp.int32),
@@ -120,6 +122,9 @@ def moment(scenario: Scenario, state: State) -> Moment:
         person_radius=scenario.forces.radius,
         time_step=scenario.time_step,
         obstacles=scenario.environment.obstacles,
+        turning=task.turning,
+        goal_radius=scenario.goal_radius,
+        robot_top_speed=scenario.robot.max_speed,
     )
 
 
@@ -162,6 +167,7 @@ def frame(before: State, after: State, action: Array) -> Frame:
         people_velocity=people.velocity,
         people_heading=people.heading,
         group=people.group,
+        present=people.present,
         goal=after.task.goal,
         situations=after.situations,
         active=~(before.completed | before.timed_out),

@@ -46,6 +46,7 @@ def frames() -> Any:
         people_velocity=np.zeros((STEPS, PEOPLE, 2)),
         people_heading=np.tile([0.0, 1.0], (STEPS, PEOPLE, 1)),
         group=np.tile(np.array([-1, 0, -1], np.int32), (STEPS, 1)),
+        present=np.ones((STEPS, PEOPLE), bool),
         goal=np.tile([5.0, 0.0], (STEPS, 1)),
         situations=situations,
         active=np.arange(STEPS) < 36,

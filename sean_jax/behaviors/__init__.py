@@ -1,8 +1,8 @@
 """Pedestrian behaviors (section IV-D, high level): who goes where."""
 
-from sean_jax.behaviors import graph_behavior, random_behavior
+from sean_jax.behaviors import graph_behavior, playback, random_behavior
 
-BEHAVIORS = {"graph": graph_behavior.build, "random": random_behavior.build}
+BEHAVIORS = {"graph": graph_behavior.build, "random": random_behavior.build, "playback": playback.build}
 """name -> (folder of the environment, environment, navigation for people, number of people) -> Behavior"""
 
-__all__ = ["BEHAVIORS"]
+__all__ = ["BEHAVIORS", "playback"]

@@ -82,7 +82,7 @@ class _Scene:
         self.line = max(2, round(self.metre * 0.07))
         font = Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
         self.font = ImageFont.truetype(str(font), round(size / 22))
-        self.people, self.group = pixels(frames.people), frames.group
+        self.people, self.group, self.present = pixels(frames.people), frames.group, np.asarray(frames.present, bool)
         self.looks = self.people + flip * frames.people_heading * (1.9 * parts.PERSON_RADIUS * self.metre)
         self.path, self.heading, self.goal = pixels(frames.position), flip * frames.heading, pixels(frames.goal[-1])
         self.shades = parts.step_colors(frames, situations)
@@ -107,10 +107,12 @@ class _Scene:
         for first in range(0, t, self.every):
             last = min(first + self.every, t)
             draw.line([*self.path[first], *self.path[last]], fill=self.shades[last], width=3 * line)
-        tails = self.people[max(0, t - self.tail) : t + 1 : max(1, self.tail // 5)]
-        for n in range(tails.shape[1] if len(tails) > 1 else 0):
+        tail = slice(max(0, t - self.tail), t + 1)
+        tails, here = self.people[tail][:: max(1, self.tail // 5)], np.flatnonzero(self.present[t])
+        whole = np.all(self.present[tail], axis=0)  # who entered a moment ago has no tail yet
+        for n in here[whole[here]] if len(tails) > 1 else ():
             draw.line([tuple(place) for place in tails[:, n]], fill=colors.TRAIL, width=line)
-        for place, look, group in zip(self.people[t], self.looks[t], self.group[t], strict=True):
+        for place, look, group in zip(self.people[t, here], self.looks[t, here], self.group[t, here], strict=True):
             draw.line([*place, *look], fill=colors.PERSON_EDGE, width=line)
             face = colors.MEMBER if group >= 0 else colors.PERSON
             disc(place, parts.PERSON_RADIUS * metre, fill=face, outline=colors.PERSON_EDGE, width=line)

@@ -139,16 +139,20 @@ def draw_trails(axes: Axes, frames: Frame, steps: int) -> None:
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgb
 
-    people = np.asarray(frames.people)[-steps - 1 :]
+    people, there = (np.asarray(part)[-steps - 1 :] for part in (frames.people, frames.present))
     stride = max(1, len(people) // 240)
-    people = people[::-stride][::-1]
+    people, there = people[::-stride][::-1], there[::-stride][::-1]
     if len(people) < 2:
         return
     segments = np.stack([people[:-1], people[1:]], 2)  # (T - 1, N, 2, 2)
+    walked = (there[:-1] & there[1:]).ravel()  # who is absent at an end of it did not walk there
     age = np.linspace(0.03, 1.0, len(segments)) ** 1.6
     shade = np.concatenate([np.tile(to_rgb(colors.TRAIL), (len(segments), 1)), 0.75 * age[:, None]], 1)
     drawn = LineCollection(
-        list(segments.reshape(-1, 2, 2)), colors=np.repeat(shade, people.shape[1], 0), linewidths=1.1, zorder=4
+        list(segments.reshape(-1, 2, 2)[walked]),
+        colors=np.repeat(shade, people.shape[1], 0)[walked],
+        linewidths=1.1,
+        zorder=4,
     )
     drawn.set_rasterized(True)  # thousands of segments: an image is smaller than their outlines
     drawn.set_capstyle("butt")
@@ -159,7 +163,8 @@ def draw_people(axes: Axes, frames: Frame) -> None:
     """Each person at the last frame: a disc with a tick where the person looks, in another colour in a group."""
     from matplotlib.collections import EllipseCollection, LineCollection
 
-    place, look, group = frames.people[-1], frames.people_heading[-1], frames.group[-1]
+    there = np.asarray(frames.present[-1], bool)
+    place, look, group = (np.asarray(part[-1])[there] for part in (frames.people, frames.people_heading, frames.group))
     ends = np.stack([place, place + 1.9 * PERSON_RADIUS * look], 1)
     axes.add_collection(LineCollection(list(ends), colors=colors.PERSON_EDGE, linewidths=0.9, zorder=6))
     size = np.full(len(place), 2 * PERSON_RADIUS)

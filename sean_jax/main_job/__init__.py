@@ -63,6 +63,8 @@ def _scenarios(options: Options) -> list[Scenario]:
             forces=options.forces,
             dynamics=options.dynamics,
             time_limit=options.time_limit,
+            recording=options.recording,
+            frame_rate=options.frame_rate,
             start=options.start,
             goal=options.goal,
         )

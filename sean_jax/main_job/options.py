@@ -22,6 +22,10 @@ class Options:
     """Pedestrian behavior: who goes where."""
     task: str = "join_group,leave_group"
     """Robot task; several, separated by commas, take turns."""
+    recording: str | None = None
+    """Of the behavior playback: a CSV file with the columns frame, id, x and y in metres."""
+    frame_rate: float | None = None
+    """Of the recording in frames a second, 25 by default."""
     start: tuple[float, ...] | None = None
     """Of the task custom: x and y in metres, and a heading in degrees if you like."""
     goal: tuple[float, ...] | None = None

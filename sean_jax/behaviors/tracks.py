@@ -1,0 +1,125 @@
+"""Recorded people as tables at the control step (playback, section IV-D): who is where, when they are there."""
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+from flax import struct
+
+from sean_jax.base import Array
+from sean_jax.files import FileError, shown
+
+COLUMNS = {"frame": ("frame",), "id": ("id", "ped_id", "person"), "x": ("x", "x_m"), "y": ("y", "y_m")}
+LONGEST_GAP = 2.0  # s: who is not seen for longer has left and entered again
+WALKING = 0.1  # m/s: who is slower keeps the heading
+
+
+@struct.dataclass
+class Tracks:
+    """T moments, one control step apart, of as many people as are there at once; a row serves one after another."""
+
+    position: Array  # (T, N, 2) m; of who is absent, where somebody was or will be
+    velocity: Array  # (T, N, 2) m/s, that led to the position; zero of who is absent
+    heading: Array  # (T, N, 2) unit vector
+    present: Array  # (T, N) bool
+
+
+def read(path: str | Path, frame_rate: float, time_step: float) -> Tracks:
+    """The recording in a CSV file with the columns frame, id, x [m] and y [m], ``frame_rate`` frames a second.
+
+    Positions at the control steps are interpolated linearly. Nobody is there before their first row, after their
+    last one, or in between for more than 2 s without any.
+
+    Raises:
+        FileError: the file does not exist or holds something else, with the line.
+    """
+    walks = [part for rows in _rows(Path(path)).values() for part in _walks(rows, frame_rate)]
+    first = min((walk[0, 0] for walk in walks), default=0.0)
+    sampled = [sample for walk in walks if (sample := _sample(walk, first, time_step)) is not None]
+    if not sampled:
+        raise FileError(f"{shown(Path(path))}: nobody is there for two control steps of {time_step:g} s; is frame_rate "
+                        f"{frame_rate:g} frames a second right?")  # fmt: skip
+    return _tables(sorted(sampled, key=lambda sample: sample[0]), time_step)
+
+
+def _rows(path: Path) -> dict[str, list[tuple[float, float, float]]]:
+    """id -> (frame, x, y) in order of time."""
+    if not path.is_file():
+        raise FileError(f"{path}: there is no such file; a recording is a CSV file with the columns frame, id, x, y.")
+    people: dict[str, dict[float, tuple[float, float, float]]] = {}
+    with path.open(newline="", encoding="utf-8-sig") as stream:
+        reader = csv.reader(stream)
+        header = [name.strip().lower() for name in next(reader, [])]
+        column = {}
+        for what, names in COLUMNS.items():
+            found = [header.index(name) for name in names if name in header]
+            if not found:
+                raise FileError(f"{shown(path)}:1: there is no column '{what}' but {', '.join(header) or 'nothing'}.")
+            column[what] = found[0]
+        for number, row in enumerate(reader, 2):
+            if not any(cell.strip() for cell in row):
+                continue
+            try:
+                frame, x, y = (float(row[column[what]]) for what in ("frame", "x", "y"))
+                person = row[column["id"]].strip()
+            except (ValueError, IndexError):
+                raise FileError(f"{shown(path)}:{number}: frame, x and y must be numbers: {','.join(row)}") from None
+            if not all(math.isfinite(value) for value in (frame, x, y)):
+                raise FileError(f"{shown(path)}:{number}: frame, x and y must be finite: {','.join(row)}")
+            if frame in people.setdefault(person, {}):
+                raise FileError(f"{shown(path)}:{number}: person {person} is at two places in frame {frame:g}.")
+            people[person][frame] = (frame, x, y)
+    return {person: [rows[frame] for frame in sorted(rows)] for person, rows in people.items()}
+
+
+def _walks(rows: list[tuple[float, float, float]], frame_rate: float) -> list[np.ndarray]:
+    """(K, 3) time [s], x, y [m] for each stretch in which a person is there."""
+    walk = np.array(rows) / [frame_rate, 1.0, 1.0]
+    return np.split(walk, np.flatnonzero(np.diff(walk[:, 0]) > LONGEST_GAP) + 1)
+
+
+def _sample(walk: np.ndarray, first: float, time_step: float) -> tuple[int, np.ndarray] | None:
+    """Number of the first control step in a walk and (K, 2) [m] the places from there on; None if there is but one."""
+    begin = math.ceil((walk[0, 0] - first) / time_step - 1e-6)
+    end = math.floor((walk[-1, 0] - first) / time_step + 1e-6)
+    if end <= begin:
+        return None
+    time = first + np.arange(begin, end + 1) * time_step
+    return begin, np.stack([np.interp(time, walk[:, 0], walk[:, k]) for k in (1, 2)], -1)
+
+
+def _tables(sampled: list[tuple[int, np.ndarray]], time_step: float) -> Tracks:
+    """Walks in order of their begin, each in the first row that has been free for a step."""
+    rows: list[list[tuple[int, np.ndarray]]] = []
+    for begin, places in sampled:
+        free = (row for row in rows if row[-1][0] + len(row[-1][1]) < begin)
+        row = next(free, None)
+        if row is None:
+            rows.append(row := [])
+        row.append((begin, places))
+    moments = max(begin + len(places) for begin, places in sampled)
+    position, velocity = np.zeros((2, moments, len(rows), 2))
+    heading, present = np.zeros((moments, len(rows), 2)), np.zeros((moments, len(rows)), bool)
+    for n, row in enumerate(rows):
+        before = 0
+        for begin, places in row:
+            end = begin + len(places)
+            steps = np.diff(places, axis=0) / time_step
+            position[before:begin, n], position[begin:end, n], position[end:, n] = places[0], places, places[-1]
+            velocity[begin:end, n] = np.concatenate([steps[:1], steps])
+            present[begin:end, n] = True
+            heading[before:end, n] = _headings(velocity[before:end, n])
+            heading[end:, n], before = heading[end - 1, n], end
+    return Tracks(position.astype(np.float32), velocity.astype(np.float32), heading.astype(np.float32), present)  # pyright: ignore
+
+
+def _headings(velocity: np.ndarray) -> np.ndarray:
+    """(T, 2) direction of the last velocity that was fast enough, or the first one that is, or along x."""
+    speed = np.linalg.norm(velocity, axis=-1)
+    fast = np.flatnonzero(speed > WALKING)
+    if not len(fast):
+        return np.tile([1.0, 0.0], (len(velocity), 1))
+    latest = np.searchsorted(fast, np.arange(len(velocity)), side="right") - 1
+    index = fast[np.maximum(latest, 0)]
+    return velocity[index] / speed[index, None]
