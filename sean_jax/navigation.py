@@ -14,12 +14,13 @@ from scipy.sparse.csgraph import dijkstra
 
 from sean_jax import environment as environments
 from sean_jax.base import Array, Environment, Obstacles
-from sean_jax.geometry import crosses_box, from_box, length, rotate
+from sean_jax.geometry import angle_between, crosses_box, from_box, length, rotate
 
 CELL = 0.25  # m
 AT = 0.3  # m: a walker that close to a via point has passed it
 MARGIN = 0.05  # m, by which via points stand off farther than the radius
 SLIM = 0.7  # of the radius: a box grown by less than 1 / sqrt(2) of it never covers a legal place at its corner
+BENDS = 32  # at most, that are counted on a path
 PLACES = 1024  # free places kept for drawing starts and goals
 
 
@@ -108,6 +109,29 @@ def next_point(navigation: Navigation, position: Array, goal: Array, to_goal: Ar
     index = jnp.where(length(ahead[0], ahead[1]) < AT, after, first)
     seen = index < navigation.via.shape[0]
     return jnp.where(straight | lost | ~seen, goal, navigation.via[jnp.where(seen, index, 0)])
+
+
+def turning(navigation: Navigation, position: Array, heading: Array, goal: Array, to_goal: Array) -> Array:
+    """() rad: how much one turns, left and right added up, on the shortest path, beginning with the heading (2,).
+
+    From the position (2,) to the goal (2,) [m], whose ``to_goal`` (V,) is given; no turning at the goal.
+    """
+    last = navigation.via.shape[0]
+    straight = sees(navigation.obstacles, position, goal, navigation.radius * SLIM)
+    detour = _detour(navigation, position, to_goal)
+    first = jnp.where(straight | ~jnp.isfinite(jnp.min(detour)), last, jnp.argmin(detour).astype(jnp.int32))
+    points = jnp.concatenate([navigation.via, goal[None, :], goal[None, :]])  # at the goal, it stays there
+    follow = jnp.concatenate([_after(navigation, goal, to_goal), jnp.full(2, last + 1, jnp.int32)])
+
+    def leg(carry: tuple, _) -> tuple:
+        place, direction, index, total = carry
+        ahead = points[index] - place
+        here = length(ahead[0], ahead[1]) < 1e-4
+        angle = jnp.where(here, 0.0, jnp.abs(angle_between(direction, ahead)))
+        return (points[index], jnp.where(here, direction, ahead), follow[index], total + angle), None
+
+    start = position, heading, first, jnp.zeros((), position.dtype)
+    return jax.lax.scan(leg, start, length=BENDS)[0][3]
 
 
 def towards(navigation: Navigation, points: Array) -> tuple[Array, Array]:
