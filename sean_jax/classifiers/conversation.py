@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from sean_jax.base import Array
 
 STRIDE = 0.8  # m, that of Setti et al. for the Cocktail Party recording
-PRICE = 1.5  # m2 for each group; chosen on every second frame of that recording
+PRICE = 1.5  # m2 for each group, the best on every second frame of it; Coffee Break wants 0.6 m and 0.6 m2
 APART = 1e9  # m2, more than any merger costs
 
 

@@ -1,0 +1,23 @@
+"""Recorded people: readers of trajectory files, motion from noisy positions, moments that classifiers can read.
+
+A recording serves as evidence for the situations of section III, which speak of positions, orientations and
+velocities "provided in simulation or estimated in the real world".
+"""
+
+from sean_jax.recordings.moments import moments_along, moments_of
+from sean_jax.recordings.motion import fit_motion, headings, windowed_mean
+from sean_jax.recordings.tracks import READERS, Tracks, read_csv, read_eth_ucy, read_groups, read_juelich
+
+__all__ = [
+    "READERS",
+    "Tracks",
+    "fit_motion",
+    "headings",
+    "moments_along",
+    "moments_of",
+    "read_csv",
+    "read_eth_ucy",
+    "read_groups",
+    "read_juelich",
+    "windowed_mean",
+]
