@@ -2,7 +2,9 @@
 
 import itertools
 import math
+import runpy
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -325,3 +327,13 @@ def test_found_groups_by_hand():
     assert count([0, 0, 2, 2, -1, -1], [1, 1, 1, 1, -1, -1]) == [0, 2, 1]
     assert count([-1] * 6, [1, 1, -1, -1, -1, -1]) == [0, 0, 1]
     assert count([-1, 2, 2, -1, -1, -1], [-1, 5, -1, -1, -1, -1]) == [0, 1, 0]  # one is no group
+
+
+def test_figure_of_the_documentation_shows_what_it_says():
+    """Each example that docs/situations.py draws is of the one situation that it is named after."""
+    file = Path(__file__).resolve().parent.parent / "docs" / "situations.py"
+    examples = runpy.run_path(str(file))
+    assert set(examples["EXAMPLES"]) == set(MORE_SITUATIONS)
+    for name, example in examples["EXAMPLES"].items():
+        flags = np.asarray(more(examples["moment"](*example)))
+        assert {other for other, flag in zip(MORE_SITUATIONS, flags, strict=True) if flag} == {name}
