@@ -38,6 +38,30 @@ DEFINITIONS = {  # name: (title, unit, digits, definition)
     "min_distance_to_people": ("least distance to people", "m", 2, "From the robot to the nearest person."),
     "min_distance_to_goal": ("least distance to goal", "m", 2, "From the robot to its goal."),
     "final_distance_to_goal": ("final distance to goal", "m", 2, "From the robot to its goal, at the end."),
+    "collision_with_obstacle": ("collision with an obstacle", "", 2, "Times an episode that the robot touched one."),
+    "min_distance_to_obstacles": ("least distance to obstacles", "m", 2, "From the robot's centre to their surface."),
+    "reached_goal": ("ended at the goal", "%", 1, "The robot's last position is within the goal radius."),
+    "success_by_path_length": (
+        "success by path length (SPL)", "", 2, "Shortest over travelled distance if it ended at the goal, else 0.",
+    ),
+    "success_by_time": (
+        "success by time (STL)", "", 2,
+        "Time of the shortest path at top speed over the time taken if it ended at the goal, else 0.",
+    ),
+    "personal_space_compliance": (
+        "personal space compliance", "%", 1, "Time in which everybody is 0.5 m or farther away from the robot.",
+    ),
+    "min_time_to_collision": (
+        "least time to collision", "s", 2, "If the robot and the people kept their velocities; at most 30 s.",
+    ),
+    "social_work": ("social-force work", "m/s", 2, "Social forces between robot and people, summed over time."),
+    "time_looked_at": ("time looked at", "s", 1, "Somebody within 3.6 m faces the robot to within 5 degrees."),
+    "mean_speed": ("mean speed", "m/s", 2, "Of the robot."),
+    "mean_acceleration": ("mean acceleration", "m/s²", 2, "Of the robot's velocity vector."),
+    "mean_jerk": ("mean jerk", "m/s³", 2, "Change of that acceleration over time."),
+    "max_speed": ("greatest speed", "m/s", 2, "Of the robot, per episode."),
+    "max_acceleration": ("greatest acceleration", "m/s²", 2, "Of the robot's velocity vector, per episode."),
+    "max_jerk": ("greatest jerk", "m/s³", 2, "Of the robot, per episode."),
 }  # fmt: skip
 FIRST = (
     "completed",

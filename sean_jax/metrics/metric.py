@@ -7,12 +7,15 @@ import jax.numpy as jnp
 
 from sean_jax.base import Array, Moment
 
+NEVER = 1e6  # more than any distance or time that is measured
+
 
 class Metric(NamedTuple):
     """A streaming metric.
 
     ``start(moment) -> value`` a pytree; ``fold(value, before, after) -> value`` one step later;
-    ``result(value) -> array``: () or, where it can be split by situation, (1 + S,), overall first.
+    ``result(value) -> array``: () or, where it can be split by situation, (1 + S,), overall first. A mean or an
+    extreme over a situation that never occurred is NaN there, since no number would be true; sums are zero.
     """
 
     start: Callable[[Moment], Any]
@@ -30,6 +33,28 @@ def by_second(moment: Moment) -> Array:
     """() bool: a whole second has passed, when SEAN samples its path metrics."""
     ticks = max(1, round(1.0 / moment.time_step))
     return moment.tick % ticks == 0
+
+
+def mean(amount: Array, weight: Array) -> Array:
+    """(1 + S,) ``amount / weight``: 0 overall as long as there is nothing, NaN for situations that did not occur."""
+    none = weight == 0.0
+    ratio = jnp.where(none, 0.0, amount / jnp.where(none, 1.0, weight))
+    return jnp.concatenate([ratio[:1], jnp.where(none[1:], jnp.nan, ratio[1:])])
+
+
+def least(value: Array, amount: Array, moment: Moment) -> Array:
+    """(1 + S,) the least amount overall and in each situation so far, of values that start as ``never``."""
+    return jnp.minimum(value, jnp.where(split(moment) > 0.0, amount, NEVER))
+
+
+def never(moment: Moment) -> Array:
+    """(1 + S,) of a number that stands for no amount, and is finite as everything in a state is."""
+    return jnp.full_like(split(moment), NEVER)
+
+
+def nan_if_never(value: Array) -> Array:
+    """(1 + S,) with NaN where there was no amount."""
+    return jnp.where(value < NEVER, value, jnp.nan)
 
 
 def nothing(moment: Moment) -> Array:

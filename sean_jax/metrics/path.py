@@ -1,11 +1,11 @@
-"""Metrics of the robot's path (section IV-H): length, efficiency, time not moving, distance to the goal."""
+"""Metrics of the robot's path (section IV-H): length, efficiency, irregularity, time not moving, distance to goal."""
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
 
 from sean_jax.base import Array, Moment
-from sean_jax.geometry import length
+from sean_jax.geometry import angle_between, length
 from sean_jax.metrics.metric import Metric, by_second, nothing, split, value_itself
 
 STILL = 0.05  # m: not moving is having moved no farther than this in the last second (SEAN 2.0)
@@ -60,6 +60,35 @@ def _still(value: Sampled) -> Array:
     return value.amount
 
 
+class Turned(NamedTuple):
+    """How much the robot has turned by whole seconds, and how much its shortest path does."""
+
+    heading: Array  # (2,) unit vector, at the last whole second
+    amount: Array  # () rad
+    since: Array  # () rad turned since then
+    shortest: Array  # () rad
+
+
+def _start_turned(moment: Moment) -> Turned:
+    zero = jnp.zeros_like(moment.geodesic)
+    straight = jnp.abs(angle_between(moment.heading, moment.goal - moment.position))
+    return Turned(moment.heading, zero, zero, straight if moment.turning is None else moment.turning)
+
+
+def _fold_turned(value: Turned, before: Moment, after: Moment) -> Turned:
+    now = by_second(after)
+    turned = jnp.abs(angle_between(value.heading, after.heading))
+    return value._replace(
+        heading=jnp.where(now, after.heading, value.heading),
+        amount=value.amount + jnp.where(now, turned, 0.0),
+        since=jnp.where(now, 0.0, turned),
+    )
+
+
+def _irregularity(value: Turned) -> Array:
+    return jnp.maximum(value.amount + value.since - value.shortest, 0.0)
+
+
 def _to_goal(moment: Moment) -> Array:
     gap = moment.goal - moment.position
     return length(gap[0], gap[1])
@@ -70,6 +99,13 @@ path_length = Metric(_start, _fold_length, _length, "m")
 
 path_efficiency = Metric(_start, _fold_length, _efficiency, "1")
 """Travelled over geodesic distance of the shortest path from start to goal: at least about 1, lower is better."""
+
+path_irregularity = Metric(_start_turned, _fold_turned, _irregularity, "rad")
+"""Rotation, left and right added up, in excess of that on the shortest path from the starting pose, at least 0.
+
+Sum of |angle from heading i to i + 1| at 1 Hz, minus ``Moment.turning``, or minus the angle to the goal where no
+shortest path is known.
+"""
 
 time_not_moving = Metric(_start, _fold_still, _still, "s")
 """Seconds in which the robot moved no farther than 0.05 m."""
