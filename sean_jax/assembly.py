@@ -7,7 +7,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 
-from sean_jax import behaviors, classifiers, files, metrics, navigation, robots, social_forces, tasks
+from sean_jax import behaviors, classifiers, files, metrics, navigation, pedestrian_models, robots, social_forces, tasks
 from sean_jax import environment as environments
 from sean_jax.base import Behavior, Scenario
 
@@ -21,6 +21,7 @@ def make(
     task: str = "join_group",
     robot: str | Path = "kuri",
     people: int | None = None,
+    model: str = "social_forces",
     forces: str | social_forces.Parameters = "helbing1995",
     dynamics: str = "mjx",
     time_step: float = 0.1,
@@ -43,6 +44,7 @@ def make(
         task: of the robot, a key of ``tasks.TASKS``.
         robot: a key of ``robots.ROBOTS``, or an MJCF file.
         people: how many; the environment's own number if None.
+        model: of the pedestrians' motion, a key of ``pedestrian_models.MODELS``.
         forces: a key of ``social_forces.PRESETS``, or parameters.
         dynamics: of the robot, ``mjx`` or its closed-form ``twin``.
         time_step: of control [s].
@@ -64,10 +66,10 @@ def make(
     _check_poses(task, start, goal)
     chosen, usual = _situations(situations)
     folder = environments.find(environment)
-    scene, model = environments.load(folder), robots.load(robot, dynamics)
+    scene, vehicle = environments.load(folder), robots.load(robot, dynamics)
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     walking = _navigation(folder, PERSON_CLEARANCE)
-    driving = walking if model.radius <= PERSON_CLEARANCE else _navigation(folder, model.radius)
+    driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius)
     directed, count = _behavior(behavior, folder, scene, walking, people, recording, frame_rate, time_step)
     scenario = Scenario(
         environment=scene,
@@ -78,9 +80,9 @@ def make(
         goal_radius=jnp.asarray(goal_radius, jnp.float32),
         hold_time=jnp.asarray(hold_time, jnp.float32),
         task_distance=jnp.asarray(task_distance, jnp.float32),
-        robot=model,
+        robot=vehicle,
         task=tasks.TASKS[task],
-        move=behaviors.playback.follow if behavior == "playback" else social_forces.move,
+        move=_model(model, behavior),
         situations=chosen,
         metrics=tuple(metrics.METRICS.items()),
         time_step=time_step,
@@ -122,6 +124,15 @@ def _behavior(name, folder, scene, walking, people, recording, frame_rate, time_
     if people not in (None, count):
         raise ValueError(f"people: {people}, but {count} are there at once in the recording; leave people out.")
     return directed, count
+
+
+def _model(name: str, behavior: str) -> Callable:
+    _check_name("model", name, pedestrian_models.MODELS)
+    if behavior != "playback":
+        return pedestrian_models.MODELS[name]
+    if name != "social_forces":
+        raise ValueError(f"model: '{name}' moves nobody in behavior 'playback', where people walk as recorded.")
+    return behaviors.playback.follow
 
 
 def _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time, task_distance) -> None:

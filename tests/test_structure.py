@@ -20,6 +20,7 @@ FAMILIES = {
     "sean_jax.social_forces": "PRESETS",
     "sean_jax.classifiers": "SITUATIONS",
     "sean_jax.behaviors": "BEHAVIORS",
+    "sean_jax.pedestrian_models": "MODELS",
     "sean_jax.tasks": "TASKS",
     "sean_jax.robots": "ROBOTS",
     "sean_jax.metrics": "METRICS",

@@ -33,13 +33,14 @@ def print_choices() -> None:
 
 def offered() -> Iterator[tuple[str, dict[str, str]]]:
     """Option and {name: line} for each."""
-    from sean_jax import behaviors, environment, policies, robots, social_forces, tasks
+    from sean_jax import behaviors, environment, pedestrian_models, policies, robots, social_forces, tasks
 
     yield "environment", {name: _environment(environment.find(name)) for name in environment.available()}
     yield "behavior", {name: _documented(value) for name, value in behaviors.BEHAVIORS.items()}
     yield "task", {name: _documented(value) for name, value in tasks.TASKS.items()}
     yield "robot", {name: _robot(path) for name, path in robots.ROBOTS.items()}
     yield "policy", {name: _documented(value) for name, value in policies.POLICIES.items()}
+    yield "model", {name: _documented(value) for name, value in pedestrian_models.MODELS.items()}
     yield "forces", {name: _forces(value) for name, value in social_forces.PRESETS.items()}
     yield "dynamics", {name: DYNAMICS.get(name, "") for name in robots.DYNAMICS}
 

@@ -36,6 +36,8 @@ class Options:
     """Who drives the robot."""
     people: int | None = None
     """Number of people; the environment's own number by default (62 in the warehouse)."""
+    model: str = "social_forces"
+    """How people move."""
     forces: str = "helbing1995"
     """Constants of the social forces."""
     dynamics: str = "mjx"

@@ -61,7 +61,7 @@ def advance(
     if walls is not None:
         vx, vy = keep_out(vx, vy, walls[0] - parameters.radius, walls[1], walls[2], time_step)
     velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
-    heading = _turn(people, velocity, parameters.turn_rate * time_step)
+    heading = turn(people, velocity, parameters.turn_rate * time_step)
     return replace(people, position=people.position + velocity * time_step, velocity=velocity, heading=heading)
 
 
@@ -148,7 +148,7 @@ def _yield(parameters: Parameters, fx: Array, fy: Array, heading: Array) -> tupl
     return along * hx - across * hy, along * hy + across * hx
 
 
-def _turn(people: Pedestrians, velocity: Array, most: Array) -> Array:
+def turn(people: Pedestrians, velocity: Array, most: Array) -> Array:
     """Headings turned towards the velocity by at most that angle [rad]; standing members keep theirs."""
     angle = angle_between(people.heading, velocity)
     walking = (people.group < 0) & (length(velocity[:, 0], velocity[:, 1]) > 0.1)
