@@ -5,6 +5,8 @@ points of a visibility graph; Dijkstra over it gives the table of distances, and
 be seen from where. All of that is built once on the host; inside jit a path is a look-up and a minimum.
 """
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +19,7 @@ from sean_jax.base import Array, Environment, Obstacles
 from sean_jax.geometry import angle_between, crosses_box, from_box, length, rotate
 
 CELL = 0.25  # m
+MOST_CELLS = 100_000  # of a visibility grid; the cells of larger floors are wider
 AT = 0.3  # m: a walker that close to a via point has passed it
 MARGIN = 0.05  # m, by which via points stand off farther than the radius
 SLIM = 0.7  # of the radius: a box grown by less than 1 / sqrt(2) of it never covers a legal place at its corner
@@ -33,13 +36,16 @@ class Navigation:
     distance: Array  # (V, V) m, along the shortest path; inf where there is none
     visible: Array  # (X, Y, V) bool, seen from the middle of the cell
     origin: Array  # (2,) m, lower left corner of the grid
+    cell: Array  # () m, side of its cells
     places: Array  # (P, 2) m, uniform over where the disc is free and from where it can go anywhere else
     obstacles: Obstacles
     radius: Array  # () m
 
 
-def build(environment: Environment, radius: float, cell: float = CELL) -> Navigation:
+def build(environment: Environment, radius: float, cell: float | None = None) -> Navigation:
     """The tables for a disc of that radius [m]; runs on the host, once.
+
+    ``cell`` [m] is the side of the cells of the visibility grid: 0.25 if None, or a multiple of it on large floors.
 
     Raises:
         ValueError: there is hardly a free place for such a disc.
@@ -54,6 +60,9 @@ def build(environment: Environment, radius: float, cell: float = CELL) -> Naviga
     i, j = np.nonzero(np.isfinite(edge))
     distance = dijkstra(csr_matrix((gap[i, j], (i, j)), shape=gap.shape))
     floor = np.asarray(environment.floor)
+    if cell is None:
+        area = float(np.prod(floor[2:] - floor[:2]))
+        cell = CELL * max(1, math.ceil(math.sqrt(area / MOST_CELLS) / CELL))
     count = np.ceil((floor[2:] - floor[:2]) / cell).astype(int)
     middle = [floor[k] + (np.arange(count[k]) + 0.5) * cell for k in (0, 1)]
     spots = np.stack(np.meshgrid(*middle, indexing="ij"), -1).reshape(-1, 2).astype(np.float32)
@@ -64,6 +73,7 @@ def build(environment: Environment, radius: float, cell: float = CELL) -> Naviga
         distance=jnp.asarray(distance, jnp.float32),
         visible=jnp.asarray(seen),
         origin=jnp.asarray(floor[:2], jnp.float32),
+        cell=jnp.asarray(cell, jnp.float32),
         places=jnp.asarray(_connected(drawn, via, distance, boxes, radius)),
         obstacles=boxes,
         radius=jnp.asarray(radius, jnp.float32),
@@ -79,7 +89,7 @@ def sees(boxes: Obstacles, p: Array, q: Array, radius: Array | float) -> Array:
 def seen_from(navigation: Navigation, position: Array) -> Array:
     """(V,) bool: the via points seen from the cell around the position (2,) [m]."""
     most = jnp.asarray(navigation.visible.shape[:2], jnp.int32) - 1
-    index = jnp.clip(jnp.floor((position - navigation.origin) / CELL).astype(jnp.int32), 0, most)
+    index = jnp.clip(jnp.floor((position - navigation.origin) / navigation.cell).astype(jnp.int32), 0, most)
     return navigation.visible[index[0], index[1]]
 
 
@@ -137,25 +147,26 @@ def turning(navigation: Navigation, position: Array, heading: Array, goal: Array
 def towards(navigation: Navigation, points: Array) -> tuple[Array, Array]:
     """Which via point to head for on the way to each of the points (M, 2) [m]; runs on the host, once.
 
-    (X, Y, M) int16 from each cell, and (V, M) int16 from each via point: an index of a via point, or V where the
-    point itself is seen (or cannot be reached).
+    (X, Y, M) int16 from each cell of 0.25 m, and (V, M) int16 from each via point: an index of a via point, or V
+    where the point itself is seen (or cannot be reached).
     """
     goal_side = jax.vmap(to_goal, in_axes=(None, 0))(navigation, points)  # (M, V)
-    cells, none = navigation.visible.shape[:2], navigation.via.shape[0]
+    none, wide = navigation.via.shape[0], round(float(navigation.cell) / CELL)
+    cells = tuple(count * wide for count in navigation.visible.shape[:2])
     i, j = jnp.meshgrid(*(jnp.arange(n, dtype=jnp.float32) for n in cells), indexing="ij")
     spots = navigation.origin[None, :] + (jnp.stack([i, j], -1).reshape(-1, 2) + 0.5) * CELL
-    seen = navigation.visible.reshape(-1, none)
     direct = jax.jit(_sees_from_cells)(spots, points, navigation.obstacles, navigation.radius)
 
-    def best(spot, visible, in_sight):
-        first = jnp.where(visible, _from(navigation.via, spot), jnp.inf)
+    def best(case):
+        spot, in_sight = case
+        first = jnp.where(seen_from(navigation, spot), _from(navigation.via, spot), jnp.inf)
         total = first[None, :] + goal_side
         lost = ~jnp.isfinite(jnp.min(total, axis=1))
-        return jnp.where(in_sight | lost, none, jnp.argmin(total, axis=1).astype(jnp.int32))
+        return jnp.where(in_sight | lost, none, jnp.argmin(total, axis=1).astype(jnp.int32)).astype(jnp.int16)
 
-    first = jax.jit(jax.vmap(best))(spots, seen, direct).astype(jnp.int16).reshape(*cells, points.shape[0])
+    first = jax.jit(lambda spots, direct: jax.lax.map(best, (spots, direct), batch_size=1024))(spots, direct)
     after = jax.vmap(_after, in_axes=(None, 0, 0), out_axes=1)(navigation, points, goal_side)
-    return first, after.astype(jnp.int16)
+    return first.reshape(*cells, points.shape[0]), after.astype(jnp.int16)
 
 
 def _after(navigation: Navigation, goal: Array, to_goal: Array) -> Array:
