@@ -152,6 +152,7 @@ def test_a_recording_that_cannot_be_used_is_refused(tmp_path, text, words):
         (dict(recording="people.csv", frame_rate=0.0), "frame_rate: 0.0 must be more than 0"),
         (dict(recording="people.csv", behavior="random"), "recording: behavior 'random' has none"),
         (dict(recording="people.csv", task="join_group"), "needs groups"),
+        (dict(recording="people.csv", model="orca"), "where people walk as recorded"),
     ],
 )
 def test_what_does_not_go_together_is_refused(folder, arguments, words):
