@@ -43,7 +43,7 @@ def measure(batch: int, people: int, walls: int, preset: str) -> dict:
     """Speed, compile time and peak temporary memory of one size."""
     parameters = social_forces.preset(preset)
     crowd, nearby, _ = workload.crowd(people, walls)
-    steps = int(np.clip(4e8 / (batch * people * (people + walls)), 2, 1000))
+    steps = int(np.clip(4e8 / (batch * people * (people + walls)), 50, 1000))  # fewer would time the dispatch
 
     def run(many):
         def step(carry, _):

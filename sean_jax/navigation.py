@@ -87,7 +87,12 @@ def sees(boxes: Obstacles, p: Array, q: Array, radius: Array | float) -> Array:
 
 
 def seen_from(navigation: Navigation, position: Array) -> Array:
-    """(V,) bool: the via points seen from the cell around the position (2,) [m]."""
+    """(V,) bool: the via points to which the way from the position (2,) [m] is clear."""
+    return _sees_from(position, navigation.via, navigation.obstacles, navigation.radius)
+
+
+def seen_from_cell(navigation: Navigation, position: Array) -> Array:
+    """(V,) bool: those seen from the middle of the cell around the position (2,) [m]; a look-up."""
     most = jnp.asarray(navigation.visible.shape[:2], jnp.int32) - 1
     index = jnp.clip(jnp.floor((position - navigation.origin) / navigation.cell).astype(jnp.int32), 0, most)
     return navigation.visible[index[0], index[1]]
@@ -108,6 +113,14 @@ def geodesic(navigation: Navigation, position: Array, goal: Array, to_goal: Arra
     return jnp.where(straight, length(ahead[0], ahead[1]), around)
 
 
+def geodesic_roughly(navigation: Navigation, position: Array, goal: Array, to_goal: Array) -> Array:
+    """As ``geodesic``, but within about a cell: cheap enough for many positions at once."""
+    ahead = goal - position
+    straight = clear_way(navigation.obstacles, position, goal, navigation.radius * SLIM)
+    around = jnp.where(seen_from_cell(navigation, position), _from(navigation.via, position) + to_goal, jnp.inf)
+    return jnp.where(straight, length(ahead[0], ahead[1]), jnp.min(around))
+
+
 def next_point(navigation: Navigation, position: Array, goal: Array, to_goal: Array) -> Array:
     """(2,) [m] where the shortest path from the position (2,) bends next, or the goal (2,) if it lies in sight."""
     straight = sees(navigation.obstacles, position, goal, navigation.radius * SLIM)
@@ -115,10 +128,14 @@ def next_point(navigation: Navigation, position: Array, goal: Array, to_goal: Ar
     lost = ~jnp.isfinite(jnp.min(detour))
     first = jnp.argmin(detour).astype(jnp.int32)
     after = _after(navigation, goal, to_goal)[first]
+    bend = jnp.where(
+        after < navigation.via.shape[0], navigation.via[jnp.minimum(after, navigation.via.shape[0] - 1)], goal
+    )
     ahead = navigation.via[first] - position
-    index = jnp.where(length(ahead[0], ahead[1]) < AT, after, first)
-    seen = index < navigation.via.shape[0]
-    return jnp.where(straight | lost | ~seen, goal, navigation.via[jnp.where(seen, index, 0)])
+    away = length(ahead[0], ahead[1])
+    open_way = clear_way(navigation.obstacles, position, bend, navigation.radius * SLIM)
+    passed = (away < MARGIN) | ((away < AT) & open_way)
+    return jnp.where(straight | lost, goal, jnp.where(passed, bend, navigation.via[first]))
 
 
 def turning(navigation: Navigation, position: Array, heading: Array, goal: Array, to_goal: Array) -> Array:
@@ -204,18 +221,20 @@ def _sees_all(points: Array, others: Array, boxes: Obstacles, radius: float) -> 
 
 
 def _sees_from_cells(spots: Array, points: Array, boxes: Obstacles, radius: float) -> Array:
-    """(cells, V) bool, by boxes grown by less than the radius; a middle inside them is first led out of them."""
-    growth = radius * SLIM
+    """(cells, V) bool: the points that are seen from the middles of cells."""
+    return jax.lax.map(lambda spot: _sees_from(spot, points, boxes, radius), spots, batch_size=256)
 
-    def from_spot(spot):
-        for _ in range(2):
-            distance, nx, ny = jax.vmap(from_box, in_axes=(None, None, 0))(spot[0], spot[1], boxes)
-            nearest = jnp.argmin(distance)
-            out = jnp.maximum(radius - distance[nearest], 0.0)
-            spot = spot + out * jnp.stack([nx[nearest], ny[nearest]])
-        return jax.vmap(lambda point: clear_way(boxes, spot, point, growth))(points)
 
-    return jax.lax.map(from_spot, spots, batch_size=256)
+def _sees_from(spot: Array, points: Array, boxes: Obstacles, radius: Array | float) -> Array:
+    """(V,) bool, by boxes grown by less than the radius; a spot inside them is first led out of them."""
+    for _ in range(2):
+        distance, nx, ny = jax.vmap(from_box, in_axes=(None, None, 0))(spot[0], spot[1], boxes)
+        nearest = jnp.argmin(distance)
+        out = jnp.maximum(radius - distance[nearest], 0.0)
+        spot = spot + out * jnp.stack([nx[nearest], ny[nearest]])
+    # Kept apart, or XLA finds the spot anew for each pair of a point and a box, and compiles for minutes.
+    spot = jax.lax.optimization_barrier(spot)
+    return jax.vmap(lambda point: clear_way(boxes, spot, point, radius * SLIM))(points)
 
 
 def _corners(environment: Environment, offset: float, radius: float) -> np.ndarray:

@@ -55,7 +55,9 @@ class Memory(NamedTuple):
 
 
 def build(folder: Path, environment: Environment, navigation: paths.Navigation, people: int) -> Behavior:
-    """The behavior of graph.yaml in the folder.
+    """People walk, gather and disperse on the Behavior Graph of the environment.
+
+    The graph is that of graph.yaml in the folder.
 
     Raises:
         ValueError: the annotation has a mistake, or so many people do not fit.

@@ -14,10 +14,11 @@ ARRIVED = 0.1  # m from the goal, where it turns to the goal's heading
 
 
 def go_to_goal(scenario: Scenario, state: State, key: Array) -> Array:
-    """(2,) command [m/s, rad/s]: along the shortest path; around whoever stands in the way, slowly, or not at all.
+    """Along the shortest path around obstacles, giving way to people.
 
-    Heads for where the path bends next. If a person is near in that direction, it aims beside them, on the side
-    that is nearer; it drives as fast as the room ahead allows, and turns on the spot where there is none.
+    Gives the (2,) command [m/s, rad/s]. Heads for where the path bends next. If a person is near in that direction,
+    it aims beside them, on the side that is nearer; it drives as fast as the room ahead allows, and turns on the
+    spot where there is none.
     """
     seen = observe(scenario, state)
     to_path = length(seen.path[0], seen.path[1])

@@ -10,7 +10,7 @@ from sean_jax.tasks.places import far_place
 
 
 def join_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
-    """A goal in the opening of a random group, facing its centre; a start a drawn distance away."""
+    """To the open place of a random group, from a drawn distance away."""
     group, opening, inward, away, facing = _poses(scenario, pedestrians, groups, key)
     to_goal = paths.to_goal(scenario.navigation, opening)
     return RobotTask(
@@ -26,7 +26,7 @@ def join_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key
 
 
 def leave_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
-    """A start in the opening of a random group, facing its centre; a goal a drawn distance away."""
+    """From the open place of a random group to a place a drawn distance away."""
     group, opening, inward, away, facing = _poses(scenario, pedestrians, groups, key)
     to_goal = paths.to_goal(scenario.navigation, away)
     return RobotTask(

@@ -8,13 +8,12 @@ from sean_jax.base import Array, Pedestrians, Scenario
 
 CANDIDATES = 64
 CLEAR = 1.0  # m from the nearest person
-
-
 DETOUR = 10.0  # how much worse a metre too little or too much to walk is than a metre off the wanted place
 
 
 def far_place(scenario: Scenario, pedestrians: Pedestrians, other: Array, key: Array) -> Array:
-    """(2,) [m] a random free place whose walk to the other place (2,) is within ``scenario.task_distance``.
+    """(2,) [m] a random free place whose walk to the other place (2,) is, within a cell, as long as
+    ``scenario.task_distance`` says.
 
     Of 64 drawn places, those count that are also 1 m clear of everybody; if none is, the clearest of them that
     can be walked to is taken.
@@ -24,7 +23,7 @@ def far_place(scenario: Scenario, pedestrians: Pedestrians, other: Array, key: A
     index = jax.random.randint(draw_key, (CANDIDATES,), 0, navigation.places.shape[0], jnp.int32)
     spots = navigation.places[index]
     to_other = paths.to_goal(navigation, other)
-    walk = jax.vmap(paths.geodesic, in_axes=(None, 0, None, None))(navigation, spots, other, to_other)
+    walk = jax.vmap(paths.geodesic_roughly, in_axes=(None, 0, None, None))(navigation, spots, other, to_other)
     square = _to_people(pedestrians, spots)
     least, greatest = scenario.task_distance[0], scenario.task_distance[1]
     fits = (walk >= least) & (walk <= greatest) & (square > CLEAR * CLEAR)
@@ -50,7 +49,7 @@ def choose_pair(
     """
     navigation = scenario.navigation
     rows = jax.vmap(paths.to_goal, in_axes=(None, 0))(navigation, goals)
-    each_start = jax.vmap(paths.geodesic, in_axes=(None, 0, None, None))
+    each_start = jax.vmap(paths.geodesic_roughly, in_axes=(None, 0, None, None))
     walk = jax.vmap(each_start, in_axes=(None, None, 0, 0))(navigation, starts, goals, rows)  # (D, C)
     least, greatest = scenario.task_distance[0], scenario.task_distance[1]
     off = jnp.maximum(least - walk, 0.0) + jnp.maximum(walk - greatest, 0.0)
@@ -60,7 +59,8 @@ def choose_pair(
     chance = jax.random.uniform(key, cost.shape, jnp.float32)
     best = jnp.argmax(jnp.where(cost == 0.0, 1.0 + chance, -cost)).astype(jnp.int32)
     goal, start = best // starts.shape[0], best % starts.shape[0]
-    return starts[start], goals[goal], rows[goal], walk[goal, start]
+    length = paths.geodesic(navigation, starts[start], goals[goal], rows[goal])
+    return starts[start], goals[goal], rows[goal], length
 
 
 def _to_people(pedestrians: Pedestrians, spots: Array) -> Array:
