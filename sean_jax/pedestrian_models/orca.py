@@ -23,7 +23,10 @@ SPACE = 0.1  # m, kept between two bodies; ours
 
 
 def orca(scenario: Scenario, state: State) -> Pedestrians:
-    """People one control step later, at the velocities nearest to the desired ones that avoid everybody in time."""
+    """Each takes the velocity nearest to the desired one that avoids everybody in time.
+
+    People one control step later.
+    """
     people, parameters, robot = state.pedestrians, scenario.forces, state.robot
     px, py = people.position[:, 0], people.position[:, 1]
     vx, vy = people.velocity[:, 0], people.velocity[:, 1]

@@ -17,7 +17,10 @@ ABSENT = -2  # marks who is not there where a group index is -1 for nobody's mem
 
 
 def move(scenario: Scenario, state: State) -> Pedestrians:
-    """People one control step later, the robot held where it was; the pedestrian model ``social_forces``."""
+    """Goals attract; people, walls, groups and the robot repel.
+
+    People one control step later, the robot held where it was.
+    """
     substeps = math.ceil(scenario.time_step / SUBSTEP - 1e-6)
     time_step = scenario.time_step / substeps
     nearby = scenario.environment.nearby

@@ -15,7 +15,7 @@ ROOM = 0.1  # m, to obstacles beside the robot's radius
 
 
 def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
-    """A uniformly drawn start and goal, as far apart as ``scenario.task_distance`` asks, and headings."""
+    """From anywhere to anywhere, as far apart as ``scenario.task_distance`` asks; headings at random."""
     places = scenario.navigation.places
     draw_key, choice_key, turn_key = jax.random.split(key, 3)
     spots = places[jax.random.randint(draw_key, (GOALS + CANDIDATES,), 0, places.shape[0], jnp.int32)]
