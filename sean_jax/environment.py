@@ -12,7 +12,7 @@ import pydantic
 
 from sean_jax import files
 from sean_jax.base import Array, Environment, Obstacles
-from sean_jax.geometry import from_box
+from sean_jax.geometry import room
 from sean_jax.nearby import tabulate
 
 HERE = Path(__file__).resolve().parent
@@ -77,12 +77,7 @@ def clearance(environment: Environment, points: Array) -> Array:
 
     Negative inside an obstacle and off the floor.
     """
-    x, y = points[:, 0], points[:, 1]
-    each_box = jax.vmap(lambda px, py, box: from_box(px, py, box)[0], in_axes=(None, None, 0))
-    to_boxes = jax.vmap(each_box, in_axes=(0, 0, None))(x, y, environment.obstacles)  # (P, W) m
-    x_min, y_min, x_max, y_max = environment.floor
-    to_edge = jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
-    return jnp.minimum(jnp.min(to_boxes, axis=1, initial=jnp.inf), to_edge)
+    return jnp.minimum(*room(environment, points))
 
 
 def free_points(environment: Environment, radius: float, number: int, seed: int = 0) -> np.ndarray:

@@ -7,7 +7,7 @@ the layout decides the speed of a pairwise law.
 import jax
 import jax.numpy as jnp
 
-from sean_jax.base import Array, Obstacles
+from sean_jax.base import Array, Environment, Obstacles
 
 TINY = 1e-24  # a smaller square counts as zero, for 1 / sqrt(square) ** 3, in gradients, would overflow
 
@@ -84,6 +84,16 @@ def from_rectangle(x, y, cx, cy, hx, hy, cosine, sine) -> tuple[Array, Array, Ar
     nv = jnp.where(outside, out_v * inverse, jnp.where(by_u, 0.0, 1.0)) * side_v
     distance = jnp.where(outside, square * inverse, jnp.maximum(over_u, over_v))
     return distance, *rotate(nu, nv, cosine, sine)
+
+
+def room(environment: Environment, points: Array) -> tuple[Array, Array]:
+    """(P,) signed distance [m] from each of the points (P, 2) [m] to the nearest obstacle, and to the floor's edge."""
+    x, y = points[:, 0], points[:, 1]
+    each_box = jax.vmap(lambda px, py, box: from_box(px, py, box)[0], in_axes=(None, None, 0))
+    to_boxes = jax.vmap(each_box, in_axes=(0, 0, None))(x, y, environment.obstacles)  # (P, W) m
+    x_min, y_min, x_max, y_max = environment.floor
+    to_edge = jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
+    return jnp.min(to_boxes, axis=1, initial=jnp.inf), to_edge
 
 
 def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radius: Array | float) -> Array:

@@ -11,9 +11,10 @@ import pydantic
 
 from sean_jax import files
 from sean_jax.base import Environment
+from sean_jax.geometry import room
 from sean_jax.graph.behavior_graph import BehaviorGraph
 from sean_jax.graph.formation import reach
-from sean_jax.graph.places import PERSON, clearance, places
+from sean_jax.graph.places import PERSON, places
 from sean_jax.graph.routes import routes
 
 NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge
@@ -188,7 +189,7 @@ def _unreachable(annotation: Annotation) -> Iterator[files.Problem]:
 def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
     """What is wrong with where the nodes lie in an environment."""
     points = jnp.asarray([node.position for node in annotation.nodes.values()], jnp.float32)
-    to_box, to_edge = (np.asarray(distance) for distance in jax.jit(clearance)(environment, points))
+    to_box, to_edge = (np.asarray(distance) for distance in jax.jit(room)(environment, points))
     for (name, node), box, edge in zip(annotation.nodes.items(), to_box, to_edge, strict=True):
         here = ("nodes", name, "position")
         ring = reach(node.capacity) + PERSON if node.kind == "group" and node.capacity else 0.0

@@ -5,23 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax.base import Array, Environment
-from sean_jax.geometry import crosses_box, from_box
+from sean_jax.geometry import crosses_box, room
 
 PERSON = 0.25  # m, kept free around a place: a body of 0.2 m and some room
 NUMBER = 64  # places a node
 ROUND = 256  # candidates a node in one round
 FULL_ROUNDS = 4  # with candidates from the whole disc, before discs shrink
 SHRINK = 0.7  # of the disc's radius, each later round
-
-
-def clearance(environment: Environment, points: Array) -> tuple[Array, Array]:
-    """(P,) signed distance [m] from each of the points (P, 2) [m] to the nearest obstacle, and to the floor's edge."""
-    x, y = points[:, 0], points[:, 1]
-    each_box = jax.vmap(lambda px, py, box: from_box(px, py, box)[0], in_axes=(None, None, 0))
-    to_boxes = jax.vmap(each_box, in_axes=(0, 0, None))(x, y, environment.obstacles)  # (P, W) m
-    x_min, y_min, x_max, y_max = environment.floor
-    to_edge = jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
-    return jnp.min(to_boxes, axis=1, initial=jnp.inf), to_edge
 
 
 def in_sight(environment: Environment, center: Array, points: Array) -> Array:
@@ -51,7 +41,7 @@ def places(environment: Environment, position: np.ndarray, radius: np.ndarray, s
         drawn = (np.asarray(position, np.float64)[:, None, :] + offset).astype(np.float32)
         flat = jnp.asarray(drawn.reshape(-1, 2))
         # Compiled here: outside jit, op by op, it takes seconds the first time.
-        seen, (_, to_edge) = jax.jit(in_sight)(environment, center, flat), jax.jit(clearance)(environment, flat)
+        seen, (_, to_edge) = jax.jit(in_sight)(environment, center, flat), jax.jit(room)(environment, flat)
         free = (np.asarray(seen) & (np.asarray(to_edge) >= PERSON)).reshape(count, ROUND)
         kept = [np.concatenate([old, new[ok]])[:NUMBER] for old, new, ok in zip(kept, drawn, free, strict=True)]
         turn += 1
