@@ -1,0 +1,84 @@
+"""Ten simulated minutes of people in each environment and behavior: who is in an obstacle, in another, or stuck.
+
+    python benchmarks/ten_minutes.py [--environments warehouse] [--behaviors graph] [--minutes 10] [--seed 0]
+
+Standing members of groups are left out of the last two. "overlaps" is the share of person-steps with somebody's
+centre nearer than 0.3 m, "stuck" the share of person-time that ends 20 s in which somebody moved less than 0.05 m.
+"""
+
+import argparse
+
+import jax
+import numpy as np
+
+import sean_jax
+from sean_jax.base import Array, Scenario, State
+from sean_jax.behaviors import BEHAVIORS
+from sean_jax.environment import available, clearance
+from sean_jax.policies import go_to_goal
+
+NEAR = 0.3  # m between the centres of two who overlap
+MOVED = 0.05  # m, by less than which somebody is stuck ...
+WINDOW = 20.0  # s, in that time
+
+
+def record(before: State, after: State, action: Array) -> tuple[Array, Array, Array, Array]:
+    """Positions, groups and presence of people, and where the robot is."""
+    people = after.pedestrians
+    return people.position, people.group, people.present, after.robot.position
+
+
+def conduct(scenario: Scenario, minutes: float, seed: int = 0) -> dict[str, float]:
+    """The figures of one run of ``scenario`` with the go_to_goal robot: clearance [m], and shares between 0 and 1."""
+    steps = round(60 * minutes / scenario.time_step)
+    run = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, steps, record)[1])
+    position, group, present, robot = (np.asarray(part) for part in run(jax.random.key(seed)))
+    free = jax.jit(lambda rows: jax.lax.map(lambda row: clearance(scenario.environment, row), rows, batch_size=64))
+    to_obstacle = np.asarray(free(position))[present]
+    walking = present & (group < 0)
+    overlaps = 0
+    for places, there, walks in zip(position, present, walking, strict=True):
+        gap = np.linalg.norm(places[:, None] - places[None], axis=-1)
+        gap[np.eye(len(gap), dtype=bool) | ~there[None, :] | ~there[:, None]] = np.inf
+        overlaps += int((gap.min(1) < NEAR)[walks].sum())
+    window = round(WINDOW / scenario.time_step)
+    still = np.linalg.norm(position[window:] - position[:-window], axis=-1) < MOVED
+    alone = np.cumsum(np.concatenate([np.zeros((1, walking.shape[1]), int), walking]), 0)
+    throughout = alone[window + 1 :] - alone[: -window - 1] == window
+    throughout &= walking[:-window]
+    return {
+        "people": float(present.sum(1).mean()),
+        "clearance": float(to_obstacle.min()),
+        "inside": float((to_obstacle <= 0).mean()),
+        "overlaps": overlaps / max(int(walking.sum()), 1),
+        "stuck": float(still[throughout].mean()) if throughout.any() else 0.0,
+        "grouped": float((present & (group >= 0)).sum() / present.sum()),
+        "robot": float(np.linalg.norm(position - robot[:, None], axis=-1)[present].min()),
+    }
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--environments", nargs="+", default=sorted(available()))
+    parser.add_argument("--behaviors", nargs="+", default=[name for name in BEHAVIORS if name != "playback"])
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    columns = ("environment", "behavior", "people", "least clearance m", "inside %", "overlaps %", "stuck %")
+    columns += ("in groups %", "nearest to robot m")
+    print("| " + " | ".join(columns) + " |\n" + "|---" * len(columns) + "|")
+    for environment in options.environments:
+        for behavior in options.behaviors:
+            scenario = sean_jax.make(environment, behavior=behavior, task="random_ab_nav", dynamics="twin")
+            found = conduct(scenario, options.minutes, options.seed)
+            shares = " | ".join(f"{100 * found[name]:.3f}" for name in ("inside", "overlaps", "stuck", "grouped"))
+            print(
+                f"| {environment} | {behavior} | {found['people']:.1f} | {found['clearance']:.3f} | {shares} "
+                f"| {found['robot']:.2f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
