@@ -9,4 +9,13 @@ from sean_jax.drawing.colors import situation_colors
 from sean_jax.drawing.pictures import graph_of, heat_map, top_down, view
 from sean_jax.drawing.sheets import graph_sheet, handcrafted_sheet
 
-__all__ = ["animate", "graph_of", "graph_sheet", "handcrafted_sheet", "heat_map", "situation_colors", "top_down", "view"]
+__all__ = [
+    "animate",
+    "graph_of",
+    "graph_sheet",
+    "handcrafted_sheet",
+    "heat_map",
+    "situation_colors",
+    "top_down",
+    "view",
+]

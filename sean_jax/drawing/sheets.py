@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -39,19 +40,21 @@ def handcrafted_sheet(scenario: Scenario, *, panel: float = 3.2, seed: int = 0) 
     shown = jax.tree.map(np.asarray, jax.jit(_starts)(scenario, jax.random.key(seed)))
     table = jax.tree.map(np.asarray, sets)
     floor = np.asarray(scenario.environment.floor, float)
-    windows = [_window(floor, *(part[row] for part in (*shown[:3], table.walked, table.waypoint))) for row in
-               range(len(sets.names))]  # fmt: skip
+    windows = []
+    for row in range(len(sets.names)):
+        people, waypoints = shown[2][row][table.present[row]], table.waypoint[row][np.isfinite(table.walked[row])]
+        windows.append(_window(floor, np.concatenate([shown[0][row], shown[1][row], people, waypoints])))
     tall = max((window[3] - window[1]) / (window[2] - window[0]) for window in windows)
     columns = min(COLUMNS, len(sets.names) + 1)
     rows = math.ceil((len(sets.names) + 1) / columns)
-    size = columns * panel, rows * (panel * tall + 0.42) + 0.5
+    size = columns * panel, rows * (panel * tall + 0.36) + 0.4
     figure = Figure(figsize=size, facecolor=colors.PAPER)
     FigureCanvasAgg(figure)
     title = f"Handcrafted sets: {scenario.environment.name}"
-    figure.text(0.12 / size[0], 1 - 0.28 / size[1], title, fontsize=13, color=colors.INK, weight="bold", va="center")
+    figure.text(0.12 / size[0], 1 - 0.2 / size[1], title, fontsize=13, color=colors.INK, weight="bold", va="center")
     for index, window in enumerate((*windows, None)):
         row, column = divmod(index, columns)
-        bottom = size[1] - 0.5 - (row + 1) * (panel * tall + 0.42)
+        bottom = size[1] - 0.34 - (row + 1) * (panel * tall + 0.36)
         box = ((column * panel + 0.08) / size[0], bottom / size[1], (panel - 0.16) / size[0], panel * tall / size[1])
         axes = figure.add_axes(box)
         axes.set_axis_off()
@@ -70,8 +73,6 @@ def graph_sheet(environment: Environment, graph: BehaviorGraph, *, width: float 
 
     Of a large floor, the part around the graph. ``width`` is in inches.
     """
-    from dataclasses import replace
-
     floor = np.asarray(environment.floor, float)
     place, radius = np.asarray(graph.position, float), np.asarray(graph.radius, float)[:, None]
     low, high = (place - radius).min(0) - 6.0, (place + radius).max(0) + 6.0
@@ -90,7 +91,10 @@ def graph_sheet(environment: Environment, graph: BehaviorGraph, *, width: float 
         seat, look, _, opening = (np.asarray(part) for part in form)
         _draw_people(axes, seat, look, np.ones(len(seat), bool), 0.0035 * (high[0] - low[0]))
         axes.plot(*opening.T, linestyle="", marker="o", markersize=5, color=colors.MEMBER, fillstyle="none", zorder=6)
-    parts.draw_legend(axes, True, None, ())
+    axes.legend(
+        *_graph_key(graph), loc="lower right", bbox_to_anchor=(1.0 - parts.MARGIN, 0.0), ncols=3, fontsize=8,
+        frameon=False, labelcolor=colors.INK, handlelength=1.4, columnspacing=1.4, borderpad=0.1, labelspacing=0.35,
+    )  # fmt: skip
     parts.draw_scale(axes, part)
     return figure
 
@@ -102,7 +106,7 @@ def _starts(scenario: Scenario, key: Array) -> tuple:
     def one(row: Array) -> tuple:
         mine = jnp.arange(sets.weight.shape[0]) == row
         weight = jnp.where(mine[:, None, None], sets.weight, 0.0)
-        chosen = scenario.replace(behavior=scenario.behavior.replace(data=sets.replace(weight=weight)))
+        chosen = replace(scenario, behavior=replace(scenario.behavior, data=replace(sets, weight=weight)))
         people, groups, _ = scenario.behavior.reset(chosen, key)
         ends = []
         for place, group in ((sets.start, sets.start_group), (sets.goal, sets.goal_group)):
@@ -134,9 +138,8 @@ def _way(navigation: paths.Navigation, start: Array, goal: Array) -> Array:
     return jax.lax.scan(following, start, length=BENDS)[1]
 
 
-def _window(floor, starts, goals, people, walked, waypoint) -> tuple[float, float, float, float]:
-    """x and y from and to [m]: a square around all that a set holds, or the floor where that is smaller."""
-    held = np.concatenate([starts, goals, people, waypoint[np.isfinite(walked)]])
+def _window(floor: np.ndarray, held: np.ndarray) -> tuple[float, float, float, float]:
+    """x and y from and to [m]: a square around all points (P, 2) that a set holds, or the floor where it is smaller."""
     low, high = held.min(0) - AROUND, held.max(0) + AROUND
     side = max(LEAST, *(high - low))
     extent = np.minimum(side, floor[2:] - floor[:2])
@@ -211,20 +214,48 @@ def _draw_people(axes: Axes, place: np.ndarray, look: np.ndarray, member: np.nda
     )  # fmt: skip
 
 
+def _mark(shape: str, face: str, edge: str, size: float = 6) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], linestyle="", marker=shape, markersize=size, markerfacecolor=face, markeredgecolor=edge)
+
+
+def _graph_key(graph: BehaviorGraph) -> tuple[list, list[str]]:
+    """Marks of a behavior graph and what they mean; of flows, those that it has."""
+    from matplotlib.lines import Line2D
+
+    weight, place = np.asarray(graph.weight, float), np.asarray(graph.position, float)
+    gap = np.linalg.norm(place[:, None] - place[None, :], axis=-1)
+    joined = np.isfinite(weight) & (gap > 0)
+    flow = np.minimum(weight, weight.T)[joined] / gap[joined]
+    one_way = np.maximum(weight, weight.T)[joined] >= parts.ONE_WAY * np.minimum(weight, weight.T)[joined]
+    line: Any = dict(color=colors.EDGE, linewidth=1.2)
+    entries = {
+        "waypoint": _mark("o", "#e9ecf2", colors.EDGE, 8),
+        "group": _mark("o", "#e2f4f9", colors.MEMBER, 8),
+        "member": _mark("o", colors.MEMBER, colors.PERSON_EDGE),
+        "place left open": _mark("o", "none", colors.MEMBER, 5),
+        "both ways": Line2D([], [], **line),
+        "one way": Line2D([], [], marker=">", markersize=5, **line),
+        "high flow": Line2D([], [], **line | {"linewidth": 2.6}),
+        "low flow": Line2D([], [], linestyle=(0, (1, 1.6)), **line),
+    }
+    seen = {"one way": one_way, "high flow": flow < 0.99, "low flow": ~one_way & (flow > 1.01)}
+    kept = {name: mark for name, mark in entries.items() if name not in seen or seen[name].any()}
+    return list(kept.values()), list(kept)
+
+
 def _key(axes: Axes) -> None:
     """What the marks mean."""
     from matplotlib.lines import Line2D
 
-    def mark(shape: str, face: str, edge: str) -> Line2D:
-        return Line2D([], [], linestyle="", marker=shape, markersize=6, markerfacecolor=face, markeredgecolor=edge)
-
     entries = {
-        "robot's start": mark("s", colors.PAPER, colors.ROBOT_EDGE),
-        "robot's goal": mark("o", colors.ROBOT, colors.ROBOT_EDGE),
+        "robot's start": _mark("s", colors.PAPER, colors.ROBOT_EDGE),
+        "robot's goal": _mark("o", colors.ROBOT, colors.ROBOT_EDGE),
         "robot's shortest ways": Line2D([], [], color=colors.ROBOT, linewidth=1.0),
         "people's loop": Line2D([], [], color=colors.TRAIL, linewidth=1.4, marker=">", markersize=5),
-        "person, as one start": mark("o", colors.PERSON, colors.PERSON_EDGE),
-        "member of a group": mark("o", colors.MEMBER, colors.PERSON_EDGE),
+        "person at the start": _mark("o", colors.PERSON, colors.PERSON_EDGE),
+        "member of a group": _mark("o", colors.MEMBER, colors.PERSON_EDGE),
     }
     axes.legend(
         list(entries.values()), list(entries), loc="upper left", fontsize=9, frameon=False, labelcolor=colors.INK,

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import pydantic
 
@@ -15,6 +15,7 @@ ALL = "all"  # any of the sets
 POSES = 5  # starts, and as many goals, of a set (SEAN 2.0)
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
 Place = tuple[float, float]  # m
+Situation = Literal["empty", "join_group", "leave_group", "down_path", "cross_path"]
 
 
 def _kind(pose: Any) -> str:
@@ -53,7 +54,7 @@ class Set(pydantic.BaseModel):
 
     model_config = STRICT
 
-    situation: Literal["empty", "join_group", "leave_group", "down_path", "cross_path"]
+    situation: Situation
     starts: Poses
     goals: Poses
     walkers: list[Walkers] = []
@@ -104,10 +105,9 @@ def read(folder: Path, environment: Environment) -> Annotation:
 
 def check(annotation: Annotation) -> Iterator[files.Problem]:
     """What is wrong between the fields of an annotation, wherever its places lie."""
-    situations = pydantic.TypeAdapter(Set.model_fields["situation"].annotation).json_schema()["enum"]
     for name, each in annotation.sets.items():
         here = ("sets", name)
-        if name in (ALL, *situations):
+        if name in (ALL, *get_args(Situation)):
             yield here, f"'{name}' stands for several sets; give the set a name of its own, such as '{name}_1'"
         if each.people == 0:
             yield here, "there is nobody; give the set walkers or groups"
@@ -126,6 +126,9 @@ def _check_poses(name: str, each: Set) -> Iterator[files.Problem]:
                 hint = files.suggest(pose, each.groups) or "; add it to groups or give x, y and a heading"
                 yield here, f"there is no group '{pose}'{hint}"
             elif isinstance(pose, str) and each.situation != asked:
-                yield here, f"only {key} of {asked} lie in a group and this is {each.situation}; give x, y and a heading"
+                yield (
+                    here,
+                    f"only {key} of {asked} lie in a group and this is {each.situation}; give x, y and a heading",
+                )
             elif not isinstance(pose, str) and each.situation == asked:
                 yield here, f"{key} of {asked} lie in a group; give the name of one instead of a place"

@@ -26,7 +26,9 @@ class Poses:
     start_angle: float  # rad
     goal_angle: float  # rad
 
-    def __call__(self, scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
+    def __call__(
+        self, scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array
+    ) -> RobotTask:
         """The task for ``scenario.task``; the same for every key."""
         start, goal = jnp.asarray(self.start, jnp.float32), jnp.asarray(self.goal, jnp.float32)
         to_goal = paths.to_goal(scenario.navigation, goal)
