@@ -82,7 +82,7 @@ def check_apart(here: files.Location, each: Set) -> Iterator[files.Problem]:
 
 def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
     """What is wrong with where the sets lie in an environment."""
-    spots, needs, legs = [], [], []
+    spots, legs = [], []
     for name, each in annotation.sets.items():
         here = ("sets", name)
         for key, poses in (("starts", each.starts), ("goals", each.goals)):
@@ -97,11 +97,11 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
             legs += [((*place, k), *leg) for k, leg in _legs(walkers.loop, walkers.way == "both")]
     points = jnp.asarray([spot for _, spot, _, _ in spots], jnp.float32)
     to_box, to_edge = (np.asarray(distance) for distance in jax.jit(room_around)(environment, points))
-    needs = set()
+    blamed = set()
     for (place, spot, needed, who), box, edge in zip(spots, to_box, to_edge, strict=True):
         at = f"[{spot[0]:g}, {spot[1]:g}]"
         if min(box, edge) < needed:
-            needs.add(place)
+            blamed.add(place)
         if edge < 0:
             floor = ", ".join(f"{value:g}" for value in np.asarray(environment.floor))
             yield place, f"{at} is not on the floor [{floor}]; move it"
@@ -113,7 +113,7 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
         ends = jnp.asarray([[a, b] for _, a, b, _ in legs], jnp.float32)
         blocked = np.asarray(jax.jit(_blocked)(environment, ends))
         for (place, _, _, what), hit in zip(legs, blocked, strict=True):
-            if hit and place not in needs:  # a waypoint in an obstacle has been told of
+            if hit and place not in blamed:  # a waypoint in an obstacle has been told of
                 yield place, f"{what} goes through an obstacle or closer than {PERSON:g} m past one; move a waypoint"
 
 
