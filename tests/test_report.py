@@ -67,14 +67,6 @@ def test_means_equal_plain_ones():
     json.dumps(found, allow_nan=False)
 
 
-def test_bootstrap_interval_equals_the_normal_one_for_many_episodes():
-    draw = np.random.default_rng(0).normal(10.0, 2.0, 400)
-    weights = np.random.default_rng(1).multinomial(400, np.full(400, 1 / 400), size=4000)
-    low, high = statistics.ratio(draw, np.ones(400), weights)["interval"]  # pyright: ignore[reportOptionalSubscript]
-    half = 1.96 * draw.std() / 20
-    assert low == pytest.approx(draw.mean() - half, abs=0.03) and high == pytest.approx(draw.mean() + half, abs=0.03)
-
-
 def test_exclusive_shares_divide_shared_time_and_add_up_to_one():
     shares = statistics.exclusive_shares(results())  # 1 s of none, 2 s of the first, 4 s of the first two
     assert shares["cross_path"] == pytest.approx(4 / 7) and shares["down_path"] == pytest.approx(2 / 7)
