@@ -68,6 +68,7 @@ def _scenarios(options: Options) -> list[Scenario]:
             frame_rate=options.frame_rate,
             start=options.start,
             goal=options.goal,
+            situations=options.situations,
         )
         return [first, *(with_task(first, task) for task in options.tasks[1:])]
     except ValueError as error:
