@@ -138,7 +138,7 @@ def test_what_the_paper_does_not_combine_is_refused_in_a_sentence(environment, b
 
 @pytest.mark.parametrize("behavior", BEHAVIORS)
 def test_everything_legal_can_be_traced_again_and_again(behavior, recording):
-    """A state has the same shapes and types after a step as before: one program steps for ever. None is compiled here."""
+    """A state has the same shapes and types after a step as before: one program serves all steps. None is compiled."""
     for scenario in scenarios(USUAL, behavior, "kuri", recording):
         state = jax.eval_shape(reset, scenario, jax.random.key(0))
         after = jax.eval_shape(sean_jax.step, scenario, state, jax.ShapeDtypeStruct((2,), jnp.float32))
