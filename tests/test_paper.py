@@ -31,6 +31,10 @@ from sean_jax.tasks import TASKS
 D, V, A = 2.4, 1.4, math.radians(15)
 ENVIRONMENTS = ("lab", "outdoor", "warehouse")
 KEYS, STEPS, STEP = 8, 600, 0.1
+MEASURED = (  # all of them would take long to compile
+    "time_in_situation", "path_efficiency", "time_not_moving", "intimate_robot_on_person", "intimate_person_on_robot",
+    "personal_robot_on_person", "personal_person_on_robot",
+)  # fmt: skip
 
 
 def record(before, after, action):
@@ -40,7 +44,8 @@ def record(before, after, action):
 @pytest.fixture(scope="module")
 def scenario():
     """The warehouse with more people than seats in groups, by far: groups are full at times."""
-    return sean_jax.make("warehouse", behavior="graph", task="join_group", robot="kuri", people=36, dynamics="twin")
+    made = sean_jax.make("warehouse", behavior="graph", task="join_group", robot="kuri", people=36, dynamics="twin")
+    return dataclasses.replace(made, metrics=tuple((name, metrics.METRICS[name]) for name in MEASURED))
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +80,7 @@ def closet(tmp_path_factory):
     )
     (folder / "scene.xml").write_text(f"<mujoco><worldbody>{walls}</worldbody></mujoco>")
     tiny = sean_jax.make(folder, behavior="random", task="random_ab_nav", people=1, dynamics="twin")
+    tiny = dataclasses.replace(tiny, metrics=())
     run = jax.jit(jax.vmap(lambda key: sean_jax.rollout(tiny, go_to_goal, key, 200)))
     return jax.tree.map(np.asarray, run(jax.random.split(jax.random.key(0), 3))[1])
 
