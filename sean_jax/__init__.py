@@ -7,6 +7,7 @@ if TYPE_CHECKING:
     from sean_jax.assembly import make
     from sean_jax.classifiers import SITUATIONS
     from sean_jax.drawing import view
+    from sean_jax.metrics import aggregate
     from sean_jax.parallel import rollout, simulate
     from sean_jax.scenario import observe, reset, results, step
 
@@ -17,6 +18,7 @@ _HOMES = {
     "make": "assembly",
     "SITUATIONS": "classifiers",
     "view": "drawing",
+    "aggregate": "metrics",
     "rollout": "parallel",
     "simulate": "parallel",
     "observe": "scenario",
@@ -25,7 +27,7 @@ _HOMES = {
     "step": "scenario",
 }
 
-__all__ = ["SITUATIONS", "make", "observe", "reset", "results", "rollout", "simulate", "step", "view"]
+__all__ = ["SITUATIONS", "aggregate", "make", "observe", "reset", "results", "rollout", "simulate", "step", "view"]
 
 
 def __getattr__(name: str):

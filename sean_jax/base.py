@@ -175,6 +175,8 @@ class RobotModel:
     time_step: float = struct.field(pytree_node=False)  # s, of the physics
     place: Callable = struct.field(pytree_node=False)
     drive: Callable = struct.field(pytree_node=False)
+    max_reverse_speed: Array | None = None  # () m/s, backward; None: max_speed
+    max_deceleration: Array | None = None  # () m/s2, by which the speed ahead may fall; None: max_acceleration
 
 
 @struct.dataclass

@@ -10,7 +10,9 @@ SITUATION_COLORS = {
     "leave_group": "#aa3377",
     "empty": "#b4b6ba",
 }
-SPARE_COLORS = ("#66ccee", "#ccbb44", "#997700", "#004488", "#882255")  # for situations of the user's own
+SPARE_COLORS = (  # for situations beyond the paper's five, and the user's own
+    "#66ccee", "#ccbb44", "#332288", "#44aa99", "#8c510a", "#ff9da7", "#999933", "#11c638"
+)  # fmt: skip
 NO_SITUATION = "#5a6274"
 
 PAPER = "#fffffe"  # odd values, so that a page can replace them in a drawing by its own light or dark ones

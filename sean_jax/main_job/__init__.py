@@ -69,6 +69,7 @@ def _scenarios(options: Options) -> list[Scenario]:
             handcrafted=options.handcrafted,
             start=options.start,
             goal=options.goal,
+            situations=options.situations,
         )
         return [first, *(with_task(first, task) for task in options.tasks[1:])]
     except ValueError as error:

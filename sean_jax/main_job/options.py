@@ -42,6 +42,8 @@ class Options:
     """How people move."""
     forces: str = "helbing1995"
     """Constants of the social forces."""
+    situations: str = "paper"
+    """Which social situations are told apart."""
     dynamics: str = "mjx"
     """How the robot moves: mjx, or its closed-form twin, which is faster."""
     episodes: int = 64
