@@ -29,6 +29,8 @@ def make(
     goal_radius: float = 1.2,
     hold_time: float = 5.0,
     task_distance: tuple[float, float] = (4.0, 20.0),
+    paths: str | None = None,
+    spreading: float | None = None,
     recording: str | Path | None = None,
     frame_rate: float | None = None,
     start: tuple[float, ...] | None = None,
@@ -52,6 +54,10 @@ def make(
         goal_radius: within which the goal counts as reached [m] (SEAN 2.0: 1.2).
         hold_time: to be spent there for the task to be completed [s] (SEAN 2.0: 5).
         task_distance: least and greatest length [m] of the shortest path from start to goal.
+        paths: of behavior ``graph``: ``whole`` if None, the way to a goal is kept until it is reached; or ``edge``,
+            people choose anew at every node, as in SEAN 2.0's code.
+        spreading: of behavior ``graph`` [m2]: how many times its cost is added to that of an edge for each person per
+            m2 on it, so that people avoid crowds; 0, not at all, if None.
         recording: of behavior ``playback``: a CSV file with the columns frame, id, x, y [m].
         frame_rate: of the recording [1/s]; 25 if None.
         start: of task ``custom``: (x, y) [m] or (x, y, heading [degrees]).
@@ -70,7 +76,9 @@ def make(
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     walking = _navigation(folder, PERSON_CLEARANCE)
     driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius)
-    directed, count = _behavior(behavior, folder, scene, walking, people, recording, frame_rate, time_step)
+    _check_graph_options(behavior, paths, spreading)
+    options = paths or "whole", spreading or 0.0
+    directed, count = _behavior(behavior, folder, scene, walking, people, recording, frame_rate, time_step, options)
     scenario = Scenario(
         environment=scene,
         navigation=driving,
@@ -109,7 +117,9 @@ def _navigation(folder: Path, radius: float) -> navigation.Navigation:
     return navigation.build(environments.load(folder), radius)
 
 
-def _behavior(name, folder, scene, walking, people, recording, frame_rate, time_step) -> tuple[Behavior, int]:
+def _behavior(
+    name, folder, scene, walking, people, recording, frame_rate, time_step, of_graph
+) -> tuple[Behavior, int]:
     """The behavior and the number of people; in playback there are as many as are recorded at once."""
     build = behaviors.BEHAVIORS[name]
     if name != "playback":
@@ -117,7 +127,7 @@ def _behavior(name, folder, scene, walking, people, recording, frame_rate, time_
             if value is not None:
                 raise ValueError(f"{option}: behavior '{name}' has none; choose behavior 'playback'.")
         count = environments.default_people(folder) if people is None else people
-        return build(folder, scene, walking, count), count
+        return build(folder, scene, walking, count, *(of_graph if name == "graph" else ())), count
     rate = behaviors.playback.FRAME_RATE if frame_rate is None else frame_rate
     directed = behaviors.playback.build(folder, scene, walking, 0, recording, rate, time_step)
     count = behaviors.playback.most_people(directed)
@@ -153,6 +163,14 @@ def _check_task(task: str, behavior: str) -> None:
     _check_name("task", task, tasks.TASKS)
     if task in tasks.NEEDS_GROUPS and behavior != "graph":
         raise ValueError(f"task: '{task}' needs groups, which only behavior 'graph' has, not '{behavior}'.")
+
+
+def _check_graph_options(behavior: str, paths: str | None, spreading: float | None) -> None:
+    for option, value in (("paths", paths), ("spreading", spreading)):
+        if value is not None and behavior != "graph":
+            raise ValueError(f"{option}: behavior '{behavior}' has no graph; choose behavior 'graph'.")
+    if paths is not None:
+        _check_name("paths", paths, behaviors.graph_behavior.PATHS)
 
 
 def _check_poses(task: str, start: tuple[float, ...] | None, goal: tuple[float, ...] | None) -> None:

@@ -5,4 +5,4 @@ from sean_jax.behaviors import graph_behavior, playback, random_behavior
 BEHAVIORS = {"graph": graph_behavior.build, "random": random_behavior.build, "playback": playback.build}
 """name -> (folder of the environment, environment, navigation for people, number of people) -> Behavior"""
 
-__all__ = ["BEHAVIORS", "playback"]
+__all__ = ["BEHAVIORS", "graph_behavior", "playback"]

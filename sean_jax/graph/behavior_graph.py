@@ -21,5 +21,6 @@ class BehaviorGraph:
     waypoints: Array  # (Mw,) int32 node indices
     groups: Array  # (G,) int32 node indices
     seat_group: Array  # (Q,) int32 index into groups (not nodes) of each seat
+    seat_node: Array  # (Q,) int32 node of each seat
     places: Array  # (M, P, 2) m, points of the node's disc where a person can stand and see its centre
     names: tuple[str, ...] = struct.field(pytree_node=False)

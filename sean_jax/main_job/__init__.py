@@ -64,6 +64,8 @@ def _scenarios(options: Options) -> list[Scenario]:
             forces=options.forces,
             dynamics=options.dynamics,
             time_limit=options.time_limit,
+            paths=options.paths,
+            spreading=options.spreading,
             recording=options.recording,
             frame_rate=options.frame_rate,
             start=options.start,
