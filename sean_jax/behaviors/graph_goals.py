@@ -98,7 +98,8 @@ def hand_over(graph: BehaviorGraph, people: Pedestrians, memory: Memory, onward:
     gap = memory.target[holder] - people.position[holder]
     rest = graph.cost[memory.hop[holder], node] + length(gap[:, 0], gap[:, 1])
     shorter = rest[None, :] - graph.cost[memory.hop[:, None], node[None, :]]
-    shorter = jnp.where((onward & (memory.seat < 0))[:, None] & far[None, :], shorter, -jnp.inf)
+    leaves = memory.hop[:, None] == node[None, :]  # not to sit down again in the same group
+    shorter = jnp.where((onward & (memory.seat < 0))[:, None] & far[None, :] & ~leaves, shorter, -jnp.inf)
     best = jnp.argmax(shorter).astype(jnp.int32)
     taker, seat = best // seats.shape[0], best % seats.shape[0]
     happens = shorter[taker, seat] > NEARER

@@ -27,7 +27,7 @@ def crowds(graph: BehaviorGraph, origin: Array, hop: Array, walking: Array) -> A
     ``origin`` and ``hop`` (N,) int32 are the nodes between which each person is; ``walking`` (N,) bool counts.
     """
     node = jnp.arange(graph.radius.shape[0], dtype=jnp.int32)
-    left = (origin[:, None] == node[None, :]) & walking[:, None]
+    left = (origin[:, None] == node[None, :]) & (walking & (origin != hop))[:, None]
     count = left.astype(jnp.float32).T @ (hop[:, None] == node[None, :]).astype(jnp.float32)
     return (count + count.T) / areas(graph)
 
