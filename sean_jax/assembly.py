@@ -69,6 +69,7 @@ def make(
         ValueError: one sentence that names the value and the cure.
     """
     _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time, task_distance)
+    _check_graph_options(behavior, paths, spreading)
     _check_poses(task, start, goal)
     chosen, usual = _situations(situations)
     folder = environments.find(environment)
@@ -76,7 +77,6 @@ def make(
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     walking = _navigation(folder, PERSON_CLEARANCE)
     driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius)
-    _check_graph_options(behavior, paths, spreading)
     options = paths or "whole", spreading or 0.0
     directed, count = _behavior(behavior, folder, scene, walking, people, recording, frame_rate, time_step, options)
     scenario = Scenario(
@@ -117,9 +117,7 @@ def _navigation(folder: Path, radius: float) -> navigation.Navigation:
     return navigation.build(environments.load(folder), radius)
 
 
-def _behavior(
-    name, folder, scene, walking, people, recording, frame_rate, time_step, of_graph
-) -> tuple[Behavior, int]:
+def _behavior(name, folder, scene, walking, people, recording, frame_rate, time_step, of_graph) -> tuple[Behavior, int]:
     """The behavior and the number of people; in playback there are as many as are recorded at once."""
     build = behaviors.BEHAVIORS[name]
     if name != "playback":
@@ -171,6 +169,8 @@ def _check_graph_options(behavior: str, paths: str | None, spreading: float | No
             raise ValueError(f"{option}: behavior '{behavior}' has no graph; choose behavior 'graph'.")
     if paths is not None:
         _check_name("paths", paths, behaviors.graph_behavior.PATHS)
+    if spreading is not None and not 0 <= spreading < float("inf"):
+        raise ValueError(f"spreading: {spreading} must be 0 or more.")
 
 
 def _check_poses(task: str, start: tuple[float, ...] | None, goal: tuple[float, ...] | None) -> None:

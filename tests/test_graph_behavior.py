@@ -72,7 +72,9 @@ def test_waypoint_goals_are_drawn_uniformly_from_all_but_the_own(scenario):
     own = int(graph.waypoints[4])
     at = jnp.full(people, own, jnp.int32)
     taken = jnp.full(people, -1, jnp.int32).at[:11].set(jnp.arange(11, dtype=jnp.int32))
-    memory = Memory(at, at, at, jnp.zeros((people, 2)), taken, jnp.zeros(people), jnp.zeros((11, 2)), jnp.zeros((11, 2)))
+    memory = Memory(
+        at, at, at, jnp.zeros((people, 2)), taken, jnp.zeros(people), jnp.zeros((11, 2)), jnp.zeros((11, 2))
+    )
     chance = jax.random.uniform(jax.random.key(0), (people,), jnp.float32)
     goals = np.asarray(graph_goals.assign(graph, memory, taken < 0, chance).goal)[11:]
     counts = np.bincount(goals, minlength=15)

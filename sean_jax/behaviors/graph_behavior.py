@@ -59,8 +59,6 @@ def build(
     Raises:
         ValueError: the annotation has a mistake, or so many people do not fit.
     """
-    if not 0.0 <= spreading < np.inf:
-        raise ValueError(f"spreading: {spreading:g} must be 0 or more.")
     file = folder / "graph.yaml"
     if not file.is_file():
         raise ValueError(f"{file}: there is no such file, and behavior 'graph' needs it; write one or choose another.")

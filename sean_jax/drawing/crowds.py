@@ -74,10 +74,14 @@ def draw_flow(axes: Axes, environment: Environment, graph: Any, flow: np.ndarray
 
     x0, y0, x1, _ = (float(v) for v in np.asarray(environment.floor))
     span, most = x1 - x0, float(flow.max(initial=0.0))
-    position, widest = np.asarray(graph.position, float), min(WIDEST[0] * float(np.mean(graph.radius)), WIDEST[1] * span)
+    position, widest = (
+        np.asarray(graph.position, float),
+        min(WIDEST[0] * float(np.mean(graph.radius)), WIDEST[1] * span),
+    )
     bands = []
     for u, v in np.argwhere(flow > 0):
-        bands.append(_band(position[u], position[v], max(widest * flow[u, v] / most, THINNEST * span)))
+        wide = max(widest * float(flow[u, v]) / most, THINNEST * span)
+        bands.append(_band(position[u], position[v], wide))
     corner = np.array([x0 + 0.19 * span, y0 - 0.027 * span + 0.5 * widest])
     bands.append(_band(corner, corner + np.array([0.05 * span, 0.0]), widest))
     drawn = PolyCollection(bands, facecolors=colors.FLOW, edgecolors=colors.FLOOR, linewidths=0.5, alpha=0.7, zorder=4)

@@ -4,6 +4,7 @@ The paper lets an author direct people away from a congested area by edge weight
 """
 
 import math
+from dataclasses import replace
 
 import jax.numpy as jnp
 
@@ -50,4 +51,4 @@ def spread(graph: BehaviorGraph, density: Array, spreading: Array) -> BehaviorGr
     cost = jnp.where(itself, 0.0, jnp.min(ways, axis=1))
     next_hop = jnp.where(jnp.isfinite(cost), first, -1)
     own = jnp.broadcast_to(jnp.arange(count, dtype=jnp.int32)[:, None], (count, count))
-    return graph.replace(weight=weight, cost=cost, next_hop=jnp.where(itself, own, next_hop))
+    return replace(graph, weight=weight, cost=cost, next_hop=jnp.where(itself, own, next_hop))

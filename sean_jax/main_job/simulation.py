@@ -248,7 +248,8 @@ def _count(scenario: Scenario, tally: Tally, frames: Frame, present: Array, acti
     """One more step of B episodes: ``frames`` (B, ...), people ``present`` (B, N), ``active`` (B,)."""
     here = present & active[:, None]
     x, y = frames.people[..., 0], frames.people[..., 1]
-    cell = crowding.cell_of(scenario.environment, tally.heat.shape, frames.people)
+    rows, columns = tally.heat.shape
+    cell = crowding.cell_of(scenario.environment, (rows, columns), frames.people)
     node, walks = tally.node, tally.walks
     if (graph := graph_of(scenario)) is not None:
         node, walked = jax.vmap(crowding.follow, (None, 0, 0, 0))(graph, tally.node, frames.people, present)
@@ -263,7 +264,7 @@ def _count(scenario: Scenario, tally: Tally, frames: Frame, present: Array, acti
     sound &= jnp.isfinite(frames.people_velocity).all((1, 2)) & jnp.isfinite(frames.velocity).all(-1)
     return dataclasses.replace(
         tally,
-        heat=tally.heat.ravel().at[cell].add(here.astype(jnp.int32)).reshape(tally.heat.shape),
+        heat=tally.heat.ravel().at[cell].add(here.astype(jnp.int32)).reshape(rows, columns),
         walks=walks,
         node=node,
         together=tally.together.at[held].add(active.astype(jnp.int32)),
