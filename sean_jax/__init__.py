@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from sean_jax.assembly import make
     from sean_jax.classifiers import SITUATIONS
+    from sean_jax.crowding import congestion
     from sean_jax.drawing import view
     from sean_jax.metrics import aggregate
     from sean_jax.parallel import rollout, simulate
@@ -17,6 +18,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "make": "assembly",
     "SITUATIONS": "classifiers",
+    "congestion": "crowding",
     "view": "drawing",
     "aggregate": "metrics",
     "rollout": "parallel",
@@ -27,7 +29,19 @@ _HOMES = {
     "step": "scenario",
 }
 
-__all__ = ["SITUATIONS", "aggregate", "make", "observe", "reset", "results", "rollout", "simulate", "step", "view"]
+__all__ = [
+    "SITUATIONS",
+    "aggregate",
+    "congestion",
+    "make",
+    "observe",
+    "reset",
+    "results",
+    "rollout",
+    "simulate",
+    "step",
+    "view",
+]
 
 
 def __getattr__(name: str):

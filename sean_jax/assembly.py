@@ -12,6 +12,14 @@ from sean_jax import environment as environments
 from sean_jax.base import Behavior, Scenario
 
 PERSON_CLEARANCE = 0.25  # m: people's paths stand off from obstacles by a body of 0.2 m and some room
+# option of make -> the behaviors that it is for, and what the others have instead
+OPTIONS_OF = {
+    "paths": (("graph",), "no graph"),
+    "spreading": (("graph",), "no graph"),
+    "recording": (("playback",), "none"),
+    "frame_rate": (("playback",), "none"),
+    "handcrafted": (("handcrafted",), "no sets"),
+}
 
 
 def make(
@@ -29,6 +37,8 @@ def make(
     goal_radius: float = 1.2,
     hold_time: float = 5.0,
     task_distance: tuple[float, float] = (4.0, 20.0),
+    paths: str | None = None,
+    spreading: float | None = None,
     recording: str | Path | None = None,
     frame_rate: float | None = None,
     handcrafted: str | None = None,
@@ -53,6 +63,10 @@ def make(
         goal_radius: within which the goal counts as reached [m] (SEAN 2.0: 1.2).
         hold_time: to be spent there for the task to be completed [s] (SEAN 2.0: 5).
         task_distance: least and greatest length [m] of the shortest path from start to goal.
+        paths: of behavior ``graph``: ``whole`` if None, the way to a goal is kept until it is reached; or ``edge``,
+            people choose anew at every node, as in SEAN 2.0's code.
+        spreading: of behavior ``graph`` [m2]: how many times its cost is added to that of an edge for each person per
+            m2 on it, so that people avoid crowds; 0, not at all, if None.
         recording: of behavior ``playback``: a CSV file with the columns frame, id, x, y [m].
         frame_rate: of the recording [1/s]; 25 if None.
         handcrafted: of behavior ``handcrafted``: a set, a situation, whose sets are drawn from, or ``all``, as if None.
@@ -65,6 +79,7 @@ def make(
         ValueError: one sentence that names the value and the cure.
     """
     _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time, task_distance)
+    _check_graph_options(paths, spreading)
     _check_poses(task, start, goal)
     chosen, usual = _situations(situations)
     folder = environments.find(environment)
@@ -72,7 +87,10 @@ def make(
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     walking = _navigation(folder, PERSON_CLEARANCE)
     driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius)
-    directed, count = _behavior(behavior, folder, scene, walking, people, recording, frame_rate, handcrafted, time_step)
+    options = dict(
+        paths=paths, spreading=spreading, recording=recording, frame_rate=frame_rate, handcrafted=handcrafted
+    )
+    directed, count = _behavior(behavior, folder, scene, walking, people, time_step, options)
     scenario = Scenario(
         environment=scene,
         navigation=driving,
@@ -115,32 +133,33 @@ def _navigation(folder: Path, radius: float) -> navigation.Navigation:
     return navigation.build(environments.load(folder), radius)
 
 
-def _behavior(
-    name, folder, scene, walking, people, recording, frame_rate, handcrafted, time_step
-) -> tuple[Behavior, int]:
+def _behavior(name, folder, scene, walking, people, time_step, options) -> tuple[Behavior, int]:
     """The behavior and the number of people: as many as are recorded at once, as the largest set has, or as asked."""
-    build = behaviors.BEHAVIORS[name]
-    if name != "handcrafted" and handcrafted is not None:
-        raise ValueError(f"handcrafted: behavior '{name}' has no sets; choose behavior 'handcrafted'.")
-    if name != "playback":
-        for option, value in (("recording", recording), ("frame_rate", frame_rate)):
-            if value is not None:
-                raise ValueError(f"{option}: behavior '{name}' has none; choose behavior 'playback'.")
-        if name == "handcrafted":
-            return _handcrafted(folder, scene, walking, people, handcrafted)
-        count = environments.default_people(folder) if people is None else people
-        return build(folder, scene, walking, count), count
+    for option, (owners, has) in OPTIONS_OF.items():
+        if options[option] is not None and name not in owners:
+            raise ValueError(f"{option}: behavior '{name}' has {has}; choose behavior '{"' or '".join(owners)}'.")
+    build, here = behaviors.BEHAVIORS[name], (folder, scene, walking)
+    if name == "handcrafted":
+        return _handcrafted(here, people, options["handcrafted"])
+    if name == "playback":
+        return _playback(here, people, options["recording"], options["frame_rate"], time_step)
+    count = environments.default_people(folder) if people is None else people
+    of_graph = options["paths"] or "whole", options["spreading"] or 0.0
+    return build(*here, count, *{"graph": of_graph}.get(name, ())), count
+
+
+def _playback(here, people, recording, frame_rate, time_step) -> tuple[Behavior, int]:
     rate = behaviors.playback.FRAME_RATE if frame_rate is None else frame_rate
-    directed = behaviors.playback.build(folder, scene, walking, 0, recording, rate, time_step)
+    directed = behaviors.playback.build(*here, 0, recording, rate, time_step)
     count = behaviors.playback.most_people(directed)
     if people not in (None, count):
         raise ValueError(f"people: {people}, but {count} are there at once in the recording; leave people out.")
     return directed, count
 
 
-def _handcrafted(folder, scene, walking, people, handcrafted) -> tuple[Behavior, int]:
+def _handcrafted(here, people, handcrafted) -> tuple[Behavior, int]:
     chosen = behaviors.handcrafted_behavior.annotation.ALL if handcrafted is None else handcrafted
-    directed = behaviors.handcrafted_behavior.build(folder, scene, walking, 0, chosen)
+    directed = behaviors.handcrafted_behavior.build(*here, 0, chosen)
     if people is not None:
         raise ValueError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
     return directed, behaviors.handcrafted_behavior.most_people(directed)
@@ -177,6 +196,13 @@ def _check_task(task: str, behavior: str) -> None:
     if task == "handcrafted" and behavior != "handcrafted":
         why = "poses that belong to handcrafted people"
         raise ValueError(f"task: '{task}' needs {why}, not '{behavior}'; choose behavior 'handcrafted' with it.")
+
+
+def _check_graph_options(paths: str | None, spreading: float | None) -> None:
+    if paths is not None:
+        _check_name("paths", paths, behaviors.graph_behavior.PATHS)
+    if spreading is not None and not 0 <= spreading < float("inf"):
+        raise ValueError(f"spreading: {spreading} must be 0 or more.")
 
 
 def _check_poses(task: str, start: tuple[float, ...] | None, goal: tuple[float, ...] | None) -> None:

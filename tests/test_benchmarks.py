@@ -36,3 +36,11 @@ def test_step():
     assert parts == ["direct_pedestrians", "move_pedestrians", "move_robot", "classify", "measure", "step",
                      "policy go_to_goal", "step + policy"]  # fmt: skip
     assert all(float(line[33:].split()[0]) > 0 for line in lines[2:])
+
+
+@pytest.mark.slow
+def test_spreading():
+    arguments = "--environment", "lab", "--spreading", "0", "10", "--episodes", "2", "--steps", "60"
+    lines = run("benchmarks/spreading.py", *arguments)
+    rows = [[float(part) for part in line.split()] for line in lines[1:]]
+    assert [row[0] for row in rows] == [0, 10] and all(len(row) == 7 and min(row[1:]) >= 0 for row in rows)

@@ -24,6 +24,7 @@ PERSON, MEMBER, PERSON_EDGE = "#fdfefd", "#6fd0ea", "#2b3448"
 TRAIL = "#6a80b4"
 EDGE, FAINT_EDGE = "#8d99b3", "#c3cad8"  # of the behavior graph
 OBSTACLE = "#4d5b78"  # drawn the more opaque the higher it is
+FLOW, FLOW_EDGE = "#2f6fb0", "#173a5e"  # of people along edges, over a heat map
 HEAT = ("#ffe8c400", "#fdcf94", "#f78d4f", "#dd3a25", "#a3082f")
 
 

@@ -32,6 +32,7 @@ def offered() -> Iterator[tuple[str, dict[str, str]]]:
 
     yield "environment", {name: _environment(environment.find(name)) for name in environment.available()}
     yield "behavior", {name: _documented(value) for name, value in behaviors.BEHAVIORS.items()}
+    yield "paths", {name: _documented(value) for name, value in behaviors.graph_behavior.PATHS.items()}
     yield "task", {name: _documented(value) for name, value in tasks.TASKS.items()}
     yield "robot", {name: _robot(path) for name, path in robots.ROBOTS.items()}
     yield "policy", {name: _documented(value) for name, value in policies.POLICIES.items()}

@@ -22,6 +22,10 @@ class Options:
     """Pedestrian behavior: who goes where."""
     task: str = "join_group,leave_group"
     """Robot task; several, separated by commas, take turns."""
+    paths: str | None = None
+    """Of the behavior graph: whole, the way to a goal is kept, by default; or edge, people choose anew at each node."""
+    spreading: float | None = None
+    """Of the behavior graph: how much people avoid crowded edges, 0 by default; try 10."""
     recording: str | None = None
     """Of the behavior playback: a CSV file with the columns frame, id, x and y in metres."""
     frame_rate: float | None = None
