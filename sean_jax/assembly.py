@@ -35,6 +35,8 @@ def make(
     goal: tuple[float, ...] | None = None,
     situations: str | Mapping[str, Callable] = "paper",
     thresholds: classifiers.Thresholds | None = None,
+    parties: tuple[float, float] = (0.0, 0.0),
+    substeps: int | None = None,
 ) -> Scenario:
     """A scenario (section IV-B) from the names of its parts.
 
@@ -58,6 +60,9 @@ def make(
         goal: likewise.
         situations: that are classified: a key of ``classifiers.SITUATION_SETS``, or a dict of them (see base.Scenario).
         thresholds: of the situation classifiers; those of the set if None, else the paper's.
+        parties: shares of the people who walk in pairs and in triples, rounded down to whole parties.
+        substeps: of the social forces in a step of control; as many as their stiffness needs if None
+            (``social_forces.longest_step``: 0.05 s, less for stiff bodies).
 
     Raises:
         ValueError: one sentence that names the value and the cure.
@@ -70,7 +75,7 @@ def make(
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     walking = _navigation(folder, PERSON_CLEARANCE)
     driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius)
-    directed, count = _behavior(behavior, folder, scene, walking, people, recording, frame_rate, time_step)
+    directed, count = _behavior(behavior, folder, scene, walking, people, recording, frame_rate, time_step, parties)
     scenario = Scenario(
         environment=scene,
         navigation=driving,
@@ -88,6 +93,7 @@ def make(
         time_step=time_step,
         time_limit=time_limit,
         people=count,
+        substeps=_substeps(substeps, parameters, time_step),
         task_name=task,
     )
     if start is None or goal is None:
@@ -109,15 +115,19 @@ def _navigation(folder: Path, radius: float) -> navigation.Navigation:
     return navigation.build(environments.load(folder), radius)
 
 
-def _behavior(name, folder, scene, walking, people, recording, frame_rate, time_step) -> tuple[Behavior, int]:
+def _behavior(name, folder, scene, walking, people, recording, frame_rate, time_step, shares) -> tuple[Behavior, int]:
     """The behavior and the number of people; in playback there are as many as are recorded at once."""
     build = behaviors.BEHAVIORS[name]
+    if tuple(shares) != (0.0, 0.0) and name not in behaviors.WITH_PARTIES:
+        raise ValueError(
+            f"parties: behavior '{name}' has its people walk as they are told; choose {' or '.join(behaviors.WITH_PARTIES)}."
+        )
     if name != "playback":
         for option, value in (("recording", recording), ("frame_rate", frame_rate)):
             if value is not None:
                 raise ValueError(f"{option}: behavior '{name}' has none; choose behavior 'playback'.")
         count = environments.default_people(folder) if people is None else people
-        return build(folder, scene, walking, count), count
+        return build(folder, scene, walking, count, *([shares] if name in behaviors.WITH_PARTIES else [])), count
     rate = behaviors.playback.FRAME_RATE if frame_rate is None else frame_rate
     directed = behaviors.playback.build(folder, scene, walking, 0, recording, rate, time_step)
     count = behaviors.playback.most_people(directed)
@@ -147,6 +157,14 @@ def _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time
         raise ValueError(f"hold_time: {hold_time} must not be negative.")
     if not 0 <= task_distance[0] < task_distance[1]:
         raise ValueError(f"task_distance: {task_distance} must be a least and a greater distance in metres.")
+
+
+def _substeps(substeps: int | None, parameters: social_forces.Parameters, time_step: float) -> int:
+    if substeps is None:
+        return social_forces.substeps(parameters, time_step)
+    if substeps < 1:
+        raise ValueError(f"substeps: {substeps} is too few; give 1 or more.")
+    return substeps
 
 
 def _check_task(task: str, behavior: str) -> None:

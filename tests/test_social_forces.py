@@ -48,6 +48,7 @@ def crowd(position, desired, velocity=None, preferred=None, **others) -> Pedestr
         heading=heading.astype(np.float32),
         desired_velocity=desired,
         group=np.full(len(position), -1, np.int32),
+        party=np.full(len(position), -1, np.int32),
         present=np.ones(len(position), bool),
         preferred_speed=np.array(speed if preferred is None else preferred, np.float32),
         robot_distance=np.zeros(len(position), np.float32),

@@ -17,7 +17,7 @@ from flax import struct
 
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Environment, Groups, Pedestrians, Scenario, State
-from sean_jax.behaviors import starts
+from sean_jax.behaviors import parties, starts
 from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph, annotation
 from sean_jax.graph.formation import formation, reach
@@ -40,6 +40,8 @@ class Tables:
     start: Array  # (P, 2) m, places where somebody can start, none too close to another
     start_node: Array  # (P,) int32, the node of each
     start_weight: Array  # (P,) log of the chance
+    clumps: Array  # (C, 3) int32 starts beside one another, for parties
+    together: parties.Parties = struct.field(pytree_node=False)  # how many
 
 
 class Memory(NamedTuple):
@@ -54,13 +56,20 @@ class Memory(NamedTuple):
     seat_heading: Array  # (Q, 2) unit vector
 
 
-def build(folder: Path, environment: Environment, navigation: paths.Navigation, people: int) -> Behavior:
+def build(
+    folder: Path,
+    environment: Environment,
+    navigation: paths.Navigation,
+    people: int,
+    shares: tuple[float, float] = (0.0, 0.0),
+) -> Behavior:
     """People walk, gather and disperse on the Behavior Graph of the environment.
 
-    The graph is that of graph.yaml in the folder.
+    The graph is that of graph.yaml in the folder. These shares of the people walk in pairs and in triples, from
+    waypoint to waypoint: parties take no seats.
 
     Raises:
-        ValueError: the annotation has a mistake, or so many people do not fit.
+        ValueError: the annotation has a mistake, or so many people or parties do not fit.
     """
     file = folder / "graph.yaml"
     if not file.is_file():
@@ -68,7 +77,8 @@ def build(folder: Path, environment: Environment, navigation: paths.Navigation, 
     graph = annotation.read(file, environment)
     avoid = [(graph.position[node], reach(int(graph.capacity[node])) + 0.6) for node in np.asarray(graph.groups)]
     start, node = starts.places(environment, navigation, graph.position, graph.radius, graph.spawn, avoid)
-    most = len(start) + graph.seat_group.shape[0]
+    groups = parties.parties(people, shares)
+    most = len(start) + min(graph.seat_group.shape[0], people - groups.members)
     if people > most:
         raise ValueError(f"people: {people} do not fit on the graph of {environment.name}; the most that do is {most}.")
     weight = np.asarray(graph.spawn)[node] / np.bincount(node, minlength=len(graph.spawn))[node]
@@ -81,8 +91,10 @@ def build(folder: Path, environment: Environment, navigation: paths.Navigation, 
         start=jnp.asarray(start, jnp.float32),
         start_node=jnp.asarray(node, jnp.int32),
         start_weight=jnp.asarray(np.log(weight), jnp.float32),
+        clumps=jnp.asarray(parties.clumps(navigation, start, groups)),
+        together=groups,
     )
-    return Behavior(data=tables, name="graph", reset=reset, direct=direct)
+    return Behavior(data=tables, name="graph", reset=reset, direct=direct, companions=groups.companions(people))
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
@@ -94,9 +106,10 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     seat_position, seat_heading, radius, opening = formation(
         form_key, graph.capacity[graph.groups], center, graph.seat_group
     )
-    seated = min(people, graph.seat_group.shape[0])
+    seated = min(people - tables.together.members, graph.seat_group.shape[0])
     chance = tables.start_weight + jax.random.gumbel(place_key, tables.start_weight.shape, jnp.float32)
-    chosen = jax.lax.top_k(chance, people - seated)[1]
+    chosen = parties.places(chance, tables.clumps, people - seated, tables.together)
+    party = parties.leaders(scenario.behavior.companions, people)
     angle = jax.random.uniform(turn_key, (people - seated,), jnp.float32, 0.0, 2 * jnp.pi)
     facing = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
     position = jnp.concatenate([seat_position[:seated], tables.start[chosen]])
@@ -112,8 +125,9 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         heading=jnp.concatenate([seat_heading[:seated], facing]),
         desired_velocity=jnp.zeros_like(position),
         group=jnp.where(seat >= 0, graph.seat_group[jnp.maximum(seat, 0)], -1),
+        party=party,
         present=jnp.ones(people, bool),
-        preferred_speed=preferred_speed,
+        preferred_speed=parties.speeds(scenario, party, preferred_speed),
         robot_distance=robot_distance,
     )
     groups = Groups(center=center, radius=radius, opening=opening, present=jnp.ones(radius.shape, bool))
@@ -128,15 +142,22 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     graph, people, memory = tables.graph, state.pedestrians, state.memory
     chance = jax.random.uniform(key, (3, scenario.people), jnp.float32)
     memory, free = _stay_or_leave(scenario, people, memory, graph, chance[0])
-    memory = _assign(graph, memory, free, chance[1])
+    alone = people.party < 0
+    memory = _assign(graph, memory, free, chance[1], free & alone)
     onward = free | _passes(people, memory)
-    memory = _hand_over(graph, people, memory, onward, chance[1])
+    memory = _hand_over(graph, people, memory, onward & alone, chance[1])
     memory = _next_hop(graph, memory, onward, chance[2])
+    if scenario.behavior.companions is not None:
+        goal, hop, target = parties.follow(people.party, memory.goal, memory.hop, memory.target)
+        memory = memory._replace(goal=goal, hop=hop, target=target)
+    desired_velocity = _desired_velocity(tables, people, memory)
+    if scenario.behavior.companions is not None:
+        desired_velocity = parties.abreast(people, desired_velocity)
     standing = memory.stay > 0.0
     seat = jnp.maximum(memory.seat, 0)
     people = replace(
         people,
-        desired_velocity=_desired_velocity(tables, people, memory),
+        desired_velocity=desired_velocity,
         group=jnp.where(standing, graph.seat_group[seat], -1),
         heading=jnp.where(standing[:, None], memory.seat_heading[seat], people.heading),
     )
@@ -158,14 +179,17 @@ def _stay_or_leave(scenario, people, memory, graph, chance) -> tuple[Memory, Arr
     return memory._replace(stay=stay), leaves | at_waypoint
 
 
-def _assign(graph: BehaviorGraph, memory: Memory, free: Array, chance: Array) -> Memory:
+def _assign(
+    graph: BehaviorGraph, memory: Memory, free: Array, chance: Array, sitters: Array | None = None
+) -> Memory:
     """A goal for everybody without one: the empty seats one after the other, then random waypoint nodes.
 
-    Whoever leaves a seat now goes to a waypoint, so that nobody turns on the spot to sit down again.
+    Whoever leaves a seat now goes to a waypoint, so that nobody turns on the spot to sit down again; so does who is
+    free but not among the ``sitters``.
     """
     seats = jnp.arange(graph.seat_group.shape[0], dtype=jnp.int32)
     taken = (memory.seat[:, None] == seats[None, :]).any(0)
-    seekers = free & (memory.seat < 0)
+    seekers = (free if sitters is None else sitters) & (memory.seat < 0)
     rank = jnp.cumsum(seekers, dtype=jnp.int32) - 1
     order = jnp.cumsum(~taken, dtype=jnp.int32) - 1
     match = seekers[:, None] & ~taken[None, :] & (rank[:, None] == order[None, :])

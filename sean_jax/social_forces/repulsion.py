@@ -45,15 +45,22 @@ def circular(dx: Array, dy: Array, wx: Array, wy: Array, vx: Array, vy: Array, p
     return push * dx, push * dy
 
 
-def body(dx: Array, dy: Array, apart: Array, parameters: Any) -> tuple:
-    """Push [m/s2] of a touching body: proportional to the overlap of two discs that touch at ``apart`` [m].
+def contact(
+    dx: Array, dy: Array, wx: Array, wy: Array, vx: Array, vy: Array, apart: Array, parameters: Any
+) -> tuple:
+    """Push [m/s2] of a touching body: of two discs that touch at ``apart`` [m], in proportion to their overlap g.
 
-    The body force of Helbing, Farkas & Vicsek (2000), without the sliding friction.
+    Helbing, Farkas & Vicsek (2000): the body force k g n and, if ``friction`` is not None, the sliding friction
+    kappa g ((w - v) . t) t, with n along d and t across it.
     """
     dd = dx * dx + dy * dy + TINY
     inverse = jax.lax.rsqrt(dd)
-    push = parameters.body * jnp.maximum(apart - dd * inverse, 0.0) * inverse
-    return push * dx, push * dy
+    overlap = jnp.maximum(apart - dd * inverse, 0.0)
+    push = parameters.body * overlap * inverse
+    if parameters.friction is None:
+        return push * dx, push * dy
+    rub = parameters.friction * overlap * inverse * inverse * ((wy - vy) * dx - (wx - vx) * dy)
+    return push * dx - rub * dy, push * dy + rub * dx
 
 
 def in_cone(fx: Array, fy: Array, dx: Array, dy: Array, hx: Array, hy: Array, parameters: Any) -> Array:
