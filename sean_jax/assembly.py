@@ -119,9 +119,8 @@ def _behavior(name, folder, scene, walking, people, recording, frame_rate, time_
     """The behavior and the number of people; in playback there are as many as are recorded at once."""
     build = behaviors.BEHAVIORS[name]
     if tuple(shares) != (0.0, 0.0) and name not in behaviors.WITH_PARTIES:
-        raise ValueError(
-            f"parties: behavior '{name}' has its people walk as they are told; choose {' or '.join(behaviors.WITH_PARTIES)}."
-        )
+        choices = " or ".join(behaviors.WITH_PARTIES)
+        raise ValueError(f"parties: in behavior '{name}' it is laid down where everybody goes; choose {choices}.")
     if name != "playback":
         for option, value in (("recording", recording), ("frame_rate", frame_rate)):
             if value is not None:

@@ -21,7 +21,7 @@ class Pedestrians:
     heading: Array  # (N, 2) unit vector
     desired_velocity: Array  # (N, 2) m/s, set by the behavior, followed by the pedestrian model
     group: Array  # (N,) int32 index of the group that the person stands in, -1 none
-    party: Array  # (N,) int32 index of whoever leads those that the person walks with (social_forces/cohesion), -1 alone
+    party: Array  # (N,) int32 index of whoever leads the party that the person walks in, -1 none
     present: Array  # (N,) bool
     preferred_speed: Array  # (N,) m/s, drawn per episode
     robot_distance: Array  # (N,) m, drawn per episode: how much farther from a moving robot than from a person

@@ -179,9 +179,7 @@ def _stay_or_leave(scenario, people, memory, graph, chance) -> tuple[Memory, Arr
     return memory._replace(stay=stay), leaves | at_waypoint
 
 
-def _assign(
-    graph: BehaviorGraph, memory: Memory, free: Array, chance: Array, sitters: Array | None = None
-) -> Memory:
+def _assign(graph: BehaviorGraph, memory: Memory, free: Array, chance: Array, sitters: Array | None = None) -> Memory:
     """A goal for everybody without one: the empty seats one after the other, then random waypoint nodes.
 
     Whoever leaves a seat now goes to a waypoint, so that nobody turns on the spot to sit down again; so does who is

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Pedestrians, Scenario
@@ -60,7 +60,9 @@ def parties(people: int, shares: tuple[float, float]) -> Parties:
     """
     in_pairs, in_triples = shares
     if not (in_pairs >= 0 and in_triples >= 0 and in_pairs + in_triples <= 1 + 1e-6):
-        raise ValueError(f"parties: {in_pairs:g} {in_triples:g} must be shares of the people, both 0 or more, 1 at most.")
+        raise ValueError(
+            f"parties: {in_pairs:g} {in_triples:g} must be two shares, each 0 or more, together 1 at most."
+        )
     return Parties(int(people * in_pairs / 2 + 1e-6), int(people * in_triples / 3 + 1e-6))
 
 
@@ -74,7 +76,7 @@ def clumps(navigation: Navigation, start: np.ndarray, groups: Parties) -> np.nda
     """
     found: list[tuple[int, ...]] = []
     if groups.number:
-        pairs = cKDTree(start).query_pairs(NEAREST, output_type="ndarray")
+        pairs = KDTree(start).query_pairs(NEAREST, output_type="ndarray")
         sees = jax.jit(jax.vmap(lambda p, q: paths.sees(navigation.obstacles, p, q, 0.0)))
         spots = jnp.asarray(start, jnp.float32)
         clear = np.asarray(sees(spots[pairs[:, 0]], spots[pairs[:, 1]]))

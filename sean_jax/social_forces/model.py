@@ -82,14 +82,15 @@ def pair_forces(
     """(N,) x and y parts [m/s2] of what each person feels from all others: repulsion in sight, sidestep, contact.
 
     Standing members of one group do not push one another: their formation holds them apart (section IV-D). Nor, if
-    there are ``parties``, do those who walk in one: cohesion holds them together and apart.
+    there are ``parties``, do those who walk in one: cohesion holds them together and apart. Who stands steps aside for
+    nobody.
     """
 
-    def pair(px, py, vx, vy, hx, hy, group, qx, qy, wx, wy, other_group):
+    def pair(px, py, vx, vy, hx, hy, way_x, way_y, group, qx, qy, wx, wy, other_group):
         dx, dy = px - qx, py - qy
         fx, fy = parameters.repulsion(dx, dy, wx, wy, vx, vy, parameters)
         weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
-        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, parameters)
+        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, way_x, way_y, parameters)
         bx, by = contact(dx, dy, wx, wy, vx, vy, 2.0 * parameters.radius, parameters)
         dd = dx * dx + dy * dy
         together = (group >= 0) & (group == other_group)
@@ -101,8 +102,9 @@ def pair_forces(
     if parties:
         group = jnp.where((group < 0) & (people.party >= 0), PARTIES + people.party, group)
     group = jnp.where(people.present, group, ABSENT)
-    others = jax.vmap(pair, in_axes=(None,) * 7 + (0,) * 5)
-    return sum_vectors(*jax.vmap(others, in_axes=(0,) * 7 + (None,) * 5)(*one, look_x, look_y, group, *one, group), 1)
+    look = look_x, look_y, *_way(people, look_x, look_y)
+    others = jax.vmap(pair, in_axes=(None,) * 9 + (0,) * 5)
+    return sum_vectors(*jax.vmap(others, in_axes=(0,) * 9 + (None,) * 5)(*one, *look, group, *one, group), 1)
 
 
 def robot_force(
@@ -115,19 +117,17 @@ def robot_force(
     wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
     moving = jnp.abs(robot.speed) > parameters.robot_moving
 
-    def push(px, py, vx, vy, hx, hy, extra):
+    def push(px, py, vx, vy, hx, hy, way_x, way_y, extra):
         dx, dy = px - robot.position[0], py - robot.position[1]
         fx, fy = parameters.repulsion(dx, dy, wx, wy, vx, vy, parameters)
         weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
         weight = weight * jnp.where(moving, jnp.exp(extra / parameters.range), 1.0)
-        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, parameters)
+        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, way_x, way_y, parameters)
         bx, by = contact(dx, dy, wx, wy, vx, vy, parameters.radius + radius, parameters)
         return weight * fx + sx + bx, weight * fy + sy + by
 
-    position, velocity = people.position, people.velocity
-    return jax.vmap(push)(
-        position[:, 0], position[:, 1], velocity[:, 0], velocity[:, 1], look_x, look_y, people.robot_distance
-    )
+    one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
+    return jax.vmap(push)(*one, look_x, look_y, *_way(people, look_x, look_y), people.robot_distance)
 
 
 def group_forces(parameters: Parameters, people: Pedestrians, groups: Groups) -> tuple[Array, Array]:
@@ -154,6 +154,12 @@ def _look(people: Pedestrians) -> tuple[Array, Array]:
     x, y = unit(people.desired_velocity[:, 0], people.desired_velocity[:, 1])
     standing = (people.group >= 0) | ((x == 0.0) & (y == 0.0))
     return jnp.where(standing, people.heading[:, 0], x), jnp.where(standing, people.heading[:, 1], y)
+
+
+def _way(people: Pedestrians, look_x: Array, look_y: Array) -> tuple[Array, Array]:
+    """Where each looks who walks, and (0, 0), for which there is no oncoming, for standing members of groups."""
+    walks = people.group < 0
+    return jnp.where(walks, look_x, 0.0), jnp.where(walks, look_y, 0.0)
 
 
 def _yield(parameters: Parameters, fx: Array, fy: Array, heading: Array) -> tuple[Array, Array]:

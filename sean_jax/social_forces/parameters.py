@@ -1,13 +1,13 @@
 """Every constant of the social force model (section IV-D), with unit and source, and the named presets.
 
 A constant is a pytree leaf, so ``jax.grad``, ``jax.vmap`` and sweeps over parameters need no wrapper; only the
-two laws, which differ in form and not in a number, are static. Friction is None where there is none, which costs nothing.
+two laws, which differ in form and not in a number, are static, and friction is None where it shall cost nothing.
 
 Sources: [HM95] Helbing & Molnar, Phys. Rev. E 51, 4282 (1995). [J07] Johansson, Helbing & Shukla, Adv. Complex
 Syst. 10, 271 (2007), the elliptical specification II fitted to video. [S2] SEAN 2.0's published code
 (yale-sean/social_sim_unity, SFAgent.cs and Parameters.cs), forces divided by its body mass of 80 kg. [M09]
-Moussaid et al., Proc. R. Soc. B 276, 2755 (2009). [M10] Moussaid et al., PLoS ONE 5, e10047 (2010). [H00] Helbing, Farkas & Vicsek, Nature 407, 487
-(2000). [K90] Kendon, Conducting Interaction (1990).
+Moussaid et al., Proc. R. Soc. B 276, 2755 (2009). [M10] Moussaid et al., PLoS ONE 5, e10047 (2010). [H00] Helbing,
+Farkas & Vicsek, Nature 407, 487 (2000). [K90] Kendon, Conducting Interaction (1990).
 """
 
 import difflib

@@ -45,9 +45,7 @@ def circular(dx: Array, dy: Array, wx: Array, wy: Array, vx: Array, vy: Array, p
     return push * dx, push * dy
 
 
-def contact(
-    dx: Array, dy: Array, wx: Array, wy: Array, vx: Array, vy: Array, apart: Array, parameters: Any
-) -> tuple:
+def contact(dx: Array, dy: Array, wx: Array, wy: Array, vx: Array, vy: Array, apart: Array, parameters: Any) -> tuple:
     """Push [m/s2] of a touching body: of two discs that touch at ``apart`` [m], in proportion to their overlap g.
 
     Helbing, Farkas & Vicsek (2000): the body force k g n and, if ``friction`` is not None, the sliding friction

@@ -38,10 +38,10 @@ def keep_out(
     exact at the inner corner of two walls and leads out a body that is inside (a negative gap). Where that violates
     another bound, as in an acute corner, the velocity is shortened until it does not.
 
-    ``rub`` [s/m] is kappa / k of Helbing, Farkas & Vicsek (2000), None without friction. This guarantee stands for
-    their body force k g of an overlap g: a push that takes away n . v = u within the step stands for k g = u / time_step,
-    so that their friction kappa g is rub u / time_step, of which one implicit step divides the speed along the wall by
-    1 + rub u: it stops nobody, whatever the step.
+    ``rub`` [s/m] is kappa / k of Helbing, Farkas & Vicsek (2000), None without friction. The guarantee takes the place
+    of their body force k g at walls: where it takes away n . v = u in a step, it has pushed with u / time_step, so
+    their friction kappa g is rub u / time_step. An implicit step of it divides the speed along the wall by 1 + rub u,
+    which turns nobody round, however long the step.
     """
     excess = jnp.maximum(-gap / time_step - (nx * vx[:, None] + ny * vy[:, None]), 0.0)
     x, y = sum_vectors(excess * nx, excess * ny, 1)
