@@ -200,7 +200,10 @@ def test_robot_pushes_like_a_person_but_farther_when_it_moves():
     np.testing.assert_allclose(push(0.05), person(0.05), rtol=1e-3, atol=1e-5)
     motion = jnp.full((3,), 0.3), jnp.full((3,), 0.4)
     apart = (people.position - 0.1).T
-    side = np.stack(jax.jit(repulsion.sidestep)(*apart, *motion, *people.velocity.T, *look, parameters), -1)
+    side = np.stack(
+        jax.jit(repulsion.sidestep)(*apart, *motion, *people.velocity.T, *look, parameters.side_preference, parameters),
+        -1,
+    )
     farther = (person(0.5) - side) * np.exp(extra / 3.22)[:, None] + side
     np.testing.assert_allclose(push(0.5), farther, rtol=1e-3, atol=1e-5)
 

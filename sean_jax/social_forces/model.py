@@ -86,11 +86,11 @@ def pair_forces(
     nobody.
     """
 
-    def pair(px, py, vx, vy, hx, hy, way_x, way_y, group, qx, qy, wx, wy, other_group):
+    def pair(px, py, vx, vy, hx, hy, side, group, qx, qy, wx, wy, other_group):
         dx, dy = px - qx, py - qy
         fx, fy = parameters.repulsion(dx, dy, wx, wy, vx, vy, parameters)
         weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
-        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, way_x, way_y, parameters)
+        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, side, parameters)
         bx, by = contact(dx, dy, wx, wy, vx, vy, 2.0 * parameters.radius, parameters)
         dd = dx * dx + dy * dy
         together = (group >= 0) & (group == other_group)
@@ -102,9 +102,9 @@ def pair_forces(
     if parties:
         group = jnp.where((group < 0) & (people.party >= 0), PARTIES + people.party, group)
     group = jnp.where(people.present, group, ABSENT)
-    look = look_x, look_y, *_way(people, look_x, look_y)
-    others = jax.vmap(pair, in_axes=(None,) * 9 + (0,) * 5)
-    return sum_vectors(*jax.vmap(others, in_axes=(0,) * 9 + (None,) * 5)(*one, *look, group, *one, group), 1)
+    own = *one, look_x, look_y, _side(parameters, people), group
+    others = jax.vmap(pair, in_axes=(None,) * 8 + (0,) * 5)
+    return sum_vectors(*jax.vmap(others, in_axes=(0,) * 8 + (None,) * 5)(*own, *one, group), 1)
 
 
 def robot_force(
@@ -117,17 +117,17 @@ def robot_force(
     wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
     moving = jnp.abs(robot.speed) > parameters.robot_moving
 
-    def push(px, py, vx, vy, hx, hy, way_x, way_y, extra):
+    def push(px, py, vx, vy, hx, hy, side, extra):
         dx, dy = px - robot.position[0], py - robot.position[1]
         fx, fy = parameters.repulsion(dx, dy, wx, wy, vx, vy, parameters)
         weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
         weight = weight * jnp.where(moving, jnp.exp(extra / parameters.range), 1.0)
-        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, way_x, way_y, parameters)
+        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, side, parameters)
         bx, by = contact(dx, dy, wx, wy, vx, vy, parameters.radius + radius, parameters)
         return weight * fx + sx + bx, weight * fy + sy + by
 
     one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
-    return jax.vmap(push)(*one, look_x, look_y, *_way(people, look_x, look_y), people.robot_distance)
+    return jax.vmap(push)(*one, look_x, look_y, _side(parameters, people), people.robot_distance)
 
 
 def group_forces(parameters: Parameters, people: Pedestrians, groups: Groups) -> tuple[Array, Array]:
@@ -156,10 +156,9 @@ def _look(people: Pedestrians) -> tuple[Array, Array]:
     return jnp.where(standing, people.heading[:, 0], x), jnp.where(standing, people.heading[:, 1], y)
 
 
-def _way(people: Pedestrians, look_x: Array, look_y: Array) -> tuple[Array, Array]:
-    """Where each looks who walks, and (0, 0), for which there is no oncoming, for standing members of groups."""
-    walks = people.group < 0
-    return jnp.where(walks, look_x, 0.0), jnp.where(walks, look_y, 0.0)
+def _side(parameters: Parameters, people: Pedestrians) -> Array:
+    """(N,) m/s2: the side preference, of which standing members of groups have none."""
+    return jnp.where(people.group < 0, parameters.side_preference, 0.0)
 
 
 def _yield(parameters: Parameters, fx: Array, fy: Array, heading: Array) -> tuple[Array, Array]:
