@@ -106,6 +106,7 @@ def scene(*people, start_group=-1, goal_group=-1, goal=(9.0, 0.0)) -> Moment:
         heading=jnp.asarray(facing),
         desired_velocity=jnp.zeros((number, 2)),
         group=jnp.asarray(groups, jnp.int32),
+        party=jnp.full(number, -1),
         present=jnp.ones(number, bool),
         preferred_speed=jnp.ones(number),
         robot_distance=jnp.zeros(number),

@@ -16,6 +16,7 @@ PERSON_CLEARANCE = 0.25  # m: people's paths stand off from obstacles by a body 
 OPTIONS_OF = {
     "paths": (("graph",), "no graph"),
     "spreading": (("graph",), "no graph"),
+    "parties": (("graph", "random"), "people whose ways are laid down"),
     "recording": (("playback",), "none"),
     "frame_rate": (("playback",), "none"),
     "handcrafted": (("handcrafted",), "no sets"),
@@ -46,6 +47,8 @@ def make(
     goal: tuple[float, ...] | None = None,
     situations: str | Mapping[str, Callable] = "paper",
     thresholds: classifiers.Thresholds | None = None,
+    parties: tuple[float, float] = (0.0, 0.0),
+    substeps: int | None = None,
 ) -> Scenario:
     """A scenario (section IV-B) from the names of its parts.
 
@@ -74,6 +77,9 @@ def make(
         goal: likewise.
         situations: that are classified: a key of ``classifiers.SITUATION_SETS``, or a dict of them (see base.Scenario).
         thresholds: of the situation classifiers; those of the set if None, else the paper's.
+        parties: shares of the people who walk in pairs and in triples, rounded down to whole parties.
+        substeps: of the social forces in a step of control; as many as their stiffness needs if None
+            (``social_forces.longest_step``: 0.05 s, less for stiff bodies).
 
     Raises:
         ValueError: one sentence that names the value and the cure.
@@ -87,9 +93,14 @@ def make(
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     walking = _navigation(folder, PERSON_CLEARANCE)
     driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius)
-    options = dict(
-        paths=paths, spreading=spreading, recording=recording, frame_rate=frame_rate, handcrafted=handcrafted
-    )
+    options = {
+        "paths": paths,
+        "spreading": spreading,
+        "parties": None if tuple(parties) == (0.0, 0.0) else tuple(parties),
+        "recording": recording,
+        "frame_rate": frame_rate,
+        "handcrafted": handcrafted,
+    }
     directed, count = _behavior(behavior, folder, scene, walking, people, time_step, options)
     scenario = Scenario(
         environment=scene,
@@ -108,6 +119,7 @@ def make(
         time_step=time_step,
         time_limit=time_limit,
         people=count,
+        substeps=_substeps(substeps, parameters, time_step),
         task_name=task,
     )
     if task == "handcrafted":
@@ -137,15 +149,17 @@ def _behavior(name, folder, scene, walking, people, time_step, options) -> tuple
     """The behavior and the number of people: as many as are recorded at once, as the largest set has, or as asked."""
     for option, (owners, has) in OPTIONS_OF.items():
         if options[option] is not None and name not in owners:
-            raise ValueError(f"{option}: behavior '{name}' has {has}; choose behavior '{"' or '".join(owners)}'.")
+            choices = " or ".join(f"'{owner}'" for owner in owners)
+            raise ValueError(f"{option}: behavior '{name}' has {has}; choose behavior {choices}.")
     build, here = behaviors.BEHAVIORS[name], (folder, scene, walking)
     if name == "handcrafted":
         return _handcrafted(here, people, options["handcrafted"])
     if name == "playback":
         return _playback(here, people, options["recording"], options["frame_rate"], time_step)
     count = environments.default_people(folder) if people is None else people
-    of_graph = options["paths"] or "whole", options["spreading"] or 0.0
-    return build(*here, count, *{"graph": of_graph}.get(name, ())), count
+    shares = options["parties"] or (0.0, 0.0)
+    further = {"graph": (options["paths"] or "whole", options["spreading"] or 0.0, shares), "random": (shares,)}
+    return build(*here, count, *further.get(name, ())), count
 
 
 def _playback(here, people, recording, frame_rate, time_step) -> tuple[Behavior, int]:
@@ -186,6 +200,14 @@ def _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time
         raise ValueError(f"hold_time: {hold_time} must not be negative.")
     if not 0 <= task_distance[0] < task_distance[1]:
         raise ValueError(f"task_distance: {task_distance} must be a least and a greater distance in metres.")
+
+
+def _substeps(substeps: int | None, parameters: social_forces.Parameters, time_step: float) -> int:
+    if substeps is None:
+        return social_forces.substeps(parameters, time_step)
+    if substeps < 1:
+        raise ValueError(f"substeps: {substeps} is too few; give 1 or more.")
+    return substeps
 
 
 def _check_task(task: str, behavior: str) -> None:

@@ -122,7 +122,7 @@ def line_up(scenario, key):
     ahead = still + jnp.array([[1.0, 0.0]], jnp.float32)
     nobody, there = jnp.full(number, -1, jnp.int32), jnp.ones(number, bool)
     chosen = jax.random.choice(key, scenario.behavior.data, (number,), replace=False)
-    return Pedestrians(chosen, still, ahead, still, nobody, there, speed, distance), no_groups(), ()
+    return Pedestrians(chosen, still, ahead, still, nobody, nobody, there, speed, distance), no_groups(), ()
 
 
 def march(scenario, state, key):
@@ -266,8 +266,9 @@ def test_a_force_pushes(scenario):
     """Two who stand 1 m apart are pushed by A B^2 / d^2 each, where they see each other."""
     facing = jnp.array([[1.0, 0.0], [-1.0, 0.0]], jnp.float32)
     still, both = jnp.zeros((2, 2), jnp.float32), jnp.ones(2, jnp.float32)
+    alone = jnp.full(2, -1, jnp.int32)
     people = Pedestrians(jnp.array([[0.0, 0.0], [1.0, 0.0]], jnp.float32), still, facing, still,
-                         jnp.full(2, -1, jnp.int32), jnp.ones(2, bool), both, both)  # fmt: skip
+                         alone, alone, jnp.ones(2, bool), both, both)  # fmt: skip
     forces = scenario.forces.replace(repulsion=magnetic, side_preference=jnp.zeros(()), reversing=jnp.ones(()))
     after = jax.jit(lambda people: social_forces.advance(forces, people, None, None, None, 0.01))(people)
     push = float(forces.strength * forces.range**2)

@@ -57,13 +57,13 @@ def test_people_without_a_goal_take_empty_seats_first(scenario):
     )
     chance = jnp.linspace(0.0, 0.999, people, dtype=jnp.float32)
     free = jnp.ones(people, bool)
-    given = graph_goals.assign(graph, memory, free, chance)
+    given = graph_goals.assign(graph, memory, free, chance, jnp.ones_like(free))
     assert np.asarray(given.seat).tolist() == [*range(seats), *[-1] * (people - seats)]
     goals = np.asarray(given.goal)
     assert (goals[:seats] == np.asarray(graph.groups)[np.asarray(graph.seat_group)]).all()
     assert np.isin(goals[seats:], np.asarray(graph.waypoints)).all() and (goals[seats:] != int(at[0])).all()
     # with all seats taken, everybody else goes to a waypoint, all of which but one's own are drawn
-    others = graph_goals.assign(graph, given, free & (given.seat < 0), chance)
+    others = graph_goals.assign(graph, given, free & (given.seat < 0), chance, jnp.ones_like(free))
     assert np.asarray(others.seat).tolist() == np.asarray(given.seat).tolist()
 
 
@@ -76,7 +76,7 @@ def test_waypoint_goals_are_drawn_uniformly_from_all_but_the_own(scenario):
         at, at, at, jnp.zeros((people, 2)), taken, jnp.zeros(people), jnp.zeros((11, 2)), jnp.zeros((11, 2))
     )
     chance = jax.random.uniform(jax.random.key(0), (people,), jnp.float32)
-    goals = np.asarray(graph_goals.assign(graph, memory, taken < 0, chance).goal)[11:]
+    goals = np.asarray(graph_goals.assign(graph, memory, taken < 0, chance, jnp.ones(people, bool)).goal)[11:]
     counts = np.bincount(goals, minlength=15)
     assert counts[own] == 0
     others = counts[np.setdiff1d(np.asarray(graph.waypoints), own)]

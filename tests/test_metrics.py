@@ -32,6 +32,7 @@ def at(tick=0, position=(0, 0), velocity=(0, 0), people=(), situations=(), goal=
         heading=np.ones((PEOPLE, 2), np.float32),
         desired_velocity=np.zeros((PEOPLE, 2), np.float32),
         group=np.full(PEOPLE, -1, np.int32),
+        party=np.full(PEOPLE, -1, np.int32),
         present=np.arange(PEOPLE) < len(people),
         preferred_speed=np.ones(PEOPLE, np.float32),
         robot_distance=np.zeros(PEOPLE, np.float32),

@@ -17,7 +17,7 @@ from flax import struct
 
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Environment, Groups, Pedestrians, Scenario, State
-from sean_jax.behaviors import graph_goals, starts
+from sean_jax.behaviors import graph_goals, parties, starts
 from sean_jax.behaviors.graph_goals import ARRIVED, Memory, of_seat
 from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph, annotation
@@ -41,6 +41,8 @@ class Tables:
     start_node: Array  # (P,) int32, the node of each
     start_weight: Array  # (P,) log of the chance
     spreading: Array | None  # () m2, how much dearer crowded edges are; None: not at all
+    clumps: Array  # (C, 3) int32 starts beside one another, for parties
+    together: parties.Parties = struct.field(pytree_node=False)  # how many
 
 
 def build(
@@ -50,14 +52,16 @@ def build(
     people: int,
     choice: str = "whole",
     spreading: float = 0.0,
+    shares: tuple[float, float] = (0.0, 0.0),
 ) -> Behavior:
     """People walk, gather and disperse on the Behavior Graph of the environment.
 
     The graph is that of graph.yaml in the folder, ``choice`` a key of ``PATHS``. ``spreading`` [m2] is by how much of
-    its cost an edge gets dearer for each person per m2 on it.
+    its cost an edge gets dearer for each person per m2 on it. These shares of the people walk in pairs and in triples,
+    from waypoint to waypoint: parties take no seats.
 
     Raises:
-        ValueError: the annotation has a mistake, or so many people do not fit.
+        ValueError: the annotation has a mistake, or so many people or parties do not fit.
     """
     file = folder / "graph.yaml"
     if not file.is_file():
@@ -65,7 +69,8 @@ def build(
     graph = annotation.read(file, environment)
     avoid = [(graph.position[node], reach(int(graph.capacity[node])) + 0.6) for node in np.asarray(graph.groups)]
     start, node = starts.places(environment, navigation, graph.position, graph.radius, graph.spawn, avoid)
-    most = len(start) + graph.seat_group.shape[0]
+    groups = parties.parties(people, shares)
+    most = len(start) + min(graph.seat_group.shape[0], people - groups.members)
     if people > most:
         raise ValueError(f"people: {people} do not fit on the graph of {environment.name}; the most that do is {most}.")
     weight = np.asarray(graph.spawn)[node] / np.bincount(node, minlength=len(graph.spawn))[node]
@@ -79,8 +84,10 @@ def build(
         start_node=jnp.asarray(node, jnp.int32),
         start_weight=jnp.asarray(np.log(weight), jnp.float32),
         spreading=jnp.asarray(spreading, jnp.float32) if spreading else None,
+        clumps=jnp.asarray(parties.clumps(navigation, start, groups)),
+        together=groups,
     )
-    return Behavior(data=tables, name="graph", reset=reset, direct=PATHS[choice])
+    return Behavior(data=tables, name="graph", reset=reset, direct=PATHS[choice], companions=groups.companions(people))
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
@@ -92,9 +99,10 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     seat_position, seat_heading, radius, opening = formation(
         form_key, graph.capacity[graph.groups], center, graph.seat_group
     )
-    seated = min(people, graph.seat_group.shape[0])
+    seated = min(people - tables.together.members, graph.seat_group.shape[0])
     chance = tables.start_weight + jax.random.gumbel(place_key, tables.start_weight.shape, jnp.float32)
-    chosen = jax.lax.top_k(chance, people - seated)[1]
+    chosen = parties.places(chance, tables.clumps, people - seated, tables.together)
+    party = parties.leaders(scenario.behavior.companions, people)
     angle = jax.random.uniform(turn_key, (people - seated,), jnp.float32, 0.0, 2 * jnp.pi)
     facing = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
     position = jnp.concatenate([seat_position[:seated], tables.start[chosen]])
@@ -110,8 +118,9 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         heading=jnp.concatenate([seat_heading[:seated], facing]),
         desired_velocity=jnp.zeros_like(position),
         group=jnp.where(seat >= 0, of_seat(graph.seat_group, seat), -1),
+        party=party,
         present=jnp.ones(people, bool),
-        preferred_speed=preferred_speed,
+        preferred_speed=parties.speeds(scenario, party, preferred_speed),
         robot_distance=robot_distance,
     )
     groups = Groups(center=center, radius=radius, opening=opening, present=jnp.ones(radius.shape, bool))
@@ -144,10 +153,16 @@ def _directed(choose: Callable, scenario: Scenario, state: State, key: Array) ->
     chance = jax.random.uniform(key, (3, scenario.people), jnp.float32)
     memory, free = _stay_or_leave(scenario, people, memory, graph, chance[0])
     memory = choose(graph, people, memory, free, chance[1:])
+    if scenario.behavior.companions is not None:
+        led = parties.follow(people.party, memory.goal, memory.hop, memory.origin, memory.target)
+        memory = memory._replace(goal=led[0], hop=led[1], origin=led[2], target=led[3])
+    desired_velocity = _desired_velocity(tables, people, memory)
+    if scenario.behavior.companions is not None:
+        desired_velocity = parties.abreast(people, desired_velocity)
     standing = memory.stay > 0.0
     people = replace(
         people,
-        desired_velocity=_desired_velocity(tables, people, memory),
+        desired_velocity=desired_velocity,
         group=jnp.where(standing, of_seat(graph.seat_group, memory.seat), -1),
         heading=jnp.where(standing[:, None], of_seat(memory.seat_heading, memory.seat), people.heading),
     )

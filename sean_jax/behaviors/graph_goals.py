@@ -35,9 +35,10 @@ def whole(graph: BehaviorGraph, people: Pedestrians, memory: Memory, free: Array
     ``free`` (N,) bool are without a goal, ``chance`` (2, N) is uniform. A seat is held from afar; somebody much nearer
     who passes a node takes it over, and who loses it goes on to a waypoint node instead.
     """
-    memory = assign(graph, memory, free, chance[0])
+    alone = people.party < 0  # parties take no seats
+    memory = assign(graph, memory, free, chance[0], alone)
     onward = free | _passes(people, memory)
-    memory = hand_over(graph, people, memory, onward, chance[0])
+    memory = hand_over(graph, people, memory, onward & alone, chance[0])
     return _set_out(graph, memory, onward, chance[1])
 
 
@@ -58,7 +59,7 @@ def edge(graph: BehaviorGraph, people: Pedestrians, memory: Memory, free: Array,
         lack = jnp.sum(of_group & empty[:, None], axis=0, dtype=jnp.int32)
         neediest = jnp.argmax(lack).astype(jnp.int32)
         node = graph.groups[neediest]
-        wants = onward & (lack[neediest] > 0) & (memory.hop != node)
+        wants = onward & (people.party < 0) & (lack[neediest] > 0) & (memory.hop != node)
         near = wants & (graph.next_hop[memory.hop, node] == node)
         offered = empty & (graph.seat_group == neediest)
         given, which = _in_turn(near, offered)
@@ -75,12 +76,13 @@ def of_seat(values: Array, seat: Array) -> Array:
     return values[jnp.maximum(seat, 0)]
 
 
-def assign(graph: BehaviorGraph, memory: Memory, free: Array, chance: Array) -> Memory:
+def assign(graph: BehaviorGraph, memory: Memory, free: Array, chance: Array, alone: Array) -> Memory:
     """A goal for everybody without one: the empty seats one after the other, then random waypoint nodes.
 
-    Whoever leaves a seat now goes to a waypoint, so that nobody turns on the spot to sit down again.
+    Whoever leaves a seat now goes to a waypoint, so that nobody turns on the spot to sit down again; so does who does
+    not walk ``alone`` (N,).
     """
-    given, which = _in_turn(free & (memory.seat < 0), ~_taken(memory, graph.seat_group.shape[0]))
+    given, which = _in_turn(free & alone & (memory.seat < 0), ~_taken(memory, graph.seat_group.shape[0]))
     seat = jnp.where(given, which, jnp.where(free, -1, memory.seat))
     goal = jnp.where(given, of_seat(graph.seat_node, seat), _other_waypoint(graph, memory.hop, chance))
     return memory._replace(seat=seat, goal=jnp.where(free, goal, memory.goal))

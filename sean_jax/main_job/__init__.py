@@ -60,6 +60,7 @@ def _scenarios(options: Options) -> list[Scenario]:
             task=options.tasks[0],
             robot=options.robot,
             people=options.people,
+            parties=options.parties,
             model=options.model,
             forces=options.forces,
             dynamics=options.dynamics,

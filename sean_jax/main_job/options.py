@@ -42,6 +42,8 @@ class Options:
     """Who drives the robot."""
     people: int | None = None
     """Number of people; the environment's own number by default (62 in the warehouse)."""
+    parties: tuple[float, float] = (0.0, 0.0)
+    """Shares of the people who walk in pairs and in triples."""
     model: str = "social_forces"
     """How people move."""
     forces: str = "helbing1995"
