@@ -153,27 +153,27 @@ def _behavior(name, folder, scene, walking, people, time_step, options) -> tuple
             raise ValueError(f"{option}: behavior '{name}' has {has}; choose behavior {choices}.")
     build, here = behaviors.BEHAVIORS[name], (folder, scene, walking)
     if name == "handcrafted":
-        return _handcrafted(here, people, options["handcrafted"])
+        return _handcrafted(*here, people, options["handcrafted"])
     if name == "playback":
-        return _playback(here, people, options["recording"], options["frame_rate"], time_step)
+        return _playback(*here, people, options["recording"], options["frame_rate"], time_step)
     count = environments.default_people(folder) if people is None else people
     shares = options["parties"] or (0.0, 0.0)
     further = {"graph": (options["paths"] or "whole", options["spreading"] or 0.0, shares), "random": (shares,)}
     return build(*here, count, *further.get(name, ())), count
 
 
-def _playback(here, people, recording, frame_rate, time_step) -> tuple[Behavior, int]:
+def _playback(folder, scene, walking, people, recording, frame_rate, time_step) -> tuple[Behavior, int]:
     rate = behaviors.playback.FRAME_RATE if frame_rate is None else frame_rate
-    directed = behaviors.playback.build(*here, 0, recording, rate, time_step)
+    directed = behaviors.playback.build(folder, scene, walking, 0, recording, rate, time_step)
     count = behaviors.playback.most_people(directed)
     if people not in (None, count):
         raise ValueError(f"people: {people}, but {count} are there at once in the recording; leave people out.")
     return directed, count
 
 
-def _handcrafted(here, people, handcrafted) -> tuple[Behavior, int]:
+def _handcrafted(folder, scene, walking, people, handcrafted) -> tuple[Behavior, int]:
     chosen = behaviors.handcrafted_behavior.annotation.ALL if handcrafted is None else handcrafted
-    directed = behaviors.handcrafted_behavior.build(*here, 0, chosen)
+    directed = behaviors.handcrafted_behavior.build(folder, scene, walking, 0, chosen)
     if people is not None:
         raise ValueError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
     return directed, behaviors.handcrafted_behavior.most_people(directed)
