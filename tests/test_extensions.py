@@ -277,8 +277,9 @@ def test_a_force_pushes(scenario):
 def test_a_robot_an_environment_a_behavior_and_a_model_by_name_and_path(files, added):
     """The robot by its twin, which compiles sooner; `sean run` below has it in MJX."""
     yard, puck = files
-    named = dict(behavior="parade", task="to_first_place", model="glide")
-    mine = sean_jax.make(yard, robot=puck, people=4, dynamics="twin", **named)
+    mine = sean_jax.make(
+        yard, behavior="parade", task="to_first_place", robot=puck, model="glide", people=4, dynamics="twin"
+    )
     assert mine.environment.name == "yard" and mine.robot.name == "puck" and mine.move is glide
     quick = dataclasses.replace(mine, metrics=mine.metrics[-1:])
     last, frames = jax.jit(lambda key: sean_jax.rollout(quick, dance, key, 20))(jax.random.key(0))
