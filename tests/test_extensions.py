@@ -276,9 +276,11 @@ def test_a_force_pushes(scenario):
 
 
 def test_a_robot_an_environment_a_behavior_and_a_model_by_name_and_path(files, added):
-    """And the robot by MJX, which is the default."""
+    """The robot by its twin, which compiles sooner; `sean run` below has it in MJX."""
     yard, puck = files
-    mine = sean_jax.make(yard, behavior="parade", task="to_first_place", robot=puck, model="glide", people=4)
+    mine = sean_jax.make(
+        yard, behavior="parade", task="to_first_place", robot=puck, model="glide", people=4, dynamics="twin"
+    )
     assert mine.environment.name == "yard" and mine.robot.name == "puck" and mine.move is glide
     quick = dataclasses.replace(mine, metrics=mine.metrics[-1:])
     last, frames = jax.jit(lambda key: sean_jax.rollout(quick, dance, key, 20))(jax.random.key(0))
