@@ -1,8 +1,9 @@
 """Scenarios spread over devices: one CPU, some GPUs, or those of many hosts, with the same code.
 
 The mesh has one axis, ``scenarios``. What a scenario draws comes from its number alone, so it does not depend on how
-many devices or hosts there are. Scenarios never speak to one another: each device runs its share by itself, and loops
-whose length depends on the data (rays) are as long as its own share needs.
+many devices or hosts there are. Scenarios never speak to one another, so all that devices ever exchange is whether a
+loop of rays is over. (``shard_map``, which would spare that, makes XLA crash while it compiles for two GPUs: seen with
+jax 0.11.2.)
 """
 
 from collections.abc import Callable, Sequence
@@ -37,14 +38,25 @@ def keys(over: Mesh, key: Array, number: int) -> Array:
     return draw(key)
 
 
+def everywhere(over: Mesh, tree: Any) -> Any:
+    """A scenario, or any other arrays, on every device of the mesh: what ``spread`` wants as the fixed argument."""
+    return jax.device_put(tree, NamedSharding(over, PartitionSpec()))
+
+
 def spread(over: Mesh, function: Callable, donate: bool = False) -> Callable:
-    """``jit(vmap(function))`` with the leading axis of every argument and result split over the devices.
+    """``jit(vmap(function))`` over all arguments but the first, whose leading axis is split over the devices.
 
     Args:
-        function: of one scenario's arrays, such as ``lambda key: rollout(scenario, policy, key, 100)``. What it closes
-            over, the scenario say, is on every device.
-        donate: the memory of the arguments is used for the results, as in ``states = step(states)``.
+        function: ``(fixed, ...)``, such as ``lambda scenario, key: rollout(scenario, policy, key, 100)``. The fixed
+            argument is one that was put ``everywhere``; the others are those of one scenario, as are the results.
+        donate: the memory of all but the first is used for the results, as in ``states = step(scenario, states)``.
     """
-    share = PartitionSpec(AXIS)
-    on_each = jax.shard_map(jax.vmap(function), mesh=over, in_specs=share, out_specs=share, check_vma=False)
-    return jax.jit(on_each, donate_argnums=(0,) if donate else ())
+
+    split, whole = NamedSharding(over, PartitionSpec(AXIS)), NamedSharding(over, PartitionSpec())
+
+    def on_all(fixed: Any, others: tuple) -> Any:
+        return jax.vmap(function, (None, *(0 for _ in others)))(fixed, *others)
+
+    donated = {"donate_argnums": (1,)} if donate else {}
+    run = jax.jit(on_all, in_shardings=(whole, split), out_shardings=split, **donated)
+    return lambda fixed, *others: run(fixed, others)

@@ -26,8 +26,8 @@ from sean_jax import devices
 from sean_jax.policies import go_to_goal
 scenario = sean_jax.make("lab", people=4, dynamics="twin")
 over = devices.mesh()
-run = devices.spread(over, lambda key: sean_jax.rollout(scenario, go_to_goal, key, 20)[0].pedestrians.position)
-found = run(devices.keys(over, jax.random.key(3), 8))
+run = devices.spread(over, lambda fixed, key: sean_jax.rollout(fixed, go_to_goal, key, 20)[0].pedestrians.position)
+found = run(devices.everywhere(over, scenario), devices.keys(over, jax.random.key(3), 8))
 mine = {str(part.index[0].start or 0): np.asarray(part.data).tolist() for part in found.addressable_shards}
 print(json.dumps({"devices": over.size, "shards": mine}))
 """
