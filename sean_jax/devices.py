@@ -57,6 +57,6 @@ def spread(over: Mesh, function: Callable, donate: bool = False) -> Callable:
     def on_all(fixed: Any, others: tuple) -> Any:
         return jax.vmap(function, (None, *(0 for _ in others)))(fixed, *others)
 
-    donated = {"donate_argnums": (1,)} if donate else {}
-    run = jax.jit(on_all, in_shardings=(whole, split), out_shardings=split, **donated)
+    given = (1,) if donate else ()
+    run = jax.jit(on_all, in_shardings=(whole, split), out_shardings=split, donate_argnums=given)
     return lambda fixed, *others: run(fixed, others)
