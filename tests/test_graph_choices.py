@@ -144,6 +144,7 @@ def choosers(scenario):
     graph = scenario.behavior.data.graph
     nobody = jax.eval_shape(functools.partial(sean_jax.reset, scenario), jax.random.key(0)).pedestrians
     nobody = jax.tree.map(lambda leaf: jnp.zeros((12, *leaf.shape[1:]), leaf.dtype), nobody)
+    nobody = dataclasses.replace(nobody, party=jnp.full(12, -1, jnp.int32))
 
     def at(hop, seat) -> graph_goals.Memory:
         hop, seat = jnp.asarray(hop, jnp.int32), jnp.asarray(seat, jnp.int32)
@@ -311,12 +312,12 @@ def test_spreading_lowers_the_peak_of_congestion(hall):
             halves = sean_jax.congestion(scenario, frames, span=20.0, cells=(2, 11)).density[1:, :, 3:8]
             return halves.mean(-1), crowd(memory.origin, memory.hop)[200:].max()
 
-        return jax.vmap(one)(jax.random.split(jax.random.key(0), 4))
+        return jax.vmap(one)(jax.random.split(jax.random.key(0), 8))
 
     (halves, peak), (even, lower) = (jax.tree.map(np.asarray, measured(jnp.float32(value))) for value in (0.0, 20.0))
     south, share = (density[..., 0].mean() / density.sum(-1).mean() for density in (halves, even))
     assert south < 0.42 < share < 0.54
-    assert lower.mean() < 0.85 * peak.mean()  # people per m2 on the fullest edge, at the worst moment
+    assert lower.mean() < 0.9 * peak.mean()  # people per m2 on the fullest edge, at the worst moment
     assert even.max(-1).mean() < 0.95 * halves.max(-1).mean()
 
 

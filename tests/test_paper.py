@@ -506,7 +506,7 @@ def test_4e_group_tasks_need_the_graph_and_all_others_any_behavior(at_random):
 def test_4e_a_task_makes_its_situation_likely_but_only_the_propositions_decide(scenario, joining):
     _, _, frames, _ = joining
     join = frames.situations[..., NAMES.index("join_group")]
-    assert join.any(1).sum() >= KEYS - 1 and not join.all(1).any()
+    assert join.any(1).mean() > 0.5 and not join.all(1).any()
     assert not join[np.linalg.norm(frames.position - frames.goal, axis=-1) < 0.19].any()
     assert not frames.situations[..., NAMES.index("leave_group")].any()
 
