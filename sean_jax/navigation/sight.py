@@ -27,20 +27,22 @@ def sees_each(boxes: Obstacles, place: Array, x: Array, y: Array, radius: Array 
     return ~hit.any(0)  # over the first axis: several times faster on a CPU than over the last
 
 
-def led_out(boxes: Obstacles, spot: Array, radius: Array | float) -> tuple[Array, Array]:
-    """(2,) [m] the spot (2,), led out of the grown boxes if it is inside, and () [m] how near ways from it may pass.
+def led_out(boxes: Obstacles, place: Array, radius: Array | float) -> tuple[Array, Array]:
+    """(2,) [m] the place (2,), led out of the grown boxes if it is inside, and () [m] how near ways from it may pass.
 
-    That is the radius, or less where there is no room for it.
+    That is the radius, or less where there is no room for it. Gradients are those of the place itself.
     """
+    spot = place
     for _ in range(2):
         distance, nx, ny = jax.vmap(from_box, in_axes=(None, None, 0))(spot[0], spot[1], boxes)
         nearest = jnp.argmin(distance)
-        out = jnp.maximum(radius - SLACK - distance[nearest], 0.0)
-        spot = spot + jnp.where(out > 0.0, out + SLACK, 0.0) * jnp.stack([nx[nearest], ny[nearest]])
+        out = jnp.maximum(radius - distance[nearest], 0.0)
+        spot = spot + out * jnp.stack([nx[nearest], ny[nearest]])
     room = jnp.min(jax.vmap(from_box, in_axes=(None, None, 0))(spot[0], spot[1], boxes)[0], initial=jnp.inf)
     near = jnp.maximum(jnp.minimum(radius, room) - SLACK, 0.0)
     # Kept apart, or XLA finds the spot anew for each pair of a point and a box, and compiles for minutes.
-    return jax.lax.optimization_barrier((spot, near))
+    shift, near = jax.lax.optimization_barrier(jax.lax.stop_gradient((spot - place, near)))
+    return place + shift, near
 
 
 def pairs_see(boxes: Obstacles, radius: float, p: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -88,7 +88,7 @@ def _seen(shared: tuple, spot: Array) -> Array:
     boxes, bends, radius = shared
     half = bends.side.shape[0] // 2
     out, near = led_out(boxes, spot, radius)
-    _, _, x, y, on = arcs.tangents(bends, spot, radius, True)
+    _, _, x, y, on = arcs.tangents(bends, out, radius, True)
     x, y = (jnp.where(on[half:], part[half:], part[:half]) for part in (x, y))
     clear = sees_each(boxes, out, x, y, near)
     return on & jnp.concatenate([clear, clear])

@@ -49,7 +49,7 @@ def next_point(navigation: Navigation, position: Array, goal: Array, to_goal: Ar
     goes there, and from there to the next point, walks a path that is at most 1 % longer than the shortest.
     """
     straight, around, first, spot, near = first_bend(navigation, position, goal, to_goal)
-    angle, _, touch, onward = of_one(navigation.bends, first, position, navigation.radius)
+    angle, _, touch, onward = of_one(navigation.bends, first, spot, navigation.radius)
     turn = jnp.clip(to_goal[1, first] - angle, 0.0, 2 * jnp.radians(STRIDE))
     far = touch + jnp.maximum(navigation.radius * jnp.tan(0.5 * turn), LEAST) * onward
     aim = jnp.where(sees(navigation.obstacles, spot, far, near), far, touch + LEAST * onward)
@@ -66,7 +66,7 @@ def first_bend(navigation: Navigation, position: Array, goal: Array, to_goal: Ar
     spot, near = led_out(navigation.obstacles, position, radius)
     end, end_near = led_out(navigation.obstacles, goal, radius)
     straight = sees(navigation.obstacles, spot, end, jnp.minimum(near, end_near))
-    far, angle, x, y, on = tangents(bends, position, radius, True)
+    far, angle, x, y, on = tangents(bends, spot, radius, True)
     total = jnp.where(on & (angle <= to_goal[1] + ANGLE), far - radius * angle + to_goal[0], jnp.inf)
     # Of a corner's two bends only the better can be on the shortest path.
     half = total.shape[0] // 2
@@ -82,10 +82,11 @@ def turning(navigation: Navigation, position: Array, heading: Array, goal: Array
 
     From the position (2,) to the goal (2,) [m], whose ``to_goal`` (2, V) is given; no turning at the goal.
     """
-    straight, around, first, *_ = first_bend(navigation, position, goal, to_goal)
+    bends, radius = navigation.bends, navigation.radius
+    straight, around, first, spot, _ = first_bend(navigation, position, goal, to_goal)
     last = last_bends(navigation, goal)[1][first]
-    enter, _, _, onward = of_one(navigation.bends, first, position, navigation.radius)
-    leave = tangents(navigation.bends, goal, navigation.radius, False)[1][last]
+    enter, _, _, onward = of_one(bends, first, spot, radius)
+    leave = tangents(bends, led_out(navigation.obstacles, goal, radius)[0], radius, False)[1][last]
     directly = straight | ~jnp.isfinite(around)
     begin = jnp.abs(angle_between(heading, jnp.where(directly, goal - position, onward)))
     return begin + jnp.where(directly, 0.0, navigation.turn[first, last] + leave - enter)
@@ -98,7 +99,7 @@ def last_bends(navigation: Navigation, goal: Array) -> tuple[Array, Array, Array
     """
     radius = navigation.radius
     end, near = led_out(navigation.obstacles, goal, radius)
-    far, angle, x, y, on = tangents(navigation.bends, goal, radius, False)
+    far, angle, x, y, on = tangents(navigation.bends, end, radius, False)
     seen = sees_each(navigation.obstacles, end, x, y, near)
     rest = jnp.where(on & seen, far + radius * angle, jnp.inf)
     own = jnp.arange(rest.shape[0], dtype=jnp.int32)
