@@ -86,7 +86,9 @@ class RobotTask:
     start_group: Array  # () int32 index of the group that the start is a member's place of, -1 none
     goal_group: Array  # () int32 likewise for the goal
     geodesic: Array  # () m, length of the shortest path from start to goal
-    to_goal: Array  # (V,) m, length of the shortest path from each via point to the goal
+    to_goal: (
+        Array  # (2, V) shortest paths to the goal from where paths bend: lengths m, and where they leave there, rad
+    )
     turning: Array | None = None  # () rad, rotation along the shortest path from the start's heading; reset fills it in
 
 

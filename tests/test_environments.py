@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import test_navigation as shortest
+import shortest_paths as oracle
 
 import sean_jax
 from sean_jax import environment as environments
@@ -17,7 +17,7 @@ NAMES = environments.available()
 # Whole rollouts take long to compile: the smallest environment stands for all in the quick tests.
 ROLLED_OUT = [name if name == "lab" else pytest.param(name, marks=pytest.mark.slow) for name in NAMES]
 SECONDS = 60
-BODY = 0.2  # m
+BODY, RADIUS = 0.2, 0.25  # m
 
 
 @functools.cache
@@ -63,23 +63,22 @@ def test_a_minute_of_people(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_ways_between_the_nodes_of_the_graph_are_shortest(name):
-    place, radius = environments.load(name), shortest.RADIUS
-    tables, boxes = navigation.build(place, radius), place.obstacles
-    nodes = np.asarray(annotation.read(environments.find(name) / "graph.yaml", place).position, float)
+    place = environments.load(name)
+    tables = navigation.build(place, RADIUS)
+    nodes = np.asarray(annotation.read(environments.find(name) / "graph.yaml", place).position)
     i, j = np.triu_indices(len(nodes), 1)
-    exact = tuple(np.asarray(part, np.float64) for part in (boxes.center, boxes.half_extent, boxes.yaw))
-    truth = shortest.geodesics(shortest.Place(place, tables, exact), nodes[i], nodes[j], arc=2)
-    ends = jnp.asarray(nodes[i], jnp.float32), jnp.asarray(nodes[j], jnp.float32)
-    ours = np.asarray(shortest.lengths(tables, *ends), float)
-    np.testing.assert_allclose(ours, truth, rtol=0.02, atol=0.1)
+    truth = oracle.geodesics(oracle.boxes_of(place), RADIUS, nodes[i].astype(float), nodes[j].astype(float), arc=12)
+    ours = np.asarray(oracle.lengths(tables, nodes[i], nodes[j]), float)
+    np.testing.assert_allclose(ours, truth, rtol=5e-3)
     assert (ours >= np.linalg.norm(nodes[i] - nodes[j], axis=1) - 1e-4).all()
 
 
 def test_large_floors_have_wider_cells():
     """A grid of at most some 100,000 cells, of a multiple of a quarter of a metre."""
-    outdoor = navigation.build(environments.load("outdoor"), shortest.RADIUS)
+    outdoor = navigation.build(environments.load("outdoor"), RADIUS)
     assert float(outdoor.cell) == 0.5 and outdoor.visible.shape[:2] == (198, 304)
-    first, _ = navigation.towards(outdoor, outdoor.via[:2])
-    assert first.shape == (396, 608, 2)  # what people look up stays at a quarter
-    lab = navigation.build(environments.load("lab"), shortest.RADIUS)
+    ways = navigation.towards(outdoor, outdoor.places[:2])
+    assert ways.first.shape == (396, 608, 2)  # what people look up stays at a quarter
+    assert sum(leaf.nbytes for leaf in jax.tree.leaves((outdoor, ways))) < 100e6
+    lab = navigation.build(environments.load("lab"), RADIUS)
     assert float(lab.cell) == navigation.CELL and lab.visible.shape[:2] == (44, 26)

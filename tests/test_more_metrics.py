@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
-import networkx
 import numpy as np
 import pytest
+import shortest_paths as oracle
 from test_metrics import ROBOT_RADIUS, SITUATIONS, STEP, along, at, measure, wander
 from test_metrics import as_moment as of_wander
 
@@ -233,39 +233,21 @@ def test_random_moments_vmap_equals_a_loop_and_nothing_depends_on_the_number_of_
 
 
 def test_rotation_of_the_shortest_path_equals_that_of_a_graph_search(scenario):
-    """From the tables' edges by networkx; starts and goals all over the warehouse, straight ways included."""
+    """In float64, over points on the circles about all corners; starts and goals all over the warehouse."""
     tables = scenario.navigation
-    edge, via = np.asarray(tables.edge), np.asarray(tables.via, float)
-    graph = networkx.Graph()
-    graph.add_weighted_edges_from((i, j, edge[i, j]) for i, j in zip(*np.nonzero(np.isfinite(edge)), strict=True))
     places, heading = tables.places[:80].reshape(40, 2, 2), jnp.asarray([0.6, 0.8], jnp.float32)
 
     def by_tables(start, goal):
-        onward = navigation.to_goal(tables, goal)
-        straight = navigation.sees(tables.obstacles, start, goal, tables.radius * navigation.SLIM)
-        seen = jax.vmap(lambda v: navigation.sees(tables.obstacles, v, goal, tables.radius * navigation.SLIM))(
-            tables.via
-        )
-        return (
-            navigation.turning(tables, start, heading, goal, onward),
-            navigation.seen_from(tables, start),
-            seen,
-            straight,
-        )
+        return navigation.turning(tables, start, heading, goal, navigation.to_goal(tables, goal))
 
-    ours, starts, goals, straight = map(np.asarray, jax.jit(jax.vmap(by_tables))(places[:, 0], places[:, 1]))
-    for k, (start, goal) in enumerate(np.asarray(places, float)):
-        if straight[k]:
-            way = [start, goal]
-        else:
-            here = graph.copy()
-            here.add_weighted_edges_from(("start", i, np.hypot(*(via[i] - start))) for i in np.flatnonzero(starts[k]))
-            here.add_weighted_edges_from(("goal", i, np.hypot(*(via[i] - goal))) for i in np.flatnonzero(goals[k]))
-            way = [start, *(via[i] for i in networkx.shortest_path(here, "start", "goal", "weight")[1:-1]), goal]
+    ours = np.asarray(jax.jit(jax.vmap(by_tables))(places[:, 0], places[:, 1]))
+    starts, goals = np.moveaxis(np.asarray(places, float), 1, 0)
+    ways = oracle.shortest(oracle.boxes_of(scenario.environment), float(tables.radius), starts, goals)[1]
+    for k, way in enumerate(ways):
         angles = np.concatenate([[np.arctan2(0.8, 0.6)], np.arctan2(*np.diff(way, axis=0).T[::-1])])
         turns = np.abs((np.diff(angles) + np.pi) % (2 * np.pi) - np.pi)
-        assert ours[k] == pytest.approx(turns.sum(), abs=2e-3), k
-    assert 3 <= straight.sum() <= 37
+        assert ours[k] == pytest.approx(turns.sum(), abs=2e-2), k
+    assert 3 <= sum(len(way) == 2 for way in ways) <= 37  # straight ones
 
 
 def test_an_episode_fills_a_moment_with_all_that_metrics_read(scenario):

@@ -64,7 +64,7 @@ def test_next_points_lead_along_shortest_paths(random_scenario):
 
     def both(spot, goal):
         place, row = navigation.places[goal], tables.to_goal[goal]
-        ahead = random_behavior._ahead(navigation, spot, place, row)
+        ahead = paths.next_point_roughly(navigation, spot, place, row)
         through = jnp.sqrt(((ahead - spot) ** 2).sum()) + paths.geodesic(navigation, ahead, place, row)
         return through, paths.geodesic(navigation, spot, place, row), paths.to_goal(navigation, place)
 

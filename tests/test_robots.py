@@ -452,8 +452,7 @@ def test_robot_wider_than_people_walk_has_its_own_paths(name, radius):
     """They stand off from obstacles by its radius, while people keep theirs."""
     scenario = sean_jax.make("warehouse", robot=name, people=8, dynamics="twin")
     assert float(scenario.navigation.radius) == pytest.approx(radius)
-    for places in (scenario.navigation.via, scenario.navigation.places):
-        assert float(environment.clearance(scenario.environment, places).min()) > radius
+    assert float(environment.clearance(scenario.environment, scenario.navigation.places).min()) > radius
     state = jax.jit(lambda key: sean_jax.reset(scenario, key))(jax.random.key(0))
     assert float(environment.clearance(scenario.environment, state.robot.position[None, :])[0]) > radius
 

@@ -35,8 +35,7 @@ class Tables:
 
     graph: BehaviorGraph
     navigation: paths.Navigation
-    first: Array  # (X, Y, M) int16 via point to head for from a cell towards a node, V for the node itself
-    after: Array  # (V, M) int16 likewise from a via point
+    ways: paths.Towards  # to the nodes
     start: Array  # (P, 2) m, places where somebody can start, none too close to another
     start_node: Array  # (P,) int32, the node of each
     start_weight: Array  # (P,) log of the chance
@@ -74,12 +73,10 @@ def build(
     if people > most:
         raise ValueError(f"people: {people} do not fit on the graph of {environment.name}; the most that do is {most}.")
     weight = np.asarray(graph.spawn)[node] / np.bincount(node, minlength=len(graph.spawn))[node]
-    first, after = paths.towards(navigation, graph.position)
     tables = Tables(
         graph=graph,
         navigation=navigation,
-        first=first,
-        after=after,
+        ways=paths.towards(navigation, graph.position),
         start=jnp.asarray(start, jnp.float32),
         start_node=jnp.asarray(node, jnp.int32),
         start_weight=jnp.asarray(np.log(weight), jnp.float32),
@@ -198,16 +195,7 @@ def _desired_velocity(tables: Tables, people: Pedestrians, memory: Memory) -> Ar
 
 
 def _ahead(tables: Tables, position: Array, target: Array, hop: Array) -> Array:
-    """(2,) m: the target if the way to it is clear, else the next via point on the way to its node."""
+    """(2,) m: the target if the way to it is clear, else ahead on the way to its node."""
     navigation = tables.navigation
-    clear = paths.clear_way(navigation.obstacles, position, target, navigation.radius * paths.SLIM)
-    most = jnp.asarray(tables.first.shape[:2], jnp.int32) - 1
-    cell = jnp.clip(jnp.floor((position - navigation.origin) / paths.CELL).astype(jnp.int32), 0, most)
-    none = navigation.via.shape[0]
-    via = tables.first[cell[0], cell[1], hop].astype(jnp.int32)
-    seen = jnp.minimum(via, none - 1)
-    gap = navigation.via[seen] - position
-    passed = (via < none) & (length(gap[0], gap[1]) < paths.AT)
-    via = jnp.where(passed, tables.after[seen, hop].astype(jnp.int32), via)
-    bend = jnp.where(via < none, navigation.via[jnp.minimum(via, none - 1)], tables.graph.position[hop])
-    return jnp.where(clear, target, bend)
+    clear = paths.sees(navigation.obstacles, position, target, navigation.radius * paths.CLOSE)
+    return jnp.where(clear, target, paths.ahead(navigation, tables.ways, position, hop))

@@ -28,7 +28,7 @@ class Tables:
 
     navigation: paths.Navigation
     start: Array  # (Q, 2) m, places where somebody can start, none too close to another
-    to_goal: Array  # (P, V) m, from each via point to each of the navigation's places; inf where there is no way
+    to_goal: Array  # (P, 2, V) ways from each bend to each of the navigation's places
     clumps: Array  # (C, 3) int32 starts beside one another, for parties
     together: parties.Parties = struct.field(pytree_node=False)  # how many
 
@@ -98,7 +98,7 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     goal = jnp.where(arrived, _draw(tables, key, scenario.people), state.memory.goal)
     if scenario.behavior.companions is not None:
         (goal,) = parties.follow(people.party, goal)
-    ahead = jax.vmap(_ahead, in_axes=(None, 0, 0, 0))(
+    ahead = jax.vmap(paths.next_point_roughly, in_axes=(None, 0, 0, 0))(
         tables.navigation, people.position, places[goal], tables.to_goal[goal]
     )
     gap = ahead - people.position
@@ -117,21 +117,3 @@ def no_groups() -> Groups:
 
 def _draw(tables: Tables, key: Array, people: int) -> Array:
     return jax.random.randint(key, (people,), 0, tables.navigation.places.shape[0], jnp.int32)
-
-
-def _ahead(navigation: paths.Navigation, position: Array, goal: Array, to_goal: Array) -> Array:
-    """(2,) m: the goal if the way to it is clear, else where the shortest way bends next.
-
-    As ``navigation.next_point``, with cheaper tests of what is clear: this is done for everybody at every step.
-    """
-    clear = paths.clear_way(navigation.obstacles, position, goal, navigation.radius * paths.SLIM)
-    gap = navigation.via - position[None, :]
-    distance = length(gap[:, 0], gap[:, 1])
-    way = jnp.where(paths.seen_from(navigation, position), distance + to_goal, jnp.inf)
-    first = jnp.argmin(way)
-    rest = goal - navigation.via[first]
-    last = to_goal[first] <= length(rest[0], rest[1]) + 1e-4
-    after = jnp.argmin(navigation.edge[first] + to_goal)
-    onward = jnp.where(last, goal, navigation.via[after])
-    bend = jnp.where(distance[first] < paths.AT, onward, navigation.via[first])
-    return jnp.where(clear | ~jnp.isfinite(way[first]), goal, bend)

@@ -1,0 +1,25 @@
+"""Shortest paths around obstacles, exact for discs: tables over the bends of grown obstacles, looked up inside jit."""
+
+from sean_jax.navigation.people import CLOSE, Towards, ahead, next_point_roughly, towards
+from sean_jax.navigation.sight import SLACK, sees
+from sean_jax.navigation.tables import CELL, MOST_CELLS, Navigation, build
+from sean_jax.navigation.ways import geodesic, geodesic_roughly, next_point, to_goal, turning
+
+__all__ = [
+    "CELL",
+    "CLOSE",
+    "MOST_CELLS",
+    "SLACK",
+    "Navigation",
+    "Towards",
+    "ahead",
+    "build",
+    "geodesic",
+    "geodesic_roughly",
+    "next_point",
+    "next_point_roughly",
+    "sees",
+    "to_goal",
+    "towards",
+    "turning",
+]
