@@ -6,6 +6,8 @@ is passed, and the part of its quarter that no other obstacle covers. Places on 
 middle, which grows in the direction of travel.
 """
 
+from typing import Any, cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -112,19 +114,20 @@ def find(environment: Environment, radius: float) -> Bends:
     wide = ends[1] - ends[0] > np.sqrt(SLACK / max(radius, SLACK))  # ways over narrower ones may go straight
     where, low, high = where[wide], ends[0][wide], ends[1][wide]
     if len(where) == 0:
-        none = np.zeros(2)
-        return Bends(np.zeros((2, 2)), np.array([[1.0, 0.0]] * 2), np.array([1.0, -1.0]), none + 9.0, none - 9.0)
-    return Bends(
-        corner=np.concatenate([corner[where]] * 2),
-        middle=np.concatenate([middle[where]] * 2),
-        side=np.repeat([1.0, -1.0], len(where)),
-        first=np.concatenate([low, -high]),
-        last=np.concatenate([high, -low]),
-    )
+        corner, middle, where = np.zeros((1, 2)), np.array([[1.0, 0.0]]), np.zeros(1, int)
+        low, high = np.full(1, 9.0), np.full(1, -9.0)  # a bend that no way touches: the tables must not be empty
+    parts = {
+        "corner": np.concatenate([corner[where]] * 2),
+        "middle": np.concatenate([middle[where]] * 2),
+        "side": np.repeat([1.0, -1.0], len(where)),
+        "first": np.concatenate([low, -high]),
+        "last": np.concatenate([high, -low]),
+    }
+    return Bends(**cast(dict[str, Any], parts))  # numpy's float64, until the tables are done
 
 
-def common_tangents(bends: Bends, radius: float) -> tuple[np.ndarray, ...]:
-    """Straight ways from bend to bend that touch both circles, in float64: K of them.
+def common_tangents(bends: Any, radius: float) -> tuple[np.ndarray, ...]:
+    """Straight ways from bend to bend (``Bends`` of numpy arrays) that touch both circles, in float64: K of them.
 
     (K,) int from which, (K,) int to which bend, (K,) m lengths, (K,) and (K,) rad where they leave and where they
     enter, (K, 2) and (K, 2) m the points there. What is in the way is not looked at.

@@ -143,4 +143,4 @@ def _connected(seen: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     )
     part = connected_components(links, directed=False)[1]
     count = np.array([(seen[:, part == label]).any(1).sum() for label in range(part.max() + 1)])
-    return seen[:, part == count.argmax()].any(1)
+    return np.asarray(seen[:, part == count.argmax()].any(1))
