@@ -1,0 +1,87 @@
+"""Bundles of rays that a sensor sends out, in the robot's frame: fixed, so that all scenarios share them (section IV-F).
+
+Rays lie in tiles, neighbours together. A tile knows the sector and the slopes that its rays fill, so that a body
+outside of them is never asked about. Everything here is numpy on the host, and constant inside jit.
+"""
+
+import dataclasses
+
+import numpy as np
+
+WIDEST = np.deg2rad(85.0)  # half of a sector; wider ones keep everything
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rays:
+    """``T`` tiles of ``P`` rays. Lengths in metres, the robot's frame: x ahead, y to the left, z up from the floor."""
+
+    origin: np.ndarray  # (3,) m, where the sensor is
+    offset: np.ndarray | None  # (T, P, 3) m from there to where each ray begins; None: all begin there
+    direction: np.ndarray  # (T, P, 3) unit vectors
+    left: np.ndarray  # (T, 2) inward normal of the sector's left edge; 0 where there is none
+    right: np.ndarray  # (T, 2) and of its right edge
+    lowest: np.ndarray  # (T,) least slope of its rays: rise over run
+    reach: np.ndarray  # (T,) m, farthest that its rays get before they meet the floor, over the ground
+    order: np.ndarray  # (R,) index into (T * P,) of each ray of the sensor, row by row
+
+    @property
+    def tiles(self) -> int:
+        return self.direction.shape[0]
+
+
+def bundle(origin, direction, tile, reach: float, offset=None) -> Rays:
+    """The rays (H, W, 3) of a sensor at ``origin`` (3,) m, in tiles of ``tile`` = (rows, columns).
+
+    ``reach`` [m] is the sensor's. ``offset`` (H, W, 3) m, if given, is where each ray begins, from the origin.
+    """
+    origin, direction = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
+    direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    rows, columns = direction.shape[:2]
+    places = _tiles(rows, columns, tile)  # (T, P) index of the ray
+    flat = direction.reshape(-1, 3)[places]
+    begins = None if offset is None else np.asarray(offset, np.float64).reshape(-1, 3)[places]
+    left, right = _sectors(flat, begins is None)
+    run = np.linalg.norm(flat[..., :2], axis=-1)
+    slope = flat[..., 2] / np.maximum(run, 1e-9)
+    highest = slope.max(1)
+    with np.errstate(divide="ignore"):
+        meets = np.where(highest < 0.0, origin[2] / np.maximum(-highest, 1e-9), np.inf)
+    spread = 0.0 if begins is None else float(np.linalg.norm(begins[..., :2], axis=-1).max())
+    order = np.empty(rows * columns, np.int32)
+    order[places.ravel()] = np.arange(places.size)  # a ray that fills up a tile has the same index as its twin
+    return Rays(
+        origin=origin.astype(np.float32),
+        offset=None if begins is None else begins.astype(np.float32),
+        direction=flat.astype(np.float32),
+        left=left.astype(np.float32),
+        right=right.astype(np.float32),
+        lowest=slope.min(1).astype(np.float32),
+        reach=(np.minimum(meets, reach) + spread).astype(np.float32),
+        order=order,
+    )
+
+
+def _tiles(rows: int, columns: int, tile: tuple[int, int]) -> np.ndarray:
+    """(T, P) indices of rays by tile; where tiles do not come out even, the last row or column is repeated."""
+    height, width = min(tile[0], rows), min(tile[1], columns)
+    down, across = -(-rows // height), -(-columns // width)
+    i = np.minimum(np.arange(down * height), rows - 1).reshape(down, 1, height, 1)
+    j = np.minimum(np.arange(across * width), columns - 1).reshape(1, across, 1, width)
+    return (i * columns + j).reshape(down * across, height * width)
+
+
+def _sectors(direction: np.ndarray, from_one_point: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Inward normals (T, 2) of the left and right edges of the sector that the rays (T, P, 3) of a tile fill."""
+    flat = direction[..., :2]
+    run = np.linalg.norm(flat, axis=-1, keepdims=True)
+    middle = (flat / np.maximum(run, 1e-9)).sum(1)
+    middle = middle / np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-9)
+    along = (flat * middle[:, None]).sum(-1)
+    across = middle[:, None, 0] * flat[..., 1] - middle[:, None, 1] * flat[..., 0]
+    angle = np.arctan2(across, along)
+    most, least = angle.max(1) + 1e-6, angle.min(1) - 1e-6
+    narrow = (run[..., 0].min(1) > 1e-3) & (np.maximum(most, -least) < WIDEST) & from_one_point
+    turn = np.arctan2(middle[:, 1], middle[:, 0])
+    left = np.stack([np.sin(turn + most), -np.cos(turn + most)], -1)
+    right = np.stack([-np.sin(turn + least), np.cos(turn + least)], -1)
+    return np.where(narrow[:, None], left, 0.0), np.where(narrow[:, None], right, 0.0)

@@ -1,0 +1,103 @@
+"""Cameras (section IV-F): one depth sensor and three of color on every robot, at the mounts of its file.
+
+Defaults are SEAN 2.0's: 640 x 480 pixels, 60 degrees high, from 0.1 to 20 m, the overhead view orthographic and 6 m
+high. A camera is a fixed value; its rays are made once and shared by all scenarios.
+"""
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from sean_jax.base import RobotModel, Scenario
+from sean_jax.raycast import Rays, bundle
+
+OVERHEAD = "overhead"
+SEES_ROBOT = ("third_person", OVERHEAD)
+TILE = (8, 8)  # rows and columns of pixels that share what they may see
+
+
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """A camera on a robot. ``origin`` and ``axes`` are those of ``base.Mount``."""
+
+    name: str
+    origin: tuple[float, ...]  # (3,) m
+    axes: tuple[float, ...]  # (9,)
+    width: int  # pixels
+    height: int  # pixels
+    fovy: float  # degrees
+    near: float  # m, along the view: nothing nearer is seen
+    far: float  # m, along the view: what is farther is as good as nothing
+    orthographic: float  # m, height of the picture of a camera without perspective; 0: with perspective
+    sees_robot: bool  # whether the robot itself is in the picture
+
+
+def camera(
+    of: Scenario | RobotModel,
+    name: str = "depth",
+    *,
+    width: int = 640,
+    height: int = 480,
+    fovy: float | None = None,
+    near: float = 0.1,
+    far: float | None = None,
+    orthographic: float | None = None,
+) -> Camera:
+    """The camera of that name on a robot, or on the robot of a scenario.
+
+    Args:
+        name: ``depth``, ``first_person``, ``third_person``, ``overhead``, or another camera of the robot's file.
+        width: of the picture [pixels].
+        height: of the picture [pixels].
+        fovy: vertical field of view [degrees]; the file's if None.
+        near: nothing nearer is seen [m].
+        far: what is farther is as good as nothing [m]; 20 for ``depth`` and 200 for the others if None.
+        orthographic: height [m] of the part of the floor that a view without perspective shows; 0 for perspective;
+            6 for ``overhead`` and 0 for the others if None.
+
+    Raises:
+        ValueError: the robot has no such camera, or a number makes no picture.
+    """
+    robot = of.robot if isinstance(of, Scenario) else of
+    mounts = {mount.name: mount for mount in robot.mounts if mount.fovy > 0.0}
+    if name not in mounts:
+        raise ValueError(f"camera: robot '{robot.name}' has no '{name}'; it has {', '.join(mounts) or 'none'}.")
+    if width < 1 or height < 1:
+        raise ValueError(f"camera: a picture of {width} x {height} pixels shows nothing; give 1 or more of each.")
+    mount = mounts[name]
+    angle = mount.fovy if fovy is None else fovy
+    if not 0.0 < angle < 180.0:
+        raise ValueError(f"fovy: {angle:g} degrees must lie between 0 and 180.")
+    farthest = (20.0 if name == "depth" else 200.0) if far is None else far
+    if not 0.0 <= near < farthest:
+        raise ValueError(f"near, far: {near:g} and {farthest:g} m must be a lesser and a greater distance.")
+    shown = (6.0 if name == OVERHEAD else 0.0) if orthographic is None else orthographic
+    return Camera(
+        name, mount.origin, mount.axes, width, height, angle, near, farthest, shown, name in SEES_ROBOT
+    )  # fmt: skip
+
+
+@functools.lru_cache(maxsize=64)
+def rays(view: Camera) -> tuple[Rays, np.ndarray]:
+    """The rays of a camera, and (H, W) the cosine of the angle between each and the direction of view."""
+    tangent = np.tan(np.deg2rad(view.fovy) / 2)
+    half = view.orthographic / 2 if view.orthographic else tangent
+    up = half * (1 - (2 * np.arange(view.height) + 1) / view.height)
+    right = half * view.width / view.height * ((2 * np.arange(view.width) + 1) / view.width - 1)
+    across, along = np.meshgrid(right, up)
+    axes = np.asarray(view.axes).reshape(3, 3)
+    spread = across[..., None] * axes[:, 0] + along[..., None] * axes[:, 1]
+    if view.orthographic:
+        ahead = np.broadcast_to(-axes[:, 2], spread.shape)
+        reach = float(np.linalg.norm(axes[:2, 2])) * view.far
+        return bundle(view.origin, ahead, TILE, reach, spread), np.ones(spread.shape[:2], np.float32)
+    direction = spread - axes[:, 2]
+    length = np.linalg.norm(direction, axis=-1)
+    farthest = float((view.far * np.linalg.norm(direction[..., :2], axis=-1)).max())
+    return bundle(view.origin, direction, TILE, farthest), (1.0 / length).astype(np.float32)
+
+
+def focal_length(view: Camera) -> float:
+    """fx = fy [pixels] of a camera with perspective, as a CameraInfo message wants it."""
+    return view.height / 2 / float(np.tan(np.deg2rad(view.fovy) / 2))
