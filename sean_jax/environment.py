@@ -120,7 +120,9 @@ def _floor_problems(settings: Settings) -> list[files.Problem]:
 
 
 def _boxes(path: Path) -> tuple[Obstacles, Scenery]:
-    """The boxes of an MJCF file, and what it looks like. Horizontal planes are floors; geoms that nothing can touch are decoration.
+    """The boxes of an MJCF file, and what it looks like.
+
+    Horizontal planes are floors; geoms that nothing can touch are decoration.
 
     MJCF makes decoration of a geom by contype="0" conaffinity="0".
     """

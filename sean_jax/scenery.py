@@ -1,4 +1,4 @@
-"""What an MJCF file looks like: its boxes, upright and lying cylinders and balls, with the colors of their materials."""
+"""What an MJCF file looks like: its boxes, cylinders and balls, in the colors of their materials."""
 
 from importlib import import_module
 from typing import Any
@@ -37,9 +37,9 @@ def appearance(model: Any, data: Any, obstacles: list[int]) -> Scenery:
 
 
 def solids(model: Any, data: Any, geoms: list[int]) -> Solids:
-    """The bodies of the given geoms of a MuJoCo model, in the places of ``data``; other kinds, and clear ones, are left out.
+    """The bodies of the given geoms of a MuJoCo model, in the places of ``data``.
 
-    A capsule becomes a cylinder of the same extent.
+    A capsule becomes a cylinder of the same extent; other kinds, and clear ones, are left out.
     """
     kind = import_module("mujoco").mjtGeom
     boxes, cylinders, spheres = [], [], []

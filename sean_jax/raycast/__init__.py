@@ -10,11 +10,11 @@ import jax
 
 from sean_jax.base import Array
 from sean_jax.raycast.laws import MISS
-from sean_jax.raycast.rays import Rays, bundle
-from sean_jax.raycast.search import search, surface
+from sean_jax.raycast.rays import Rays, bundle, by_rows
+from sean_jax.raycast.meeting import search, surface
 from sean_jax.raycast.view import View, look
 
-__all__ = ["MISS", "Rays", "View", "bundle", "distance", "look", "search", "surface"]
+__all__ = ["MISS", "Rays", "View", "bundle", "by_rows", "distance", "look", "search", "surface"]
 
 
 def distance(view: View, rays: Rays) -> Array:

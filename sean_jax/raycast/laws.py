@@ -5,6 +5,7 @@ Written for one pair in components, as forces are; arrays broadcast. The ray lea
 there is no hit ahead. Every law has finite gradients, on grazing rays too.
 """
 
+import jax
 import jax.numpy as jnp
 
 from sean_jax.base import Array
@@ -20,7 +21,7 @@ HEAD_RADIUS = 0.13  # m
 
 def box(qx, qy, qz, hx, hy, hz, cosine, sine, dx, dy, dz, inverse_dz) -> Array:
     """Distance to an upright box with that half extent, turned about z by the angle of that cosine and sine."""
-    iu, iv = 1.0 / _not_zero(cosine * dx + sine * dy), 1.0 / _not_zero(cosine * dy - sine * dx)
+    iu, iv = inverse(cosine * dx + sine * dy), inverse(cosine * dy - sine * dx)
     at_u, at_v, at_z = (cosine * qx + sine * qy) * iu, (cosine * qy - sine * qx) * iv, qz * inverse_dz
     in_u, in_v, in_z = hx * jnp.abs(iu), hy * jnp.abs(iv), hz * jnp.abs(inverse_dz)
     near = jnp.maximum(jnp.maximum(at_u - in_u, at_v - in_v), at_z - in_z)
@@ -35,18 +36,25 @@ def sphere(qx, qy, qz, radius, dx, dy, dz) -> Array:
     return _enter(radius * radius - (px * px + py * py + pz * pz), middle)
 
 
-def person(qx, qy, qz, radius, dx, dy, dz, inverse_flat) -> Array:
-    """Distance to a person whose feet are at ``q``; ``inverse_flat`` is 1 / (dx2 + dy2), 0 for a vertical ray."""
+def legs(qx, qy, qz, radius, dx, dy, dz, inverse_flat) -> Array:
+    """Distance to a person up to the shoulders, whose feet are at ``q``; all that a ray meets that does not rise there.
+
+    ``inverse_flat`` is 1 / (dx2 + dy2), 0 for a vertical ray.
+    """
     middle = (qx * dx + qy * dy) * inverse_flat
     px, py = qx - middle * dx, qy - middle * dy
     square = radius * radius - (px * px + py * py)
-    touches = square > 0.0
-    side = middle - jnp.sqrt(jnp.where(touches, square, 1.0) * inverse_flat + 1e-30)
-    side = jnp.where(touches & (side > 0.0) & (side * dz - qz <= SHOULDER), side, MISS)
+    touches = (square > 0.0) & (inverse_flat > 0.0)
+    side = middle - root(jnp.where(touches, square * inverse_flat, 1.0))
+    return jnp.where(touches & (side > 0.0) & (side * dz - qz <= SHOULDER), side, MISS)
+
+
+def person(qx, qy, qz, radius, dx, dy, dz, inverse_flat) -> Array:
+    """Distance to a person whose feet are at ``q``: ``legs``, shoulders and head."""
     rounded = jnp.minimum(
         sphere(qx, qy, qz + SHOULDER, radius, dx, dy, dz), sphere(qx, qy, qz + HEAD, HEAD_RADIUS, dx, dy, dz)
     )
-    return jnp.minimum(side, rounded)
+    return jnp.minimum(legs(qx, qy, qz, radius, dx, dy, dz, inverse_flat), rounded)
 
 
 def cylinder(qx, qy, qz, ax, ay, az, radius, half, dx, dy, dz) -> Array:
@@ -55,15 +63,15 @@ def cylinder(qx, qy, qz, ax, ay, az, radius, half, dx, dy, dz) -> Array:
     fx, fy, fz = dx - along_d * ax, dy - along_d * ay, dz - along_d * az
     gx, gy, gz = qx - along_q * ax, qy - along_q * ay, qz - along_q * az
     flat = fx * fx + fy * fy + fz * fz
-    inverse = jnp.where(flat > 1e-12, 1.0 / jnp.where(flat > 1e-12, flat, 1.0), 0.0)
-    middle = (gx * fx + gy * fy + gz * fz) * inverse
+    inverse_flat = jnp.where(flat > 1e-12, 1.0 / jnp.where(flat > 1e-12, flat, 1.0), 0.0)
+    middle = (gx * fx + gy * fy + gz * fz) * inverse_flat
     px, py, pz = gx - middle * fx, gy - middle * fy, gz - middle * fz
     square = radius * radius - (px * px + py * py + pz * pz)
     touches = square > 0.0
-    chord = jnp.sqrt(jnp.where(touches, square, 1.0) * inverse + 1e-30)
+    chord = root(jnp.where(touches & (inverse_flat > 0.0), square * inverse_flat, 1.0))
     # Along the axis: a slab, as in a box. A ray along the axis is inside the round for ever.
-    ends = 1.0 / _not_zero(along_d)
-    deep = jnp.where(inverse > 0.0, chord, MISS)
+    ends = inverse(along_d)
+    deep = jnp.where(inverse_flat > 0.0, chord, MISS)
     near = jnp.maximum(middle - deep, along_q * ends - half * jnp.abs(ends))
     far = jnp.minimum(middle + deep, along_q * ends + half * jnp.abs(ends))
     return jnp.where(touches & (near <= far) & (near > 0.0), near, MISS)
@@ -76,9 +84,17 @@ def ground(height, dz, inverse_dz) -> Array:
 
 def _enter(square: Array, middle: Array) -> Array:
     touches = square > 0.0
-    distance = middle - jnp.sqrt(jnp.where(touches, square, 1.0))
+    distance = middle - root(jnp.where(touches, square, 1.0))
     return jnp.where(touches & (distance > 0.0), distance, MISS)
 
 
-def _not_zero(value: Array) -> Array:
-    return jnp.where(jnp.abs(value) < STEEP, STEEP, value)
+def root(square: Array) -> Array:
+    """Square root of a positive number: on a GPU this way takes a third of the time."""
+    return square * jax.lax.rsqrt(square)
+
+
+def inverse(value: Array) -> Array:
+    """1 / value, of 1e-9 for what is nearer to zero; as fast as ``root``."""
+    value = jnp.where(jnp.abs(value) < STEEP, STEEP, value)
+    size = jax.lax.rsqrt(value * value)
+    return jnp.where(value < 0.0, -size, size)

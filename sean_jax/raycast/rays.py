@@ -1,4 +1,4 @@
-"""Bundles of rays that a sensor sends out, in the robot's frame: fixed, so that all scenarios share them (section IV-F).
+"""The rays of a sensor, in the robot's frame: fixed, so that all scenarios share them (section IV-F).
 
 Rays lie in tiles, neighbours together. A tile knows the sector and the slopes that its rays fill, so that a body
 outside of them is never asked about. Everything here is numpy on the host, and constant inside jit.
@@ -7,6 +7,8 @@ outside of them is never asked about. Everything here is numpy on the host, and 
 import dataclasses
 
 import numpy as np
+
+from sean_jax.raycast.laws import SHOULDER
 
 WIDEST = np.deg2rad(85.0)  # half of a sector; wider ones keep everything
 
@@ -22,7 +24,9 @@ class Rays:
     right: np.ndarray  # (T, 2) and of its right edge
     lowest: np.ndarray  # (T,) least slope of its rays: rise over run
     reach: np.ndarray  # (T,) m, farthest that its rays get before they meet the floor, over the ground
-    order: np.ndarray  # (R,) index into (T * P,) of each ray of the sensor, row by row
+    low: bool  # whether no ray comes as high as people's shoulders
+    grid: tuple[int, int, int, int]  # tiles from top to bottom and side by side, rows and columns of each
+    shape: tuple[int, int]  # rows and columns of the sensor; the last tiles may stand over
 
     @property
     def tiles(self) -> int:
@@ -37,7 +41,7 @@ def bundle(origin, direction, tile, reach: float, offset=None) -> Rays:
     origin, direction = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
     direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     rows, columns = direction.shape[:2]
-    places = _tiles(rows, columns, tile)  # (T, P) index of the ray
+    grid, places = _tiles(rows, columns, tile)
     flat = direction.reshape(-1, 3)[places]
     begins = None if offset is None else np.asarray(offset, np.float64).reshape(-1, 3)[places]
     left, right = _sectors(flat, begins is None)
@@ -47,8 +51,6 @@ def bundle(origin, direction, tile, reach: float, offset=None) -> Rays:
     with np.errstate(divide="ignore"):
         meets = np.where(highest < 0.0, origin[2] / np.maximum(-highest, 1e-9), np.inf)
     spread = 0.0 if begins is None else float(np.linalg.norm(begins[..., :2], axis=-1).max())
-    order = np.empty(rows * columns, np.int32)
-    order[places.ravel()] = np.arange(places.size)  # a ray that fills up a tile has the same index as its twin
     return Rays(
         origin=origin.astype(np.float32),
         offset=None if begins is None else begins.astype(np.float32),
@@ -57,17 +59,26 @@ def bundle(origin, direction, tile, reach: float, offset=None) -> Rays:
         right=right.astype(np.float32),
         lowest=slope.min(1).astype(np.float32),
         reach=(np.minimum(meets, reach) + spread).astype(np.float32),
-        order=order,
+        low=begins is None and float(highest.max()) <= 0.0 and origin[2] < SHOULDER,
+        grid=grid,
+        shape=(rows, columns),
     )
 
 
-def _tiles(rows: int, columns: int, tile: tuple[int, int]) -> np.ndarray:
-    """(T, P) indices of rays by tile; where tiles do not come out even, the last row or column is repeated."""
+def by_rows(rays: Rays, values):
+    """(H, W) values of the rays as the sensor has them, from (T, P)."""
+    down, across, height, width = rays.grid
+    image = values.reshape(rays.grid).swapaxes(1, 2).reshape(down * height, across * width)
+    return image[: rays.shape[0], : rays.shape[1]]
+
+
+def _tiles(rows: int, columns: int, tile: tuple[int, int]) -> tuple[tuple[int, int, int, int], np.ndarray]:
+    """The grid, and (T, P) indices of rays by tile; where tiles stand over, the last row or column is repeated."""
     height, width = min(tile[0], rows), min(tile[1], columns)
     down, across = -(-rows // height), -(-columns // width)
     i = np.minimum(np.arange(down * height), rows - 1).reshape(down, 1, height, 1)
     j = np.minimum(np.arange(across * width), columns - 1).reshape(1, across, 1, width)
-    return (i * columns + j).reshape(down * across, height * width)
+    return (down, across, height, width), (i * columns + j).reshape(down * across, height * width)
 
 
 def _sectors(direction: np.ndarray, from_one_point: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ AWAY = 1e6  # m, where somebody absent stands
 
 @struct.dataclass
 class View:
-    """Bodies about the sensor's place on the floor, turned as the robot is: x ahead, y to the left, z up from the sensor.
+    """Bodies about a sensor, turned as the robot is: x ahead, y to the left, z up, from the sensor.
 
     Bodies are numbered through: boxes, cylinders, spheres, people; then come the floor and the sky.
     """

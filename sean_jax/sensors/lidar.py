@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax.base import Array, RobotModel, Scenario, State
-from sean_jax.raycast import Rays, bundle, distance
-from sean_jax.sensors.sight import picture, sight
+from sean_jax.raycast import Rays, bundle, by_rows, distance
+from sean_jax.sensors.sight import sight
 
 SECTOR = 15  # rays that share what they may see
 
@@ -68,6 +68,6 @@ def scan(scenario: Scenario, state: State, sensor: Lidar) -> Array:
 
     Differentiable in the robot's pose and people's positions.
     """
-    bundle = rays(sensor)
-    found = picture(distance(sight(scenario, state, bundle), bundle), bundle, (sensor.count,))
+    fan = rays(sensor)
+    found = by_rows(fan, distance(sight(scenario, state, fan), fan))[0]
     return jnp.where((found >= sensor.near) & (found <= sensor.far), found, sensor.far)

@@ -10,9 +10,9 @@ from flax import struct
 
 from sean_jax.base import Array, Scenario, State
 from sean_jax.geometry import length, rotate
-from sean_jax.raycast import MISS, Rays, View, search, surface
+from sean_jax.raycast import MISS, Rays, View, by_rows, search, surface
 from sean_jax.sensors.cameras import Camera, rays
-from sean_jax.sensors.sight import picture, sight
+from sean_jax.sensors.sight import sight
 
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)
 CLASSES = ("sky", "floor", "obstacle", "person", "robot")
@@ -44,13 +44,13 @@ def render(scenario: Scenario, state: State, camera: Camera) -> Picture:
     along, nx, ny, nz = surface(view, bundle, number)
     semantic, instance = _named(scenario, view, number, camera.sees_robot)
     rgb = _shaded(scenario, state, view, bundle, number, along, (nx, ny, nz), semantic, camera.sees_robot)
-    image = picture(along, bundle, cosine.shape) * cosine
+    image = by_rows(bundle, along) * cosine
     seen = (image >= camera.near) & (image <= camera.far)
     return Picture(
-        rgb=jnp.stack([picture(part, bundle, cosine.shape) for part in rgb], -1),
+        rgb=jnp.stack([by_rows(bundle, part) for part in rgb], -1),
         depth=jnp.where(seen, image, camera.far),
-        semantic=picture(semantic, bundle, cosine.shape),
-        instance=picture(instance, bundle, cosine.shape),
+        semantic=by_rows(bundle, semantic),
+        instance=by_rows(bundle, instance),
     )
 
 

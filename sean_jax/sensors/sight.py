@@ -28,8 +28,3 @@ def _with_robot(view: View, solids: Solids, origin) -> View:
         cylinders=jnp.concatenate([view.cylinders, moved(solids.cylinders)]),
         spheres=jnp.concatenate([view.spheres, moved(solids.spheres)]),
     )
-
-
-def picture(values: Array, rays: Rays, shape: tuple[int, ...]) -> Array:
-    """Values (T, P) of rays as the sensor has them: row by row, (H, W) or (R,)."""
-    return values.reshape(-1)[rays.order].reshape(shape)

@@ -16,7 +16,7 @@ from sean_jax.raycast import laws
 from sean_jax.raycast.rays import Rays
 from sean_jax.raycast.view import View
 
-CHUNK = 2  # bodies that one turn of the loop takes
+CHUNK = 4  # bodies that one turn of the loop takes
 TALLEST = laws.HEAD + laws.HEAD_RADIUS  # m, of people
 
 
@@ -86,14 +86,17 @@ def _in_sight(rays: Rays, table: Array, edge: Callable, away: Array, top: Array)
 def _nearest(law, table, in_sight, start, distance, number):
     """The distances (T, P), and numbers, after the bodies of a table (K, F) were met as well."""
     count = table.shape[0]
-    ends = jnp.cumsum(in_sight, axis=1, dtype=jnp.int32)
+    small = jnp.uint8 if count < 256 else jnp.int32  # the table of counts is read again and again
+    ends = jnp.cumsum(in_sight, axis=1, dtype=small)
     padded = jnp.concatenate([table, table[-1:]])  # a row for tiles that have no more; what it gives is not used
-    most = ends[:, -1].max()
+    most = ends[:, -1].max().astype(jnp.int32)
 
     def take(carry):
         turn, distance, number = carry
         for more in range(CHUNK):
-            chosen = (ends <= turn + more).sum(1, dtype=jnp.int32)  # the (turn + more)-th that the tile has in sight
+            chosen = (ends <= (turn + more).astype(small)).sum(
+                1, dtype=jnp.int32
+            )  # the (turn + more)-th that the tile has in sight
             new = law(padded[chosen].T[:, :, None])
             nearer = (new < distance) & (chosen < count)[:, None]
             distance = jnp.where(nearer, new, distance)
@@ -142,7 +145,7 @@ def _directions(rays: Rays) -> tuple[Array, Array, Array]:
 
 def _rises(rays: Rays) -> tuple[Array, Array]:
     rise = jnp.asarray(rays.direction[..., 2])
-    return rise, 1.0 / jnp.where(jnp.abs(rise) < laws.STEEP, laws.STEEP, rise)
+    return rise, laws.inverse(rise)
 
 
 def _offsets(rays: Rays) -> tuple[Array, Array, Array]:
@@ -182,7 +185,8 @@ def _person(rays: Rays, view: View) -> Callable:
 
     def law(row):
         feet = jnp.broadcast_to(-view.height, row[0].shape)
-        return laws.person(*_from_ray(rays, row[0], row[1], feet), view.radius, *direction, inverse)
+        shape = laws.legs if rays.low else laws.person
+        return shape(*_from_ray(rays, row[0], row[1], feet), view.radius, *direction, inverse)
 
     return law
 
