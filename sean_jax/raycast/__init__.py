@@ -10,8 +10,8 @@ import jax
 
 from sean_jax.base import Array
 from sean_jax.raycast.laws import MISS
-from sean_jax.raycast.rays import Rays, bundle, by_rows
 from sean_jax.raycast.meeting import search, surface
+from sean_jax.raycast.rays import Rays, bundle, by_rows
 from sean_jax.raycast.view import View, look
 
 __all__ = ["MISS", "Rays", "View", "bundle", "by_rows", "distance", "look", "search", "surface"]

@@ -89,23 +89,23 @@ def _nearest(law, table, in_sight, start, distance, number):
     small = jnp.uint8 if count < 256 else jnp.int32  # the table of counts is read again and again
     ends = jnp.cumsum(in_sight, axis=1, dtype=small)
     padded = jnp.concatenate([table, table[-1:]])  # a row for tiles that have no more; what it gives is not used
-    most = ends[:, -1].max().astype(jnp.int32)
+    turns = (ends[:, -1].max().astype(jnp.int32) + (CHUNK - 1)) // CHUNK
 
     def take(carry):
         turn, distance, number = carry
         for more in range(CHUNK):
-            chosen = (ends <= (turn + more).astype(small)).sum(
+            chosen = (ends <= (CHUNK * turn + more).astype(small)).sum(
                 1, dtype=jnp.int32
-            )  # the (turn + more)-th that the tile has in sight
+            )  # the next that the tile has in sight
             new = law(padded[chosen].T[:, :, None])
             nearer = (new < distance) & (chosen < count)[:, None]
             distance = jnp.where(nearer, new, distance)
             if number is not None:
                 number = jnp.where(nearer, start + chosen[:, None], number)
-        return turn + CHUNK, distance, number
+        return turn + 1, distance, number
 
     start_turn = jnp.zeros((), jnp.int32)
-    return jax.lax.while_loop(lambda carry: carry[0] < most, take, (start_turn, distance, number))[1:]
+    return jax.lax.while_loop(lambda carry: carry[0] < turns, take, (start_turn, distance, number))[1:]
 
 
 def surface(view: View, rays: Rays, number: Array) -> tuple[Array, Array, Array, Array]:

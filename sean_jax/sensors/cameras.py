@@ -87,7 +87,7 @@ def rays(view: Camera) -> tuple[Rays, np.ndarray]:
 
 @functools.lru_cache(maxsize=64)
 def bands(view: Camera) -> tuple[tuple[Rays, ...], np.ndarray]:
-    """As ``rays``, in one bundle for the rows that rise and one for those that do not, from the top: faster to search."""
+    """As ``rays``, in one bundle for the rows that rise and one for those that do not: faster to search."""
     direction, offset, cosine = _directions(view)
     falls = (direction[..., 2] <= 0.0).all(1)
     first = int(np.argmax(falls)) if falls.any() else len(falls)
