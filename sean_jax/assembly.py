@@ -31,6 +31,7 @@ def make(
     task_distance: tuple[float, float] = (4.0, 20.0),
     recording: str | Path | None = None,
     frame_rate: float | None = None,
+    handcrafted: str | None = None,
     start: tuple[float, ...] | None = None,
     goal: tuple[float, ...] | None = None,
     situations: str | Mapping[str, Callable] = "paper",
@@ -54,6 +55,7 @@ def make(
         task_distance: least and greatest length [m] of the shortest path from start to goal.
         recording: of behavior ``playback``: a CSV file with the columns frame, id, x, y [m].
         frame_rate: of the recording [1/s]; 25 if None.
+        handcrafted: of behavior ``handcrafted``: a set, a situation, whose sets are drawn from, or ``all``, as if None.
         start: of task ``custom``: (x, y) [m] or (x, y, heading [degrees]).
         goal: likewise.
         situations: that are classified: a key of ``classifiers.SITUATION_SETS``, or a dict of them (see base.Scenario).
@@ -70,7 +72,7 @@ def make(
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     walking = _navigation(folder, PERSON_CLEARANCE)
     driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius)
-    directed, count = _behavior(behavior, folder, scene, walking, people, recording, frame_rate, time_step)
+    directed, count = _behavior(behavior, folder, scene, walking, people, recording, frame_rate, handcrafted, time_step)
     scenario = Scenario(
         environment=scene,
         navigation=driving,
@@ -90,6 +92,8 @@ def make(
         people=count,
         task_name=task,
     )
+    if task == "handcrafted":
+        tasks.check_room(scenario)
     if start is None or goal is None:
         return scenario
     return dataclasses.replace(scenario, task=tasks.poses(scenario, start, goal))
@@ -100,6 +104,8 @@ def with_task(scenario: Scenario, task: str) -> Scenario:
     _check_task(task, scenario.behavior.name)
     if task == "custom":
         raise ValueError("task: 'custom' needs a start and a goal; give them to make with it as the only task.")
+    if task == "handcrafted":
+        tasks.check_room(scenario)
     return dataclasses.replace(scenario, task=tasks.TASKS[task], task_name=task)
 
 
@@ -109,13 +115,19 @@ def _navigation(folder: Path, radius: float) -> navigation.Navigation:
     return navigation.build(environments.load(folder), radius)
 
 
-def _behavior(name, folder, scene, walking, people, recording, frame_rate, time_step) -> tuple[Behavior, int]:
-    """The behavior and the number of people; in playback there are as many as are recorded at once."""
+def _behavior(
+    name, folder, scene, walking, people, recording, frame_rate, handcrafted, time_step
+) -> tuple[Behavior, int]:
+    """The behavior and the number of people: as many as are recorded at once, as the largest set has, or as asked."""
     build = behaviors.BEHAVIORS[name]
+    if name != "handcrafted" and handcrafted is not None:
+        raise ValueError(f"handcrafted: behavior '{name}' has no sets; choose behavior 'handcrafted'.")
     if name != "playback":
         for option, value in (("recording", recording), ("frame_rate", frame_rate)):
             if value is not None:
                 raise ValueError(f"{option}: behavior '{name}' has none; choose behavior 'playback'.")
+        if name == "handcrafted":
+            return _handcrafted(folder, scene, walking, people, handcrafted)
         count = environments.default_people(folder) if people is None else people
         return build(folder, scene, walking, count), count
     rate = behaviors.playback.FRAME_RATE if frame_rate is None else frame_rate
@@ -124,6 +136,14 @@ def _behavior(name, folder, scene, walking, people, recording, frame_rate, time_
     if people not in (None, count):
         raise ValueError(f"people: {people}, but {count} are there at once in the recording; leave people out.")
     return directed, count
+
+
+def _handcrafted(folder, scene, walking, people, handcrafted) -> tuple[Behavior, int]:
+    chosen = behaviors.handcrafted_behavior.annotation.ALL if handcrafted is None else handcrafted
+    directed = behaviors.handcrafted_behavior.build(folder, scene, walking, 0, chosen)
+    if people is not None:
+        raise ValueError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
+    return directed, behaviors.handcrafted_behavior.most_people(directed)
 
 
 def _model(name: str, behavior: str) -> Callable:
@@ -152,7 +172,11 @@ def _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time
 def _check_task(task: str, behavior: str) -> None:
     _check_name("task", task, tasks.TASKS)
     if task in tasks.NEEDS_GROUPS and behavior != "graph":
-        raise ValueError(f"task: '{task}' needs groups, which only behavior 'graph' has, not '{behavior}'.")
+        cure = "; its own task is 'handcrafted'" if behavior == "handcrafted" else ""
+        raise ValueError(f"task: '{task}' needs groups, which only behavior 'graph' has, not '{behavior}'{cure}.")
+    if task == "handcrafted" and behavior != "handcrafted":
+        why = "poses that belong to handcrafted people"
+        raise ValueError(f"task: '{task}' needs {why}, not '{behavior}'; choose behavior 'handcrafted' with it.")
 
 
 def _check_poses(task: str, start: tuple[float, ...] | None, goal: tuple[float, ...] | None) -> None:

@@ -223,7 +223,7 @@ class Scenario:
     hold_time: Array  # () s, to be spent inside it for the task to be completed
     task_distance: Array  # (2,) m, least and greatest geodesic distance from start to goal
     robot: RobotModel
-    task: Callable = struct.field(pytree_node=False)  # (scenario, pedestrians, groups, key) -> RobotTask
+    task: Callable = struct.field(pytree_node=False)  # (scenario, pedestrians, groups, memory, key) -> RobotTask
     move: Callable = struct.field(pytree_node=False)  # (scenario, state) -> Pedestrians: the pedestrian model
     situations: tuple = struct.field(pytree_node=False)  # ((name, (moment, thresholds) -> () bool), ...)
     metrics: tuple = struct.field(pytree_node=False)  # ((name, metrics.Metric), ...)

@@ -1,4 +1,4 @@
-"""The command line: ``sean run``, ``sean import-map``, ``sean list``.
+"""The command line: ``sean run``, ``sean draw``, ``sean import-map``, ``sean list``.
 
 Nothing heavy is imported before a command is chosen, so that ``sean --help`` answers at once.
 """
@@ -23,6 +23,20 @@ WRONG, FAILED, STOPPED = 2, 1, 130  # exit codes: bad input, a broken simulation
 @dataclasses.dataclass(frozen=True)
 class List:
     """What there is to choose from for each option."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Draw:
+    """Draw what people do in the environments: their behavior graphs, or all handcrafted sets."""
+
+    graph: bool = False
+    """The behavior graph, with its groups seated."""
+    handcrafted: bool = False
+    """The handcrafted sets, one panel each."""
+    environment: str | None = None
+    """Environment: a name, or the folder of your own; all that come with the package by default."""
+    out: Path | None = None
+    """File to write, such as sheet.png or sheet.svg; of several environments, each adds its name."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,6 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         if isinstance(command, ImportMap):
             return _import_map(command)
+        if isinstance(command, Draw):
+            return _draw(command)
         return _run(command)
     except BadInput as error:
         return _fail(str(error), WRONG)
@@ -80,9 +96,10 @@ def cache_compilations() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 
-def _parse(arguments: list[str]) -> Options | ImportMap | List:
+def _parse(arguments: list[str]) -> Options | Draw | ImportMap | List:
     commands = (
         Annotated[Options, tyro.conf.subcommand("run", default=Options())]
+        | Annotated[Draw, tyro.conf.subcommand("draw", default=Draw())]
         | Annotated[ImportMap, tyro.conf.subcommand("import-map")]
         | Annotated[List, tyro.conf.subcommand("list", default=List())]
     )
@@ -105,6 +122,29 @@ def _run(options: Options) -> int:
     console.print(f"report: [bold]{folder / 'report.html'}[/]", highlight=False, soft_wrap=True)
     if episodes < options.episodes:
         return _fail(f"stopped; the {episodes} episodes finished until then are in {folder}.", STOPPED)
+    return 0
+
+
+def _draw(command: Draw) -> int:
+    if command.graph == command.handcrafted:
+        return _fail("draw: give either --graph or --handcrafted.", WRONG)
+    from sean_jax import assembly, drawing, environment
+
+    what = "graph" if command.graph else "handcrafted"
+    names = environment.available() if command.environment is None else [command.environment]
+    for name in names:
+        task = "handcrafted" if command.handcrafted else "random_ab_nav"
+        try:
+            scenario = assembly.make(name, behavior=what, task=task, dynamics="twin")
+            graph = drawing.graph_of(scenario)
+            sheet = drawing.graph_sheet(scenario.environment, graph) if graph else drawing.handcrafted_sheet(scenario)
+            file = command.out or Path(f"{what}.png")
+            if command.out is None or len(names) > 1:
+                file = file.with_stem(f"{file.stem}-{scenario.environment.name}")
+            sheet.savefig(file, dpi=150)
+        except ValueError as error:
+            return _fail(str(error), WRONG)
+        print(file)
     return 0
 
 

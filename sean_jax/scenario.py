@@ -19,7 +19,7 @@ def reset(scenario: Scenario, key: Array) -> State:
     """
     people_key, task_key, run_key = jax.random.split(key, 3)
     pedestrians, groups, memory = scenario.behavior.reset(scenario, people_key)
-    task = scenario.task(scenario, pedestrians, groups, task_key)
+    task = scenario.task(scenario, pedestrians, groups, memory, task_key)
     path = task.start, task.start_heading, task.goal, task.to_goal
     task = replace(task, turning=paths.turning(scenario.navigation, *path))
     state = State(

@@ -29,8 +29,8 @@ def drawn(request, busy):
     scenario = with_task(busy, request.param)
 
     def one(key):
-        people, groups, _ = scenario.behavior.reset(scenario, key)
-        return people, scenario.task(scenario, people, groups, jax.random.fold_in(key, 1))
+        people, groups, memory = scenario.behavior.reset(scenario, key)
+        return people, scenario.task(scenario, people, groups, memory, jax.random.fold_in(key, 1))
 
     people, tasks = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(0), SEEDS))
     return scenario, people, tasks
@@ -145,4 +145,4 @@ def test_custom_is_refused_as_one_of_several_tasks(busy):
         with_task(busy, "custom")
     with pytest.raises(ValueError, match="needs a start and a goal"):
         nothing: Any = None
-        TASKS["custom"](busy, nothing, nothing, nothing)
+        TASKS["custom"](busy, nothing, nothing, nothing, nothing)

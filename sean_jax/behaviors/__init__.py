@@ -1,8 +1,13 @@
 """Pedestrian behaviors (section IV-D, high level): who goes where."""
 
-from sean_jax.behaviors import graph_behavior, playback, random_behavior
+from sean_jax.behaviors import graph_behavior, handcrafted_behavior, playback, random_behavior
 
-BEHAVIORS = {"graph": graph_behavior.build, "random": random_behavior.build, "playback": playback.build}
+BEHAVIORS = {
+    "graph": graph_behavior.build,
+    "random": random_behavior.build,
+    "handcrafted": handcrafted_behavior.build,
+    "playback": playback.build,
+}
 """name -> (folder of the environment, environment, navigation for people, number of people) -> Behavior"""
 
-__all__ = ["BEHAVIORS", "playback"]
+__all__ = ["BEHAVIORS", "handcrafted_behavior", "playback"]

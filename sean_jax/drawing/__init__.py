@@ -7,5 +7,15 @@ metres. Nothing here touches pyplot's global state, and matplotlib is imported o
 from sean_jax.drawing.animation import animate
 from sean_jax.drawing.colors import situation_colors
 from sean_jax.drawing.pictures import graph_of, heat_map, top_down, view
+from sean_jax.drawing.sheets import graph_sheet, handcrafted_sheet
 
-__all__ = ["animate", "graph_of", "heat_map", "situation_colors", "top_down", "view"]
+__all__ = [
+    "animate",
+    "graph_of",
+    "graph_sheet",
+    "handcrafted_sheet",
+    "heat_map",
+    "situation_colors",
+    "top_down",
+    "view",
+]

@@ -128,10 +128,11 @@ def draw_graph(axes: Axes, graph: Any, alone: bool) -> None:
         from matplotlib.patheffects import withStroke
 
         halo = [withStroke(linewidth=2.5, foreground=colors.FLOOR)]
-        for name, place in zip(graph.names, position, strict=True):
+        for name, place, standing, size in zip(graph.names, position, group, radius, strict=True):
             label = name.replace("_", " ")
             x, y = (float(v) for v in place)
-            axes.text(x, y, label, fontsize=7, color=colors.INK, ha="center", va="center", path_effects=halo, zorder=4)
+            up, side = (float(size), "bottom") if standing else (0.0, "center")  # people stand in the middle of a group
+            axes.text(x, y + up, label, fontsize=7, color=colors.INK, ha="center", va=side, path_effects=halo, zorder=4)
 
 
 def draw_trails(axes: Axes, frames: Frame, steps: int) -> None:

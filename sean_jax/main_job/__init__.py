@@ -66,6 +66,7 @@ def _scenarios(options: Options) -> list[Scenario]:
             time_limit=options.time_limit,
             recording=options.recording,
             frame_rate=options.frame_rate,
+            handcrafted=options.handcrafted,
             start=options.start,
             goal=options.goal,
         )

@@ -26,6 +26,8 @@ class Options:
     """Of the behavior playback: a CSV file with the columns frame, id, x and y in metres."""
     frame_rate: float | None = None
     """Of the recording in frames a second, 25 by default."""
+    handcrafted: str | None = None
+    """Of the behavior handcrafted: a set, a situation whose sets take part, or all, the default."""
     start: tuple[float, ...] | None = None
     """Of the task custom: x and y in metres, and a heading in degrees if you like."""
     goal: tuple[float, ...] | None = None

@@ -1,5 +1,7 @@
 """Random A-B and Busy A-B Navigation (section IV-E): from one place to another, anywhere or where it is busy."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
@@ -14,7 +16,7 @@ GOALS = 4  # goals that starts are rated for
 ROOM = 0.1  # m, to obstacles beside the robot's radius
 
 
-def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
+def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
     """From anywhere to anywhere, as far apart as ``scenario.task_distance`` asks; headings at random."""
     places = scenario.navigation.places
     draw_key, choice_key, turn_key = jax.random.split(key, 3)
@@ -24,7 +26,7 @@ def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, 
     return _task(choose_pair(scenario, pedestrians, goals, starts, *nothing, choice_key), turn_key)
 
 
-def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
+def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
     """A start and a goal 5 m around the person in the middle of the largest of three clusters of people.
 
     Clusters are found by k-means (section IV-E). Where too little of the ring is free, places off it that are

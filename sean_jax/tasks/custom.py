@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ from sean_jax.base import Array, Groups, Pedestrians, RobotTask, Scenario
 from sean_jax.environment import clearance
 
 
-def custom(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
+def custom(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
     """The start and the goal that are given as (x, y) or (x, y, heading in degrees)."""
     raise ValueError("task: 'custom' needs a start and a goal; give start=(x, y) and goal=(x, y) in metres.")
 
@@ -25,7 +26,9 @@ class Poses:
     start_angle: float  # rad
     goal_angle: float  # rad
 
-    def __call__(self, scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
+    def __call__(
+        self, scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array
+    ) -> RobotTask:
         """The task for ``scenario.task``; the same for every key."""
         start, goal = jnp.asarray(self.start, jnp.float32), jnp.asarray(self.goal, jnp.float32)
         to_goal = paths.to_goal(scenario.navigation, goal)
@@ -62,7 +65,7 @@ def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...])
     ahead = math.atan2(goal[1] - start[1], goal[0] - start[0])
     angle = [math.radians(pose[2]) if len(pose) == 3 else ahead for pose in (start, goal)]
     task = Poses((float(start[0]), float(start[1])), (float(goal[0]), float(goal[1])), *angle)
-    walk = float(jax.jit(lambda scenario: task(scenario, None, None, None).geodesic)(scenario))  # pyright: ignore
+    walk = float(jax.jit(lambda scenario: task(scenario, None, None, None, None).geodesic)(scenario))  # pyright: ignore
     if not math.isfinite(walk):
         raise ValueError(f"goal: there is no way from {task.start} to {task.goal} in {scenario.environment.name}.")
     return task

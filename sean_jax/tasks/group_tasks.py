@@ -1,5 +1,7 @@
 """Join Group and Leave Group (section IV-E): the robot's goal, or its start, is a member's place in a group."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
@@ -9,7 +11,7 @@ from sean_jax.geometry import unit_vectors
 from sean_jax.tasks.places import far_place
 
 
-def join_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
+def join_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
     """To the open place of a random group, from a drawn distance away."""
     group, opening, inward, away, facing = _poses(scenario, pedestrians, groups, key)
     to_goal = paths.to_goal(scenario.navigation, opening)
@@ -25,7 +27,7 @@ def join_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key
     )
 
 
-def leave_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> RobotTask:
+def leave_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
     """From the open place of a random group to a place a drawn distance away."""
     group, opening, inward, away, facing = _poses(scenario, pedestrians, groups, key)
     to_goal = paths.to_goal(scenario.navigation, away)

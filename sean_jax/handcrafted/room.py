@@ -1,0 +1,157 @@
+"""Whether the people and poses of a handcrafted set have room, among one another and among obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax import files
+from sean_jax.base import Array, Environment
+from sean_jax.geometry import crosses_box
+from sean_jax.geometry import room as room_around
+from sean_jax.graph.formation import reach
+from sean_jax.graph.places import PERSON
+
+if TYPE_CHECKING:
+    from sean_jax.handcrafted.annotation import Annotation, Set
+
+ARRIVED = 1.0  # m from a waypoint, where it counts as reached (SEAN 2.0)
+POSE = 0.3  # m, from the robot's poses to obstacles and to the floor's edge
+APART = 0.6  # m, from people to others of another loop or group and to the robot's poses
+SPACING = 0.55  # m, between people who start on one loop, wherever on it they are
+STRIDE = 0.1  # m, between the points that stand for a loop where distances are measured
+
+
+def trace(loop: list[tuple[float, float]]) -> np.ndarray:
+    """(P, 2) points [m] along a closed loop, at most 0.1 m from one to the next."""
+    corners = np.array(loop, float)
+    pieces = []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        share = np.linspace(0.0, 1.0, max(2, int(np.ceil(np.linalg.norm(b - a) / STRIDE)) + 1))[:-1]
+        pieces.append(a + share[:, None] * (b - a))
+    return np.concatenate(pieces)
+
+
+def check_apart(here: files.Location, each: Set) -> Iterator[files.Problem]:
+    """What is too near to what in a set, whatever obstacles there are."""
+    traces = [trace(walkers.loop) for walkers in each.walkers]
+    for number, (walkers, points) in enumerate(zip(each.walkers, traces, strict=True)):
+        place = (*here, "walkers", number)
+        corners = np.array(walkers.loop, float)
+        for corner, gap in enumerate(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=-1)):
+            if gap < ARRIVED:
+                why = f"as close as people come to a waypoint before they go on, {ARRIVED:g} m"
+                yield (*place, "loop", corner), f"the next waypoint is only {gap:.2f} m away, {why}; move one of them"
+        most = _most(points, walkers.people)
+        if most < walkers.people:
+            yield (*place, "people"), f"{walkers.people} do not fit on the loop; the most that do is {most}"
+    for (i, one), (j, other) in combinations(enumerate(traces), 2):
+        gap = _gap(one, other)
+        if gap < APART:
+            why = f"where people could start in one place; keep {APART:g} m or more"
+            yield (*here, "walkers", j, "loop"), f"comes within {gap:.2f} m of the loop of walkers[{i}], {why}"
+    for name, group in each.groups.items():
+        ring, spot = reach(group.people), np.array([group.center])
+        for i, points in enumerate(traces):
+            gap = _gap(points, spot) - ring
+            if gap < APART:
+                move = f"move the group by {APART - gap:.2f} m or more"
+                yield (*here, "groups", name, "center"), f"people of walkers[{i}] would walk through the group; {move}"
+        for other in list(each.groups)[: list(each.groups).index(name)]:
+            gap = _gap(np.array([each.groups[other].center]), spot) - ring - reach(each.groups[other].people)
+            if gap < APART:
+                move = f"move one by {APART - gap:.2f} m or more"
+                yield (*here, "groups", name, "center"), f"leaves too little room to the group '{other}'; {move}"
+    for key, poses in (("starts", each.starts), ("goals", each.goals)):
+        for number, pose in enumerate(poses):
+            if isinstance(pose, str):
+                continue
+            spot = np.array([pose[:2]])
+            gaps = [(_gap(points, spot), f"the loop of walkers[{i}]") for i, points in enumerate(traces)]
+            for name, group in each.groups.items():
+                gaps.append((_gap(np.array([group.center]), spot) - reach(group.people), f"the group '{name}'"))
+            for gap, what in gaps:
+                if gap < APART:
+                    yield (*here, key, number), f"is {max(gap, 0.0):.2f} m from {what}; keep {APART:g} m or more"
+
+
+def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
+    """What is wrong with where the sets lie in an environment."""
+    spots, legs = [], []
+    for name, each in annotation.sets.items():
+        here = ("sets", name)
+        for key, poses in (("starts", each.starts), ("goals", each.goals)):
+            places = [((*here, key, number), pose) for number, pose in enumerate(poses) if not isinstance(pose, str)]
+            spots += [(place, pose[:2], POSE, "the robot") for place, pose in places]
+        for label, group in each.groups.items():
+            needed = reach(group.people) + PERSON
+            spots.append(((*here, "groups", label, "center"), group.center, needed, f"a group of {group.people}"))
+        for number, walkers in enumerate(each.walkers):
+            place = (*here, "walkers", number, "loop")
+            spots += [((*place, k), corner, PERSON, "somebody") for k, corner in enumerate(walkers.loop)]
+            legs += [((*place, k), *leg) for k, leg in _legs(walkers.loop, walkers.way == "both")]
+    points = jnp.asarray([spot for _, spot, _, _ in spots], jnp.float32)
+    to_box, to_edge = (np.asarray(distance) for distance in jax.jit(room_around)(environment, points))
+    blamed = set()
+    for (place, spot, needed, who), box, edge in zip(spots, to_box, to_edge, strict=True):
+        at = f"[{spot[0]:g}, {spot[1]:g}]"
+        if min(box, edge) < needed:
+            blamed.add(place)
+        if edge < 0:
+            floor = ", ".join(f"{value:g}" for value in np.asarray(environment.floor))
+            yield place, f"{at} is not on the floor [{floor}]; move it"
+        elif box <= 0:
+            yield place, f"{at} is inside an obstacle; move it by {needed - box:.2f} m or more"
+        elif min(box, edge) < needed:
+            yield place, f"{at} has {min(box, edge):.2f} m of room where {who} needs {needed:.2f} m; move it"
+    if legs:
+        ends = jnp.asarray([[a, b] for _, a, b, _ in legs], jnp.float32)
+        blocked = np.asarray(jax.jit(_blocked)(environment, ends))
+        for (place, _, _, what), hit in zip(legs, blocked, strict=True):
+            if hit and place not in blamed:  # a waypoint in an obstacle has been told of
+                yield place, f"{what} goes through an obstacle or closer than {PERSON:g} m past one; move a waypoint"
+
+
+def _legs(loop: list[tuple[float, float]], both: bool) -> Iterator[tuple[int, tuple]]:
+    """(waypoint, (from, to, in words)): ways to the next waypoint, and those of who turns to it a metre early."""
+    count = len(loop)
+    corners = np.array(loop, float)
+    for k in range(count):
+        here, following = corners[k], corners[(k + 1) % count]
+        yield k, (here, following, "the way from here to the next waypoint")
+        for before, after in ((k - 1, k + 1), (k + 1, k - 1)) if both else ((k - 1, k + 1),):
+            back = corners[before % count] - here
+            early = here + ARRIVED * back / max(np.linalg.norm(back), ARRIVED)
+            yield k, (early, corners[after % count], f"cutting the corner here by {ARRIVED:g} m")
+
+
+def _blocked(environment: Environment, ends: Array) -> Array:
+    """(L,) bool: which of the legs (L, 2, 2) [m] a person cannot walk straight."""
+    each_box = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
+    each_leg = jax.vmap(each_box, in_axes=(0, 0, 0, 0, None, None))
+    px, py, qx, qy = ends[:, 0, 0], ends[:, 0, 1], ends[:, 1, 0], ends[:, 1, 1]
+    return each_leg(px, py, qx, qy, environment.obstacles, PERSON).any(1)
+
+
+def _most(points: np.ndarray, people: int) -> int:
+    """How many of so many people can start evenly spread along a traced loop, whatever place the first one has."""
+    step = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=-1)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    closed = np.concatenate([points, points[:1]])
+    for number in range(people, 1, -1):
+        share = (np.arange(number) / number)[:, None] + np.linspace(0.0, 1.0 / number, 60)[None, :]
+        place = np.stack([np.interp((share % 1.0) * along[-1], along, closed[:, k]) for k in (0, 1)], -1)
+        gaps = np.linalg.norm(place[:, None] - place[None, :], axis=-1)[np.triu_indices(number, 1)]
+        if gaps.min() >= SPACING:
+            return number
+    return 1
+
+
+def _gap(one: np.ndarray, other: np.ndarray) -> float:
+    """Least distance [m] between points (P, 2) and (Q, 2)."""
+    return float(np.linalg.norm(one[:, None] - other[None], axis=-1).min())

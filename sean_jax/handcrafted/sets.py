@@ -1,0 +1,87 @@
+"""Handcrafted sets as arrays that a simulation looks up (sections IV-D and IV-E)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from sean_jax.base import Array
+from sean_jax.handcrafted.annotation import POSES, Set
+
+
+@struct.dataclass
+class Sets:
+    """``S`` sets, padded to ``N`` people, ``G`` groups and ``L`` loops of ``K`` waypoints each."""
+
+    weight: Array  # (S, 5, 5) chance, relative to the others, with which a set is drawn with that start and goal
+    start: Array  # (S, 5, 2) m
+    start_heading: Array  # (S, 5, 2) unit vector
+    start_group: Array  # (S, 5) int32 group whose open place is the start instead, -1 none
+    goal: Array  # (S, 5, 2) m
+    goal_heading: Array  # (S, 5, 2) unit vector
+    goal_group: Array  # (S, 5) int32 likewise
+    waypoint: Array  # (S, L, K, 2) m
+    waypoints: Array  # (S, L) int32 how many a loop has
+    walked: Array  # (S, L, K) m, along the loop from its first waypoint to the end of each leg; inf for padding
+    center: Array  # (S, G, 2) m
+    capacity: Array  # (S, G) int32 people of a group, 0 for padding
+    group: Array  # (S, N) int32 group that a person stands in, -1 none
+    loop: Array  # (S, N) int32 loop that a person walks, -1 none
+    share: Array  # (S, N) of its length, at which a person is behind the loop's first one
+    way: Array  # (S, N) int32, 1 forward or -1 backward
+    present: Array  # (S, N) bool
+    names: tuple[str, ...] = struct.field(pytree_node=False)
+    situations: tuple[str, ...] = struct.field(pytree_node=False)
+
+
+def build(sets: dict[str, Set]) -> Sets:
+    """Arrays of checked sets, one row each; every start and goal of every set with the same chance."""
+    rows = list(sets.values())
+    loops = max(1, *(len(each.walkers) for each in rows))
+    corners = max((len(walkers.loop) for each in rows for walkers in each.walkers), default=1)
+    groups = max(1, *(len(each.groups) for each in rows))  # one at least, so that there is something to index
+    people = max(each.people for each in rows)
+    stacked = jax.tree.map(lambda *row: np.stack(row), *(_row(each, people, groups, loops, corners) for each in rows))
+    arrays = {name: jnp.asarray(value) for name, value in stacked.items()}
+    return Sets(**arrays, names=tuple(sets), situations=tuple(each.situation for each in rows))
+
+
+def _row(each: Set, people: int, groups: int, loops: int, corners: int) -> dict[str, np.ndarray]:
+    waypoint, walked = np.zeros((loops, corners, 2), np.float32), np.full((loops, corners), np.inf, np.float32)
+    waypoints = np.ones(loops, np.int32)
+    who = {name: np.full(people, -1, np.int32) for name in ("group", "loop")}
+    share, way = np.zeros(people, np.float32), np.ones(people, np.int32)
+    first = 0
+    for index, group in enumerate(each.groups.values()):
+        who["group"][first : first + group.people] = index
+        first += group.people
+    for index, walkers in enumerate(each.walkers):
+        loop, some = np.array(walkers.loop, np.float32), slice(first, first + walkers.people)
+        waypoint[index, : len(loop)], waypoints[index] = loop, len(loop)
+        walked[index, : len(loop)] = np.cumsum(np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=-1))
+        who["loop"][some] = index
+        share[some] = np.arange(walkers.people) / walkers.people
+        way[some] = 1 - 2 * (np.arange(walkers.people) % 2) if walkers.way == "both" else 1
+        first += walkers.people
+    center, capacity = np.zeros((groups, 2), np.float32), np.zeros(groups, np.int32)
+    for index, group in enumerate(each.groups.values()):
+        center[index], capacity[index] = group.center, group.people
+    poses = {}
+    for word, given in (("start", each.starts), ("goal", each.goals)):
+        poses |= _poses(word, given, list(each.groups), center)
+    return poses | who | dict(
+        weight=np.ones((POSES, POSES), np.float32), waypoint=waypoint, waypoints=waypoints, walked=walked,
+        center=center, capacity=capacity, share=share, way=way, present=np.arange(people) < first,
+    )  # fmt: skip
+
+
+def _poses(word: str, poses: list, names: list[str], center: np.ndarray) -> dict[str, np.ndarray]:
+    """Places, headings and groups of five poses; where one is in a group, the group's centre stands for the place."""
+    index = [names.index(pose) if isinstance(pose, str) else -1 for pose in poses]
+    place = [center[k] if k >= 0 else np.array(pose[:2]) for k, pose in zip(index, poses, strict=True)]
+    angle = np.deg2rad([0.0 if isinstance(pose, str) else pose[2] for pose in poses])
+    return {
+        word: np.array(place, np.float32),
+        word + "_heading": np.stack([np.cos(angle), np.sin(angle)], -1).astype(np.float32),
+        word + "_group": np.array(index, np.int32),
+    }

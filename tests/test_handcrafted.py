@@ -1,0 +1,475 @@
+"""Handcrafted behavior and task (sections IV-D, IV-E): sets as drawn by their designer, and situations that occur."""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax import cli, drawing, environment, files, main_job, tasks
+from sean_jax.assembly import with_task
+from sean_jax.environment import clearance
+from sean_jax.handcrafted import annotation
+from sean_jax.policies import go_to_goal
+
+ENVIRONMENTS = ("warehouse", "lab", "outdoor")
+NAMES = [
+    *("empty_1", "join_group_1", "join_group_2", "leave_group_1", "leave_group_2"),
+    *(f"down_path_{k}_density_{density}" for k in (1, 2, 3) for density in (1, 2)),
+    *("cross_path_1_density_1", "cross_path_1_density_2"),
+]
+KEYS = 400
+BODY = 0.2  # m, radius of a person
+
+
+@pytest.fixture(scope="module", params=ENVIRONMENTS)
+def shipped(request):
+    """Name of an environment, and its sets."""
+    folder = environment.find(request.param)
+    return request.param, annotation.read(folder, environment.load(folder)).sets
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return sean_jax.make("lab", behavior="handcrafted", task="handcrafted", dynamics="twin")
+
+
+@pytest.fixture(scope="module")
+def sets():
+    folder = environment.find("lab")
+    return annotation.read(folder, environment.load(folder)).sets
+
+
+@pytest.fixture(scope="module")
+def reset():
+    """Compiled once; a batch of keys."""
+    return jax.jit(jax.vmap(sean_jax.reset, (None, 0)))
+
+
+@pytest.fixture(scope="module")
+def states(lab, reset):
+    return jax.tree.map(np.asarray, reset(lab, jax.random.split(jax.random.key(0), KEYS)).replace(key=0))
+
+
+def direction(a, b) -> float:
+    """Angle [rad] from a to b."""
+    return float(np.arctan2(b[1] - a[1], b[0] - a[0]))
+
+
+def off(angle: float, other: float, period: float = 2 * np.pi) -> float:
+    """How far two angles are apart [degrees]."""
+    return abs(float(np.rad2deg((angle - other + period / 2) % period - period / 2)))
+
+
+def from_loop(place: np.ndarray, loop: list) -> float:
+    """Distance [m] from a closed polyline."""
+    best = np.inf
+    for a, b in zip(np.array(loop, float), np.roll(np.array(loop, float), -1, axis=0), strict=True):
+        share = np.clip(np.dot(place - a, b - a) / np.dot(b - a, b - a), 0.0, 1.0)
+        best = min(best, float(np.linalg.norm(place - a - share * (b - a))))
+    return best
+
+
+def test_each_environment_has_the_papers_13_sets_of_5_to_10_people(shipped):
+    _, found = shipped
+    assert list(found) == NAMES
+    for name, each in found.items():
+        assert name.startswith(each.situation)
+        assert 5 <= each.people <= 10
+        assert len(each.starts) == len(each.goals) == 5
+        if "density" in name:
+            assert each.people == 10 if name.endswith("2") else each.people in (5, 6)
+
+
+def test_ways_cross_at_right_angles_or_run_along_by_geometry_alone(shipped):
+    """Of down_path, a leg runs the robot's way beside it; of cross_path, legs lie across it: within the paper's A."""
+    name, found = shipped
+    for label, each in found.items():
+        if each.situation not in ("down_path", "cross_path"):
+            continue
+        for start in each.starts:
+            for goal in each.goals:
+                way, where = direction(start, goal), f"{name} {label} {start} {goal}"
+                for walkers in each.walkers:
+                    loop = np.array(walkers.loop, float)
+                    ends = [(a, b) for a, b in zip(loop, np.roll(loop, -1, axis=0), strict=True)]
+                    long = [leg for leg in ends if np.linalg.norm(leg[1] - leg[0]) > 3.0]
+                    assert len(long) == 2
+                    angles = [direction(*leg) for leg in long]
+                    if each.situation == "down_path":
+                        assert min(off(way, angle) for angle in angles) < 15.0, where
+                    else:
+                        assert max(off(way, angle + np.pi / 2, np.pi) for angle in angles) < 15.0, where
+                        for a, b in long:  # and the way does cross the leg
+                            x, y = b - a
+                            sides = [x * (pose[1] - a[1]) - y * (pose[0] - a[0]) for pose in (start, goal)]
+                            assert sides[0] * sides[1] < 0, where
+
+
+def test_people_start_as_drawn(lab, sets, states):
+    people = states.pedestrians
+    assert set(states.memory.set.tolist()) == set(range(13))
+    free = np.asarray(jax.jit(clearance)(lab.environment, jnp.asarray(people.position.reshape(-1, 2))))
+    assert free.reshape(people.present.shape)[people.present].min() >= BODY
+    for index in range(KEYS):
+        each = sets[NAMES[states.memory.set[index]]]
+        there = people.present[index]
+        assert there.sum() == each.people
+        member = people.group[index] >= 0
+        assert not member[~there].any()
+        for number, group in enumerate(each.groups.values()):
+            mine = people.group[index] == number
+            assert mine.sum() == group.people
+            gap = np.linalg.norm(people.position[index][mine] - np.array(group.center), axis=-1)
+            assert abs(gap - states.groups.radius[index][number]).max() < 0.13
+        walks = there & ~member
+        assert walks.sum() == sum(walkers.people for walkers in each.walkers)
+        for place in people.position[index][walks]:
+            assert min(from_loop(place, walkers.loop) for walkers in each.walkers) < 1e-3
+        gaps = np.linalg.norm(people.position[index][there][:, None] - people.position[index][there][None], axis=-1)
+        assert gaps[np.triu_indices(len(gaps), 1)].min() > 0.49
+        assert states.groups.present[index].sum() == len(each.groups)
+    assert np.isfinite(people.position).all() and np.isfinite(people.heading).all()
+
+
+def test_walkers_start_all_along_their_loops(states):
+    """With a random place of the first one: over many keys, every part of a loop is somebody's start."""
+    mine = states.memory.set == NAMES.index("down_path_1_density_1")
+    x = states.pedestrians.position[mine][:, :5, 0]
+    y = states.pedestrians.position[mine][:, :5, 1]
+    assert np.histogram(x[np.abs(y + 0.7) < 1e-3], bins=5, range=(-3.3, 3.0))[0].min() > 0
+    speed = np.linalg.norm(states.pedestrians.velocity[mine][:, :5], axis=-1)
+    np.testing.assert_allclose(speed, states.pedestrians.preferred_speed[mine][:, :5], rtol=1e-4)
+
+
+def test_members_look_inwards_and_leave_a_place_open(states):
+    people, groups = states.pedestrians, states.groups
+    cosine = []
+    for index, person in np.argwhere(people.group >= 0):
+        inward = groups.center[index, people.group[index, person]] - people.position[index, person]
+        cosine.append(float(people.heading[index, person] @ inward / np.linalg.norm(inward)))
+    assert np.rad2deg(np.arccos(np.median(cosine))) < 35.0  # 30 degrees in the data of the formation
+    for index, number in np.argwhere(groups.present):
+        mine = people.group[index] == number
+        assert np.linalg.norm(people.position[index][mine] - groups.opening[index, number], axis=-1).min() > 0.49
+
+
+def test_tasks_are_pairs_of_the_set_and_each_is_drawn(sets, states):
+    seen = set()
+    for index in range(KEYS):
+        task, name = jax.tree.map(lambda leaf, i=index: leaf[i], states.task), NAMES[states.memory.set[index]]
+        each, drawn = sets[name], []
+        for place, heading, group, poses in (
+            (task.start, task.start_heading, task.start_group, each.starts),
+            (task.goal, task.goal_heading, task.goal_group, each.goals),
+        ):
+            if isinstance(poses[0], str):
+                assert list(each.groups)[group] in poses
+                np.testing.assert_allclose(place, states.groups.opening[index, group])
+                inward = states.groups.center[index, group] - place
+                assert heading @ inward > 0.99 * np.linalg.norm(inward)
+                drawn.append(list(each.groups)[group])
+                continue
+            assert group == -1
+            number = int(np.argmin([np.linalg.norm(place - np.array(pose[:2])) for pose in poses]))
+            np.testing.assert_allclose(place, poses[number][:2], atol=1e-5)
+            assert off(float(np.arctan2(heading[1], heading[0])), np.deg2rad(poses[number][2])) < 0.01
+            drawn.append(number)
+        assert np.isfinite(task.geodesic) and task.geodesic >= np.linalg.norm(task.goal - task.start) - 1e-3
+        seen.add((name, *drawn))
+    assert len([one for one in seen if one[0] == "empty_1"]) > 12  # of 25, with about 30 draws
+    everywhere = np.linalg.norm(states.robot.position[:, None] - states.pedestrians.position, axis=-1)
+    assert everywhere[states.pedestrians.present].min() > 0.45
+
+
+def test_a_pair_is_chosen_without_compiling_again(lab, reset, sets):
+    keys = jax.random.split(jax.random.key(1), KEYS)
+    before = reset._cache_size()
+    found = reset(tasks.pair(lab, "cross_path_1_density_2", 2, 4), keys)
+    assert reset._cache_size() == max(before, 1)
+    assert (np.asarray(found.memory.set) == NAMES.index("cross_path_1_density_2")).all()
+    each = sets["cross_path_1_density_2"]
+    for place, pose in ((found.task.start, each.starts[2]), (found.task.goal, each.goals[4])):
+        np.testing.assert_allclose(np.asarray(place), np.tile(pose[:2], (KEYS, 1)), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "words"),
+    [
+        (("cros_path_1_density_1", 0, 0), "did you mean 'cross_path_1_density_1'"),
+        (("empty_1", 5, 0), "start: 5 must be a whole number from 0 to 4"),
+        (("empty_1", 0, -1), "goal: -1 must be a whole number from 0 to 4"),
+    ],
+)
+def test_a_pair_that_is_not_there_is_refused(lab, chosen, words):
+    with pytest.raises(ValueError, match=words):
+        tasks.pair(lab, *chosen)
+    with pytest.raises(ValueError, match="behavior: 'graph' has no handcrafted sets"):
+        tasks.pair(lab.replace(behavior=lab.behavior.replace(name="graph")), *chosen)
+
+
+@pytest.fixture(scope="module")
+def walked(lab, reset):
+    """300 steps in which the robot stands: people and targets of a set with 10 walkers, of one with two groups, and of
+    the latter again with an absent person put beside a member."""
+
+    def keep(before, after, action):
+        return after.pedestrians, after.memory.target
+
+    def stand(scenario, state, key):
+        return jnp.zeros(2, jnp.float32)
+
+    keys = jax.random.split(jax.random.key(2), KEYS)
+    loop, groups = (
+        jax.tree.map(lambda leaf: leaf[0], reset(tasks.pair(lab, name, 0, 0), keys))
+        for name in ("down_path_3_density_2", "leave_group_2")
+    )
+    people = groups.pedestrians
+    absent = int(np.flatnonzero(~np.asarray(people.present))[0])
+    beside = people.position.at[absent].set(people.position[0] + jnp.asarray([0.1, 0.0], jnp.float32))
+    moved = groups.replace(pedestrians=people.replace(position=beside))
+    batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), loop, groups, moved)
+    run = jax.jit(jax.vmap(lambda state: sean_jax.simulate(lab, stand, state, 300, record=keep)[1]))
+    found = jax.tree.map(np.asarray, run(batch))
+    return [jax.tree.map(lambda leaf, i=i: leaf[i], found) for i in range(3)]
+
+
+def test_loops_are_walked_in_order_for_ever_clear_of_obstacles(lab, sets, walked):
+    people, target = walked[0]
+    loop = np.array(sets["down_path_3_density_2"].walkers[0].loop)
+    change = np.diff(target, axis=0)
+    assert set(np.unique(change % 4)) == {0, 1}
+    assert ((change % 4).sum(0) >= 4).all()  # everybody has been all around
+    for step, person in np.argwhere(change):
+        assert np.linalg.norm(people.position[step, person] - loop[target[step, person]]) < 1.0 + 1e-3
+    free = np.asarray(jax.jit(clearance)(lab.environment, jnp.asarray(people.position.reshape(-1, 2))))
+    assert free.min() > BODY - 0.02
+
+
+def test_members_stay_and_who_is_absent_does_not_move(walked):
+    people, _ = walked[1]
+    there = people.present[0]
+    assert there.sum() == 6 and (people.present == there).all()
+    assert np.linalg.norm(people.position - people.position[:1], axis=-1)[:, there].max() < 0.3
+    assert (people.heading == people.heading[:1]).all() and (people.group[:, there] >= 0).all()
+    assert not people.velocity[:, ~there].any() and (people.group[:, ~there] == -1).all()
+
+
+def test_who_is_absent_is_felt_by_nobody(walked):
+    there = walked[1][0].present[0]
+    np.testing.assert_array_equal(walked[1][0].position[:, there], walked[2][0].position[:, there])
+    assert (walked[1][0].position != walked[2][0].position).any()
+
+
+@pytest.mark.parametrize(("name", "number"), [("down_path", 6), ("down_path_2_density_1", 1), ("all", 13)])
+def test_one_set_those_of_a_situation_or_all(name, number):
+    folder = environment.find("lab")
+    assert len(annotation.read(folder, environment.load(folder)).chosen(name)) == number
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (dict(people=5), "each handcrafted set has a number of its own; leave people out"),
+        (dict(task="join_group"), "only behavior 'graph' has, not 'handcrafted'; its own task is 'handcrafted'"),
+        (dict(behavior="graph"), "task: 'handcrafted' needs poses that belong to handcrafted people, not 'graph'"),
+        (dict(behavior="random", task="random_ab_nav", handcrafted="all"), "'random' has no sets; choose behavior"),
+        (dict(recording="people.csv"), "recording: behavior 'handcrafted' has none"),
+        (dict(handcrafted="down_pth"), "handcrafted: 'down_pth' is not one of all, empty, .* did you mean 'down_path'"),
+        (dict(robot="warthog"), "robot: set 'empty_1' has .* m of room at starts.*, too little for warthog"),
+    ],
+)
+def test_what_does_not_go_together_is_refused_with_the_reason(arguments, words):
+    common = dict(behavior="handcrafted", task="handcrafted", dynamics="twin")
+    with pytest.raises(ValueError, match=words):
+        sean_jax.make("lab", **(common | arguments))
+
+
+def test_other_tasks_go_with_it(lab, reset):
+    names = ("random_ab_nav", "busy_ab_nav")
+    several = [with_task(lab, name) for name in names]
+    state = jax.tree.map(lambda leaf: leaf[0], reset(lab, jax.random.split(jax.random.key(0), KEYS)))
+
+    @jax.jit
+    def draw(key):
+        held = state.pedestrians, state.groups, state.memory
+        return [each.task(each, *held, key) for each in several]
+
+    for task in draw(jax.random.key(0)):
+        assert np.isfinite(float(task.geodesic)) and int(task.goal_group) == -1
+
+
+def test_the_command_line_passes_the_set_on():
+    options = main_job.Options(
+        environment="lab", behavior="handcrafted", task="handcrafted,random_ab_nav", handcrafted="join_group",
+        dynamics="twin",
+    )  # fmt: skip
+    both = main_job._scenarios(options)
+    assert [each.task_name for each in both] == ["handcrafted", "random_ab_nav"]
+    assert both[0].behavior.data.names == ("join_group_1", "join_group_2") and both[0].people == 6
+    assert "--handcrafted join_group" in options.command
+
+
+GOOD = """\
+version: 1
+sets:
+  down_1:
+    situation: down_path
+    starts: [[-3, 0, 0], [-3, 0.5, 0], [-3, -0.5, 0], [-2.5, 0, 0], [-2.5, 0.5, 0]]
+    goals: [[3, 0, 0], [3, 0.5, 0], [3, -0.5, 0], [2.5, 0, 0], [2.5, 0.5, 0]]
+    walkers:
+      - {people: 5, loop: [[-4, -2], [4, -2], [4, 2], [-4, 2]], way: both}
+  join_1:
+    situation: join_group
+    starts: [[-3, 0, 0], [-3, 0.5, 0], [-3, -0.5, 0], [-2.5, 0, 0], [-2.5, 0.7, 0]]
+    goals: [desk, desk, desk, door, desk]
+    groups:
+      desk: {center: [3, 0], people: 3}
+      door: {center: [0, -2.6], people: 3}
+"""
+
+
+def yard(folder: Path) -> Path:
+    """A floor of 10 x 8 m with one box."""
+    (folder / "environment.yaml").write_text("name: yard\nfloor: [-5, -4, 5, 4]\npeople: 1\n")
+    box = "<geom type='box' pos='0 3.5 1' size='0.5 0.5 1'/>"
+    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{box}</worldbody></mujoco>")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "message"),
+    [
+        ("situation: down_path", "situation: down", "4:16", "situation: 'down' is not one of empty, join_group,"),
+        (", [2.5, 0.5, 0]]", "]", "6:12", "goals: [[3, 0, 0], [3, 0.5, 0], [3, -0.5, 0], [2.5, 0, 0]] has 4 values, 5"),
+        ("starts: [[-3, 0, 0]", "starts: [[-3, 0]", "5:14", "starts[0]: one value more is needed."),
+        ("people: 5", "people: 0", "8:18", "walkers[0].people: 0 is less than 1, the least allowed."),
+        ("people: 5", "people: 32", "8:18", "walkers[0].people: 32 do not fit on the loop; the most that do is "),
+        ("way: both", "way: back", "8:70", "walkers[0].way: 'back' is not one of forward, both"),
+        ("[[-4, -2], [4, -2], [4, 2], [-4, 2]]", "[[-4, -2], [4, -2]]", "8:27", "walkers[0].loop: [[-4, -2], [4, -2]]"),
+        ("[-4, 2]]", "[-4, -1.5]]", "8:55", "walkers[0].loop[3]: the next waypoint is only 0.50 m away, as close as"),
+        ("[4, 2], [-4, 2]]", "[4, 3.2], [-4, 3.2]]", "8:47", "walkers[0].loop[2]: the way from here to the next way"),
+        ("[4, 2], [-4", "[0, 3.4], [-4", "8:47", "walkers[0].loop[2]: [0, 3.4] is inside an obstacle; move it by"),
+        ("[4, 2], [-4", "[6, 2], [-4", "8:47", "walkers[0].loop[2]: [6, 2] is not on the floor [-5, -4, 5, 4]; mov"),
+        ("goals: [[3, 0, 0]", "goals: [[3, -1.8, 0]", "6:13", "goals[0]: is 0.20 m from the loop of walkers[0]; keep"),
+        ("goals: [[3, 0, 0]", "goals: [[0, 3.1, 0]", "6:13", "goals[0]: [0, 3.1] is inside an obstacle; move it by"),
+        ("goals: [[3, 0, 0]", "goals: [desk", "6:13", "goals[0]: there is no group 'desk'; add it to groups or give"),
+        ("    walkers:\n      - {people: 5, loop: [[-4, -2], [4, -2], [4, 2], [-4, 2]], way: both}\n", "", "3:3",
+         "there is nobody; give the set walkers or groups."),
+        ("goals: [desk", "goals: [dsk", "12:13", "goals[0]: there is no group 'dsk'; did you mean 'desk'?"),
+        ("goals: [desk", "goals: [[1, 1, 0]", "12:13", "goals[0]: goals of join_group lie in a group; give the name"),
+        ("situation: join_group", "situation: empty", "12:13", "goals[0]: only goals of join_group lie in a group and"),
+        ("center: [3, 0], people: 3", "center: [3, 0], people: 1", "14:38", "people: 1 is less than 2, the least"),
+        ("center: [3, 0]", "center: [4.5, 0]", "14:22", "groups.desk.center: [4.5, 0] has 0.50 m of room where a"),
+        ("center: [3, 0]", "center: [-2, 0]", "11:14", "starts[0]: is 0.0"),
+        ("center: [0, -2.6]", "center: [2, -1]", "15:22", "groups.door.center: leaves too little room to the"),
+        ("down_1:", "down_path:", "3:3", "sets.down_path: 'down_path' stands for several sets; give the set a name"),
+        ("join_1:", "down_1:", "9:3", "sets.down_1: the key was used in line 3; remove or rename one."),
+    ],
+)  # fmt: skip
+def test_mistakes_are_named_with_place_and_cure(tmp_path, old, new, place, message):
+    assert GOOD.count(old) >= 1
+    yard(tmp_path)
+    (tmp_path / "handcrafted.yaml").write_text(GOOD.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(files.FileError) as caught:
+        annotation.read(tmp_path, environment.load(tmp_path))
+    lines = [line for line in str(caught.value).splitlines() if message in line]
+    assert lines and lines[0].startswith(f"{tmp_path.name}/handcrafted.yaml:{place}: "), str(caught.value)
+    assert all(line.endswith((".", "?")) for line in str(caught.value).splitlines())
+
+
+def test_all_mistakes_are_told_at_once_and_a_missing_file_by_its_name(tmp_path):
+    yard(tmp_path)
+    with pytest.raises(ValueError, match=r"handcrafted.yaml: there is no such file, and behavior 'handcrafted' needs"):
+        sean_jax.make(tmp_path, behavior="handcrafted", task="handcrafted", dynamics="twin")
+    text = GOOD.replace("goals: [[3, 0, 0]", "goals: [[3, -1.8, 0]").replace("center: [3, 0]", "center: [-2, 0]")
+    (tmp_path / "handcrafted.yaml").write_text(text.replace("people: 5", "people: 32"), encoding="utf-8")
+    with pytest.raises(files.FileError) as caught:
+        annotation.read(tmp_path, environment.load(tmp_path))
+    assert {"8:18", "6:13", "11:14"} <= {
+        line.split("yaml:")[1].split(": ")[0] for line in str(caught.value).split("\n")
+    }
+
+
+def test_both_ways_alternate(tmp_path):
+    yard(tmp_path)
+    (tmp_path / "handcrafted.yaml").write_text(GOOD, encoding="utf-8")
+    scenario = sean_jax.make(tmp_path, behavior="handcrafted", task="random_ab_nav", dynamics="twin")
+    people, _, memory = jax.jit(scenario.behavior.reset)(tasks.pair(scenario, "down_1", 0, 0), jax.random.key(0))
+    loop, heading = np.array([[-4, -2], [4, -2], [4, 2], [-4, 2]], float), np.asarray(people.heading)[:5]
+    ahead = loop[np.asarray(memory.target)[:5]] - np.asarray(people.position)[:5]
+    np.testing.assert_allclose(heading, ahead / np.linalg.norm(ahead, axis=-1, keepdims=True), atol=1e-3)
+    place = np.asarray(people.position)[:5]
+    turn = place[:, 0] * heading[:, 1] - place[:, 1] * heading[:, 0]  # the loop goes around the origin
+    assert np.sign(turn).tolist() == [1, -1, 1, -1, 1]
+
+
+def test_sheets_show_every_set_and_node(tmp_path, lab, capsys, monkeypatch):
+    figure = drawing.handcrafted_sheet(lab)
+    titles = [axes.get_title(loc="left").strip() for axes in figure.axes]
+    assert titles[:13] == NAMES and len(titles) == 14
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["draw", "--graph", "--environment", "lab", "--out", "lab.svg"]) == 0
+    assert "<!-- Behavior graph: lab -->" in Path("lab.svg").read_text()
+    assert cli.main(["draw"]) == cli.main(["draw", "--graph", "--handcrafted"]) == 2
+    assert "give either --graph or --handcrafted" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_each_set_makes_its_situation_occur(name):
+    """go_to_goal over all 25 pairs of each set: its situation in 80 % of them or more; of empty, nothing else."""
+    scenario = sean_jax.make(name, behavior="handcrafted", task="handcrafted", dynamics="twin", time_limit=90.0)
+    sets = scenario.behavior.data
+    assert sets.names == tuple(NAMES)
+    picked = [(s, a, b) for s in range(13) for a in range(5) for b in range(5)]
+    weight = np.zeros((len(picked), *sets.weight.shape), np.float32)
+    for row, (s, a, b) in enumerate(picked):
+        weight[row, s, a, b] = 1.0
+
+    def keep(before, after, action):
+        return after.situations, ~(before.completed | before.timed_out)
+
+    @jax.jit
+    @jax.vmap
+    def run(weight, key):
+        directed = dataclasses.replace(scenario.behavior, data=dataclasses.replace(sets, weight=weight))
+        one = dataclasses.replace(scenario, behavior=directed)
+        last, kept = sean_jax.rollout(one, go_to_goal, key, 900, record=keep)
+        return last.completed, kept
+
+    completed, (flags, active) = jax.tree.map(
+        np.asarray, run(jnp.asarray(weight), jax.random.split(jax.random.key(0), len(picked)))
+    )
+    order = [situation for situation, _ in scenario.situations]
+    print(f"\n{name}: share of pairs in which it occurs, then shares of time of {', '.join(order)}; completed")
+    failed = []
+    for row, (label, situation) in enumerate(zip(sets.names, sets.situations, strict=True)):
+        part = slice(25 * row, 25 * row + 25)
+        held = flags[part] & active[part][..., None]
+        occurs = held[..., order.index(situation)].any(1).mean()
+        time = held.sum((0, 1)) / active[part].sum()
+        alone = (held[..., order.index("empty")] & (held.sum(-1) == 1)).sum() / active[part].sum()
+        shares = " ".join(f"{share:.2f}" for share in time)
+        print(f"  {label:<24} {occurs:4.2f}   {shares}   {completed[part].mean():.2f}")
+        if occurs < 0.8 or (situation == "empty" and alone < 0.95) or completed[part].mean() < 0.9:
+            failed.append(label)
+    assert not failed
+
+
+@pytest.mark.slow
+def test_gradients_are_finite(lab):
+    """Of where people are after two seconds, in every constant of the forces."""
+    one = tasks.pair(lab, "cross_path_1_density_1", 0, 0)
+    state = sean_jax.reset(one, jax.random.key(0))
+
+    def total(forces):
+        last, _ = sean_jax.simulate(dataclasses.replace(one, forces=forces), go_to_goal, state, 20)
+        return last.pedestrians.position.sum()
+
+    gradient = jax.jit(jax.grad(total))(one.forces)
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(gradient)]
+    assert all(np.isfinite(leaf).all() for leaf in leaves) and any(np.abs(leaf).max() > 0 for leaf in leaves)
