@@ -1,16 +1,18 @@
 """Rays against MuJoCo's own, the gradients of distances, and what tiles leave out."""
 
-from types import SimpleNamespace
+from importlib import import_module
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
 
 from sean_jax import environment, raycast
+from sean_jax.base import Solids
 from sean_jax.raycast import laws
 
+mujoco: Any = import_module("mujoco")  # Any, for it has no type stubs
 RADIUS = 0.2  # m, of people
 
 
@@ -78,10 +80,8 @@ def test_equal_to_mujoco(name):
 
 def yard(boxes=(), cylinders=(), spheres=()):
     """A scenery of rows as ``base.Solids`` has them."""
-    shapes = {"boxes": (boxes, 8), "cylinders": (cylinders, 8), "spheres": (spheres, 4)}
-    return SimpleNamespace(
-        **{key: jnp.asarray(np.asarray(rows, np.float32).reshape(-1, width)) for key, (rows, width) in shapes.items()}
-    )
+    shapes = (boxes, 8), (cylinders, 8), (spheres, 4), ([[0.5] * 3] * (len(boxes) + len(cylinders) + len(spheres)), 3)
+    return Solids(*(jnp.asarray(np.asarray(rows, np.float32).reshape(-1, width)) for rows, width in shapes))
 
 
 def fan(origin, *ways, tile=(1, 1)):

@@ -118,8 +118,8 @@ def test_module_is_small_and_says_what_it_is(path):
 
 
 def test_optional_packages_stay_in_their_rooms():
-    """optax and orbax belong to learning, Gymnasium and its like to adapters; mujoco has three rooms."""
-    rooms = {"optax": {"learning"}, "orbax": {"learning"}, "mujoco": {"environment", "robots", "drawing"}}
+    """optax and orbax belong to learning, Gymnasium and its like to adapters; mujoco has four rooms."""
+    rooms = {"optax": {"learning"}, "orbax": {"learning"}, "mujoco": {"environment", "scenery", "robots", "drawing"}}
     rooms |= dict.fromkeys(("gymnasium", "brax", "rclpy", "torch"), {"adapters"})
     for path in MODULES:
         nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
@@ -135,6 +135,15 @@ def test_command_line_starts_without_heavy_imports():
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "[]"
+
+
+def test_no_package_exports_a_function_named_as_one_of_its_modules():
+    """Whichever was imported last would hide the other."""
+    for path in MODULES:
+        if path.parent != PACKAGE and path.stem != "__init__":
+            package = import_module(dotted(path.parent / "__init__.py"))
+            value = getattr(package, path.stem, None)
+            assert value is None or isinstance(value, ModuleType), f"{package.__name__}.{path.stem} is a {type(value)}"
 
 
 def test_mjx_is_imported_late():

@@ -10,11 +10,11 @@ import jax
 
 from sean_jax.base import Array
 from sean_jax.raycast.laws import MISS
-from sean_jax.raycast.meeting import search, surface
+from sean_jax.raycast.meeting import along, nearest, search, surface
 from sean_jax.raycast.rays import Rays, bundle, by_rows
 from sean_jax.raycast.view import View, look
 
-__all__ = ["MISS", "Rays", "View", "bundle", "by_rows", "distance", "look", "search", "surface"]
+__all__ = ["MISS", "Rays", "View", "along", "bundle", "by_rows", "distance", "look", "search", "surface"]
 
 
 def distance(view: View, rays: Rays) -> Array:
@@ -27,11 +27,11 @@ def distance(view: View, rays: Rays) -> Array:
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _distance(rays: Rays, view: View) -> Array:
-    return search(view, rays, which=False)[0]
+    return nearest(view, rays)
 
 
 @_distance.defjvp
 def _move(rays: Rays, primals: tuple[View], tangents: tuple[View]) -> tuple[Array, Array]:
     here = jax.lax.stop_gradient(primals[0])
-    found, number = search(here, rays, which=True)
+    found, number = search(here, rays)
     return found, jax.jvp(lambda view: surface(view, rays, number)[0], primals, tangents)[1]

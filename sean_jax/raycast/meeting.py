@@ -5,7 +5,7 @@ other, as many as the fullest tile has. The loop has no gradient and needs none:
 the body that was found anew.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import jax
 import jax.numpy as jnp
@@ -16,23 +16,32 @@ from sean_jax.raycast import laws
 from sean_jax.raycast.rays import Rays
 from sean_jax.raycast.view import View
 
-CHUNK = 4  # bodies that one turn of the loop takes
+Row = Array | tuple[Array, ...]  # a table's columns, each of which broadcasts against rays (T, P)
+Law = Callable[[Row], Array]  # (T, P) m to the bodies of those rows
+
+CHUNK, FEW = 4, 8  # bodies that one turn of the loop takes; of few bodies, or for numbers as well, it takes one
 TALLEST = laws.HEAD + laws.HEAD_RADIUS  # m, of people
 
 
-def search(view: View, rays: Rays, which: bool) -> tuple[Array, Array | None]:
-    """(T, P) m the distance along each ray, ``laws.MISS`` where it meets nothing, and (T, P) int32 the body's number.
+def nearest(view: View, rays: Rays) -> Array:
+    """(T, P) m the distance along each ray to the first body that it meets, ``laws.MISS`` where it meets none."""
+    return _search(view, rays, (laws.ground(view.height, *_rises(rays)),))[0]
 
-    The number is only looked for if ``which``: that costs as much memory again.
-    """
-    first_of = _starts(view)
+
+def search(view: View, rays: Rays) -> tuple[Array, Array]:
+    """As ``nearest``, and (T, P) int32 the number of that body, which costs as much memory again."""
+    floor = _starts(view)[4]
     distance = laws.ground(view.height, *_rises(rays))
-    distance = jnp.broadcast_to(distance, rays.direction.shape[:2])
-    number = jnp.where(distance < laws.MISS, first_of[4], first_of[4] + 1).astype(jnp.int32) if which else None
+    number = jnp.where(distance < laws.MISS, floor, floor + 1).astype(jnp.int32)
+    distance, number = _search(view, rays, (distance, number))
+    return distance, number
+
+
+def _search(view: View, rays: Rays, found: tuple[Array, ...]) -> tuple[Array, ...]:
     for start, table, law, in_sight in _families(view, rays):
         if table.shape[0]:
-            distance, number = _nearest(law, table, in_sight, start, distance, number)
-    return distance, number
+            found = _nearest(law, table, in_sight, start, found)
+    return found
 
 
 def _starts(view: View) -> tuple[int, int, int, int, int]:
@@ -41,7 +50,7 @@ def _starts(view: View) -> tuple[int, int, int, int, int]:
     return 0, boxes, boxes + cylinders, boxes + cylinders + spheres, boxes + cylinders + spheres + people
 
 
-def _families(view: View, rays: Rays):
+def _families(view: View, rays: Rays) -> Iterator[tuple[int, Array, Law, Array]]:
     """(number of the first, table (K, F), law of rows (F of (T, 1)), which tiles have it in sight (T, K))."""
     first_of = _starts(view)
     boxes, cylinders, spheres, people = view.boxes, view.cylinders, view.spheres, view.people
@@ -83,29 +92,28 @@ def _in_sight(rays: Rays, table: Array, edge: Callable, away: Array, top: Array)
     return seen & ((rays.lowest[:, None] <= 0.0) | (top[None, :] >= rays.lowest[:, None] * away[None, :]))
 
 
-def _nearest(law, table, in_sight, start, distance, number):
-    """The distances (T, P), and numbers, after the bodies of a table (K, F) were met as well."""
+def _nearest(law: Law, table: Array, in_sight: Array, start: int, found: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Distances (T, P), and numbers if ``found`` has them, after the bodies of a table (K, F) were met as well."""
     count = table.shape[0]
     small = jnp.uint8 if count < 256 else jnp.int32  # the table of counts is read again and again
     ends = jnp.cumsum(in_sight, axis=1, dtype=small)
     padded = jnp.concatenate([table, table[-1:]])  # a row for tiles that have no more; what it gives is not used
-    turns = (ends[:, -1].max().astype(jnp.int32) + (CHUNK - 1)) // CHUNK
+    chunk = CHUNK if count > FEW and len(found) == 1 else 1  # each more is compiled anew, and saves a turn on a GPU
+    turns = (ends[:, -1].max().astype(jnp.int32) + (chunk - 1)) // chunk
 
-    def take(carry):
-        turn, distance, number = carry
-        for more in range(CHUNK):
-            chosen = (ends <= (CHUNK * turn + more).astype(small)).sum(
-                1, dtype=jnp.int32
-            )  # the next that the tile has in sight
+    def take(carry: tuple[Array, tuple[Array, ...]]) -> tuple[Array, tuple[Array, ...]]:
+        turn, found = carry
+        for more in range(chunk):
+            passed = ends <= (chunk * turn + more).astype(small)
+            chosen = passed.sum(1, dtype=jnp.int32)  # the next that the tile has in sight
             new = law(padded[chosen].T[:, :, None])
-            nearer = (new < distance) & (chosen < count)[:, None]
-            distance = jnp.where(nearer, new, distance)
-            if number is not None:
-                number = jnp.where(nearer, start + chosen[:, None], number)
-        return turn + 1, distance, number
+            nearer = (new < found[0]) & (chosen < count)[:, None]
+            values = new, start + chosen[:, None]
+            found = tuple(jnp.where(nearer, value, old) for value, old in zip(values, found, strict=False))
+        return turn + 1, found
 
-    start_turn = jnp.zeros((), jnp.int32)
-    return jax.lax.while_loop(lambda carry: carry[0] < turns, take, (start_turn, distance, number))[1:]
+    # Turns are counted by one: XLA for CPUs counted those of a step of 4 wrong (docs/architecture.md, Traps).
+    return jax.lax.while_loop(lambda carry: carry[0] < turns, take, (jnp.zeros((), jnp.int32), found))[1]
 
 
 def surface(view: View, rays: Rays, number: Array) -> tuple[Array, Array, Array, Array]:
@@ -129,64 +137,76 @@ def surface(view: View, rays: Rays, number: Array) -> tuple[Array, Array, Array,
         if not table.shape[0]:
             continue
         mine = (number >= start) & (number < start + table.shape[0])
-        row = jnp.moveaxis(table[jnp.clip(number - start, 0, table.shape[0] - 1)], -1, 0)
+        index = jnp.clip(number - start, 0, table.shape[0] - 1)
+        row = tuple(column[index] for column in table.T)
         there = law(row)
         distance = jnp.where(mine, there, distance)
         at = jnp.where(mine & (there < laws.MISS), there, 1.0)
-        ox, oy, oz = _offsets(rays)
-        facing = normal(row, ox + at * dx, oy + at * dy, oz + at * dz)
+        facing = normal(row, *along(rays, at))
         nx, ny, nz = (jnp.where(mine, new, old) for new, old in zip(facing, (nx, ny, nz), strict=True))
     return distance, nx, ny, nz
 
 
 def _directions(rays: Rays) -> tuple[Array, Array, Array]:
-    return tuple(jnp.asarray(rays.direction[..., axis]) for axis in range(3))  # type: ignore[return-value]
+    return jnp.asarray(rays.direction[0]), jnp.asarray(rays.direction[1]), jnp.asarray(rays.direction[2])
 
 
 def _rises(rays: Rays) -> tuple[Array, Array]:
-    rise = jnp.asarray(rays.direction[..., 2])
-    return rise, laws.inverse(rise)
+    return jnp.asarray(rays.direction[2]), jnp.asarray(rays.inverse_rise)
 
 
-def _offsets(rays: Rays) -> tuple[Array, Array, Array]:
+def along(rays: Rays, distance: Array) -> tuple[Array, Array, Array]:
+    """x, y, z [m] from the sensor, (T, P) each, of the places so far along the rays."""
+    x, y, z = (distance * part for part in _directions(rays))
     if rays.offset is None:
-        zero = jnp.zeros((1, 1), jnp.float32)
-        return zero, zero, zero
-    return tuple(jnp.asarray(rays.offset[..., axis]) for axis in range(3))  # type: ignore[return-value]
+        return x, y, z
+    return x + rays.offset[0], y + rays.offset[1], z + rays.offset[2]
 
 
 def _from_ray(rays: Rays, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
     """What lies at (x, y, z) from the sensor, from where each ray begins."""
     if rays.offset is None:
         return x, y, z
-    ox, oy, oz = _offsets(rays)
-    return x - ox, y - oy, z - oz
+    return x - rays.offset[0], y - rays.offset[1], z - rays.offset[2]
 
 
-def _box(rays: Rays) -> Callable:
-    direction, inverse = _directions(rays), _rises(rays)[1]
-    return lambda row: laws.box(*_from_ray(rays, *row[:3]), *row[3:8], *direction, inverse)
+def _box(rays: Rays) -> Law:
+    (dx, dy, dz), inverse_dz = _directions(rays), jnp.asarray(rays.inverse_rise)
+
+    def law(row: Row) -> Array:
+        x, y, z = _from_ray(rays, row[0], row[1], row[2])
+        return laws.box(x, y, z, row[3], row[4], row[5], row[6], row[7], dx, dy, dz, inverse_dz)
+
+    return law
 
 
-def _cylinder(rays: Rays) -> Callable:
-    direction = _directions(rays)
-    return lambda row: laws.cylinder(*_from_ray(rays, *row[:3]), *row[3:8], *direction)
+def _cylinder(rays: Rays) -> Law:
+    dx, dy, dz = _directions(rays)
+
+    def law(row: Row) -> Array:
+        x, y, z = _from_ray(rays, row[0], row[1], row[2])
+        return laws.cylinder(x, y, z, row[3], row[4], row[5], row[6], row[7], dx, dy, dz)
+
+    return law
 
 
-def _sphere(rays: Rays) -> Callable:
-    direction = _directions(rays)
-    return lambda row: laws.sphere(*_from_ray(rays, *row[:3]), row[3], *direction)
+def _sphere(rays: Rays) -> Law:
+    dx, dy, dz = _directions(rays)
+
+    def law(row: Row) -> Array:
+        x, y, z = _from_ray(rays, row[0], row[1], row[2])
+        return laws.sphere(x, y, z, row[3], dx, dy, dz)
+
+    return law
 
 
-def _person(rays: Rays, view: View) -> Callable:
-    direction = _directions(rays)
-    flat = direction[0] * direction[0] + direction[1] * direction[1]
-    inverse = jnp.where(flat > 1e-12, 1.0 / jnp.where(flat > 1e-12, flat, 1.0), 0.0)
+def _person(rays: Rays, view: View) -> Law:
+    (dx, dy, dz), inverse_run = _directions(rays), jnp.asarray(rays.inverse_run)
+    shape = laws.legs if rays.low else laws.person
 
-    def law(row):
-        feet = jnp.broadcast_to(-view.height, row[0].shape)
-        shape = laws.legs if rays.low else laws.person
-        return shape(*_from_ray(rays, row[0], row[1], feet), view.radius, *direction, inverse)
+    def law(row: Row) -> Array:
+        x, y, z = _from_ray(rays, row[0], row[1], jnp.broadcast_to(-view.height, row[0].shape))
+        return shape(x, y, z, view.radius, dx, dy, dz, inverse_run)
 
     return law
 

@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from sean_jax.raycast.laws import SHOULDER
+from sean_jax.raycast.laws import SHOULDER, STEEP
 
 WIDEST = np.deg2rad(85.0)  # half of a sector; wider ones keep everything
 
@@ -18,8 +18,10 @@ class Rays:
     """``T`` tiles of ``P`` rays. Lengths in metres, the robot's frame: x ahead, y to the left, z up from the floor."""
 
     origin: np.ndarray  # (3,) m, where the sensor is
-    offset: np.ndarray | None  # (T, P, 3) m from there to where each ray begins; None: all begin there
-    direction: np.ndarray  # (T, P, 3) unit vectors
+    offset: np.ndarray | None  # (3, T, P) m from there to where each ray begins; None: all begin there
+    direction: np.ndarray  # (3, T, P) unit vectors
+    inverse_rise: np.ndarray  # (T, P) 1 / the vertical part of the direction
+    inverse_run: np.ndarray  # (T, P) 1 / the square of the part over the ground, 0 for a vertical ray
     left: np.ndarray  # (T, 2) inward normal of the sector's left edge; 0 where there is none
     right: np.ndarray  # (T, 2) and of its right edge
     lowest: np.ndarray  # (T,) least slope of its rays: rise over run
@@ -30,7 +32,7 @@ class Rays:
 
     @property
     def tiles(self) -> int:
-        return self.direction.shape[0]
+        return self.direction.shape[1]
 
 
 def bundle(origin, direction, tile, reach: float, offset=None) -> Rays:
@@ -46,6 +48,7 @@ def bundle(origin, direction, tile, reach: float, offset=None) -> Rays:
     begins = None if offset is None else np.asarray(offset, np.float64).reshape(-1, 3)[places]
     left, right = _sectors(flat, begins is None)
     run = np.linalg.norm(flat[..., :2], axis=-1)
+    rise = np.where(np.abs(flat[..., 2]) < STEEP, STEEP, flat[..., 2])
     slope = flat[..., 2] / np.maximum(run, 1e-9)
     highest = slope.max(1)
     with np.errstate(divide="ignore"):
@@ -53,8 +56,10 @@ def bundle(origin, direction, tile, reach: float, offset=None) -> Rays:
     spread = 0.0 if begins is None else float(np.linalg.norm(begins[..., :2], axis=-1).max())
     return Rays(
         origin=origin.astype(np.float32),
-        offset=None if begins is None else begins.astype(np.float32),
-        direction=flat.astype(np.float32),
+        offset=None if begins is None else _apart(begins),
+        direction=_apart(flat),
+        inverse_rise=(1.0 / rise).astype(np.float32),
+        inverse_run=np.where(run > 1e-6, 1.0 / np.maximum(run, 1e-6) ** 2, 0.0).astype(np.float32),
         left=left.astype(np.float32),
         right=right.astype(np.float32),
         lowest=slope.min(1).astype(np.float32),
@@ -70,6 +75,11 @@ def by_rows(rays: Rays, values):
     down, across, height, width = rays.grid
     image = values.reshape(rays.grid).swapaxes(1, 2).reshape(down * height, across * width)
     return image[: rays.shape[0], : rays.shape[1]]
+
+
+def _apart(vectors: np.ndarray) -> np.ndarray:
+    """(3, T, P) of (T, P, 3): XLA shall not have to take them apart, which it does anew at each use."""
+    return np.ascontiguousarray(np.moveaxis(vectors, -1, 0), np.float32)
 
 
 def _tiles(rows: int, columns: int, tile: tuple[int, int]) -> tuple[tuple[int, int, int, int], np.ndarray]:

@@ -89,7 +89,7 @@ def rays(view: Camera) -> tuple[Rays, np.ndarray]:
 def bands(view: Camera) -> tuple[tuple[Rays, ...], np.ndarray]:
     """As ``rays``, in one bundle for the rows that rise and one for those that do not: faster to search."""
     direction, offset, cosine = _directions(view)
-    falls = (direction[..., 2] <= 0.0).all(1)
+    falls = np.all(direction[..., 2] <= 0.0, axis=1)
     first = int(np.argmax(falls)) if falls.any() else len(falls)
     parts = [part for part in (slice(0, first), slice(first, None)) if falls[part].size]
     if offset is not None or not falls[first:].all():

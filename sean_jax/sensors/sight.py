@@ -1,5 +1,7 @@
 """What a sensor of a scenario has before it: the scenery, the people, and the robot if the sensor sees it."""
 
+import dataclasses
+
 import jax.numpy as jnp
 
 from sean_jax.base import Array, Scenario, Solids, State
@@ -23,7 +25,8 @@ def _with_robot(view: View, solids: Solids, origin) -> View:
     def moved(table: Array) -> Array:
         return table.at[:, :3].add(-place[None, :])
 
-    return view.replace(  # type: ignore[attr-defined]
+    return dataclasses.replace(
+        view,
         boxes=jnp.concatenate([view.boxes, moved(solids.boxes)]),
         cylinders=jnp.concatenate([view.cylinders, moved(solids.cylinders)]),
         spheres=jnp.concatenate([view.spheres, moved(solids.spheres)]),
