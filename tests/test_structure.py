@@ -137,15 +137,6 @@ def test_command_line_starts_without_heavy_imports():
     assert done.stdout.strip() == "[]"
 
 
-def test_no_package_exports_a_function_named_as_one_of_its_modules():
-    """Whichever was imported last would hide the other."""
-    for path in MODULES:
-        if path.parent != PACKAGE and path.stem != "__init__":
-            package = import_module(dotted(path.parent / "__init__.py"))
-            value = getattr(package, path.stem, None)
-            assert value is None or isinstance(value, ModuleType), f"{package.__name__}.{path.stem} is a {type(value)}"
-
-
 def test_mjx_is_imported_late():
     """Importing mjx costs seconds: no module does so when it is itself imported."""
     assert not [dotted(path) for path in MODULES if any("mjx" in name for name in top_level_imports(path))]

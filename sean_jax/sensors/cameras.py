@@ -73,9 +73,10 @@ def camera(
     if not 0.0 <= near < farthest:
         raise ValueError(f"near, far: {near:g} and {farthest:g} m must be a lesser and a greater distance.")
     shown = (6.0 if name == OVERHEAD else 0.0) if orthographic is None else orthographic
-    return Camera(
-        name, mount.origin, mount.axes, width, height, angle, near, farthest, shown, name in SEES_ROBOT
-    )  # fmt: skip
+    if not shown >= 0.0:
+        raise ValueError(f"orthographic: {shown:g} m must be the height of what is shown, or 0 for perspective.")
+    seen = name in SEES_ROBOT
+    return Camera(name, mount.origin, mount.axes, width, height, angle, near, farthest, shown, seen)
 
 
 @functools.lru_cache(maxsize=64)
