@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from sean_jax import sensors
     from sean_jax.assembly import make
     from sean_jax.classifiers import SITUATIONS
     from sean_jax.drawing import view
@@ -25,14 +26,18 @@ _HOMES = {
     "step": "scenario",
 }
 
-__all__ = ["SITUATIONS", "make", "observe", "reset", "results", "rollout", "simulate", "step", "view"]
+_ROOMS = ("sensors",)  # public as a whole
+
+__all__ = ["SITUATIONS", "make", "observe", "reset", "results", "rollout", "sensors", "simulate", "step", "view"]
 
 
 def __getattr__(name: str):
+    if name in _ROOMS:
+        return import_module(f"{__name__}.{name}")
     if name in _HOMES:
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOMES])
+    return sorted({*globals(), *_HOMES, *_ROOMS})

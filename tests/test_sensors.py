@@ -244,7 +244,7 @@ def test_people_are_where_they_belong_seen_from_above(shots):
 
 
 def test_each_person_has_a_color_and_a_face(shots, scenario):
-    shirts = np.array(jax.jit(lambda: jnp.stack(paint._shirts(scenario.people)))())
+    shirts = np.array(jax.jit(lambda: jnp.stack(paint.shirts(scenario.people)))())
     assert (
         np.linalg.norm(shirts[:, :, None] - shirts[:, None], axis=0)[~np.eye(scenario.people, dtype=bool)].min() > 0.02
     )
@@ -321,7 +321,8 @@ def test_a_sensor_is_due_at_its_rate(rate, ticks):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"name": "dept"}, "robot 'kuri' has no 'dept'; it has depth, first_person, third_person, overhead."),
+        ({"name": "dept"}, "robot 'kuri' has no 'dept'; did you mean 'depth'?"),
+        ({"name": "rear"}, "robot 'kuri' has no 'rear'; it has depth, first_person, third_person, overhead."),
         ({"fovy": 0.0}, "fovy: 0 degrees must lie between 0 and 180."),
         ({"near": 2.0, "far": 1.0}, "near, far: 2 and 1 m must be a lesser and a greater distance."),
         ({"width": 0}, "a picture of 0 x 480 pixels shows nothing; give 1 or more of each."),

@@ -8,14 +8,18 @@ from sean_jax.drawing.animation import animate
 from sean_jax.drawing.colors import situation_colors
 from sean_jax.drawing.pictures import graph_of, heat_map, top_down, view
 from sean_jax.drawing.sheets import graph_sheet, handcrafted_sheet
+from sean_jax.drawing.videos import RENDERERS, check_renderer, video
 
 __all__ = [
+    "RENDERERS",
     "animate",
+    "check_renderer",
     "graph_of",
     "graph_sheet",
     "handcrafted_sheet",
     "heat_map",
     "situation_colors",
     "top_down",
+    "video",
     "view",
 ]

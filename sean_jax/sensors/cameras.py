@@ -5,6 +5,7 @@ high. A camera is a fixed value; its rays are made once and shared by all scenar
 """
 
 import dataclasses
+import difflib
 import functools
 
 import numpy as np
@@ -31,6 +32,10 @@ class Camera:
     far: float  # m, along the view: what is farther is as good as nothing
     orthographic: float  # m, height of the picture of a camera without perspective; 0: with perspective
     sees_robot: bool  # whether the robot itself is in the picture
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same camera with other numbers of pixels."""
+        return dataclasses.replace(self, width=width, height=height)
 
 
 def camera(
@@ -62,7 +67,9 @@ def camera(
     robot = of.robot if isinstance(of, Scenario) else of
     mounts = {mount.name: mount for mount in robot.mounts if mount.fovy > 0.0}
     if name not in mounts:
-        raise ValueError(f"camera: robot '{robot.name}' has no '{name}'; it has {', '.join(mounts) or 'none'}.")
+        meant = difflib.get_close_matches(name, mounts, 1)
+        cure = f"did you mean '{meant[0]}'?" if meant else f"it has {', '.join(mounts) or 'none'}."
+        raise ValueError(f"camera: robot '{robot.name}' has no '{name}'; {cure}")
     if width < 1 or height < 1:
         raise ValueError(f"camera: a picture of {width} x {height} pixels shows nothing; give 1 or more of each.")
     mount = mounts[name]

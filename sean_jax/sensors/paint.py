@@ -93,7 +93,7 @@ def _clothes(state: State, view: View, number: Array, x: Array, y: Array, up: Ar
     ahead = (x - view.people[:, 0][who]) * look_x[who] + (y - view.people[:, 1][who]) * look_y[who]
     head = up > NECK
     face = head & (ahead > 0.03) & (up < NECK + FACE)
-    shirt = _shirts(count)
+    shirt = shirts(count)
 
     def worn(axis: int) -> Array:
         body = jnp.where(up > WAIST, shirt[axis][who], LEGS[axis])
@@ -102,7 +102,7 @@ def _clothes(state: State, view: View, number: Array, x: Array, y: Array, up: Ar
     return worn(0), worn(1), worn(2)
 
 
-def _shirts(count: int) -> Color:
+def shirts(count: int) -> Color:
     """A color for each person, (N,) for each of red, green and blue; neighbours in the list differ most."""
     hue = jnp.mod(jnp.arange(count, dtype=jnp.float32) * 0.618034 + 0.08, 1.0)
 
