@@ -36,3 +36,10 @@ def test_step():
     assert parts == ["direct_pedestrians", "move_pedestrians", "move_robot", "classify", "measure", "step",
                      "policy go_to_goal", "step + policy"]  # fmt: skip
     assert all(float(line[33:].split()[0]) > 0 for line in lines[2:])
+
+
+@pytest.mark.slow
+def test_sensors():
+    lines = run("benchmarks/sensors.py", "--batches", "2", "--people", "8", "--sizes", "8x6", "--repeats", "1")
+    assert [line[:22].strip() for line in lines[2:]] == ["depth 8x6", "first_person 8x6", "overhead 8x6", "lidar 360"]
+    assert all(float(line[22:].split()[2]) > 0 for line in lines[2:])
