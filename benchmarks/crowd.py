@@ -79,7 +79,8 @@ def loop(people: int, walls: int, preset: str, steps: int = 2) -> float:
 def exact(people: int, walls: int, preset: str):
     """Constants, sight law, state and boxes of the workload in float64."""
     parameters = social_forces.preset(preset)
-    p = {k: float(v) for k, v in vars(parameters).items() if k not in ("repulsion", "sight")}
+    laws = ("repulsion", "sight")
+    p = {k: None if v is None else float(v) for k, v in vars(parameters).items() if k not in laws}
     e = workload.crowd(people, walls)[2]
     state = e["x"], e["v"], e["heading"], e["desired"], e["preferred"]
     return p, parameters.sight.__name__, state, (e["center"], e["half"], e["yaw"])

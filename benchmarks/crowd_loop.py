@@ -53,12 +53,52 @@ def sight(push, d, look, p, law):
     return p["back_weight"] + (1 - p["back_weight"]) * (1 + cosine) / 2
 
 
-def step(x, v, heading, desired, preferred, boxes, p, law, dt):
-    """One semi-implicit Euler step of N people: positions, velocities, headings, desired velocities (N, 2)."""
+def contact(d, w, v, p):
+    """Push (2,) of a body at relative position d (2,) with velocity w on one with velocity v, as they overlap."""
+    overlap = max(2 * p["radius"] - length(d), 0.0)
+    normal = d / length(d)
+    tangent = np.array([-normal[1], normal[0]])
+    push = p["body"] * overlap * normal
+    if p["friction"] is not None:
+        push = push + p["friction"] * overlap * ((w - v) @ tangent) * tangent
+    return push
+
+
+def ramp(share):
+    """0 below 0, 1 above 1."""
+    return min(max(share, 0.0), 1.0)
+
+
+def cohesion(i, others, x, v, look, p):
+    """Force (2,) on person i of walking with others (a list): gaze, attraction, repulsion, contact."""
+    force = np.zeros(2)
+    if not others:
+        return force
+    middle = np.mean([x[j] for j in others], axis=0) - x[i]
+    angle = np.arccos(np.clip(middle @ look / length(middle), -1, 1))
+    smooth = length(middle) ** 2 / (length(middle) ** 2 + 0.1**2)
+    force -= p["party_gaze"] * max(angle - p["party_view"], 0.0) * smooth * v[i]
+    centroid = np.mean([x[j] for j in [i, *others]], axis=0) - x[i]
+    far = length(centroid) - len(others) / 2 * p["party_far"]
+    force += p["party_attraction"] * ramp(far / p["party_ramp"]) * centroid / length(centroid)
+    for j in others:
+        d = x[i] - x[j]
+        near = p["party_near"] - length(d)
+        force += p["party_repulsion"] * ramp(near / p["party_ramp"]) * d / length(d)
+        force += contact(d, v[j], v[i], p)
+    return force
+
+
+def step(x, v, heading, desired, preferred, boxes, p, law, dt, parties=()):
+    """One semi-implicit Euler step of N people: positions, velocities, headings, desired velocities (N, 2).
+
+    ``parties`` are lists of the indices of those who walk together.
+    """
     n = len(x)
     new_x, new_v, new_heading = np.empty_like(x), np.empty_like(v), np.empty_like(heading)
     for i in range(n):
-        others = np.arange(n) != i
+        companions = [j for party in parties if i in party for j in party if j != i]
+        others = ~np.isin(np.arange(n), [i, *companions])
         d, w = x[i] - x[others], v[others]
         speed_wanted = length(desired[i])
         look = desired[i] / speed_wanted if speed_wanted > 0 else heading[i]
@@ -68,8 +108,7 @@ def step(x, v, heading, desired, preferred, boxes, p, law, dt):
         oncoming = ((w - v[i]) @ look < 0) & (bearing >= p["side_cosine"]) & (length(d) < p["side_range"])
         right = np.array([look[1], -look[0]])
         force = force + np.where(oncoming, p["side_preference"] * bearing, 0.0)[:, None] * right
-        overlap = np.maximum(2 * p["radius"] - length(d), 0.0)
-        force = force + (p["body"] * overlap / length(d))[:, None] * d
+        force = force + np.array([contact(one, other, v[i], p) for one, other in zip(d, w, strict=True)]).reshape(-1, 2)
         total = force[length(d) < p["perception"]].sum(0)
         if len(boxes[2]):
             distance, normal = from_boxes(x[i], boxes)
@@ -81,12 +120,17 @@ def step(x, v, heading, desired, preferred, boxes, p, law, dt):
         left = np.array([-heading[i][1], heading[i][0]])
         across = (total @ left) / p["lateral_damping"]
         total = (ahead * p["reversing"] if ahead < 0 else ahead) * heading[i] + across * left
+        total = total + cohesion(i, companions, x, v, look, p)
         u = v[i] + ((desired[i] - v[i]) / p["relaxation_time"] + total) * dt
         u = u * min(1.0, p["speed_ratio"] * preferred[i] / length(u)) if length(u) > 0 else u
         if len(boxes[2]):
             gap = distance - p["radius"]
             excess = np.maximum(-gap / dt - normal @ u, 0.0)
             u = u + (excess[:, None] * normal).sum(0)
+            if p["friction"] is not None:
+                tangent = np.stack([-normal[:, 1], normal[:, 0]], 1)
+                slowed = (tangent @ u) / (1 + p["friction"] / p["body"] * excess)
+                u = u - ((tangent @ u - slowed)[:, None] * tangent).sum(0)
             approach, allowed = -normal @ u, np.maximum(gap / dt + 1e-3, 0.0)
             u = u * min([1.0, *(allowed[approach > allowed] / approach[approach > allowed])])
         new_v[i], new_x[i] = u, x[i] + u * dt

@@ -58,6 +58,7 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Nearby |
         heading=single["heading"],
         desired_velocity=single["desired"],
         group=jnp.full(people, -1, jnp.int32),
+        party=jnp.full(people, -1, jnp.int32),
         present=jnp.ones(people, bool),
         preferred_speed=single["preferred"],
         robot_distance=jnp.zeros(people, jnp.float32),

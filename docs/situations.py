@@ -39,6 +39,7 @@ def moment(heading, people, boxes) -> Moment:
         heading=velocities / np.maximum(speeds, np.float32(1e-6)),
         desired_velocity=velocities,
         group=np.full(number, -1, np.int32),
+        party=np.full(number, -1, np.int32),
         present=np.ones(number, bool),
         preferred_speed=np.ones(number, np.float32),
         robot_distance=np.zeros(number, np.float32),

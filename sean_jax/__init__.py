@@ -7,7 +7,9 @@ if TYPE_CHECKING:
     from sean_jax import sensors
     from sean_jax.assembly import make
     from sean_jax.classifiers import SITUATIONS
+    from sean_jax.crowding import congestion
     from sean_jax.drawing import view
+    from sean_jax.metrics import aggregate
     from sean_jax.parallel import rollout, simulate
     from sean_jax.scenario import observe, reset, results, step
 
@@ -17,7 +19,9 @@ __version__ = "0.1.0"
 _HOMES = {
     "make": "assembly",
     "SITUATIONS": "classifiers",
+    "congestion": "crowding",
     "view": "drawing",
+    "aggregate": "metrics",
     "rollout": "parallel",
     "simulate": "parallel",
     "observe": "scenario",
@@ -28,7 +32,20 @@ _HOMES = {
 
 _ROOMS = ("sensors",)  # public as a whole
 
-__all__ = ["SITUATIONS", "make", "observe", "reset", "results", "rollout", "sensors", "simulate", "step", "view"]
+__all__ = [
+    "SITUATIONS",
+    "aggregate",
+    "congestion",
+    "make",
+    "observe",
+    "reset",
+    "results",
+    "rollout",
+    "sensors",
+    "simulate",
+    "step",
+    "view",
+]
 
 
 def __getattr__(name: str):

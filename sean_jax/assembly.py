@@ -12,6 +12,15 @@ from sean_jax import environment as environments
 from sean_jax.base import Behavior, Scenario
 
 PERSON_CLEARANCE = 0.25  # m: people's paths stand off from obstacles by a body of 0.2 m and some room
+# option of make -> the behaviors that it is for, and what the others have instead
+OPTIONS_OF = {
+    "paths": (("graph",), "no graph"),
+    "spreading": (("graph",), "no graph"),
+    "parties": (("graph", "random"), "people whose ways are laid down"),
+    "recording": (("playback",), "none"),
+    "frame_rate": (("playback",), "none"),
+    "handcrafted": (("handcrafted",), "no sets"),
+}
 
 
 def make(
@@ -29,6 +38,8 @@ def make(
     goal_radius: float = 1.2,
     hold_time: float = 5.0,
     task_distance: tuple[float, float] = (4.0, 20.0),
+    paths: str | None = None,
+    spreading: float | None = None,
     recording: str | Path | None = None,
     frame_rate: float | None = None,
     handcrafted: str | None = None,
@@ -36,6 +47,8 @@ def make(
     goal: tuple[float, ...] | None = None,
     situations: str | Mapping[str, Callable] = "paper",
     thresholds: classifiers.Thresholds | None = None,
+    parties: tuple[float, float] = (0.0, 0.0),
+    substeps: int | None = None,
 ) -> Scenario:
     """A scenario (section IV-B) from the names of its parts.
 
@@ -53,6 +66,10 @@ def make(
         goal_radius: within which the goal counts as reached [m] (SEAN 2.0: 1.2).
         hold_time: to be spent there for the task to be completed [s] (SEAN 2.0: 5).
         task_distance: least and greatest length [m] of the shortest path from start to goal.
+        paths: of behavior ``graph``: ``whole`` if None, the way to a goal is kept until it is reached; or ``edge``,
+            people choose anew at every node, as in SEAN 2.0's code.
+        spreading: of behavior ``graph`` [m2]: how many times its cost is added to that of an edge for each person per
+            m2 on it, so that people avoid crowds; 0, not at all, if None.
         recording: of behavior ``playback``: a CSV file with the columns frame, id, x, y [m].
         frame_rate: of the recording [1/s]; 25 if None.
         handcrafted: of behavior ``handcrafted``: a set, a situation, whose sets are drawn from, or ``all``, as if None.
@@ -60,11 +77,15 @@ def make(
         goal: likewise.
         situations: that are classified: a key of ``classifiers.SITUATION_SETS``, or a dict of them (see base.Scenario).
         thresholds: of the situation classifiers; those of the set if None, else the paper's.
+        parties: shares of the people who walk in pairs and in triples, rounded down to whole parties.
+        substeps: of the social forces in a step of control; as many as their stiffness needs if None
+            (``social_forces.longest_step``: 0.05 s, less for stiff bodies).
 
     Raises:
         ValueError: one sentence that names the value and the cure.
     """
     _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time, task_distance)
+    _check_graph_options(paths, spreading)
     _check_poses(task, start, goal)
     chosen, usual = _situations(situations)
     folder = environments.find(environment)
@@ -72,7 +93,15 @@ def make(
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     walking = _navigation(folder, PERSON_CLEARANCE)
     driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius)
-    directed, count = _behavior(behavior, folder, scene, walking, people, recording, frame_rate, handcrafted, time_step)
+    options = {
+        "paths": paths,
+        "spreading": spreading,
+        "parties": None if tuple(parties) == (0.0, 0.0) else tuple(parties),
+        "recording": recording,
+        "frame_rate": frame_rate,
+        "handcrafted": handcrafted,
+    }
+    directed, count = _behavior(behavior, folder, scene, walking, people, time_step, options)
     scenario = Scenario(
         environment=scene,
         navigation=driving,
@@ -90,6 +119,7 @@ def make(
         time_step=time_step,
         time_limit=time_limit,
         people=count,
+        substeps=_substeps(substeps, parameters, time_step),
         task_name=task,
     )
     if task == "handcrafted":
@@ -115,21 +145,24 @@ def _navigation(folder: Path, radius: float) -> navigation.Navigation:
     return navigation.build(environments.load(folder), radius)
 
 
-def _behavior(
-    name, folder, scene, walking, people, recording, frame_rate, handcrafted, time_step
-) -> tuple[Behavior, int]:
+def _behavior(name, folder, scene, walking, people, time_step, options) -> tuple[Behavior, int]:
     """The behavior and the number of people: as many as are recorded at once, as the largest set has, or as asked."""
-    build = behaviors.BEHAVIORS[name]
-    if name != "handcrafted" and handcrafted is not None:
-        raise ValueError(f"handcrafted: behavior '{name}' has no sets; choose behavior 'handcrafted'.")
-    if name != "playback":
-        for option, value in (("recording", recording), ("frame_rate", frame_rate)):
-            if value is not None:
-                raise ValueError(f"{option}: behavior '{name}' has none; choose behavior 'playback'.")
-        if name == "handcrafted":
-            return _handcrafted(folder, scene, walking, people, handcrafted)
-        count = environments.default_people(folder) if people is None else people
-        return build(folder, scene, walking, count), count
+    for option, (owners, has) in OPTIONS_OF.items():
+        if options[option] is not None and name not in owners:
+            choices = " or ".join(f"'{owner}'" for owner in owners)
+            raise ValueError(f"{option}: behavior '{name}' has {has}; choose behavior {choices}.")
+    build, here = behaviors.BEHAVIORS[name], (folder, scene, walking)
+    if name == "handcrafted":
+        return _handcrafted(*here, people, options["handcrafted"])
+    if name == "playback":
+        return _playback(*here, people, options["recording"], options["frame_rate"], time_step)
+    count = environments.default_people(folder) if people is None else people
+    shares = options["parties"] or (0.0, 0.0)
+    further = {"graph": (options["paths"] or "whole", options["spreading"] or 0.0, shares), "random": (shares,)}
+    return build(*here, count, *further.get(name, ())), count
+
+
+def _playback(folder, scene, walking, people, recording, frame_rate, time_step) -> tuple[Behavior, int]:
     rate = behaviors.playback.FRAME_RATE if frame_rate is None else frame_rate
     directed = behaviors.playback.build(folder, scene, walking, 0, recording, rate, time_step)
     count = behaviors.playback.most_people(directed)
@@ -169,6 +202,14 @@ def _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time
         raise ValueError(f"task_distance: {task_distance} must be a least and a greater distance in metres.")
 
 
+def _substeps(substeps: int | None, parameters: social_forces.Parameters, time_step: float) -> int:
+    if substeps is None:
+        return social_forces.substeps(parameters, time_step)
+    if substeps < 1:
+        raise ValueError(f"substeps: {substeps} is too few; give 1 or more.")
+    return substeps
+
+
 def _check_task(task: str, behavior: str) -> None:
     _check_name("task", task, tasks.TASKS)
     if task in tasks.NEEDS_GROUPS and behavior != "graph":
@@ -177,6 +218,13 @@ def _check_task(task: str, behavior: str) -> None:
     if task == "handcrafted" and behavior != "handcrafted":
         why = "poses that belong to handcrafted people"
         raise ValueError(f"task: '{task}' needs {why}, not '{behavior}'; choose behavior 'handcrafted' with it.")
+
+
+def _check_graph_options(paths: str | None, spreading: float | None) -> None:
+    if paths is not None:
+        _check_name("paths", paths, behaviors.graph_behavior.PATHS)
+    if spreading is not None and not 0 <= spreading < float("inf"):
+        raise ValueError(f"spreading: {spreading} must be 0 or more.")
 
 
 def _check_poses(task: str, start: tuple[float, ...] | None, goal: tuple[float, ...] | None) -> None:

@@ -21,6 +21,7 @@ class Pedestrians:
     heading: Array  # (N, 2) unit vector
     desired_velocity: Array  # (N, 2) m/s, set by the behavior, followed by the pedestrian model
     group: Array  # (N,) int32 index of the group that the person stands in, -1 none
+    party: Array  # (N,) int32 index of whoever leads the party that the person walks in, -1 none
     present: Array  # (N,) bool
     preferred_speed: Array  # (N,) m/s, drawn per episode
     robot_distance: Array  # (N,) m, drawn per episode: how much farther from a moving robot than from a person
@@ -168,6 +169,7 @@ class Behavior:
     name: str = struct.field(pytree_node=False)
     reset: Callable = struct.field(pytree_node=False)
     direct: Callable = struct.field(pytree_node=False)
+    companions: Array | None = None  # (N, 2) int32, those that each person walks with, -1 none; None: all walk alone
 
 
 class Mount(NamedTuple):
@@ -208,6 +210,8 @@ class RobotModel:
     time_step: float = struct.field(pytree_node=False)  # s, of the physics
     place: Callable = struct.field(pytree_node=False)
     drive: Callable = struct.field(pytree_node=False)
+    max_reverse_speed: Array | None = None  # () m/s, backward; None: max_speed
+    max_deceleration: Array | None = None  # () m/s2, by which the speed ahead may fall; None: max_acceleration
 
 
 @struct.dataclass
@@ -230,6 +234,7 @@ class Scenario:
     time_step: float = struct.field(pytree_node=False)  # s, of control
     time_limit: float = struct.field(pytree_node=False)  # s
     people: int = struct.field(pytree_node=False)
+    substeps: int = struct.field(pytree_node=False)  # of the social forces in a step of control
     task_name: str = struct.field(pytree_node=False)
 
 

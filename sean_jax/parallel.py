@@ -28,9 +28,14 @@ def simulate(
     """As ``rollout``, from a state."""
 
     def one(before: State, _) -> tuple[State, Frame]:
-        key = jax.random.fold_in(jax.random.fold_in(before.key, POLICY_STREAM), before.tick)
-        action = jnp.asarray(policy(scenario, before, key), before.robot.position.dtype)
-        after = step(scenario, before, action)
+        after, action = advance(scenario, policy, before)
         return after, record(before, after, action)
 
     return jax.lax.scan(one, state, length=steps)
+
+
+def advance(scenario: Scenario, policy: Policy, state: State) -> tuple[State, Array]:
+    """One step with the command (2,) of a policy, whose chance is a stream of the episode's key of its own."""
+    key = jax.random.fold_in(jax.random.fold_in(state.key, POLICY_STREAM), state.tick)
+    action = jnp.asarray(policy(scenario, state, key), state.robot.position.dtype)
+    return step(scenario, state, action), action

@@ -78,6 +78,7 @@ def test_options_that_cannot_be_met_are_refused_in_one_sentence(arguments, said,
         ("--forces", "helbing95", "helbing1995"),
         ("--dynamics", "twinn", "twin"),
         ("--camera", "first_persn", "first_person"),
+        ("--situations", "papr", "paper"),
     ],
 )
 def test_unknown_names_are_answered_with_the_one_meant(option, wrong, right, capsys, tmp_path):
@@ -161,6 +162,32 @@ def test_ctrl_c_between_batches_keeps_the_finished_ones(tmp_path, capsys, monkey
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["sean2", "more"])
+def test_every_set_of_situations_has_its_table_report_and_animation(name, tmp_path, capsys):
+    from PIL import Image
+
+    from sean_jax.classifiers import SITUATION_SETS
+
+    out = ["--situations", name, "--episodes", "2", "--out", str(tmp_path / "run")]
+    assert cli.main(["run", *SMALL[:-1], *out]) == 0
+    table = capsys.readouterr().out.replace("\n", " ")
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    header = (tmp_path / "run" / "episodes.csv").read_text().splitlines()[0].split(",")
+    assert list(summary["situations"]) == list(SITUATION_SETS[name])
+    for situation in SITUATION_SETS[name]:
+        assert f"time_in_situation__{situation}" in header and f"</i>{situation.replace('_', ' ')}</th>" in page
+        assert all(word in table for word in situation.split("_"))
+    assert f"--situations {name}" in summary_command(tmp_path / "run")
+    assert Image.open(tmp_path / "run" / "episode.gif").n_frames > 3  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def summary_command(folder: Path) -> str:
+    """The command that a run says will give it again."""
+    return yaml.safe_load((folder / "config.yaml").read_text())["command"]
+
+
+@pytest.mark.slow
 def test_a_batch_equals_each_episode_alone():
     import jax
 
@@ -184,5 +211,16 @@ def test_a_batch_equals_each_episode_alone():
 def test_list_names_every_choice(capsys):
     assert cli.main(["list"]) == 0
     said = capsys.readouterr().out
-    for name in ("warehouse", "graph", "join_group", "leave_group", "kuri", "go_to_goal", "helbing1995", "twin"):
+    for name in (
+        "warehouse",
+        "graph",
+        "join_group",
+        "leave_group",
+        "kuri",
+        "go_to_goal",
+        "helbing1995",
+        "twin",
+        "sean2",
+        "overtaking",
+    ):
         assert name in said

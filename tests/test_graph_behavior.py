@@ -7,8 +7,8 @@ import pytest
 
 import sean_jax
 from sean_jax import scenario as stages
-from sean_jax.behaviors import graph_behavior
-from sean_jax.behaviors.graph_behavior import Memory
+from sean_jax.behaviors import graph_goals
+from sean_jax.behaviors.graph_goals import Memory
 
 
 @pytest.fixture(scope="module")
@@ -53,17 +53,17 @@ def test_people_without_a_goal_take_empty_seats_first(scenario):
     nobody = jnp.full(people, -1, jnp.int32)
     at = jnp.full(people, int(graph.waypoints[0]), jnp.int32)
     memory = Memory(
-        at, at, jnp.zeros((people, 2)), nobody, jnp.zeros(people), jnp.zeros((seats, 2)), jnp.zeros((seats, 2))
+        at, at, at, jnp.zeros((people, 2)), nobody, jnp.zeros(people), jnp.zeros((seats, 2)), jnp.zeros((seats, 2))
     )
     chance = jnp.linspace(0.0, 0.999, people, dtype=jnp.float32)
     free = jnp.ones(people, bool)
-    given = graph_behavior._assign(graph, memory, free, chance)
+    given = graph_goals.assign(graph, memory, free, chance, jnp.ones_like(free))
     assert np.asarray(given.seat).tolist() == [*range(seats), *[-1] * (people - seats)]
     goals = np.asarray(given.goal)
     assert (goals[:seats] == np.asarray(graph.groups)[np.asarray(graph.seat_group)]).all()
     assert np.isin(goals[seats:], np.asarray(graph.waypoints)).all() and (goals[seats:] != int(at[0])).all()
     # with all seats taken, everybody else goes to a waypoint, all of which but one's own are drawn
-    others = graph_behavior._assign(graph, given, free & (given.seat < 0), chance)
+    others = graph_goals.assign(graph, given, free & (given.seat < 0), chance, jnp.ones_like(free))
     assert np.asarray(others.seat).tolist() == np.asarray(given.seat).tolist()
 
 
@@ -72,9 +72,11 @@ def test_waypoint_goals_are_drawn_uniformly_from_all_but_the_own(scenario):
     own = int(graph.waypoints[4])
     at = jnp.full(people, own, jnp.int32)
     taken = jnp.full(people, -1, jnp.int32).at[:11].set(jnp.arange(11, dtype=jnp.int32))
-    memory = Memory(at, at, jnp.zeros((people, 2)), taken, jnp.zeros(people), jnp.zeros((11, 2)), jnp.zeros((11, 2)))
+    memory = Memory(
+        at, at, at, jnp.zeros((people, 2)), taken, jnp.zeros(people), jnp.zeros((11, 2)), jnp.zeros((11, 2))
+    )
     chance = jax.random.uniform(jax.random.key(0), (people,), jnp.float32)
-    goals = np.asarray(graph_behavior._assign(graph, memory, taken < 0, chance).goal)[11:]
+    goals = np.asarray(graph_goals.assign(graph, memory, taken < 0, chance, jnp.ones(people, bool)).goal)[11:]
     counts = np.bincount(goals, minlength=15)
     assert counts[own] == 0
     others = counts[np.setdiff1d(np.asarray(graph.waypoints), own)]
@@ -143,11 +145,11 @@ def test_a_seat_goes_over_to_a_much_nearer_walker(scenario):
     hop = jnp.full(16, far, jnp.int32).at[1].set(near).at[2].set(near)
     goal = jnp.full(16, names["tables_4"], jnp.int32).at[0].set(dock)
     zeros = jnp.zeros(16, jnp.float32)
-    memory = Memory(goal, hop, people.position, seat, zeros, state.memory.seat_position, state.memory.seat_heading)
+    memory = Memory(goal, hop, hop, people.position, seat, zeros, state.memory.seat_position, state.memory.seat_heading)
     chance = jnp.full(16, 0.3, jnp.float32)
 
     def hand_over(onward):
-        return graph_behavior._hand_over(graph, people, memory, onward, chance)
+        return graph_goals.hand_over(graph, people, memory, onward, chance)
 
     after = hand_over(jnp.arange(16) == 1)
     assert int(after.seat[1]) == 0 and int(after.goal[1]) == dock

@@ -213,7 +213,7 @@ def test_a_pair_that_is_not_there_is_refused(lab, chosen, words):
 
 @pytest.fixture(scope="module")
 def walked(lab, reset):
-    """300 steps in which the robot stands: people and targets of a set with 10 walkers, of one with two groups, and of
+    """600 steps in which the robot stands: people and targets of a set with 10 walkers, of one with two groups, and of
     the latter again with an absent person put beside a member."""
 
     def keep(before, after, action):
@@ -232,7 +232,7 @@ def walked(lab, reset):
     beside = people.position.at[absent].set(people.position[0] + jnp.asarray([0.1, 0.0], jnp.float32))
     moved = groups.replace(pedestrians=people.replace(position=beside))
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), loop, groups, moved)
-    run = jax.jit(jax.vmap(lambda state: sean_jax.simulate(lab, stand, state, 300, record=keep)[1]))
+    run = jax.jit(jax.vmap(lambda state: sean_jax.simulate(lab, stand, state, 600, record=keep)[1]))
     found = jax.tree.map(np.asarray, run(batch))
     return [jax.tree.map(lambda leaf, i=i: leaf[i], found) for i in range(3)]
 

@@ -1,6 +1,8 @@
 """Metrics of section IV-H, folded over paths made by hand and over random ones that a plain loop measures too."""
 
+import math
 from dataclasses import replace
+from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +11,7 @@ import pytest
 
 from sean_jax import metrics
 from sean_jax.base import Moment, Pedestrians
+from sean_jax.metrics import metric
 
 PEOPLE, SITUATIONS, STEP = 3, 5, 0.1
 FAR = (50.0, 50.0)
@@ -29,6 +32,7 @@ def at(tick=0, position=(0, 0), velocity=(0, 0), people=(), situations=(), goal=
         heading=np.ones((PEOPLE, 2), np.float32),
         desired_velocity=np.zeros((PEOPLE, 2), np.float32),
         group=np.full(PEOPLE, -1, np.int32),
+        party=np.full(PEOPLE, -1, np.int32),
         present=np.arange(PEOPLE) < len(people),
         preferred_speed=np.ones(PEOPLE, np.float32),
         robot_distance=np.zeros(PEOPLE, np.float32),
@@ -107,6 +111,52 @@ def test_time_not_moving():
     found = drive([(value, 0.0) for value in x])
     assert found["time_not_moving"][0] == 5.0
     assert found["path_length"][0] == pytest.approx(0.147 + 0.24, rel=1e-4)
+
+
+def timed(ticks: np.ndarray, step: float) -> Moment:
+    """Moments that differ in their tick alone, stacked."""
+    here = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(ticks), *leaf.shape)), at())
+    return replace(here, tick=jnp.asarray(ticks, jnp.int32), time_step=step)
+
+
+@pytest.mark.parametrize("step", [0.15, 0.3, 0.4, 0.7, 1.0, 2.5, 1 / 30])
+def test_time_not_moving_adds_up_at_any_time_step(step):
+    """21 s of standing, then 21 s at 0.06 m/s, also in steps that do not divide a second."""
+    ticks = round(42 / step)
+    time = step * np.arange(ticks + 1)
+    x = 0.06 * np.maximum(time - 21.0, 0.0)
+    sequence = timed(np.arange(ticks + 1), step)
+    sequence = replace(sequence, position=jnp.asarray(np.stack([x, 0 * x], -1), jnp.float32))
+
+    @jax.jit
+    def whole(sequence):
+        first, before, after = (
+            jax.tree.map(lambda leaf: leaf[part], sequence)  # noqa: B023
+            for part in (0, slice(None, -1), slice(1, None))
+        )
+        chosen = tuple((name, metrics.METRICS[name]) for name in ("time_not_moving", "path_length"))
+        values = metrics.start(first, chosen)
+        values = jax.lax.scan(lambda v, pair: (metrics.fold(v, *pair, chosen), None), values, (before, after))[0]
+        return metrics.results(values, chosen)
+
+    found = whole(sequence)
+    # The second in which it starts belongs to neither or to one: 0.05 m of it may be standing.
+    assert abs(found["time_not_moving"][0] - 21.0) <= max(1.0, step)
+    assert found["path_length"][0] == pytest.approx(x[-1], rel=1e-4)
+    if step in (0.15, 0.3, 1.0):  # 21 s are a sample
+        assert found["time_not_moving"][0] == pytest.approx(21.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("step", [0.1, 0.15, 0.3, 0.4, 0.7, 2.5])
+def test_samples_are_the_first_ticks_at_or_after_whole_seconds(step):
+    decimal = Fraction(str(step))
+    passed = [math.floor(decimal * tick) - math.floor(decimal * (tick - 1)) > 0 for tick in range(1, 201)]
+    look = jax.jit(jax.vmap(lambda moment: (metric.by_second(moment), metric.since_second(moment))))
+    by, since = look(timed(np.arange(1, 201), step))
+    assert np.asarray(by).tolist() == passed
+    ticks = np.flatnonzero(passed) + 1
+    np.testing.assert_allclose(np.asarray(since)[ticks - 1], step * np.diff(ticks, prepend=0), rtol=1e-6)
+    assert abs(step * ticks[-1] - 200 * step) < max(1.0, step)
 
 
 def test_one_person_met_twice():

@@ -62,6 +62,7 @@ def moment(people=(), heading=AHEAD, speed=0.5, obstacles=FAR_AWAY, start=(9, 9)
         heading=jnp.asarray(headings),
         desired_velocity=jnp.zeros((SLOTS, 2), number),
         group=jnp.full(SLOTS, -1, jnp.int32),
+        party=jnp.full(SLOTS, -1, jnp.int32),
         present=jnp.arange(SLOTS) < len(people),
         preferred_speed=jnp.ones(SLOTS, number),
         robot_distance=jnp.zeros(SLOTS, number),

@@ -2,10 +2,12 @@
 
 import dataclasses
 import html.parser
+import io
 import json
 
 import numpy as np
 import pytest
+from rich.console import Console
 from test_drawing import Graph, environment, frames
 
 from sean_jax import report
@@ -39,6 +41,7 @@ def results() -> Results:
         },
         counts=("intimate_robot_on_person",),
         heat=np.ones((20, 24)),
+        walks=np.array([[0, 30, 9], [0, 0, 0], [9, 0, 0]]),
         together=np.array([1.0, 2.0, 0.0, 4.0] + [0.0] * 28),
         penetration=-0.1,
         group_size=np.array([5, 3, 3]),
@@ -67,18 +70,25 @@ def test_means_equal_plain_ones():
     json.dumps(found, allow_nan=False)
 
 
-def test_bootstrap_interval_equals_the_normal_one_for_many_episodes():
-    draw = np.random.default_rng(0).normal(10.0, 2.0, 400)
-    weights = np.random.default_rng(1).multinomial(400, np.full(400, 1 / 400), size=4000)
-    low, high = statistics.ratio(draw, np.ones(400), weights)["interval"]  # pyright: ignore[reportOptionalSubscript]
-    half = 1.96 * draw.std() / 20
-    assert low == pytest.approx(draw.mean() - half, abs=0.03) and high == pytest.approx(draw.mean() + half, abs=0.03)
-
-
 def test_exclusive_shares_divide_shared_time_and_add_up_to_one():
     shares = statistics.exclusive_shares(results())  # 1 s of none, 2 s of the first, 4 s of the first two
     assert shares["cross_path"] == pytest.approx(4 / 7) and shares["down_path"] == pytest.approx(2 / 7)
     assert shares["none"] == pytest.approx(1 / 7) and sum(shares.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("width", [60, 76, 80, 100, 200])
+def test_terminal_table_holds_every_situation_at_any_width(width):
+    """Where it is too narrow, tables follow each other: no column is cut, none is left out."""
+    console = Console(width=width, file=io.StringIO())
+    found = {"situations": {}, "metrics": statistics.aggregate(results())["metrics"]}
+    names = [*NAMES, "frontal_approach", "a_situation_of_mine", *(f"situation_{k}" for k in range(7))]
+    for k, name in enumerate(names):
+        found["situations"][name] = {"mean": 0.01 * (k + 30) + 1e-4, "interval": [0.0, 1.0]}
+    table.print_table(console, found, "runs")
+    said = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
+    assert max(len(line) for line in said.splitlines()[:-1]) <= width and "…" not in said
+    shares = [cell for line in said.splitlines() if "share of robot time" in line for cell in line.split()[5:]]
+    assert shares == ["100.0", *(f"{k + 30}.0" for k in range(len(names)))]
 
 
 def test_episodes_file_is_the_same_bytes_again_and_reads_back(tmp_path):
@@ -145,6 +155,7 @@ def test_report_is_whole_and_refers_to_nothing_outside():
             rows=[dataclasses.asdict(row) for row in rows],
             shares=statistics.exclusive_shares(given),
             heat=given.heat,
+            walks=given.walks,
             tasks=given.tasks,
             completed=given.completed,
             seconds=given.seconds,

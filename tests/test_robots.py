@@ -293,10 +293,23 @@ FIGURES = {  # mass, wheel radius, track; greatest speed, turn rate, acceleratio
 }
 
 
-@pytest.fixture(scope="module", params=robots.ROBOTS)
+@pytest.fixture(
+    scope="module",
+    params=[
+        *(pytest.param((name, "twin"), id=name) for name in robots.ROBOTS),
+        *(pytest.param((name, "mjx"), id=f"{name}-mjx", marks=pytest.mark.slow) for name in robots.ROBOTS),
+    ],
+)
 def every(request):
-    """Each robot by its twin, which compiles sooner; the twins equal the MJX robots, as two tests here show."""
-    return robots.load(request.param, "twin")
+    """Each robot by its twin, which compiles sooner, and in the slow tests by MJX."""
+    return robots.load(*request.param)
+
+
+def backward(model):
+    """Greatest speed backward and greatest fall of the speed: those ahead, unless the robot has its own."""
+    speed = model.max_speed if model.max_reverse_speed is None else model.max_reverse_speed
+    fall = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
+    return float(speed), float(fall)
 
 
 def by_hand(model, commands):
@@ -311,10 +324,12 @@ def by_hand(model, commands):
     gain, torque = float(model.servo_gain), float(model.servo_torque)
     most = float(model.max_acceleration), float(model.max_turn_acceleration)
     top = float(model.max_speed), float(model.max_turn_rate)
+    reverse, fall = backward(model)
+    least, down = (reverse, top[1]), (fall, most[1])
     now, out = [0.0, 0.0], []
     for command in commands:
         target = [
-            np.clip(np.clip(command[k], now[k] - 0.1 * most[k], now[k] + 0.1 * most[k]), -top[k], top[k])
+            np.clip(np.clip(command[k], now[k] - 0.1 * down[k], now[k] + 0.1 * most[k]), -least[k], top[k])
             for k in (0, 1)
         ]
         gone = [0.0, 0.0]
@@ -338,9 +353,9 @@ def test_every_robot_is_its_figures(every):
 
 
 def test_every_robot_answers_a_step_as_its_equation_says(every):
-    """Speed up, stop; turn up, stop: each robot's first-order servos, torque limits and acceleration limits."""
+    """Speed up, stop; turn up, stop; back up, stop: first-order servos, torque limits and acceleration limits."""
     top, turn = float(every.max_speed), 0.8 * float(every.max_turn_rate)
-    for command in ((top, 0.0), (0.0, turn), (0.4 * top, 0.3 * turn)):
+    for command in ((top, 0.0), (0.0, turn), (0.4 * top, 0.3 * turn), (-backward(every)[0], 0.0)):
         commands = [command] * 30 + [(0.0, 0.0)] * 30
         robot, _ = run(every, commands)
         expected = by_hand(every, commands)
@@ -349,6 +364,32 @@ def test_every_robot_answers_a_step_as_its_equation_says(every):
         assert robot.speed[29] == pytest.approx(command[0], rel=0.01, abs=1e-4)
         assert robot.turn_rate[29] == pytest.approx(command[1], rel=0.01, abs=1e-4)
         assert abs(robot.speed[-1]) < 1e-3 and abs(robot.turn_rate[-1]) < 1e-3
+
+
+def test_every_robot_backs_up_and_brakes_within_its_own_limits(every):
+    """Far beyond them: TurtleBot3's are 0.5 m/s backward, and 0.4 m/s2 downward but 0.8 m/s2 upward, in SEAN 2.0."""
+    top, rise = float(every.max_speed), float(every.max_acceleration)
+    reverse, fall = backward(every)
+    assert (reverse, fall) == pytest.approx({"turtlebot3": (0.5, 0.4)}.get(every.name, (top, rise)))
+    commands = [(99.0, 0.0)] * 40 + [(-99.0, 0.0)] * 60 + [(99.0, 0.0)] * 40
+    robot, _ = run(every, commands)
+    speed = robot.speed.astype(float)
+    assert speed[39] == pytest.approx(top, rel=0.01) and speed[99] == pytest.approx(-reverse, rel=0.01)
+    change = np.diff(speed, prepend=0.0) / TIME_STEP
+    assert change.max() <= 1.02 * rise and change.min() >= -1.02 * fall
+    np.testing.assert_allclose(speed, by_hand(every, commands)[:, 0], atol=1e-3 * max(0.2, top))
+    if every.name == "turtlebot3":  # slow enough for the limits, and not the servos, to decide
+        assert change[45:55].mean() == pytest.approx(-0.4, rel=0.05)
+        assert change[103:110].mean() == pytest.approx(0.8, rel=0.05)
+
+
+def test_limits_backward_follow_those_ahead_unless_given(twin):
+    """A sweep over the top speed reaches both directions; a limit of its own is a leaf as well."""
+    slow = twin.replace(max_speed=jnp.float32(0.2))
+    assert run(slow, [(-1.0, 0.0)] * 20)[0].speed[-1] == pytest.approx(-0.2, rel=0.01)
+    crawling = slow.replace(max_reverse_speed=jnp.float32(0.05))
+    assert run(crawling, [(-1.0, 0.0)] * 20)[0].speed[-1] == pytest.approx(-0.05, rel=0.01)
+    assert run(crawling, [(1.0, 0.0)] * 20)[0].speed[-1] == pytest.approx(0.2, rel=0.01)
 
 
 def test_every_robot_drives_a_circle_of_its_radius(every):
@@ -363,7 +404,7 @@ def test_every_robot_drives_a_circle_of_its_radius(every):
 
 def test_every_robot_drives_a_square(every):
     """Four sides, and quarter turns at the rate which by hand gives a right angle: corners where they should be."""
-    forward = [(0.4 * float(every.max_speed), 0.0)] * 16 + [(0.0, 0.0)] * 9
+    forward = [(0.32 * float(every.max_speed), 0.0)] * 16 + [(0.0, 0.0)] * 9
 
     def corner(rate):
         return [(0.0, rate)] * 16 + [(0.0, 0.0)] * 9
@@ -446,6 +487,7 @@ def test_unknown_names(wrong, dynamics, message):
     [
         ('<numeric name="friction"', '<numeric name="frictoin"', 'bad.xml: <custom> lacks <numeric name="friction"'),
         ('name="radius" data="0.16"', 'name="radius" data="-1"', "bad.xml: the numeric radius is -1"),
+        ("</custom>", '<numeric name="max_deceleration" data="-2"/></custom>', "the numeric max_deceleration is -2"),
         ("</worldbody>", "", "bad.xml: MuJoCo cannot read"),
         ('pos="0 0 0.405"', 'pos="0.1 0 0.405"', "bad.xml: the centre of mass"),
         ('<joint name="y" type="slide"', '<joint name="y" type="hinge"', "bad.xml: a robot must be a base with"),

@@ -134,7 +134,7 @@ def test_observation_is_in_the_robots_frame(scenario):
         (dict(behavior="grap"), "did you mean 'graph'"),
         (dict(task="join"), "task: 'join' is not one of join_group, leave_group"),
         (dict(robot="kurri"), "did you mean 'kuri'"),
-        (dict(forces="helbing"), "did you mean 'helbing1995'"),
+        (dict(forces="helbing1996"), "did you mean 'helbing1995'"),
         (dict(people=10_000), "the most that do is"),
         (dict(people=0), "people: 0 is too few"),
         (dict(time_limit=-1.0), "time_limit: -1.0 must be more than 0"),

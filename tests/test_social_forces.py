@@ -27,11 +27,11 @@ pairs = jax.jit(pair_forces)
 
 
 @functools.partial(jax.jit, static_argnames="steps")
-def walk(parameters, people, table=None, groups=None, robot=None, steps=1):
+def walk(parameters, people, table=None, groups=None, robot=None, companions=None, steps=1):
     """People after each of so many steps."""
 
     def one(carry, _):
-        after = social_forces.advance(parameters, carry, table, groups, robot, STEP, 0.16)
+        after = social_forces.advance(parameters, carry, table, groups, robot, STEP, 0.16, companions=companions)
         return after, after
 
     return jax.lax.scan(one, people, length=steps)[1]
@@ -48,6 +48,7 @@ def crowd(position, desired, velocity=None, preferred=None, **others) -> Pedestr
         heading=heading.astype(np.float32),
         desired_velocity=desired,
         group=np.full(len(position), -1, np.int32),
+        party=np.full(len(position), -1, np.int32),
         present=np.ones(len(position), bool),
         preferred_speed=np.array(speed if preferred is None else preferred, np.float32),
         robot_distance=np.zeros(len(position), np.float32),
@@ -100,6 +101,40 @@ def test_step_equals_the_float64_loop(preset):
     assert apart.min() < 2.0 and clearance(state[0], boxes).min() < 1.0  # they had something to feel
 
 
+@pytest.mark.parametrize("preset", ["helbing1995", "helbing2000"])
+def test_parties_in_a_crush_at_a_wall_equal_the_float64_loop(preset):
+    """Eleven people who overlap, two of them in the wall as well: cohesion, contact, friction of bodies and walls."""
+    parameters = social_forces.preset(preset)
+    parties = [[0, 1], [3, 6, 7], [10, 4]]
+    companions = np.full((11, 2), -1, np.int32)
+    for party in parties:
+        for one in party:
+            others = [other for other in party if other != one]
+            companions[one, : len(others)] = others
+    random = np.random.default_rng(4)
+    x = np.stack(np.meshgrid(np.arange(4), np.arange(3)), -1).reshape(-1, 2)[:11] * 0.37
+    x = x + random.uniform(-0.02, 0.02, x.shape)
+    desired = np.array([0.6, -1.0]) + random.normal(size=x.shape) * 0.3
+    party = np.array([next((min(one) for one in parties if k in one), -1) for k in range(11)], np.int32)
+    people = crowd(x, desired, random.normal(size=x.shape), np.full(11, 1.3), party=party)
+    table, boxes = scene((0.5, -0.68, 2.0, 0.5, 3.0))
+    state = tuple(np.asarray(part, float) for part in vars(people).values())[:4]
+    state = state[0], state[1], state[2], state[3], np.full(11, 1.3)
+    p = {k: None if v is None else float(v) for k, v in vars(parameters).items() if not callable(v)}
+    one = jax.jit(
+        lambda people: social_forces.advance(parameters, people, table, None, None, 0.01, companions=companions)
+    )
+    for step in range(10):
+        people = one(people)
+        state = crowd_loop.step(*state, boxes, p, parameters.sight.__name__, 0.01, parties) + state[3:]
+        limit = 1e-5 if step == 0 else 2e-4
+        for name, theirs in zip(("position", "velocity", "heading"), state[:3], strict=True):
+            ours = np.asarray(getattr(people, name))
+            assert np.linalg.norm(ours - theirs) <= limit * np.linalg.norm(theirs), (name, step)
+    apart = np.linalg.norm(x[:, None] - x, axis=-1) + 9 * np.eye(11)
+    assert apart.min() < 0.37 and clearance(x, boxes).min() < 0.19
+
+
 @pytest.mark.parametrize("own_motion", [0.0, 1.0])
 def test_elliptical_repulsion_is_the_gradient_of_its_potential(own_motion):
     """V(b) = A B exp(-b / B), 2 b = sqrt((|d| + |d - y|)^2 - |y|^2): eq. (3) and (4) of Helbing & Molnar (1995)."""
@@ -126,14 +161,18 @@ def test_elliptical_repulsion_is_the_gradient_of_its_potential(own_motion):
     assert (~between).sum() > 150 and np.abs(numeric).max() > 1.0
 
 
-def test_circular_repulsion_and_body_are_as_printed():
+def test_circular_repulsion_and_contact_are_as_printed():
     d = np.array([[0.3, 0.4], [-1.2, 0.5], [0.1, 0.0]])
     size = np.linalg.norm(d, axis=1)
-    p = SimpleNamespace(strength=6.25, range=0.16, reach=0.9, body=200.0)
+    p = SimpleNamespace(strength=6.25, range=0.16, reach=0.9, body=200.0, friction=None)
     ours = np.stack(repulsion.circular(*jnp.asarray(d.T, jnp.float32), 0, 0, 0, 0, p), -1)
     np.testing.assert_allclose(ours, (6.25 * np.exp((0.9 - size) / 0.16) / size)[:, None] * d, rtol=2e-5)
-    ours = np.stack(repulsion.body(*jnp.asarray(d.T, jnp.float32), 0.4, p), -1)
+    motion = jnp.array([0.3, -0.2, 0.5]), jnp.array([1.0, 1.0, 0.6]), jnp.zeros(3), jnp.array([0.0, 0.0, 0.4])
+    ours = np.stack(repulsion.contact(*jnp.asarray(d.T, jnp.float32), *motion, 0.4, p), -1)
     np.testing.assert_allclose(ours, [[0, 0], [0, 0], [60.0, 0]], rtol=1e-4)
+    p.friction = 100.0  # drags along with the other: 100 * 0.3 m * (0.6 - 0.4) m/s
+    ours = np.stack(repulsion.contact(*jnp.asarray(d.T, jnp.float32), *motion, 0.4, p), -1)
+    np.testing.assert_allclose(ours, [[0, 0], [0, 0], [60.0, 6.0]], rtol=1e-4)
 
 
 def test_robot_pushes_like_a_person_but_farther_when_it_moves():
@@ -161,7 +200,10 @@ def test_robot_pushes_like_a_person_but_farther_when_it_moves():
     np.testing.assert_allclose(push(0.05), person(0.05), rtol=1e-3, atol=1e-5)
     motion = jnp.full((3,), 0.3), jnp.full((3,), 0.4)
     apart = (people.position - 0.1).T
-    side = np.stack(jax.jit(repulsion.sidestep)(*apart, *motion, *people.velocity.T, *look, parameters), -1)
+    side = np.stack(
+        jax.jit(repulsion.sidestep)(*apart, *motion, *people.velocity.T, *look, parameters.side_preference, parameters),
+        -1,
+    )
     farther = (person(0.5) - side) * np.exp(extra / 3.22)[:, None] + side
     np.testing.assert_allclose(push(0.5), farther, rtol=1e-3, atol=1e-5)
 
@@ -365,17 +407,33 @@ DEGENERATE = {
 SPEEDS = {"zero": (0.0, 0.0), "dying away": (1e-22, 3e-23), "slow": (1e-13, 0.0), "walking": (1.0, 0.2)}
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_gradients_are_finite_in_degenerate_cases(preset):
+COMPANIONS = {"alone": None, "together": [[1, -1], [0, -1]], "with who is absent": [[1, 2], [0, 2], [0, 1]]}
+
+
+@pytest.mark.parametrize(
+    ("preset", "companions"), [*((name, "alone") for name in PRESETS), *(("helbing2000", name) for name in COMPANIONS)]
+)
+def test_gradients_are_finite_in_degenerate_cases(preset, companions):
     """Of two steps, with respect to positions, velocities, wishes and every constant."""
+    walks_with = None if COMPANIONS[companions] is None else jnp.array(COMPANIONS[companions], jnp.int32)
+    absent = 1 if companions == "with who is absent" else 0
     table, _ = scene(BOX)
     robot = Robot(jnp.array([-3.0, 0.0]), jnp.array([1.0, 0.0]), jnp.asarray(0.3), jnp.zeros(()), ())
     groups = Groups(jnp.array([[-3.0, -3.0]]), jnp.ones(1), jnp.zeros((1, 2)), jnp.ones(1, bool))
 
     def loss(parameters, position, velocity, desired, heading):
-        people = crowd(np.zeros((2, 2)), np.ones((2, 2)))
+        present = np.arange(2 + absent) < 2 - absent
+        people = crowd(np.zeros((2 + absent, 2)), np.ones((2 + absent, 2)), present=present)
+        fill = jnp.zeros((absent, 2))
+        position, velocity, desired, heading = (
+            jnp.concatenate([part, fill]) for part in (position, velocity, desired, heading)
+        )
         people = replace(people, position=position, velocity=velocity, desired_velocity=desired, heading=heading)
-        people = jax.tree.map(lambda leaf: leaf[-1], walk(parameters, people, table, groups, robot, steps=2))
+        if walks_with is not None:
+            people = replace(people, party=jnp.zeros(2 + absent, jnp.int32))
+        people = jax.tree.map(
+            lambda leaf: leaf[-1], walk(parameters, people, table, groups, robot, walks_with, steps=2)
+        )
         return jnp.sum(people.position * jnp.array([[1.0, 2.0]])) + jnp.sum(people.velocity) + people.heading[0, 1]
 
     cases = [(np.array(x), np.array([v, v])) for x in DEGENERATE.values() for v in SPEEDS.values()]
@@ -407,9 +465,10 @@ def test_move_takes_substeps_of_at_most_a_twentieth_of_a_second():
     state: Any = SimpleNamespace(pedestrians=people, groups=None, robot=robot)
     one = jax.jit(lambda people, length: social_forces.advance(parameters, people, table, None, robot, length, 0.16))
     for time_step, substeps in ((0.1, 2), (0.05, 1), (0.02, 1), (0.07, 2)):
+        assert social_forces.substeps(parameters, time_step) == substeps
         scenario: Any = SimpleNamespace(
-            time_step=time_step, forces=parameters, environment=SimpleNamespace(nearby=table),
-            robot=SimpleNamespace(radius=0.16),
+            time_step=time_step, forces=parameters, environment=SimpleNamespace(nearby=table), substeps=substeps,
+            robot=SimpleNamespace(radius=0.16), behavior=SimpleNamespace(companions=None),
         )  # fmt: skip
         by_hand = people
         for _ in range(substeps):
@@ -455,3 +514,62 @@ def test_presets_have_their_published_constants():
         assert all(
             leaf.dtype == jnp.float32 and leaf.shape == () for leaf in jax.tree.leaves(social_forces.preset(name))
         )
+
+
+def packed(overlap: float) -> tuple[Pedestrians, int]:
+    """Thirty-seven bodies of 0.2 m in the densest packing, and how many they are."""
+    rows = [(q, r) for q in range(-3, 4) for r in range(-3, 4) if abs(q + r) <= 3]
+    x = np.array([(q + r / 2, r * np.sqrt(3) / 2) for q, r in rows]) * (0.4 - overlap)
+    people = crowd(x, np.zeros((len(x), 2)), preferred=np.full(len(x), 9.0))
+    return people, len(x)
+
+
+@pytest.mark.parametrize(("preset", "overlap"), [("helbing1995", 1e-4), ("helbing2000", 1e-4), ("helbing2000", 0.01)])
+def test_touching_bodies_are_stable_up_to_the_longest_step(preset, overlap):
+    """Eigenvalues of one step, linearised: an error that changes sign and grows at each step has one below -1."""
+    parameters = constants(preset, strength=0.0, side_preference=0.0, speed_ratio=100.0, relaxation_time=100.0)
+    people, number = packed(overlap)
+
+    @jax.jit
+    @jax.jacfwd
+    def step(state, length):
+        moved = replace(people, position=state[0], velocity=state[1])
+        after = social_forces.advance(parameters, moved, None, None, None, length)
+        return jnp.stack([after.position, after.velocity])
+
+    def least(length):
+        state = jnp.stack([people.position, people.velocity])
+        matrix = np.asarray(step(state, length), float).reshape(4 * number, 4 * number)
+        return np.linalg.eigvals(matrix).real.min()
+
+    longest = social_forces.longest_step(parameters)
+    assert least(longest) > -1.0
+    assert least(2.0 * (2.0 / np.sqrt(6 * float(parameters.body)))) < -1.0
+
+
+def test_friction_of_a_wall_takes_its_share_of_the_speed_along_it():
+    """Pressed with 1 m/s2 for a step of 0.05 s: along the wall 1 / (1 + kappa / k * 0.05 m/s) is left of the speed."""
+    table, _ = scene((0, 1, 4, 0.5, 0))
+    people = crowd([(0.0, 0.3)], [(1.0, 0.1)], velocity=[(1.0, 0.0)], preferred=[1.0])
+    people = replace(people, desired_velocity=jnp.array([[1.0, 0.5]]))
+    for friction, left in ((None, 1.0), (0.0, 1.0), (400.0, 1 / (1 + 2.0 * 0.05))):
+        parameters = constants("helbing1995", wall_strength=0.0)
+        if friction is not None:
+            parameters = replace(parameters, friction=jnp.float32(friction))
+        after = walk(parameters, people, table)
+        np.testing.assert_allclose(after.velocity[0, 0], [left, 0.0], atol=1e-5)
+
+
+def test_what_is_off_is_not_computed():
+    people = crowd([(0, 0), (1, 1), (2, 0)], np.ones((3, 2)))
+
+    def size(parameters, companions):
+        program = jax.make_jaxpr(lambda p: social_forces.advance(p, people, None, None, None, STEP, 0.0, companions))
+        return str(program(parameters)).count("\n")
+
+    plain = social_forces.preset("helbing1995")
+    rubbing = replace(plain, friction=jnp.float32(0.0))
+    together = jnp.array([[1, -1], [0, -1], [-1, -1]], jnp.int32)
+    assert size(plain, None) < size(rubbing, None) and size(plain, None) < size(plain, together)
+    after = [walk(parameters, people, steps=3) for parameters in (plain, rubbing)]
+    np.testing.assert_allclose(after[0].position, after[1].position, atol=1e-6)

@@ -10,4 +10,4 @@ BEHAVIORS = {
 }
 """name -> (folder of the environment, environment, navigation for people, number of people) -> Behavior"""
 
-__all__ = ["BEHAVIORS", "handcrafted_behavior", "playback"]
+__all__ = ["BEHAVIORS", "graph_behavior", "handcrafted_behavior", "playback"]

@@ -79,6 +79,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         heading=heading,
         desired_velocity=velocity,
         group=jnp.where(stands, one.group, -1),
+        party=jnp.full(people, -1, jnp.int32),
         present=one.present,
         preferred_speed=preferred_speed,
         robot_distance=robot_distance,

@@ -70,6 +70,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         heading=heading,
         desired_velocity=velocity,
         group=jnp.full(scenario.people, -1, jnp.int32),
+        party=jnp.full(scenario.people, -1, jnp.int32),
         present=present,
         preferred_speed=preferred_speed,
         robot_distance=robot_distance,

@@ -1,4 +1,4 @@
-"""Random pedestrian behavior (section IV-D): everybody walks from anywhere to anywhere, alone.
+"""Random pedestrian behavior (section IV-D): everybody walks from anywhere to anywhere, alone or in a party.
 
 Starts and goals are uniform on the navigable plane, ways lead around obstacles, and whoever arrives draws a new
 goal. There are no groups. Goals are drawn from places for which the lengths of all ways are tabulated, so that a
@@ -15,7 +15,7 @@ from flax import struct
 
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Environment, Groups, Pedestrians, Scenario, State
-from sean_jax.behaviors import starts
+from sean_jax.behaviors import parties, starts
 from sean_jax.geometry import length
 from sean_jax.social_forces import draw_traits
 
@@ -29,24 +29,39 @@ class Tables:
     navigation: paths.Navigation
     start: Array  # (Q, 2) m, places where somebody can start, none too close to another
     to_goal: Array  # (P, V) m, from each via point to each of the navigation's places; inf where there is no way
+    clumps: Array  # (C, 3) int32 starts beside one another, for parties
+    together: parties.Parties = struct.field(pytree_node=False)  # how many
 
 
 class Memory(NamedTuple):
     goal: Array  # (N,) int32 index of a place of the navigation
 
 
-def build(folder: Path, environment: Environment, navigation: paths.Navigation, people: int) -> Behavior:
-    """People who walk from anywhere to anywhere, alone.
+def build(
+    folder: Path,
+    environment: Environment,
+    navigation: paths.Navigation,
+    people: int,
+    shares: tuple[float, float] = (0.0, 0.0),
+) -> Behavior:
+    """People who walk from anywhere to anywhere, these shares of them in pairs and in triples.
 
     Raises:
-        ValueError: so many people do not fit.
+        ValueError: so many people or parties do not fit.
     """
-    start = starts.uniform(environment, navigation, people)
+    groups = parties.parties(people, shares)
+    start = starts.uniform(environment, navigation, people, dense=groups.number > 0)
     if people > len(start):
         raise ValueError(f"people: {people} do not fit in {environment.name}; the most that do is {len(start)}.")
     rows = jax.jit(lambda places: jax.lax.map(lambda p: paths.to_goal(navigation, p), places, batch_size=32))
-    tables = Tables(navigation=navigation, start=jnp.asarray(start, jnp.float32), to_goal=rows(navigation.places))
-    return Behavior(data=tables, name="random", reset=reset, direct=direct)
+    tables = Tables(
+        navigation=navigation,
+        start=jnp.asarray(start, jnp.float32),
+        to_goal=rows(navigation.places),
+        clumps=jnp.asarray(parties.clumps(navigation, start, groups)),
+        together=groups,
+    )
+    return Behavior(data=tables, name="random", reset=reset, direct=direct, companions=groups.companions(people))
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
@@ -54,7 +69,9 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     tables: Tables = scenario.behavior.data
     people = scenario.people
     place_key, goal_key, trait_key, turn_key = jax.random.split(key, 4)
-    chosen = jax.lax.top_k(jax.random.uniform(place_key, tables.start.shape[:1], jnp.float32), people)[1]
+    chance = jax.random.uniform(place_key, tables.start.shape[:1], jnp.float32)
+    chosen = parties.places(chance, tables.clumps, people, tables.together)
+    party = parties.leaders(scenario.behavior.companions, people)
     angle = jax.random.uniform(turn_key, (people,), jnp.float32, 0.0, 2 * jnp.pi)
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
     position = tables.start[chosen]
@@ -64,11 +81,12 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         heading=jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1),
         desired_velocity=jnp.zeros_like(position),
         group=jnp.full(people, -1, jnp.int32),
+        party=party,
         present=jnp.ones(people, bool),
-        preferred_speed=preferred_speed,
+        preferred_speed=parties.speeds(scenario, party, preferred_speed),
         robot_distance=robot_distance,
     )
-    return pedestrians, no_groups(), Memory(_draw(tables, goal_key, people))
+    return pedestrians, no_groups(), Memory(*parties.follow(party, _draw(tables, goal_key, people)))
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
@@ -78,12 +96,17 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     gap = places[state.memory.goal] - people.position
     arrived = length(gap[:, 0], gap[:, 1]) < ARRIVED
     goal = jnp.where(arrived, _draw(tables, key, scenario.people), state.memory.goal)
+    if scenario.behavior.companions is not None:
+        (goal,) = parties.follow(people.party, goal)
     ahead = jax.vmap(_ahead, in_axes=(None, 0, 0, 0))(
         tables.navigation, people.position, places[goal], tables.to_goal[goal]
     )
     gap = ahead - people.position
     speed = people.preferred_speed / jnp.maximum(length(gap[:, 0], gap[:, 1]), 1e-6)
-    return replace(state, pedestrians=replace(people, desired_velocity=gap * speed[:, None]), memory=Memory(goal))
+    velocity = gap * speed[:, None]
+    if scenario.behavior.companions is not None:
+        velocity = parties.abreast(people, velocity)
+    return replace(state, pedestrians=replace(people, desired_velocity=velocity), memory=Memory(goal))
 
 
 def no_groups() -> Groups:

@@ -36,15 +36,17 @@ def places(
     return spots[kept], disc[kept]
 
 
-def uniform(environment: Environment, navigation: Navigation, people: int, seed: int = 0) -> np.ndarray:
+def uniform(
+    environment: Environment, navigation: Navigation, people: int, seed: int = 0, dense: bool = False
+) -> np.ndarray:
     """(P, 2) float32 places [m] all over where one can walk, no two nearer than 0.55 m: ``people`` or more if they fit.
 
-    The navigation's own free places do for most numbers of people; for more, the floor is filled.
+    The navigation's own free places do for most numbers of people; for more, and if ``dense``, the floor is filled.
     """
     generator = np.random.default_rng(seed)
     spots = np.asarray(navigation.places)
     kept = apart(spots, generator)
-    if len(kept) >= people:
+    if len(kept) >= people and not dense:
         return spots[kept]
     floor = np.asarray(environment.floor, float)
     number = int(FILLING * np.prod(floor[2:] - floor[:2]) / APART**2)

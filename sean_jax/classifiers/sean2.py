@@ -48,26 +48,23 @@ def down_path(moment: Moment, thresholds: Thresholds) -> Array:
 
 def join_group(moment: Moment, thresholds: Thresholds) -> Array:
     """Equation (3), but anybody near serves, member or not, and the robot must be within D of its goal; also at it."""
-    return (
-        ~empty(moment, thresholds)
-        & (moment.goal_group >= 0)
-        & near(moment.position, moment.goal, thresholds.near)
-    )  # fmt: skip
+    return _at_group(moment, moment.goal_group, moment.goal, thresholds)
 
 
 def leave_group(moment: Moment, thresholds: Thresholds) -> Array:
     """Equation (4), but anybody near serves, member or not, and the robot must still be within D of its start."""
-    return (
-        ~empty(moment, thresholds)
-        & (moment.start_group >= 0)
-        & near(moment.position, moment.start, thresholds.near)
-    )  # fmt: skip
+    return _at_group(moment, moment.start_group, moment.start, thresholds)
 
 
 def robot_direction(moment: Moment) -> Array:
     """(2,) the robot's velocity, or its heading where it stands."""
     moves = (moment.velocity * moment.velocity).sum() >= STILL * STILL
     return jnp.where(moves, moment.velocity, moment.heading)
+
+
+def _at_group(moment: Moment, group: Array, place: Array, thresholds: Thresholds) -> Array:
+    """Somebody is near, and the robot is near the place (2,) [m], which is that of a member of a group () int32."""
+    return ~empty(moment, thresholds) & (group >= 0) & near(moment.position, place, thresholds.near)
 
 
 def _nearby_walker(moment: Moment, agent: Pedestrians, thresholds: Thresholds) -> Array:

@@ -6,14 +6,17 @@ metres. Nothing here touches pyplot's global state, and matplotlib is imported o
 
 from sean_jax.drawing.animation import animate
 from sean_jax.drawing.colors import situation_colors
-from sean_jax.drawing.pictures import graph_of, heat_map, top_down, view
+from sean_jax.drawing.crowds import congestion_map
+from sean_jax.drawing.pictures import heat_map, top_down, view
 from sean_jax.drawing.sheets import graph_sheet, handcrafted_sheet
 from sean_jax.drawing.videos import RENDERERS, check_renderer, video
+from sean_jax.graph import graph_of
 
 __all__ = [
     "RENDERERS",
     "animate",
     "check_renderer",
+    "congestion_map",
     "graph_of",
     "graph_sheet",
     "handcrafted_sheet",

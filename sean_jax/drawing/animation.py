@@ -81,7 +81,7 @@ class _Scene:
         self.metre = float((axes.transData.transform((1.0, 0.0)) - axes.transData.transform((0.0, 0.0)))[0])
         self.line = max(2, round(self.metre * 0.07))
         font = Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
-        self.font = ImageFont.truetype(str(font), round(size / 22))
+        self.font, self.small = (ImageFont.truetype(str(font), round(size / part)) for part in (22, 32))
         self.people, self.group, self.present = pixels(frames.people), frames.group, np.asarray(frames.present, bool)
         self.looks = self.people + flip * frames.people_heading * (1.9 * parts.PERSON_RADIUS * self.metre)
         self.path, self.heading, self.goal = pixels(frames.position), flip * frames.heading, pixels(frames.goal[-1])
@@ -131,9 +131,22 @@ class _Scene:
         draw.text((0.30 * wide, base), f"{t * self.time_step:.1f} s", font=self.font, fill=colors.INK, anchor="rs")
         if self.title:
             draw.text((0.33 * wide, base), self.title, font=self.font, fill=colors.MUTED, anchor="ls")
-        x = wide * (1 - parts.MARGIN)
-        for flag, name, color in reversed(list(zip(self.flags[t], self.names, self.name_colors, strict=True))):
-            if flag:
+        taken = 0.33 * wide + draw.textlength(self.title, font=self.font) + self.font.size
+        holding = [pair for flag, *pair in zip(self.flags[t], self.names, self.name_colors, strict=True) if flag]
+        right, font, lines = wide * (1 - parts.MARGIN), self.font, [holding]
+        if self._length(draw, holding, font) > right - taken:  # smaller, on as many lines as needed
+            font, lines = self.small, [[]]
+            for pair in holding:
+                if lines[-1] and self._length(draw, [*lines[-1], pair], font) > right - taken:
+                    lines.append([])
+                lines[-1].append(pair)
+        for up, line in enumerate(reversed(lines)):
+            x = right - self._length(draw, line, font)
+            for name, color in line:
                 label = name.replace("_", " ")
-                draw.text((x, base), label, font=self.font, fill=color, anchor="rs")
-                x -= draw.textlength(label, font=self.font) + self.font.size
+                draw.text((x, base - 1.2 * up * font.size), label, font=font, fill=color, anchor="ls")
+                x += draw.textlength(label, font=font) + font.size
+
+    def _length(self, draw: Any, names: list, font: Any) -> float:
+        """Pixels that the names of situations take beside each other."""
+        return sum(draw.textlength(name.replace("_", " "), font=font) + font.size for name, _ in names) - font.size

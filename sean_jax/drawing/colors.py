@@ -10,7 +10,9 @@ SITUATION_COLORS = {
     "leave_group": "#aa3377",
     "empty": "#b4b6ba",
 }
-SPARE_COLORS = ("#66ccee", "#ccbb44", "#997700", "#004488", "#882255")  # for situations of the user's own
+SPARE_COLORS = (  # for situations beyond the paper's five, and the user's own
+    "#66ccee", "#ccbb44", "#332288", "#44aa99", "#8c510a", "#ff9da7", "#999933", "#11c638"
+)  # fmt: skip
 NO_SITUATION = "#5a6274"
 
 PAPER = "#fffffe"  # odd values, so that a page can replace them in a drawing by its own light or dark ones
@@ -22,6 +24,7 @@ PERSON, MEMBER, PERSON_EDGE = "#fdfefd", "#6fd0ea", "#2b3448"
 TRAIL = "#6a80b4"
 EDGE, FAINT_EDGE = "#8d99b3", "#c3cad8"  # of the behavior graph
 OBSTACLE = "#4d5b78"  # drawn the more opaque the higher it is
+FLOW, FLOW_EDGE = "#2f6fb0", "#173a5e"  # of people along edges, over a heat map
 HEAT = ("#ffe8c400", "#fdcf94", "#f78d4f", "#dd3a25", "#a3082f")
 
 

@@ -244,10 +244,11 @@ def draw_legend(axes: Axes, graph: bool, frames: Frame | None, situations: tuple
         ]
     if entries:
         handles, labels = zip(*entries, strict=True)
+        columns = max(5 if frames is not None else 4, -(-len(entries) // 3))  # three rows fit below the floor
         legend = axes.legend(
             handles, labels, loc="lower right", bbox_to_anchor=(1.0 - MARGIN, 0.0),
-            ncols=5 if frames is not None else 4,
-            fontsize=7.5, frameon=False, labelcolor=colors.INK, handlelength=1.1, handletextpad=0.5,
+            ncols=columns, fontsize=7.5 if columns < 6 else 6.5,
+            frameon=False, labelcolor=colors.INK, handlelength=1.1, handletextpad=0.5,
             columnspacing=1.2, borderpad=0.1, borderaxespad=0.2, labelspacing=0.35,
             handler_map={tuple: HandlerTuple(ndivide=1)},
         )  # fmt: skip

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax.base import Environment, Frame, Obstacles, Scenario
-from sean_jax.drawing import animation, colors, parts
+from sean_jax.drawing import animation, colors, crowds, parts
+from sean_jax.graph import graph_of
 from sean_jax.nearby import tabulate
 from sean_jax.scenery import plain
 
@@ -55,33 +56,12 @@ def heat_map(environment: Environment, seconds: np.ndarray, *, width: float = 6.
     ``seconds`` (rows, columns) s is the time that people spent in each of the equal cells that cover the floor,
     row 0 at its lowest y.
     """
-    from matplotlib.colors import LinearSegmentedColormap, PowerNorm
-    from matplotlib.ticker import MaxNLocator
-
     figure, axes = parts.canvas(environment, width, title)
     x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
     density = np.asarray(seconds, float) * seconds.size / ((x1 - x0) * (y1 - y0))
-    busy = density[density > 0]
-    most = float(np.quantile(busy, 0.97)) if busy.size else 1.0
-    image = axes.imshow(
-        density,
-        extent=(x0, x1, y0, y1),
-        origin="lower",
-        cmap=LinearSegmentedColormap.from_list("heat", colors.HEAT),
-        norm=PowerNorm(0.5, 0.0, most),
-        interpolation="nearest",
-        aspect="auto",
-        zorder=1,
-    )
+    crowds.draw_heat(axes, environment, density, "person-seconds per m²")
     parts.draw_obstacles(axes, environment)
     parts.draw_scale(axes, environment)
-    span = x1 - x0
-    below = axes.inset_axes((x1 - 0.38 * span, y0 - 0.034 * span, 0.38 * span, 0.014 * span), transform=axes.transData)
-    bar = figure.colorbar(image, cax=below, orientation="horizontal", extend="max", ticks=MaxNLocator(3))
-    bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
-    below.tick_params(size=0, labelsize=7.5, labelcolor=colors.MUTED, pad=2)
-    place = (x1 - 0.40 * span, y0 - 0.027 * span)
-    axes.text(*place, "person-seconds per m²", fontsize=7.5, color=colors.MUTED, ha="right", va="center")
     return figure
 
 
@@ -121,12 +101,3 @@ def _empty_floor(frames: Frame) -> Environment:
         scenery=plain(obstacles),
         name="empty floor",
     )
-
-
-def graph_of(scenario: Scenario) -> Any:
-    """The behavior graph that the scenario's people walk on, None if they walk otherwise."""
-    data = scenario.behavior.data
-    for found in (data, getattr(data, "graph", None)):
-        if all(hasattr(found, field) for field in ("position", "radius", "is_group", "weight", "names")):
-            return found
-    return None

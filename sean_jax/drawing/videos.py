@@ -124,6 +124,7 @@ def _state(frame: Frame) -> State:
         heading=frame.people_heading,
         desired_velocity=frame.people_velocity,
         group=frame.group,
+        party=nothing,
         present=frame.present,
         preferred_speed=nothing,
         robot_distance=nothing,

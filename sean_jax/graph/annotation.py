@@ -98,6 +98,7 @@ def build(annotation: Annotation, environment: Environment, seed: int = 0) -> Be
         waypoints=jnp.asarray(np.flatnonzero(~is_group), jnp.int32),
         groups=jnp.asarray(groups, jnp.int32),
         seat_group=jnp.asarray(np.repeat(np.arange(len(groups)), capacity[groups]), jnp.int32),
+        seat_node=jnp.asarray(np.repeat(groups, capacity[groups]), jnp.int32),
         places=jnp.asarray(places(environment, position, radius, seed), jnp.float32),
         names=tuple(annotation.nodes),
     )

@@ -1,8 +1,10 @@
 """The Behavior Graph as arrays that a simulation looks up (section IV-D)."""
 
+from typing import Any
+
 from flax import struct
 
-from sean_jax.base import Array
+from sean_jax.base import Array, Scenario
 
 
 @struct.dataclass
@@ -21,5 +23,15 @@ class BehaviorGraph:
     waypoints: Array  # (Mw,) int32 node indices
     groups: Array  # (G,) int32 node indices
     seat_group: Array  # (Q,) int32 index into groups (not nodes) of each seat
+    seat_node: Array  # (Q,) int32 node of each seat
     places: Array  # (M, P, 2) m, points of the node's disc where a person can stand and see its centre
     names: tuple[str, ...] = struct.field(pytree_node=False)
+
+
+def graph_of(scenario: Scenario) -> Any:
+    """The behavior graph that the scenario's people walk on, None if they walk otherwise."""
+    data = scenario.behavior.data
+    for found in (data, getattr(data, "graph", None)):
+        if all(hasattr(found, field) for field in ("position", "radius", "is_group", "weight", "names")):
+            return found
+    return None

@@ -22,34 +22,31 @@ def print_choices() -> None:
         width = max(len(name) for name in choices)
         for name, line in choices.items():
             console.print(f"  [bold cyan]{name:<{width}}[/]  {line}", highlight=False, soft_wrap=True)
-    console.print(
-        "[bold]situations[/] that are told apart and [bold]metrics[/] that are measured",
-        highlight=False,
-        soft_wrap=True,
-    )
-    for choices in measured():
-        console.print("  " + ", ".join(choices), highlight=False, soft_wrap=True)
+    console.print("[bold]metrics[/] that are measured", highlight=False, soft_wrap=True)
+    console.print("  " + ", ".join(measured()), highlight=False, soft_wrap=True)
 
 
 def offered() -> Iterator[tuple[str, dict[str, str]]]:
     """Option and {name: line} for each."""
-    from sean_jax import behaviors, environment, pedestrian_models, policies, robots, social_forces, tasks
+    from sean_jax import behaviors, classifiers, environment, pedestrian_models, policies, robots, social_forces, tasks
 
     yield "environment", {name: _environment(environment.find(name)) for name in environment.available()}
     yield "behavior", {name: _documented(value) for name, value in behaviors.BEHAVIORS.items()}
+    yield "paths", {name: _documented(value) for name, value in behaviors.graph_behavior.PATHS.items()}
     yield "task", {name: _documented(value) for name, value in tasks.TASKS.items()}
     yield "robot", {name: _robot(path) for name, path in robots.ROBOTS.items()}
     yield "policy", {name: _documented(value) for name, value in policies.POLICIES.items()}
     yield "model", {name: _documented(value) for name, value in pedestrian_models.MODELS.items()}
     yield "forces", {name: _forces(value) for name, value in social_forces.PRESETS.items()}
+    yield "situations", {name: ", ".join(held) for name, held in classifiers.SITUATION_SETS.items()}
     yield "dynamics", {name: DYNAMICS.get(name, "") for name in robots.DYNAMICS}
 
 
-def measured() -> tuple[list[str], list[str]]:
-    """The names of the situations and of the metrics."""
-    from sean_jax import classifiers, metrics
+def measured() -> list[str]:
+    """The names of the metrics."""
+    from sean_jax import metrics
 
-    return list(classifiers.SITUATIONS), list(metrics.METRICS)
+    return list(metrics.METRICS)
 
 
 def _documented(value: Any) -> str:

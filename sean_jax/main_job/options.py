@@ -22,6 +22,10 @@ class Options:
     """Pedestrian behavior: who goes where."""
     task: str = "join_group,leave_group"
     """Robot task; several, separated by commas, take turns."""
+    paths: str | None = None
+    """Of the behavior graph: whole, the way to a goal is kept, by default; or edge, people choose anew at each node."""
+    spreading: float | None = None
+    """Of the behavior graph: how much people avoid crowded edges, 0 by default; try 10."""
     recording: str | None = None
     """Of the behavior playback: a CSV file with the columns frame, id, x and y in metres."""
     frame_rate: float | None = None
@@ -38,10 +42,14 @@ class Options:
     """Who drives the robot."""
     people: int | None = None
     """Number of people; the environment's own number by default (62 in the warehouse)."""
+    parties: tuple[float, float] = (0.0, 0.0)
+    """Shares of the people who walk in pairs and in triples."""
     model: str = "social_forces"
     """How people move."""
     forces: str = "helbing1995"
     """Constants of the social forces."""
+    situations: str = "paper"
+    """Which social situations are told apart."""
     dynamics: str = "mjx"
     """How the robot moves: mjx, or its closed-form twin, which is faster."""
     episodes: int = 64

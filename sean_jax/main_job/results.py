@@ -19,6 +19,7 @@ class Results:
     metrics: dict[str, np.ndarray]  # name -> (E,) or (E, 1 + S): overall, then by situation
     counts: tuple[str, ...]  # the metrics that count events
     heat: np.ndarray  # (rows, columns) s that people spent in each cell
+    walks: np.ndarray  # (M, M) people who walked the edge from the row's node to the column's, (0, 0) without a graph
     together: np.ndarray  # (2 ** S,) s of robot time per set of situations
     penetration: float  # m
     group_size: np.ndarray  # (G,) most members

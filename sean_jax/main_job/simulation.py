@@ -16,13 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from sean_jax import geometry, parallel
+from sean_jax import crowding, geometry, parallel
 from sean_jax.base import Array, Frame, Policy, RobotTask, Scenario, State
+from sean_jax.graph import graph_of
 from sean_jax.main_job.results import Results
 from sean_jax.scenario import reset, results
 
 CHUNK = 100  # control steps between two looks at the progress
-CELL = 0.5  # m, of the heat map
 KEPT = 4  # episodes of which the frames are kept
 COMPILER = "sean-compiler"  # name of the thread that compiles
 
@@ -32,6 +32,8 @@ class Tally:
     """Running counts over the steps of a batch of B episodes in which an episode was active."""
 
     heat: Array  # (rows, columns) int32 person-steps per cell of the floor, row 0 lowest
+    walks: Array  # (M, M) int32 people who walked the edge from the row's node to the column's
+    node: Array  # (B, N) int32 node that each person was at last, -1 before the first
     together: Array  # (2 ** S,) int32 steps per set of situations, situation s is bit s
     penetration: Array  # () m, deepest that a person's body was inside an obstacle, negative: closest to one
     group_size: Array  # (G,) int32 most members seen in each group
@@ -102,9 +104,8 @@ def prepare(scenarios: Sequence[Scenario], policy: Policy, size: int, watch: Wat
     began, first = time.perf_counter(), scenarios[0]
     watch.compiling(f"tracing {size} episodes")
     numbers = jnp.zeros((size,), jnp.uint32)
-    x0, y0, x1, y1 = np.asarray(first.environment.floor, float)
-    cells = (math.ceil((y1 - y0) / CELL - 1e-6), math.ceil((x1 - x0) / CELL - 1e-6))
-    draw = jax.jit(_drawing(tuple(scenario.task for scenario in scenarios), cells))
+    tasks = tuple(scenario.task for scenario in scenarios)
+    draw = jax.jit(_drawing(tasks, crowding.grid(first.environment)))
     states, tally = jax.eval_shape(draw, first, jnp.uint32(0), numbers)
     advance = jax.jit(_advance(policy, min(CHUNK, _steps(first)), min(KEPT, size)), donate_argnums=(1, 2))
     lowered = [
@@ -154,6 +155,7 @@ def _results(programs: Programs, batches: list[Batch], wanted: int, seconds: flo
         seconds=np.concatenate([tally.steps for tally in tallies]) * first.time_step,
         metrics=measured,
         counts=tuple(name for name, metric in first.metrics if metric.unit == "count"),
+        walks=np.stack([tally.walks for tally in tallies]).sum(0, dtype=np.int64),
         heat=np.stack([tally.heat for tally in tallies]).sum(0, dtype=np.int64) * first.time_step,
         together=np.stack([tally.together for tally in tallies]).sum(0, dtype=np.int64) * first.time_step,
         penetration=max(float(tally.penetration) for tally in tallies),
@@ -211,9 +213,12 @@ def _drawing(tasks: tuple[Callable, ...], cells: tuple[int, int]) -> Callable:
 
 
 def _empty_tally(scenario: Scenario, states: State, cells: tuple[int, int]) -> Tally:
-    size = states.tick.shape[0]
+    size, graph = states.tick.shape[0], graph_of(scenario)
+    nodes = 0 if graph is None else len(graph.names)
     return Tally(
         heat=jnp.zeros(cells, jnp.int32),
+        walks=jnp.zeros((nodes, nodes), jnp.int32),
+        node=jnp.full((size, scenario.people), crowding.NOWHERE, jnp.int32),
         together=jnp.zeros((2 ** len(scenario.situations),), jnp.int32),
         penetration=jnp.full((), -1e9, jnp.float32),
         group_size=jnp.zeros(states.groups.radius.shape[-1:], jnp.int32),
@@ -244,9 +249,11 @@ def _count(scenario: Scenario, tally: Tally, frames: Frame, present: Array, acti
     here = present & active[:, None]
     x, y = frames.people[..., 0], frames.people[..., 1]
     rows, columns = tally.heat.shape
-    floor = scenario.environment.floor
-    column = jnp.clip(((x - floor[0]) / CELL).astype(jnp.int32), 0, columns - 1)
-    row = jnp.clip(((y - floor[1]) / CELL).astype(jnp.int32), 0, rows - 1)
+    cell = crowding.cell_of(scenario.environment, (rows, columns), frames.people)
+    node, walks = tally.node, tally.walks
+    if (graph := graph_of(scenario)) is not None:
+        node, walked = jax.vmap(crowding.follow, (None, 0, 0, 0))(graph, tally.node, frames.people, present)
+        walks = walks.at[tally.node, node].add((walked & active[:, None]).astype(jnp.int32))
     distance, _, _ = jax.vmap(geometry.from_box, (None, None, 0))(x, y, scenario.environment.obstacles)
     inside = jnp.where(here, scenario.forces.radius - jnp.min(distance, 0, initial=jnp.inf), -jnp.inf)
     bits = jnp.asarray(2 ** np.arange(frames.situations.shape[-1]), jnp.int32)
@@ -257,7 +264,9 @@ def _count(scenario: Scenario, tally: Tally, frames: Frame, present: Array, acti
     sound &= jnp.isfinite(frames.people_velocity).all((1, 2)) & jnp.isfinite(frames.velocity).all(-1)
     return dataclasses.replace(
         tally,
-        heat=tally.heat.at[row, column].add(here.astype(jnp.int32)),
+        heat=tally.heat.ravel().at[cell].add(here.astype(jnp.int32)).reshape(rows, columns),
+        walks=walks,
+        node=node,
         together=tally.together.at[held].add(active.astype(jnp.int32)),
         penetration=jnp.maximum(tally.penetration, jnp.max(inside)),
         group_size=jnp.maximum(tally.group_size, jnp.max(members, 0)),

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from sean_jax.main_job.results import Results
+from sean_jax.metrics import Estimate, aggregate_ratio, resamples
 
-RESAMPLES = 2000
-LEVEL = 0.95
 OF_COMPLETED = ("path_efficiency",)  # an unfinished path has no efficiency
 
 
@@ -23,16 +22,19 @@ def aggregate(results: Results) -> dict[str, Any]:
     spent = results.metrics["time_in_situation"]  # (E, 1 + S) s
     occurred = spent[:, 1:] > 0
     columns = ("overall", *results.situations)
-    weights = _resamples(len(results.completed))
+    weights = resamples(len(results.completed))
     every = np.ones(len(results.completed))
 
     def by_column(values: np.ndarray, among: np.ndarray) -> dict[str, Any]:
         return {
-            name: ratio(values[:, k] * among[:, k], among[:, k], weights)
+            name: _told(aggregate_ratio(values[:, k] * among[:, k], among[:, k], weights=weights))
             for k, name in enumerate(columns[: values.shape[1]])
         }
 
-    shares = {name: ratio(spent[:, k + 1], spent[:, 0], weights) for k, name in enumerate(results.situations)}
+    shares = {
+        name: _told(aggregate_ratio(spent[:, k + 1], spent[:, 0], weights=weights))
+        for k, name in enumerate(results.situations)
+    }
     among = np.concatenate([every[:, None], occurred], 1).astype(float)
     measured = {"completed": by_column(np.repeat(results.completed[:, None], len(columns), 1).astype(float), among)}
     for name, values in results.metrics.items():
@@ -49,22 +51,12 @@ def aggregate(results: Results) -> dict[str, Any]:
     return {"situations": shares, "metrics": measured}
 
 
-def ratio(numerator: np.ndarray, denominator: np.ndarray, weights: np.ndarray) -> dict[str, Any] | None:
-    """``sum(numerator) / sum(denominator)`` over episodes (E,) and its interval; None for a denominator of zero.
-
-    ``weights`` (R, E) counts how often each resample holds each episode.
-    """
-    total = denominator.sum()
-    if total <= 0:
+def _told(estimate: Estimate) -> dict[str, Any] | None:
+    """An estimate of shape () as the summary has it; None where it is made of no episode."""
+    if not estimate.episodes:
         return None
-    below = weights @ denominator
-    drawn = (weights @ numerator)[below > 0] / below[below > 0]
-    low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return {
-        "mean": float(numerator.sum() / total),
-        "interval": [float(low), float(high)],
-        "episodes": int(np.count_nonzero(denominator)),
-    }
+    interval = [float(estimate.low), float(estimate.high)]
+    return {"mean": float(estimate.mean), "interval": interval, "episodes": int(estimate.episodes)}
 
 
 def exclusive_shares(results: Results) -> dict[str, float]:
@@ -76,10 +68,3 @@ def exclusive_shares(results: Results) -> dict[str, float]:
         for name in names:
             shares[name] += float(seconds) / len(names) / total
     return shares
-
-
-def _resamples(episodes: int) -> np.ndarray:
-    """(R, E) float32 how often each episode is in each resample; fewer resamples where there are many episodes."""
-    count = int(np.clip(20_000_000 // episodes, 200, RESAMPLES))
-    draw = np.random.default_rng(0)
-    return draw.multinomial(episodes, np.full(episodes, 1 / episodes), size=count).astype(np.float32)

@@ -63,6 +63,7 @@ DEFINITIONS = {  # name: (title, unit, digits, definition)
     "max_acceleration": ("greatest acceleration", "m/s²", 2, "Of the robot's velocity vector, per episode."),
     "max_jerk": ("greatest jerk", "m/s³", 2, "Of the robot, per episode."),
 }  # fmt: skip
+GAP = 3  # characters between columns
 FIRST = (
     "completed",
     "path_efficiency",
@@ -111,22 +112,40 @@ def _row(name: str, values: dict[str, Any], columns: list[str]) -> Row:
 
 
 def print_table(console: Console, summary: dict[str, Any], title: str) -> None:
-    """The table in the terminal; narrow terminals wrap the situations' names, not the numbers."""
+    """The table in the terminal; where it is too narrow for all situations, the others follow below."""
     names = list(summary["situations"])
-    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
-    table.add_column("")
-    table.add_column("overall", justify="right", style="bold", no_wrap=True)
-    for name, color in zip(names, situation_colors(tuple(names)), strict=True):
-        table.add_column(Text(name.replace("_", "\n"), style=f"bold {color}"), justify="right", no_wrap=True)
-    group = ""
-    for row in rows(summary):
-        begin = row.name.split("_")[0]
-        if begin in ("intimate", "collision") and begin != group:
-            table.add_section()
-        group = begin
-        unit = f" [dim]{row.unit}[/]" if row.unit else ""
-        table.add_row(f"{row.title}{unit}", *(cell or "[dim]–[/]" for cell in row.cells))
-    console.print(table)
+    shades = situation_colors(tuple(names))
+    measured = rows(summary)
+    beside = 1 + max(len(f"{row.title} {row.unit}".strip()) for row in measured)
+    for first, last in _blocks(names, console.width - beside):
+        table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
+        table.add_column("", no_wrap=True)
+        if first == 0:
+            table.add_column("overall", justify="right", style="bold", no_wrap=True)
+        for name, color in zip(names[first:last], shades[first:last], strict=True):
+            table.add_column(Text(name.replace("_", "\n"), style=f"bold {color}"), justify="right", no_wrap=True)
+        group, title = "", ""
+        for row in measured:
+            begin = row.name.split("_")[0]
+            if begin in ("intimate", "collision") and begin != group:
+                table.add_section()
+            group = begin
+            unit = f" [dim]{row.unit}[/]" if row.unit else ""
+            cells = row.cells[first + (first > 0) : last + 1]
+            table.add_row(f"{row.title}{unit}", *(cell or "[dim]–[/]" for cell in cells))
+        console.print(table)
     console.print(
         "[dim]Violations and collisions are times per episode; 95 % intervals are in summary.json.[/]", soft_wrap=True
     )
+
+
+def _blocks(names: list[str], width: int) -> list[tuple[int, int]]:
+    """(first, last) of the situations that stand beside each other in ``width`` characters, at least one each."""
+    blocks, first, left = [], 0, width - len("overall") - GAP
+    for k, name in enumerate(names):
+        needed = GAP + max(5, *(len(word) for word in name.split("_")))  # a number has up to 5 characters
+        if needed > left and k > first:
+            blocks.append((first, k))
+            first, left = k, width
+        left -= needed
+    return [*blocks, (first, len(names))]

@@ -4,6 +4,7 @@ from typing import Any
 
 from sean_jax.base import Array, Moment
 from sean_jax.metrics import comfort, motion, obstacles, path, proximity, success
+from sean_jax.metrics.aggregation import Estimate, aggregate, aggregate_ratio, resamples
 from sean_jax.metrics.metric import Metric
 
 METRICS: dict[str, Metric] = {
@@ -54,4 +55,4 @@ def results(values: dict[str, Any], metrics: tuple = tuple(METRICS.items())) -> 
     return {name: metric.result(values[name]) for name, metric in metrics}
 
 
-__all__ = ["METRICS", "Metric", "fold", "results", "start"]
+__all__ = ["METRICS", "Estimate", "Metric", "aggregate", "aggregate_ratio", "fold", "resamples", "results", "start"]

@@ -1,6 +1,7 @@
 """What a metric is (section IV-H): a value folded over the moments of a robot's task, in constant memory."""
 
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -30,9 +31,32 @@ def split(moment: Moment) -> Array:
 
 
 def by_second(moment: Moment) -> Array:
-    """() bool: a whole second has passed, when SEAN samples its path metrics."""
-    ticks = max(1, round(1.0 / moment.time_step))
-    return moment.tick % ticks == 0
+    """() bool: a whole second has passed within the last step, when SEAN samples its path metrics.
+
+    At 0.1 s that is every tenth tick; at 0.15 s the ticks 7, 14, 20, 27, ... of 1.05, 2.1, 3.0, 4.05 s.
+    """
+    return _seconds(moment, moment.tick) > _seconds(moment, moment.tick - 1)
+
+
+def since_second(moment: Moment) -> Array:
+    """() s since the last sample before this tick: 1 where seconds are whole steps, else about that."""
+    over, under = _ratio(moment)
+    sampled = -((-_seconds(moment, moment.tick - 1) * under) // over)  # the first tick at or after that second
+    return (moment.tick - sampled).astype(jnp.float32) * moment.time_step
+
+
+def _seconds(moment: Moment, tick: Array) -> Array:
+    """() int32 whole seconds that have passed at a tick, exact: a product in float32 would miss some."""
+    over, under = _ratio(moment)
+    return tick * over // under
+
+
+def _ratio(moment: Moment) -> tuple[int, int]:
+    """The time step [s] as a fraction."""
+    step = Fraction(moment.time_step).limit_denominator(1000)
+    if step <= 0:
+        raise ValueError(f"time_step: {moment.time_step} s must be 0.001 s or more.")
+    return step.numerator, step.denominator
 
 
 def mean(amount: Array, weight: Array) -> Array:

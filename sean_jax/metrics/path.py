@@ -6,9 +6,9 @@ import jax.numpy as jnp
 
 from sean_jax.base import Array, Moment
 from sean_jax.geometry import angle_between, length
-from sean_jax.metrics.metric import Metric, by_second, nothing, split, value_itself
+from sean_jax.metrics.metric import Metric, by_second, nothing, since_second, split, value_itself
 
-STILL = 0.05  # m: not moving is having moved no farther than this in the last second (SEAN 2.0)
+STILL = 0.05  # m/s: not moving is having moved no farther than 0.05 m in the last second (SEAN 2.0)
 
 
 class Sampled(NamedTuple):
@@ -52,8 +52,8 @@ def _efficiency(value: Sampled) -> Array:
 
 
 def _fold_still(value: Sampled, before: Moment, after: Moment) -> Sampled:
-    moved = _moved(value, after)
-    return _sample(value, after, moved, jnp.where(moved <= STILL, 1.0, 0.0))
+    moved, passed = _moved(value, after), since_second(after)
+    return _sample(value, after, moved, jnp.where(moved <= STILL * passed, passed, 0.0))
 
 
 def _still(value: Sampled) -> Array:
@@ -108,7 +108,10 @@ shortest path is known.
 """
 
 time_not_moving = Metric(_start, _fold_still, _still, "s")
-"""Seconds in which the robot moved no farther than 0.05 m."""
+"""Time of the seconds in which the robot moved no farther than 0.05 m.
+
+Where seconds are no whole number of steps, those from one sample to the next count with the time they took.
+"""
 
 min_distance_to_goal = Metric(
     _to_goal, lambda value, before, after: jnp.minimum(value, _to_goal(after)), value_itself, "m"

@@ -86,6 +86,7 @@ def _people(tracks, group, facing, window, still) -> tuple[Pedestrians, Array]:
         heading=headings(velocity, tracks.present, still) if facing is None else facing,
         desired_velocity=velocity,
         group=jnp.full(tracks.present.shape, -1, jnp.int32),
+        party=jnp.full(tracks.present.shape, -1, jnp.int32),
         present=tracks.present,
         preferred_speed=jnp.broadcast_to(usual[None, :], tracks.present.shape),
         robot_distance=jnp.zeros_like(speed),

@@ -32,6 +32,7 @@ class Report:
     rows: list[dict[str, Any]]  # name, title, unit, definition, cells (1 + S) and intervals (1 + S) as text
     shares: dict[str, float]  # situation or "none" -> share of robot time, adding up to one
     heat: np.ndarray  # (rows, columns) s
+    walks: np.ndarray  # (M, M) people who walked each edge of the graph
     tasks: list[str]  # (E,)
     completed: np.ndarray  # (E,) bool
     seconds: np.ndarray  # (E,) s
@@ -151,8 +152,15 @@ def _episodes(report: Report) -> str:
 
 
 def _people_and_time(report: Report) -> str:
-    heat = figures.svg(drawing.heat_map(report.environment, report.heat), "heat-map")
-    shown = [f"<figure>{heat}<figcaption>Where people were, over all episodes</figcaption></figure>"]
+    seconds = max(float(report.seconds.sum()), 1e-9)
+    x0, y0, x1, y1 = (float(v) for v in np.asarray(report.environment.floor))
+    density = report.heat * report.heat.size / ((x1 - x0) * (y1 - y0) * seconds)
+    flow = report.walks * (60.0 / seconds)
+    crowds = drawing.congestion_map(report.environment, density, graph=report.graph, flow=flow)
+    caption = "Where people were, mean over all episodes"
+    if report.graph is not None:
+        caption += "; bands are as wide as the flow each way along an edge"
+    shown = [f"<figure>{figures.svg(crowds, 'congestion')}<figcaption>{caption}</figcaption></figure>"]
     if report.graph is not None:
         graph = figures.svg(drawing.top_down(report.environment, graph=report.graph), "behavior-graph")
         shown.append(

@@ -12,6 +12,7 @@ from sean_jax.base import Mount, Solids
 
 LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration", "command_timeout")
 NUMERICS = (*LIMITS, "radius", "friction")
+OPTIONAL = ("max_reverse_speed", "max_deceleration")  # those ahead hold backward as well where these are absent
 BUILD = (
     "a base with the joints slide x, slide y and hinge z, then a left and a right wheel hinge with a velocity servo "
     "each, without springs, damping and friction losses in the joints"
@@ -45,7 +46,7 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
         "track": left[1] - right[1],
         "servo_gain": model.actuator_gainprm[0, 0],
         "servo_torque": model.actuator_forcerange[0, 1],
-        **{key: numerics[key] for key in NUMERICS if key != "radius"},
+        **{key: value for key, value in numerics.items() if key != "radius"},
     }
     fields = {key: jnp.asarray(value, jnp.result_type(float)) for key, value in figures.items()}
     seen = {"mounts": mounts(model), "solids": _solids(model)}
@@ -75,12 +76,13 @@ def _solids(model: Any) -> Solids:
 
 def _numerics(path: Path, model: Any) -> dict[str, float]:
     there = {model.numeric(i).name: model.numeric_data[model.numeric_adr[i]] for i in range(model.nnumeric)}
-    for key in NUMERICS:
+    told = (*NUMERICS, *(key for key in OPTIONAL if key in there))
+    for key in told:
         if key not in there:
             raise ValueError(f'{path}: <custom> lacks <numeric name="{key}" data="..."/>, which every robot needs')
         if not (np.isfinite(there[key]) and there[key] > 0.0):
             raise ValueError(f"{path}: the numeric {key} is {there[key]:g}, but must be a positive number")
-    return {key: float(there[key]) for key in NUMERICS}
+    return {key: float(there[key]) for key in told}
 
 
 def _check_build(path: Path, model: Any) -> None:

@@ -54,10 +54,16 @@ def drive_twin(scenario: Scenario, state: State, action: Array) -> Robot:
 def wheel_speeds(model: RobotModel, robot: Robot, action: Array, time_step: float) -> Array:
     """(2,) rad/s, left and right, for the command within the limits that is nearest to ``action`` (2,) m/s, rad/s.
 
-    Acceleration is limited against the speeds as they are, over one control step.
+    Acceleration is limited against the speeds as they are, over one control step. As in the controllers of ROS,
+    deceleration is what makes the speed along the heading fall, in braking and in speeding up backward.
     """
-    speed = _limited(action[0], robot.speed, model.max_acceleration * time_step, model.max_speed)
-    turn_rate = _limited(action[1], robot.turn_rate, model.max_turn_acceleration * time_step, model.max_turn_rate)
+    fall = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
+    backward = model.max_speed if model.max_reverse_speed is None else model.max_reverse_speed
+    change = model.max_turn_acceleration * time_step
+    ahead = robot.speed - fall * time_step, robot.speed + model.max_acceleration * time_step
+    speed = jnp.clip(jnp.clip(action[0], *ahead), -backward, model.max_speed)
+    turn_rate = jnp.clip(action[1], robot.turn_rate - change, robot.turn_rate + change)
+    turn_rate = jnp.clip(turn_rate, -model.max_turn_rate, model.max_turn_rate)
     rim = 0.5 * model.track * turn_rate
     return jnp.stack([speed - rim, speed + rim]) / model.wheel_radius
 
@@ -71,10 +77,6 @@ def held(model: RobotModel, body: Body, action: Array, time_step: float) -> tupl
     age = jnp.where(given, 0.0, body.age + time_step)
     late = age > model.command_timeout + 1e-4  # an age is a sum of steps, which is rounded
     return jnp.where(given, action, jnp.where(late, 0.0, body.command)), age
-
-
-def _limited(wanted: Array, now: Array, change: Array, most: Array) -> Array:
-    return jnp.clip(jnp.clip(wanted, now - change, now + change), -most, most)
 
 
 def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -> Robot:

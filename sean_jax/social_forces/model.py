@@ -1,6 +1,5 @@
 """The social force model (section IV-D [28][44][45]): accelerations, and one semi-implicit Euler step."""
 
-import math
 from dataclasses import replace
 
 import jax
@@ -8,12 +7,13 @@ import jax.numpy as jnp
 
 from sean_jax.base import Array, Groups, Nearby, Pedestrians, Robot, Scenario, State
 from sean_jax.geometry import angle_between, length, rotate, sum_vectors, unit
+from sean_jax.social_forces.cohesion import cohesion_forces
 from sean_jax.social_forces.parameters import Parameters
-from sean_jax.social_forces.repulsion import TINY, body, sidestep
+from sean_jax.social_forces.repulsion import TINY, contact, sidestep
 from sean_jax.social_forces.walls import distances, keep_out, wall_forces
 
-SUBSTEP = 0.05  # s, at most: a tenth of the relaxation time
 ABSENT = -2  # marks who is not there where a group index is -1 for nobody's member
+PARTIES = 1 << 20  # added to the number of a party where it stands among those of groups
 
 
 def move(scenario: Scenario, state: State) -> Pedestrians:
@@ -21,15 +21,16 @@ def move(scenario: Scenario, state: State) -> Pedestrians:
 
     People one control step later, the robot held where it was.
     """
-    substeps = math.ceil(scenario.time_step / SUBSTEP - 1e-6)
-    time_step = scenario.time_step / substeps
-    nearby = scenario.environment.nearby
+    time_step = scenario.time_step / scenario.substeps
+    nearby, radius, companions = scenario.environment.nearby, scenario.robot.radius, scenario.behavior.companions
 
     def substep(people: Pedestrians, _):
-        after = advance(scenario.forces, people, nearby, state.groups, state.robot, time_step, scenario.robot.radius)
+        after = advance(
+            scenario.forces, people, nearby, state.groups, state.robot, time_step, radius, companions=companions
+        )
         return after, None
 
-    return jax.lax.scan(substep, state.pedestrians, length=substeps)[0]
+    return jax.lax.scan(substep, state.pedestrians, length=scenario.substeps)[0]
 
 
 def advance(
@@ -40,12 +41,16 @@ def advance(
     robot: Robot | None,
     time_step: float,
     robot_radius: float = 0.0,
+    companions: Array | None = None,
 ) -> Pedestrians:
-    """People ``time_step`` [s] later; ``nearby`` obstacles, ``groups`` and ``robot`` may be None."""
+    """People ``time_step`` [s] later; ``nearby`` obstacles, ``groups`` and ``robot`` may be None.
+
+    So may ``companions`` (N, 2) int32, the indices of those that each person walks with, -1 none.
+    """
     px, py = people.position[:, 0], people.position[:, 1]
     vx, vy = people.velocity[:, 0], people.velocity[:, 1]
     look_x, look_y = _look(people)
-    fx, fy = pair_forces(parameters, people, look_x, look_y)
+    fx, fy = pair_forces(parameters, people, look_x, look_y, companions is not None)
     if robot is not None:
         fx, fy = _add((fx, fy), robot_force(parameters, people, look_x, look_y, robot, robot_radius))
     if groups is not None:
@@ -54,6 +59,8 @@ def advance(
     if walls is not None:
         fx, fy = _add((fx, fy), wall_forces(*walls, parameters))
     fx, fy = _yield(parameters, fx, fy, people.heading)
+    if companions is not None:
+        fx, fy = _add((fx, fy), cohesion_forces(parameters, people, companions, look_x, look_y))
     drive_x, drive_y = (people.desired_velocity[:, 0] - vx), (people.desired_velocity[:, 1] - vy)
     vx = vx + (drive_x / parameters.relaxation_time + fx) * time_step
     vy = vy + (drive_y / parameters.relaxation_time + fy) * time_step
@@ -62,33 +69,42 @@ def advance(
     slower = jnp.where(speed > greatest, greatest / jnp.where(speed > greatest, speed, 1.0), 1.0)
     vx, vy = vx * slower, vy * slower
     if walls is not None:
-        vx, vy = keep_out(vx, vy, walls[0] - parameters.radius, walls[1], walls[2], time_step)
+        rub = None if parameters.friction is None else parameters.friction / parameters.body
+        vx, vy = keep_out(vx, vy, walls[0] - parameters.radius, walls[1], walls[2], time_step, rub)
     velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
     heading = turn(people, velocity, parameters.turn_rate * time_step)
     return replace(people, position=people.position + velocity * time_step, velocity=velocity, heading=heading)
 
 
-def pair_forces(parameters: Parameters, people: Pedestrians, look_x: Array, look_y: Array) -> tuple[Array, Array]:
-    """(N,) x and y parts [m/s2] of what each person feels from all others: repulsion in sight, and sidestep.
+def pair_forces(
+    parameters: Parameters, people: Pedestrians, look_x: Array, look_y: Array, parties: bool = False
+) -> tuple[Array, Array]:
+    """(N,) x and y parts [m/s2] of what each person feels from all others: repulsion in sight, sidestep, contact.
 
-    Standing members of one group do not push one another: their formation holds them apart (section IV-D).
+    Standing members of one group do not push one another: their formation holds them apart (section IV-D). Nor, if
+    there are ``parties``, do those who walk in one: cohesion holds them together and apart. Who stands steps aside for
+    nobody.
     """
 
-    def pair(px, py, vx, vy, hx, hy, group, qx, qy, wx, wy, other_group):
+    def pair(px, py, vx, vy, hx, hy, side, group, qx, qy, wx, wy, other_group):
         dx, dy = px - qx, py - qy
         fx, fy = parameters.repulsion(dx, dy, wx, wy, vx, vy, parameters)
         weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
-        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, parameters)
-        bx, by = body(dx, dy, 2.0 * parameters.radius, parameters)
+        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, side, parameters)
+        bx, by = contact(dx, dy, wx, wy, vx, vy, 2.0 * parameters.radius, parameters)
         dd = dx * dx + dy * dy
         together = (group >= 0) & (group == other_group)
         felt = (other_group > ABSENT) & (dd > 0.0) & (dd < parameters.perception * parameters.perception) & ~together
         return jnp.where(felt, weight * fx + sx + bx, 0.0), jnp.where(felt, weight * fy + sy + by, 0.0)
 
     one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
-    group = jnp.where(people.present, people.group, ABSENT)
-    others = jax.vmap(pair, in_axes=(None,) * 7 + (0,) * 5)
-    return sum_vectors(*jax.vmap(others, in_axes=(0,) * 7 + (None,) * 5)(*one, look_x, look_y, group, *one, group), 1)
+    group = people.group
+    if parties:
+        group = jnp.where((group < 0) & (people.party >= 0), PARTIES + people.party, group)
+    group = jnp.where(people.present, group, ABSENT)
+    own = *one, look_x, look_y, _side(parameters, people), group
+    others = jax.vmap(pair, in_axes=(None,) * 8 + (0,) * 5)
+    return sum_vectors(*jax.vmap(others, in_axes=(0,) * 8 + (None,) * 5)(*own, *one, group), 1)
 
 
 def robot_force(
@@ -101,19 +117,17 @@ def robot_force(
     wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
     moving = jnp.abs(robot.speed) > parameters.robot_moving
 
-    def push(px, py, vx, vy, hx, hy, extra):
+    def push(px, py, vx, vy, hx, hy, side, extra):
         dx, dy = px - robot.position[0], py - robot.position[1]
         fx, fy = parameters.repulsion(dx, dy, wx, wy, vx, vy, parameters)
         weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
         weight = weight * jnp.where(moving, jnp.exp(extra / parameters.range), 1.0)
-        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, parameters)
-        bx, by = body(dx, dy, parameters.radius + radius, parameters)
+        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, side, parameters)
+        bx, by = contact(dx, dy, wx, wy, vx, vy, parameters.radius + radius, parameters)
         return weight * fx + sx + bx, weight * fy + sy + by
 
-    position, velocity = people.position, people.velocity
-    return jax.vmap(push)(
-        position[:, 0], position[:, 1], velocity[:, 0], velocity[:, 1], look_x, look_y, people.robot_distance
-    )
+    one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
+    return jax.vmap(push)(*one, look_x, look_y, _side(parameters, people), people.robot_distance)
 
 
 def group_forces(parameters: Parameters, people: Pedestrians, groups: Groups) -> tuple[Array, Array]:
@@ -140,6 +154,11 @@ def _look(people: Pedestrians) -> tuple[Array, Array]:
     x, y = unit(people.desired_velocity[:, 0], people.desired_velocity[:, 1])
     standing = (people.group >= 0) | ((x == 0.0) & (y == 0.0))
     return jnp.where(standing, people.heading[:, 0], x), jnp.where(standing, people.heading[:, 1], y)
+
+
+def _side(parameters: Parameters, people: Pedestrians) -> Array:
+    """(N,) m/s2: the side preference, of which standing members of groups have none."""
+    return jnp.where(people.group < 0, parameters.side_preference, 0.0)
 
 
 def _yield(parameters: Parameters, fx: Array, fy: Array, heading: Array) -> tuple[Array, Array]:

@@ -1,13 +1,13 @@
 """Every constant of the social force model (section IV-D), with unit and source, and the named presets.
 
 A constant is a pytree leaf, so ``jax.grad``, ``jax.vmap`` and sweeps over parameters need no wrapper; only the
-two laws, which differ in form and not in a number, are static.
+two laws, which differ in form and not in a number, are static, and friction is None where it shall cost nothing.
 
 Sources: [HM95] Helbing & Molnar, Phys. Rev. E 51, 4282 (1995). [J07] Johansson, Helbing & Shukla, Adv. Complex
 Syst. 10, 271 (2007), the elliptical specification II fitted to video. [S2] SEAN 2.0's published code
 (yale-sean/social_sim_unity, SFAgent.cs and Parameters.cs), forces divided by its body mass of 80 kg. [M09]
-Moussaid et al., Proc. R. Soc. B 276, 2755 (2009). [H00] Helbing, Farkas & Vicsek, Nature 407, 487
-(2000). [K90] Kendon, Conducting Interaction (1990).
+Moussaid et al., Proc. R. Soc. B 276, 2755 (2009). [M10] Moussaid et al., PLoS ONE 5, e10047 (2010). [H00] Helbing,
+Farkas & Vicsek, Nature 407, 487 (2000). [K90] Kendon, Conducting Interaction (1990).
 """
 
 import difflib
@@ -58,8 +58,17 @@ class Parameters:
     group_range: Array  # m
     lateral_damping: Array  # 1, divides the part of the social force across the heading
     reversing: Array  # 1, share kept of the part of the social force against the heading
+    party_gaze: Array  # 1/(s rad), beta1 of [M10]: braking when those one walks with are out of view
+    party_view: Array  # rad, half angle of that view
+    party_attraction: Array  # m/s2, beta2 of [M10]: pull to the middle of one's party
+    party_far: Array  # m, times half the number of companions: the distance from that middle where the pull begins
+    party_repulsion: Array  # m/s2, beta3 of [M10]: push from a companion ...
+    party_near: Array  # m, ... nearer than that
+    party_ramp: Array  # m, over which pull and push fade in; [M10] has steps
+    party_slowness: Array  # m/s, by which each companion lowers the preferred speed
     repulsion: Callable = struct.field(pytree_node=False)
     sight: Callable = struct.field(pytree_node=False)
+    friction: Array | None = None  # 1/(m s), of bodies that slide along one another: kappa / m of [H00]; None: off
 
 
 def _leaves(**values: float) -> dict[str, Any]:
@@ -78,7 +87,7 @@ _HELBING_1995 = dict(
     strength=2.1 / 0.3,  # [HM95] V0 / sigma
     range=0.3,  # [HM95] sigma
     reach=0.0,
-    body=200.0,  # ours: [H00] has 1500, too stiff for a step of 0.05 s; an overlap stays within centimetres
+    body=200.0,  # ours: [H00] has 1500, too stiff for a step of 0.05 s (see longest_step)
     anticipation=2.0,  # [HM95]
     own_motion=0.0,  # [HM95]
     perception=1e6,
@@ -90,7 +99,7 @@ _HELBING_1995 = dict(
     wall_lever=0.0,
     side_preference=0.3,  # ours: half of [S2]'s, to the right as [M09] observed
     side_cosine=0.5,  # [S2]
-    side_range=3.0,  # ours: two people who close at 2.7 m/s have a second
+    side_range=4.0,  # ours: two people who close at 2.7 m/s have a second and a half
     robot_factor_least=1.0,  # ours, up to 0.6 m farther than from a person: Vassallo et al. (2017) saw people
     robot_factor_greatest=8.0,  # pass a robot at 0.83 +- 0.27 m
     robot_moving=0.1,  # [S2]
@@ -98,6 +107,14 @@ _HELBING_1995 = dict(
     group_range=0.3,  # ours
     lateral_damping=1.0,
     reversing=1.0,
+    party_gaze=4.0,  # [M10]
+    party_view=np.deg2rad(90.0),  # [M10]
+    party_attraction=3.0,  # [M10]
+    party_far=0.8,  # ours, as near; [M10] has 1, and pairs .1 m farther apart
+    party_repulsion=1.0,  # [M10]
+    party_near=0.8,  # [M10] d0
+    party_ramp=0.2,  # ours
+    party_slowness=0.06,  # between the two populations of [M10], 0.04 and 0.08
 )
 
 _JOHANSSON_2007 = _HELBING_1995 | dict(
@@ -134,9 +151,23 @@ _SEAN2 = _HELBING_1995 | dict(
     reversing=0.0,  # [S2]
 )
 
+_HELBING_2000 = _HELBING_1995 | dict(
+    strength=2000.0 / 80.0,  # [H00] A / m
+    range=0.08,  # [H00] B
+    reach=0.2 + 0.2,  # [H00] both radii
+    body=1.2e5 / 80.0,  # [H00] k / m
+    friction=2.4e5 / 80.0,  # [H00] kappa / m
+    anticipation=0.0,
+    back_weight=1.0,  # [H00] feels in all directions
+    wall_strength=2000.0 / 80.0,  # [H00] A / m
+    wall_range=0.08,  # [H00] B
+    wall_reach=0.2,  # [H00] the radius
+)
+
 PRESETS: dict[str, Parameters] = {
     "helbing1995": Parameters(**_leaves(**_HELBING_1995), repulsion=elliptical, sight=in_cone),
     "johansson2007": Parameters(**_leaves(**_JOHANSSON_2007), repulsion=elliptical, sight=in_front),
+    "helbing2000": Parameters(**_leaves(**_HELBING_2000), repulsion=circular, sight=in_front),
     "sean2": Parameters(**_leaves(**_SEAN2), repulsion=circular, sight=in_front),
 }
 

@@ -45,15 +45,20 @@ def circular(dx: Array, dy: Array, wx: Array, wy: Array, vx: Array, vy: Array, p
     return push * dx, push * dy
 
 
-def body(dx: Array, dy: Array, apart: Array, parameters: Any) -> tuple:
-    """Push [m/s2] of a touching body: proportional to the overlap of two discs that touch at ``apart`` [m].
+def contact(dx: Array, dy: Array, wx: Array, wy: Array, vx: Array, vy: Array, apart: Array, parameters: Any) -> tuple:
+    """Push [m/s2] of a touching body: of two discs that touch at ``apart`` [m], in proportion to their overlap g.
 
-    The body force of Helbing, Farkas & Vicsek (2000), without the sliding friction.
+    Helbing, Farkas & Vicsek (2000): the body force k g n and, if ``friction`` is not None, the sliding friction
+    kappa g ((w - v) . t) t, with n along d and t across it.
     """
     dd = dx * dx + dy * dy + TINY
     inverse = jax.lax.rsqrt(dd)
-    push = parameters.body * jnp.maximum(apart - dd * inverse, 0.0) * inverse
-    return push * dx, push * dy
+    overlap = jnp.maximum(apart - dd * inverse, 0.0)
+    push = parameters.body * overlap * inverse
+    if parameters.friction is None:
+        return push * dx, push * dy
+    rub = parameters.friction * overlap * inverse * inverse * ((wy - vy) * dx - (wx - vx) * dy)
+    return push * dx - rub * dy, push * dy + rub * dx
 
 
 def in_cone(fx: Array, fy: Array, dx: Array, dy: Array, hx: Array, hy: Array, parameters: Any) -> Array:
@@ -75,15 +80,17 @@ def in_front(fx: Array, fy: Array, dx: Array, dy: Array, hx: Array, hy: Array, p
     return parameters.back_weight + (1.0 - parameters.back_weight) * 0.5 * (1.0 + cosine)
 
 
-def sidestep(dx: Array, dy: Array, wx: Array, wy: Array, vx: Array, vy: Array, hx: Array, hy: Array, p: Any) -> tuple:
-    """Push [m/s2] to the preferred side of the heading (hx, hy) by somebody who comes towards one [44].
+def sidestep(
+    dx: Array, dy: Array, wx: Array, wy: Array, vx: Array, vy: Array, hx: Array, hy: Array, preference: Array, p: Any
+) -> tuple:
+    """Push [m/s2] to the right of the heading (hx, hy) by somebody who comes towards one [44].
 
-    In SEAN 2.0's form: constant in size but for the cosine of the bearing, while the other is within
-    ``side_range`` and ``side_cosine`` ahead and the two are closing.
+    In SEAN 2.0's form: of the size of the ``preference`` (negative: to the left) but for the cosine of the bearing,
+    while the other is within ``side_range`` and ``side_cosine`` ahead and the two are closing.
     """
     dd = dx * dx + dy * dy + TINY
     bearing = -(dx * hx + dy * hy) * jax.lax.rsqrt(dd)
     closing = (wx - vx) * hx + (wy - vy) * hy < 0.0
     oncoming = closing & (bearing >= p.side_cosine) & (dd < p.side_range * p.side_range)
-    push = jnp.where(oncoming, p.side_preference * bearing, 0.0)
+    push = jnp.where(oncoming, preference * bearing, 0.0)
     return push * hy, -push * hx

@@ -1,0 +1,148 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # A Behavior Graph for your own floor plan
+# People walk between *waypoints* and stand and talk at *groups*; edges say where they walk, and how gladly. Here is a
+# hall of our own with two ways around a block of shelves: we write its folder, watch who walks where, change one word
+# and watch again.
+#
+# On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
+
+# %%
+import subprocess
+import sys
+
+if "google.colab" in sys.modules:
+    install = [sys.executable, "-m", "pip", "install", "--quiet", "./sean_jax", "-c", "./sean_jax/constraints.txt"]
+    subprocess.run(install, check=True)
+
+# %%
+# %matplotlib inline
+from pathlib import Path
+from tempfile import mkdtemp
+
+import jax
+
+import sean_jax
+from sean_jax.drawing import congestion_map, graph_sheet
+from sean_jax.graph import graph_of
+from sean_jax.policies import POLICIES
+
+PEOPLE = 20  # in the hall
+EPISODES = 8  # at once
+STEPS = 1200  # of 0.1 s: two minutes
+
+# %% [markdown]
+# ## The folder
+# Three files. `scene.xml` holds the obstacles as upright boxes, in metres seen from above with x to the right and y up;
+# `environment.yaml` the floor; `graph.yaml` the graph. (A ROS map can be turned into the first two by
+# `sean import-map`.)
+
+# %%
+folder = Path(mkdtemp()) / "hall"
+folder.mkdir()
+(folder / "environment.yaml").write_text("name: hall\nfloor: [-4, 0, 20, 12]\npeople: 20\n")
+(folder / "scene.xml").write_text("""
+<mujoco>
+  <worldbody>
+    <geom type="box" pos="10 6 1" size="5 2.5 1"/>
+  </worldbody>
+</mujoco>
+""")
+
+GRAPH = """
+version: 1
+c_min: 0.2
+c_max: 100
+nodes:
+  south_west: {kind: waypoint, position: [2.5, 1.8], radius: 1, spawn: 1}
+  south_east: {kind: waypoint, position: [17.5, 1.8], radius: 1, spawn: 1}
+  north_east: {kind: waypoint, position: [17.5, 10.2], radius: 1, spawn: 1}
+  north_west: {kind: waypoint, position: [2.5, 10.2], radius: 1, spawn: 1}
+  desk: {kind: group, position: [-1.5, 6], radius: 1, capacity: 3, stay: [10, 20]}
+edges:
+  - {between: [south_west, south_east], flow: SOUTH}
+  - {between: [south_east, north_east], flow: medium}
+  - {between: [north_east, north_west], flow: medium}
+  - {between: [north_west, south_west], flow: medium}
+  - {between: [north_west, desk]}
+  - {between: [south_west, desk]}
+"""
+
+
+def hall(south):
+    """The scenario with that word on the southern edge: medium, high, low, forward or backward."""
+    (folder / "graph.yaml").write_text(GRAPH.replace("SOUTH", south))
+    return sean_jax.make(folder, behavior="graph", task="join_group", people=PEOPLE, dynamics="twin")
+
+
+# %% [markdown]
+# What is wrong in these files is said at once, with the line, the word and a cure:
+
+# %%
+try:
+    hall("foward")
+except ValueError as error:
+    print(str(error).replace(str(folder), "hall"))
+
+# %% [markdown]
+# And this is what it means: discs in which people aim at points, ways, a group of three with a place left open.
+
+# %%
+scenario = hall("medium")
+graph = graph_of(scenario)
+graph_sheet(scenario.environment, graph)
+
+# %% [markdown]
+# ## Who walks where
+# Some episodes at once, and then the density of people over the floor and the flow along each edge, from where people
+# were. Each way of an edge is drawn as wide as its flow, on the right of those who walk it.
+
+# %%
+policy = POLICIES["go_to_goal"]
+
+
+def watch(scenario):
+    """Density (rows, columns) in people per m2 and flow (M, M) in people per minute, means of the episodes."""
+    keys = jax.random.split(jax.random.key(1), EPISODES)
+    frames = jax.jit(jax.vmap(lambda key: sean_jax.rollout(scenario, policy, key, STEPS)[1]))(keys)
+    found = sean_jax.congestion(scenario, frames, span=STEPS * scenario.time_step)
+    return found.density.mean((0, 1)), found.flow.mean((0, 1))
+
+
+density, flow = watch(scenario)
+congestion_map(scenario.environment, density, graph=graph, flow=flow, title="all edges alike")
+
+# %% [markdown]
+# ## One word
+# `forward` lets people take the southern edge from west to east and makes the way back a hundred times as dear, so they
+# come back by the north. Other words are `high` and `low`, for both directions.
+
+# %%
+oneway = hall("forward")
+density_oneway, flow_oneway = watch(oneway)
+congestion_map(oneway.environment, density_oneway, graph=graph, flow=flow_oneway, title="south only eastward")
+
+# %%
+corners = ["south_west", "south_east", "north_east", "north_west"]
+number = {name: index for index, name in enumerate(graph.names)}
+for one, other in zip(corners, corners[1:] + corners[:1], strict=True):
+    for here, there in ((one, other), (other, one)):
+        before, now = (table[number[here], number[there]] for table in (flow, flow_oneway))
+        print(f"{here} to {there}: {before:4.1f} people a minute before, {now:4.1f} now")
+
+# %% [markdown]
+# Two further choices belong to `make` rather than to the file: `paths="edge"` lets people choose anew at every node, as
+# SEAN 2.0's code does, and `spreading=20` makes edges dearer the more people are on them. Your own folder works the
+# same way in `sean run --environment path/to/hall`.

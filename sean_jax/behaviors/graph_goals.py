@@ -1,0 +1,160 @@
+"""Which node of the Behavior Graph a person goes to next, and on which seat somebody stands (section IV-D).
+
+``whole`` is the paper: a goal node is drawn and all of the cheapest path to it is walked. ``edge`` is what SEAN 2.0's
+code does: at every node a person chooses anew, and is bound to one edge alone.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from sean_jax.base import Array, Pedestrians
+from sean_jax.geometry import length
+from sean_jax.graph import BehaviorGraph
+
+ARRIVED = 1.0  # m from the point aimed at, where a waypoint counts as reached (SEAN 2.0)
+NEARER = 5.0  # m, by which a walker's way to a seat must be shorter to take it over
+
+
+class Memory(NamedTuple):
+    """Where each person is on the graph."""
+
+    goal: Array  # (N,) int32 node to reach in the end
+    hop: Array  # (N,) int32 node to reach next
+    origin: Array  # (N,) int32 node that was left for it; the same one before the first edge
+    target: Array  # (N, 2) m, the point of that node's disc, or the seat
+    seat: Array  # (N,) int32 seat taken or walked to, -1 none
+    stay: Array  # (N,) s left to stand at the seat
+    seat_position: Array  # (Q, 2) m
+    seat_heading: Array  # (Q, 2) unit vector
+
+
+def whole(graph: BehaviorGraph, people: Pedestrians, memory: Memory, free: Array, chance: Array) -> Memory:
+    """People keep their goal until they are there: empty seats first, then waypoint nodes (the paper).
+
+    ``free`` (N,) bool are without a goal, ``chance`` (2, N) is uniform. A seat is held from afar; somebody much nearer
+    who passes a node takes it over, and who loses it goes on to a waypoint node instead.
+    """
+    alone = people.party < 0  # parties take no seats
+    memory = assign(graph, memory, free, chance[0], alone)
+    onward = free | _passes(people, memory)
+    memory = hand_over(graph, people, memory, onward & alone, chance[0])
+    return _set_out(graph, memory, onward, chance[1])
+
+
+def edge(graph: BehaviorGraph, people: Pedestrians, memory: Memory, free: Array, chance: Array) -> Memory:
+    """People choose anew at every node: the group that lacks most members, or if none lacks any, a waypoint node.
+
+    As SEAN 2.0's NavManager: a seat is held by who sets out on the edge that leads to it, first come first served. Who
+    finds the group full by then draws a waypoint node instead. Those who choose at the same step do so together.
+    Unlike there, paths never lead through a group to somewhere else.
+    """
+    onward = free | _passes(people, memory)
+    seat = jnp.where(onward, -1, memory.seat)
+    goal = _other_waypoint(graph, memory.hop, chance[0])
+    if graph.groups.shape[0]:
+        empty = ~_taken(memory, graph.seat_group.shape[0])
+        group = jnp.arange(graph.groups.shape[0], dtype=jnp.int32)
+        of_group = graph.seat_group[:, None] == group[None, :]  # (Q, G)
+        lack = jnp.sum(of_group & empty[:, None], axis=0, dtype=jnp.int32)
+        neediest = jnp.argmax(lack).astype(jnp.int32)
+        node = graph.groups[neediest]
+        wants = onward & (people.party < 0) & (lack[neediest] > 0) & (memory.hop != node)
+        near = wants & (graph.next_hop[memory.hop, node] == node)
+        offered = empty & (graph.seat_group == neediest)
+        given, which = _in_turn(near, offered)
+        seat = jnp.where(given, which, seat)
+        goal = jnp.where(wants & (given | ~near), node, goal)
+    memory = memory._replace(seat=seat, goal=jnp.where(onward, goal, memory.goal))
+    return _set_out(graph, memory, onward, chance[1])
+
+
+def of_seat(values: Array, seat: Array) -> Array:
+    """(N, ...) rows of the seats' values (Q, ...); any row for who has no seat (-1), zeros if there are no seats."""
+    if values.shape[0] == 0:
+        return jnp.zeros((*seat.shape, *values.shape[1:]), values.dtype)
+    return values[jnp.maximum(seat, 0)]
+
+
+def assign(graph: BehaviorGraph, memory: Memory, free: Array, chance: Array, alone: Array) -> Memory:
+    """A goal for everybody without one: the empty seats one after the other, then random waypoint nodes.
+
+    Whoever leaves a seat now goes to a waypoint, so that nobody turns on the spot to sit down again; so does who does
+    not walk ``alone`` (N,).
+    """
+    given, which = _in_turn(free & alone & (memory.seat < 0), ~_taken(memory, graph.seat_group.shape[0]))
+    seat = jnp.where(given, which, jnp.where(free, -1, memory.seat))
+    goal = jnp.where(given, of_seat(graph.seat_node, seat), _other_waypoint(graph, memory.hop, chance))
+    return memory._replace(seat=seat, goal=jnp.where(free, goal, memory.goal))
+
+
+def hand_over(graph: BehaviorGraph, people: Pedestrians, memory: Memory, onward: Array, chance: Array) -> Memory:
+    """One seat a step goes from somebody who is still nodes away from it to the walker at a node who is nearest."""
+    seats = jnp.arange(graph.seat_group.shape[0], dtype=jnp.int32)
+    if seats.shape[0] == 0:
+        return memory
+    holds = memory.seat[:, None] == seats[None, :]
+    holder = jnp.argmax(holds, axis=0).astype(jnp.int32)
+    far = holds.any(0) & (memory.hop[holder] != memory.goal[holder])
+    node = graph.seat_node
+    gap = memory.target[holder] - people.position[holder]
+    rest = graph.cost[memory.hop[holder], node] + length(gap[:, 0], gap[:, 1])
+    shorter = rest[None, :] - graph.cost[memory.hop[:, None], node[None, :]]
+    leaves = memory.hop[:, None] == node[None, :]  # not to sit down again in the same group
+    shorter = jnp.where((onward & (memory.seat < 0))[:, None] & far[None, :] & ~leaves, shorter, -jnp.inf)
+    best = jnp.argmax(shorter).astype(jnp.int32)
+    taker, seat = best // seats.shape[0], best % seats.shape[0]
+    happens = shorter[taker, seat] > NEARER
+    person = jnp.arange(memory.seat.shape[0], dtype=jnp.int32)
+    takes, loses = happens & (person == taker), happens & (person == holder[seat])
+    goal = jnp.where(loses, _other_waypoint(graph, memory.hop, chance), memory.goal)
+    return memory._replace(
+        seat=jnp.where(takes, seat, jnp.where(loses, -1, memory.seat)),
+        goal=jnp.where(takes, node[seat], goal),
+    )
+
+
+def _taken(memory: Memory, seats: int) -> Array:
+    """(Q,) bool: seats that somebody holds."""
+    return (memory.seat[:, None] == jnp.arange(seats, dtype=jnp.int32)[None, :]).any(0)
+
+
+def _in_turn(seekers: Array, seats: Array) -> tuple[Array, Array]:
+    """Who of the seekers (N,) bool gets one of the seats (Q,) bool, both in their order, and (N,) int32 which."""
+    if seats.shape[0] == 0:
+        return jnp.zeros_like(seekers), jnp.full(seekers.shape, -1, jnp.int32)
+    rank = jnp.cumsum(seekers, dtype=jnp.int32) - 1
+    order = jnp.cumsum(seats, dtype=jnp.int32) - 1
+    match = seekers[:, None] & seats[None, :] & (rank[:, None] == order[None, :])
+    return match.any(1), jnp.argmax(match, axis=1).astype(jnp.int32)
+
+
+def _other_waypoint(graph: BehaviorGraph, hop: Array, chance: Array) -> Array:
+    """(N,) a waypoint node other than ``hop`` (N,) if there is one, uniform in ``chance`` (N,)."""
+    number = graph.waypoints.shape[0]
+    is_own = graph.waypoints[None, :] == hop[:, None]
+    here, own = is_own.any(1), jnp.argmax(is_own, axis=1).astype(jnp.int32)
+    others = number - here.astype(jnp.int32)
+    index = jnp.minimum((chance * others.astype(jnp.float32)).astype(jnp.int32), jnp.maximum(others - 1, 0))
+    return graph.waypoints[jnp.minimum(index + (here & (index >= own)).astype(jnp.int32), number - 1)]
+
+
+def _passes(people: Pedestrians, memory: Memory) -> Array:
+    """(N,) who has reached a node on the way to another."""
+    gap = memory.target - people.position
+    return (length(gap[:, 0], gap[:, 1]) < ARRIVED) & (memory.hop != memory.goal)
+
+
+def _set_out(graph: BehaviorGraph, memory: Memory, onward: Array, chance: Array) -> Memory:
+    """The next node on the way, for those who go on from one, and a point of its disc."""
+    following = graph.next_hop[memory.hop, memory.goal]
+    hop = jnp.where(onward, jnp.where(following >= 0, following, memory.goal), memory.hop)
+    number = graph.places.shape[1]
+    place = graph.places[hop, jnp.minimum((chance * number).astype(jnp.int32), number - 1)]
+    to_seat = (memory.seat >= 0) & (hop == memory.goal)
+    place = jnp.where(to_seat[:, None], of_seat(memory.seat_position, memory.seat), place)
+    return memory._replace(
+        hop=hop,
+        origin=jnp.where(onward, memory.hop, memory.origin),
+        target=jnp.where(onward[:, None], place, memory.target),
+    )

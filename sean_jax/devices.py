@@ -1,0 +1,62 @@
+"""Scenarios spread over devices: one CPU, some GPUs, or those of many hosts, with the same code.
+
+The mesh has one axis, ``scenarios``. What a scenario draws comes from its number alone, so it does not depend on how
+many devices or hosts there are. Scenarios never speak to one another, so all that devices ever exchange is whether a
+loop of rays is over. (``shard_map``, which would spare that, makes XLA crash while it compiles for two GPUs: seen with
+jax 0.11.2.)
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
+
+from sean_jax.base import Array
+
+AXIS = "scenarios"
+
+
+def mesh(devices: Sequence[Any] | None = None) -> Mesh:
+    """All devices of all hosts, or those given, in a row."""
+    chosen = jax.devices() if devices is None else list(devices)
+    return jax.make_mesh((len(chosen),), (AXIS,), axis_types=(AxisType.Auto,), devices=chosen)
+
+
+def keys(over: Mesh, key: Array, number: int) -> Array:
+    """(number,) typed keys on the devices, the i-th ``fold_in(key, i)``.
+
+    Raises:
+        ValueError: the number is no multiple of that of the devices.
+    """
+    if number % over.size or number < 1:
+        nearest = max(over.size, number - number % over.size)
+        raise ValueError(f"number: {number} scenarios do not spread evenly over {over.size} devices; take {nearest}.")
+    share = NamedSharding(over, PartitionSpec(AXIS))
+    draw = jax.jit(lambda key: jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(number)), out_shardings=share)
+    return draw(key)
+
+
+def everywhere(over: Mesh, tree: Any) -> Any:
+    """A scenario, or any other arrays, on every device of the mesh: what ``spread`` wants as the fixed argument."""
+    return jax.device_put(tree, NamedSharding(over, PartitionSpec()))
+
+
+def spread(over: Mesh, function: Callable, donate: bool = False) -> Callable:
+    """``jit(vmap(function))`` over all arguments but the first, whose leading axis is split over the devices.
+
+    Args:
+        function: ``(fixed, ...)``, such as ``lambda scenario, key: rollout(scenario, policy, key, 100)``. The fixed
+            argument is one that was put ``everywhere``; the others are those of one scenario, as are the results.
+        donate: the memory of all but the first is used for the results, as in ``states = step(scenario, states)``.
+    """
+
+    split, whole = NamedSharding(over, PartitionSpec(AXIS)), NamedSharding(over, PartitionSpec())
+
+    def on_all(fixed: Any, others: tuple) -> Any:
+        return jax.vmap(function, (None, *(0 for _ in others)))(fixed, *others)
+
+    given = (1,) if donate else ()
+    run = jax.jit(on_all, in_shardings=(whole, split), out_shardings=split, donate_argnums=given)
+    return lambda fixed, *others: run(fixed, others)

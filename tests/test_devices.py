@@ -1,0 +1,118 @@
+"""Scenarios over several devices and processes equal those on one, and restarts are episodes of their own."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax import devices, restarts
+from sean_jax.policies import go_to_goal
+
+PROGRAM = """
+import sys, json
+import jax
+if len(sys.argv) > 2:
+    jax.distributed.initialize(sys.argv[1], num_processes=2, process_id=int(sys.argv[2]))
+import numpy as np
+import sean_jax
+from sean_jax import devices
+from sean_jax.policies import go_to_goal
+scenario = sean_jax.make("lab", people=4, dynamics="twin")
+over = devices.mesh()
+run = devices.spread(over, lambda fixed, key: sean_jax.rollout(fixed, go_to_goal, key, 20)[0].pedestrians.position)
+found = run(devices.everywhere(over, scenario), devices.keys(over, jax.random.key(3), 8))
+mine = {str(part.index[0].start or 0): np.asarray(part.data).tolist() for part in found.addressable_shards}
+print(json.dumps({"devices": over.size, "shards": mine}))
+"""
+
+
+def run(*arguments, count=1):
+    flags = f"--xla_force_host_platform_device_count={count}"
+    environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *arguments], env=environment, stdout=subprocess.PIPE, text=True
+    )
+
+
+def shards(process):
+    out, _ = process.communicate(timeout=300)
+    assert process.returncode == 0
+    answer = json.loads(out.splitlines()[-1])
+    rows = {int(start): np.array(values) for start, values in answer["shards"].items()}
+    return answer["devices"], rows
+
+
+@pytest.mark.slow
+def test_four_devices_and_two_processes_equal_one():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    count, alone = shards(run())
+    assert count == 1 and alone[0].shape == (8, 4, 2)
+    count, four = shards(run(count=4))
+    assert count == 4 and sorted(four) == [0, 2, 4, 6]
+    pair = [run(address, "0", count=2), run(address, "1", count=2)]
+    count, two = 0, {}
+    for process in pair:
+        count, part = shards(process)
+        two |= part
+    assert count == 4 and sorted(two) == [0, 2, 4, 6]
+    for rows in (four, two):
+        joined = np.concatenate([rows[start] for start in sorted(rows)])
+        assert np.allclose(joined, alone[0], atol=1e-4)
+
+
+def test_keys_are_those_of_the_scenarios_numbers():
+    over = devices.mesh(jax.devices()[:1])
+    key = jax.random.key(5)
+    drawn = devices.keys(over, key, 3)
+    expected = [jax.random.key_data(jax.random.fold_in(key, number)) for number in range(3)]
+    assert np.array_equal(jax.random.key_data(drawn), np.stack(expected))
+    with pytest.raises(ValueError, match="0 scenarios do not spread evenly over 1 devices; take 1"):
+        devices.keys(over, key, 0)
+
+
+@pytest.fixture(scope="module")
+def short():
+    """Episodes of 1 s in the lab, so that restarts come soon."""
+    return sean_jax.make("lab", people=4, dynamics="twin", time_limit=1.0)
+
+
+def test_episodes_follow_one_another(short):
+    starts = jax.jit(restarts.pool, static_argnums=2)(short, jax.random.key(0), 5)
+
+    def record(before, after, action):
+        return before.tick, after.timed_out, before.pedestrians.position, jax.random.key_data(before.key)
+
+    def run(state):
+        return restarts.endless(short, go_to_goal, starts, state, 35, record)
+
+    state = jax.tree.map(lambda leaf: leaf[0], starts.starts)
+    last, (tick, timed_out, people, key) = jax.jit(run)(state)
+    assert np.array_equal(tick, [*range(10), *range(10), *range(10), *range(5)])
+    assert np.array_equal(np.flatnonzero(timed_out), [9, 19, 29])
+    assert int(last.tick) == 5
+    pool = np.asarray(starts.starts.pedestrians.position)
+    for first in (10, 20, 30):
+        assert (np.abs(pool - np.asarray(people[first])).max((1, 2)) < 1e-6).any()
+    assert len({tuple(row) for row in np.asarray(key)[[0, 10, 20, 30]].tolist()}) == 4
+    assert jax.tree.structure(last) == jax.tree.structure(state)
+
+
+def test_a_running_episode_is_left_alone(short):
+    starts = jax.jit(restarts.pool, static_argnums=2)(short, jax.random.key(0), 2)
+    state = jax.jit(sean_jax.reset)(short, jax.random.key(9))
+    after = jax.jit(restarts.restart)(starts, state)
+    same = jax.tree.map(lambda old, new: jnp.array_equal(jax_data(old), jax_data(new)), state, after)
+    assert all(jax.tree.leaves(same))
+
+
+def jax_data(leaf):
+    return jax.random.key_data(leaf) if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf

@@ -1,0 +1,325 @@
+"""An addition to each family, made as CONTRIBUTING.md says: some lines in one place, and it acts and is listed.
+
+What stands between two rules below would be a file of its own. Counted are its lines, those of the docstrings included.
+"""
+
+import dataclasses
+import inspect
+import json
+import re
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax import behaviors, classifiers, cli, metrics, pedestrian_models, policies, robots, social_forces, tasks
+from sean_jax import environment as environments
+from sean_jax import navigation as paths
+from sean_jax.base import Behavior, Pedestrians, RobotTask
+from sean_jax.behaviors.random_behavior import no_groups
+from sean_jax.classifiers.predicates import any_person, cosine, near
+from sean_jax.metrics.metric import Metric, nothing, split, value_itself
+from sean_jax.social_forces import draw_traits
+from sean_jax.tasks.places import far_place
+
+MOST = 30  # lines
+CONTRIBUTING = (Path(__file__).resolve().parent.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
+
+
+# --- a force ---
+
+
+def magnetic(dx, dy, wx, wy, vx, vy, parameters):
+    """Repulsion that falls with the square of the distance: accelerations [m/s2]."""
+    square = dx * dx + dy * dy + 1e-4
+    size = parameters.strength * parameters.range * parameters.range / (square * jnp.sqrt(square))
+    return size * dx, size * dy
+
+
+# --- a pedestrian model ---
+
+
+def glide(scenario, state):
+    """Everybody has the velocity that they desire, and minds nobody."""
+    people = state.pedestrians
+    position = people.position + scenario.time_step * people.desired_velocity
+    return dataclasses.replace(people, position=position, velocity=people.desired_velocity)
+
+
+# --- a situation ---
+
+
+def watched(moment, thresholds):
+    """Somebody near looks at the robot, to within the angle A."""
+
+    def holds(agent):
+        toward = cosine(agent.heading, moment.position - agent.position)
+        return near(moment.position, agent.position, thresholds.near) & (toward >= jnp.cos(thresholds.angle))
+
+    return any_person(moment, holds)
+
+
+# --- a metric ---
+
+
+def fold_turning(value, before, after):
+    """Adds the angle [rad] by which the robot's heading has turned."""
+    cross = before.heading[0] * after.heading[1] - before.heading[1] * after.heading[0]
+    return value + jnp.abs(jnp.arctan2(cross, (before.heading * after.heading).sum())) * split(after)
+
+
+turned_angle = Metric(nothing, fold_turning, value_itself, "rad")
+"""Sum of the robot's turns."""
+
+
+# --- a task ---
+
+
+def to_first_place(scenario, pedestrians, groups, *memory_and_key):
+    """From anywhere to the first of the free places."""
+    key, goal = memory_and_key[-1], scenario.navigation.places[0]
+    start = far_place(scenario, pedestrians, goal, key)
+    ahead = (goal - start) / jnp.sqrt(((goal - start) ** 2).sum() + 1e-9)
+    to_goal = paths.to_goal(scenario.navigation, goal)
+    nobody = jnp.full((), -1, jnp.int32)
+    return RobotTask(
+        start=start,
+        start_heading=ahead,
+        goal=goal,
+        goal_heading=ahead,
+        start_group=nobody,
+        goal_group=nobody,
+        geodesic=paths.geodesic(scenario.navigation, start, goal, to_goal),
+        to_goal=to_goal,
+    )
+
+
+# --- a policy ---
+
+
+def dance(scenario, state, key):
+    """Turns on the spot, one way and then the other."""
+    way = jnp.where(state.tick % 20 < 10, 1.0, -1.0)
+    return jnp.stack([jnp.zeros(()), 2.0 * way])
+
+
+# --- a behavior ---
+
+
+def parade(folder, environment, navigation, people):
+    """People march up and down, 10 s each way."""
+    return Behavior(data=navigation.places, name="parade", reset=line_up, direct=march)
+
+
+def line_up(scenario, key):
+    """Everybody at one of the free places, at rest."""
+    number = scenario.people
+    speed, distance = draw_traits(scenario.forces, key, number)
+    still = jnp.zeros((number, 2), jnp.float32)
+    ahead = still + jnp.array([[1.0, 0.0]], jnp.float32)
+    nobody, there = jnp.full(number, -1, jnp.int32), jnp.ones(number, bool)
+    chosen = jax.random.choice(key, scenario.behavior.data, (number,), replace=False)
+    return Pedestrians(chosen, still, ahead, still, nobody, nobody, there, speed, distance), no_groups(), ()
+
+
+def march(scenario, state, key):
+    """Desired velocities along x or against it."""
+    way = jnp.where(state.tick // 100 % 2 == 0, 1.0, -1.0)
+    velocity = (way * state.pedestrians.preferred_speed)[:, None] * jnp.array([[1.0, 0.0]], jnp.float32)
+    return dataclasses.replace(state, pedestrians=dataclasses.replace(state.pedestrians, desired_velocity=velocity))
+
+
+# --- a robot and an environment, which are files ---
+
+ROBOT = """\
+<!-- Puck: a small round robot. -->
+<mujoco model="puck">
+  <option timestep="0.02" integrator="Euler"/>
+  <custom>
+    <numeric name="max_speed" data="0.3"/> <numeric name="max_turn_rate" data="2.0"/>
+    <numeric name="max_acceleration" data="1.0"/> <numeric name="max_turn_acceleration" data="5.0"/>
+    <numeric name="command_timeout" data="0.25"/> <numeric name="radius" data="0.1"/>
+    <numeric name="friction" data="0.8"/>
+  </custom>
+  <default>
+    <geom contype="0" conaffinity="0"/>
+    <joint armature="0.001"/>
+    <velocity kv="0.04" forcerange="-0.2 0.2"/>
+  </default>
+  <worldbody>
+    <body name="base">
+      <joint name="x" type="slide" axis="1 0 0" armature="0"/> <joint name="y" type="slide" axis="0 1 0" armature="0"/>
+      <joint name="yaw" type="hinge" axis="0 0 1" armature="0"/>
+      <geom type="cylinder" size="0.1 0.04" pos="0 0 0.06" mass="1.5"/>
+      <body name="left" pos="0 0.08 0.03"> <joint name="left" type="hinge" axis="0 1 0"/>
+        <geom type="cylinder" size="0.03 0.01" zaxis="0 1 0" mass="0.05"/> </body>
+      <body name="right" pos="0 -0.08 0.03"> <joint name="right" type="hinge" axis="0 1 0"/>
+        <geom type="cylinder" size="0.03 0.01" zaxis="0 1 0" mass="0.05"/> </body>
+    </body>
+  </worldbody>
+  <actuator> <velocity joint="left"/> <velocity joint="right"/> </actuator>
+</mujoco>
+"""
+ENVIRONMENT = {
+    "environment.yaml": "name: yard\nfloor: [-8, -6, 8, 6]\npeople: 5\n",
+    "scene.xml": """\
+<mujoco>
+  <worldbody>
+    <geom type="box" size="1.5 0.5 1" pos="0 0 1"/>
+    <geom type="box" size="0.5 1 0.5" pos="-4 2 0.5" euler="0 0 30"/>
+  </worldbody>
+</mujoco>
+""",
+    "graph.yaml": """\
+version: 1
+c_min: 0.2
+c_max: 100
+nodes:
+  west: {kind: waypoint, position: [-6, -3], radius: 1, spawn: 1}
+  east: {kind: waypoint, position: [6, -3], radius: 1, spawn: 1}
+  bench: {kind: group, position: [4, 3], radius: 1, spawn: 1, capacity: 2, stay: [5, 10]}
+edges:
+  - {between: [west, east], flow: medium}
+  - {between: [east, bench], flow: high}
+""",
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Folder of the environment and file of the robot, both outside the package."""
+    folder = tmp_path_factory.mktemp("mine")
+    (folder / "puck.xml").write_text(ROBOT)
+    (folder / "yard").mkdir()
+    for name, text in ENVIRONMENT.items():
+        (folder / "yard" / name).write_text(text)
+    return folder / "yard", folder / "puck.xml"
+
+
+@pytest.fixture
+def added(monkeypatch):
+    """One line in each dict, as in the package's own `__init__.py` files."""
+    for family, name, value in (
+        (
+            social_forces.PRESETS,
+            "magnetic",
+            dataclasses.replace(social_forces.preset("helbing1995"), repulsion=magnetic),
+        ),
+        (pedestrian_models.MODELS, "glide", glide),
+        (classifiers.SITUATIONS, "watched", watched),
+        (metrics.METRICS, "turned_angle", turned_angle),
+        (tasks.TASKS, "to_first_place", to_first_place),
+        (policies.POLICIES, "dance", dance),
+        (behaviors.BEHAVIORS, "parade", parade),
+    ):
+        monkeypatch.setitem(family, name, value)
+
+
+def test_additions_are_short():
+    for name, parts in {
+        "force": [magnetic], "model": [glide], "situation": [watched], "metric": [fold_turning],
+        "task": [to_first_place], "policy": [dance], "behavior": [parade, line_up, march],
+    }.items():  # fmt: skip
+        assert sum(len(inspect.getsource(part).splitlines()) for part in parts) <= MOST, name
+    assert len(ROBOT.splitlines()) <= MOST and sum(len(text.splitlines()) for text in ENVIRONMENT.values()) <= MOST
+
+
+def test_contributing_names_what_is_added_here_and_no_other_way():
+    """Sections 'Add a ...', signatures and dicts are those used in this file; no call that registers anything."""
+    titles = set(re.findall(r"^## Add an? (.+)$", CONTRIBUTING, re.M))
+    assert {"force", "situation", "task", "metric", "robot", "environment", "behavior or a policy"} <= titles
+    calls = ("law(dx, dy, wx, wy, vx, vy, parameters)", "name(moment, thresholds)", "policy(scenario, state, key)",
+             "move(scenario, state)", "build(folder, environment, navigation, people)", "reset(scenario, key)",
+             "direct(scenario, state, key)")  # fmt: skip
+    families = ("PRESETS", "SITUATIONS", "METRICS", "TASKS", "BEHAVIORS", "POLICIES", "MODELS")
+    for said in (*calls, *(f"`{family}`" for family in families)):
+        assert said in CONTRIBUTING, said
+    assert "register(" not in CONTRIBUTING
+
+
+def test_all_are_handed_over_without_touching_the_package(scenario):
+    """Force, situation, metric and task as values of one scenario, and the policy to rollout."""
+    mine = scenario.replace(
+        forces=scenario.forces.replace(repulsion=magnetic),
+        situations=(*scenario.situations, ("watched", watched)),
+        metrics=(*scenario.metrics[:2], ("turned_angle", turned_angle)),
+        task=to_first_place,
+    )
+    last, frames = jax.jit(lambda key: sean_jax.rollout(mine, dance, key, 40))(jax.random.key(2))
+    np.testing.assert_allclose(last.task.goal, scenario.navigation.places[0])
+    np.testing.assert_allclose(np.asarray(frames.action)[:, 1], [2.0] * 10 + [-2.0] * 10 + [2.0] * 10 + [-2.0] * 10)
+    np.testing.assert_allclose(frames.position[-1], last.task.start, atol=1e-2)  # it dances on the spot
+    people, heading = np.asarray(frames.people), np.asarray(frames.people_heading)
+    gap = np.asarray(frames.position)[:, None] - people
+    distance = np.linalg.norm(gap, axis=-1)
+    looks = (heading * gap).sum(-1) / distance.clip(1e-9) >= np.cos(np.pi / 12)
+    np.testing.assert_array_equal(frames.situations[:, 5], (looks & (distance < 2.4)).any(1))
+    heading = np.concatenate([np.asarray(last.task.start_heading)[None], np.asarray(frames.heading)])
+    angle = np.abs(np.diff(np.unwrap(np.arctan2(heading[:, 1], heading[:, 0])))).sum()
+    assert angle > 5.0 and sean_jax.results(mine, last)["turned_angle"][0] == pytest.approx(angle, rel=1e-3)
+
+
+def test_a_force_pushes(scenario):
+    """Two who stand 1 m apart are pushed by A B^2 / d^2 each, where they see each other."""
+    facing = jnp.array([[1.0, 0.0], [-1.0, 0.0]], jnp.float32)
+    still, both = jnp.zeros((2, 2), jnp.float32), jnp.ones(2, jnp.float32)
+    alone = jnp.full(2, -1, jnp.int32)
+    people = Pedestrians(jnp.array([[0.0, 0.0], [1.0, 0.0]], jnp.float32), still, facing, still,
+                         alone, alone, jnp.ones(2, bool), both, both)  # fmt: skip
+    forces = scenario.forces.replace(repulsion=magnetic, side_preference=jnp.zeros(()), reversing=jnp.ones(()))
+    after = jax.jit(lambda people: social_forces.advance(forces, people, None, None, None, 0.01))(people)
+    push = float(forces.strength * forces.range**2)
+    np.testing.assert_allclose(after.velocity, [[-0.01 * push, 0.0], [0.01 * push, 0.0]], rtol=1e-3, atol=1e-6)
+
+
+def test_a_robot_an_environment_a_behavior_and_a_model_by_name_and_path(files, added):
+    """The robot by its twin, which compiles sooner; `sean run` below has it in MJX."""
+    yard, puck = files
+    mine = sean_jax.make(
+        yard, behavior="parade", task="to_first_place", robot=puck, model="glide", people=4, dynamics="twin"
+    )
+    assert mine.environment.name == "yard" and mine.robot.name == "puck" and mine.move is glide
+    quick = dataclasses.replace(mine, metrics=mine.metrics[-1:])
+    last, frames = jax.jit(lambda key: sean_jax.rollout(quick, dance, key, 20))(jax.random.key(0))
+    moved = np.asarray(frames.people)[-1] - np.asarray(frames.people)[0]
+    speed = np.asarray(last.pedestrians.preferred_speed)
+    np.testing.assert_allclose(moved, np.stack([1.9 * speed, 0 * speed], -1), atol=1e-3)
+    assert np.abs(np.asarray(frames.heading)[9] - np.asarray(frames.heading)[0]).max() > 0.5
+    assert float(sean_jax.results(quick, last)["turned_angle"][0]) > 1.0
+
+
+def test_sean_list_shows_them(files, added, monkeypatch, capsys):
+    yard, puck = files
+    monkeypatch.setitem(robots.ROBOTS, "puck", puck)
+    monkeypatch.setattr(environments, "ENVS", yard.parent)
+    assert cli.main(["list"]) == 0
+    said = capsys.readouterr().out
+    for line in (
+        "yard", "16 x 12 m, 5 people", "puck", "Puck", "magnetic repulsion", "minds nobody", "watched", "turned_angle",
+        "From anywhere to the first of the free places", "Turns on the spot", "People march up and down",
+    ):  # fmt: skip
+        assert line in said
+
+
+@pytest.mark.slow
+def test_sean_run_measures_and_reports_them(files, added, tmp_path, capsys):
+    """All at once on the command line: columns of the table, of episodes.csv and of the report."""
+    yard, puck = files
+    common = ["run", "--environment", str(yard), "--robot", str(puck), "--policy", "dance", "--people", "4",
+              "--episodes", "2", "--time-limit", "3", "--forces", "magnetic"]  # fmt: skip
+    for name, more in (
+        ("parade", ["--behavior", "parade", "--task", "to_first_place", "--model", "glide"]),
+        ("graph", ["--task", "to_first_place,join_group"]),
+    ):
+        assert cli.main([*common, *more, "--out", str(tmp_path / name)]) == 0
+        table = capsys.readouterr().out
+        assert "watched" in table
+        summary = json.loads((tmp_path / name / "summary.json").read_text())
+        assert summary["metrics"]["turned_angle"]["overall"]["mean"] > 1.0 and "watched" in summary["situations"]
+        header = (tmp_path / name / "episodes.csv").read_text().splitlines()[0]
+        assert "turned_angle__watched" in header
+        page = (tmp_path / name / "report.html").read_text(encoding="utf-8")
+        assert "turned angle" in page and "watched" in page

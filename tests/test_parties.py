@@ -1,0 +1,178 @@
+"""Parties: who belongs together, where they start, that they stay side by side, and what they leave alone."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import walkers
+
+import sean_jax
+from sean_jax import scenario as stages
+from sean_jax import social_forces
+from sean_jax.behaviors import parties, starts
+from sean_jax.behaviors.parties import Parties
+from sean_jax.geometry import crosses_box
+from sean_jax.social_forces.cohesion import cohesion_forces
+
+PEOPLE, SHARES = 24, (0.35, 0.25)  # four pairs and two triples
+MEMBERS = [(10, 11), (12, 13), (14, 15), (16, 17), (18, 19, 20), (21, 22, 23)]
+reset = jax.jit(sean_jax.reset)
+TASKS = {"random": "random_ab_nav", "graph": "join_group"}
+
+
+@pytest.fixture(scope="module", params=["random", "graph"])
+def mixed(request):
+    """A scenario with parties, and 60 s of an episode: states before and after each step, the robot at rest."""
+    scenario = sean_jax.make(
+        behavior=request.param, task=TASKS[request.param], people=PEOPLE, parties=SHARES, dynamics="twin"
+    )
+
+    def one(state, _):
+        after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.key, state.tick))
+        after = stages.move_pedestrians(scenario, after).replace(tick=state.tick + 1)
+        return after, (after.pedestrians, after.memory)
+
+    start = reset(scenario, jax.random.key(3))
+    history = jax.jit(lambda start: jax.lax.scan(one, start, length=600)[1])(start)
+    return scenario, start, jax.tree.map(np.asarray, history)
+
+
+@pytest.mark.parametrize(("people", "shares", "pairs", "triples"), [
+    (62, (0.0, 0.0), 0, 0), (62, (0.3, 0.2), 9, 4), (10, (0.2, 0.0), 1, 0), (10, (0.39, 0.59), 1, 1),
+    (6, (0.5, 0.5), 1, 1), (3, (0.0, 1.0), 0, 1), (2, (0.99, 0.0), 0, 0),
+])  # fmt: skip
+def test_shares_round_down_to_whole_parties(people, shares, pairs, triples):
+    assert parties.parties(people, shares) == Parties(pairs, triples)
+    assert Parties(pairs, triples).members <= people
+
+
+@pytest.mark.parametrize("shares", [(-0.1, 0.0), (0.6, 0.5), (0.0, 1.2), (float("nan"), 0.0)])
+def test_shares_that_cannot_be_are_refused(shares):
+    with pytest.raises(ValueError, match="^parties: .* must be two shares"):
+        sean_jax.make(behavior="random", task="random_ab_nav", people=10, parties=shares, dynamics="twin")
+
+
+def test_companions_are_the_others_of_the_party():
+    table = np.asarray(Parties(4, 2).companions(PEOPLE))
+    for person in range(PEOPLE):
+        party = next((party for party in MEMBERS if person in party), (person,))
+        assert sorted(table[person][table[person] >= 0]) == [one for one in party if one != person]
+    assert Parties(0, 0).companions(PEOPLE) is None
+    leaders = np.asarray(parties.leaders(jnp.asarray(table), PEOPLE))
+    assert leaders.tolist() == [-1] * 10 + [party[0] for party in MEMBERS for _ in party]
+
+
+def test_nobody_has_company_unless_asked(scenario):
+    assert scenario.behavior.companions is None
+    party = parties.leaders(None, 5)
+    assert party.tolist() == [-1] * 5 and party.dtype == jnp.int32
+
+
+def test_where_everybody_goes_is_laid_down_parties_are_refused(tmp_path):
+    file = tmp_path / "walks.csv"
+    file.write_text("frame,id,x,y\n" + "\n".join(f"{k},1,{0.1 * k},0" for k in range(30)))
+    with pytest.raises(
+        ValueError,
+        match="^parties: behavior 'playback' has people .*; choose behavior 'graph' or 'random'",
+    ):
+        sean_jax.make(behavior="playback", task="random_ab_nav", recording=file, parties=(0.5, 0.0), dynamics="twin")
+
+
+def test_more_parties_than_fit_are_refused(mixed):
+    tables = mixed[0].behavior.data
+    start = np.asarray(tables.start)[:40]
+    with pytest.raises(ValueError, match="^parties: 20 do not fit here; the most that do is .*, so give smaller") as no:
+        parties.clumps(tables.navigation, start, Parties(20, 0))
+    most = int(str(no.value).split("is ")[1].split(",")[0])
+    assert most < 14
+    assert len(parties.clumps(tables.navigation, start, Parties(0, 0))) == 0
+
+
+def test_clumps_share_no_start(mixed):
+    clumps = np.asarray(mixed[0].behavior.data.clumps)
+    assert len(np.unique(clumps)) == clumps.size > 3 * 6
+
+
+def test_parties_start_together_and_everybody_apart(mixed):
+    scenario, start, _ = mixed
+    people = jax.tree.map(np.asarray, start.pedestrians)
+    gap = np.linalg.norm(people.position[:, None] - people.position, axis=-1)
+    assert (gap + 9 * np.eye(PEOPLE)).min() >= starts.APART - 1e-5
+    boxes = scenario.environment.obstacles
+    for first, *others in MEMBERS:
+        for other in others:
+            assert gap[first, other] <= parties.NEAREST + 1e-5
+            p, q = people.position[first], people.position[other]
+            assert not np.asarray(crosses_box(*p, *q, boxes, 0.0)).any()
+        assert len(set(people.preferred_speed[[first, *others]].tolist())) == 1
+    np.testing.assert_array_equal(people.party, [-1] * 10 + [party[0] for party in MEMBERS for _ in party])
+
+
+def test_parties_are_slower_by_as_much_as_their_companions_take_off(mixed):
+    """The same draw of speeds, with and without the slowness."""
+    scenario, start, _ = mixed
+    slowness = float(scenario.forces.party_slowness)
+    quick = scenario.replace(forces=scenario.forces.replace(party_slowness=jnp.float32(0.0)))
+    free = np.asarray(reset(quick, jax.random.key(3)).pedestrians.preferred_speed)
+    less = free - np.asarray(start.pedestrians.preferred_speed)
+    np.testing.assert_allclose(less, slowness * np.array([0] * 10 + [1] * 8 + [2] * 6), atol=1e-6)
+
+
+def test_followers_have_the_leaders_goal_and_parties_take_no_seats(mixed):
+    scenario, _, (people, memory) = mixed
+    for first, *others in MEMBERS:
+        for other in others:
+            np.testing.assert_array_equal(memory.goal[:, first], memory.goal[:, other])
+    led = [party[0] for party in MEMBERS]
+    assert (memory.goal[0, led] != memory.goal[-1, led]).any()  # some have arrived, and gone on together
+    if scenario.behavior.name == "graph":
+        assert (memory.seat[:, 10:] == -1).all() and (people.group[:, 10:] == -1).all()
+        assert (people.group[:, :10] >= 0).any()
+        assert not np.asarray(scenario.behavior.data.graph.is_group)[memory.goal[:, 10:]].any()
+
+
+def test_parties_stay_together_side_by_side(mixed):
+    """As measured, spacing .71-.92 m and more than 60 degrees off in 63-89 %, with room for few people and corners."""
+    scenario, _, (people, _) = mixed
+    found = walkers.together(people.position[100:], people.velocity[100:], np.asarray(scenario.behavior.companions))
+    assert 0.6 < found[2]["spacing"] < 0.95 and 0.6 < found[3]["spacing"] < 0.95
+    assert found[2]["beside"] > 0.5 and found[3]["beside"] > 0.3
+    assert found[2]["apart"] < 0.05 and found[3]["apart"] < 0.15
+
+
+def test_parties_in_the_open_walk_abreast_at_the_measured_distance_and_speed():
+    parameters = social_forces.preset("helbing1995")
+    found = {size: walkers.together(*walkers.in_the_open(parameters, size, 32, 25.0))[size] for size in (1, 2, 3)}
+    for size in (2, 3):
+        assert 0.71 <= found[size]["spacing"] <= 0.92
+        assert found[size]["beside"] > 0.89 and found[size]["apart"] == 0.0
+    assert 0.04 <= found[1]["speed"] - found[2]["speed"] <= 0.15
+    assert found[3]["speed"] < found[2]["speed"]
+
+
+def test_cohesion_of_strength_zero_is_none():
+    names = ("party_gaze", "party_attraction", "party_repulsion", "body")
+    parameters = social_forces.preset("helbing1995").replace(**dict.fromkeys(names, jnp.float32(0.0)))
+    people = walkers.walkers(jnp.array([[0.0, 0.0], [3.0, 0.3], [0.1, 0.2]]), jnp.ones((3, 2)))
+    force = cohesion_forces(parameters, people, jnp.array([[1, 2], [0, 2], [0, 1]], jnp.int32), *people.heading.T)
+    np.testing.assert_array_equal(np.asarray(force), 0.0)
+
+
+def test_who_is_absent_is_nobodys_company():
+    parameters = social_forces.preset("helbing1995")
+    people = walkers.walkers(jnp.array([[0.0, 0.0], [3.0, 0.3], [0.1, 0.2]]), jnp.ones((3, 2)))
+    people = people.replace(present=jnp.array([True, False, False]))
+    force = cohesion_forces(parameters, people, jnp.array([[1, 2], [0, 2], [0, 1]], jnp.int32), *people.heading.T)
+    np.testing.assert_array_equal(np.asarray(force)[:, 0], 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("behavior", list(TASKS))
+def test_parties_among_other_people(behavior):
+    """The warehouse's own number of people, half of them in parties."""
+    scenario = sean_jax.make(behavior=behavior, task=TASKS[behavior], dynamics="twin", parties=(0.3, 0.3))
+    found = walkers.together(*walkers.in_scenario(scenario, 8))
+    assert 0.54 <= found[2]["spacing"] <= 0.92 and 0.54 <= found[3]["spacing"] <= 0.92
+    assert 0.63 <= found[2]["beside"] <= 0.89
+    assert found[2]["apart"] < 0.02 and found[3]["apart"] < 0.05
+    assert found[1]["speed"] > found[2]["speed"] > found[3]["speed"]

@@ -1,0 +1,89 @@
+"""What the social forces do to people: who passes on which side, how far from a robot, how many through a door."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import walkers
+
+from sean_jax import social_forces
+
+PRESETS = list(social_forces.PRESETS)
+STRONG = {"helbing1995": 0.8, "johansson2007": 0.4, "helbing2000": 0.6, "sean2": 1.2}  # m/s2, docs/social_forces.md
+MEETINGS = 400
+
+
+@jax.jit
+def robot_gaps(parameters, distances, robot_speed):
+    """Closest approaches (R, 40), and the slope (R,) of their means by the distances (R,)."""
+
+    def means(distances):
+        gap = walkers.robot_gaps(parameters, distances, 40, robot_speed)
+        return gap.mean(1).sum(), gap
+
+    slope, gap = jax.grad(means, has_aux=True)(distances)
+    return gap, slope
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_share_of_right_hand_passes_follows_the_side_preference(preset):
+    """From one half without a preference to nearly all, on either side, and never back."""
+    strong = STRONG[preset]
+    preferences = strong * np.array([-1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0])
+    passes = walkers.right_share(social_forces.preset(preset), preferences, MEETINGS)
+    assert np.isfinite(passes).all(), "some did not get past one another"
+    share = passes.mean(axis=1)
+    assert share[3] == pytest.approx(0.5, abs=2.6 * 0.5 / np.sqrt(MEETINGS))
+    assert share[0] <= 0.05 and share[-1] >= 0.95
+    assert (np.diff(share) > 0).all()
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_people_keep_farther_from_a_moving_robot_the_greater_their_robot_distance(preset):
+    parameters = social_forces.preset(preset)
+    distances = parameters.range * jnp.log(jnp.array([0.5, 1.0, 2.0, 4.0, 8.0]))
+    gap, slope = (np.asarray(part) for part in robot_gaps(parameters, distances, 0.5))
+    assert (np.diff(gap.mean(axis=1)) > 0).all()
+    assert np.isfinite(slope).all() and (slope > 1e-4).all()
+    if preset != "johansson2007":  # whose repulsion has a range of 3.22 m and is weak: a distance hardly matters there
+        assert (slope[1:] > 0.2).all() and gap.mean(axis=1)[-1] > 1.2 * gap.mean(axis=1)[1]
+
+
+def test_a_standing_robot_is_passed_like_a_person():
+    parameters = social_forces.preset("helbing1995")
+    distances = parameters.range * jnp.log(jnp.array([0.5, 1.0, 2.0, 4.0, 8.0]))
+    gap, slope = robot_gaps(parameters, distances, 0.0)
+    np.testing.assert_allclose(gap, np.broadcast_to(gap[1], gap.shape), atol=1e-5)
+    np.testing.assert_array_equal(slope, 0.0)
+
+
+def test_sixty_people_get_through_a_bottleneck_without_walking_into_one_another():
+    """Helbing, Farkas & Vicsek's constants, at the step that is stable; measured: 1.9 people/s and metre of width."""
+    parameters = social_forces.preset("helbing2000")
+    step = 0.1 / social_forces.substeps(parameters, 0.1)
+    left, overlap = walkers.bottleneck(
+        parameters, walkers.doorway(1.2), 1.2, jax.random.key(0), seconds=40.0, time_step=step
+    )
+    overlap = np.asarray(overlap)
+    assert np.isfinite(np.asarray(left)).all()
+    assert overlap.max() < 0.06 and np.quantile(overlap, 0.999) < 0.02
+    assert overlap.max() > 0.002  # they did press
+    assert 1.9 * 1.2 * 0.7 < walkers.flow(left) < 1.9 * 1.2 * 1.5
+
+
+def test_friction_slows_who_slides_past_another():
+    """Two bodies that overlap by 2 cm and walk past one another, with and without it."""
+    still = functools.partial(walkers.walkers, jnp.array([[-0.3, 0.0], [0.3, 0.0]]))
+    speed = []
+    for friction in (None, 3000.0):
+        parameters = social_forces.preset("helbing2000").replace(
+            friction=None if friction is None else jnp.float32(friction), side_preference=jnp.float32(0.0)
+        )
+        people = still(jnp.array([[1.0, 0.0], [-1.0, 0.0]]))
+        people = people.replace(position=jnp.array([[0.0, 0.19], [0.0, -0.19]]))
+        after = social_forces.advance(parameters, people, None, None, None, 0.001)
+        speed.append(float(after.velocity[0, 0]))
+    assert speed[0] == pytest.approx(1.0, abs=1e-5)
+    assert speed[1] == pytest.approx(1.0 - 0.001 * 3000 * 0.02 * 2.0, abs=1e-4)
