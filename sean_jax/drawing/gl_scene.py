@@ -5,6 +5,7 @@ Nothing is simulated by it. Bodies are those that rays meet, so that both kinds 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
@@ -65,7 +66,9 @@ def _drawn(frames: Frame, scenario: Scenario, eye: Camera, depth: bool) -> Itera
 def _renderer(model: Any, height: int, width: int) -> Any:
     mujoco: Any = import_module("mujoco")
     try:
-        return mujoco.Renderer(model, height, width)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of GLFW, before it fails
+            return mujoco.Renderer(model, height, width)
     except Exception as error:  # each OpenGL library fails in its own way
         why = str(error).split("\n")[0].rstrip(".") or type(error).__name__
         raise ValueError(f"renderer: MuJoCo cannot draw here ({why}); {CURE}.") from None

@@ -17,7 +17,7 @@ from sean_jax.base import Array, Frame, Pedestrians, Robot, Scenario, State
 from sean_jax.drawing import gl_scene, parts
 from sean_jax.sensors import Camera, camera, depth, render
 
-COLORS = 128  # of a GIF's palette
+COLORS = 255  # of a GIF's palette
 SAMPLES = 8  # pictures that the palette is made from
 FINER = 2  # times as many pixels each way are drawn, and halved again: smooth edges
 WIDTH, HEIGHT = 320, 240  # pixels, unless told otherwise
