@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from sean_jax import sensors
     from sean_jax.assembly import make
     from sean_jax.classifiers import SITUATIONS
     from sean_jax.crowding import congestion
@@ -29,6 +30,8 @@ _HOMES = {
     "step": "scenario",
 }
 
+_ROOMS = ("sensors",)  # public as a whole
+
 __all__ = [
     "SITUATIONS",
     "aggregate",
@@ -38,6 +41,7 @@ __all__ = [
     "reset",
     "results",
     "rollout",
+    "sensors",
     "simulate",
     "step",
     "view",
@@ -45,10 +49,12 @@ __all__ = [
 
 
 def __getattr__(name: str):
+    if name in _ROOMS:
+        return import_module(f"{__name__}.{name}")
     if name in _HOMES:
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOMES])
+    return sorted({*globals(), *_HOMES, *_ROOMS})

@@ -6,7 +6,7 @@ people are masked by ``present``, never NaN. ``N`` people, ``G`` groups, ``W`` o
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 from flax import struct
@@ -66,12 +66,34 @@ class Nearby:
 
 
 @struct.dataclass
+class Solids:
+    """Bodies as rays see them, each with a color (3,): red, green and blue from 0 to 1."""
+
+    boxes: Array  # (B, 8): middle x, y, z, half extent x, y, z [m], cosine and sine of the yaw
+    cylinders: Array  # (C, 8): middle x, y, z [m], axis x, y, z (unit), radius, half length [m]
+    spheres: Array  # (S, 4): middle x, y, z, radius [m]
+    color: Array  # (B + C + S, 3) of the boxes, then the cylinders, then the spheres
+
+
+@struct.dataclass
+class Scenery:
+    """What an environment looks like."""
+
+    solids: Solids  # the obstacles first, then what nothing can touch
+    floor: Array  # (2, 3) two colors of its squares
+    square: Array  # () m, side of a square
+    sky: Array  # (2, 3) colors at the zenith and at the horizon
+    sun: Array  # (3,) unit vector towards the light
+
+
+@struct.dataclass
 class Environment:
     """A physical environment (section IV-C)."""
 
     floor: Array  # (4,) m: x_min, y_min, x_max, y_max
     obstacles: Obstacles
     nearby: Nearby
+    scenery: Scenery
     name: str = struct.field(pytree_node=False)
 
 
@@ -152,6 +174,15 @@ class Behavior:
     companions: Array | None = None  # (N, 2) int32, those that each person walks with, -1 none; None: all walk alone
 
 
+class Mount(NamedTuple):
+    """Where a sensor sits on a robot."""
+
+    name: str
+    origin: tuple[float, ...]  # (3,) m in the robot's frame: x ahead, y to the left, z up from the floor
+    axes: tuple[float, ...]  # (9,) unit vectors of the sensor, right, up and back, as columns row by row
+    fovy: float  # degrees, vertical field of view; 0 for what is no camera
+
+
 @struct.dataclass
 class RobotModel:
     """A robot (Fig. 3): its limits and how it moves.
@@ -174,7 +205,9 @@ class RobotModel:
     max_turn_acceleration: Array  # () rad/s2
     command_timeout: Array  # () s, for which a command holds when no new one (a NaN) follows it; then the robot stops
     data: Any  # the MJX model, or ()
+    solids: Solids  # what it looks like, in its own frame
     name: str = struct.field(pytree_node=False)
+    mounts: tuple[Mount, ...] = struct.field(pytree_node=False)
     radius: float = struct.field(pytree_node=False)  # m, of the disc that touches people and obstacles
     time_step: float = struct.field(pytree_node=False)  # s, of the physics
     place: Callable = struct.field(pytree_node=False)

@@ -11,9 +11,10 @@ import numpy as np
 import pydantic
 
 from sean_jax import files
-from sean_jax.base import Array, Environment, Obstacles
+from sean_jax.base import Array, Environment, Obstacles, Scenery
 from sean_jax.geometry import room
 from sean_jax.nearby import tabulate
+from sean_jax.scenery import appearance
 
 HERE = Path(__file__).resolve().parent
 # Beside the package in a checkout, inside it once installed.
@@ -68,8 +69,10 @@ def load(name_or_path: str | Path) -> Environment:
     folder = find(name_or_path)
     settings = _settings(folder)
     floor = jnp.asarray(np.array(settings.floor, np.float32))
-    obstacles = _boxes(folder / SCENE)
-    return Environment(floor=floor, obstacles=obstacles, nearby=tabulate(obstacles, floor), name=settings.name)
+    obstacles, looks = _boxes(folder / SCENE)
+    return Environment(
+        floor=floor, obstacles=obstacles, nearby=tabulate(obstacles, floor), scenery=looks, name=settings.name
+    )
 
 
 def clearance(environment: Environment, points: Array) -> Array:
@@ -116,8 +119,10 @@ def _floor_problems(settings: Settings) -> list[files.Problem]:
     return [(("floor",), f"{list(settings.floor)} is empty; give x_min, y_min, x_max, y_max in this order")]
 
 
-def _boxes(path: Path) -> Obstacles:
-    """The boxes of an MJCF file. Horizontal planes are floors; geoms that nothing can touch are decoration.
+def _boxes(path: Path) -> tuple[Obstacles, Scenery]:
+    """The boxes of an MJCF file, and what it looks like.
+
+    Horizontal planes are floors; geoms that nothing can touch are decoration.
 
     MJCF makes decoration of a geom by contype="0" conaffinity="0".
     """
@@ -140,12 +145,13 @@ def _boxes(path: Path) -> Obstacles:
     if lines:
         raise files.FileError("\n".join(lines))
     position, half, turn = data.geom_xpos[boxes], model.geom_size[boxes], data.geom_xmat[boxes]
-    return Obstacles(
+    obstacles = Obstacles(
         center=jnp.asarray(position[:, :2], jnp.float32),
         half_extent=jnp.asarray(half[:, :2], jnp.float32),
         yaw=jnp.asarray(np.arctan2(turn[:, 3], turn[:, 0]), jnp.float32),
         height=jnp.asarray(position[:, 2] + half[:, 2], jnp.float32),
     )
+    return obstacles, appearance(model, data, boxes)
 
 
 def _called(model: Any, index: int) -> str:

@@ -39,6 +39,13 @@ def test_step():
 
 
 @pytest.mark.slow
+def test_sensors():
+    lines = run("benchmarks/sensors.py", "--batches", "2", "--people", "8", "--sizes", "8x6", "--repeats", "1")
+    assert [line[:22].strip() for line in lines[2:]] == ["depth 8x6", "first_person 8x6", "overhead 8x6", "lidar 360"]
+    assert all(float(line[22:].split()[2]) > 0 for line in lines[2:])
+
+
+@pytest.mark.slow
 def test_spreading():
     arguments = "--environment", "lab", "--spreading", "0", "10", "--episodes", "2", "--steps", "60"
     lines = run("benchmarks/spreading.py", *arguments)

@@ -77,6 +77,7 @@ def test_options_that_cannot_be_met_are_refused_in_one_sentence(arguments, said,
         ("--policy", "go_to_gaol", "go_to_goal"),
         ("--forces", "helbing95", "helbing1995"),
         ("--dynamics", "twinn", "twin"),
+        ("--camera", "first_persn", "first_person"),
         ("--situations", "papr", "paper"),
     ],
 )
@@ -123,10 +124,12 @@ def test_what_goes_wrong_midway_ends_in_one_sentence(raised, code, said, capsys,
 def test_run_writes_a_whole_folder_and_the_same_bytes_for_the_same_seed(tmp_path, capsys):
     for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
         out = ["--episodes", "3", "--batch", "2", "--seed", seed, "--out", str(tmp_path / name)]
+        out += ["--camera", "depth"] if name == "c" else []
         assert run(*SMALL, *out, capsys=capsys) == (0, "")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b", "c"]
     written = {"config.yaml", "episodes.csv", "summary.json", "report.html", "episode.gif"}
     assert {path.name for path in (tmp_path / "a").iterdir()} == written
+    assert {path.name for path in (tmp_path / "c").iterdir()} == written | {"camera.gif"}
     rows = {name: (tmp_path / name / "episodes.csv").read_bytes() for name in "abc"}
     assert rows["a"] == rows["b"] != rows["c"]
     lines = rows["a"].decode().splitlines()

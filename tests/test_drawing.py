@@ -13,6 +13,7 @@ from PIL import Image
 from sean_jax import drawing
 from sean_jax.base import Environment, Frame, Obstacles
 from sean_jax.drawing import colors, parts
+from sean_jax.scenery import plain
 
 STEPS, PEOPLE = 41, 3
 
@@ -26,7 +27,7 @@ def environment() -> Environment:
         height=np.array([4.0, 0.8], np.float32),
     )
     floor: Any = np.array([-6.0, -5.0, 6.0, 5.0], np.float32)
-    return Environment(floor=floor, obstacles=boxes, nearby=nothing, name="yard")
+    return Environment(floor=floor, obstacles=boxes, nearby=nothing, scenery=plain(boxes), name="yard")
 
 
 def frames() -> Any:

@@ -15,6 +15,7 @@ from sean_jax.base import Environment, Obstacles
 from sean_jax.graph import annotation
 from sean_jax.navigation import Navigation
 from sean_jax.nearby import tabulate
+from sean_jax.scenery import plain
 
 RADIUS = 0.25  # m
 KURI, WARTHOG = 0.16, 0.95  # m
@@ -34,7 +35,9 @@ def yard(rows, floor=(-8.0, -8.0, 8.0, 8.0)) -> Environment:
     rows = np.array(rows, np.float32).reshape(-1, 5)
     parts = (rows[:, :2], rows[:, 2:4], rows[:, 4], np.ones(len(rows), np.float32))
     obstacles, edges = Obstacles(*(jnp.asarray(part) for part in parts)), jnp.asarray(floor, jnp.float32)
-    return Environment(floor=edges, obstacles=obstacles, nearby=tabulate(obstacles, edges), name="yard")
+    return Environment(
+        floor=edges, obstacles=obstacles, nearby=tabulate(obstacles, edges), scenery=plain(obstacles), name="yard"
+    )
 
 
 @functools.cache

@@ -9,10 +9,13 @@ from sean_jax.drawing.colors import situation_colors
 from sean_jax.drawing.crowds import congestion_map
 from sean_jax.drawing.pictures import heat_map, top_down, view
 from sean_jax.drawing.sheets import graph_sheet, handcrafted_sheet
+from sean_jax.drawing.videos import RENDERERS, check_renderer, video
 from sean_jax.graph import graph_of
 
 __all__ = [
+    "RENDERERS",
     "animate",
+    "check_renderer",
     "congestion_map",
     "graph_of",
     "graph_sheet",
@@ -20,5 +23,6 @@ __all__ = [
     "heat_map",
     "situation_colors",
     "top_down",
+    "video",
     "view",
 ]

@@ -13,6 +13,7 @@ from sean_jax.base import Environment, Frame, Obstacles, Scenario
 from sean_jax.drawing import animation, colors, crowds, parts
 from sean_jax.graph import graph_of
 from sean_jax.nearby import tabulate
+from sean_jax.scenery import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -93,4 +94,10 @@ def _empty_floor(frames: Frame) -> Environment:
     floor = jnp.asarray(np.concatenate([seen.min(0) - 2.0, seen.max(0) + 2.0]), jnp.float32)
     none, pairs = jnp.zeros(0, jnp.float32), jnp.zeros((0, 2), jnp.float32)
     obstacles = Obstacles(center=pairs, half_extent=pairs, yaw=none, height=none)
-    return Environment(floor=floor, obstacles=obstacles, nearby=tabulate(obstacles, floor), name="empty floor")
+    return Environment(
+        floor=floor,
+        obstacles=obstacles,
+        nearby=tabulate(obstacles, floor),
+        scenery=plain(obstacles),
+        name="empty floor",
+    )

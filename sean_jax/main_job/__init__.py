@@ -39,6 +39,7 @@ def run(options: Options, console: Console) -> tuple[Path, int]:
         with console.status("preparing the scenario"):
             policy = _policy(options.policy)
             scenarios = _scenarios(options)
+            _check_camera(options, scenarios[0])
         _introduce(console, scenarios[0], options)
         with progress.shown(console) as watch:
             results = simulation.run_batches(scenarios, policy, options.episodes, options.batch, options.seed, watch)
@@ -75,6 +76,19 @@ def _scenarios(options: Options) -> list[Scenario]:
             situations=options.situations,
         )
         return [first, *(with_task(first, task) for task in options.tasks[1:])]
+    except ValueError as error:
+        raise BadInput(str(error)) from error
+
+
+def _check_camera(options: Options, scenario: Scenario) -> None:
+    """Before anything is simulated for it."""
+    from sean_jax import drawing, sensors
+
+    if options.camera is None:
+        return
+    try:
+        sensors.camera(scenario, options.camera)
+        drawing.check_renderer(options.renderer)
     except ValueError as error:
         raise BadInput(str(error)) from error
 
@@ -166,6 +180,9 @@ def _write(folder: Path, scenario: Scenario, options: Options, results: Results,
             time_step=scenario.time_step,
             title=results.tasks[0].replace("_", " "),
         )
+    if results.frames and options.camera is not None:
+        path = folder / "camera.gif"
+        drawing.video(results.frames[0], scenario, path, view=options.camera, renderer=options.renderer)
     page = report.Report(
         title=_title(scenario, options, len(results.tasks)),
         command=options.command,

@@ -60,6 +60,10 @@ class Options:
     """Longest duration of an episode in seconds."""
     batch: int = 1024
     """Most episodes that are simulated at once."""
+    camera: str | None = None
+    """Also write camera.gif, the first episode as first_person, third_person, overhead or depth sees it."""
+    renderer: str = "rays"
+    """What draws camera.gif: rays, or mujoco, which needs OpenGL."""
     name: str = ""
     """Name of the run, environment and behavior by default: the end of the folder's name."""
     out: str = ""

@@ -7,6 +7,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from sean_jax import scenery
+from sean_jax.base import Mount, Solids
+
 LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration", "command_timeout")
 NUMERICS = (*LIMITS, "radius", "friction")
 OPTIONAL = ("max_reverse_speed", "max_deceleration")  # those ahead hold backward as well where these are absent
@@ -46,7 +49,29 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
         **{key: value for key, value in numerics.items() if key != "radius"},
     }
     fields = {key: jnp.asarray(value, jnp.result_type(float)) for key, value in figures.items()}
-    return model, {**fields, "radius": numerics["radius"], "time_step": float(model.opt.timestep)}, mass
+    seen = {"mounts": mounts(model), "solids": _solids(model)}
+    return model, {**fields, **seen, "radius": numerics["radius"], "time_step": float(model.opt.timestep)}, mass
+
+
+def mounts(model: Any) -> tuple[Mount, ...]:
+    """The cameras and sites of a robot's ``mujoco.MjModel``, all of which must sit on its base."""
+    found = []
+    for number in range(model.ncam):
+        axes = np.zeros(9)
+        import_module("mujoco").mju_quat2Mat(axes, model.cam_quat[number])
+        place = tuple(map(float, model.cam_pos[number]))
+        found.append(Mount(model.camera(number).name, place, tuple(map(float, axes)), float(model.cam_fovy[number])))
+    upright = tuple(map(float, np.eye(3).ravel()))
+    for number in range(model.nsite):
+        found.append(Mount(model.site(number).name, tuple(map(float, model.site_pos[number])), upright, 0.0))
+    return tuple(found)
+
+
+def _solids(model: Any) -> Solids:
+    mujoco: Any = import_module("mujoco")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return scenery.solids(model, data, list(range(model.ngeom)))
 
 
 def _numerics(path: Path, model: Any) -> dict[str, float]:

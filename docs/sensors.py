@@ -1,0 +1,133 @@
+"""Draws the pictures of docs/sensors.md, docs/pictures/sensors-*.png: python docs/sensors.py.
+
+All cameras in all environments, the third-person view of all robots, and a lidar scan over the floor plan. It takes a
+minute or two, most of it compiling.
+"""
+
+import dataclasses
+import io
+from pathlib import Path
+
+import jax
+import matplotlib
+import numpy as np
+from matplotlib import pyplot as plt
+from PIL import Image
+
+import sean_jax
+from sean_jax import drawing, robots, sensors
+from sean_jax.policies import POLICIES
+
+FOLDER = Path(__file__).parent / "pictures"
+WIDTH, HEIGHT, FINER = 288, 216, 2  # pixels of a panel, drawn twice as fine
+TRIES = 64  # moments of which the one with most to see is shown
+NEAR = 6.0  # m, people farther away are too small to count
+MOST = 0.3  # of the picture that people may fill
+
+
+def moments(scenario):
+    """States of some episodes, 10 s after their start, stacked."""
+    policy = POLICIES["go_to_goal"]
+    keys = jax.random.split(jax.random.key(5), TRIES)
+    return jax.jit(jax.vmap(lambda key: sean_jax.rollout(scenario, policy, key, 100)[0]))(keys)
+
+
+def best(scenario, states) -> int:
+    """The moment in which most people near by are seen by the first-person camera, but none fills it."""
+    eye = sensors.camera(scenario, "first_person", width=32, height=24)
+    pictures = jax.jit(jax.vmap(lambda state: sensors.render(scenario, state, eye)))(states)
+    person = np.asarray(pictures.semantic) == sensors.CLASSES.index("person")
+    share = person.mean((1, 2))
+    seen = [
+        len(np.unique(instance[here])) for instance, here in zip(np.asarray(pictures.instance), person, strict=True)
+    ]
+    return int(np.argmax(np.where(share < MOST, np.array(seen) + share, -1.0)))
+
+
+def smooth(scenario, state, name: str) -> np.ndarray:
+    """(H, W, 3) the picture of a camera."""
+    eye = sensors.camera(scenario, name, width=FINER * WIDTH, height=FINER * HEIGHT)
+    rgb = np.asarray(jax.jit(lambda state: sensors.render(scenario, state, eye).rgb)(state))
+    return rgb.reshape(HEIGHT, FINER, WIDTH, FINER, 3).mean((1, 3))
+
+
+def cameras(stages: dict) -> None:
+    """One row for each environment, one column for each camera."""
+    figure, panels = plt.subplots(len(stages), 4, figsize=(12, 2.35 * len(stages)), layout="constrained")
+    image = None
+    for row, (name, (scenario, state)) in zip(panels, stages.items(), strict=True):
+        eye = sensors.camera(scenario, "depth", width=WIDTH, height=HEIGHT)
+        depth = np.asarray(jax.jit(lambda state, s=scenario, e=eye: sensors.depth(s, state, e))(state))
+        seen = np.ma.masked_greater_equal(depth, eye.far)
+        for axes, kind in zip(row, ("first_person", "depth", "third_person", "overhead"), strict=True):
+            axes.set(xticks=[], yticks=[])
+            if kind == "depth":
+                image = axes.imshow(seen, cmap="turbo", norm=matplotlib.colors.PowerNorm(0.5, 0.0, eye.far))
+                axes.set_facecolor("#333333")
+            else:
+                axes.imshow(smooth(scenario, state, kind))
+            if name == next(iter(stages)):
+                axes.set_title(kind.replace("_", " "), fontsize=10)
+        row[0].set_ylabel(name, fontsize=10)
+    assert image is not None
+    figure.colorbar(image, ax=panels, label="depth [m], dark: nothing nearer than 20 m", shrink=0.6, pad=0.01,
+                    ticks=[0, 1, 2, 5, 10, 20])  # fmt: skip
+    save(figure, "sensors-cameras.png")
+
+
+def third_person(scenario, state) -> None:
+    """All robots at one place, each from behind."""
+    figure, panels = plt.subplots(1, len(robots.ROBOTS), figsize=(12, 2.2), layout="constrained")
+    for axes, name in zip(panels, robots.ROBOTS, strict=True):
+        axes.imshow(smooth(dataclasses.replace(scenario, robot=robots.load(name, "twin")), state, "third_person"))
+        axes.set(xticks=[], yticks=[])
+        axes.set_title(name, fontsize=10)
+    save(figure, "sensors-robots.png")
+
+
+def lidar(scenario, state) -> None:
+    """A scan over the floor plan."""
+    device = sensors.lidar(scenario)
+    scan = np.asarray(jax.jit(lambda state: sensors.scan(scenario, state, device))(state))
+    figure = drawing.top_down(scenario.environment, width=5.5)
+    axes = figure.axes[0]
+    place, heading = np.asarray(state.robot.position), np.asarray(state.robot.heading)
+    turn = np.arctan2(heading[1], heading[0]) + device.span * np.arange(device.count) / device.count
+    ends = place + scan[:, None] * np.stack([np.cos(turn), np.sin(turn)], -1)
+    for end in ends[::3]:
+        axes.plot(*zip(place, end, strict=True), color="#ee6677", lw=0.4, alpha=0.5, zorder=20)
+    axes.scatter(*ends[scan < device.far].T, s=5, color="#cc1133", lw=0, zorder=23)
+    for person in np.asarray(state.pedestrians.position):
+        axes.add_patch(plt.Circle(person, float(scenario.forces.radius), fc="white", ec="#2b3448", lw=1, zorder=22))
+    axes.add_patch(plt.Circle(place, scenario.robot.radius, fc="#f58a07", ec="#5e3200", lw=1, zorder=22))
+    axes.plot(*zip(place, place + 0.3 * heading, strict=True), color="#5e3200", lw=1.5, zorder=24)
+    axes.set(xlim=(place[0] - 4.2, place[0] + 4.2), ylim=(place[1] - 3.8, place[1] + 3.8), aspect="equal")
+    save(figure, "sensors-lidar.png")
+
+
+def save(figure, name: str) -> None:
+    """Without transparency, as small as it gets."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=110)
+    image = Image.open(stream).convert("RGB")
+    FOLDER.mkdir(exist_ok=True)
+    image.save(FOLDER / name, optimize=True)
+    print(FOLDER / name, f"{(FOLDER / name).stat().st_size / 1000:.0f} kB", flush=True)
+
+
+def main() -> None:
+    """Draw everything."""
+    matplotlib.use("agg")
+    stages = {}
+    for name in ("warehouse", "lab", "outdoor"):
+        scenario = sean_jax.make(name, task="busy_ab_nav", dynamics="twin")
+        states = moments(scenario)
+        index = best(scenario, states)
+        stages[name] = scenario, jax.tree.map(lambda leaf, i=index: leaf[i], states)
+    cameras(stages)
+    third_person(*stages["warehouse"])
+    lidar(*stages["warehouse"])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,146 @@
+"""What a camera of the robot sees along an episode, as a looping GIF: for people who want to look along (section IV-F).
+
+Either the sensors' own rays draw it, everywhere, or MuJoCo does with OpenGL, which takes a graphics driver and has
+smooth shadows. Both look at the same bodies from the same place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax.base import Array, Frame, Pedestrians, Robot, Scenario, State
+from sean_jax.drawing import gl_scene, parts
+from sean_jax.sensors import Camera, camera, depth, render
+
+COLORS = 255  # of a GIF's palette
+SAMPLES = 8  # pictures that the palette is made from
+FINER = 2  # times as many pixels each way are drawn, and halved again: smooth edges
+WIDTH, HEIGHT = 320, 240  # pixels, unless told otherwise
+
+
+def video(
+    frames: Frame,
+    scenario: Scenario,
+    path: Any,
+    *,
+    view: str | Camera = "first_person",
+    renderer: str = "rays",
+    rate: float = 5.0,
+    speed: float = 4.0,
+) -> None:
+    """Write what a camera sees along one episode as a GIF.
+
+    Args:
+        frames: (T, ...) of one episode.
+        scenario: the one that they come from.
+        path: where to write, a path or a binary file.
+        view: name of a camera, for pictures of 320 x 240 pixels, or a camera of ``sensors.camera``. The depth camera
+            is shown in colors, blue near and red far.
+        renderer: ``rays`` or ``mujoco``, see ``RENDERERS``.
+        rate: pictures a second.
+        speed: how many times as fast as it happened.
+
+    Raises:
+        ValueError: frames with a batch axis, an unknown camera or renderer, or no OpenGL for MuJoCo.
+    """
+    from PIL import Image
+
+    eye = camera(scenario, view, width=WIDTH, height=HEIGHT) if isinstance(view, str) else view
+    check_renderer(renderer)
+    if not (rate > 0 and speed > 0):
+        raise ValueError(f"rate, speed: {rate:g} pictures a second, {speed:g} times as fast, show nothing; give more.")
+    frames = parts.one_episode(frames)
+    every = max(1, round(speed / rate / scenario.time_step))
+    shown = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
+    each = RENDERERS[renderer](jax.tree.map(lambda leaf: leaf[shown], frames), scenario, eye)
+    pictures = [Image.fromarray(picture) for picture in each]
+    sample = Image.new("RGB", (eye.width, eye.height * SAMPLES))
+    for place, index in enumerate(np.linspace(0, len(pictures) - 1, SAMPLES).round().astype(int)):
+        sample.paste(pictures[index], (0, place * eye.height))
+    palette = sample.quantize(COLORS)
+    few = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    pause = max(20, round(100 * every * scenario.time_step / speed) * 10)  # GIF counts in hundredths of a second
+    pauses = [pause] * (len(few) - 1) + [2000]
+    few[0].save(path, format="GIF", save_all=True, append_images=few[1:], duration=pauses, loop=0, optimize=False)
+
+
+def by_rays(frames: Frame, scenario: Scenario, eye: Camera) -> Iterator[np.ndarray]:
+    """(H, W, 3) uint8 pictures of the frames (T, ...), drawn by the sensors' rays."""
+    fine = eye.resized(FINER * eye.width, FINER * eye.height)
+
+    @jax.jit
+    def picture(frame: Frame) -> Array:
+        state = _state(frame)
+        if eye.name == "depth":
+            return depth(scenario, state, eye)
+        rgb = render(scenario, state, fine).rgb
+        return rgb.reshape(eye.height, FINER, eye.width, FINER, 3).mean((1, 3))
+
+    for t in range(len(frames.active)):
+        image = np.asarray(picture(jax.tree.map(lambda leaf, t=t: jnp.asarray(leaf[t]), frames)))
+        yield depth_colors(image, eye.far) if eye.name == "depth" else (255 * image + 0.5).astype(np.uint8)
+
+
+def by_mujoco(frames: Frame, scenario: Scenario, eye: Camera) -> Iterator[np.ndarray]:
+    """(H, W, 3) uint8 pictures of the frames (T, ...), drawn by MuJoCo with OpenGL."""
+    if eye.name == "depth":
+        return (depth_colors(image, eye.far) for image in gl_scene.depths(frames, scenario, eye))
+    return gl_scene.images(frames, scenario, eye)
+
+
+RENDERERS: dict[str, Callable[[Frame, Scenario, Camera], Iterator[np.ndarray]]] = {
+    "rays": by_rays,
+    "mujoco": by_mujoco,
+}
+
+
+def check_renderer(renderer: str) -> None:
+    """Raises ValueError for an unknown renderer, or for ``mujoco`` where there is no OpenGL; takes a moment then."""
+    if renderer not in RENDERERS:
+        raise ValueError(f"renderer: '{renderer}' is not one of {', '.join(RENDERERS)}.")
+    if renderer == "mujoco":
+        gl_scene.check()
+
+
+def depth_colors(image: np.ndarray, far: float) -> np.ndarray:
+    """(H, W, 3) uint8 of depths (H, W) m: blue near, red far, dark grey where nothing is seen up to ``far``."""
+    from matplotlib import colormaps
+
+    shades = colormaps["turbo"](np.sqrt(np.clip(image / far, 0.0, 1.0)))[..., :3]
+    return (255 * np.where(image[..., None] < far, shades, 0.2) + 0.5).astype(np.uint8)
+
+
+def _state(frame: Frame) -> State:
+    """As much of a state as a camera looks at."""
+    nothing: Any = None
+    people = Pedestrians(
+        position=frame.people,
+        velocity=frame.people_velocity,
+        heading=frame.people_heading,
+        desired_velocity=frame.people_velocity,
+        group=frame.group,
+        party=nothing,
+        present=frame.present,
+        preferred_speed=nothing,
+        robot_distance=nothing,
+    )
+    robot = Robot(frame.position, frame.heading, nothing, nothing, nothing)
+    return State(
+        key=nothing,
+        tick=nothing,
+        pedestrians=people,
+        groups=nothing,
+        robot=robot,
+        task=nothing,
+        memory=nothing,
+        situations=frame.situations,
+        metrics=nothing,
+        time_at_goal=nothing,
+        completed=nothing,
+        timed_out=nothing,
+    )

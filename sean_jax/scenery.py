@@ -1,0 +1,100 @@
+"""What an MJCF file looks like: its boxes, cylinders and balls, in the colors of their materials."""
+
+from importlib import import_module
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax.base import Obstacles, Scenery, Solids
+
+OBSTACLE = (0.62, 0.64, 0.68)  # color of an obstacle that has none
+FLOOR = ((0.78, 0.78, 0.76), (0.74, 0.74, 0.72))
+SKY = ((0.55, 0.70, 0.88), (0.92, 0.95, 0.97))
+SUN = (0.35, -0.25, 0.9)
+SQUARE = 1.0  # m
+
+
+def plain(obstacles: Obstacles) -> Scenery:
+    """The scenery of obstacles of which nothing but the boxes is known."""
+    number = obstacles.height.shape[0]
+    half = jnp.concatenate([obstacles.half_extent, 0.5 * obstacles.height[:, None]], 1)
+    middle = jnp.concatenate([obstacles.center, 0.5 * obstacles.height[:, None]], 1)
+    turn = jnp.stack([jnp.cos(obstacles.yaw), jnp.sin(obstacles.yaw)], -1)
+    color = jnp.broadcast_to(jnp.asarray(OBSTACLE, jnp.float32), (number, 3))
+    return _scenery(_solids(jnp.concatenate([middle, half, turn], 1), np.zeros((0, 8)), np.zeros((0, 4)), color))
+
+
+def appearance(model: Any, data: Any, obstacles: list[int]) -> Scenery:
+    """The scenery of a MuJoCo model; ``obstacles`` are its geoms that can be touched, which come first."""
+    rest = [index for index in range(model.ngeom) if index not in set(obstacles)]
+    shape = solids(model, data, [*obstacles, *rest])
+    floor, sky = _texture(model, "2d"), _texture(model, "skybox")
+    sun = -model.light_dir[0] if model.nlight else np.array(SUN)
+    return _scenery(
+        shape, FLOOR if floor is None else (floor[0], floor[-1]), SKY if sky is None else (sky[0], sky[-1]), sun
+    )
+
+
+def solids(model: Any, data: Any, geoms: list[int]) -> Solids:
+    """The bodies of the given geoms of a MuJoCo model, in the places of ``data``.
+
+    A capsule becomes a cylinder of the same extent; other kinds, and clear ones, are left out.
+    """
+    kind = import_module("mujoco").mjtGeom
+    boxes, cylinders, spheres = [], [], []
+    colors: tuple[list, list, list] = [], [], []
+    for index in geoms:
+        place, size = data.geom_xpos[index], model.geom_size[index]
+        turn, shade = data.geom_xmat[index].reshape(3, 3), _color(model, index)
+        if shade[3] < 0.5:
+            continue
+        what = kind(int(model.geom_type[index]))
+        if what == kind.mjGEOM_BOX:
+            boxes.append([*place, *size, turn[0, 0], turn[1, 0]])
+            colors[0].append(shade[:3])
+        elif what in (kind.mjGEOM_CYLINDER, kind.mjGEOM_CAPSULE):
+            longer = size[0] if what == kind.mjGEOM_CAPSULE else 0.0
+            cylinders.append([*place, *turn[:, 2], size[0], size[1] + longer])
+            colors[1].append(shade[:3])
+        elif what == kind.mjGEOM_SPHERE:
+            spheres.append([*place, size[0]])
+            colors[2].append(shade[:3])
+    return _solids(boxes, cylinders, spheres, [*colors[0], *colors[1], *colors[2]])
+
+
+def _solids(boxes, cylinders, spheres, color) -> Solids:
+    shapes = (("boxes", boxes, 8), ("cylinders", cylinders, 8), ("spheres", spheres, 4), ("color", color, 3))
+    return Solids(
+        **{name: jnp.asarray(np.asarray(rows, np.float32).reshape(-1, width)) for name, rows, width in shapes}
+    )
+
+
+def _scenery(shape: Solids, floor=FLOOR, sky=SKY, sun=SUN) -> Scenery:
+    towards = np.asarray(sun, np.float32)
+    return Scenery(
+        solids=shape,
+        floor=jnp.asarray(np.asarray(floor, np.float32)),
+        square=jnp.asarray(SQUARE, jnp.float32),
+        sky=jnp.asarray(np.asarray(sky, np.float32)),
+        sun=jnp.asarray(towards / np.linalg.norm(towards)),
+    )
+
+
+def _color(model: Any, index: int) -> np.ndarray:
+    """(4,) of a geom: its material's, if it has one."""
+    material = model.geom_matid[index]
+    return model.geom_rgba[index] if material < 0 else model.mat_rgba[material]
+
+
+def _texture(model: Any, kind: str) -> np.ndarray | None:
+    """(n, 3) the colors of the first texture of a kind, in the order in which they first occur; None without one."""
+    mujoco: Any = import_module("mujoco")
+    wanted = {"2d": mujoco.mjtTexture.mjTEXTURE_2D, "skybox": mujoco.mjtTexture.mjTEXTURE_SKYBOX}[kind]
+    for index in range(model.ntex):
+        if model.tex_type[index] == wanted:
+            start, channels = model.tex_adr[index], model.tex_nchannel[index]
+            pixels = model.tex_data[start : start + model.tex_height[index] * model.tex_width[index] * channels]
+            pixels = pixels.reshape(model.tex_height[index], -1, channels)[:, :, :3] / 255.0
+            return np.unique(pixels.reshape(-1, 3), axis=0) if kind == "2d" else pixels[:, pixels.shape[1] // 2]
+    return None

@@ -1,0 +1,112 @@
+"""The colors of what a camera sees (section IV-F).
+
+Shaded by a sun and an ambient light, dark under and beside what stands on the floor. Each person has a color of their
+own, a face on the side where they look, and hair on the other.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from sean_jax.base import Array, Scenario, Scenery, State
+from sean_jax.geometry import rotate
+from sean_jax.raycast import MISS, Rays, View, along
+
+AMBIENT, SUN = 0.55, 0.5  # shares of the light
+SKIN, HAIR, LEGS = (0.87, 0.70, 0.58), (0.24, 0.18, 0.15), (0.22, 0.25, 0.32)
+NECK, WAIST = 1.47, 0.85  # m above the floor
+FACE = 0.22  # m, height of a face
+SHADOW, SHADOW_REACH = 0.45, 0.22  # of the light that is lost beside a body, and m over which that fades
+
+Color = tuple[Array, Array, Array]  # red, green and blue, (T, P) each
+
+
+def colors(
+    scenario: Scenario,
+    state: State,
+    view: View,
+    bundle: Rays,
+    number: Array,
+    distance: Array,
+    normal: tuple[Array, Array, Array],
+    kinds: tuple[Array, Array, Array],
+    shell: Array,
+) -> Color:
+    """The color of each ray (T, P), given what it meets: number, distance [m] and normal.
+
+    ``kinds`` are whether it meets the sky, the floor or a person, ``shell`` (3, T, P) is the color of anything else.
+    """
+    looks, heading = scenario.environment.scenery, state.robot.heading
+    is_sky, is_floor, is_person = kinds
+    x, y, z = along(bundle, jnp.where(distance < MISS, distance, 0.0))
+    sun_x, sun_y = rotate(looks.sun[0], looks.sun[1], heading[0], -heading[1])
+    facing = jnp.maximum(normal[0] * sun_x + normal[1] * sun_y + normal[2] * looks.sun[2], 0.0)
+    light = (AMBIENT + SUN * facing) * jnp.where(is_floor, _beside_bodies(view, x, y), 1.0)
+    light = jax.lax.optimization_barrier(light)
+    ground_x, ground_y = rotate(x + bundle.origin[0], y + bundle.origin[1], heading[0], heading[1])
+    ground = _floor(looks, ground_x + state.robot.position[0], ground_y + state.robot.position[1])
+    worn = _clothes(state, view, number, x, y, z + view.height)
+    rise = jnp.clip(jnp.asarray(bundle.direction[2]), 0.0, 1.0)
+
+    def mixed(axis: int) -> Array:
+        lit = jnp.where(is_floor, ground[axis], jnp.where(is_person, worn[axis], shell[axis]))
+        sky = looks.sky[1, axis] + (looks.sky[0, axis] - looks.sky[1, axis]) * rise
+        return jnp.clip(jnp.where(is_sky, sky, lit * light), 0.0, 1.0)
+
+    return mixed(0), mixed(1), mixed(2)
+
+
+def _beside_bodies(view: View, x: Array, y: Array) -> Array:
+    """(T, P) share of the light that places of the floor get beside what stands there."""
+
+    def person(nearest: Array, place: Array) -> tuple[Array, None]:
+        dx, dy = x - place[0], y - place[1]
+        return jnp.minimum(nearest, dx * dx + dy * dy), None
+
+    def box(nearest: Array, row: Array) -> tuple[Array, None]:
+        u, v = rotate(x - row[0], y - row[1], row[6], -row[7])
+        u, v = jnp.maximum(jnp.abs(u) - row[3], 0.0), jnp.maximum(jnp.abs(v) - row[4], 0.0)
+        below = jnp.maximum(row[2] - row[5] + view.height, 0.0)
+        return jnp.minimum(nearest, u * u + v * v + below * below), None
+
+    far = jnp.full_like(x, 1e6)
+    people = jax.lax.scan(person, far, jax.lax.stop_gradient(view.people), unroll=4)[0]
+    boxes = jax.lax.scan(box, far, jax.lax.stop_gradient(view.boxes), unroll=4)[0]
+    away = jnp.minimum(jnp.maximum(jnp.sqrt(people) - view.radius, 0.0), jnp.sqrt(boxes))
+    return 1.0 - SHADOW * jnp.exp(-jax.lax.stop_gradient(away) / SHADOW_REACH)
+
+
+def _floor(looks: Scenery, x: Array, y: Array) -> Color:
+    """The squares of the floor at places (x, y) over the ground."""
+    odd = jnp.mod(jnp.floor(x / looks.square) + jnp.floor(y / looks.square), 2.0) > 0.5
+    red, green, blue = (jnp.where(odd, looks.floor[1, axis], looks.floor[0, axis]) for axis in range(3))
+    return red, green, blue
+
+
+def _clothes(state: State, view: View, number: Array, x: Array, y: Array, up: Array) -> Color:
+    """What people wear at places (x, y) from the sensor and ``up`` above the floor."""
+    boxes, cylinders, spheres, count = view.counts
+    if not count:
+        return x, x, x
+    who = jnp.clip(number - (boxes + cylinders + spheres), 0, count - 1)
+    heading = state.pedestrians.heading
+    look_x, look_y = rotate(heading[:, 0], heading[:, 1], state.robot.heading[0], -state.robot.heading[1])
+    ahead = (x - view.people[:, 0][who]) * look_x[who] + (y - view.people[:, 1][who]) * look_y[who]
+    head = up > NECK
+    face = head & (ahead > 0.03) & (up < NECK + FACE)
+    shirt = shirts(count)
+
+    def worn(axis: int) -> Array:
+        body = jnp.where(up > WAIST, shirt[axis][who], LEGS[axis])
+        return jnp.where(face, SKIN[axis], jnp.where(head, HAIR[axis], body))
+
+    return worn(0), worn(1), worn(2)
+
+
+def shirts(count: int) -> Color:
+    """A color for each person, (N,) for each of red, green and blue; neighbours in the list differ most."""
+    hue = jnp.mod(jnp.arange(count, dtype=jnp.float32) * 0.618034 + 0.08, 1.0)
+
+    def part(turn: float) -> Array:
+        return 0.35 + 0.5 * jnp.clip(jnp.abs(jnp.mod(hue + turn, 1.0) * 6.0 - 3.0) - 1.0, 0.0, 1.0)
+
+    return part(0.0), part(2.0 / 3.0), part(1.0 / 3.0)

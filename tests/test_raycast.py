@@ -1,0 +1,195 @@
+"""Rays against MuJoCo's own, the gradients of distances, and what tiles leave out."""
+
+from importlib import import_module
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sean_jax import environment, raycast
+from sean_jax.base import Solids
+from sean_jax.raycast import laws
+
+mujoco: Any = import_module("mujoco")  # Any, for it has no type stubs
+RADIUS = 0.2  # m, of people
+
+
+def mujoco_distances(name, people, origin, directions):
+    """(R,) m by C `mj_ray` in the scene with people as capsules and balls; the floor has no end."""
+    spec = mujoco.MjSpec.from_file(str(environment.find(name) / "scene.xml"))
+    for geom in spec.geoms:
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            geom.size = [0, 0, 0.1]
+    below = 1.0  # m, of the capsule under the floor, so that only its upper end is round
+    for x, y in people:
+        half = (laws.SHOULDER + below) / 2
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[RADIUS, half, 0], pos=[x, y, laws.SHOULDER - half]
+        )
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[laws.HEAD_RADIUS, 0, 0], pos=[x, y, laws.HEAD])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    found = np.array(
+        [mujoco.mj_ray(model, data, origin, way, None, 1, -1, np.zeros(1, np.int32)) for way in directions]
+    )
+    return np.where(found < 0, raycast.MISS, found)
+
+
+@pytest.mark.parametrize("name", ["warehouse", "lab", "outdoor"])
+def test_equal_to_mujoco(name):
+    """12,288 random rays in each environment, from where there are no people nearer than a step."""
+    random = np.random.default_rng(1)
+    scene = environment.load(name)
+    number = 12 if name == "lab" else 62
+    people = environment.free_points(scene, 0.3, number, seed=3)
+    mount = np.array([0.05, 0.02, 0.0])
+    across = np.stack(np.meshgrid(np.linspace(-0.8, 0.8, 64), np.linspace(0.9, -0.9, 48)), -1).reshape(-1, 2)
+    heights = (0.3, 0.9, 1.5, 2.5)
+
+    def measured(rays, position, heading):
+        present = jnp.ones(number, bool)
+        seen = jnp.asarray(people, jnp.float32)
+        view = raycast.look(scene.scenery.solids, seen, present, jnp.float32(RADIUS), position, heading, rays.origin)
+        return raycast.by_rows(rays, raycast.distance(view, rays)).reshape(-1)
+
+    checked = 0
+    for turn, height in enumerate(heights):
+        places = environment.free_points(scene, 0.4, 200, seed=turn)
+        apart = np.linalg.norm(places[:, None] - people[None], axis=-1).min(1)
+        place = places[np.argmax(apart > 0.45)]
+        angle = random.uniform(0, 2 * np.pi)
+        heading = np.array([np.cos(angle), np.sin(angle)], np.float32)
+        # A wide picture in tiles, tilted down and jittered, so that it is not the picture of any camera.
+        jitter = across + random.uniform(-0.02, 0.02, across.shape)
+        ways = np.stack([np.ones(len(jitter)), jitter[:, 0], jitter[:, 1] - 0.1], -1)
+        rays = raycast.bundle(mount + [0, 0, height], ways.reshape(48, 64, 3), (16, 8), 1e3)
+        ours = np.asarray(jax.jit(measured, static_argnums=0)(rays, jnp.asarray(place), jnp.asarray(heading)))
+        turned = np.array([[heading[0], -heading[1], 0], [heading[1], heading[0], 0], [0, 0, 1]], float)
+        origin = np.array([*place, 0.0]) + turned @ rays.origin.astype(float)
+        ways = (ways / np.linalg.norm(ways, axis=-1, keepdims=True)) @ turned.T
+        theirs = mujoco_distances(name, people, origin, ways)
+        near = theirs < 200.0
+        assert (np.abs(ours - theirs)[near] <= 1e-4).all()
+        assert (ours[~near] >= 199.0).all()
+        checked += len(ways)
+    assert checked >= 10_000
+
+
+def yard(boxes=(), cylinders=(), spheres=()):
+    """A scenery of rows as ``base.Solids`` has them."""
+    shapes = (boxes, 8), (cylinders, 8), (spheres, 4), ([[0.5] * 3] * (len(boxes) + len(cylinders) + len(spheres)), 3)
+    return Solids(*(jnp.asarray(np.asarray(rows, np.float32).reshape(-1, width)) for rows, width in shapes))
+
+
+def fan(origin, *ways, tile=(1, 1)):
+    return raycast.bundle(origin, np.array([ways], float), tile, 100.0)
+
+
+def seen_from(rays, solids, people=((900.0, 0.0),), position=(0.0, 0.0), heading=(1.0, 0.0)):
+    crowd = jnp.asarray(people, jnp.float32)
+    place, way = jnp.asarray(position, jnp.float32), jnp.asarray(heading, jnp.float32)
+    return raycast.look(solids, crowd, jnp.ones(len(people), bool), jnp.float32(RADIUS), place, way, rays.origin)
+
+
+def test_closed_forms():
+    """Straight at a box, a lying and a standing cylinder, a ball, a person's legs and head, the floor and the sky."""
+    solids = yard(
+        boxes=[[5, 0, 0.5, 1, 1, 0.5, 1, 0], [-5, 0.01, 0.5, 1, 1, 0.5, np.sqrt(0.5), np.sqrt(0.5)]],
+        cylinders=[[0, 5, 0.3, 1, 0, 0, 0.3, 2], [0, -5, 1, 0, 0, 1, 0.5, 1]],
+        spheres=[[0, 0, 9, 1]],
+    )
+    rays = fan([0, 0, 0.3], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [1, 1, 0], [0, 0, -1], [1, 3, 9])
+    found = jax.jit(lambda: raycast.distance(seen_from(rays, solids, [(2.0, 2.0)]), rays))()[:, 0]
+    walked = np.sqrt(8) - RADIUS
+    assert np.allclose(found[:7], [4, 5.01 - np.sqrt(2), 4.7, 4.5, 7.7, walked, 0.3], atol=1e-5)
+    assert found[7] == raycast.MISS
+    high = fan([0, 0, laws.HEAD], [1, 1, 0])
+    assert np.allclose(raycast.distance(seen_from(high, yard(), [(2.0, 2.0)]), high), np.sqrt(8) - 0.13, atol=1e-5)
+
+
+def test_who_is_absent_is_not_seen():
+    rays = fan([0, 0, 0.5], [1, 0, 0])
+    crowd = jnp.asarray([[2.0, 0.0], [1.0, 0.0]], jnp.float32)
+    zero, ahead = jnp.zeros(2, jnp.float32), jnp.asarray([1.0, 0.0], jnp.float32)
+    view = raycast.look(yard(), crowd, jnp.asarray([True, False]), jnp.float32(RADIUS), zero, ahead, rays.origin)
+    assert np.allclose(raycast.distance(view, rays), 1.8, atol=1e-6)
+
+
+def test_tiles_leave_out_nothing_that_is_seen():
+    """The same rays in one tile, which asks about everybody, and in many; with many more people than a loop's turn."""
+    random = np.random.default_rng(5)
+    people = random.uniform(-8, 8, (150, 2))
+    people = people[np.linalg.norm(people, axis=1) > 0.5]
+    solids = yard(boxes=[[*random.uniform(-8, 8, 2), 0.6, 0.4, 0.2, 0.6, np.cos(a), np.sin(a)] for a in range(9)])
+    angle, rise = np.meshgrid(np.linspace(-np.pi, np.pi, 120, endpoint=False), np.linspace(0.9, -0.9, 24))
+    ways = np.stack([np.cos(angle), np.sin(angle), rise], -1)
+    images = []
+    for tile in ((24, 120), (6, 7), (5, 12)):
+        rays = raycast.bundle([0.0, 0.0, 0.4], ways, tile, 50.0)
+        images.append(
+            jax.jit(lambda rays=rays: raycast.by_rows(rays, raycast.distance(seen_from(rays, solids, people), rays)))()
+        )
+    for image in images[1:]:
+        near = np.asarray(images[0]) < 40.0
+        assert np.array_equal(np.asarray(image)[near], np.asarray(images[0])[near])
+
+
+def test_gradients_equal_central_differences():
+    """Of distances by the robot's pose and by a person's position, away from edges."""
+    random = np.random.default_rng(2)
+    solids = yard(
+        boxes=[[4, 1, 0.5, 0.8, 0.6, 0.5, np.cos(0.4), np.sin(0.4)]],
+        cylinders=[[4, -3, 1, 0, 0, 1, 0.5, 1]],
+        spheres=[[3, -1, 0.5, 0.4]],
+    )
+    ways = np.stack([np.ones(200), random.uniform(-1.5, 1.5, 200), random.uniform(-0.3, 0.5, 200)], -1)
+    rays = raycast.bundle([0.1, 0.0, 0.4], ways[None], (1, 20), 50.0)
+
+    def along(pose, person):
+        way = jnp.stack([jnp.cos(pose[2]), jnp.sin(pose[2])])
+        people = jnp.stack([person, jnp.asarray([900.0, 0.0], person.dtype)])
+        present = jnp.ones(2, bool)
+        view = raycast.look(solids, people, present, jnp.float32(RADIUS), pose[:2], way, rays.origin)
+        return raycast.by_rows(rays, raycast.distance(view, rays))[0]
+
+    pose, person = jnp.asarray([0.05, -0.1, 0.02], jnp.float32), jnp.asarray([2.5, 2.0], jnp.float32)
+    forward, backward = jax.jit(jax.jacfwd(along, (0, 1))), jax.jit(jax.jacrev(along, (0, 1)))
+    slopes = np.concatenate([np.asarray(part) for part in forward(pose, person)], -1)
+    assert np.isfinite(slopes).all()
+    assert np.allclose(slopes, np.concatenate([np.asarray(part) for part in backward(pose, person)], -1), atol=1e-4)
+    step, measured = 1e-3, []
+    run = jax.jit(along)
+    for axis in range(5):
+        shift = np.eye(5, dtype=np.float32)[axis] * step
+        ahead, behind = (run(pose + sign * shift[:3], person + sign * shift[3:]) for sign in (1, -1))
+        measured.append((np.asarray(ahead, float) - np.asarray(behind, float)) / (2 * step))
+    measured = np.stack(measured, -1)
+    seen = np.asarray(run(pose, person)) < 40.0
+    smooth = seen & (np.abs(measured).max(-1) < 20.0)  # a ray that crosses an edge in the step jumps
+    assert smooth.sum() >= 100
+    close = np.abs(slopes - measured)[smooth] <= 0.02 + 0.02 * np.abs(measured)[smooth]
+    assert close.all(1).mean() >= 0.97  # the rest graze a round body, where the step is too long
+
+
+def test_gradients_are_finite_on_edges():
+    """Rays that graze, meet corners, run along axes, or start in a body."""
+    solids = yard(
+        boxes=[[2, 0, 0.5, 1, 1, 0.5, 1, 0], [0, 0, 3, 1, 1, 0.5, 1, 0]],
+        cylinders=[[0, 3, 0.5, 0, 0, 1, 1, 0.5]],
+        spheres=[[0, -3, 0.5, 1]],
+    )
+    ways = [[1, 1, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1], [1, 3, 0], [-1, -3, 0], [-1, 0, 0]]
+    rays = fan([0, 0, 0.5], *ways)
+
+    def total(position):
+        crowd = jnp.asarray([[-2.0, RADIUS], [0.0, 0.0]], jnp.float32)
+        heading = jnp.asarray([1.0, 0.0], jnp.float32)
+        view = raycast.look(solids, crowd, jnp.ones(2, bool), jnp.float32(RADIUS), position, heading, rays.origin)
+        found = raycast.distance(view, rays)
+        return jnp.where(found < 90.0, found, 0.0).sum()
+
+    for place in ([0.0, 0.0], [1.0, 1.0], [0.0, 2.0], [-2.0, 0.0]):
+        assert np.isfinite(jax.jit(jax.grad(total))(jnp.asarray(place, jnp.float32))).all()

@@ -1,0 +1,352 @@
+"""Cameras and lidars: the same on every robot, true to MuJoCo's rays and to closed forms, differentiable."""
+
+import dataclasses
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_raycast import mujoco_distances
+
+import sean_jax
+from sean_jax import robots, sensors
+from sean_jax.base import Obstacles
+from sean_jax.environment import ENVS
+from sean_jax.scenery import plain
+from sean_jax.sensors import cameras, paint
+
+LEVEL = (0.0, 0.0, -1.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # axes of a camera that looks straight ahead
+SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)
+PLACE, AHEAD = np.array([3.0, -2.0], np.float32), np.array([0.6, 0.8], np.float32)  # of the robot
+
+
+@pytest.fixture(scope="module")
+def state(scenario):
+    return jax.jit(lambda key: sean_jax.reset(scenario, key))(jax.random.key(3))
+
+
+def over_ground(ahead, left):
+    """(2,) m where that lies which is so far ahead and to the left of the robot at PLACE."""
+    return PLACE + AHEAD * ahead + np.array([-AHEAD[1], AHEAD[0]]) * left
+
+
+def put(scenario, state, boxes, people, absent=()):
+    """Scenario and state with the robot at PLACE; boxes (ahead, left, half x, half y, height), people (ahead, left).
+
+    The other people are there as well, but nowhere near.
+    """
+    rows = np.array(boxes, np.float32).reshape(-1, 5)
+    obstacles = Obstacles(
+        center=jnp.asarray([over_ground(*row[:2]) for row in rows], jnp.float32),
+        half_extent=jnp.asarray(rows[:, 2:4]),
+        yaw=jnp.full(len(rows), np.arctan2(AHEAD[1], AHEAD[0]), jnp.float32),
+        height=jnp.asarray(rows[:, 4]),
+    )
+    number = scenario.people
+    places = np.full((number, 2), 5000.0, np.float32)
+    for index, person in enumerate((*people, *absent)):
+        places[index] = over_ground(*person)
+    present = np.ones(number, bool)
+    present[len(people) : len(people) + len(absent)] = False
+    crowd = dataclasses.replace(state.pedestrians, position=jnp.asarray(places), present=jnp.asarray(present))
+    robot = dataclasses.replace(state.robot, position=jnp.asarray(PLACE), heading=jnp.asarray(AHEAD))
+    scene = dataclasses.replace(scenario.environment, scenery=plain(obstacles))
+    return dataclasses.replace(scenario, environment=scene), dataclasses.replace(state, pedestrians=crowd, robot=robot)
+
+
+def level(scenario, **changes) -> sensors.Camera:
+    return dataclasses.replace(sensors.camera(scenario, "depth", width=16, height=12), axes=LEVEL, **changes)
+
+
+@pytest.mark.parametrize("name", list(robots.ROBOTS))
+def test_every_robot_has_the_same_sensors(name, scenario, state):
+    robot = robots.load(name, "twin")
+    theirs = dataclasses.replace(scenario, robot=robot)
+    for kind in sensors.CAMERAS:
+        camera = sensors.camera(robot, kind)
+        assert (camera.width, camera.height, camera.near) == (640, 480, 0.1)
+        assert camera.far == (20.0 if kind == "depth" else 200.0)
+        assert kind == "overhead" or camera.fovy == 60.0
+        small = sensors.camera(theirs, kind, width=16, height=12)
+        picture = jax.eval_shape(lambda state, camera=small: sensors.render(theirs, state, camera), state)
+        shapes = [(part.shape, part.dtype) for part in dataclasses.astuple(picture)]
+        flat = (12, 16)
+        assert shapes == [((12, 16, 3), jnp.float32), (flat, jnp.float32), (flat, jnp.int32), (flat, jnp.int32)]
+    lidar = sensors.lidar(theirs)
+    assert (lidar.count, lidar.near, lidar.far) == (360, 0.12, 3.5)
+    assert jax.eval_shape(lambda state: sensors.scan(theirs, state, lidar), state).shape == (360,)
+
+
+def test_numbers_are_those_of_sean(scenario):
+    depth, overhead = sensors.camera(scenario), sensors.camera(scenario, "overhead")
+    assert depth.name == "depth" and sensors.focal_length(depth) == pytest.approx(415.69, abs=0.005)
+    bundle = cameras.rays(dataclasses.replace(overhead, width=64, height=48))[0]
+    assert bundle.offset is not None
+    assert np.ptp(bundle.offset[0]) == pytest.approx(6.0 * 47 / 48) and np.ptp(bundle.offset[1]) == pytest.approx(
+        8.0 * 63 / 64
+    )
+    # The middles of the first and the last ray of a lidar are a degree apart, the first straight ahead.
+    fan = import_module("sean_jax.sensors.lidars").rays(sensors.lidar(scenario))
+    angle = np.rad2deg(np.arctan2(fan.direction[1], fan.direction[0])).reshape(-1)
+    assert np.allclose(np.mod(angle + 0.5, 360.0) - 0.5, np.arange(360), atol=1e-3)
+
+
+def test_modules_are_not_named_as_what_the_package_exports():
+    for path in Path(sensors.__file__).parent.glob("[a-z]*.py"):
+        assert isinstance(getattr(sensors, path.stem), ModuleType)
+
+
+def test_depth_is_range_times_cosine_as_mujoco_measures_it(scenario, state):
+    """The camera as MuJoCo reads it from the robot's file, the pose and people of a state, ranges by C `mj_ray`."""
+    mujoco: Any = import_module("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(ENVS / "robots" / "kuri.xml"))
+    number = model.camera("depth").id
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.cam_quat[number])
+    focal = 24 / 2 / np.tan(np.deg2rad(model.cam_fovy[number]) / 2)
+    u, v = np.meshgrid(np.arange(32) + 0.5 - 16, np.arange(24) + 0.5 - 12)
+    ways = np.stack([u / focal, -v / focal, -np.ones_like(u)], -1).reshape(-1, 3)
+    size = np.linalg.norm(ways, axis=1, keepdims=True)
+    heading, position = np.asarray(state.robot.heading, float), np.asarray(state.robot.position, float)
+    spun = np.array([[heading[0], -heading[1], 0.0], [heading[1], heading[0], 0.0], [0.0, 0.0, 1.0]])
+    origin = np.array([*position, 0.0]) + spun @ model.cam_pos[number]
+    assert bool(state.pedestrians.present.all())
+    people = np.asarray(state.pedestrians.position, float)
+    ranges = mujoco_distances("warehouse", people, origin, (ways / size) @ turn.reshape(3, 3).T @ spun.T)
+    wanted = (ranges / size[:, 0]).reshape(24, 32)
+    camera = sensors.camera(scenario, "depth", width=32, height=24)
+    image = np.asarray(jax.jit(lambda state: sensors.depth(scenario, state, camera))(state))
+    assert np.abs(image - wanted)[wanted < 20].max() <= 1e-3 and (image[wanted > 20.001] == 20.0).all()
+    assert (wanted < 20).sum() > 300
+
+
+def test_the_depth_of_a_wall_straight_ahead_is_flat(scenario, state):
+    camera = level(scenario)
+    yard, here = put(scenario, state, [(4.0, 0.0, 1.0, 30.0, 9.0)], [])
+    image = np.asarray(jax.jit(lambda state: sensors.depth(yard, state, camera))(here))
+    height, focal = camera.origin[2], 6 / np.tan(np.pi / 6)
+    down = np.arange(12) + 0.5 - 6
+    floor = height * focal / np.where(down > 0, down, 1e-9)  # the depth of a row that meets the floor
+    wall = 3.0 - camera.origin[0]
+    assert np.allclose(image, np.minimum(wall, floor)[:, None], atol=1e-4)
+    assert np.ptp(image[:6]) <= 1e-4 and (image[:6] > 2.9).all()
+
+
+def test_one_trace_for_all_states_and_a_batch_equals_a_loop(scenario, state):
+    camera, lidar = sensors.camera(scenario, "depth", width=16, height=12), sensors.lidar(scenario, count=24)
+    traces = []
+
+    def look(state):
+        traces.append(0)
+        return sensors.depth(scenario, state, camera), sensors.scan(scenario, state, lidar)
+
+    moved = state.robot.position[None] + jnp.asarray([[0.0, 0.0], [0.3, 0.1], [-0.2, 0.5]], jnp.float32)
+    states = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), state)
+    states = dataclasses.replace(states, robot=dataclasses.replace(states.robot, position=moved))
+    one = jax.jit(look)
+    each = [one(jax.tree.map(lambda leaf, i=i: leaf[i], states)) for i in range(3)]
+    assert len(traces) == 1
+    together = jax.jit(jax.vmap(look))(states)
+    for part in (0, 1):
+        assert np.allclose(together[part], np.stack([alone[part] for alone in each]), atol=1e-5)
+        assert len({np.asarray(alone[part]).tobytes() for alone in each}) == 3
+
+
+def test_gradients_of_depth(scenario, state):
+    """Where no edge is in the picture: equal to central differences. Anywhere: finite."""
+    camera = level(scenario, fovy=12.0)
+    yard, here = put(scenario, state, [(6.0, 0.0, 0.5, 30.0, 9.0)], [(0.7, 0.02)])
+
+    def mean(position, person, camera=camera, yard=yard, here=here):
+        robot = dataclasses.replace(here.robot, position=position)
+        crowd = dataclasses.replace(here.pedestrians, position=here.pedestrians.position.at[0].set(person))
+        return sensors.depth(yard, dataclasses.replace(here, robot=robot, pedestrians=crowd), camera).mean()
+
+    both = jax.jit(jax.value_and_grad(mean, (0, 1)))
+    at = here.robot.position, here.pedestrians.position[0]
+    slopes = np.concatenate(both(*at)[1])
+    step, measured = 1e-2, []
+    for axis in range(4):
+        shift = np.eye(4, dtype=np.float32)[axis] * step
+        ends = [float(both(at[0] + sign * shift[:2], at[1] + sign * shift[2:])[0]) for sign in (1, -1)]
+        measured.append((ends[0] - ends[1]) / (2 * step))
+    assert np.allclose(slopes, measured, atol=5e-3)
+    assert np.allclose(slopes[:2], -slopes[2:], atol=1e-4) and np.abs(slopes @ [*AHEAD, 0, 0] + 1) < 0.1
+    wide = sensors.camera(scenario, "depth", width=16, height=12)
+    everywhere = jax.jit(lambda at: jax.grad(lambda at: mean(at[0], at[1], wide, scenario, state))(at))
+    found = everywhere((state.robot.position, state.pedestrians.position[0]))
+    assert all(np.isfinite(part).all() for part in found) and np.abs(found[0]).max() > 0
+
+
+@pytest.fixture(scope="module")
+def shots(scenario, state):
+    """Pictures of a yard: somebody ahead, somebody absent nearer, a box ahead to the left, a person to the right."""
+    boxes = [(9.0, 9.0, 0.1, 0.1, 0.1), (3.0, 1.3, 0.4, 0.5, 0.9)]
+    yard, here = put(scenario, state, boxes, [(2.0, 0.0), (1.0, -1.0)], absent=[(1.0, 0.0)])
+    sizes = {"first_person": (24, 18), "third_person": (24, 18), "overhead": (64, 48)}
+    views = {name: sensors.camera(yard, name, width=w, height=h) for name, (w, h) in sizes.items()}
+
+    def look(state):
+        found = {name: sensors.render(yard, state, view) for name, view in views.items()}
+        return found, sensors.depth(yard, state, views["first_person"])
+
+    return jax.tree.map(np.asarray, jax.jit(look)(here))
+
+
+def test_pictures_show_what_is_there(shots, scenario):
+    number = scenario.people
+    for picture in shots[0].values():
+        assert np.isfinite(picture.rgb).all() and picture.rgb.min() >= 0 and picture.rgb.max() <= 1
+        assert picture.rgb.std() > 0.05
+        whose = (picture.semantic == PERSON, picture.semantic == OBSTACLE, picture.semantic == ROBOT)
+        assert ((picture.instance >= 0) == (whose[0] | whose[1] | whose[2])).all()
+        assert (picture.instance[whose[0]] < number).all() and (picture.instance[whose[2]] == number + 2).all()
+        assert (picture.instance[whose[1]] >= number).all() and (picture.instance[whose[1]] < number + 2).all()
+        assert 2 not in picture.instance  # who is absent
+    ahead = shots[0]["first_person"]
+    assert ahead.semantic[9, 12] == PERSON and ahead.instance[9, 12] == 0
+    assert (ahead.semantic[-1] == FLOOR).all() and (ahead.semantic[0] != FLOOR).all()
+    assert ahead.semantic[0, 6] == SKY and ahead.instance[0, 6] == -1 and ahead.depth[0, 6] == 200.0
+    # The box lies 3 m ahead and 1.3 m to the left, so that its middle, and not that of its mirror image, is seen.
+    focal = 9 / np.tan(np.pi / 6)
+    column = int(12 - focal * 1.3 / 2.6)
+    assert ahead.semantic[9, column] == OBSTACLE and ahead.instance[9, column] == number + 1
+    assert ahead.semantic[9, 24 - column] != OBSTACLE
+    assert np.allclose(ahead.depth[9, 12], 2 - 0.2 - 0.05, atol=0.03)
+    assert np.allclose(ahead.depth, shots[1], atol=1e-4)
+
+
+def test_the_robot_is_seen_from_behind_and_above(shots):
+    counts = {name: int((picture.semantic == ROBOT).sum()) for name, picture in shots[0].items()}
+    assert counts["first_person"] == 0 and counts["third_person"] > 5
+    # Kuri is a disc of 0.15 m seen from above, 1/8 m to a pixel.
+    assert counts["overhead"] == pytest.approx(np.pi * (0.15 * 8) ** 2, abs=2)
+    rows, columns = np.nonzero(shots[0]["third_person"].semantic == ROBOT)
+    assert np.abs(columns + 0.5 - 12).mean() < 2 and rows.min() > 8
+
+
+def test_people_are_where_they_belong_seen_from_above(shots):
+    """8 pixels to the metre, the robot in the middle, ahead is up."""
+    above = shots[0]["overhead"]
+    head = 3.5 - (1.6 + np.sqrt(0.13**2 - 2 * 0.0625**2))  # m, where the four rays beside its top meet it
+    for who, (ahead, left) in enumerate([(2.0, 0.0), (1.0, -1.0)]):
+        rows, columns = np.nonzero(above.instance == who)
+        assert np.mean(rows + 0.5) == pytest.approx(24 - 8 * ahead, abs=0.3)
+        assert np.mean(columns + 0.5) == pytest.approx(32 - 8 * left, abs=0.3)
+        assert len(rows) == pytest.approx(np.pi * (0.2 * 8) ** 2, abs=5)  # pixels
+        assert above.depth[rows, columns].min() == pytest.approx(head, abs=2e-3)
+    robot = np.argwhere(above.semantic == ROBOT) + 0.5
+    assert np.allclose(robot.mean(0), [24, 32], atol=0.5)
+
+
+def test_each_person_has_a_color_and_a_face(shots, scenario):
+    shirts = np.array(jax.jit(lambda: jnp.stack(paint.shirts(scenario.people)))())
+    assert (
+        np.linalg.norm(shirts[:, :, None] - shirts[:, None], axis=0)[~np.eye(scenario.people, dtype=bool)].min() > 0.02
+    )
+    behind = shots[0]["third_person"]
+    assert {0, 1} <= set(np.unique(behind.instance))
+    darker = shots[0]["overhead"].rgb[shots[0]["overhead"].semantic == FLOOR].mean(1)
+    assert darker.min() < 0.8 * np.median(darker)  # the floor beside who stands on it
+
+
+def test_lidar_in_a_room(scenario, state):
+    """A room of 4 x 3 m with the robot off its middle and a person in it, against closed forms."""
+    thick, north, south, west, east = 0.5, 1.0, 2.0, 2.5, 1.5  # distances of the walls ahead, behind, left and right
+    walls = [
+        (north + thick, (west - east) / 2, thick, 9.0, 2.0),
+        (-south - thick, (west - east) / 2, thick, 9.0, 2.0),
+        ((north - south) / 2, west + thick, 9.0, thick, 2.0),
+        ((north - south) / 2, -east - thick, 9.0, thick, 2.0),
+    ]
+    room, here = put(scenario, state, walls, [(-0.9, 0.4)], absent=[(0.5, 0.0)])
+    lidar = dataclasses.replace(sensors.lidar(scenario), origin=(0.0, 0.0, 0.3))
+    found = np.asarray(jax.jit(lambda state: sensors.scan(room, state, lidar))(here))
+    angle = np.deg2rad(np.arange(360.0))
+    c, s = np.cos(angle), np.sin(angle)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wanted = np.minimum(
+            np.where(c > 0, north / c, -south / c), np.where(s > 0, west / s, np.where(s < 0, -east / s, np.inf))
+        )
+    along, aside = -0.9 * c + 0.4 * s, -0.9 * s - 0.4 * c
+    hits = (np.abs(aside) < 0.2) & (along > 0)
+    person = along - np.sqrt(np.where(hits, 0.04 - aside**2, 0.0))
+    wanted = np.where(hits, np.minimum(person, wanted), wanted)
+    grazes = np.abs(np.abs(aside) - 0.2) < 1e-3
+    assert np.abs(found - wanted)[~grazes].max() <= 1e-4
+    assert hits.sum() > 10 and wanted.max() < 3.5
+
+
+def test_noise_and_drop_outs():
+    """Deviations of a depth camera at 1 and at 3 m, as printed by their source; what is not seen stays unseen."""
+    distance = jnp.broadcast_to(jnp.asarray([1.0, 3.0, 20.0], jnp.float32), (20_000, 3))
+    noisy = np.asarray(sensors.noise(jax.random.key(0), distance, far=20.0), float)
+    wanted = 0.0012 + 0.0019 * np.square(np.array([1.0, 3.0]) - 0.4)
+    assert np.allclose(noisy[:, :2].std(0), wanted, rtol=0.03) and (noisy[:, 2] == 20.0).all()
+    assert np.allclose(noisy[:, :2].mean(0), [1.0, 3.0], atol=4 * wanted / np.sqrt(20_000))
+    lidar = np.asarray(sensors.noise(jax.random.key(1), distance, far=3.5, least=0.01, growth=0.0), float)
+    assert np.allclose(lidar[:, :2].std(0), 0.01, rtol=0.03)
+    gone = np.asarray(sensors.drop_outs(jax.random.key(2), distance, 0.1, 20.0))[:, 0] == 20.0
+    assert gone.mean() == pytest.approx(0.1, abs=0.01)
+
+
+def test_an_image_comes_through_the_delay_line_after_its_steps():
+    images = np.arange(6, dtype=np.float32)[:, None] * np.ones(2, np.float32)
+    line, seen = sensors.delay(jnp.asarray(images[0]), 2), []
+    push = jax.jit(sensors.push)
+    for image in images:
+        line, late = push(line, jnp.asarray(image))
+        seen.append(float(late[0]))
+    assert seen == [0, 0, 0, 1, 2, 3]
+    assert float(sensors.push(sensors.delay(jnp.zeros(1), 0), jnp.ones(1))[1][0]) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("rate", "ticks"),
+    [(15.0, range(12)), (10.0, range(12)), (5.0, range(0, 12, 2)), (1.0, (0, 10)), (4.0, (0, 3, 5, 8, 10))],
+)
+def test_a_sensor_is_due_at_its_rate(rate, ticks):
+    """Control is at 10 Hz: faster sensors are due at each tick. 4 Hz is due at 0, 2.5, 5, 7.5, ... ticks."""
+    due = np.asarray(
+        jax.jit(lambda: jax.vmap(lambda tick: sensors.due(tick, 0.1, rate))(jnp.arange(1200, dtype=jnp.int32)))()
+    )
+    assert np.flatnonzero(due[:12]).tolist() == list(ticks)
+    assert due.sum() == min(round(rate * 120), 1200)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"name": "dept"}, "robot 'kuri' has no 'dept'; did you mean 'depth'?"),
+        ({"name": "rear"}, "robot 'kuri' has no 'rear'; it has depth, first_person, third_person, overhead."),
+        ({"fovy": 0.0}, "fovy: 0 degrees must lie between 0 and 180."),
+        ({"near": 2.0, "far": 1.0}, "near, far: 2 and 1 m must be a lesser and a greater distance."),
+        ({"width": 0}, "a picture of 0 x 480 pixels shows nothing; give 1 or more of each."),
+        ({"orthographic": -1.0}, "orthographic: -1 m"),
+    ],
+)
+def test_a_camera_that_shows_nothing_is_refused(arguments, said, scenario):
+    with pytest.raises(ValueError) as error:
+        sensors.camera(scenario, **arguments)
+    assert said in str(error.value) and len(str(error.value).splitlines()) == 1
+
+
+def test_a_lidar_that_measures_nothing_is_refused(scenario, tmp_path):
+    with pytest.raises(ValueError, match="0 rays"):
+        sensors.lidar(scenario, count=0)
+    with pytest.raises(ValueError, match="4 and 3.5 m"):
+        sensors.lidar(scenario, near=4.0)
+    text = (ENVS / "robots" / "kuri.xml").read_text(encoding="utf-8")
+    file = tmp_path / "blind.xml"
+    file.write_text("\n".join(line for line in text.splitlines() if "<site" not in line and "<camera" not in line))
+    robot = robots.load(file, "twin")
+    with pytest.raises(ValueError, match="robot 'blind' has no <site name=\"lidar\">; add one to its base"):
+        sensors.lidar(robot)
+    with pytest.raises(ValueError, match="robot 'blind' has no 'depth'; it has none"):
+        sensors.camera(robot)
+    with pytest.raises(ValueError, match="future"):
+        sensors.delay(jnp.zeros(1), -1)
