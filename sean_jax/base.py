@@ -108,9 +108,7 @@ class RobotTask:
     start_group: Array  # () int32 index of the group that the start is a member's place of, -1 none
     goal_group: Array  # () int32 likewise for the goal
     geodesic: Array  # () m, length of the shortest path from start to goal
-    to_goal: (
-        Array  # (2, V) shortest paths to the goal from where paths bend: lengths m, and where they leave there, rad
-    )
+    to_goal: Array  # (2, V) shortest paths to the goal from each bend: m, inf if none leads there; rad, where it leaves
     turning: Array | None = None  # () rad, rotation along the shortest path from the start's heading; reset fills it in
 
 
@@ -157,6 +155,7 @@ class State:
     time_at_goal: Array  # () s, spent inside the goal radius without a break
     completed: Array  # () bool, latched
     timed_out: Array  # () bool, latched; never together with completed
+    driver: Any = ()  # what a Driver remembers; () for a policy that remembers nothing
 
 
 @struct.dataclass
@@ -258,4 +257,18 @@ class Frame:
     active: Array  # () bool, the episode had not ended before this step
 
 
-Policy = Callable[[Scenario, State, Array], Array]  # (scenario, state, key) -> (2,) linear m/s, angular rad/s
+@struct.dataclass
+class Driver:
+    """A policy that has learned something, or that remembers: who drives when the state alone does not tell how.
+
+    ``start(scenario, data, state) -> memory`` of an episode that begins in that state;
+    ``drive(scenario, data, state, key) -> (command (2,), memory)``, where ``state.driver`` is the memory until then.
+    """
+
+    data: Any  # leaves, such as the parameters of a network
+    name: str = struct.field(pytree_node=False)
+    start: Callable = struct.field(pytree_node=False)
+    drive: Callable = struct.field(pytree_node=False)
+
+
+Policy = Callable[[Scenario, State, Array], Array] | Driver  # (scenario, state, key) -> (2,) linear m/s, angular rad/s

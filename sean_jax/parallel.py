@@ -1,11 +1,12 @@
 """Whole episodes in one call: a scan over steps, to be vmapped over keys or states."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 
-from sean_jax.base import Array, Frame, Policy, Scenario, State
+from sean_jax.base import Array, Driver, Frame, Policy, Scenario, State
 from sean_jax.scenario import frame, reset, step
 
 POLICY_STREAM = 1  # folded into an episode's key, so that a policy's chance is apart from people's
@@ -19,13 +20,13 @@ def rollout(
     ``record(before, after, action)`` gives a pytree; ``base.Frame`` unless told otherwise. An episode that has
     ended goes on with its metrics standing still: ``Frame.active`` tells.
     """
-    return simulate(scenario, policy, reset(scenario, key), steps, record)
+    return simulate(scenario, policy, begin(scenario, policy, reset(scenario, key)), steps, record)
 
 
 def simulate(
     scenario: Scenario, policy: Policy, state: State, steps: int, record: Callable = frame
 ) -> tuple[State, Frame]:
-    """As ``rollout``, from a state."""
+    """As ``rollout``, from a state, which holds the memory of the policy if that is a ``Driver`` (``begin``)."""
 
     def one(before: State, _) -> tuple[State, Frame]:
         after, action = advance(scenario, policy, before)
@@ -34,8 +35,20 @@ def simulate(
     return jax.lax.scan(one, state, length=steps)
 
 
+def begin(scenario: Scenario, policy: Policy, state: State) -> State:
+    """The state with the memory of the policy at the beginning of an episode; as it is for a mere function."""
+    if not isinstance(policy, Driver):
+        return state
+    return replace(state, driver=policy.start(scenario, policy.data, state))
+
+
 def advance(scenario: Scenario, policy: Policy, state: State) -> tuple[State, Array]:
     """One step with the command (2,) of a policy, whose chance is a stream of the episode's key of its own."""
     key = jax.random.fold_in(jax.random.fold_in(state.key, POLICY_STREAM), state.tick)
-    action = jnp.asarray(policy(scenario, state, key), state.robot.position.dtype)
+    if isinstance(policy, Driver):
+        action, memory = policy.drive(scenario, policy.data, state, key)
+        state = replace(state, driver=memory)
+    else:
+        action = policy(scenario, state, key)
+    action = jnp.asarray(action, state.robot.position.dtype)
     return step(scenario, state, action), action

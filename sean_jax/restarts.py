@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from sean_jax.base import Array, Frame, Policy, Scenario, State
-from sean_jax.parallel import advance
+from sean_jax.parallel import advance, begin
 from sean_jax.scenario import frame, reset
 
 STREAM = 0x5EA  # folded into the key of an ended episode, for what follows it
@@ -26,9 +26,17 @@ class Pool:
     starts: State  # (K, ...)
 
 
-def pool(scenario: Scenario, key: Array, size: int) -> Pool:
-    """A pool of ``size`` starts drawn with a key; wrap it in ``jax.jit``, with ``size`` static."""
-    return Pool(jax.vmap(reset, (None, 0))(scenario, jax.random.split(key, size)))
+def pool(scenario: Scenario, key: Array, size: int, policy: Policy | None = None) -> Pool:
+    """A pool of ``size`` starts drawn with a key; wrap it in ``jax.jit``, with ``size`` static.
+
+    A ``policy`` that is a ``Driver`` has to be named, for each start holds its memory.
+    """
+
+    def one(key: Array) -> State:
+        state = reset(scenario, key)
+        return state if policy is None else begin(scenario, policy, state)
+
+    return Pool(jax.vmap(one)(jax.random.split(key, size)))
 
 
 def restart(starts: Pool, state: State) -> State:

@@ -13,6 +13,7 @@ import pytest
 
 import sean_jax
 from sean_jax import devices, restarts
+from sean_jax.base import Driver
 from sean_jax.policies import go_to_goal
 
 PROGRAM = """
@@ -104,6 +105,25 @@ def test_episodes_follow_one_another(short):
         assert (np.abs(pool - np.asarray(people[first])).max((1, 2)) < 1e-6).any()
     assert len({tuple(row) for row in np.asarray(key)[[0, 10, 20, 30]].tolist()}) == 4
     assert jax.tree.structure(last) == jax.tree.structure(state)
+
+
+def test_a_driver_remembers_its_episode_and_no_other(short):
+    """It counts the steps it drove since the episode began, in steps of its parameter."""
+    counter = Driver(
+        data=jnp.asarray(2.0, jnp.float32),
+        name="counter",
+        start=lambda scenario, data, state: jnp.zeros((), jnp.float32),
+        drive=lambda scenario, data, state, key: (jnp.zeros(2, jnp.float32), state.driver + data),
+    )
+    starts = jax.jit(restarts.pool, static_argnums=2)(short, jax.random.key(0), 2, counter)
+
+    def run(policy, state):
+        return restarts.endless(short, policy, starts, state, 12, lambda before, after, action: after.driver)
+
+    counted = jax.jit(run)(counter, jax.tree.map(lambda leaf: leaf[0], starts.starts))[1]
+    np.testing.assert_array_equal(counted, [*np.arange(2.0, 22.0, 2.0), 2.0, 4.0])
+    last = jax.jit(lambda policy, key: sean_jax.rollout(short, policy, key, 3)[0])(counter, jax.random.key(0))
+    assert float(last.driver) == 6.0
 
 
 def test_a_running_episode_is_left_alone(short):

@@ -105,7 +105,7 @@ def prepare(scenarios: Sequence[Scenario], policy: Policy, size: int, watch: Wat
     watch.compiling(f"tracing {size} episodes")
     numbers = jnp.zeros((size,), jnp.uint32)
     tasks = tuple(scenario.task for scenario in scenarios)
-    draw = jax.jit(_drawing(tasks, crowding.grid(first.environment)))
+    draw = jax.jit(_drawing(policy, tasks, crowding.grid(first.environment)))
     states, tally = jax.eval_shape(draw, first, jnp.uint32(0), numbers)
     advance = jax.jit(_advance(policy, min(CHUNK, _steps(first)), min(KEPT, size)), donate_argnums=(1, 2))
     lowered = [
@@ -194,7 +194,7 @@ def _compile(lowered: Sequence[Any]) -> list[Callable]:
     return [outcome[index] for index in range(len(lowered))]
 
 
-def _drawing(tasks: tuple[Callable, ...], cells: tuple[int, int]) -> Callable:
+def _drawing(policy: Policy, tasks: tuple[Callable, ...], cells: tuple[int, int]) -> Callable:
     """(scenario, seed, numbers (B,)) -> the starts of the numbered episodes, which take turns at ``tasks``."""
 
     def draw(scenario: Scenario, seed: Array, numbers: Array) -> tuple[State, Tally]:
@@ -204,7 +204,8 @@ def _drawing(tasks: tuple[Callable, ...], cells: tuple[int, int]) -> Callable:
             def task(scenario: Scenario, *others: Any) -> RobotTask:
                 return jax.lax.switch(turn, [functools.partial(each, scenario) for each in tasks], *others)
 
-            return reset(dataclasses.replace(scenario, task=task), jax.random.fold_in(jax.random.key(seed), number))
+            key = jax.random.fold_in(jax.random.key(seed), number)
+            return parallel.begin(scenario, policy, reset(dataclasses.replace(scenario, task=task), key))
 
         states = jax.vmap(one)(numbers)
         return states, _empty_tally(scenario, states, cells)
