@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from sean_jax.base import Array, Groups, Nearby, Pedestrians, Robot, Scenario, State
 from sean_jax.geometry import angle_between, length, rotate, sum_vectors, unit
 from sean_jax.social_forces.cohesion import cohesion_forces
-from sean_jax.social_forces.parameters import Parameters
+from sean_jax.social_forces.neighbors import MANY, Neighbors, find, sum_pairs
+from sean_jax.social_forces.parameters import Parameters, felt_within
 from sean_jax.social_forces.repulsion import TINY, contact, sidestep
 from sean_jax.social_forces.walls import distances, keep_out, wall_forces
 
@@ -24,10 +25,10 @@ def move(scenario: Scenario, state: State) -> Pedestrians:
     time_step = scenario.time_step / scenario.substeps
     nearby, radius, companions = scenario.environment.nearby, scenario.robot.radius, scenario.behavior.companions
 
+    near = neighbors(scenario.forces, state.pedestrians, scenario.time_step)
+
     def substep(people: Pedestrians, _):
-        after = advance(
-            scenario.forces, people, nearby, state.groups, state.robot, time_step, radius, companions=companions
-        )
+        after = advance(scenario.forces, people, nearby, state.groups, state.robot, time_step, radius, companions, near)
         return after, None
 
     return jax.lax.scan(substep, state.pedestrians, length=scenario.substeps)[0]
@@ -42,15 +43,18 @@ def advance(
     time_step: float,
     robot_radius: float = 0.0,
     companions: Array | None = None,
+    near: Neighbors | None = None,
 ) -> Pedestrians:
     """People ``time_step`` [s] later; ``nearby`` obstacles, ``groups`` and ``robot`` may be None.
 
-    So may ``companions`` (N, 2) int32, the indices of those that each person walks with, -1 none.
+    So may ``companions`` (N, 2) int32, the indices of those that each person walks with, -1 none; and ``near``, which
+    ``neighbors`` gives for some steps: those of a large crowd are found anew if it is None.
     """
+    near = neighbors(parameters, people, 0.0) if near is None else near
     px, py = people.position[:, 0], people.position[:, 1]
     vx, vy = people.velocity[:, 0], people.velocity[:, 1]
     look_x, look_y = _look(people)
-    fx, fy = pair_forces(parameters, people, look_x, look_y, companions is not None)
+    fx, fy = pair_forces(parameters, people, look_x, look_y, companions is not None, near)
     if robot is not None:
         fx, fy = _add((fx, fy), robot_force(parameters, people, look_x, look_y, robot, robot_radius))
     if groups is not None:
@@ -76,17 +80,32 @@ def advance(
     return replace(people, position=people.position + velocity * time_step, velocity=velocity, heading=heading)
 
 
+def neighbors(parameters: Parameters, people: Pedestrians, time: float) -> Neighbors | None:
+    """Those who feel one another within the next ``time`` [s]; None for a crowd so small that all pairs are quicker."""
+    within = felt_within(parameters)
+    if within is None or people.group.shape[0] < MANY:
+        return None
+    fastest = parameters.speed_ratio * jnp.max(people.preferred_speed)
+    return find(people.position, people.present, within + 2.0 * fastest * time)
+
+
 def pair_forces(
-    parameters: Parameters, people: Pedestrians, look_x: Array, look_y: Array, parties: bool = False
+    parameters: Parameters,
+    people: Pedestrians,
+    look_x: Array,
+    look_y: Array,
+    parties: bool = False,
+    near: Neighbors | None = None,
 ) -> tuple[Array, Array]:
     """(N,) x and y parts [m/s2] of what each person feels from all others: repulsion in sight, sidestep, contact.
 
     Standing members of one group do not push one another: their formation holds them apart (section IV-D). Nor, if
     there are ``parties``, do those who walk in one: cohesion holds them together and apart. Who stands steps aside for
-    nobody.
+    nobody. Of a large crowd those ``near`` one another may be given: pairs of others are left out.
     """
 
-    def pair(px, py, vx, vy, hx, hy, side, group, qx, qy, wx, wy, other_group):
+    def pair(parameters, own, other):
+        (px, py, vx, vy, group, hx, hy, side), (qx, qy, wx, wy, other_group) = own, other
         dx, dy = px - qx, py - qy
         fx, fy = parameters.repulsion(dx, dy, wx, wy, vx, vy, parameters)
         weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
@@ -97,14 +116,16 @@ def pair_forces(
         felt = (other_group > ABSENT) & (dd > 0.0) & (dd < parameters.perception * parameters.perception) & ~together
         return jnp.where(felt, weight * fx + sx + bx, 0.0), jnp.where(felt, weight * fy + sy + by, 0.0)
 
-    one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
     group = people.group
     if parties:
         group = jnp.where((group < 0) & (people.party >= 0), PARTIES + people.party, group)
-    group = jnp.where(people.present, group, ABSENT)
-    own = *one, look_x, look_y, _side(parameters, people), group
-    others = jax.vmap(pair, in_axes=(None,) * 8 + (0,) * 5)
-    return sum_vectors(*jax.vmap(others, in_axes=(0,) * 8 + (None,) * 5)(*own, *one, group), 1)
+    group = jnp.where(people.present, group, ABSENT).astype(jnp.float32)
+    other = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1], group
+    own = *other, look_x, look_y, _side(parameters, people)
+    if near is not None:
+        return sum_pairs(pair, near, parameters, jnp.stack(own), jnp.stack(other))
+    others = jax.vmap(pair, in_axes=(None, None, 0))
+    return sum_vectors(*jax.vmap(others, in_axes=(None, 0, None))(parameters, own, other), 1)
 
 
 def robot_force(

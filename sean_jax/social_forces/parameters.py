@@ -22,6 +22,8 @@ from flax import struct
 from sean_jax.base import Array
 from sean_jax.social_forces.repulsion import circular, elliptical, in_cone, in_front
 
+NEGLIGIBLE = 1e-4  # m/s2, of a push
+
 
 @struct.dataclass
 class Parameters:
@@ -170,6 +172,21 @@ PRESETS: dict[str, Parameters] = {
     "helbing2000": Parameters(**_leaves(**_HELBING_2000), repulsion=circular, sight=in_front),
     "sean2": Parameters(**_leaves(**_SEAN2), repulsion=circular, sight=in_front),
 }
+
+
+def felt_within(parameters: Parameters) -> Array | None:
+    """() m, beyond which nobody is felt by more than 1e-4 m/s2; None if the law is not one of ours.
+
+    A push of the elliptical law decays with b, and the ellipse of that b reaches sqrt(b^2 + (y / 2)^2) + y / 2 from the
+    other person, y being how far they walk in the time of the anticipation.
+    """
+    if parameters.repulsion not in (elliptical, circular):
+        return None
+    b = parameters.reach + parameters.range * jnp.log(jnp.maximum(2.0 * parameters.strength / NEGLIGIBLE, 1.0))
+    y = (1.0 + parameters.own_motion) * parameters.anticipation * parameters.speed_ratio * parameters.speed_greatest
+    pushed = jnp.sqrt(b * b + 0.25 * y * y) + 0.5 * y
+    least = jnp.maximum(parameters.side_range, 2.0 * parameters.radius)
+    return jnp.minimum(parameters.perception, jnp.maximum(pushed, least))
 
 
 def preset(name: str) -> Parameters:

@@ -1,0 +1,133 @@
+"""Neighbors in large crowds: nobody near is missed, and forces and gradients are those of all pairs."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import workload
+
+from sean_jax import social_forces
+from sean_jax.social_forces import model, neighbors
+from sean_jax.social_forces.parameters import felt_within
+
+NUMBER = 300  # enough that neighbors are looked for
+find = jax.jit(neighbors.find)
+
+
+def places(kind: str) -> np.ndarray:
+    """(N, 2) m."""
+    random = np.random.default_rng(3)
+    spread = random.uniform(-30.0, 30.0, (NUMBER, 2))
+    if kind == "one spot":
+        return np.full((NUMBER, 2), 4.0)
+    if kind == "a line":
+        return spread * [1.0, 0.0]
+    if kind == "a column":
+        return spread * [0.0, 1.0]
+    if kind == "a throng":
+        return np.where(np.arange(NUMBER)[:, None] < 200, 0.05 * spread, spread)
+    return spread
+
+
+def crowd(density: float = 0.3):
+    """People on their way through a square hall, every seventh of them absent and far away."""
+    people = workload.crowd(NUMBER, 0)[0]
+    present = jnp.arange(NUMBER) % 7 != 0
+    position = people.position * float(np.sqrt(workload.DENSITY / density))
+    return replace(people, position=jnp.where(present[:, None], position, 1e7), present=present)
+
+
+@pytest.mark.parametrize("kind", ["anywhere", "one spot", "a line", "a column", "a throng"])
+@pytest.mark.parametrize("within", [0.5, 7.0, 1e6])
+def test_nobody_near_is_missed(kind, within):
+    position = places(kind).astype(np.float32)
+    present = np.arange(NUMBER) % 5 != 0
+    near = find(jnp.asarray(np.where(present[:, None], position, 1e8)), jnp.asarray(present), jnp.float32(within))
+    order, first, last = np.asarray(near.order), np.asarray(near.first), np.asarray(near.last)
+    np.testing.assert_array_equal(np.sort(order), np.arange(NUMBER))
+    np.testing.assert_array_equal(order[np.asarray(near.place)], np.arange(NUMBER))
+    index = np.arange(NUMBER)[None, None, :]
+    found = ((index >= first[:, :, None]) & (index < last[:, :, None])).sum(1)
+    assert found[present[order]].max() == 1, "somebody is in two runs"
+    sorted_position = position[order].astype(np.float64)
+    apart = np.linalg.norm(sorted_position[:, None] - sorted_position[None], axis=-1)
+    wanted = (apart <= within) & present[order][:, None] & present[order][None]
+    assert (found[wanted] == 1).all()
+    if kind == "anywhere" and within == 7.0:
+        assert found.sum() < 0.4 * NUMBER**2
+
+
+@pytest.mark.parametrize(
+    "preset",
+    [
+        "helbing1995",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in social_forces.PRESETS if name != "helbing1995"),
+    ],
+)
+def test_forces_and_gradients_are_those_of_all_pairs(preset):
+    parameters, people = social_forces.preset(preset), crowd()
+    present = np.asarray(people.present)
+
+    def forces(parameters, people, few: bool):
+        near = model.neighbors(parameters, people, 0.1) if few else None
+        assert (near is not None) == few
+        x, y = model.pair_forces(parameters, people, *model._look(people), near=near)
+        return jnp.where(people.present, x, 0.0), jnp.where(people.present, y, 0.0)
+
+    def loss(parameters, position, velocity, few: bool):
+        x, y = forces(parameters, replace(people, position=position, velocity=velocity), few)
+        return jnp.sum(jnp.sin(x)) + jnp.sum(jnp.cos(2.0 * y))
+
+    both = jax.jit(lambda p, people: (forces(p, people, True), forces(p, people, False)))
+    for one, other in zip(*both(parameters, people), strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-3, rtol=1e-5)  # of 300 that push by less than 1e-4 m/s2 each
+    assert np.abs(other).max() > 0.01
+    grads = [jax.jit(jax.grad(lambda *a, few=few: loss(*a, few), (0, 1, 2))) for few in (True, False)]
+    ours, exact = (grad(parameters, people.position, people.velocity) for grad in grads)
+    for one, other in zip(ours[1:], exact[1:], strict=True):
+        size = 1e-3 + np.linalg.norm(other[present])
+        assert np.linalg.norm(np.asarray(one - other)[present]) < 2e-3 * size
+    for one, other in zip(jax.tree.leaves(ours[0]), jax.tree.leaves(exact[0]), strict=True):
+        np.testing.assert_allclose(one, other, rtol=2e-2, atol=2e-2)
+
+
+def test_who_is_farther_than_felt_pushes_by_less_than_said():
+    for name in social_forces.PRESETS:
+        parameters = social_forces.preset(name)
+        reach = float(felt_within(parameters))
+        angle = np.linspace(0.0, 2 * np.pi, 73, dtype=np.float32)
+        top = float(parameters.speed_ratio * parameters.speed_greatest)
+        dx = jnp.full(73, min(reach, 1e3) * 1.001, jnp.float32)
+        wx, wy = jnp.asarray(top * np.cos(angle)), jnp.asarray(top * np.sin(angle))
+        push = jax.vmap(parameters.repulsion, (0, 0, 0, 0, 0, 0, None))
+        x, y = push(dx, jnp.zeros_like(dx), wx, wy, -wx, -wy, parameters)
+        assert float(jnp.max(jnp.hypot(x, y))) < 1.5e-4 or reach == float(parameters.perception)
+
+
+def test_neighbors_hold_for_all_steps_between_two_looks():
+    """Everybody runs to the middle at top speed for the time given; those found before include all who are felt."""
+    parameters, people = social_forces.preset("sean2"), crowd(1.0)
+    time = 1.0
+    near = model.neighbors(parameters, people, time)
+    heading = -people.position / jnp.linalg.norm(people.position, axis=1, keepdims=True)
+    step = parameters.speed_ratio * people.preferred_speed[:, None] * time
+    moved = replace(people, position=people.position + heading * step)
+    here = np.asarray(people.present)
+    old = model.pair_forces(parameters, moved, *model._look(moved), near=near)
+    exact = model.pair_forces(parameters, moved, *model._look(moved))
+    for one, other in zip(old, exact, strict=True):
+        np.testing.assert_allclose(np.asarray(one)[here], np.asarray(other)[here], rtol=1e-4, atol=1e-3)
+
+
+def test_a_batch_is_its_crowds_and_a_law_of_ones_own_sees_all():
+    parameters, people = social_forces.preset("helbing1995"), crowd()
+    two = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf[::-1]]), people)
+    advance = jax.jit(jax.vmap(lambda people: social_forces.advance(parameters, people, None, None, None, 0.05)))
+    after = advance(two)
+    here = np.asarray(people.present)
+    np.testing.assert_allclose(after.velocity[0][here], after.velocity[1][::-1][here], atol=1e-4)
+    own = replace(parameters, repulsion=lambda *arguments: parameters.repulsion(*arguments))
+    assert model.neighbors(own, people, 0.1) is None
+    assert model.neighbors(parameters, jax.tree.map(lambda leaf: leaf[:62], people), 0.1) is None
