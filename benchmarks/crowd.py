@@ -7,64 +7,21 @@ python benchmarks/crowd.py --sizes 8192x62        any B x N
 import argparse
 import resource
 import time
-from dataclasses import replace
 
 import crowd_loop
 import jax
-import jax.numpy as jnp
 import numpy as np
-import workload
 
 from sean_jax import social_forces
+from sean_jax.bench import programs, timing, workload
 
 STEP = 0.05  # s
 
 
-def timed(call, repeats: int = 5) -> float:
-    """Median wall seconds of a call that has run once before."""
-    spent = []
-    for _ in range(repeats):
-        begun = time.perf_counter()
-        jax.block_until_ready(call())
-        spent.append(time.perf_counter() - begun)
-    return float(np.median(spent))
-
-
-def batch_of(people, size: int):
-    """The crowd repeated ``size`` times, each copy's velocities turned a little so that no two are alike."""
-    angle = jnp.linspace(0.0, 0.3, size, dtype=jnp.float32)
-    cosine, sine = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
-    many = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size, *leaf.shape)), people)
-    vx, vy = many.velocity[..., 0], many.velocity[..., 1]
-    return replace(many, velocity=jnp.stack([cosine * vx - sine * vy, sine * vx + cosine * vy], -1))
-
-
 def measure(batch: int, people: int, walls: int, preset: str) -> dict:
     """Speed, compile time and peak temporary memory of one size."""
-    parameters = social_forces.preset(preset)
-    crowd, nearby, _ = workload.crowd(people, walls)
-    steps = int(np.clip(4e8 / (batch * people * (people + walls)), 50, 1000))  # fewer would time the dispatch
-
-    def run(many):
-        def step(carry, _):
-            one = lambda p: social_forces.advance(parameters, p, nearby, None, None, STEP)  # noqa: E731
-            return jax.vmap(one)(carry), None
-
-        return jax.lax.scan(step, many, length=steps)[0]
-
-    many = batch_of(crowd, batch)
-    begun = time.perf_counter()
-    compiled = jax.jit(run).lower(many).compile()
-    compile_seconds = time.perf_counter() - begun
-    jax.block_until_ready(compiled(many))
-    seconds = timed(lambda: compiled(many))
-    memory = compiled.memory_analysis()
-    return dict(
-        rate=batch * people * steps / seconds,
-        microseconds=1e6 * seconds / steps,
-        compile=compile_seconds,
-        temporary=getattr(memory, "temp_size_in_bytes", 0) / 2**20,
-    )
+    turns = int(np.clip(4e8 / (batch * people * (min(people, 100) + walls)), 50, 1000))  # fewer would time the dispatch
+    return timing.measure(programs.crowd(people, batch, turns, walls, preset), 5, 0.1)
 
 
 def loop(people: int, walls: int, preset: str, steps: int = 2) -> float:
@@ -110,18 +67,19 @@ def main() -> None:
     chosen = arguments.parse_args()
     print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, step {STEP} s")
     print(f"{'preset':>13} {'B':>6} {'N':>6} {'walls':>5} {'agent-steps/s':>14} {'us/step':>10} "
-          f"{'compile s':>9} {'temp MiB':>9} {'loop /s':>9} {'error 1':>9} {'error 20':>9}")  # fmt: skip
+          f"{'compile s':>9} {'MiB':>9} {'loop /s':>9} {'error 1':>9} {'error 20':>9}")  # fmt: skip
     for preset in chosen.presets:
         for size in chosen.sizes:
             batch, people = (int(part) for part in size.split("x"))
             for walls in chosen.walls:
                 row = measure(batch, people, walls, preset)
                 extra = f"{'-':>9} {'-':>9} {'-':>9}"
-                if not chosen.no_loop and batch == 1:
+                if not chosen.no_loop and batch == 1 and people <= 1000:
                     twenty = f"{errors(people, walls, preset, 20):9.1e}" if people <= 100 else f"{'-':>9}"
                     extra = f"{loop(people, walls, preset):9.3g} {errors(people, walls, preset, 1):9.1e} {twenty}"
-                print(f"{preset:>13} {batch:6d} {people:6d} {walls:5d} {row['rate']:14.3g} {row['microseconds']:10.1f} "
-                      f"{row['compile']:9.2f} {row['temporary']:9.1f} {extra}", flush=True)  # fmt: skip
+                each = f"{row['per_second']:14.3g} {row['microseconds']:10.1f} {row['compile_seconds']:9.2f}"
+                mib = row["bytes"] / 2**20
+                print(f"{preset:>13} {batch:6d} {people:6d} {walls:5d} {each} {mib:9.1f} {extra}", flush=True)
     print(f"peak resident memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
 
 

@@ -1,4 +1,4 @@
-"""The command line: ``sean run``, ``sean draw``, ``sean import-map``, ``sean list``.
+"""The command line: ``sean run``, ``sean draw``, ``sean import-map``, ``sean bench``, ``sean list``.
 
 Nothing heavy is imported before a command is chosen, so that ``sean --help`` answers at once.
 """
@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from sean_jax.bench import Options as Bench
 from sean_jax.main_job.options import BadInput, Options
 
 WRONG, FAILED, STOPPED = 2, 1, 130  # exit codes: bad input, a broken simulation, Ctrl-C
@@ -73,6 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _import_map(command)
         if isinstance(command, Draw):
             return _draw(command)
+        if isinstance(command, Bench):
+            return _bench(command)
         return _run(command)
     except BadInput as error:
         return _fail(str(error), WRONG)
@@ -96,11 +99,12 @@ def cache_compilations() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 
-def _parse(arguments: list[str]) -> Options | Draw | ImportMap | List:
+def _parse(arguments: list[str]) -> Options | Draw | ImportMap | Bench | List:
     commands = (
         Annotated[Options, tyro.conf.subcommand("run", default=Options())]
         | Annotated[Draw, tyro.conf.subcommand("draw", default=Draw())]
         | Annotated[ImportMap, tyro.conf.subcommand("import-map")]
+        | Annotated[Bench, tyro.conf.subcommand("bench", default=Bench())]
         | Annotated[List, tyro.conf.subcommand("list", default=List())]
     )
     return tyro.cli(
@@ -145,6 +149,17 @@ def _draw(command: Draw) -> int:
         except ValueError as error:
             return _fail(str(error), WRONG)
         print(file)
+    return 0
+
+
+def _bench(options: Bench) -> int:
+    from rich.console import Console
+
+    from sean_jax import bench
+
+    console = Console(quiet=options.quiet)
+    folder = bench.run(options, console)
+    console.print(f"picture: [bold]{folder / 'bench.png'}[/]", highlight=False, soft_wrap=True)
     return 0
 
 

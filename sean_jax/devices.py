@@ -52,11 +52,16 @@ def spread(over: Mesh, function: Callable, donate: bool = False) -> Callable:
         donate: the memory of all but the first is used for the results, as in ``states = step(scenario, states)``.
     """
 
+    run = jitted(over, function, donate)
+    return lambda fixed, *others: run(fixed, others)
+
+
+def jitted(over: Mesh, function: Callable, donate: bool = False) -> Any:
+    """As ``spread``, but called with all but the first argument in a tuple: what can be lowered and compiled ahead."""
     split, whole = NamedSharding(over, PartitionSpec(AXIS)), NamedSharding(over, PartitionSpec())
 
     def on_all(fixed: Any, others: tuple) -> Any:
         return jax.vmap(function, (None, *(0 for _ in others)))(fixed, *others)
 
     given = (1,) if donate else ()
-    run = jax.jit(on_all, in_shardings=(whole, split), out_shardings=split, donate_argnums=given)
-    return lambda fixed, *others: run(fixed, others)
+    return jax.jit(on_all, in_shardings=(whole, split), out_shardings=split, donate_argnums=given)

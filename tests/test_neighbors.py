@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import workload
 
 from sean_jax import social_forces
+from sean_jax.bench import workload
 from sean_jax.social_forces import model, neighbors
 from sean_jax.social_forces.parameters import felt_within
 

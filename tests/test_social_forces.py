@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import workload
 from crowd import exact
 from scipy import stats
 
 from sean_jax import social_forces
 from sean_jax.base import Groups, Nearby, Obstacles, Pedestrians, Robot
+from sean_jax.bench import workload
 from sean_jax.nearby import tabulate
 from sean_jax.social_forces import repulsion
 from sean_jax.social_forces.model import group_forces, move, pair_forces, robot_force

@@ -1,9 +1,13 @@
 """The crowd that benchmarks and tests share: people on a jittered grid who cross a square hall with shelves."""
 
+from dataclasses import replace
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from sean_jax.base import Nearby, Obstacles, Pedestrians
+from sean_jax.geometry import rotate
 from sean_jax.nearby import tabulate
 
 DENSITY = 0.1  # people per m2
@@ -70,3 +74,11 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Nearby |
     half = side(people) / 2 + 1.0
     floor = jnp.asarray([-half, -half, half, half], jnp.float32)
     return pedestrians, tabulate(obstacles, floor) if walls else None, exact
+
+
+def repeat(people: Pedestrians, size: int) -> Pedestrians:
+    """The crowd ``size`` times, each copy's velocities turned a little so that no two are alike."""
+    angle = jnp.linspace(0.0, 0.3, size, dtype=jnp.float32)[:, None]
+    many = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size, *leaf.shape)), people)
+    vx, vy = rotate(many.velocity[..., 0], many.velocity[..., 1], jnp.cos(angle), jnp.sin(angle))
+    return replace(many, velocity=jnp.stack([vx, vy], -1))

@@ -1,0 +1,170 @@
+"""Other crowd simulators beside this one: the same people, walls and steps, in one run; agent-steps per core-second.
+
+pip install -e ".[peers]"
+python benchmarks/peers.py                                   all that are installed, 62 and 1000 people
+python benchmarks/peers.py --people 62 --driver my_peer.py   one of your own as well (see peer_drivers.py)
+
+A hall as in ``workload.py``, open or with an outer wall and eight shelves; discs of 0.3 m, steps of 0.01 s. A
+core-second is what one core computes in a second: what a program gains by many cores does not count, nor what others on
+the machine take. This project's crowds are ``helbing1995``, B at once; large ones look for neighbors every ten steps.
+"""
+
+import argparse
+import dataclasses
+import importlib.util
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import numpy as np
+import peer_drivers
+
+from sean_jax import social_forces
+from sean_jax.bench import workload
+from sean_jax.social_forces import model
+
+STEP = 0.01  # s
+RADIUS = 0.3  # m
+SHELVES = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class Hall:
+    """What every simulator is given."""
+
+    starts: np.ndarray  # (N, 2) m
+    goals: np.ndarray  # (N, 2) m
+    speeds: np.ndarray  # (N,) m/s
+    half: float  # m, half the side of the outer walls
+    rings: list  # of each shelf four corners, (x, y) m; none in the open
+    radius: float = RADIUS
+    time_step: float = STEP
+
+    @property
+    def outline(self) -> list:
+        """Four corners of the outer walls."""
+        return [(-self.half, -self.half), (self.half, -self.half), (self.half, self.half), (-self.half, self.half)]
+
+    @property
+    def segments(self) -> list:
+        """All walls as pairs of points; none in the open."""
+        rings = [self.outline, *self.rings] if self.rings else []
+        return [(ring[k], ring[(k + 1) % 4]) for ring in rings for k in range(4)]
+
+
+def hall(people: int, walls: bool) -> Hall:
+    """The hall of that many people."""
+    center, half, yaw = workload.boxes(people, 4 + SHELVES)
+    exact = workload.crowd(people, 4 + SHELVES)[2]
+    corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    rings = []
+    for c, h, a in zip(center[4:], half[4:], yaw[4:], strict=True):
+        turn = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
+        rings.append([tuple(c + (h * sign) @ turn) for sign in corner])
+    goals = -exact["x"]
+    reach = np.sqrt((half[4:] ** 2).sum(-1)) + 0.5
+    for _ in range(100):  # goals inside a shelf move to the middle until they are free
+        inside = (np.linalg.norm(goals[:, None] - center[None, 4:], axis=-1) < reach[None]).any(1)
+        goals = np.where(inside[:, None], 0.95 * goals, goals)
+    return Hall(exact["x"], goals, exact["preferred"], workload.side(people) / 2 + 1.0, rings if walls else [])
+
+
+def ours(people: int, walls: bool, batch: int, steps: int) -> Callable[[], Callable[[int], None]]:
+    """This project's crowd; ``advance`` does ``steps`` steps, a multiple of ten."""
+    parameters = dataclasses.replace(social_forces.preset("helbing1995"), radius=jax.numpy.float32(RADIUS))
+    many, nearby, _ = workload.crowd(people, 4 + SHELVES)
+    many = workload.repeat(many, batch)
+
+    def ten(people):
+        near = model.neighbors(parameters, people, 10 * STEP)
+
+        def one(people, _):
+            walls_near = nearby if walls else None
+            return social_forces.advance(parameters, people, walls_near, None, None, STEP, near=near), None
+
+        return jax.lax.scan(one, people, length=10)[0]
+
+    run = jax.jit(lambda many: jax.lax.scan(lambda c, _: (jax.vmap(ten)(c), None), many, length=steps // 10)[0])
+    return lambda: lambda _: jax.block_until_ready(run(many))
+
+
+def rate(begin: Callable, agents: int, steps: int, repeats: int) -> float:
+    """Best agent-steps per core-second."""
+    begin()(steps)
+    best = 0.0
+    for _ in range(repeats):
+        advance = begin()
+        before = time.process_time()
+        advance(steps)
+        best = max(best, agents * steps / max(time.process_time() - before, 1e-9))
+    return best
+
+
+def enough(begin: Callable, seconds: float) -> int:
+    """How many steps take about that long."""
+    steps = 1
+    while True:
+        advance = begin()
+        before = time.perf_counter()
+        advance(steps)
+        spent = time.perf_counter() - before
+        if spent > 0.3 * seconds or steps >= 4096:
+            return max(1, min(4096, int(steps * seconds / max(spent, 1e-9))))
+        steps *= 4
+
+
+def installed(files: list[str]) -> dict[str, Callable]:
+    """Drivers of the packages that can be imported, and those of the files."""
+    found = {name: driver for name, driver in peer_drivers.DRIVERS.items() if importlib.util.find_spec(name)}
+    for file in files:
+        spec = importlib.util.spec_from_file_location(Path(file).stem, file)
+        if spec is None or spec.loader is None or not Path(file).is_file():
+            raise SystemExit(f"--driver: {file} is no Python file; give one with a function named driver.")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        found[Path(file).stem] = module.driver
+    return found
+
+
+def main() -> None:
+    """Print the table."""
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--people", nargs="+", type=int, default=[62, 1000])
+    arguments.add_argument("--batches", nargs="+", type=int, default=[1, 256], help="of this project's crowds")
+    arguments.add_argument("--driver", nargs="*", default=[], metavar="FILE", help="a peer of your own")
+    arguments.add_argument("--repeats", type=int, default=5)
+    arguments.add_argument("--seconds", type=float, default=1.0, help="for each repeat")
+    arguments.add_argument("--json", type=Path, default=None, help="file to write the figures to")
+    chosen = arguments.parse_args()
+    peers, rows = installed(chosen.driver), []
+    print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}; peers: {', '.join(peers) or 'none installed'}")
+    print(f"{'hall':>6} {'N':>6}  {'simulator':<22} {'agent-steps per core-second':>28} {'ours are faster by':>19}")
+    for walls in (False, True):
+        for people in chosen.people:
+            scene, measured = "walls" if walls else "open", {}
+            for batch in chosen.batches:
+                if batch * people > 20_000:
+                    continue
+                steps = 10 * int(np.clip(2e4 / (batch * people), 1, 100))
+                measured[f"sean_jax, B = {batch}"] = rate(
+                    ours(people, walls, batch, steps), batch * people, steps, chosen.repeats
+                )
+            best = max(measured.values())
+            for name, driver in peers.items():
+                try:
+                    begin, _ = driver(hall(people, walls))
+                    measured[name] = rate(begin, people, enough(begin, chosen.seconds), chosen.repeats)
+                except Exception as error:  # a peer that breaks shall not hide the others
+                    print(f"{scene:>6} {people:6d}  {name:<22} failed: {str(error)[:80]}")
+            for name, value in measured.items():
+                share = "" if name.startswith("sean_jax") else f"{best / value:18.1f}x"
+                print(f"{scene:>6} {people:6d}  {name:<22} {value:28.3g} {share}", flush=True)
+                rows.append(dict(hall=scene, people=people, simulator=name, rate=value))
+    if chosen.json:
+        chosen.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,92 @@
+"""``sean bench``: the speed of everything on this machine, as a table, as JSON and as a picture.
+
+Importing this imports no JAX: the command line must answer at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sean_jax.bench.options import PARTS, Options
+from sean_jax.main_job.options import BadInput
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["PARTS", "BadInput", "Options", "run"]
+
+
+def run(options: Options, console: Console) -> Path:
+    """Measure what the options name; the folder written, which has table.txt, bench.json and bench.png.
+
+    After Ctrl-C what was measured until then is written; KeyboardInterrupt is raised if there is nothing. Raises
+    BadInput for options that cannot be met.
+    """
+    options.check()
+    from sean_jax.main_job.output import unfinished, write_json
+
+    target = options.folder()
+    with unfinished(target) as folder:
+        with console.status("importing JAX and preparing the scenario"):
+            from sean_jax.bench import page, parts
+
+            scenario, about = _prepare(options)
+        rows: list[Any] = []
+        _print(console, page.title(about), page.HEAD)
+        try:
+            for part in options.parts:
+                with console.status(f"compiling and timing: {part}"):
+                    for row in parts.MEASURES[part](options, scenario):
+                        rows.append(row)
+                        _print(console, page.line(row))
+        except KeyboardInterrupt:
+            if not rows:
+                raise
+            _print(console, "stopped; what was measured until then is written.")
+        notes = page.notes(rows, about)
+        _print(console, *notes)
+        lines = [page.title(about), page.HEAD, *(page.line(row) for row in rows), *notes]
+        (folder / "table.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        found = {**about, "rows": [_finite(dataclasses.asdict(row)) for row in rows]}
+        write_json(folder / "bench.json", found)
+        page.picture(rows, about).savefig(folder / "bench.png", dpi=150)
+    return target
+
+
+def _prepare(options: Options) -> tuple[Any, dict[str, Any]]:
+    """The scenario, and on what it is measured."""
+    import jax
+
+    from sean_jax.assembly import make
+    from sean_jax.bench import page
+    from sean_jax.main_job.output import versions
+
+    try:
+        scenario = make(options.environment, people=options.people, robot=options.robot, dynamics=options.dynamics)
+    except ValueError as error:
+        raise BadInput(str(error)) from error
+    about = {
+        "device": jax.devices()[0].device_kind,
+        "devices": jax.device_count(),
+        "memory": page.memory(),
+        "environment": options.environment,
+        "people": scenario.people,
+        "robot": options.robot,
+        "dynamics": options.dynamics,
+        "time_step": scenario.time_step,
+        "crowd_steps": scenario.substeps,
+        "versions": versions(),
+    }
+    return scenario, about
+
+
+def _print(console: Console, *lines: str) -> None:
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _finite(row: dict[str, Any]) -> dict[str, Any]:
+    """JSON has no NaN."""
+    return {name: None if value != value else value for name, value in row.items()}
