@@ -1,5 +1,6 @@
 """The benchmark programs run, at toy size, and print the table that they promise."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -43,6 +44,36 @@ def test_sensors():
     lines = run("benchmarks/sensors.py", "--batches", "2", "--people", "8", "--sizes", "8x6", "--repeats", "1")
     assert [line[:22].strip() for line in lines[2:]] == ["depth 8x6", "first_person 8x6", "overhead 8x6", "lidar 360"]
     assert all(float(line[22:].split()[2]) > 0 for line in lines[2:])
+
+
+@pytest.mark.slow
+def test_peers(tmp_path):
+    """The project's rows, and those of a peer that a path names; ratios are of the two."""
+    peer = tmp_path / "slowpoke.py"
+    peer.write_text(
+        "def driver(hall):\n"
+        "    assert len(hall.starts) == len(hall.goals) == 12 and len(hall.segments) in (0, 36)\n"
+        "    return lambda: lambda steps: sum(range(20000 * steps)), 'counts'\n"
+    )
+    arguments = "--people", "12", "--batches", "1", "2", "--repeats", "1", "--seconds", "0.05", "--driver", str(peer)
+    rows = [line.split() for line in run("benchmarks/peers.py", *arguments)[2:]]
+    assert [row[0] for row in rows if "slowpoke" in row] == ["open", "walls"]
+    best = {hall: max(float(r[6]) for r in rows if r[0] == hall and r[2] == "sean_jax,") for hall in ("open", "walls")}
+    for row in rows:
+        if "slowpoke" in row:
+            assert float(row[4].rstrip("x")) == pytest.approx(best[row[0]] / float(row[3]), rel=0.02)
+
+
+@pytest.mark.slow
+def test_floors(tmp_path):
+    rows = {line[:26].strip(): line[26:].split() for line in run("benchmarks/floors.py", "--people", "14")[1:]}
+    assert len(rows) == 6 and all(float(row[0]) > float(row[1]) > 0 for row in rows.values())
+    step, image, both = (float(rows[name][0]) for name in list(rows)[:3])
+    assert both == pytest.approx(step + image)
+    ours = tmp_path / "bench.json"
+    ours.write_text(json.dumps({"rows": [{"part": "step", "devices": 1, "people": 14, "per_second": 100.0}]}))
+    (first, *_) = run("benchmarks/floors.py", "--people", "14", "--simple", "1e9", "--measured", str(ours))[1:]
+    assert float(first.split()[-1].rstrip("%")) == pytest.approx(100 * 100.0 * step / 1e9, rel=0.1)
 
 
 @pytest.mark.slow
