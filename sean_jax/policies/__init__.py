@@ -3,7 +3,9 @@
 from sean_jax.base import Policy
 from sean_jax.policies.expert import expert
 from sean_jax.policies.go_to_goal import go_to_goal
+from sean_jax.policies.orca import orca
+from sean_jax.policies.social_costmap import social_costmap
 
-POLICIES: dict[str, Policy] = {"go_to_goal": go_to_goal, "expert": expert}
+POLICIES: dict[str, Policy] = {"go_to_goal": go_to_goal, "social_costmap": social_costmap, "orca": orca, "expert": expert}
 
-__all__ = ["POLICIES", "expert", "go_to_goal"]
+__all__ = ["POLICIES", "expert", "go_to_goal", "orca", "social_costmap"]
