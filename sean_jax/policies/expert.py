@@ -79,8 +79,7 @@ def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple
     most = limits(scenario)
     last = _later(state.driver.knots, scenario.time_step)
     moved = _moved(scenario, state, last[None], most)
-    people = nearest_people(state, PEOPLE)
-    people = predict(scenario, state, people, *(part[:, 0] for part in moved[:4]), STEP)
+    people = predict(scenario, nearest_people(state, PEOPLE), state.groups, STEPS, STEP)
     here = state.robot.position
     spots = [jnp.append(here[axis], moved[axis][STEPS // 4 - 1 :: STEPS // 4, 0]) for axis in (0, 1)]
     outlook = look(scenario, state, state.driver.follows, *spots)

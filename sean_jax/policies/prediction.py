@@ -1,11 +1,9 @@
 """Where people near the robot will be: the project's own social forces, run ahead of time (section IV-D)."""
 
-from dataclasses import replace
-
 import jax
 import jax.numpy as jnp
 
-from sean_jax.base import Array, Pedestrians, Scenario, State
+from sean_jax.base import Array, Groups, Pedestrians, Scenario, State
 from sean_jax.social_forces import advance
 
 UNSEEN = 1e3  # m, how far away who is absent counts as being
@@ -20,28 +18,18 @@ def nearest_people(state: State, count: int) -> Pedestrians:
     return jax.tree.map(lambda part: part[index], people)
 
 
-def predict(
-    scenario: Scenario, state: State, people: Pedestrians, x: Array, y: Array, yaw: Array, speed: Array, time_step: float
-) -> tuple[Array, Array, Array, Array]:
+def predict(scenario: Scenario, people: Pedestrians, groups: Groups, steps: int, time_step: float) -> tuple[Array, ...]:
     """Positions x, y [m] and velocities x, y [m/s] of the people (K), each (T, K), after each ``time_step`` [s].
 
-    They want to go where they want to go now, heed one another, obstacles and groups, and give way to a robot that
-    drives through the places x, y (T,) [m] with that yaw (T,) [rad] and speed (T,) [m/s]. Who is absent is far away.
+    They want to go where they want to go now, and heed one another, obstacles and groups, but not the robot: who counts
+    on others to give way pushes them. Who is absent is far away.
     """
-    forces, nearby, groups = scenario.forces, scenario.environment.nearby, state.groups
+    forces, nearby = scenario.forces, scenario.environment.nearby
 
-    def one(people: Pedestrians, robot: tuple) -> tuple[Pedestrians, tuple]:
-        px, py, angle, ahead = robot
-        there = replace(
-            state.robot,
-            position=jnp.stack([px, py]),
-            heading=jnp.stack([jnp.cos(angle), jnp.sin(angle)]),
-            speed=ahead,
-        )
-        after = advance(forces, people, nearby, groups, there, time_step, scenario.robot.radius)
+    def one(people: Pedestrians, _) -> tuple[Pedestrians, tuple]:
+        after = advance(forces, people, nearby, groups, None, time_step)
         return after, (*after.position.T, *after.velocity.T)
 
-    _, (px, py, vx, vy) = jax.lax.scan(one, people, (x, y, yaw, speed))
+    _, (px, py, vx, vy) = jax.lax.scan(one, people, length=steps)
     here = people.present[None, :]
     return jnp.where(here, px, UNSEEN), jnp.where(here, py, UNSEEN), vx, vy
-
