@@ -1,7 +1,10 @@
 """Drivers: each alone in a room, with somebody in its way and among walkers; their parts against independent oracles."""
 
 import dataclasses
+import functools
 import inspect
+import types
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -81,26 +84,46 @@ def staged(state, scene):
     return dataclasses.replace(state, pedestrians=people)
 
 
-@pytest.fixture(scope="module", params=POLICIES)
-def driven(request, room):
-    """Driver, its one compiled command, first states, and what became of all scenes."""
+@pytest.fixture(scope="module")
+def simulated(room):
+    """A function: name of a driver -> first states and what became of all scenes; each is simulated once."""
     scenario, states = room
-    policy = POLICIES[request.param]
-    traced = []
 
-    def command(state, here, people):
-        traced.append(1)
+    @functools.cache
+    def run(name):
+        def one(state):
+            state = parallel.begin(scenario, POLICIES[name], state)
+            return state, parallel.simulate(scenario, POLICIES[name], state, STEPS)[1]
+
+        return jax.jit(jax.vmap(one))(states)
+
+    return run
+
+
+@pytest.fixture(scope="module", params=POLICIES)
+def driven(request, room, simulated):
+    """The name of a driver, the scenario, first states, and what became of them."""
+    return request.param, room[0], *simulated(request.param)
+
+
+def command_of(scenario, name, traced):
+    """A function: places of the robot and of people, state -> sum of the command, and the command (2,)."""
+    policy = POLICIES[name]
+
+    def command(places, state):
+        traced.append(name)
+        here, people = places
         state = state.replace(
             robot=state.robot.replace(position=here), pedestrians=state.pedestrians.replace(position=people)
         )
         key = jax.random.fold_in(jax.random.fold_in(state.key, parallel.POLICY_STREAM), state.tick)
         if isinstance(policy, Driver):
-            return policy.drive(scenario, policy.data, state, key)[0]
-        return policy(scenario, state, key)
+            action = policy.drive(scenario, policy.data, state, key)[0]
+        else:
+            action = policy(scenario, state, key)
+        return action.sum(), action
 
-    states = jax.jit(jax.vmap(lambda state: parallel.begin(scenario, policy, state)))(states)
-    _, frames = jax.jit(jax.vmap(lambda state: parallel.simulate(scenario, policy, state, STEPS)))(states)
-    return request.param, scenario, states, frames, jax.jit(command), traced, command
+    return command
 
 
 def gaps(frames):
@@ -109,7 +132,7 @@ def gaps(frames):
 
 
 def test_reaches_its_goal_and_stays(driven):
-    name, _, _, frames, *_ = driven
+    _, _, _, frames = driven
     away = np.linalg.norm(np.asarray(frames.position) - GOAL, axis=-1)
     assert (away[0, -20:] < 0.4).all(), away[0, -1]
     assert np.abs(np.diff(np.asarray(frames.position)[0, -20:], axis=0)).max() < 0.01
@@ -117,12 +140,12 @@ def test_reaches_its_goal_and_stays(driven):
 
 
 def test_touches_nobody_who_stands_in_its_way(driven):
-    _, scenario, _, frames, *_ = driven
+    _, scenario, _, frames = driven
     assert gaps(frames)[1:3].min() > scenario.robot.radius + float(scenario.forces.radius) + 0.02
 
 
 def test_commands_are_finite_and_within_the_limits(driven):
-    _, scenario, _, frames, *_ = driven
+    _, scenario, _, frames = driven
     actions = np.asarray(frames.action)
     assert np.isfinite(actions).all()
     assert np.abs(actions[..., 0]).max() <= float(scenario.robot.max_speed) + 1e-5
@@ -130,35 +153,36 @@ def test_commands_are_finite_and_within_the_limits(driven):
 
 
 def test_one_by_one_equals_all_at_once_and_is_traced_once(driven):
-    _, _, states, frames, command, traced, _ = driven
-    first = [jax.tree.map(lambda leaf: leaf[i], states) for i in range(len(SCENES))]  # noqa: B023
-    alone = [command(state, state.robot.position, state.pedestrians.position) for state in first]
-    np.testing.assert_allclose(np.stack(alone), np.asarray(frames.action)[:, 0], atol=2e-4)
-    assert len(traced) == 1
-
-
-def test_gradients_of_the_command_are_finite(driven):
-    _, _, states, _, _, _, command = driven
-    slope = jax.jit(jax.grad(lambda *given: command(*given).sum(), argnums=(1, 2)))
-    for scene in (1, 4):
+    name, scenario, states, frames = driven
+    traced = []
+    command = jax.jit(command_of(scenario, name, traced))
+    for scene in range(len(SCENES)):
         state = jax.tree.map(lambda leaf: leaf[scene], states)  # noqa: B023
-        on_somebody = state.pedestrians.position.at[0].set(state.robot.position)
-        for people in (state.pedestrians.position, on_somebody):
-            assert all(np.isfinite(part).all() for part in slope(state, state.robot.position, people))
+        _, action = command((state.robot.position, state.pedestrians.position), state)
+        np.testing.assert_allclose(action, np.asarray(frames.action)[scene, 0], atol=2e-4)
+    assert traced == [name]
 
 
-def test_the_expert_is_more_polite_than_go_to_goal(room):
-    """People who mind nobody: it comes nearer than 0.45 m to fewer of them, and arrives as well."""
-    scenario, states = room
-    close, away = {}, {}
-    for name in ("go_to_goal", "expert"):
-        begin = jax.jit(jax.vmap(lambda state, policy=POLICIES[name]: parallel.begin(scenario, policy, state)))(states)
-        run = jax.jit(jax.vmap(lambda state, policy=POLICIES[name]: parallel.simulate(scenario, policy, state, STEPS)))
-        frames = run(begin)[1]
-        close[name] = (gaps(frames) < 0.45).any((1, 2))
-        away[name] = np.linalg.norm(np.asarray(frames.position)[:, -1] - GOAL, axis=-1)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in ("orca", "expert") else []) for name in POLICIES]
+)
+def test_gradients_of_the_command_are_finite(name, room, simulated):
+    """Also where the robot stands on somebody's place."""
+    scenario, states = room[0], simulated(name)[0]
+    slope = jax.jit(jax.grad(command_of(scenario, name, []), has_aux=True))
+    for scene in (0, 1, 4):
+        state = jax.tree.map(lambda leaf: leaf[scene], states)  # noqa: B023
+        here, people = state.robot.position, state.pedestrians.position
+        for places in ((here, people), (here, people.at[0].set(here))):
+            assert all(np.isfinite(part).all() for part in slope(places, state)[0])
+
+
+def test_the_expert_is_more_polite_than_go_to_goal(simulated):
+    """People who mind nobody: it comes nearer than 0.45 m to none of them, and arrives as well."""
+    close = {name: (gaps(simulated(name)[1]) < 0.45).any((1, 2)) for name in ("go_to_goal", "expert")}
     assert close["expert"].sum() == 0 < close["go_to_goal"].sum()
-    assert (away["expert"] < 0.4).all()
+    away = np.linalg.norm(np.asarray(simulated("expert")[1].position)[:, -1] - GOAL, axis=-1)
+    assert (away < 0.4).all()
 
 
 def test_the_proxemic_layer_is_the_printed_formula():
@@ -261,33 +285,35 @@ def test_arcs_and_rolls_are_where_the_twin_goes(room):
     x, y, *_ = jax.jit(lambda a, b: unicycle.roll(model, 0.0, 0.0, (a, b), 0.2))(steps[..., 0], steps[..., 1])
     x, y = unicycle.over_ground(state.robot.position, state.robot.heading, x, y)
     assert np.hypot(np.asarray(x).T - exact[..., 0], np.asarray(y).T - exact[..., 1]).max() < 0.06
-    x, y, _ = dynamic_window.arcs(commands[:, 0], commands[:, 1])
+    x, y, _ = dynamic_window.arcs(commands[:, 0], commands[:, 1])  # these are at their speed at once
     x, y = unicycle.over_ground(state.robot.position, state.robot.heading, x, y)
-    assert np.hypot(np.asarray(x).T - exact[:, 1::2, 0][:, :10], np.asarray(y).T - exact[:, 1::2, 1][:, :10]).max() < 1
+    assert np.hypot(np.asarray(x).T - exact[:, :10, 0], np.asarray(y).T - exact[:, :10, 1]).max() < 0.1
 
 
 def test_the_way_that_is_left_is_that_of_the_tables(scenario):
     """Around robots anywhere in the warehouse, from places within 1.5 m of each: against the exact geodesic."""
+    table, random = scenario.navigation, np.random.default_rng(3)
+    here, goals = (random.choice(np.asarray(table.places), 24) for _ in range(2))
+    places = (here[:, None] + random.uniform(-1.5, 1.5, (24, 24, 2))).astype(np.float32)
 
-    def one(key):
-        state = sean_jax.reset(scenario, key)
-        table = scenario.navigation
-        offset = jax.random.uniform(key, (24, 2), jnp.float32, -1.5, 1.5)
-        place = state.robot.position[None] + offset
-        x, y = place.T
-        chosen = outlook.look(scenario, state, outlook.onward(scenario, state), *state.robot.position[:, None])
-        left = outlook.remaining(scenario, state, chosen, x, y)
-        goal, to_goal = state.task.goal, state.task.to_goal
-        exact = jax.vmap(lambda spot: navigation.geodesic(table, spot, goal, to_goal))(place)
-        from_robot = jax.vmap(lambda spot: navigation.sees(table.obstacles, state.robot.position, spot, 0.1))(place)
-        free = jax.vmap(lambda spot: navigation.sees(table.obstacles, spot, spot, table.radius))(place)
-        return left, exact, from_robot & free
+    def one(each):
+        here, goal, place = each
+        task = types.SimpleNamespace(goal=goal, to_goal=navigation.to_goal(table, goal))
+        state: Any = types.SimpleNamespace(task=task)
+        chosen = outlook.look(scenario, state, outlook.onward(scenario, state), *here[:, None])
+        left = outlook.remaining(scenario, state, chosen, *place.T)
+        exact = jax.lax.map(lambda spot: navigation.geodesic(table, spot, goal, task.to_goal), place)
+        near = jax.vmap(lambda spot: navigation.sees(table.obstacles, here, spot, table.radius))(place)
+        return left, exact, near
 
-    left, exact, there = (np.asarray(part) for part in jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(3), 24)))
-    there &= np.isfinite(exact)
+    given = jnp.asarray(here), jnp.asarray(goals), jnp.asarray(places)
+    left, exact, near = (np.asarray(part) for part in jax.jit(lambda given: jax.lax.map(one, given))(given))
+    there = near & np.isfinite(exact)
     assert there.sum() > 200
     error = np.where(np.isfinite(left), left - exact, 99.0)[there]
-    assert np.quantile(np.abs(error), 0.95) < 0.1 and (np.abs(error) < 0.5).mean() > 0.98
+    print(np.sort(error)[:10], np.sort(error)[-30:])
+    assert error.min() > -0.1  # a tangent's table is looked up by cell
+    assert np.quantile(error, 0.95) < 0.02
 
 
 def test_plans_keep_to_the_limits_of_every_robot():

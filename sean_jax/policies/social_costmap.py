@@ -10,7 +10,7 @@ backward but to get out of what it touches (SEAN's -1.0 m/s would let it drive f
 A control step takes some two million operations, most of them for the two maps.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,7 @@ from sean_jax.policies.prediction import nearest_people
 
 CELLS, CELL = 32, 0.2  # of the window in which it plans, and m
 LOCAL, FINE = 32, 0.05  # of the window in which it drives, and m at least
-PERIOD, SWEEPS = 5, 12  # control steps in which a plan is made, and by how many cells the wave moves in each
+PERIOD, SWEEPS = 5, 12  # control steps in which a plan is made, the first before it moves; cells in each of them
 POINTS = 20  # of a plan
 NEAR_POINTS = 8  # that the local planner looks at
 PEOPLE = 10  # the nearest that are on the maps
@@ -82,27 +82,21 @@ def settings(top_speed: float = 0.6, covariance: float = 0.1) -> Settings:
 
 def start(scenario: Scenario, data: Settings, state: State) -> Memory:
     """The paper's navigation stack: plans on a cost map with personal spaces, drives by dynamic windows (move_base)."""
-    follows = onward(scenario, state)
-    over, resisting, wave = _begin(scenario, data, state, follows)
-    wave = _sweep(wave, resisting, over, PERIOD * SWEEPS)
-    path, planned = _path(state, over, wave)
-    return Memory(follows, over, resisting, wave, path, planned, jnp.zeros((), jnp.float32))
+    here = jnp.broadcast_to(state.robot.position[:, None], (2, POINTS))
+    cells = jnp.full((CELLS, CELLS), wavefront.FAR, jnp.float32)
+    over = Window(jnp.zeros(2, jnp.float32), jnp.ones((), jnp.float32))
+    waited = jnp.zeros((), jnp.float32)
+    return Memory(onward(scenario, state), over, cells, cells, here, jnp.zeros((), bool), waited)
 
 
 def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple[Array, Memory]:
     """The command (2,) [m/s, rad/s] along the plan, and the next plan a few cells further."""
     memory: Memory = state.driver
-    over, resisting = memory.over, memory.resisting
-    wave = _sweep(memory.wave, resisting, over, SWEEPS)
-    done = (state.tick % PERIOD) == PERIOD - 1
-    path, planned = jax.tree.map(
-        lambda new, old: jnp.where(done, new, old), _path(state, over, wave), (memory.path, memory.planned)
-    )
-    over, resisting, wave = jax.tree.map(
-        lambda new, old: jnp.where(done, new, old),
-        _begin(scenario, data, state, memory.follows),
-        (over, resisting, wave),
-    )
+    first, last = state.tick % PERIOD == 0, state.tick % PERIOD == PERIOD - 1
+    begun = _begin(scenario, data, state, memory.follows)
+    over, resisting, wave = _either(first, begun, (memory.over, memory.resisting, memory.wave))
+    wave = jax.lax.scan(lambda now, _: (wavefront.sweep(now, resisting, over.cell), None), wave, length=SWEEPS)[0]
+    path, planned = _either(last, _path(state, over, wave), (memory.path, memory.planned))
     robot = state.robot
     command, clear = dynamic_window.choose(
         scenario.robot,
@@ -112,6 +106,7 @@ def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple
         _ahead(path, robot.position),
         scenario.time_step,
     )
+    command = jnp.where(planned, command, 0.0)
     command, waited = _recover(scenario, data, memory.waited, command, clear & planned)
     gap = state.task.goal - robot.position
     arrived = length(gap[0], gap[1]) < data.reached
@@ -135,8 +130,8 @@ def _begin(scenario: Scenario, data: Settings, state: State, follows: Array) -> 
 SPOTS = np.asarray([(0, 1, 1, 0, -1, -1, -1, 0, 1), (0, 0, 1, 1, 1, 0, -1, -1, -1)], np.float32)
 
 
-def _sweep(wave: Array, resisting: Array, over: Window, times: int) -> Array:
-    return jax.lax.scan(lambda now, _: (wavefront.sweep(now, resisting, over.cell), None), wave, length=times)[0]
+def _either(first: Array, one: Any, other: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(first, a, b), one, other)
 
 
 def _path(state: State, over: Window, wave: Array) -> tuple[Array, Array]:
