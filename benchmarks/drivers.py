@@ -1,4 +1,4 @@
-"""All drivers over the same episodes: tasks completed, collisions, social distances, comfort, and control steps a second.
+"""All drivers over the same episodes: tasks completed, collisions, social distances, comfort, and steps a second.
 
     python benchmarks/drivers.py             # 62 people in the warehouse: the graph, at random, handcrafted
     python benchmarks/drivers.py --quick     # a few short episodes on the graph
@@ -11,6 +11,8 @@ with the driver; the first row of each table has those of a robot that stands.
 
 import argparse
 import time
+from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +23,7 @@ from sean_jax import parallel
 from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.social_costmap import settings
 
-CONDITIONS = {
+CONDITIONS: dict[str, dict[str, Any]] = {
     "graph, join_group": {"behavior": "graph", "task": "join_group"},
     "graph, leave_group": {"behavior": "graph", "task": "leave_group"},
     "random, random_ab_nav": {"behavior": "random", "task": "random_ab_nav"},
@@ -54,7 +56,8 @@ def measure(scenario, policy, episodes: int, seconds: float, seed: int) -> tuple
     states = draw(keys)
 
     def one(state):
-        last, over = parallel.simulate(scenario, policy, state, steps, lambda before, after, action: after.completed)
+        last, kept = parallel.simulate(scenario, policy, state, steps, lambda before, after, action: after.completed)
+        over: Any = kept
         return sean_jax.results(scenario, last), last.completed, steps - over.sum(dtype=jnp.int32)
 
     begun = time.perf_counter()
@@ -91,7 +94,7 @@ def main() -> None:
     chosen = arguments.parse_args()
     if chosen.quick:
         chosen.episodes, chosen.seconds, chosen.conditions = 8, 40.0, ["graph, join_group"]
-    quicker = social_costmap.replace(data=settings(top_speed=1.0))
+    quicker = replace(social_costmap, data=settings(top_speed=1.0))
     drivers = {"stand": stand, **POLICIES, "social_costmap 0.5": quicker}
     print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, {chosen.environment}, {chosen.robot}, "
           f"{chosen.episodes} episodes of {chosen.seconds:g} s, seed {chosen.seed}")  # fmt: skip

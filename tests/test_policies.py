@@ -1,4 +1,4 @@
-"""Drivers: each alone in a room, with somebody in its way and among walkers; their parts against independent oracles."""
+"""Drivers: each alone in a room, with somebody in its way and among walkers; parts against independent oracles."""
 
 import dataclasses
 import functools
@@ -227,12 +227,13 @@ def test_the_wave_is_that_of_dijkstra():
     random = np.random.default_rng(1)
     costs = random.uniform(0, 120, (count, count))
     costs[3:11, 6] = 253
-    resisting = np.asarray(wavefront.resistance(jnp.asarray(costs, jnp.float32)), float)
+    worth = wavefront.resistance(jnp.asarray(costs, jnp.float32))
+    resisting = np.asarray(worth, float)
     start = np.full((count, count), 1e6, np.float32)
     start[5, 2], start[0, 13] = 0.0, 4.0
 
     def many(wave):
-        return jax.lax.scan(lambda w, _: (wavefront.sweep(w, resisting.astype(np.float32), jnp.float32(cell)), None),
+        return jax.lax.scan(lambda w, _: (wavefront.sweep(w, worth, jnp.float32(cell)), None),
                             wave, length=80)[0]  # fmt: skip
 
     mine = np.asarray(jax.jit(many)(jnp.asarray(start)))
@@ -281,8 +282,9 @@ def test_arcs_and_rolls_are_where_the_twin_goes(room):
 
     commands = jnp.asarray([[0.5, 0.0], [0.4, 1.0], [0.3, -2.0], [-0.3, 0.5]], jnp.float32)
     exact = np.asarray(jax.jit(jax.vmap(physics, in_axes=(None, 0)))(state, commands))
+    zero = jnp.zeros((), jnp.float32)
     steps = jnp.broadcast_to(commands, (15, 4, 2))
-    x, y, *_ = jax.jit(lambda a, b: unicycle.roll(model, 0.0, 0.0, (a, b), 0.2))(steps[..., 0], steps[..., 1])
+    x, y, *_ = jax.jit(lambda a, b: unicycle.roll(model, zero, zero, (a, b), 0.2))(steps[..., 0], steps[..., 1])
     x, y = unicycle.over_ground(state.robot.position, state.robot.heading, x, y)
     assert np.hypot(np.asarray(x).T - exact[..., 0], np.asarray(y).T - exact[..., 1]).max() < 0.06
     x, y, _ = dynamic_window.arcs(commands[:, 0], commands[:, 1])  # these are at their speed at once
@@ -311,15 +313,15 @@ def test_the_way_that_is_left_is_that_of_the_tables(scenario):
     there = near & np.isfinite(exact)
     assert there.sum() > 200
     error = np.where(np.isfinite(left), left - exact, 99.0)[there]
-    print(np.sort(error)[:10], np.sort(error)[-30:])
-    assert error.min() > -0.1  # a tangent's table is looked up by cell
-    assert np.quantile(error, 0.95) < 0.02
+    assert error.min() > -0.01  # never shorter than it is
+    assert np.quantile(error, 0.95) < 0.001  # by a bend that was not chosen it may be longer
 
 
 def test_plans_keep_to_the_limits_of_every_robot():
     for name in robots.ROBOTS:
         model = robots.load(name, "twin")
-        ahead, back, turn = limits(type("Scenario", (), {"robot": model}))
+        mocked: Any = types.SimpleNamespace(robot=model)
+        ahead, back, turn = limits(mocked)
         assert 0 < float(back) <= float(ahead) <= float(model.max_speed) and 0 < float(turn) <= model.max_turn_rate
 
 

@@ -1,9 +1,9 @@
 """A cost map around the robot in layers, as ROS's navigation stack and its social layers [49] have them.
 
-Costs are those of ROS: 0 is free, 252 the most that can be driven over, 253 touches. The layers are obstacles with their
-inflation, people's bodies likewise, as a lidar sees them, and the proxemic layer (D. V. Lu, D. Hershberger & W. D.
-Smart, "Layered costmaps for context-sensitive navigation", IROS 2014; the formula as in navigation_layers, the numbers
-as in SEAN 2.0's configuration). A cell has the most that any layer gives it.
+Costs are those of ROS: 0 is free, 252 the most that can be driven over, 253 touches. The layers are obstacles with
+their inflation, people's bodies likewise, as a lidar sees them, and the proxemic layer (D. V. Lu, D. Hershberger &
+W. D. Smart, "Layered costmaps for context-sensitive navigation", IROS 2014; the formula as in navigation_layers, the
+numbers as in SEAN 2.0's configuration). A cell has the most that any layer gives it.
 """
 
 import jax
@@ -96,6 +96,7 @@ def costs(scenario: Scenario, layers: Layers, people: Pedestrians, x: Array, y: 
         social = proxemic(layers, dx, dy, vx, vy)
         return jnp.where(present, body, jnp.inf), jnp.where(present, social, 0.0)
 
-    bodies, social = jax.vmap(person)(*people.position.T, *people.velocity.T, people.present)
+    (px, py), (vx, vy) = people.position.T, people.velocity.T
+    bodies, social = jax.vmap(person)(px, py, vx, vy, people.present)
     gap = jnp.minimum(gap, jnp.min(bodies, 0))
     return jnp.maximum(inflated(layers, gap), jnp.max(social, 0)).reshape(shape)

@@ -19,7 +19,7 @@ from sean_jax.geometry import length
 from sean_jax.policies import manners
 from sean_jax.policies.outlook import look, onward, remaining
 from sean_jax.policies.prediction import nearest_people, predict
-from sean_jax.policies.unicycle import backward, over_ground, roll
+from sean_jax.policies.unicycle import backward, constant, over_ground, roll
 
 STEPS, STEP = 16, 0.2  # of a plan, and s of each: 3.2 s ahead
 KNOTS = 5  # commands of a plan, joined by straight lines
@@ -50,23 +50,19 @@ class Plan(NamedTuple):
     follows: Array  # (V,) int32, of ``outlook.onward``
 
 
-def _float(value: float) -> np.float32:
-    return np.float32(value)
-
-
 def settings() -> Settings:
     """The expert's settings."""
     weights = manners.Weights(
-        touch=_float(8.0),
-        obstacle=_float(0.4),
-        personal=_float(1.5),
-        o_space=_float(1.0),
-        reverse=_float(1.0),
-        turning=_float(0.03),
-        change=_float(0.02),
-        facing=_float(0.3),
+        touch=constant(8.0),
+        obstacle=constant(0.4),
+        personal=constant(1.5),
+        o_space=constant(1.0),
+        reverse=constant(1.0),
+        turning=constant(0.03),
+        change=constant(0.02),
+        facing=constant(0.3),
     )
-    return Settings(weights, halfway=_float(0.5), stop=_float(0.2), temperature=_float(0.05))
+    return Settings(weights, halfway=constant(0.5), stop=constant(0.2), temperature=constant(0.05))
 
 
 def start(scenario: Scenario, data: Settings, state: State) -> Plan:
@@ -163,4 +159,4 @@ def _cost(scenario: Scenario, data: Settings, state: State, outlook, people: tup
 
 
 expert = Driver(data=settings(), name="expert", start=start, drive=drive)
-"""The expert with its usual settings; others by ``expert.replace(data=...)``."""
+"""The expert with its usual settings; others by ``replace(expert, data=...)``."""

@@ -40,7 +40,7 @@ def orca(scenario: Scenario, state: State, key: Array) -> Array:
     """
     robot, model = state.robot, scenario.robot
     hx, hy = robot.heading[0], robot.heading[1]
-    lever = POINT * model.radius
+    lever = jnp.asarray(POINT * model.radius, jnp.float32)
     seen = observe(scenario, state)
     stuck = 1.0 - jnp.clip(jnp.abs(robot.speed) / model.max_speed, 0.0, 1.0)
     wish = _wish(scenario, seen, lever, SLIGHTLY * stuck * jax.random.normal(key, (), jnp.float32))

@@ -10,10 +10,10 @@ from flax import struct
 
 from sean_jax.base import Array, Scenario, State
 from sean_jax.geometry import from_rectangle, length
-from sean_jax.nearby import around
 from sean_jax.navigation import sees
 from sean_jax.navigation.bends import ANGLE, Bends, tangents
 from sean_jax.navigation.ways import last_bends
+from sean_jax.nearby import around
 
 BENDS = 6  # that are chosen for being near
 CHAIN = 3  # that are chosen for following one another
@@ -62,7 +62,8 @@ def look(scenario: Scenario, state: State, follows: Array, x: Array, y: Array) -
 def remaining(scenario: Scenario, state: State, outlook: Outlook, x: Array, y: Array) -> Array:
     """(P,) m from the places (P,), (P,) [m] to the goal; inf where none of the chosen bends is in sight.
 
-    Within about 1 % and a cell of the table, and smooth but at the borders of cells.
+    As ``navigation.geodesic`` where the shortest way is by one of these bends, which is so for 95 of 100 places within
+    1.5 m and in sight of where they were chosen; else longer.
     """
     navigation, goal = scenario.navigation, state.task.goal
     ways = _ways(scenario, outlook.bends, outlook.index, outlook.to_goal, x, y)

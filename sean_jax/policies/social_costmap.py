@@ -1,13 +1,13 @@
 """social_costmap: the paper's navigation stack with social cost layers, as SEAN 2.0 configures it for Kuri [49].
 
-move_base in three parts: a cost map with a proxemic layer (``costmap``), a global plan on it (``wavefront``) and a local
-planner that drives along the plan (``dynamic_window``); and turning on the spot where these fail for some seconds.
+move_base in three parts: a cost map with a proxemic layer (``costmap``), a global plan on it (``wavefront``) and a
+local planner that drives along the plan (``dynamic_window``); and turning on the spot where these fail for 5 seconds.
 
-What differs from ROS: the global plan is renewed every half second and not 20 times a second, on 32 x 32 cells of 0.2 m
-around the robot and not on the whole map with 0.05 m; the local map has 32 x 32 cells of 0.05 m or, for a quicker robot,
-as much as two seconds of it need. Maps hold the people's places now, without the errors of a lidar. It does not drive
-backward but to get out of what it touches (SEAN's -1.0 m/s would let it drive faster backward than ahead).
-A control step takes some two million operations, most of them for the two maps.
+What differs from ROS: the global plan is renewed every half second and not 20 times a second, on 32 x 32 cells of
+0.2 m around the robot and not on the whole map with 0.05 m; the local map has 32 x 32 cells of 0.05 m or, for a
+quicker robot, as much as two seconds of it need. Maps hold the people's places now, without the errors of a lidar. It
+does not drive backward but to get out of what it touches (SEAN's -1.0 m/s would let it drive faster backward than
+ahead). A control step takes some two million operations, most of them for the two maps.
 """
 
 from typing import Any, NamedTuple
@@ -23,6 +23,7 @@ from sean_jax.policies import costmap, dynamic_window, wavefront
 from sean_jax.policies.costmap import Window
 from sean_jax.policies.outlook import look, onward
 from sean_jax.policies.prediction import nearest_people
+from sean_jax.policies.unicycle import constant
 
 CELLS, CELL = 32, 0.2  # of the window in which it plans, and m
 LOCAL, FINE = 32, 0.05  # of the window in which it drives, and m at least
@@ -57,26 +58,25 @@ class Memory(NamedTuple):
 
 def settings(top_speed: float = 0.6, covariance: float = 0.1) -> Settings:
     """SEAN's settings: at most that share of the robot's top speed, and that covariance [m2] of personal space."""
-    single = np.float32
     return Settings(
         costmap.Layers(
-            amplitude=single(77.0),
-            cutoff=single(10.0),
-            covariance=single(covariance),
-            factor=single(5.0),
-            inflation=single(0.3),
-            decay=single(10.0),
+            amplitude=constant(77.0),
+            cutoff=constant(10.0),
+            covariance=constant(covariance),
+            factor=constant(5.0),
+            inflation=constant(0.3),
+            decay=constant(10.0),
         ),
         dynamic_window.Scores(
-            top_speed=single(top_speed),
-            least_spin=single(0.5),
-            path=single(0.75),
-            goal=single(1.0),
-            obstacle=single(0.1),
+            top_speed=constant(top_speed),
+            least_spin=constant(0.5),
+            path=constant(0.75),
+            goal=constant(1.0),
+            obstacle=constant(0.1),
         ),
-        reached=single(0.35),
-        patience=single(5.0),
-        spin=single(1.0),
+        reached=constant(0.35),
+        patience=constant(5.0),
+        spin=constant(1.0),
     )
 
 
@@ -136,7 +136,7 @@ def _either(first: Array, one: Any, other: Any) -> Any:
 
 def _path(state: State, over: Window, wave: Array) -> tuple[Array, Array]:
     """(2, POINTS) m the plan from where the robot is, and () bool whether the wave has come there."""
-    x, y = wavefront.descend(wave, over, *state.robot.position, POINTS)
+    x, y = wavefront.descend(wave, over, state.robot.position[0], state.robot.position[1], POINTS)
     end = wave[costmap.cell_of(over, CELLS, x[0], y[0])]
     path = jnp.stack([jnp.append(state.robot.position[axis], part)[:POINTS] for axis, part in enumerate((x, y))])
     for _ in range(2):  # grid paths have corners
@@ -171,4 +171,4 @@ def _recover(scenario: Scenario, data: Settings, waited: Array, command: Array, 
 
 
 social_costmap = Driver(data=settings(), name="social_costmap", start=start, drive=drive)
-"""The stack as SEAN 2.0 configures it; otherwise by ``social_costmap.replace(data=settings(top_speed=1.0))``."""
+"""The stack as SEAN 2.0 configures it; otherwise by ``replace(social_costmap, data=settings(top_speed=1.0))``."""

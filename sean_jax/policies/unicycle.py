@@ -10,6 +10,11 @@ from sean_jax.base import Array, RobotModel
 from sean_jax.geometry import rotate
 
 
+def constant(value: float) -> Array:
+    """() float32, a setting."""
+    return jnp.asarray(value, jnp.float32)
+
+
 def backward(model: RobotModel) -> Array:
     """() m/s, the top speed backward."""
     return model.max_speed if model.max_reverse_speed is None else model.max_reverse_speed
@@ -34,7 +39,7 @@ def roll(model: RobotModel, speed: Array, turn: Array, commands: tuple[Array, Ar
     start = jnp.full(commands[0].shape[1:], speed), jnp.full(commands[1].shape[1:], turn)
 
     def change(now: tuple, command: tuple) -> tuple[tuple, tuple]:
-        after = limited(model, *now, command, time_step)
+        after = limited(model, now[0], now[1], command, time_step)
         return after, after
 
     _, (ahead, rate) = jax.lax.scan(change, start, commands)

@@ -1,8 +1,8 @@
-"""The global plan on a cost map: a wave that runs from where the goal is, over some control steps (ROS's GlobalPlanner).
+"""The global plan on a cost map: a wave that runs from where the goal is, over some control steps (GlobalPlanner).
 
 ROS plans over the whole map. Here the map is a window around the robot, and what lies beyond is taken from the exact
-tables of shortest paths: the wave starts at the window's border with the way that is left from there, and at the goal if
-that lies inside. So people change the plan only within the window. A sweep moves the wave on by one cell everywhere.
+tables of shortest paths: the wave starts at the window's border with the way that is left from there, and at the goal
+if that lies inside. So people change the plan only within the window. A sweep moves the wave on by one cell everywhere.
 """
 
 import jax
@@ -45,11 +45,8 @@ def sweep(wave: Array, resisting: Array, cell: Array) -> Array:
     count = wave.shape[0]
 
     def least(steps: tuple) -> Array:
-        best = None
-        for i, j in steps:
-            moved = padded[1 + i : 1 + i + count, 1 + j : 1 + j + count]
-            best = moved if best is None else jnp.minimum(best, moved)
-        return best
+        moved = [padded[1 + i : 1 + i + count, 1 + j : 1 + j + count] for i, j in steps]
+        return jnp.minimum(jnp.minimum(moved[0], moved[1]), jnp.minimum(moved[2], moved[3]))
 
     step = cell * resisting
     return jnp.minimum(wave, jnp.minimum(least(SIDES) + step, least(CORNERS) + jnp.float32(2**0.5) * step))
