@@ -4,7 +4,8 @@ The paper's learned policies imitate a human who steers through SEAN. Here a pla
 every control step: the robot by its limits (``unicycle``), people by the project's social forces (``prediction``), what
 is minded in ``manners``, and how far it still is by shortest paths (``outlook``). The search is a sampling one: spread
 wide around the last plan and over plain arcs, then narrow around the best, whose weighted mean is driven (G. Williams
-et al., "Information theoretic MPC for model-based reinforcement learning", ICRA 2017, with those two rounds).
+et al., "Information theoretic MPC for model-based reinforcement learning", ICRA 2017, with those two rounds). It is
+told more than a robot's sensors tell: where people want to go. A control step takes some three million operations.
 """
 
 from typing import NamedTuple

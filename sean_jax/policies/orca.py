@@ -36,7 +36,8 @@ def orca(scenario: Scenario, state: State, key: Array) -> Array:
 
     Gives the (2,) command [m/s, rad/s]. It avoids people wholly, for they need not reciprocate, as far as that is
     possible at its speed; else it takes the velocity that fails them least. Obstacles bound its speed, ahead and
-    backward. Some 18 programmes of 12 half-planes are solved, 30,000 operations in all.
+    backward. At most 19 programmes of 12 half-planes are solved: some 30,000 operations, a quarter of what the look-up
+    of the shortest path takes.
     """
     robot, model = state.robot, scenario.robot
     hx, hy = robot.heading[0], robot.heading[1]

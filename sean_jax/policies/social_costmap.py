@@ -7,7 +7,7 @@ What differs from ROS: the global plan is renewed every half second and not 20 t
 0.2 m around the robot and not on the whole map with 0.05 m; the local map has 32 x 32 cells of 0.05 m or, for a
 quicker robot, as much as two seconds of it need. Maps hold the people's places now, without the errors of a lidar. It
 does not drive backward but to get out of what it touches (SEAN's -1.0 m/s would let it drive faster backward than
-ahead). A control step takes some two million operations, most of them for the two maps.
+ahead). A control step takes some three million operations, most of them for the two maps.
 """
 
 from typing import Any, NamedTuple
