@@ -164,7 +164,7 @@ def test_one_by_one_equals_all_at_once_and_is_traced_once(driven):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in ("orca", "expert") else []) for name in POLICIES]
+    "name", [pytest.param(name, marks=[] if name == "go_to_goal" else [pytest.mark.slow]) for name in POLICIES]
 )
 def test_gradients_of_the_command_are_finite(name, room, simulated):
     """Also where the robot stands on somebody's place."""
