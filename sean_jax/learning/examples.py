@@ -7,6 +7,8 @@ label of the local planner are the places of the next five seconds, in the robot
 five seconds are given as well.
 """
 
+from typing import Any
+
 import jax.numpy as jnp
 from flax import struct
 
@@ -37,26 +39,30 @@ class Example:
     command: Array  # (2,) m/s, rad/s, that is to be predicted
 
 
-def example(recording: Recording, index: Array) -> Example:
-    """The example at one row () of a recording; ``vmap`` it over rows."""
-    rows, first, last = recording.rows, recording.first[index], recording.end[index] - 1
-    ages = jnp.arange(SECONDS, dtype=jnp.int32)
-    seen = jnp.maximum(index - (SECONDS - 1) + ages, first)
-    before = jnp.maximum(index - SECONDS + ages, first)
-    after = index + 1 + ages
+def example(recording: Recording, index: Any, xp: Any = jnp) -> Example:
+    """The example at one row () of a recording, or those at rows (B,).
+
+    ``xp`` is numpy where the recording is of numpy arrays.
+    """
+    rows, first, last = recording.rows, recording.first[index][..., None], recording.end[index][..., None] - 1
+    ages = xp.arange(SECONDS, dtype=xp.int32).reshape((1,) * (first.ndim - 1) + (SECONDS,))
+    here = index[..., None]
+    seen = xp.maximum(here - (SECONDS - 1) + ages, first)
+    before = xp.maximum(here - SECONDS + ages, first)
+    after = here + 1 + ages
     pose = rows.pose[index]
     return Example(
         images=rows.depth[seen],
         plan=rows.plan[index],
         situations=rows.situations[index],
-        past=in_frame(pose, rows.pose[before, :2]),
-        future=in_frame(pose, rows.pose[jnp.minimum(after, last), :2]),
+        past=in_frame(pose, rows.pose[before, :2], xp),
+        future=in_frame(pose, rows.pose[xp.minimum(after, last), :2], xp),
         known=after <= last,
         command=rows.command[index],
     )
 
 
-def in_frame(pose: Array, places: Array) -> Array:
-    """(K, 2) m: places (K, 2) of the floor as seen from a pose (4,), x ahead and y to the left."""
-    dx, dy = places[:, 0] - pose[0], places[:, 1] - pose[1]
-    return jnp.stack(rotate(dx, dy, pose[2], -pose[3]), -1)
+def in_frame(pose: Array, places: Array, xp: Any = jnp) -> Array:
+    """(..., K, 2) m: places (..., K, 2) of the floor as seen from a pose (..., 4), x ahead and y to the left."""
+    dx, dy = places[..., 0] - pose[..., 0:1], places[..., 1] - pose[..., 1:2]
+    return xp.stack(rotate(dx, dy, pose[..., 2:3], -pose[..., 3:4]), -1)
