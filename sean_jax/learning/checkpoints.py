@@ -32,7 +32,11 @@ class Checkpoints:
         logging.getLogger("absl").setLevel(logging.ERROR)  # orbax tells of every step it takes
         self.folder = Path(folder).absolute()
         keep = AnyPreservationPolicy([LatestN(n=1), BestN(get_metric_fn=_less_loss, n=1)])
-        options = ocp.CheckpointManagerOptions(preservation_policy=keep, cleanup_tmp_directories=True)
+        options = ocp.CheckpointManagerOptions(
+            best_fn=_less_loss,  # decides nothing here, but without it the losses would not be kept on disk
+            preservation_policy=keep,
+            cleanup_tmp_directories=True,
+        )
         self.manager = ocp.CheckpointManager(self.folder / "checkpoints", options=options)
 
     def save(self, state: TrainState, loss: float) -> None:
@@ -72,14 +76,15 @@ class Checkpoints:
         one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), like)
         target = one if part is None else {part: one}
         try:
-            given = ocp.args.PyTreeRestore(item=target, partial_restore=part is not None)  # pyright: ignore
-            if part is None:
-                given = ocp.args.StandardRestore(target)  # pyright: ignore
+            placed = ocp.checkpoint_utils.construct_restore_args(target)
+            given = ocp.args.PyTreeRestore(item=target, restore_args=placed, partial_restore=True)  # pyright: ignore
             content = self.manager.restore(step, args=ocp.args.Composite(**{STATE: given}))
             return content[STATE] if part is None else content[STATE][part]
         except (OSError, ValueError, KeyError, TypeError) as error:
             where = self.folder / "checkpoints" / str(step)
-            raise Failed(f"{where} cannot be read ({_reason(error)}); remove it to go on from an earlier one.") from error
+            raise Failed(
+                f"{where} cannot be read ({_reason(error)}); remove it to go on from an earlier one."
+            ) from error
 
 
 def begun(folder: Path, config: dict[str, Any]) -> bool:

@@ -1,7 +1,7 @@
 """``sean collect``: demonstrations of a driver until there is as much as asked for, shard by shard (section V-B).
 
-What has been committed is never lost: after a kill, or for more hours, the same command goes on with the next shard, and
-makes those anew that were lost. The result is the same, to the byte, as that of one run.
+What has been committed is never lost: after a kill, or for more hours, the same command goes on with the next shard,
+and makes those anew that were lost. The result is the same, to the byte, as that of one run.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _due(data: Dataset, wanted: int) -> Iterator[tuple[int, int]]:
 
 def _begun(options: Collect, parts: list[Stream], eye: sensors.Camera) -> Dataset:
     """The dataset of the folder, if it was begun with the same options, or an empty one."""
-    folder = options.out
+    folder = options.folder
     if folder.exists() and not folder.is_dir():
         raise Refused(f"{folder} is a file, give the name of a folder with --out.")
     if (folder / datasets.MANIFEST).exists():
@@ -104,7 +104,9 @@ def _check_same(options: Collect, data: Dataset) -> None:
         raise Refused(f"{data.folder} was begun with --batch {data.batch}, not {options.batch}; ask for the same.")
     if options.hours < data.manifest["hours"]:
         had_hours = f"{data.manifest['hours']:g}"
-        raise Refused(f"{data.folder} was begun with --hours {had_hours}, not {options.hours:g}; ask for as much or more.")
+        raise Refused(
+            f"{data.folder} was begun with --hours {had_hours}, not {options.hours:g}; ask for as much or more."
+        )
 
 
 def _manifest(options: Collect, parts: list[Stream], eye: sensors.Camera) -> dict[str, Any]:

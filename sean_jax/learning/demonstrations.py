@@ -130,8 +130,8 @@ def _advance(policy: Policy, eye: sensors.Camera, scenario: Scenario, carry: tup
 def _padded(values: np.ndarray, lengths: np.ndarray, seconds: int) -> np.ndarray:
     """(B, T, ...) of which zeros are what comes after the end."""
     whole = np.zeros((len(values), seconds, *values.shape[2:]), values.dtype)
-    for padded, row, length in zip(whole, values, lengths, strict=True):
-        padded[:length] = row[:length]
+    for padded, given, length in zip(whole, values, lengths, strict=True):
+        padded[:length] = given[:length]
     return whole
 
 

@@ -1,10 +1,9 @@
 """Examples (section V-B): what the network is shown, and what it shall answer, at one second of a demonstration.
 
-The paper's example has 5 depth images, a local plan of 5 points of the expert's most recent trajectory, 10 points of the
-global plan and a flag for each situation. All are sampled at 1 Hz. The network of [50] is to *predict* the local
-plan: what was the most recent trajectory at the end of five seconds is what lay ahead at their beginning. So the
-label of the local planner are the places of the next five seconds, in the robot's frame of now; the places of the past
-five seconds are given as well.
+The paper's example has 5 depth images, a local plan of 5 points of the expert's most recent trajectory, 10 points of
+the global plan and a flag for each situation, at 1 Hz. The network of [50] is to *predict* the local plan: what is the
+most recent trajectory at the end of five seconds lay ahead at their beginning. So what the local planner has to answer
+are the places of the next five seconds, in the robot's frame of now; those of the past five are given as well.
 """
 
 from typing import Any

@@ -1,11 +1,13 @@
 """A trained network as a driver: it sees, plans and drives inside the simulator, under ``jit`` and ``vmap``.
 
-Its memory holds what the depth camera saw in the last four seconds, as the network's own encodings, of which it looks at
-those that are 0 to 4 s old: just what an example has. The latest decision is in it as well, so that after each step
+Its memory holds what the depth camera saw in the last four seconds, as the network's own encodings, of which it looks
+at those that are 0 to 4 s old: just what an example has. The latest decision is in it as well, so that after each step
 ``state.driver.decision`` tells the local plan and where the attention lay, as SEAN shows them.
 """
 
+import functools
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,17 +81,18 @@ def drive(scenario: Scenario, data: Brain, state: State, key: Array) -> tuple[Ar
     each_second = seen[:: round(1.0 / scenario.time_step)][::-1]
     plan = plan_ahead(scenario, state, memory.last)
     weights = data.weights
-    decision = data.network.apply(weights.parameters, each_second, plan, state.situations, method="decide")
-    decision = in_units(decision, weights.scale)
+    inputs = each_second, plan, state.situations
+    answer: Any = data.network.apply(weights.parameters, *inputs, method="decide")
+    decision = in_units(answer, weights.scale)
     return decision.command, Memory(seen, memory.last, decision)
 
 
 def in_units(decision: Decision, scale: Array) -> Decision:
     """The network's decision, with the command in m/s and rad/s."""
-    return decision.replace(command=decision.command * scale)
+    return replace(decision, command=decision.command * scale)
 
 
-def _see(scenario: Scenario, data: Brain, state: State) -> Array:
+def _see(scenario: Scenario, data: Brain, state: State) -> Any:
     """(F,) what the network makes of the depth image of now."""
     return data.network.apply(data.weights.parameters, depth_image(scenario, state, data.eye), method="see")
 
@@ -111,7 +114,7 @@ def load(folder: Path | str, scenario: Scenario) -> Driver:
     if network.flags and names != config["situations"]:
         here = ", ".join(names)
         raise Refused(f"the network of {folder} knows other situations than {here}; give make the same situations.")
-    abstract = jax.eval_shape(initial, network, len(config["situations"]), jax.random.key(0))
+    abstract = jax.eval_shape(functools.partial(initial, network, len(config["situations"])), jax.random.key(0))
     weights = Checkpoints(folder).best_weights(abstract)
     return driver(network, weights, scenario, name=folder.name)
 

@@ -1,9 +1,10 @@
 """The network (section V-C, after [50]): a local planner and a velocity controller, each with soft attention.
 
 Three encoders (of 5 depth images, of the global plan and, if wanted, of the situations) give vectors of one width. The
-local planner looks at them with attention and predicts where the robot will be in 1 to 5 s. That plan is encoded too, and
-the controller looks at all of them, with attention of its own, and gives the command. The paper leaves sizes open; these
-were chosen small enough for one CPU: at 64 x 48 pixels and width 64 there are 299,128 parameters.
+local planner looks at them with attention and predicts where the robot will be in 1 to 5 s. That plan is encoded too,
+and the controller looks at all of them, with attention of its own, and gives the command. The paper leaves sizes open;
+these were chosen small enough for one CPU: at 64 x 48 pixels and width 64 there are 285,329 parameters, 298,195 with
+situations.
 
 [50] A. Pokle et al., "Deep Local Trajectory Replanning and Control for Robot Navigation", ICRA 2019.
 """
@@ -24,7 +25,7 @@ class Decision:
     """What the network answers, and where it looked to find it."""
 
     local_plan: Array  # (5, 2) m, where the robot shall be in 1 to 5 s, in its frame
-    command: Array  # (2,) m/s, rad/s
+    command: Array  # (2,) m/s, rad/s; as the network gives it, in units of ``Weights.scale``
     planner_attention: Array  # (2,) or (3,) shares of image, global plan and, if it has them, situations
     controller_attention: Array  # (3,) or (4,) shares of image, local plan, global plan and, if so, situations
 

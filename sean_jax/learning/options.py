@@ -28,8 +28,6 @@ class Failed(RuntimeError):
 class Collect:
     """Record demonstrations: what a driver sees and does, once a second. A folder that has some is continued."""
 
-    out: Path
-    """Folder of the dataset. If it holds one of the same options, that is continued."""
     behavior: str = "graph"
     """Pedestrian behavior."""
     task: str | None = None
@@ -65,8 +63,17 @@ class Collect:
     """Episodes that are simulated at once and stored in one file; by the device and the time asked for by default."""
     seed: int = 0
     """The same seed gives the same demonstrations."""
+    out: Path | None = None
+    """Folder of the dataset, runs/demonstrations-<environment>-<behavior>-<driver>-<seed> by default. If it holds one
+    of the same options, that is continued."""
     quiet: bool = False
     """Say nothing but errors."""
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the dataset."""
+        named = (Path(self.environment).name, self.behavior, self.driver, str(self.seed))
+        return self.out or Path("runs") / "-".join(("demonstrations", *named))
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -102,8 +109,6 @@ class Train:
     """How: imitation of what the demonstrations do."""
     dataset: Annotated[Path, tyro.conf.Positional]
     """Folder that `sean collect` has written."""
-    out: Path
-    """Folder for checkpoints and metrics. If it holds a training of the same options, that is continued."""
     flags: bool = False
     """Let the network know which social situations occur."""
     width: int = 64
@@ -124,8 +129,16 @@ class Train:
     """Share of the device's memory that a dataset may fill; a larger one is read from disk again and again."""
     seed: int = 0
     """The same seed gives the same network."""
+    out: Path | None = None
+    """Folder for checkpoints and metrics, runs/imitation-<dataset>-<seed> by default. If it holds a training of the
+    same options, that is continued."""
     quiet: bool = False
     """Say nothing but errors."""
+
+    @property
+    def folder(self) -> Path:
+        """The folder for checkpoints and metrics."""
+        return self.out or Path("runs") / f"imitation-{self.dataset.resolve().name}-{self.seed}"
 
     def fixed(self) -> dict[str, Any]:
         """All that decides what the network becomes, but for when it stops."""
@@ -160,6 +173,11 @@ class Export:
     """Folder to write; it must not exist or be empty."""
     quiet: bool = False
     """Say nothing but errors."""
+
+    @property
+    def folder(self) -> Path:
+        """The folder to write."""
+        return self.out
 
 
 def command(word: str, fixed: dict[str, Any]) -> str:

@@ -1,8 +1,8 @@
 """The store: recordings as sharded zarr arrays, version 3, through tensorstore.
 
-An array for each field of a row, (episodes, T, ...). A batch of episodes is one shard, which is one file for each field:
-no file that is committed is ever written again, so a kill cannot harm it. Inside the shard of the depth images each
-episode is a chunk of its own. Every chunk has a checksum (crc32c).
+An array for each field of a row, (episodes, T, ...). A batch of episodes is one shard, which is one file for each
+field: no file that is committed is ever written again, so a kill cannot harm it. Inside the shard of the depth images
+each episode is a chunk of its own. Every chunk has a checksum (crc32c).
 """
 
 import errno

@@ -1,4 +1,4 @@
-"""``sean train imitation``: epochs until the loss in validation has not fallen for some, with checkpoints (section V-C).
+"""``sean train imitation``: epochs until the loss in validation stops falling, with checkpoints (section V-C).
 
 Killed at any moment, the same command goes on from the latest checkpoint and comes to the same result.
 """
@@ -44,20 +44,20 @@ def train(options: Train, console: Console | None = None) -> TrainState:
     data = open_dataset(options.dataset)
     kept, held = split(data, options.validation, options.seed)
     network = Network(options.width, options.flags, data.image)
-    going_on = begun(options.out, _config(options, data, network))
+    going_on = begun(options.folder, _config(options, data, network))
     over = devices.mesh()
     epoch = _epoch(data, kept, held, network, options, over)
     state = training.begin(network, len(data.manifest["situations"]), options, jnp.asarray(_commands(data, kept)))
-    checkpoints = Checkpoints(options.out)
+    checkpoints = Checkpoints(options.folder)
     state = (checkpoints.latest(state) if going_on else None) or state
     state = devices.everywhere(over, state)
-    log = Log(options.out, int(state.epoch))
+    log = Log(options.folder, int(state.epoch))
     with _shown(console, options.epochs) as tell:
         try:
             while not _over(state, options):
                 began = time.time()
                 after, found, validated = epoch(state)
-                state = _finite(after, found, validated, options.out)
+                state = _finite(after, found, validated, options.folder)
                 number, better = int(state.epoch), int(state.best_epoch) == int(state.epoch)
                 if better or number % EVERY == 0 or _over(state, options):
                     checkpoints.save(state, float(validated.loss))

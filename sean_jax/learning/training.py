@@ -5,6 +5,7 @@ on the device. The shuffle comes from (seed, epoch), so a training that was inte
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -54,7 +55,7 @@ class Programs(NamedTuple):
 def begin(network: Network, situations: int, options: Train, commands: Array) -> TrainState:
     """Before the first epoch. ``commands`` (R, 2) are those to be imitated, which decide the scale of the command."""
     weights = initial(network, situations, jax.random.key(options.seed))
-    weights = weights.replace(scale=jnp.maximum(jnp.std(commands, 0), STILL))
+    weights = replace(weights, scale=jnp.maximum(jnp.std(commands, 0), STILL))
     state = _optimizer(options).init(weights.parameters)
     return TrainState(
         weights=weights,
@@ -84,7 +85,7 @@ def programs(network: Network, options: Train, over: Mesh) -> Programs:
         with jax.numpy_dtype_promotion("standard"):  # optax raises floats to whole numbers
             steps, after = optimizer.update(slope, state.optimizer, weights.parameters)
         parameters = optax.apply_updates(weights.parameters, steps)
-        return state.replace(weights=weights.replace(parameters=parameters), optimizer=after), total
+        return replace(state, weights=replace(weights, parameters=parameters), optimizer=after), total
 
     def measure(state: TrainState, examples: Example, weight: Array) -> Array:
         return sums(state.weights.parameters, state.weights.scale, examples, weight)
@@ -106,7 +107,8 @@ def programs(network: Network, options: Train, over: Mesh) -> Programs:
         train, validation = _losses(trained), _losses(found)
         number = state.epoch + 1
         better = validation.loss < state.best
-        state = state.replace(
+        state = replace(
+            state,
             epoch=number,
             best=jnp.where(better, validation.loss, state.best),
             best_epoch=jnp.where(better, number, state.best_epoch),
@@ -128,7 +130,7 @@ def in_batches(rows: Array, size: int, devices: int) -> Array:
 
 def _errors(network: Network, parameters: Any, scale: Array, one: Example, weight: Array) -> Array:
     """(4,) of one example: squared distances added up, places that are known, squared error of the command, and 1."""
-    decision = network.apply(parameters, one.images, one.plan, one.situations)
+    decision: Any = network.apply(parameters, one.images, one.plan, one.situations)
     gap = decision.local_plan - one.future
     far = gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]
     known = one.known.astype(jnp.float32)

@@ -1,4 +1,4 @@
-"""The global plan: the next points of the shortest path, as a planner hands them to whoever follows it (section V-B)."""
+"""The global plan: the next points of the shortest path, as a planner hands them to a driver (section V-B)."""
 
 import jax
 import jax.numpy as jnp
