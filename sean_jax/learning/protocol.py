@@ -45,6 +45,7 @@ def streams(options: Collect) -> tuple[list[Stream], tuple]:
         scenarios = [first, *(assembly.with_task(first, task) for task in options.tasks[1:])]
     except ValueError as error:
         raise Refused(str(error)) from error
+    first = replace(first, metrics=())  # nobody asks for them here
     tasks = tuple(scenario.task for scenario in scenarios)
     if options.behavior == "handcrafted" and options.handcrafted is None and options.tasks == ("handcrafted",):
         names = dict.fromkeys(first.behavior.data.situations)
