@@ -42,7 +42,7 @@ class Checkpoints:
     def save(self, state: TrainState, loss: float) -> None:
         """Keep the state after an epoch, in the background. Raises Failed if the last one could not be written."""
         try:
-            content = ocp.args.Composite(**{STATE: ocp.args.StandardSave(state)})  # pyright: ignore
+            content = ocp.args.Composite(**{STATE: ocp.args.PyTreeSave(state)})  # pyright: ignore
             self.manager.save(int(state.epoch), args=content, metrics={"loss": loss}, force=True)
         except (OSError, ValueError) as error:
             raise Failed(f"{self.folder}: {_reason(error)}; earlier checkpoints are as they were.") from error

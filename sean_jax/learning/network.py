@@ -3,7 +3,7 @@
 Three encoders (of 5 depth images, of the global plan and, if wanted, of the situations) give vectors of one width. The
 local planner looks at them with attention and predicts where the robot will be in 1 to 5 s. That plan is encoded too,
 and the controller looks at all of them, with attention of its own, and gives the command. The paper leaves sizes open;
-these were chosen small enough for one CPU: at 64 x 48 pixels and width 64 there are 285,329 parameters, 298,195 with
+these were chosen small enough for one CPU: at 64 x 48 pixels and width 64 there are 285,585 parameters, 298,451 with
 situations.
 
 [50] A. Pokle et al., "Deep Local Trajectory Replanning and Control for Robot Navigation", ICRA 2019.
@@ -61,12 +61,12 @@ class Network(nn.Module):
         self.controller = Head(self.width, 2)
 
     def see(self, image: Array) -> Array:
-        """(F,) what is in one depth image (H, W) uint16 mm. A driver keeps these, and sees each image once."""
+        """(..., F) what is in a depth image (..., H, W) uint16 mm. A driver keeps these, and sees each image once."""
         near = 1.0 / (1.0 + image.astype(jnp.float32) / MILLIMETRES)  # what is near matters most
         values = near[..., None]
         for convolution in self.convolutions:
             values = nn.relu(convolution(values))
-        return nn.relu(self.seen(values.reshape(-1)))
+        return nn.relu(self.seen(values.reshape(*image.shape[:-2], -1)))
 
     def decide(self, seen: Array, plan: Array, situations: Array) -> Decision:
         """The answer for five images as ``see`` gives them (5, F), the plan (10, 2) m and the situations (S,) bool."""
@@ -80,7 +80,7 @@ class Network(nn.Module):
 
     def __call__(self, images: Array, plan: Array, situations: Array) -> Decision:
         """The answer for images (5, H, W), as ``decide``."""
-        return self.decide(jnp.stack([self.see(image) for image in images]), plan, situations)
+        return self.decide(self.see(images), plan, situations)
 
 
 class Encoder(nn.Module):
@@ -95,16 +95,20 @@ class Encoder(nn.Module):
 
 
 class Attention(nn.Module):
-    """Soft attention: a share of each encoding, all shares together 1, decided by looking at all encodings."""
+    """Soft attention: a share of each encoding, all shares together 1, decided by looking at all encodings.
+
+    Encodings are brought to one length before, so that a share says how much of the sum is of that source.
+    """
 
     sources: int
 
     @nn.compact
     def __call__(self, encodings: Array) -> tuple[Array, Array]:
         """(F,) the weighted sum of the encodings (K, F), and (K,) the shares."""
-        hidden = nn.tanh(nn.Dense(encodings.shape[-1])(encodings.reshape(-1)))
+        even = nn.LayerNorm()(encodings)
+        hidden = nn.tanh(nn.Dense(encodings.shape[-1])(even.reshape(-1)))
         shares = nn.softmax(nn.Dense(self.sources)(hidden))
-        return shares @ encodings, shares
+        return shares @ even, shares
 
 
 class Head(nn.Module):

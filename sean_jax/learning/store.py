@@ -97,7 +97,9 @@ def write_whole(file: Path, text: str) -> None:
 def _opened(folder: Path, more: dict[str, Any] | None = None) -> Any:
     import tensorstore
 
-    spec = {"driver": "zarr3", "kvstore": {"driver": "file", "path": str(folder)}, "open": True, **(more or {})}
+    files = {"driver": "file", "path": str(folder)}
+    # Shards of zeros are written as well, so that a missing file is always a lost one.
+    spec = {"driver": "zarr3", "kvstore": files, "open": True, "store_data_equal_to_fill_value": True, **(more or {})}
     return tensorstore.open(spec).result()
 
 
@@ -106,6 +108,8 @@ def _reason(error: Exception) -> str:
     text = str(error)
     if getattr(error, "errno", None) == errno.ENOSPC or "No space left" in text:
         return "the disk is full"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.strerror.lower()} ({error.filename})" if error.filename else error.strerror.lower()
     shown = text.split("[")[0].strip().rstrip(".")
     named = next((part for part in text.split('"') if "/c/" in part), "")
     if "Digest mismatch" in text or "DATA_LOSS" in text or "corrupt" in text.lower():

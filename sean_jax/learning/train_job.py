@@ -59,9 +59,9 @@ def train(options: Train, console: Console | None = None) -> TrainState:
                 after, found, validated = epoch(state)
                 state = _finite(after, found, validated, options.folder)
                 number, better = int(state.epoch), int(state.best_epoch) == int(state.epoch)
+                log.add({"epoch": number, "train": _told(found), "validation": _told(validated), "time": time.time()})
                 if better or number % EVERY == 0 or _over(state, options):
                     checkpoints.save(state, float(validated.loss))
-                log.add({"epoch": number, "train": _told(found), "validation": _told(validated), "time": time.time()})
                 best = f"best {float(state.best):.4f} after {int(state.best_epoch)}"
                 tell(number, f"loss {float(validated.loss):.4f}, {best}, {time.time() - began:.2f} s an epoch")
         finally:

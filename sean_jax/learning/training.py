@@ -123,7 +123,7 @@ def programs(network: Network, options: Train, over: Mesh) -> Programs:
 def in_batches(rows: Array, size: int, devices: int) -> Array:
     """(batches, B) int32 of the rows (N,); -1 fills the last. B is at most N, rounded up for the devices."""
     number = rows.shape[0]
-    size = -(-min(size, number) // devices) * devices
+    size = -(-max(1, min(size, number)) // devices) * devices
     spare = -number % size
     return jnp.concatenate([rows, jnp.full((spare,), -1, jnp.int32)]).reshape(-1, size)
 
