@@ -1,4 +1,4 @@
-"""The command line: ``sean run``, ``sean draw``, ``sean import-map``, ``sean bench``, ``sean list``.
+"""The command line: ``sean run``, ``collect``, ``train``, ``export``, ``draw``, ``import-map``, ``bench``, ``list``.
 
 Nothing heavy is imported before a command is chosen, so that ``sean --help`` answers at once.
 """
@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 import tyro
 
 from sean_jax.bench import Options as Bench
+from sean_jax.learning.options import Collect, Export, Failed, Refused, Train
 from sean_jax.main_job.options import BadInput, Options
 
 WRONG, FAILED, STOPPED = 2, 1, 130  # exit codes: bad input, a broken simulation, Ctrl-C
@@ -76,9 +77,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _draw(command)
         if isinstance(command, Bench):
             return _bench(command)
+        if isinstance(command, Collect | Train | Export):
+            return _learn(command)
         return _run(command)
-    except BadInput as error:
+    except (BadInput, Refused) as error:
         return _fail(str(error), WRONG)
+    except Failed as error:
+        return _fail(str(error), FAILED)
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
         return _fail(f"{(error.strerror or str(error)).lower()}{where}; nothing was written.", WRONG)
@@ -99,9 +104,12 @@ def cache_compilations() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 
-def _parse(arguments: list[str]) -> Options | Draw | ImportMap | Bench | List:
+def _parse(arguments: list[str]) -> Options | Collect | Train | Export | Draw | ImportMap | Bench | List:
     commands = (
         Annotated[Options, tyro.conf.subcommand("run", default=Options())]
+        | Annotated[Collect, tyro.conf.subcommand("collect")]
+        | Annotated[Train, tyro.conf.subcommand("train")]
+        | Annotated[Export, tyro.conf.subcommand("export")]
         | Annotated[Draw, tyro.conf.subcommand("draw", default=Draw())]
         | Annotated[ImportMap, tyro.conf.subcommand("import-map")]
         | Annotated[Bench, tyro.conf.subcommand("bench", default=Bench())]
@@ -160,6 +168,34 @@ def _bench(options: Bench) -> int:
     console = Console(quiet=options.quiet)
     folder = bench.run(options, console)
     console.print(f"picture: [bold]{folder / 'bench.png'}[/]", highlight=False, soft_wrap=True)
+    return 0
+
+
+def _learn(command: Collect | Train | Export) -> int:
+    """Collect, train or export; what is done when something goes wrong, or at Ctrl-C, is kept."""
+    from rich.console import Console
+
+    from sean_jax import learning
+
+    console = Console(quiet=command.quiet)
+    folder = command.folder
+    try:
+        if isinstance(command, Collect):
+            data = learning.collect(command, console)
+            said = f"{data.examples} examples in {len(data.episodes)} episodes: [bold]{folder}[/]"
+        elif isinstance(command, Train):
+            state = learning.train(command, console)
+            best = f"least loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
+            said = f"{int(state.epoch)} epochs, {best}: [bold]{folder}[/]\nnext: sean run --policy {folder}"
+        else:
+            said = f"written: [bold]{learning.export(command.dataset, command.out)}[/]"
+    except FloatingPointError as error:
+        return _fail(str(error), FAILED)
+    except ModuleNotFoundError as error:
+        return _fail(f'{error.name} is missing; pip install "sean_jax[learning]".', WRONG)
+    except KeyboardInterrupt:
+        return _fail(f"stopped; what was finished until then is in {folder}, and the same command goes on.", STOPPED)
+    console.print(said, highlight=False, soft_wrap=True)
     return 0
 
 

@@ -37,8 +37,8 @@ def run(options: Options, console: Console) -> tuple[Path, int]:
             from sean_jax.main_job import progress, simulation, statistics, table
 
         with console.status("preparing the scenario"):
-            policy = _policy(options.policy)
             scenarios = _scenarios(options)
+            policy = _policy(options.policy, scenarios[0])
             _check_camera(options, scenarios[0])
         _introduce(console, scenarios[0], options)
         with progress.shown(console) as watch:
@@ -93,11 +93,20 @@ def _check_camera(options: Options, scenario: Scenario) -> None:
         raise BadInput(str(error)) from error
 
 
-def _policy(name: str) -> Any:
+def _policy(name: str, scenario: Scenario) -> Any:
+    """The policy of that name, or the driver that a training has made in the folder of that name."""
     import difflib
 
     from sean_jax.policies import POLICIES
 
+    if name not in POLICIES and Path(name).is_dir():
+        from sean_jax import learning
+        from sean_jax.learning.options import Failed, Refused
+
+        try:
+            return learning.load(name, scenario)
+        except (Failed, Refused) as error:
+            raise BadInput(str(error)) from error
     if name not in POLICIES:
         near = difflib.get_close_matches(name, POLICIES, 1)
         cure = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(POLICIES)}."

@@ -39,7 +39,7 @@ class Options:
     robot: str = "kuri"
     """Robot."""
     policy: str = "go_to_goal"
-    """Who drives the robot."""
+    """Who drives the robot: a name, or the folder that `sean train` has written."""
     people: int | None = None
     """Number of people; the environment's own number by default (62 in the warehouse)."""
     parties: tuple[float, float] = (0.0, 0.0)

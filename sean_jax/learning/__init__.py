@@ -1,0 +1,50 @@
+"""Learning to drive from demonstrations (section V): collect them, train a network, let it drive.
+
+Names are imported at first use, so that the command line, which only needs the options, answers at once.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sean_jax.learning.collect_job import collect
+    from sean_jax.learning.dataset import Dataset, open_dataset
+    from sean_jax.learning.examples import Example, Recording, example
+    from sean_jax.learning.learned import driver, load
+    from sean_jax.learning.lerobot import export
+    from sean_jax.learning.loader import Loader, Token
+    from sean_jax.learning.network import Network
+    from sean_jax.learning.recorder import record
+    from sean_jax.learning.train_job import train
+
+_HOMES = {
+    "Dataset": "dataset",
+    "Example": "examples",
+    "Loader": "loader",
+    "Network": "network",
+    "Recording": "examples",
+    "Token": "loader",
+    "collect": "collect_job",
+    "driver": "learned",
+    "example": "examples",
+    "export": "lerobot",
+    "load": "learned",
+    "open_dataset": "dataset",
+    "record": "recorder",
+    "train": "train_job",
+}
+
+__all__ = [
+    "Dataset", "Example", "Loader", "Network", "Recording", "Token", "collect", "driver", "example", "export", "load",
+    "open_dataset", "record", "train",
+]  # fmt: skip
+
+
+def __getattr__(name: str):
+    if name in _HOMES:
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

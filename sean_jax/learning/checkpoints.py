@@ -1,0 +1,125 @@
+"""Checkpoints of a training through orbax: the latest and the best are kept, and a half-written one is never seen.
+
+orbax deletes the latest checkpoint where only the best are asked for, and a training would begin anew: so both are.
+"""
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import jax
+import orbax.checkpoint as ocp
+from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
+
+from sean_jax.learning.learned import Weights
+from sean_jax.learning.options import Failed, Refused
+from sean_jax.learning.store import write_whole
+from sean_jax.learning.training import TrainState
+
+CONFIG = "config.json"  # what the network is, beside the checkpoints
+STATE = "state"
+
+
+def _less_loss(metrics: dict[str, float]) -> float:
+    return -metrics["loss"]
+
+
+class Checkpoints:
+    """The checkpoints in a folder, each named by the number of epochs that were done."""
+
+    def __init__(self, folder: Path):
+        logging.getLogger("absl").setLevel(logging.ERROR)  # orbax tells of every step it takes
+        self.folder = Path(folder).absolute()
+        keep = AnyPreservationPolicy([LatestN(n=1), BestN(get_metric_fn=_less_loss, n=1)])
+        options = ocp.CheckpointManagerOptions(
+            best_fn=_less_loss,  # decides nothing here, but without it the losses would not be kept on disk
+            preservation_policy=keep,
+            cleanup_tmp_directories=True,
+        )
+        self.manager = ocp.CheckpointManager(self.folder / "checkpoints", options=options)
+
+    def save(self, state: TrainState, loss: float) -> None:
+        """Keep the state after an epoch, in the background. Raises Failed if the last one could not be written."""
+        try:
+            content = ocp.args.Composite(**{STATE: ocp.args.PyTreeSave(state)})  # pyright: ignore
+            self.manager.save(int(state.epoch), args=content, metrics={"loss": loss}, force=True)
+        except (OSError, ValueError) as error:
+            raise Failed(f"{self.folder}: {_reason(error)}; earlier checkpoints are as they were.") from error
+
+    def wait(self) -> None:
+        """Until all is written. Raises Failed if it cannot be."""
+        try:
+            self.manager.wait_until_finished()
+        except (OSError, ValueError) as error:
+            raise Failed(f"{self.folder}: {_reason(error)}; earlier checkpoints are as they were.") from error
+
+    def latest(self, like: TrainState) -> TrainState | None:
+        """The latest state, with the shapes and types of ``like``; None if there is none.
+
+        Raises Failed if it cannot be read.
+        """
+        step = self.manager.latest_step()
+        return None if step is None else self._restore(step, like)
+
+    def best_weights(self, like: Weights) -> Weights:
+        """The weights with the least loss in validation. Raises Refused if there are none."""
+        known = {step: self.manager.metrics(step) for step in self.manager.all_steps()}
+        scored = {step: _less_loss(found) for step, found in known.items() if found}
+        if not scored:
+            raise Refused(f"{self.folder} has no checkpoint; train a network with `sean train imitation`.")
+        best = max(scored, key=lambda step: (scored[step], -step))
+        return self._restore(best, like, part="weights")
+
+    def _restore(self, step: int, like: Any, part: str | None = None) -> Any:
+        sharding = jax.sharding.SingleDeviceSharding(jax.devices()[0])
+        one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), like)
+        target = one if part is None else {part: one}
+        try:
+            placed = ocp.checkpoint_utils.construct_restore_args(target)
+            given = ocp.args.PyTreeRestore(item=target, restore_args=placed, partial_restore=True)  # pyright: ignore
+            content = self.manager.restore(step, args=ocp.args.Composite(**{STATE: given}))
+            return content[STATE] if part is None else content[STATE][part]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            where = self.folder / "checkpoints" / str(step)
+            raise Failed(
+                f"{where} cannot be read ({_reason(error)}); remove it to go on from an earlier one."
+            ) from error
+
+
+def begun(folder: Path, config: dict[str, Any]) -> bool:
+    """Whether a training of that configuration was begun in the folder; if not, it begins now.
+
+    Raises Refused if another training was.
+    """
+    file = folder / CONFIG
+    if not file.exists():
+        if folder.exists() and not folder.is_dir():
+            raise Refused(f"{folder} is a file, give the name of a folder with --out.")
+        if folder.is_dir() and any(item for item in folder.iterdir() if item.name != f".{CONFIG}.new"):
+            raise Refused(f"the folder {folder} holds something else already, choose another with --out.")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_whole(file, json.dumps(config, indent=1) + "\n")
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise Refused(f"cannot write {folder}: {reason}; choose another folder with --out.") from error
+        return False
+    try:
+        had = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise Refused(f"{file} cannot be read ({error}); choose another folder with --out.") from error
+    for name, value in json.loads(json.dumps(config)).items():
+        if name != "versions" and had.get(name) != value:
+            said = f"{name.replace('_', ' ')} {_shown(had.get(name))}, not {_shown(value)}"
+            raise Refused(f"{folder} has checkpoints of another network, with {said}; choose another --out.")
+    return True
+
+
+def _shown(value: Any) -> str:
+    return {True: "on", False: "off"}[value] if isinstance(value, bool) else str(value)
+
+
+def _reason(error: Exception) -> str:
+    text = str(error).strip().split("\n")[0].rstrip(".")
+    return "the disk is full" if "No space left" in text or getattr(error, "errno", 0) == 28 else text[:200]

@@ -1,0 +1,168 @@
+"""``sean collect``: demonstrations of a driver until there is as much as asked for, shard by shard (section V-B).
+
+What has been committed is never lost: after a kill, or for more hours, the same command goes on with the next shard,
+and makes those anew that were lost. The result is the same, to the byte, as that of one run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from sean_jax import devices, sensors
+from sean_jax.learning import dataset as datasets
+from sean_jax.learning import demonstrations
+from sean_jax.learning.dataset import Dataset
+from sean_jax.learning.options import Collect, Refused, command
+from sean_jax.learning.protocol import Stream, next_stream, share, streams, who_drives
+from sean_jax.learning.versions import versions
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+TYPICAL = 30.0  # s, of an episode: so many are simulated at once that no stream gets much more than it needs
+MOST = {"cpu": 32}  # episodes at once, by kind of device
+MOST_ELSEWHERE = 1024
+
+
+def collect(options: Collect, console: Console | None = None) -> Dataset:
+    """Record until every stream has its time, and give the dataset.
+
+    Raises Refused for what cannot be asked for, Failed if something breaks midway, FloatingPointError for numbers that
+    are not finite, KeyboardInterrupt; what was committed before stays in each case.
+    """
+    options.check()
+    policy = who_drives(options.driver)
+    parts, tasks = streams(options)
+    try:
+        eye = sensors.camera(parts[0].scenario, "depth", width=options.width, height=options.height)
+    except ValueError as error:
+        raise Refused(str(error)) from error
+    data = _begun(options, parts, eye)
+    over = devices.mesh()
+    if data.batch % over.size:
+        raise Refused(f"--batch: {data.batch} episodes do not spread evenly over {over.size} devices; take a multiple.")
+    programs = demonstrations.prepare(parts[0].scenario, tasks, policy, eye, over)
+    wanted = share(options.hours, len(parts))
+    with _shown(console, wanted * len(parts)) as tell:
+        for stream, shard in _due(data, wanted):
+            began = time.perf_counter()
+
+            def watch(seconds: int, shard: int = shard) -> None:
+                note = f"shard {shard}: {data.batch} episodes of {parts[0].scenario.people} people at {seconds} s"
+                tell(sum(min(each, wanted) for each in data.recorded), note)
+
+            numbers = np.arange(shard * data.batch, (shard + 1) * data.batch)
+            part = parts[stream]
+            batch = demonstrations.simulate(programs, part.scenario, options.seed, part.turn, numbers, watch)
+            data.commit(stream, batch, shard if shard < len(data.manifest["shards"]) else None)
+            took = time.perf_counter() - began
+            done = sum(min(each, wanted) for each in data.recorded)
+            tell(done, f"shard {shard}: {int(batch.lengths.sum())} examples in {took:.1f} s")
+    return data
+
+
+def _due(data: Dataset, wanted: int) -> Iterator[tuple[int, int]]:
+    """(stream, shard) of what is to be recorded: first what was lost, then what is missing."""
+    for shard in data.lost():
+        yield data.manifest["shards"][shard]["stream"], shard
+    while (stream := next_stream(data.recorded, wanted)) is not None:
+        yield stream, len(data.manifest["shards"])
+
+
+def _begun(options: Collect, parts: list[Stream], eye: sensors.Camera) -> Dataset:
+    """The dataset of the folder, if it was begun with the same options, or an empty one."""
+    folder = options.folder
+    if folder.exists() and not folder.is_dir():
+        raise Refused(f"{folder} is a file, give the name of a folder with --out.")
+    if (folder / datasets.MANIFEST).exists():
+        data = datasets.open_dataset(folder)
+        _check_same(options, data)
+        if options.hours > data.manifest["hours"]:
+            data.save({**data.manifest, "command": _command(options), "hours": options.hours})
+        return data
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / "zarr.json").is_file():
+        left = sorted(item.name for item in folder.iterdir())
+        if not set(left) <= {*datasets.fields(1, 1, 1), ".zarr.json.new"}:  # what a kill at the very beginning left
+            raise Refused(f"the folder {folder} holds something else already, choose another with --out.")
+    return datasets.create_dataset(folder, _manifest(options, parts, eye))
+
+
+def _check_same(options: Collect, data: Dataset) -> None:
+    asked, had = options.fixed(), data.manifest["options"]
+    for name in asked:
+        if asked[name] != had.get(name):
+            flag = "--" + name.replace("_", "-")
+            said = f"{flag} {had.get(name)}, not {asked[name]}"
+            raise Refused(f"{data.folder} was begun with {said}; ask for the same or choose another --out.")
+    if options.batch not in (None, data.batch):
+        raise Refused(f"{data.folder} was begun with --batch {data.batch}, not {options.batch}; ask for the same.")
+    if options.hours < data.manifest["hours"]:
+        had_hours = f"{data.manifest['hours']:g}"
+        raise Refused(
+            f"{data.folder} was begun with --hours {had_hours}, not {options.hours:g}; ask for as much or more."
+        )
+
+
+def _manifest(options: Collect, parts: list[Stream], eye: sensors.Camera) -> dict[str, Any]:
+    scenario = parts[0].scenario
+    return {
+        "command": _command(options),
+        "options": options.fixed(),
+        **described(scenario, eye, options.driver),
+        "hours": options.hours,
+        "batch": _size(options, len(parts)),
+        "streams": [part.name for part in parts],
+    }
+
+
+def _command(options: Collect) -> str:
+    return command("collect", {**options.fixed(), "hours": options.hours})
+
+
+def described(scenario: Any, eye: sensors.Camera, driver: str) -> dict[str, Any]:
+    """What a manifest says of a scenario and of who drives there."""
+    camera = {"width": eye.width, "height": eye.height, "fovy": eye.fovy, "far": eye.far}
+    limits = {"max_speed": float(scenario.robot.max_speed), "max_turn_rate": float(scenario.robot.max_turn_rate)}
+    return {
+        "versions": versions(),
+        "environment": scenario.environment.name,
+        "behavior": scenario.behavior.name,
+        "driver": driver,
+        "people": scenario.people,
+        "robot": {"name": scenario.robot.name, **limits},
+        "camera": camera,
+        "situations": [name for name, _ in scenario.situations],
+        "rate": 1.0,
+        "seconds": int(np.ceil(scenario.time_limit - 1e-6)),
+    }
+
+
+def _size(options: Collect, parts: int) -> int:
+    """Episodes at once, a multiple of the number of devices."""
+    count = len(jax.devices())
+    if options.batch is not None:
+        return options.batch
+    most = MOST.get(jax.default_backend(), MOST_ELSEWHERE)
+    needed = int(np.ceil(share(options.hours, parts) / TYPICAL))
+    return int(np.ceil(min(most, max(4, needed)) / count) * count)
+
+
+@contextlib.contextmanager
+def _shown(console: Console | None, total: int) -> Iterator[Any]:
+    """Tells (seconds, note) on the console until the block ends."""
+    if console is None:
+        yield lambda done, note: None
+        return
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=30))
+    bar = Progress(*columns, TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console, transient=True)
+    with bar:
+        task = bar.add_task("recording", total=total, note="compiling")
+        yield lambda done, note: bar.update(task, completed=done, note=f"{done:,} of {total:,} s · {note}")

@@ -1,0 +1,143 @@
+"""Demonstrations by simulation: a batch of numbered episodes, recorded once a second until all have ended.
+
+Episode ``i`` is drawn from ``fold_in(key(seed), i)`` alone, so it does not depend on what else is simulated, and an
+interrupted collection goes on where it stopped. Outside, recordings are numpy arrays (B, T, ...): what comes after the
+end of an episode is zero.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+
+from sean_jax import devices, navigation, parallel, sensors
+from sean_jax.base import Array, Policy, RobotTask, Scenario, State
+from sean_jax.learning.rows import Row, row
+from sean_jax.scenario import reset
+
+CHUNK = 10  # s, between two looks at whether all have ended
+
+
+@dataclasses.dataclass
+class Batch:
+    """B episodes of at most T rows."""
+
+    rows: dict[str, np.ndarray]  # field of Row -> (B, T, ...)
+    lengths: np.ndarray  # (B,) rows of each episode
+    completed: np.ndarray  # (B,) bool
+
+
+@dataclasses.dataclass
+class Programs:
+    """What is compiled for batches of B episodes."""
+
+    seconds: int  # T
+    draw: Callable  # ((scenario, seed, turn), numbers (B,)) -> carry
+    advance: Callable  # (scenario, carry) -> (carry, (rows (B, CHUNK, ...), active (B, CHUNK)))
+    over: Mesh
+
+
+def prepare(
+    scenario: Scenario, tasks: Sequence[Callable], policy: Policy, eye: sensors.Camera, over: Mesh | None = None
+) -> Programs:
+    """Programs for episodes of the scenario, whose task is one of those given; compiled at first use.
+
+    Args:
+        eye: the depth camera.
+        over: devices that share the work; the first one alone if None.
+    """
+    over = devices.mesh(jax.devices()[:1]) if over is None else over
+    draw = functools.partial(_draw, tuple(tasks), policy)
+    advance = functools.partial(_advance, policy, eye)
+    seconds = math.ceil(scenario.time_limit - 1e-6)
+    return Programs(seconds, devices.spread(over, draw), devices.spread(over, advance, donate=True), over)
+
+
+def simulate(
+    programs: Programs,
+    scenario: Scenario,
+    seed: int,
+    turn: int,
+    numbers: np.ndarray,
+    watch: Callable[[int], None] | None = None,
+) -> Batch:
+    """The episodes of those numbers (B,), whose task has the index ``turn``.
+
+    ``watch(seconds)`` is told how far they are. Raises FloatingPointError naming episodes with numbers that are not
+    finite.
+    """
+    fixed = devices.everywhere(programs.over, (scenario, jnp.uint32(seed), jnp.int32(turn)))
+    carry = programs.draw(fixed, jnp.asarray(numbers, jnp.uint32))
+    kept, active = [], []
+    for done in range(CHUNK, programs.seconds + CHUNK, CHUNK):
+        carry, (rows, on) = programs.advance(fixed[0], carry)
+        kept.append(jax.tree.map(np.asarray, rows))
+        active.append(np.asarray(on))
+        if watch is not None:
+            watch(min(done, programs.seconds))
+        if bool(np.asarray(carry[0].completed | carry[0].timed_out).all()):
+            break
+    lengths = np.concatenate(active, 1)[:, : programs.seconds].sum(1)
+    fields = {field.name: np.concatenate([getattr(part, field.name) for part in kept], 1) for field in _fields()}
+    fields = {name: _padded(values, lengths, programs.seconds) for name, values in fields.items()}
+    _refuse_nan(fields, numbers)
+    return Batch(fields, lengths, np.asarray(carry[0].completed))
+
+
+def _fields() -> tuple:
+    return dataclasses.fields(Row)  # pyright: ignore[reportArgumentType]
+
+
+def _draw(tasks: tuple[Callable, ...], policy: Policy, fixed: tuple, number: Array) -> tuple:
+    """An episode before its first step, the way to its goal, and no command yet."""
+    scenario, seed, turn = fixed
+
+    def task(scenario: Scenario, *others: Any) -> RobotTask:
+        return jax.lax.switch(turn, [functools.partial(each, scenario) for each in tasks], *others)
+
+    key = jax.random.fold_in(jax.random.key(seed), number)
+    state = reset(dataclasses.replace(scenario, task=task), key)
+    last = navigation.bend_to_goal(scenario.navigation, state.task.goal)
+    return parallel.begin(scenario, policy, state), last, jnp.zeros(2, jnp.float32)
+
+
+def _advance(policy: Policy, eye: sensors.Camera, scenario: Scenario, carry: tuple) -> tuple:
+    """CHUNK seconds more, and the rows at their beginnings, with whether the episode had not ended by then."""
+    ticks = round(1.0 / scenario.time_step)
+
+    def second(carry: tuple, _) -> tuple:
+        before, last, held = carry
+        after, actions = jax.lax.scan(tick, before, length=ticks)
+        given = jnp.isfinite(actions).all(-1)
+        command = jnp.where(given[0], actions[0], held)  # a command that is not finite is no new one
+        newest = jnp.max(jnp.where(given, jnp.arange(ticks, dtype=jnp.int32), -1))
+        held = jnp.where(newest >= 0, actions[newest], held)
+        active = ~(before.completed | before.timed_out)
+        return (after, last, held), (row(scenario, before, command, eye, last), active)
+
+    def tick(state: State, _) -> tuple[State, Array]:
+        return parallel.advance(scenario, policy, state)
+
+    return jax.lax.scan(second, carry, length=CHUNK)
+
+
+def _padded(values: np.ndarray, lengths: np.ndarray, seconds: int) -> np.ndarray:
+    """(B, T, ...) of which zeros are what comes after the end."""
+    whole = np.zeros((len(values), seconds, *values.shape[2:]), values.dtype)
+    for padded, given, length in zip(whole, values, lengths, strict=True):
+        padded[:length] = given[:length]
+    return whole
+
+
+def _refuse_nan(fields: dict[str, np.ndarray], numbers: np.ndarray) -> None:
+    floats = [values for values in fields.values() if values.dtype.kind == "f"]
+    faulty = np.any([~np.isfinite(values.reshape(len(values), -1)).all(1) for values in floats], 0)
+    if faulty.any():
+        listed = ", ".join(map(str, np.asarray(numbers)[faulty][:8]))
+        raise FloatingPointError(f"episodes hold numbers that are not finite: {listed}.")

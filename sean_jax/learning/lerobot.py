@@ -1,0 +1,223 @@
+"""Export to LeRobotDataset v3.0, the format of the LeRobot project: parquet files and a description of them.
+
+Depth images are kept in the parquet files as PNG of 16 bits, in mm, as LeRobot keeps images that are no video.
+"""
+
+import io
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sean_jax.learning.dataset import Dataset, Episode, open_dataset
+from sean_jax.learning.options import Refused
+
+CHUNK = 1000  # files in a folder
+SHARE = 512  # episodes in a file
+IMAGE, STATE, PLAN, FLAGS, ACTION = (
+    "observation.images.depth",
+    "observation.state",
+    "observation.environment_state",
+    "observation.situations",
+    "action",
+)
+NUMBERS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+
+
+def export(dataset: Path | str, out: Path | str) -> Path:
+    """Write the dataset in ``out``, which must not exist or be empty.
+
+    Raises Refused if that cannot be, or if pyarrow is not there; Failed if a file of the dataset is damaged.
+    """
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise Refused('export lerobot: pyarrow is missing; pip install "sean_jax[lerobot]".') from None
+    data, out = open_dataset(dataset), Path(out)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise Refused(f"{out} holds something already, choose another with --out.")
+    if not data.episodes:
+        raise Refused(f"{data.folder} has no episodes; collect some.")
+    temporary = out.absolute().with_name(f".{out.name}.unfinished-{os.getpid()}")
+    try:
+        _export(data, temporary)
+        if out.is_dir():
+            out.rmdir()
+        temporary.rename(out)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return out
+
+
+def _export(data: Dataset, out: Path) -> None:
+    tasks, about, totals, index = list(data.manifest["streams"]), [], Totals(), 0
+    for number, first in enumerate(range(0, len(data.episodes), SHARE)):
+        where = {"chunk_index": number // CHUNK, "file_index": number % CHUNK}
+        rows: list[dict[str, Any]] = []
+        for episode_index, episode in enumerate(data.episodes[first : first + SHARE], first):
+            made = list(_frames(data, episode, episode_index, index))
+            own = Totals()
+            own.add(made)
+            totals.join(own)
+            about.append(_about(episode, episode_index, index, tasks, where, own))
+            rows += [_cells(frame) for frame in made]
+            index += len(made)
+        _write(out / _file("data", **where), rows, _schema(data))
+    _write(out / _file("meta/episodes", 0, 0), about)
+    _write(out / "meta/tasks.parquet", *_tasks(tasks))
+    (out / "meta/info.json").write_text(json.dumps(_info(data, index, tasks), indent=4) + "\n", encoding="utf-8")
+    (out / "meta/stats.json").write_text(json.dumps(totals.told(), indent=4) + "\n", encoding="utf-8")
+
+
+class Totals:
+    """Least, greatest, mean, standard deviation and number of each feature; of images, per channel from 0 to 1."""
+
+    def __init__(self):
+        self.sums: dict[str, list[np.ndarray]] = {}
+
+    def add(self, frames: list[dict[str, Any]]) -> None:
+        """Those frames as well."""
+        for name in frames[0]:
+            values = np.stack([np.atleast_1d(frame[name]) for frame in frames]).astype(np.float64)
+            if name == IMAGE:
+                values = values.reshape(-1, 1) / 65535.0
+            parts = [values.min(0), values.max(0), values.sum(0), np.square(values).sum(0), np.array([len(values)])]
+            self._add(name, parts)
+
+    def join(self, other: "Totals") -> None:
+        """Those of others as well."""
+        for name, parts in other.sums.items():
+            self._add(name, parts)
+
+    def _add(self, name: str, parts: list[np.ndarray]) -> None:
+        if name not in self.sums:
+            self.sums[name] = parts
+            return
+        low, high, total, square, count = self.sums[name]
+        sums = [total + parts[2], square + parts[3], count + parts[4]]
+        self.sums[name] = [np.minimum(low, parts[0]), np.maximum(high, parts[1]), *sums]
+
+    def told(self) -> dict[str, dict[str, Any]]:
+        """As stats.json has it."""
+        return {name: self._told(name) for name in self.sums}
+
+    def _told(self, name: str) -> dict[str, Any]:
+        low, high, total, square, count = self.sums[name]
+        mean = total / count
+        std = np.sqrt(np.maximum(square / count - mean * mean, 0.0))
+        values = {"min": low, "max": high, "mean": mean, "std": std}
+        shaped = {key: value.reshape(-1, 1, 1) if name == IMAGE else value for key, value in values.items()}
+        return {**{key: value.tolist() for key, value in shaped.items()}, "count": count.tolist()}
+
+
+def _frames(data: Dataset, episode: Episode, number: int, index: int) -> Iterator[dict[str, Any]]:
+    rows = data.read([episode])
+    for second in range(episode.length):
+        yield {
+            IMAGE: rows["depth"][second],
+            STATE: np.concatenate([rows["pose"][second], rows["velocity"][second]]),
+            PLAN: rows["plan"][second].reshape(-1),
+            FLAGS: rows["situations"][second].astype(np.float32),
+            ACTION: rows["command"][second],
+            "timestamp": np.float32(second),
+            "frame_index": second,
+            "episode_index": number,
+            "index": index + second,
+            "task_index": episode.stream,
+        }
+
+
+def _cells(frame: dict[str, Any]) -> dict[str, Any]:
+    """As a row of parquet has it."""
+    from PIL import Image
+
+    packed = io.BytesIO()
+    Image.fromarray(frame[IMAGE]).save(packed, format="PNG")
+    cells = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in frame.items()}
+    return {**cells, IMAGE: {"bytes": packed.getvalue(), "path": None}}
+
+
+def _about(episode: Episode, number: int, index: int, tasks: list[str], where: dict, own: Totals) -> dict[str, Any]:
+    """A row of meta/episodes."""
+    told = {f"stats/{name}/{key}": value for name, stats in own.told().items() for key, value in stats.items()}
+    return {
+        "episode_index": number,
+        "tasks": [tasks[episode.stream]],
+        "length": episode.length,
+        "dataset_from_index": index,
+        "dataset_to_index": index + episode.length,
+        **{f"data/{key}": value for key, value in where.items()},
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+        **told,
+    }
+
+
+def _info(data: Dataset, frames: int, tasks: list[str]) -> dict[str, Any]:
+    height, width = data.image
+    pose = ["x", "y", "heading_x", "heading_y", "speed", "turn_rate"]
+    points = [f"plan_{axis}_{number}" for number in range(1, 11) for axis in "xy"]
+    flags = data.manifest["situations"]
+    features = {
+        IMAGE: {"dtype": "image", "shape": [height, width, 1], "names": ["height", "width", "channel"]},
+        STATE: {"dtype": "float32", "shape": [6], "names": pose},
+        PLAN: {"dtype": "float32", "shape": [20], "names": points},
+        FLAGS: {"dtype": "float32", "shape": [len(flags)], "names": flags},
+        ACTION: {"dtype": "float32", "shape": [2], "names": ["speed", "turn_rate"]},
+    }
+    for name in NUMBERS:
+        features[name] = {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None}
+    return {
+        "codebase_version": "v3.0",
+        "robot_type": data.manifest["robot"]["name"],
+        "total_episodes": len(data.episodes),
+        "total_frames": frames,
+        "total_tasks": len(tasks),
+        "chunks_size": CHUNK,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": 1,
+        "splits": {"train": f"0:{len(data.episodes)}"},
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": None,
+        "features": features,
+    }
+
+
+def _schema(data: Dataset) -> Any:
+    import pyarrow as pa
+
+    image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+    sizes = {STATE: 6, PLAN: 20, FLAGS: len(data.manifest["situations"]), ACTION: 2}
+    columns = [(IMAGE, image), *((name, pa.list_(pa.float32(), size)) for name, size in sizes.items())]
+    columns += [(name, pa.float32() if name == "timestamp" else pa.int64()) for name in NUMBERS]
+    return pa.schema(columns)
+
+
+def _tasks(tasks: list[str]) -> tuple[list[dict[str, Any]], Any]:
+    """The tasks; their words are marked as the index of a table of pandas, where LeRobot looks for them."""
+    import pyarrow as pa
+
+    rows = [{"task_index": number, "task": name.replace("_", " ")} for number, name in enumerate(tasks)]
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": pandas, "numpy_type": numpy, "metadata": None}
+        for name, pandas, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+    ]
+    about = json.dumps({"index_columns": ["task"], "column_indexes": [], "columns": columns, "creator": {}})
+    return rows, pa.schema([("task_index", pa.int64()), ("task", pa.string())], metadata={"pandas": about})
+
+
+def _file(folder: str, chunk_index: int, file_index: int) -> str:
+    return f"{folder}/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+
+
+def _write(file: Path, rows: list[dict[str, Any]], schema: Any = None) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    file.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.Table.from_pylist(rows, schema=schema), file)

@@ -1,0 +1,106 @@
+"""What a training tells of each epoch: a line of metrics.jsonl, and an event for TensorBoard.
+
+TensorBoard's files are records of a length, its checksum, a protocol buffer and its checksum; they are written here in
+full, for the packages that do it bring many others along.
+"""
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+from sean_jax.learning.store import write_whole
+
+LINES = "metrics.jsonl"
+EVENTS = "events.out.tfevents.0000000000.sean"
+_POLYNOMIAL = 0x82F63B78  # of crc32c, reflected
+
+
+def _table() -> list[int]:
+    table = []
+    for value in range(256):
+        for _ in range(8):
+            value = (value >> 1) ^ (_POLYNOMIAL if value & 1 else 0)
+        table.append(value)
+    return table
+
+
+_TABLE = _table()
+
+
+def crc32c(data: bytes) -> int:
+    """The checksum of Castagnoli, as in RFC 3720."""
+    value = 0xFFFFFFFF
+    for byte in data:
+        value = _TABLE[(value ^ byte) & 0xFF] ^ (value >> 8)
+    return value ^ 0xFFFFFFFF
+
+
+class Log:
+    """The metrics of a training, in a folder."""
+
+    def __init__(self, folder: Path, epochs: int):
+        """Goes on after that many epochs: what was told of later ones, before an interruption, is dropped."""
+        self.folder = folder
+        kept = [line for line in _lines(folder / LINES) if line["epoch"] <= epochs]
+        write_whole(folder / LINES, "".join(json.dumps(line) + "\n" for line in kept))
+        first = _event(kept[0]["time"] if kept else 0.0, version="brain.Event:2")
+        (folder / EVENTS).write_bytes(first + b"".join(_events(line) for line in kept))
+
+    def add(self, line: dict[str, Any]) -> None:
+        """A line has ``epoch``, ``time`` [s since 1970], and values, which may lie in dicts."""
+        with (self.folder / LINES).open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(line) + "\n")
+        with (self.folder / EVENTS).open("ab") as stream:
+            stream.write(_events(line))
+
+
+def _lines(file: Path) -> list[dict[str, Any]]:
+    """What can be read of the file: a kill may have cut its last line."""
+    found = []
+    for text in file.read_text(encoding="utf-8").splitlines() if file.exists() else []:
+        try:
+            found.append(json.loads(text))
+        except ValueError:
+            break
+    return found
+
+
+def _events(line: dict[str, Any]) -> bytes:
+    values = {}
+    for name, value in line.items():
+        parts = value.items() if isinstance(value, dict) else [("", value)]
+        values.update({f"{name}/{key}".rstrip("/"): each for key, each in parts})
+    told = {name: value for name, value in values.items() if name not in ("epoch", "time")}
+    return b"".join(_event(line["time"], line["epoch"], name, value) for name, value in told.items())
+
+
+def _event(time: float, step: int = 0, tag: str = "", value: float = 0.0, version: str = "") -> bytes:
+    """A record: an Event with wall_time (1), step (2), and file_version (3) or summary (5) of one simple_value."""
+    event = b"\x09" + struct.pack("<d", time) + b"\x10" + _varint(step)
+    if version:
+        event += b"\x1a" + _bytes(version.encode())
+    else:
+        one = b"\x0a" + _bytes(tag.encode()) + b"\x15" + struct.pack("<f", value)
+        event += b"\x2a" + _bytes(b"\x0a" + _bytes(one))
+    length = struct.pack("<Q", len(event))
+    return length + _masked(length) + event + _masked(event)
+
+
+def _bytes(data: bytes) -> bytes:
+    return _varint(len(data)) + data
+
+
+def _varint(number: int) -> bytes:
+    out = bytearray()
+    while number > 0x7F:
+        out.append(number & 0x7F | 0x80)
+        number >>= 7
+    out.append(number)
+    return bytes(out)
+
+
+def _masked(data: bytes) -> bytes:
+    """The checksum as records have it: rotated, plus a constant."""
+    value = crc32c(data)
+    return struct.pack("<I", ((value >> 15 | value << 17) + 0xA282EAD8) & 0xFFFFFFFF)

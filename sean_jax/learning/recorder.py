@@ -1,0 +1,152 @@
+"""The recorder: demonstrations from any source of commands, outside ``jit``: a joystick, a web page, a planner, a list.
+
+It makes the same datasets as ``sean collect``. An episode is one shard, so what is committed survives whatever comes.
+"""
+
+import functools
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax import navigation, sensors
+from sean_jax.base import Array, Scenario, State
+from sean_jax.learning import dataset as datasets
+from sean_jax.learning.collect_job import described
+from sean_jax.learning.dataset import Dataset
+from sean_jax.learning.demonstrations import Batch
+from sean_jax.learning.options import Refused
+from sean_jax.learning.rows import row
+from sean_jax.scenario import reset, step
+
+
+class Recorder:
+    """Episodes of one scenario, one after the other, into a dataset that is begun or continued.
+
+    ``state = recorder.begin()``, then ``state = recorder.step(command)`` for each step of control, then
+    ``recorder.commit()`` or ``recorder.discard()``.
+    """
+
+    def __init__(
+        self, folder: Path | str, scenario: Scenario, *, driver: str = "human", seed: int = 0, width=64, height=48
+    ):
+        """Args:
+            driver: who gives the commands: a word for the manifest.
+            seed: episode ``i`` begins as ``fold_in(key(seed), i)`` says.
+            width: of the depth images [pixels].
+            height: likewise.
+
+        Raises:
+            Refused: the folder holds something else.
+        """  # noqa: D205
+        folder = Path(folder)
+        self.scenario, self.seed = scenario, seed
+        self.eye = sensors.camera(scenario, "depth", width=width, height=height)
+        self.data = self._opened(folder, driver)
+        self._begin, self._step, self._row = (jax.jit(part) for part in (_begin, step, self._look))
+        self.discard()
+
+    @property
+    def number(self) -> int:
+        """Of the next episode."""
+        return len(self.data.manifest["shards"])
+
+    def begin(self) -> State:
+        """A new episode; one that was not committed is forgotten."""
+        self.discard()
+        self.state, self._last = self._begin(self.scenario, jax.random.key(self.seed), jnp.uint32(self.number))
+        return self.state
+
+    def step(self, command: Any) -> State:
+        """One step of control later. A command (2,) [m/s, rad/s] that is None or not finite is no new one."""
+        if self.state is None:
+            raise Refused("recorder: no episode has begun; call begin first.")
+        given = np.full(2, np.nan) if command is None else np.asarray(command, np.float64).reshape(2)
+        new = bool(np.isfinite(given).all())
+        self._held = np.where(new, given, self._held)
+        if int(self.state.tick) % round(1.0 / self.scenario.time_step) == 0 and len(self._rows) < self._most:
+            held = jnp.asarray(self._held, jnp.float32)
+            self._rows.append(jax.tree.map(np.asarray, self._row(self.scenario, self.state, held, self._last)))
+        self.state = self._step(self.scenario, self.state, jnp.asarray(given, jnp.float32))
+        return self.state
+
+    def commit(self) -> None:
+        """Keep the episode. Raises Failed if it cannot be written, and then it can be tried again."""
+        if self.state is None or not self._rows:
+            raise Refused("recorder: there is nothing to commit; call begin and step first.")
+        rows = {}
+        for name, (shape, kind) in self.data.fields.items():
+            rows[name] = np.zeros((1, self._most, *shape), kind)
+            rows[name][0, : len(self._rows)] = np.stack([getattr(one, name) for one in self._rows])
+        completed = np.array([bool(self.state.completed)])
+        self.data.commit(0, Batch(rows, np.array([len(self._rows)]), completed))
+        self.discard()
+
+    def discard(self) -> None:
+        """Forget the episode."""
+        self.state: Any = None
+        self._rows: list[Any] = []
+        self._held = np.zeros(2)
+
+    @property
+    def _most(self) -> int:
+        return self.data.manifest["seconds"]
+
+    def _look(self, scenario: Scenario, state: State, command: Array, last: Array) -> Any:
+        return row(scenario, state, command, self.eye, last)
+
+    def _opened(self, folder: Path, driver: str) -> Dataset:
+        kept = {"seed": self.seed, "driver": driver, "task": self.scenario.task_name, "people": self.scenario.people}
+        manifest = {
+            "command": "",
+            "options": {
+                **kept,
+                "environment": self.scenario.environment.name,
+                "size": [self.eye.width, self.eye.height],
+            },
+            **described(self.scenario, self.eye, driver),
+            "hours": 1e6,  # all that is recorded takes part
+            "batch": 1,
+            "streams": [self.scenario.task_name],
+        }
+        if not (folder / datasets.MANIFEST).exists():
+            if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+                raise Refused(f"{folder} holds something else already, choose another folder.")
+            return datasets.create_dataset(folder, manifest)
+        data = datasets.open_dataset(folder)
+        if data.manifest["options"] != manifest["options"]:
+            raise Refused(f"{folder} was begun with another scenario, driver or seed; choose another folder.")
+        return data
+
+
+def record(recorder: Recorder, commands: Callable[[State], Any] | Iterable[Any], episodes: int) -> Dataset:
+    """So many episodes, each until it is completed or timed out, and committed.
+
+    ``commands`` is a function of the state, or gives one command for each step. If it ends midway, what was driven
+    until then is committed as the last episode.
+    """
+    source = commands if callable(commands) else functools.partial(_next, iter(commands))
+    for _ in range(episodes):
+        state, over = recorder.begin(), False
+        while not (over or bool(state.completed | state.timed_out)):
+            try:
+                state = recorder.step(source(state))
+            except StopIteration:
+                over = True
+        if recorder._rows:
+            recorder.commit()
+        if over:
+            break
+    return recorder.data
+
+
+def _next(commands: Any, state: State) -> Any:
+    return next(commands)
+
+
+def _begin(scenario: Scenario, key: Array, number: Array) -> tuple[State, Array]:
+    state = reset(scenario, jax.random.fold_in(key, number))
+    return state, navigation.bend_to_goal(scenario.navigation, state.task.goal)

@@ -1,0 +1,144 @@
+"""Demonstrations of section V-B: rows against single steps, examples against numpy, the shares of the protocol."""
+
+import dataclasses
+
+import jax
+import learning_data
+import numpy as np
+import pytest
+
+from sean_jax import sensors
+from sean_jax.learning import demonstrations, examples, protocol
+from sean_jax.learning.options import Collect, Refused
+from sean_jax.learning.recorder import Recorder, record
+
+
+@pytest.fixture(scope="module")
+def batch():
+    return learning_data.batches()[0]
+
+
+@pytest.mark.slow
+def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
+    """Step by step, outside of jit, from another source: the same rows as those of the batch."""
+    parts, tasks, _ = learning_data.setting()
+    scenario = dataclasses.replace(parts[0].scenario, task=tasks[0], task_name="join_group")
+    drive = jax.jit(learning_data.DRIVE)
+    recorder = Recorder(tmp_path / "one", scenario, seed=learning_data.SEED, width=16, height=12)
+    data = record(recorder, lambda state: drive(scenario, state, state.key), 2)
+    batch = learning_data.batches()[0]
+    assert [episode.length for episode in data.episodes] == batch.lengths[:2].tolist()
+    assert [episode.completed for episode in data.episodes] == batch.completed[:2].tolist()
+    found = data.read(data.episodes)
+    for name, values in batch.rows.items():
+        expected = np.concatenate([one[:length] for one, length in zip(values[:2], batch.lengths, strict=False)])
+        if name == "depth":
+            off = np.abs(found[name].astype(float) - expected)
+            assert np.median(off) <= 1.0 and np.mean(off > 20.0) < 0.01, "equal but at edges"
+        elif name == "situations":
+            assert np.mean(found[name] != expected) < 0.02
+        else:
+            np.testing.assert_allclose(found[name], expected, atol=2e-2, err_msg=name)
+    state, see = recorder.begin(), jax.jit(lambda state: sensors.depth(scenario, state, recorder.eye))
+    image = 1000.0 * np.asarray(see(state))
+    recorder.step((0.1, 0.2))
+    recorder.step(None)
+    recorder.commit()
+    last = recorder.data.read(recorder.data.episodes[-1:])
+    np.testing.assert_allclose(last["depth"][0], image, atol=1.0)
+    np.testing.assert_allclose(last["command"], [[0.1, 0.2]], atol=1e-6)
+    with pytest.raises(Refused, match="nothing to commit"):
+        recorder.commit()
+    data = record(Recorder(tmp_path / "two", scenario, width=16, height=12), [(0.3, 0.0)] * 12, 5)
+    assert [episode.length for episode in data.episodes] == [2], "what was driven until the commands ended"
+    with pytest.raises(Refused, match="another scenario, driver or seed"):
+        Recorder(tmp_path / "two", scenario, seed=1, width=16, height=12)
+
+
+def test_an_episode_ends_when_it_is_over_and_zeros_follow(batch):
+    assert batch.lengths.max() <= learning_data.SECONDS and batch.lengths.min() >= 1
+    for values in batch.rows.values():
+        for one, length in zip(values, batch.lengths, strict=True):
+            assert not one[length:].any()
+    unfinished = ~batch.completed
+    assert (batch.lengths[unfinished] == learning_data.SECONDS).all()
+
+
+def test_examples_equal_a_loop_in_numpy(batch):
+    """Histories stop at the first row of the episode, futures at its last, and all places are in the robot's frame."""
+    lengths = batch.lengths
+    ends = np.cumsum(lengths)
+    flat = {name: np.concatenate([v[i, :n] for i, n in enumerate(lengths)]) for name, v in batch.rows.items()}
+    rows = examples.Row(**flat)
+    recording = examples.Recording(
+        rows, np.repeat(ends - lengths, lengths).astype(np.int32), np.repeat(ends, lengths).astype(np.int32)
+    )
+    index = np.arange(int(ends[-1]), dtype=np.int32)
+    onto = jax.tree.map(jax.numpy.asarray, recording)
+    made = jax.jit(jax.vmap(examples.example, (None, 0)))(onto, index)
+    again = examples.example(recording, index, np)
+    for one, other in zip(jax.tree.leaves(made), jax.tree.leaves(again), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-5)
+    for row in (*range(0, 7), int(ends[0]) - 3, int(ends[0]) - 1, int(ends[0]), int(ends[1]) + 2):
+        episode = int(np.searchsorted(ends, row, side="right"))
+        first, end = int(ends[episode] - lengths[episode]), int(ends[episode])
+        x, y, c, s = flat["pose"][row].astype(np.float64)
+        inverse = np.linalg.inv(np.array([[c, -s, x], [s, c, y], [0, 0, 1]]))
+        for age in range(5):
+            np.testing.assert_array_equal(made.images[row, 4 - age], flat["depth"][max(row - age, first)])
+            past = np.array([*flat["pose"][max(row - 1 - age, first), :2], 1.0])
+            np.testing.assert_allclose(made.past[row, 4 - age], (inverse @ past)[:2], atol=1e-4)
+            ahead = row + 1 + age
+            assert bool(made.known[row, age]) == (ahead < end)
+            future = np.array([*flat["pose"][min(ahead, end - 1), :2], 1.0])
+            np.testing.assert_allclose(made.future[row, age], (inverse @ future)[:2], atol=1e-4)
+
+
+def test_streams_get_equal_time_in_any_order_of_asking():
+    """A longer collection begins like a shorter one, so it can go on from there."""
+    random = np.random.default_rng(0)
+    took = random.integers(5, 60, 300).tolist()
+
+    def order(wanted):
+        seconds, chosen = [0, 0, 0], []
+        for spent in took:
+            stream = protocol.next_stream(seconds, wanted)
+            if stream is None:
+                return chosen, seconds
+            seconds[stream] += spent
+            chosen.append(stream)
+        raise AssertionError("never enough")
+
+    (short, some), (long, many) = order(400), order(1000)
+    assert long[: len(short)] == short
+    assert min(some) >= 400 and min(many) >= 1000 and max(many) < 1060
+    assert protocol.share(1.0, 5) == 720, "12 minutes of each of five"
+
+
+def test_the_papers_protocol():
+    handcrafted = Collect(environment="lab", behavior="handcrafted", dynamics="twin")
+    parts, tasks = protocol.streams(handcrafted)
+    assert {part.name for part in parts} == {"cross_path", "down_path", "join_group", "leave_group", "empty"}
+    assert len(tasks) == 1
+    for part in parts:
+        sets = part.scenario.behavior.data
+        drawn = {of for of, weight in zip(sets.situations, np.asarray(sets.weight), strict=True) if weight.any()}
+        assert drawn == {part.name}
+        assert jax.tree.structure(part.scenario) == jax.tree.structure(parts[0].scenario), "one program serves all"
+    assert Collect().tasks == ("join_group", "leave_group") and Collect(behavior="random").tasks == ("random_ab_nav",)
+
+
+def test_wrong_names_are_answered_in_a_sentence():
+    with pytest.raises(Refused, match="--driver: 'go_to_gaol' is not one of .*; did you mean 'go_to_goal'"):
+        protocol.who_drives("go_to_gaol")
+    with pytest.raises(Refused, match="'join_grup' is not one of"):
+        protocol.streams(Collect(environment="lab", task="join_grup"))
+    with pytest.raises(Refused, match="--hours is 0, but must be above zero"):
+        Collect(hours=0.0).check()
+
+
+def test_a_nan_is_refused_with_the_episodes_number(batch):
+    rows = {name: values.copy() for name, values in batch.rows.items()}
+    rows["pose"][1, 0, 2] = np.nan
+    with pytest.raises(FloatingPointError, match="not finite: 5"):
+        demonstrations._refuse_nan(rows, np.arange(4, 12))

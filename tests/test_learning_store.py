@@ -1,0 +1,263 @@
+"""Datasets on disk: whole after any kill, the same to the byte, and one sentence for whatever is wrong with them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import learning_data
+import numpy as np
+import pytest
+
+from sean_jax import cli
+from sean_jax.learning import collect_job, dataset, store
+from sean_jax.learning.dataset import open_dataset, split
+from sean_jax.learning.examples import example
+from sean_jax.learning.loader import Loader, Token
+from sean_jax.learning.options import Failed, Refused
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return learning_data.write(tmp_path_factory.mktemp("data") / "made")
+
+
+@pytest.fixture
+def data(tmp_path):
+    return learning_data.write(tmp_path / "data")
+
+
+def test_what_was_written_is_read(made):
+    again = open_dataset(made.folder)
+    whole = [dataset.Episode(e.number, e.stream, e.length, e.completed) for e in again.episodes]
+    assert again.examples == 2 * 90, "3 minutes, half of them each"
+    found = again.read(whole)
+    lengths = {e.number: e.length for e in whole}
+    for name, values in found.items():
+        parts = []
+        for k, batch in enumerate(learning_data.batches()):
+            parts += [batch.rows[name][i, : lengths.get(8 * k + i, 0)] for i in range(8)]
+        np.testing.assert_array_equal(values, np.concatenate(parts))
+
+
+def test_other_readers_of_zarr_find_what_the_format_prescribes(made):
+    """The metadata as zarr 3 has it, and the file's end: an index of (offset, size) pairs and its crc32c."""
+    told = json.loads((made.folder / "depth" / "zarr.json").read_text())
+    assert told["zarr_format"] == 3 and told["node_type"] == "array" and told["data_type"] == "uint16"
+    assert told["shape"] == [16, 20, 12, 16] and told["codecs"][0]["name"] == "sharding_indexed"
+    raw = (made.folder / "depth/c/1/0/0/0").read_bytes()
+    index = np.frombuffer(raw[-4 - 16 * 8 : -4], "<u8").reshape(8, 2)
+    from sean_jax.learning.logs import crc32c
+
+    assert int.from_bytes(raw[-4:], "little") == crc32c(raw[-4 - 16 * 8 : -4])
+    assert (index[:, 0] + index[:, 1] <= len(raw)).all() and crc32c(b"123456789") == 0xE3069283
+
+
+def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
+    """After each step that a kill could come before, what is done again gives the same bytes."""
+    whole = files(data.folder)
+    simulated = []
+
+    def simulate(programs, scenario, seed, turn, numbers, watch):
+        simulated.append(int(numbers[0]))
+        return learning_data.batches()[int(numbers[0]) // 8]
+
+    monkeypatch.setattr(collect_job.demonstrations, "simulate", simulate)
+    for number in range(6):
+        folder, steps = tmp_path / f"killed{number}", [number]
+
+        def step(original, steps=steps):
+            def stopping(*arguments):
+                steps[0] -= 1
+                if steps[0] == 0:
+                    raise KeyboardInterrupt
+                return original(*arguments)
+
+            return stopping
+
+        with monkeypatch.context() as patched:
+            patched.setattr(store.os, "replace", step(os.replace))
+            patched.setattr(store, "path", step(store.path))
+            try:
+                collect_job.collect(learning_data.options(folder))
+            except KeyboardInterrupt:
+                assert number > 0
+        collect_job.collect(learning_data.options(folder))
+        assert files(folder) == whole, number
+        before = len(simulated)
+        collect_job.collect(learning_data.options(folder))
+        assert len(simulated) == before, "nothing is recorded twice"
+
+
+def test_lost_and_damaged_files(data, monkeypatch):
+    whole, file = files(data.folder), data.folder / "depth/c/0/0/0/0"
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(bytes(content))
+    with pytest.raises(Failed, match=r"depth/c/0/0/0/0 is damaged; remove the damaged file, and `sean collect`"):
+        data.recording(data.episodes)
+    second = [episode for episode in data.episodes if episode.number >= 8]
+    assert len(data.recording(second).first), "other shards are intact"
+    file.unlink()
+    with pytest.raises(Failed, match="is missing or damaged; remove the damaged file"):
+        data.recording(data.episodes)
+    monkeypatch.setattr(collect_job.demonstrations, "simulate", lambda *others: learning_data.batches()[0])
+    collect_job.collect(learning_data.options(data.folder))
+    assert files(data.folder) == whole
+
+
+def test_a_full_disk_leaves_what_was_committed(data, monkeypatch):
+    whole = files(data.folder)
+
+    def full(*arguments, **others):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(store, "_opened", full)
+        with pytest.raises(Failed, match="the disk is full; what was committed before is as it was"):
+            data.commit(0, learning_data.batches()[0])
+    with monkeypatch.context() as patched:
+        patched.setattr(store.os, "replace", full)
+        with pytest.raises(Failed, match="the disk is full; what was committed before is as it was"):
+            data.save({**data.manifest, "hours": 2.0})
+    again = open_dataset(data.folder)
+    assert again.manifest == data.manifest and {name: files(data.folder)[name] for name in whole} == whole
+
+
+def test_other_options_are_refused(data):
+    for others, said in (
+        ({"people": 5}, "was begun with --people 4, not 5"),
+        ({"seed": 4}, "was begun with --seed 3, not 4"),
+        ({"batch": 4}, "was begun with --batch 8, not 4"),
+        ({"hours": 0.01}, "was begun with --hours 0.05, not 0.01"),
+    ):
+        parts, _, eye = learning_data.setting()
+        with pytest.raises(Refused, match=said):
+            collect_job._begun(learning_data.options(data.folder, **others), parts, eye)
+    assert open_dataset(data.folder).manifest == data.manifest
+
+
+def test_more_hours_continue_a_dataset(data):
+    parts, _, eye = learning_data.setting()
+    longer = collect_job._begun(learning_data.options(data.folder, 0.06), parts, eye)
+    assert longer.examples > 180 and longer.manifest["shards"] == data.manifest["shards"]
+
+
+def test_folders_that_hold_no_dataset(tmp_path, capsys):
+    with pytest.raises(Refused, match="has no dataset.json; make a dataset with `sean collect"):
+        open_dataset(tmp_path)
+    (tmp_path / "dataset.json").write_text("{")
+    with pytest.raises(Refused, match="cannot be read"):
+        open_dataset(tmp_path)
+    (tmp_path / "dataset.json").write_text('{"format": 99}')
+    with pytest.raises(Refused, match="has format 99, but this version reads 1"):
+        open_dataset(tmp_path)
+    assert cli.main(["train", "imitation", str(tmp_path / "none"), "--out", str(tmp_path / "run")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("sean: ") and "has no dataset.json" in error and len(error.splitlines()) == 1
+    assert cli.main(["collect", "--hours", "-1"]) == 2 and "--hours is -1" in capsys.readouterr().err
+
+
+def test_the_loader_shuffles_everything_once_and_goes_on_from_a_token(made):
+    train, held = split(made, 0.25, 0)
+    assert {one.number for one in train} & {one.number for one in held} == set()
+    assert len(held) == round(0.25 * (len(train) + len(held)))
+    recording = made.recording(train)
+    every = example(recording, np.arange(len(recording.first)), np)
+    loader = Loader(made, train, batch=32, seed=1, window=4)
+    batches = list(loader.epoch())
+    assert len(batches) == loader.batches and batches[-1][0] == Token(1, 0)
+
+    def rows(some):
+        return [tuple(row) for _, one, weight in some for row in np.asarray(one.future.reshape(32, -1))[weight > 0]]
+
+    assert sorted(rows(batches)) == sorted(map(tuple, every.future.reshape(len(every.future), -1)))
+    assert rows(batches) != rows(loader.epoch(Token(1, 0))), "another order in another epoch"
+    again = list(Loader(made, train, batch=32, seed=1, window=4).epoch(batches[1][0]))
+    assert rows(again) == rows(batches[2:])
+    for one, other in zip(batches[2:], again, strict=True):
+        np.testing.assert_array_equal(one[1].images, other[1].images)
+
+
+def test_export_to_lerobot(made, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow, of the extra lerobot, is not installed")
+    import io
+
+    from PIL import Image
+
+    from sean_jax.learning.lerobot import export
+
+    out = export(made.folder, tmp_path / "out")
+    names = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+    table = "chunk-000/file-000.parquet"
+    assert names == {
+        "meta/info.json",
+        "meta/stats.json",
+        "meta/tasks.parquet",
+        f"meta/episodes/{table}",
+        f"data/{table}",
+    }
+    info = json.loads((out / "meta/info.json").read_text())
+    assert info["codebase_version"] == "v3.0" and info["total_frames"] == 180 and info["fps"] == 1
+    rows = parquet.read_table(out / "data" / table).to_pydict()
+    assert set(rows) == set(info["features"])
+    recording = made.recording(made.episodes)
+    np.testing.assert_array_equal(np.array(rows["action"], np.float32), recording.rows.command)
+    image = Image.open(io.BytesIO(rows["observation.images.depth"][77]["bytes"]))
+    np.testing.assert_array_equal(np.asarray(image), recording.rows.depth[77])
+    episodes = parquet.read_table(out / "meta/episodes" / table).to_pydict()
+    for number, (first, last) in enumerate(
+        zip(episodes["dataset_from_index"], episodes["dataset_to_index"], strict=True)
+    ):
+        assert set(rows["episode_index"][first:last]) == {number} and rows["index"][first] == first
+        assert rows["frame_index"][first:last] == list(range(episodes["length"][number]))
+        np.testing.assert_allclose(
+            episodes["stats/action/mean"][number], np.mean(rows["action"][first:last], 0), atol=1e-5
+        )
+    stats = json.loads((out / "meta/stats.json").read_text())
+    np.testing.assert_allclose(stats["action"]["std"], np.std(rows["action"], 0), atol=1e-5)
+    assert parquet.read_table(out / "meta/tasks.parquet").to_pydict()["task"] == ["join group", "leave group"]
+    with pytest.raises(Refused, match="holds something already"):
+        export(made.folder, out)
+
+
+@pytest.mark.slow
+def test_a_killed_collection_gives_the_same_bytes(tmp_path):
+    """A real SIGKILL, some times over, at moments that differ, then the same command until it is done."""
+    if not hasattr(signal, "SIGKILL"):
+        pytest.skip("this system has no SIGKILL")
+
+    def begin(folder):
+        options = ["--environment", "lab", "--people", "4", "--dynamics", "twin", "--time-limit", "20", "--quiet"]
+        options += ["--width", "16", "--height", "12", "--batch", "2", "--hours", "0.05", "--out", str(folder)]
+        command = [sys.executable, "-m", "sean_jax.cli", "collect", *options]
+        return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+
+    whole = begin(tmp_path / "whole")
+    assert whole.wait(timeout=600) == 0, whole.stderr.read()
+    shards = len(json.loads((tmp_path / "whole" / "dataset.json").read_text())["shards"])
+    assert shards >= 4
+    seen = 0
+    for wait in (0.0, 0.03, 0.1, 0.0):
+        process, manifest = begin(tmp_path / "killed"), tmp_path / "killed" / "dataset.json"
+        done = 0
+        while process.poll() is None and done <= seen:
+            time.sleep(0.002)
+            done = len(json.loads(manifest.read_text())["shards"]) if manifest.exists() else 0
+        time.sleep(wait)
+        process.kill()
+        process.wait()
+        committed = len(json.loads(manifest.read_text())["shards"])
+        assert committed >= seen
+        seen = committed
+    last = begin(tmp_path / "killed")
+    assert last.wait(timeout=600) == 0, last.stderr.read()
+    found, wanted = files(tmp_path / "killed"), files(tmp_path / "whole")
+    assert found == wanted

@@ -1,0 +1,300 @@
+"""The network and its imitation (section V-C): it learns, resumes to the bit, drives, and fails in sentences."""
+
+import dataclasses
+import functools
+import json
+import struct
+
+import jax
+import jax.numpy as jnp
+import learning_data
+import numpy as np
+import pytest
+
+from sean_jax import cli, devices, parallel
+from sean_jax.learning import learned, train_job, training
+from sean_jax.learning.checkpoints import Checkpoints
+from sean_jax.learning.dataset import on_device, split
+from sean_jax.learning.examples import example
+from sean_jax.learning.logs import Log, crc32c
+from sean_jax.learning.network import Network
+from sean_jax.learning.options import Failed, Refused, Train
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return learning_data.write(tmp_path_factory.mktemp("data") / "made")
+
+
+def options(data, out, **others) -> Train:
+    small = {"width": 16, "batch": 32, "validation": 0.2, "epochs": 12}
+    return Train("imitation", data.folder, out=out, **{**small, **others})
+
+
+@pytest.fixture(scope="module")
+def recording(data):
+    return on_device(data.recording(data.episodes))
+
+
+@pytest.fixture(scope="module")
+def trained(data, tmp_path_factory):
+    """A training of 12 epochs and its folder."""
+    folder = tmp_path_factory.mktemp("run") / "whole"
+    return train_job.train(options(data, folder)), folder
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def answers(network, weights, examples):
+    """What a network says to a batch of examples."""
+    say = functools.partial(network.apply, weights.parameters)
+    return jax.vmap(lambda one: say(one.images, one.plan, one.situations))(examples)
+
+
+def test_documented_sizes():
+    from sean_jax.learning import network
+
+    for flags, shares in ((False, (2, 3)), (True, (3, 4))):
+        weights = jax.eval_shape(lambda flags=flags: learned.initial(Network(flags=flags), 5, jax.random.key(0)))
+        count = sum(leaf.size for leaf in jax.tree.leaves(weights.parameters))
+        assert f"{count:,} parameters" in network.__doc__.replace("\n", " ") or f"{count:,} with" in network.__doc__
+        one = Network(flags=flags)
+        assert (len(one.planner_sources), len(one.controller_sources)) == shares
+
+
+def test_it_learns_two_hundred_examples_by_heart(recording):
+    chosen = Train("imitation", None, width=32, batch=64, learning_rate=3e-3, weight_decay=0.0)
+    network = Network(32, True, (12, 16))
+    state = training.begin(network, 5, chosen, recording.rows.command)
+    programs = training.programs(network, chosen, devices.mesh())
+    rows = jnp.arange(len(recording.first), dtype=jnp.int32)
+    losses = []
+    for _ in range(80):
+        state, train, _ = programs.epoch(state, recording, rows, rows[:32])
+        losses.append(float(train.loss))
+    assert losses[-1] < losses[0] / 10
+    decision = answers(network, state.weights, jax.jit(jax.vmap(example, (None, 0)))(recording, rows))
+    for shares in (decision.planner_attention, decision.controller_attention):
+        np.testing.assert_allclose(shares.sum(-1), 1.0, atol=1e-5)
+        assert (np.asarray(shares) >= 0).all() and np.asarray(shares).std(0).max() > 0.01, "it depends on what is there"
+
+
+def test_losses_equal_a_loop_in_numpy(recording, data):
+    """Equal weights; only what is known of the future counts; the filling of the last batch does not."""
+    network, chosen = Network(16, False, (12, 16)), Train("imitation", None, width=16, batch=32)
+    state = training.begin(network, 5, chosen, recording.rows.command)
+    np.testing.assert_allclose(state.weights.scale, np.std(recording.rows.command, 0), rtol=1e-5)
+    programs = training.programs(network, chosen, devices.mesh())
+    rows = np.arange(3, 50, dtype=np.int32)
+    examples = jax.jit(jax.vmap(example, (None, 0)))(recording, jnp.asarray(rows))
+    answer = answers(network, state.weights, examples)
+    far, known, off = 0.0, 0, 0.0
+    for k in range(len(rows)):
+        for second in range(5):
+            if examples.known[k, second]:
+                known += 1
+                far += float(np.sum((np.asarray(answer.local_plan[k, second]) - examples.future[k, second]) ** 2))
+        command = np.asarray(examples.command[k]) / np.asarray(state.weights.scale)
+        off += float(np.sum((np.asarray(answer.command[k]) - command) ** 2))
+    _, _, found = programs.epoch(
+        jax.tree.map(jnp.copy, state),
+        recording,
+        jnp.asarray(rows[:0]),
+        jnp.asarray(rows),
+    )
+    assert known < 5 * len(rows)
+    np.testing.assert_allclose(found.local_plan, far / known, rtol=1e-4)
+    np.testing.assert_allclose(found.command, off / len(rows), rtol=1e-4)
+    np.testing.assert_allclose(found.loss, found.local_plan + found.command, rtol=1e-6)
+
+
+def test_an_interrupted_training_comes_to_the_same_bits(data, trained, tmp_path, monkeypatch):
+    whole, folder = trained
+    saves = []
+    save = Checkpoints.save
+
+    def stopping(self, state, loss):
+        save(self, state, loss)
+        saves.append(int(state.epoch))
+        if len(saves) == 4:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Checkpoints, "save", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        train_job.train(options(data, tmp_path / "run"))
+    with (tmp_path / "run" / "metrics.jsonl").open("a") as stream:  # as a kill leaves it: beyond the checkpoint, cut
+        stream.write('{"epoch": 99, "time": 0.0}\n{"epo')
+    again = train_job.train(options(data, tmp_path / "run"))
+    for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(one, other)
+    told = [
+        [{name: line[name] for name in ("epoch", "train", "validation")} for line in lines(place)]
+        for place in (folder, tmp_path / "run")
+    ]
+    assert told[0] == told[1] and [line["epoch"] for line in told[0]] == list(range(1, 13))
+
+
+def lines(folder) -> list[dict]:
+    return [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+
+
+def test_the_latest_and_the_best_checkpoint_are_kept(trained):
+    state, folder = trained
+    losses = {line["epoch"]: line["validation"]["loss"] for line in lines(folder)}
+    best = min(losses, key=losses.get)
+    kept = sorted(int(path.name) for path in (folder / "checkpoints").iterdir())
+    assert kept == sorted({best, 12}) and int(state.best_epoch) == best
+    assert float(state.best) == pytest.approx(losses[best])
+
+
+def test_events_are_what_tensorboard_reads(trained):
+    """Decoded by a parser of its own: lengths, checksums, and the protocol buffers by protobuf."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    kinds = {"double": 1, "float": 2, "int64": 3, "string": 9, "message": 11}
+    file = descriptor_pb2.FileDescriptorProto(name="event.proto", package="t", syntax="proto3")
+    for name, fields in {
+        "Value": (("tag", 1, "string", ""), ("simple_value", 2, "float", "")),
+        "Summary": (("value", 1, "message", ".t.Value"),),
+        "Event": (
+            ("wall_time", 1, "double", ""),
+            ("step", 2, "int64", ""),
+            ("file_version", 3, "string", ""),
+            ("summary", 5, "message", ".t.Summary"),
+        ),
+    }.items():
+        message = file.message_type.add(name=name)
+        for field, number, kind, of in fields:
+            made = message.field.add(name=field, number=number, type=kinds[kind], label=3 if field == "value" else 1)
+            if of:
+                made.type_name = of
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    event = message_factory.GetMessageClass(pool.FindMessageTypeByName("t.Event"))
+    raw, found, at = next(trained[1].glob("events.out.tfevents.*")).read_bytes(), [], 0
+    while at < len(raw):
+        (length,) = struct.unpack_from("<Q", raw, at)
+        for begin, size in ((at, 8), (at + 12, length)):
+            value = crc32c(raw[begin : begin + size])
+            masked = (((value >> 15) | (value << 17)) + 0xA282EAD8) & 0xFFFFFFFF
+            assert struct.unpack_from("<I", raw, begin + size) == (masked,)
+        found.append(event.FromString(raw[at + 12 : at + 12 + length]))
+        at += 16 + length
+    assert found[0].file_version == "brain.Event:2"
+    told = {(one.step, value.tag): value.simple_value for one in found for value in one.summary.value}
+    for line in lines(trained[1]):
+        for part in ("train", "validation"):
+            for name, value in line[part].items():
+                assert told[line["epoch"], f"{part}/{name}"] == pytest.approx(value, rel=1e-6)
+
+
+def test_training_from_disk_learns_as_well(data, tmp_path):
+    state = train_job.train(options(data, tmp_path / "disk", on_device=0.0, epochs=3))
+    losses = [line["train"]["loss"] for line in lines(tmp_path / "disk")]
+    assert int(state.epoch) == 3 and losses[-1] < losses[0]
+    held = split(data, 0.2, 0)[1]
+    recording = on_device(data.recording(held))
+    network = Network(16, False, (12, 16))
+    programs = training.programs(network, options(data, None), devices.mesh())
+    rows = jnp.arange(len(recording.first), dtype=jnp.int32)
+    _, _, found = programs.epoch(jax.tree.map(jnp.copy, state), recording, rows[:0], rows)
+    assert float(found.loss) == pytest.approx(lines(tmp_path / "disk")[-1]["validation"]["loss"], rel=1e-4)
+
+
+def test_training_stops_when_nothing_gets_better(data, tmp_path):
+    state = train_job.train(options(data, tmp_path / "run", learning_rate=0.3, patience=2, epochs=30))
+    assert int(state.epoch) == int(state.best_epoch) + 2 < 30
+
+
+def test_a_loss_that_is_not_finite_ends_it_and_keeps_what_there_was(data, tmp_path, monkeypatch):
+    made = training.programs
+
+    def poisoned(network, chosen, over):
+        programs = made(network, chosen, over)
+
+        def epoch(state, *others):
+            state, train, validation = programs.epoch(state, *others)
+            bad = train._replace(loss=train.loss / jnp.where(state.epoch == 4, 0.0, 1.0) * 1.0)
+            return state, bad, validation
+
+        return programs._replace(epoch=epoch)
+
+    monkeypatch.setattr(training, "programs", poisoned)
+    with pytest.raises(FloatingPointError, match="the loss is not finite in epoch 4; .* keeps the checkpoints"):
+        train_job.train(options(data, tmp_path / "run"))
+    assert max(int(path.name) for path in (tmp_path / "run" / "checkpoints").iterdir()) <= 3
+    scenario = learning_data.setting()[0][0].scenario
+    assert learned.load(tmp_path / "run", scenario).name == "run"
+
+
+def test_checkpoints_of_another_network_are_refused(data, trained, tmp_path, capsys):
+    folder = trained[1]
+    for others, said in (
+        ({"width": 24}, "width 16, not 24"),
+        ({"flags": True}, "flags off, not on"),
+        ({"seed": 1}, "seed 0, not 1"),
+    ):
+        with pytest.raises(Refused, match=f"has checkpoints of another network, with {said}"):
+            train_job.train(options(data, folder, **others))
+    command = ["train", "imitation", str(data.folder), "--width", "24", "--out", str(folder)]
+    assert cli.main(command) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("sean: ") and "another network" in error and len(error.splitlines()) == 1
+    with pytest.raises(Refused, match="has no trained network"):
+        learned.load(tmp_path, learning_data.setting()[0][0].scenario)
+
+
+def test_a_damaged_checkpoint_is_named(data, trained, tmp_path):
+    import shutil
+
+    folder = tmp_path / "run"
+    shutil.copytree(trained[1], folder)
+    latest = max(int(path.name) for path in (folder / "checkpoints").iterdir())
+    for path in (folder / "checkpoints" / str(latest) / "state").rglob("*"):
+        if path.is_file():
+            path.write_bytes(b"broken")
+    with pytest.raises(Failed, match=f"checkpoints/{latest} cannot be read .* remove it to go on"):
+        train_job.train(options(data, folder, epochs=14))
+
+
+def test_a_log_goes_on_where_the_training_does(tmp_path):
+    for begin in (0, 2):
+        log = Log(tmp_path, begin)
+        for epoch in range(begin, begin + 4):
+            log.add({"epoch": epoch + 1, "train": {"loss": float(begin)}, "time": 1.0})
+    assert [(line["epoch"], line["train"]["loss"]) for line in lines(tmp_path)] == [
+        (1, 0.0), (2, 0.0), (3, 2.0), (4, 2.0), (5, 2.0), (6, 2.0),
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
+    """Driven step by step, in a batch, its decisions each second are those for the examples of the recording."""
+    parts, tasks, eye = learning_data.setting()
+    scenario = dataclasses.replace(parts[0].scenario, task=tasks[0])
+    policy = learned.load(trained[1], scenario)
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(learning_data.SEED), jnp.arange(3))
+
+    def follow(before, after, action):
+        return after.driver.decision, action
+
+    run = jax.jit(jax.vmap(lambda key: parallel.rollout(scenario, policy, key, 61, follow)))
+    _, (decisions, actions) = run(keys)
+    from sean_jax.learning import demonstrations
+
+    programs = demonstrations.prepare(parts[0].scenario, tasks, policy, eye)
+    batch = demonstrations.simulate(programs, parts[0].scenario, learning_data.SEED, 0, np.arange(3))
+    np.testing.assert_allclose(batch.rows["command"][:, :7], actions[:, ::10], atol=1e-3)
+    lengths = np.minimum(batch.lengths, 7)
+    assert (lengths == 7).all()
+    rows = {name: values[:, :7].reshape(21, *values.shape[2:]) for name, values in batch.rows.items()}
+    first = np.repeat(np.arange(3, dtype=np.int32) * 7, 7)
+    from sean_jax.learning.examples import Recording, Row
+
+    recording = on_device(Recording(Row(**rows), first, first + 7))
+    brain = policy.data
+    rows = jnp.arange(21, dtype=jnp.int32)
+    said = answers(brain.network, brain.weights, jax.jit(jax.vmap(example, (None, 0)))(recording, rows))
+    for name in ("local_plan", "planner_attention", "controller_attention"):
+        expected = getattr(said, name).reshape(3, 7, *getattr(said, name).shape[1:])
+        np.testing.assert_allclose(getattr(decisions, name)[:, ::10], expected, atol=2e-3)
+    np.testing.assert_allclose(actions[:, ::10].reshape(21, 2), said.command * brain.weights.scale, atol=2e-3)
