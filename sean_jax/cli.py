@@ -1,4 +1,4 @@
-"""The command line: ``sean run``, ``collect``, ``train``, ``export``, ``draw``, ``import-map``, ``bench``, ``list``.
+"""The command line: ``sean run``, ``collect``, ``train``, ``experiment``, ``export``, ``draw``, ``bench``, ...
 
 Nothing heavy is imported before a command is chosen, so that ``sean --help`` answers at once.
 """
@@ -11,11 +11,12 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from sean_jax.bench import Options as Bench
+from sean_jax.experiments.options import Experiment
 from sean_jax.learning.options import Collect, Export, Failed, Refused, Train
 from sean_jax.main_job.options import BadInput, Options
 
@@ -77,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _draw(command)
         if isinstance(command, Bench):
             return _bench(command)
-        if isinstance(command, Collect | Train | Export):
+        if isinstance(command, Collect | Train | Export | Experiment):
             return _learn(command)
         return _run(command)
     except (BadInput, Refused) as error:
@@ -104,11 +105,12 @@ def cache_compilations() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 
-def _parse(arguments: list[str]) -> Options | Collect | Train | Export | Draw | ImportMap | Bench | List:
+def _parse(arguments: list[str]) -> Options | Collect | Train | Experiment | Export | Draw | ImportMap | Bench | List:
     commands = (
         Annotated[Options, tyro.conf.subcommand("run", default=Options())]
         | Annotated[Collect, tyro.conf.subcommand("collect")]
         | Annotated[Train, tyro.conf.subcommand("train")]
+        | Annotated[Experiment, tyro.conf.subcommand("experiment")]
         | Annotated[Export, tyro.conf.subcommand("export")]
         | Annotated[Draw, tyro.conf.subcommand("draw", default=Draw())]
         | Annotated[ImportMap, tyro.conf.subcommand("import-map")]
@@ -171,8 +173,8 @@ def _bench(options: Bench) -> int:
     return 0
 
 
-def _learn(command: Collect | Train | Export) -> int:
-    """Collect, train or export; what is done when something goes wrong, or at Ctrl-C, is kept."""
+def _learn(command: Collect | Train | Export | Experiment) -> int:
+    """Collect, train, export or experiment; what is done when something goes wrong, or at Ctrl-C, is kept."""
     from rich.console import Console
 
     from sean_jax import learning
@@ -187,6 +189,8 @@ def _learn(command: Collect | Train | Export) -> int:
             state = learning.train(command, console)
             best = f"least loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
             said = f"{int(state.epoch)} epochs, {best}: [bold]{folder}[/]\nnext: sean run --policy {folder}"
+        elif isinstance(command, Experiment):
+            said = f"report: [bold]{_experiment(command, console) / 'report.html'}[/]"
         else:
             said = f"written: [bold]{learning.export(command.dataset, command.out)}[/]"
     except FloatingPointError as error:
@@ -197,6 +201,16 @@ def _learn(command: Collect | Train | Export) -> int:
         return _fail(f"stopped; what was finished until then is in {folder}, and the same command goes on.", STOPPED)
     console.print(said, highlight=False, soft_wrap=True)
     return 0
+
+
+def _experiment(command: Experiment, console: Any) -> Path:
+    if command.which == "table1":
+        from sean_jax.experiments import table1
+
+        return table1.run(command, console)
+    from sean_jax.experiments import figure4
+
+    return figure4.run(command, console)
 
 
 def _import_map(command: ImportMap) -> int:

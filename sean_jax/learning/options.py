@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-DRIVER = "go_to_goal"  # who drives unless told otherwise
+DRIVER = "expert"  # who drives unless told otherwise
 
 # behavior -> its tasks in the paper's protocol (section V-B)
 TASKS = {"graph": "join_group,leave_group", "random": "random_ab_nav", "handcrafted": "handcrafted"}
