@@ -81,6 +81,7 @@ def run(options: Experiment, console: Console | None = None) -> Path:
     measured: dict[str, dict[str, dict[str, Any]]] = {policy: {} for policy in policies}
     with parts.shown(console, len(policies) * len(BEHAVIORS)) as tell:
         for row, behavior in enumerate(BEHAVIORS):
+            programs: dict[Any, rollouts.Numbered] = {}
             for column, policy in enumerate(policies):
                 done, what = len(policies) * row + column, f"{policy} in {behavior}"
 
@@ -88,7 +89,7 @@ def run(options: Experiment, console: Console | None = None) -> Path:
                     tell(done + share, what)
 
                 watch(0.0)
-                measured[policy][behavior] = _drive(options, folder, policy, behavior, watch)
+                measured[policy][behavior] = _drive(options, folder, policy, behavior, programs, watch)
     found = _found(options, policies, measured, trained)
     write(options, folder, found)
     return folder
@@ -136,17 +137,23 @@ def _policy(options: Experiment, folder: Path, policy: str, scenario: Scenario) 
     return who_drives("social_costmap" if policy == NAVIGATION else options.driver)
 
 
-def _drive(options: Experiment, folder: Path, policy: str, behavior: str, watch: Callable) -> dict[str, Any]:
-    """The measures of each episode as lists, as saved in the folder or driven; streams take turns."""
+def _drive(
+    options: Experiment, folder: Path, policy: str, behavior: str, programs: dict, watch: Callable
+) -> dict[str, Any]:
+    """The measures of each episode as lists, as saved in the folder or driven; streams take turns.
+
+    ``programs`` has those compiled for the behavior by now; the learned policies share one.
+    """
     import jax
 
     file = folder / f"episodes-{policy}-{behavior}.json"
     if (told := parts.saved(file)) is not None:
         return told
     kinds, tasks = streams(Collect(**_asked(options, behavior)))
-    metrics = _metrics(options, behavior)
+    metrics = _metrics()
     scenario = dataclasses.replace(kinds[0].scenario, metrics=metrics)
-    programs = rollouts.prepare(tasks, _policy(options, folder, policy, scenario))
+    driver, kind_of = _policy(options, folder, policy, scenario), "learned" if policy in LEARNED else policy
+    program = programs.setdefault(kind_of, rollouts.Numbered(tasks, driver))
     number = options.episodes or 1
     each = math.ceil(number / len(kinds))
     batch = min(each, BATCH.get(jax.default_backend(), BATCH_ELSEWHERE))
@@ -158,7 +165,7 @@ def _drive(options: Experiment, folder: Path, policy: str, behavior: str, watch:
             before = (turn * math.ceil(each / batch) + first // batch) * options.time_limit
             numbers = np.arange(first, first + batch) * len(kinds) + turn
             tell = lambda seconds, before=before: watch(min(1.0, (before + seconds) / total))  # noqa: E731
-            parts_of.append(rollouts.episodes(programs, scenario, options.seed + 1, kind.turn, numbers, tell))
+            parts_of.append(program.episodes(driver, scenario, options.seed + 1, kind.turn, numbers, tell))
         found.append(parts_of)
     told = {name: _in_turns(found, name, each, number) for name in KEPT}
     if not all(np.isfinite(np.asarray(told[name])).all() for name in ("completed", "seconds", *INTIMATE)):
@@ -167,7 +174,7 @@ def _drive(options: Experiment, folder: Path, policy: str, behavior: str, watch:
     return parts.saved(file)
 
 
-def _metrics(options: Experiment, behavior: str) -> tuple:
+def _metrics() -> tuple:
     from sean_jax.metrics import METRICS
 
     return tuple((name, METRICS[name]) for name in KEPT if name in METRICS)

@@ -58,8 +58,8 @@ def bars(cells: list[Cell]) -> str:
         spot.set_xticks(x, [name.replace("_", "\n") for name in shares.NAMES], fontsize=7.5)
         spot.set_ylim(0, 100)
         spot.set_title(f"{cell.behavior} · {cell.driver}", loc="left", fontsize=9.5, color=colors.INK)
-        spot.text(0.99, 0.97, f"entropy {found.entropy()[0]:.2f}\npaper {shares.normalised_entropy(printed):.2f}",
-                  transform=spot.transAxes, ha="right", va="top", fontsize=8, color=colors.MUTED)  # fmt: skip
+        spot.text(0.03, 0.97, f"entropy {found.entropy()[0]:.2f}\npaper {shares.normalised_entropy(printed):.2f}",
+                  transform=spot.transAxes, ha="left", va="top", fontsize=8, color=colors.MUTED)  # fmt: skip
     for row in axes:
         row[0].set_ylabel("% of examples", color=colors.MUTED)
     return _shown(figure, "table1-bars") + "<figcaption>Dashed: the paper's Table I.</figcaption>"

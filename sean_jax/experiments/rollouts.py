@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import devices, parallel, restarts
-from sean_jax.base import Array, Policy, RobotTask, Scenario, State
+from sean_jax.base import Array, Driver, Policy, RobotTask, Scenario, State
 from sean_jax.scenario import reset, results
 
 MINUTE = 60  # s, of a block of the bootstrap
@@ -98,41 +98,60 @@ def _with_turn(scenario: Scenario, tasks: tuple, turn: Array) -> Scenario:
     return dataclasses.replace(scenario, task=task)
 
 
-def prepare(tasks: Sequence[Callable], policy: Policy) -> tuple[Callable, Callable, Any]:
-    """Programs for ``episodes``: what begins them, what takes them CHUNK seconds on, and the mesh they run on."""
-    over = devices.mesh()
+class Numbered:
+    """Programs for numbered episodes of one kind of policy; drivers that differ in their data alone share them."""
 
-    def draw(fixed: tuple, number: Array) -> State:
-        scenario, seed, turn = fixed
-        key = jax.random.fold_in(jax.random.key(seed), number)
-        return parallel.begin(scenario, policy, reset(_with_turn(scenario, tuple(tasks), turn), key))
+    def __init__(self, tasks: Sequence[Callable], policy: Policy):
+        self.over = devices.mesh()
+        self.draw = devices.spread(self.over, functools.partial(_draw, tuple(tasks), policy))
+        self.advance = devices.spread(self.over, functools.partial(_advance, policy), donate=True)
 
-    def advance(scenario: Scenario, state: State, lived: Array) -> tuple[State, Array]:
-        def one(carry: tuple, _) -> tuple:
-            before, lived = carry
-            after, _ = parallel.advance(scenario, policy, before)
-            return (after, lived + ~(before.completed | before.timed_out)), None
+    def episodes(
+        self,
+        policy: Policy,
+        scenario: Scenario,
+        seed: int,
+        turn: int,
+        numbers: np.ndarray,
+        watch: Callable[[float], None],
+    ) -> Episodes:
+        """The episodes of those numbers (E,), whose task has the index ``turn``, each until its end.
 
-        return jax.lax.scan(one, (state, lived), length=CHUNK * round(1.0 / scenario.time_step))[0]
+        ``watch(seconds)`` is told how far they are.
+        """
+        size = -(-len(numbers) // self.over.size) * self.over.size
+        data = policy.data if isinstance(policy, Driver) else ()
+        fixed = devices.everywhere(self.over, (scenario, data, jnp.uint32(seed), jnp.int32(turn)))
+        states = self.draw(fixed, jnp.asarray(np.resize(np.asarray(numbers, np.uint32), size)))
+        lived = jnp.zeros(size, jnp.int32)
+        for done in range(CHUNK, math.ceil(scenario.time_limit) + CHUNK, CHUNK):
+            states, lived = self.advance(fixed, states, lived)
+            watch(done)
+            if bool(np.asarray(states.completed | states.timed_out).all()):
+                break
+        measured = jax.tree.map(np.asarray, jax.vmap(results, (None, 0))(scenario, states))
+        kept = slice(len(numbers))
+        found = {name: values[kept] for name, values in measured.items()}
+        return Episodes(np.asarray(states.completed)[kept], np.asarray(lived)[kept] * scenario.time_step, found)
 
-    return devices.spread(over, draw), devices.spread(over, advance, donate=True), over
+
+def _with_data(policy: Policy, data: Any) -> Policy:
+    return dataclasses.replace(policy, data=data) if isinstance(policy, Driver) else policy
 
 
-def episodes(
-    programs: tuple, scenario: Scenario, seed: int, turn: int, numbers: np.ndarray, watch: Callable[[int], None]
-) -> Episodes:
-    """The episodes of those numbers (E,), whose task has the index ``turn``, each until its end."""
-    draw, advance, over = programs
-    size = -(-len(numbers) // over.size) * over.size
-    padded = np.resize(np.asarray(numbers, np.uint32), size)
-    fixed = devices.everywhere(over, (scenario, jnp.uint32(seed), jnp.int32(turn)))
-    states, lived = draw(fixed, jnp.asarray(padded)), jnp.zeros(size, jnp.int32)
-    for done in range(CHUNK, math.ceil(scenario.time_limit) + CHUNK, CHUNK):
-        states, lived = advance(fixed[0], states, lived)
-        watch(done)
-        if bool(np.asarray(states.completed | states.timed_out).all()):
-            break
-    measured = jax.tree.map(np.asarray, jax.vmap(results, (None, 0))(scenario, states))
-    kept = slice(len(numbers))
-    found = {name: values[kept] for name, values in measured.items()}
-    return Episodes(np.asarray(states.completed)[kept], np.asarray(lived)[kept] * scenario.time_step, found)
+def _draw(tasks: tuple, policy: Policy, fixed: tuple, number: Array) -> State:
+    scenario, data, seed, turn = fixed
+    key = jax.random.fold_in(jax.random.key(seed), number)
+    return parallel.begin(scenario, _with_data(policy, data), reset(_with_turn(scenario, tasks, turn), key))
+
+
+def _advance(policy: Policy, fixed: tuple, state: State, lived: Array) -> tuple[State, Array]:
+    """CHUNK seconds more, and how many steps the episode has lived."""
+    scenario, data, *_ = fixed
+
+    def one(carry: tuple, _) -> tuple:
+        before, lived = carry
+        after, _ = parallel.advance(scenario, _with_data(policy, data), before)
+        return (after, lived + ~(before.completed | before.timed_out)), None
+
+    return jax.lax.scan(one, (state, lived), length=CHUNK * round(1.0 / scenario.time_step))[0]
