@@ -8,6 +8,7 @@ et al., "Information theoretic MPC for model-based reinforcement learning", ICRA
 told more than a robot's sensors tell: where people want to go. A control step takes some three million operations.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -18,7 +19,7 @@ from flax import struct
 from sean_jax.base import Array, Driver, Scenario, State
 from sean_jax.geometry import length
 from sean_jax.policies import manners
-from sean_jax.policies.outlook import look, onward, remaining
+from sean_jax.policies.outlook import Outlook, look, onward, remaining
 from sean_jax.policies.prediction import nearest_people, predict
 from sean_jax.policies.unicycle import backward, constant, over_ground, roll
 
@@ -30,6 +31,8 @@ PEOPLE = 8  # that are heeded
 QUICK = 2.0  # rad/s, beyond which it does not turn
 SWIFT = 1.5  # m/s, beyond which it does not drive among people
 LATE = 40.0  # m, for places from where no way is seen
+NEARER = 0.3  # m
+FIRST = 1e6  # m, more than any way
 FORWARD = (-0.4, 0.0, 0.35, 0.7, 1.0)  # of the limits: plain arcs
 AROUND = (-1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 1.0)
 
@@ -42,6 +45,7 @@ class Settings:
     halfway: Array  # 1, weight of the way that is left in the middle of a plan; at its end it is 1
     stop: Array  # m from the goal, where it is reached
     temperature: Array  # of the weighted mean
+    patience: Array  # s without getting nearer, after which it asks for half the personal space
 
 
 class Plan(NamedTuple):
@@ -49,6 +53,8 @@ class Plan(NamedTuple):
 
     knots: Array  # (KNOTS, 2) shares of the limits
     follows: Array  # (V,) int32, of ``outlook.onward``
+    nearest: Array  # () m, the way that was left when it last got nearer
+    waited: Array  # () s since then
 
 
 def settings() -> Settings:
@@ -63,12 +69,15 @@ def settings() -> Settings:
         change=constant(0.02),
         facing=constant(0.3),
     )
-    return Settings(weights, halfway=constant(0.5), stop=constant(0.2), temperature=constant(0.05))
+    return Settings(
+        weights, halfway=constant(0.5), stop=constant(0.2), temperature=constant(0.05), patience=constant(10.0)
+    )
 
 
 def start(scenario: Scenario, data: Settings, state: State) -> Plan:
     """Polite: plans seconds ahead by sampling, with people predicted, social distances, o-spaces and comfort."""
-    return Plan(jnp.zeros((KNOTS, 2), jnp.float32), onward(scenario, state))
+    knots = jnp.zeros((KNOTS, 2), jnp.float32)
+    return Plan(knots, onward(scenario, state), jnp.full((), FIRST, jnp.float32), jnp.zeros((), jnp.float32))
 
 
 def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple[Array, Plan]:
@@ -80,6 +89,9 @@ def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple
     here = state.robot.position
     spots = [jnp.append(here[axis], moved[axis][STEPS // 4 - 1 :: STEPS // 4, 0]) for axis in (0, 1)]
     outlook = look(scenario, state, state.driver.follows, *spots)
+    nearest, waited = _waited(scenario, data, state, outlook)
+    pushing = data.weights.personal * data.patience / (data.patience + waited)
+    data = replace(data, weights=replace(data.weights, personal=pushing))
 
     def cost(knots: Array) -> Array:
         return _cost(scenario, data, state, outlook, people, _moved(scenario, state, knots, most))
@@ -93,7 +105,20 @@ def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple
     price = cost(close)
     weight = jax.nn.softmax(-(price - jnp.min(price)) / data.temperature)
     knots = (weight[:, None, None] * close).sum(0)
-    return _commands(knots[0], most), Plan(knots, state.driver.follows)
+    return _commands(knots[0], most), Plan(knots, state.driver.follows, nearest, waited)
+
+
+def _waited(scenario: Scenario, data: Settings, state: State, outlook: Outlook) -> tuple[Array, Array]:
+    """() m left when it last got nearer, by NEARER at least, and () s since then, none at the goal.
+
+    Two who are polite would else wait for each other for ever.
+    """
+    before, here = state.driver, state.robot.position
+    left = jax.lax.stop_gradient(remaining(scenario, state, outlook, here[:1], here[1:])[0])
+    left = jnp.where(jnp.isfinite(left), left, before.nearest)
+    nearer = (left < before.nearest - NEARER) | (left < data.stop + NEARER)
+    nearest = jnp.where(nearer, left, before.nearest)
+    return nearest, jnp.where(nearer, 0.0, before.waited + scenario.time_step)
 
 
 def limits(scenario: Scenario) -> tuple[Array, Array, Array]:
@@ -142,7 +167,7 @@ def _moved(scenario: Scenario, state: State, knots: Array, most: tuple) -> tuple
     return x, y, yaw + jnp.arctan2(robot.heading[1], robot.heading[0]), speed, turn
 
 
-def _cost(scenario: Scenario, data: Settings, state: State, outlook, people: tuple, moved: tuple) -> Array:
+def _cost(scenario: Scenario, data: Settings, state: State, outlook: Outlook, people: tuple, moved: tuple) -> Array:
     """(P,) of trajectories (T, P): the way that is left, and what is minded on the way."""
     x, y, yaw, speed, turn = moved
     weights = data.weights
