@@ -1,0 +1,158 @@
+"""Experiments: counting and intervals against closed forms, resuming, refusals, and both reports at toy size."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sean_jax import cli
+from sean_jax.experiments import shares
+from sean_jax.experiments.options import BEHAVIORS, Experiment
+from sean_jax.learning.options import Refused
+
+
+def test_entropy_is_that_of_the_papers_rows():
+    """Of Table I, natural logarithms over ln 5: 0.562, 0.388 and 0.958."""
+    found = {name: shares.normalised_entropy(row) for name, row in shares.paper().items()}
+    np.testing.assert_allclose([found[name] for name in BEHAVIORS], [0.562, 0.388, 0.958], atol=6e-4)
+    np.testing.assert_allclose(shares.normalised_entropy(np.full((2, 5), 0.2)), 1.0)
+    assert shares.normalised_entropy(np.array([0.0, 0, 0, 0, 3])) == 0 == shares.normalised_entropy(np.zeros(5))
+
+
+def test_both_ways_of_counting():
+    flags = np.zeros((2, 4, 5), bool)
+    flags[0, 0, :2] = True  # cross and down path together
+    flags[0, 1, 4] = flags[0, 2, 4] = flags[1, 0, 4] = True
+    found = shares.count(flags)
+    np.testing.assert_allclose(found.multi[0], [1 / 8, 1 / 8, 0, 0, 3 / 8])
+    np.testing.assert_allclose(found.exclusive[0], [1 / 16, 1 / 16, 0, 0, 3 / 8])
+    assert found.examples == 8 and found.none == 0.5
+    low, high = shares.interval(found.multi)
+    assert (low <= found.multi[0]).all() and (found.multi[0] <= high).all()
+
+
+def test_intervals_hold_what_they_promise():
+    """Blocks of a known share: the 95 % interval has it in about 95 of 100 draws, and one over seconds has it less."""
+    random = np.random.default_rng(0)
+    inside = []
+    for seed in range(100):
+        flags = np.zeros((60, 60, 5), bool)
+        flags[..., 4] = (random.random(60) < 0.3)[:, None]  # a whole minute at a time
+        low, high = shares.interval(shares.count(flags, seed).multi)
+        inside.append(low[4] <= 0.3 <= high[4])
+    assert 88 <= sum(inside) <= 100
+
+
+def row(*percent: float) -> shares.Shares:
+    """Of a behavior known exactly."""
+    samples = np.repeat(np.array([percent]) / 100, 3, axis=0)
+    return shares.Shares(samples, samples, 0.0, 100)
+
+
+def test_the_papers_own_table_has_the_papers_orderings():
+    told = shares.orderings({name: row(*values) for name, values in shares.PAPER.items()})
+    assert [each["name"] for each in told] == [f"T{k}" for k in range(1, 11)]
+    assert all(each["holds"] and each["share"] == 1.0 for each in told)
+
+
+def test_other_tables_have_not():
+    same = row(20, 20, 20, 20, 20)
+    told = {each["name"]: each["holds"] for each in shares.orderings(dict.fromkeys(BEHAVIORS, same))}
+    assert told["T8"] and told["T10"] and not any(told[name] for name in ("T1", "T2", "T3", "T4", "T5", "T6", "T7"))
+
+
+def test_claims_of_figure_4():
+    from sean_jax.experiments import figure4
+
+    def cell(wait: float, harm: float, done: float) -> dict:
+        names = ("time_not_moving", wait), ("violations", harm), ("completed", done), ("collisions", 0.0)
+        return {name: np.full(10, value) for name, value in names}
+
+    waits = {"G": 11.0, "R": 16.3, "H": 25.0, "N": 28.7, "E": 5.0}
+    harms = {"graph": 2.5, "random": 1.9, "handcrafted": 1.0}
+    values = {p: {b: cell(waits[p], harms[b], 0.9) for b in BEHAVIORS} for p in waits}
+    by = {p: {b: np.array([1.0, 1.0, 0.2, 0.2, 0.1]) for b in BEHAVIORS} for p in waits}
+    found = figure4.Found(tuple(waits), 10, values, by, {})
+    told = figure4.claims(found)
+    assert all(each["holds"] and each["share"] == 1.0 for each in told)
+    values["G"] = {b: cell(30.0, harms[b], 0.5) for b in BEHAVIORS}
+    told = {each["statement"]: each["holds"] for each in figure4.claims(found)}
+    assert not told["N stands longest, s"] and not told["G stands less than R, s"]
+    assert not told["the learned complete 80 % of what the demonstrator does"]
+    assert found.cells["R"]["graph"]["completed"].mean == pytest.approx(9.0)
+
+
+@pytest.mark.parametrize(
+    "given, words",
+    [
+        ({"drivers": "nobody"}, "nobody"),
+        ({"drivers": ","}, "--drivers names nobody"),
+        ({"seeds": 0}, "--seeds is 0"),
+        ({"hours": 0.001}, "at least a minute"),
+        ({"speeds": ()}, "--speeds"),
+        ({"crowds": (0,)}, "--crowds"),
+        ({"time_limit": 0.0}, "--time-limit"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused(given, words, tmp_path):
+    from sean_jax.experiments import table1
+
+    with pytest.raises(Refused, match=words):
+        table1.run(Experiment("table1", out=tmp_path / "out", **given))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_of_another_experiment_is_refused(tmp_path):
+    from sean_jax.experiments import parts
+
+    options = Experiment("table1", quick=True, out=tmp_path / "here").settled()
+    assert parts.begin(options) == tmp_path / "here" == parts.begin(options)
+    with pytest.raises(Refused, match="begun with --seed 0, not 1"):
+        parts.begin(Experiment("table1", quick=True, seed=1, out=tmp_path / "here").settled())
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "letter.txt").write_text("dear")
+    with pytest.raises(Refused, match="holds something else"):
+        parts.begin(Experiment("table1", out=tmp_path / "full").settled())
+    (tmp_path / "here" / parts.OPTIONS).write_text("{")
+    with pytest.raises(Refused, match="damaged"):
+        parts.begin(options)
+
+
+SMALL = ["--environment", "lab", "--quick", "--people", "4", "--dynamics", "twin", "--time-limit", "20", "--quiet"]
+
+
+@pytest.mark.slow
+def test_table1(tmp_path):
+    out = tmp_path / "table1"
+    given = [*SMALL, "--hours", "0.0167", "--seeds", "1", "--drivers", "go_to_goal", "--out", str(out)]
+    assert cli.main(["experiment", "table1", *given]) == 0
+    text = (out / "report.html").read_text(encoding="utf-8")
+    assert "66.44" in text and "src=" not in text and "http" not in text.replace("http://www.w3.org", "")
+    rows = [line.split(",") for line in (out / "shares.csv").read_text(encoding="utf-8").splitlines()[1:]]
+    groups = [float(r[6]) for r in rows if r[1] == "random" and r[5] in ("join_group", "leave_group")]
+    assert groups and not any(groups)
+    # Who walks more slowly counts as well at a lower V, so cross path cannot get rarer.
+    cross = {
+        b: [float(r[6]) for r in rows if r[1] == b and r[4] == "multi" and r[5] == "cross_path"] for b in BEHAVIORS
+    }
+    for values in cross.values():
+        assert len(values) == 6 and all(one <= other + 1e-9 for one, other in zip(values, values[1:], strict=False))
+    before = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix in (".csv", ".npz")}
+    (out / "graph-go_to_goal-4.npz").unlink()
+    assert cli.main(["experiment", "table1", *given]) == 0
+    after = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".csv"}
+    assert all(before[name] == content for name, content in after.items())
+
+
+@pytest.mark.slow
+def test_figure4(tmp_path):
+    out = tmp_path / "figure4"
+    given = [*SMALL, "--hours", "0.0167", "--episodes", "5", "--epochs", "2", "--driver", "go_to_goal"]
+    assert cli.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
+    rows = [line.split(",") for line in (out / "figure4.csv").read_text(encoding="utf-8").splitlines()[1:]]
+    assert {r[0] for r in rows} == set("GRHNE") and {r[1] for r in rows} == set(BEHAVIORS)
+    done = [float(r[3]) for r in rows if r[2] == "completed"]
+    assert len(done) == 15 and all(0 <= value <= 5 for value in done) and max(done) > 0
+    episodes = json.loads((out / "episodes-E-handcrafted.json").read_text(encoding="utf-8"))
+    assert len(episodes["completed"]) == 5 and max(episodes["seconds"]) <= 20.0 + 1e-3
+    assert "Figure 4" in (out / "report.html").read_text(encoding="utf-8")
