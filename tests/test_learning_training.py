@@ -43,6 +43,9 @@ def trained(data, tmp_path_factory):
     return train_job.train(options(data, folder)), folder
 
 
+begin = jax.jit(training.begin, static_argnums=(0, 1, 2))
+
+
 @functools.partial(jax.jit, static_argnums=0)
 def answers(network, weights, examples):
     """What a network says to a batch of examples."""
@@ -64,7 +67,7 @@ def test_documented_sizes():
 def test_it_learns_two_hundred_examples_by_heart(recording):
     chosen = Train("imitation", None, width=32, batch=64, learning_rate=3e-3, weight_decay=0.0)
     network = Network(32, True, (12, 16))
-    state = training.begin(network, 5, chosen, recording.rows.command)
+    state = begin(network, 5, chosen, recording.rows.command)
     programs = training.programs(network, chosen, devices.mesh())
     rows = jnp.arange(len(recording.first), dtype=jnp.int32)
     losses = []
@@ -81,7 +84,7 @@ def test_it_learns_two_hundred_examples_by_heart(recording):
 def test_losses_equal_a_loop_in_numpy(recording, data):
     """Equal weights; only what is known of the future counts; the filling of the last batch does not."""
     network, chosen = Network(16, False, (12, 16)), Train("imitation", None, width=16, batch=32)
-    state = training.begin(network, 5, chosen, recording.rows.command)
+    state = begin(network, 5, chosen, recording.rows.command)
     np.testing.assert_allclose(state.weights.scale, np.std(recording.rows.command, 0), rtol=1e-5)
     programs = training.programs(network, chosen, devices.mesh())
     rows = np.arange(3, 50, dtype=np.int32)
