@@ -259,6 +259,19 @@ def test_a_damaged_checkpoint_is_named(data, trained, tmp_path):
         train_job.train(options(data, folder, epochs=14))
 
 
+def test_a_full_disk_keeps_the_checkpoints(data, trained, tmp_path, monkeypatch):
+    import shutil
+
+    folder = tmp_path / "run"
+    shutil.copytree(trained[1], folder)
+    before = sorted(path.name for path in (folder / "checkpoints").iterdir())
+    usage = shutil.disk_usage(folder)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
+    with pytest.raises(Failed, match="the disk is full; earlier checkpoints are as they were"):
+        train_job.train(options(data, folder, epochs=14))
+    assert sorted(path.name for path in (folder / "checkpoints").iterdir()) == before
+
+
 def test_a_log_goes_on_where_the_training_does(tmp_path):
     for begin in (0, 2):
         log = Log(tmp_path, begin)
