@@ -293,8 +293,8 @@ def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
     def follow(before, after, action):
         return after.driver.decision, action
 
-    run = jax.jit(jax.vmap(lambda key: parallel.rollout(scenario, policy, key, 61, follow)))
-    _, (decisions, actions) = run(keys)
+    drive = jax.vmap(lambda policy, key: parallel.rollout(scenario, policy, key, 61, follow), (None, 0))
+    _, (decisions, actions) = jax.jit(drive)(policy, keys)
     from sean_jax.learning import demonstrations
 
     programs = demonstrations.prepare(parts[0].scenario, tasks, policy, eye)
@@ -313,4 +313,5 @@ def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
     for name in ("local_plan", "planner_attention", "controller_attention"):
         expected = getattr(said, name).reshape(3, 7, *getattr(said, name).shape[1:])
         np.testing.assert_allclose(getattr(decisions, name)[:, ::10], expected, atol=2e-3)
-    np.testing.assert_allclose(actions[:, ::10].reshape(21, 2), said.command * brain.weights.scale, atol=2e-3)
+    scale = np.asarray(brain.weights.scale)
+    np.testing.assert_allclose(actions[:, ::10].reshape(21, 2), np.asarray(said.command) * scale, atol=2e-3)
