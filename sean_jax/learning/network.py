@@ -87,7 +87,7 @@ def squares(values: Array, side: int) -> Array:
     """(..., H / side, W / side, side * side * C) squares of (..., H, W, C), filled up with zeros at the far edges.
 
     Merging them is a convolution without overlap, as a product of matrices: inside a scan, as an epoch is, convolutions
-    ran 5 times slower on a CPU than outside it for small images, and for larger ones did not finish an epoch in minutes.
+    ran 5 times slower on a CPU than outside it for small images, and for larger ones an epoch took minutes.
     """
     *lead, height, width, channels = values.shape
     rows, columns = -(-height // side), -(-width // side)
