@@ -43,6 +43,9 @@ def trained(data, tmp_path_factory):
     return train_job.train(options(data, folder)), folder
 
 
+begin = jax.jit(training.begin, static_argnums=(0, 1, 2))
+
+
 @functools.partial(jax.jit, static_argnums=0)
 def answers(network, weights, examples):
     """What a network says to a batch of examples."""
@@ -64,7 +67,7 @@ def test_documented_sizes():
 def test_it_learns_two_hundred_examples_by_heart(recording):
     chosen = Train("imitation", None, width=32, batch=64, learning_rate=3e-3, weight_decay=0.0)
     network = Network(32, True, (12, 16))
-    state = training.begin(network, 5, chosen, recording.rows.command)
+    state = begin(network, 5, chosen, recording.rows.command)
     programs = training.programs(network, chosen, devices.mesh())
     rows = jnp.arange(len(recording.first), dtype=jnp.int32)
     losses = []
@@ -81,7 +84,7 @@ def test_it_learns_two_hundred_examples_by_heart(recording):
 def test_losses_equal_a_loop_in_numpy(recording, data):
     """Equal weights; only what is known of the future counts; the filling of the last batch does not."""
     network, chosen = Network(16, False, (12, 16)), Train("imitation", None, width=16, batch=32)
-    state = training.begin(network, 5, chosen, recording.rows.command)
+    state = begin(network, 5, chosen, recording.rows.command)
     np.testing.assert_allclose(state.weights.scale, np.std(recording.rows.command, 0), rtol=1e-5)
     programs = training.programs(network, chosen, devices.mesh())
     rows = np.arange(3, 50, dtype=np.int32)
@@ -256,6 +259,19 @@ def test_a_damaged_checkpoint_is_named(data, trained, tmp_path):
         train_job.train(options(data, folder, epochs=14))
 
 
+def test_a_full_disk_keeps_the_checkpoints(data, trained, tmp_path, monkeypatch):
+    import shutil
+
+    folder = tmp_path / "run"
+    shutil.copytree(trained[1], folder)
+    before = sorted(path.name for path in (folder / "checkpoints").iterdir())
+    usage = shutil.disk_usage(folder)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
+    with pytest.raises(Failed, match="the disk is full; earlier checkpoints are as they were"):
+        train_job.train(options(data, folder, epochs=14))
+    assert sorted(path.name for path in (folder / "checkpoints").iterdir()) == before
+
+
 def test_a_log_goes_on_where_the_training_does(tmp_path):
     for begin in (0, 2):
         log = Log(tmp_path, begin)
@@ -277,8 +293,8 @@ def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
     def follow(before, after, action):
         return after.driver.decision, action
 
-    run = jax.jit(jax.vmap(lambda key: parallel.rollout(scenario, policy, key, 61, follow)))
-    _, (decisions, actions) = run(keys)
+    drive = jax.vmap(lambda policy, key: parallel.rollout(scenario, policy, key, 61, follow), (None, 0))
+    _, (decisions, actions) = jax.jit(drive)(policy, keys)
     from sean_jax.learning import demonstrations
 
     programs = demonstrations.prepare(parts[0].scenario, tasks, policy, eye)
@@ -297,4 +313,5 @@ def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
     for name in ("local_plan", "planner_attention", "controller_attention"):
         expected = getattr(said, name).reshape(3, 7, *getattr(said, name).shape[1:])
         np.testing.assert_allclose(getattr(decisions, name)[:, ::10], expected, atol=2e-3)
-    np.testing.assert_allclose(actions[:, ::10].reshape(21, 2), said.command * brain.weights.scale, atol=2e-3)
+    scale = np.asarray(brain.weights.scale)
+    np.testing.assert_allclose(actions[:, ::10].reshape(21, 2), np.asarray(said.command) * scale, atol=2e-3)

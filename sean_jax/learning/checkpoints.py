@@ -5,6 +5,7 @@ orbax deletes the latest checkpoint where only the best are asked for, and a tra
 
 import json
 import logging
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from sean_jax.learning.training import TrainState
 
 CONFIG = "config.json"  # what the network is, beside the checkpoints
 STATE = "state"
+SPARE = 4_000_000  # bytes, that must be free beside what a checkpoint may take
 
 
 def _less_loss(metrics: dict[str, float]) -> float:
@@ -29,7 +31,7 @@ class Checkpoints:
     """The checkpoints in a folder, each named by the number of epochs that were done."""
 
     def __init__(self, folder: Path):
-        logging.getLogger("absl").setLevel(logging.ERROR)  # orbax tells of every step it takes
+        logging.getLogger("absl").setLevel(logging.CRITICAL)  # orbax tells of every step it takes
         self.folder = Path(folder).absolute()
         keep = AnyPreservationPolicy([LatestN(n=1), BestN(get_metric_fn=_less_loss, n=1)])
         options = ocp.CheckpointManagerOptions(
@@ -41,6 +43,9 @@ class Checkpoints:
 
     def save(self, state: TrainState, loss: float) -> None:
         """Keep the state after an epoch, in the background. Raises Failed if the last one could not be written."""
+        needed = 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(state)) + SPARE
+        if shutil.disk_usage(self.folder).free < needed:  # of a write that fails, orbax's threads print pages
+            raise Failed(f"{self.folder}: the disk is full; earlier checkpoints are as they were.")
         try:
             content = ocp.args.Composite(**{STATE: ocp.args.PyTreeSave(state)})  # pyright: ignore
             self.manager.save(int(state.epoch), args=content, metrics={"loss": loss}, force=True)

@@ -9,6 +9,7 @@ import struct
 from pathlib import Path
 from typing import Any
 
+from sean_jax.learning.options import Failed
 from sean_jax.learning.store import write_whole
 
 LINES = "metrics.jsonl"
@@ -48,11 +49,18 @@ class Log:
         (folder / EVENTS).write_bytes(first + b"".join(_events(line) for line in kept))
 
     def add(self, line: dict[str, Any]) -> None:
-        """A line has ``epoch``, ``time`` [s since 1970], and values, which may lie in dicts."""
-        with (self.folder / LINES).open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(line) + "\n")
-        with (self.folder / EVENTS).open("ab") as stream:
-            stream.write(_events(line))
+        """A line has ``epoch``, ``time`` [s since 1970], and values, which may lie in dicts.
+
+        Raises Failed if it cannot be written.
+        """
+        try:
+            with (self.folder / LINES).open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(line) + "\n")
+            with (self.folder / EVENTS).open("ab") as stream:
+                stream.write(_events(line))
+        except OSError as error:
+            why = "the disk is full" if error.errno == 28 else (error.strerror or str(error)).lower()
+            raise Failed(f"{self.folder}: {why}; the checkpoints until then are as they were.") from error
 
 
 def _lines(file: Path) -> list[dict[str, Any]]:

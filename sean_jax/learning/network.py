@@ -86,8 +86,8 @@ class Network(nn.Module):
 def squares(values: Array, side: int) -> Array:
     """(..., H / side, W / side, side * side * C) squares of (..., H, W, C), filled up with zeros at the far edges.
 
-    Merging them is a convolution without overlap, as a product of matrices: inside a scan, where trainings and rollouts
-    are, convolutions ran 5 times slower on a CPU, and more than 100 times slower for large batches.
+    Merging them is a convolution without overlap, as a product of matrices: inside a scan, as an epoch is, convolutions
+    ran 5 times slower on a CPU than outside it for small images, and for larger ones an epoch took minutes.
     """
     *lead, height, width, channels = values.shape
     rows, columns = -(-height // side), -(-width // side)

@@ -47,7 +47,9 @@ def train(options: Train, console: Console | None = None) -> TrainState:
     going_on = begun(options.folder, _config(options, data, network))
     over = devices.mesh()
     epoch = _epoch(data, kept, held, network, options, over)
-    state = training.begin(network, len(data.manifest["situations"]), options, jnp.asarray(_commands(data, kept)))
+    commands = jnp.asarray(_commands(data, kept))
+    start = jax.jit(training.begin, static_argnums=(0, 1, 2))
+    state = start(network, len(data.manifest["situations"]), options, commands)
     checkpoints = Checkpoints(options.folder)
     state = (checkpoints.latest(state) if going_on else None) or state
     state = devices.everywhere(over, state)
