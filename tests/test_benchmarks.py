@@ -40,6 +40,15 @@ def test_step():
 
 
 @pytest.mark.slow
+def test_drivers():
+    arguments = "--episodes", "2", "--seconds", "2", "--environment", "lab", "--conditions", "graph, join_group"
+    lines = run("benchmarks/drivers.py", *arguments)
+    names = [line[:18].strip() for line in lines[4:]]
+    assert names == ["stand", "go_to_goal", "social_costmap", "orca", "expert", "social_costmap 0.5"]
+    assert all(float(line.split()[-1]) > 0 for line in lines[4:])
+
+
+@pytest.mark.slow
 def test_sensors():
     lines = run("benchmarks/sensors.py", "--batches", "2", "--people", "8", "--sizes", "8x6", "--repeats", "1")
     assert [line[:22].strip() for line in lines[2:]] == ["depth 8x6", "first_person 8x6", "overhead 8x6", "lidar 360"]

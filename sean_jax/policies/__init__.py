@@ -1,8 +1,16 @@
-"""Policies: who drives. Pure functions (scenario, state, key) -> (2,) command [m/s, rad/s]."""
+"""Policies: who drives. Pure functions (scenario, state, key) -> (2,) command [m/s, rad/s], or drivers."""
 
 from sean_jax.base import Policy
+from sean_jax.policies.expert import expert
 from sean_jax.policies.go_to_goal import go_to_goal
+from sean_jax.policies.orca import orca
+from sean_jax.policies.social_costmap import social_costmap
 
-POLICIES: dict[str, Policy] = {"go_to_goal": go_to_goal}
+POLICIES: dict[str, Policy] = {
+    "go_to_goal": go_to_goal,
+    "social_costmap": social_costmap,
+    "orca": orca,
+    "expert": expert,
+}
 
-__all__ = ["POLICIES", "go_to_goal"]
+__all__ = ["POLICIES", "expert", "go_to_goal", "orca", "social_costmap"]

@@ -1,0 +1,342 @@
+"""Drivers: each alone in a room, with somebody in its way and among walkers; parts against independent oracles."""
+
+import dataclasses
+import functools
+import inspect
+import types
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+
+import sean_jax
+from sean_jax import cli, navigation, parallel, robots
+from sean_jax.base import Driver
+from sean_jax.main_job.choices import offered
+from sean_jax.pedestrian_models.constant_velocity import walk
+from sean_jax.policies import POLICIES, costmap, dynamic_window, outlook, social_costmap, unicycle, wavefront
+from sean_jax.policies.expert import limits
+
+STEPS = 200
+START, GOAL = (-2.5, 0.3), (2.5, 0.3)
+FILES = {
+    "environment.yaml": "name: room\nfloor: [-5, -4, 5, 4]\npeople: 6\n",
+    "scene.xml": '<mujoco><worldbody><geom type="box" size="0.4 0.4 1" pos="0 3.5 1"/></worldbody></mujoco>',
+}
+CORNER = (-4.5, -3.7)  # where people stand who have no part in a scene
+# One scene a row: (x, y, vx, vy) of people.
+SCENES = [
+    [],
+    [(0.0, 0.3, 0.0, 0.0)],
+    [(0.0, 0.35, 0.0, 0.0), (0.1, -1.0, 0.0, 0.0)],
+    [(2.5, -2.0, -0.7, 0.5)],
+    [(4.5, 0.3, -0.9, 0.0)],
+    [(4.0, 0.8, -0.9, 0.0), (4.5, -0.4, -0.9, 0.0)],
+    [(-0.5, -3.5, 0.0, 0.9)],
+    [(0.5, 3.0, 0.0, -0.6), (-4.5, 0.2, 1.1, 0.0)],
+]
+
+
+def steadily(scenario, state):
+    """People walk on at their desired velocity and mind nobody: all politeness is the robot's."""
+    return walk(scenario, state.pedestrians, state.pedestrians.desired_velocity)
+
+
+def undirected(scenario, state, key):
+    """Nobody changes their mind."""
+    return state
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """A room with one pillar, where people do as the scene says; and its scenes, stacked."""
+    folder = tmp_path_factory.mktemp("room")
+    for name, text in FILES.items():
+        (folder / name).write_text(text)
+    made = sean_jax.make(
+        folder, behavior="random", task="custom", start=START, goal=(*GOAL, 90.0), people=6, dynamics="twin"
+    )
+    scenario = dataclasses.replace(
+        made,
+        move=steadily,
+        behavior=dataclasses.replace(made.behavior, direct=undirected),
+        metrics=(),
+        situations=made.situations[-1:],
+    )
+    begin = jax.jit(lambda key: sean_jax.reset(scenario, key))(jax.random.key(0))
+    return scenario, jax.tree.map(lambda *leaves: jnp.stack(leaves), *(staged(begin, scene) for scene in SCENES))
+
+
+def staged(state, scene):
+    """The state with the people of a scene, the others in a corner."""
+    rows = np.array(scene + [(*CORNER, 0.0, 0.0)] * (6 - len(scene)), np.float32)
+    people = dataclasses.replace(
+        state.pedestrians,
+        position=jnp.asarray(rows[:, :2]),
+        velocity=jnp.asarray(rows[:, 2:]),
+        desired_velocity=jnp.asarray(rows[:, 2:]),
+        preferred_speed=jnp.full(6, 1.2, jnp.float32),
+    )
+    return dataclasses.replace(state, pedestrians=people)
+
+
+@pytest.fixture(scope="module")
+def simulated(room):
+    """A function: name of a driver -> first states and what became of all scenes; each is simulated once."""
+    scenario, states = room
+
+    @functools.cache
+    def run(name):
+        def one(state):
+            state = parallel.begin(scenario, POLICIES[name], state)
+            return state, parallel.simulate(scenario, POLICIES[name], state, STEPS)[1]
+
+        return jax.jit(jax.vmap(one))(states)
+
+    return run
+
+
+@pytest.fixture(scope="module", params=POLICIES)
+def driven(request, room, simulated):
+    """The name of a driver, the scenario, first states, and what became of them."""
+    return request.param, room[0], *simulated(request.param)
+
+
+def command_of(scenario, name, traced):
+    """A function: places of the robot and of people, state -> sum of the command, and the command (2,)."""
+    policy = POLICIES[name]
+
+    def command(places, state):
+        traced.append(name)
+        here, people = places
+        state = state.replace(
+            robot=state.robot.replace(position=here), pedestrians=state.pedestrians.replace(position=people)
+        )
+        key = jax.random.fold_in(jax.random.fold_in(state.key, parallel.POLICY_STREAM), state.tick)
+        if isinstance(policy, Driver):
+            action = policy.drive(scenario, policy.data, state, key)[0]
+        else:
+            action = policy(scenario, state, key)
+        return action.sum(), action
+
+    return command
+
+
+def gaps(frames):
+    """(scenes, steps, people) m between the robot's centre and people's."""
+    return np.linalg.norm(np.asarray(frames.position)[:, :, None] - np.asarray(frames.people), axis=-1)
+
+
+def test_reaches_its_goal_and_stays(driven):
+    _, _, _, frames = driven
+    away = np.linalg.norm(np.asarray(frames.position) - GOAL, axis=-1)
+    assert (away[0, -20:] < 0.4).all(), away[0, -1]
+    assert np.abs(np.diff(np.asarray(frames.position)[0, -20:], axis=0)).max() < 0.01
+    assert (away[1:3, -1] < 0.6).all(), away[:, -1]
+
+
+def test_touches_nobody_who_stands_in_its_way(driven):
+    _, scenario, _, frames = driven
+    assert gaps(frames)[1:3].min() > scenario.robot.radius + float(scenario.forces.radius) + 0.02
+
+
+def test_commands_are_finite_and_within_the_limits(driven):
+    _, scenario, _, frames = driven
+    actions = np.asarray(frames.action)
+    assert np.isfinite(actions).all()
+    assert np.abs(actions[..., 0]).max() <= float(scenario.robot.max_speed) + 1e-5
+    assert np.abs(actions[..., 1]).max() <= float(scenario.robot.max_turn_rate) + 1e-5
+
+
+def test_one_by_one_equals_all_at_once_and_is_traced_once(driven):
+    name, scenario, states, frames = driven
+    traced = []
+    command = jax.jit(command_of(scenario, name, traced))
+    for scene in range(len(SCENES)):
+        state = jax.tree.map(lambda leaf: leaf[scene], states)  # noqa: B023
+        _, action = command((state.robot.position, state.pedestrians.position), state)
+        np.testing.assert_allclose(action, np.asarray(frames.action)[scene, 0], atol=2e-4)
+    assert traced == [name]
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name == "go_to_goal" else [pytest.mark.slow]) for name in POLICIES]
+)
+def test_gradients_of_the_command_are_finite(name, room, simulated):
+    """Also where the robot stands on somebody's place."""
+    scenario, states = room[0], simulated(name)[0]
+    slope = jax.jit(jax.grad(command_of(scenario, name, []), has_aux=True))
+    for scene in (0, 1, 4):
+        state = jax.tree.map(lambda leaf: leaf[scene], states)  # noqa: B023
+        here, people = state.robot.position, state.pedestrians.position
+        for places in ((here, people), (here, people.at[0].set(here))):
+            assert all(np.isfinite(part).all() for part in slope(places, state)[0])
+
+
+def test_the_expert_is_more_polite_than_go_to_goal(simulated):
+    """People who mind nobody: it comes nearer than 0.45 m to none of them, and arrives as well."""
+    close = {name: (gaps(simulated(name)[1]) < 0.45).any((1, 2)) for name in ("go_to_goal", "expert")}
+    assert close["expert"].sum() == 0 < close["go_to_goal"].sum()
+    away = np.linalg.norm(np.asarray(simulated("expert")[1].position)[:, -1] - GOAL, axis=-1)
+    assert (away < 0.4).all()
+
+
+def test_the_proxemic_layer_is_the_printed_formula():
+    layers = social_costmap.data.layers
+    random = np.random.default_rng(0)
+    d, v = random.uniform(-1.5, 1.5, (400, 2)), random.uniform(-1.5, 1.5, (400, 2))
+    v[:40] = 0.0
+    run = jax.jit(jax.vmap(costmap.proxemic, in_axes=(None, 0, 0, 0, 0)))
+    mine = np.asarray(run(layers, *(jnp.asarray(part, jnp.float32) for part in (*d.T, *v.T))))
+    costly = 0
+    for (dx, dy), (vx, vy), cost in zip(d, v, mine, strict=True):
+        theta, angle, distance = np.arctan2(vy, vx), np.arctan2(dy, dx), np.hypot(dx, dy)
+        off = (angle - theta + np.pi) % (2 * np.pi) - np.pi
+        sx = 0.1 * (1 + 5 * np.hypot(vx, vy)) if abs(off) < np.pi / 2 else 0.1
+        mx, my = distance * np.cos(off), distance * np.sin(off)
+        exact = 77 * np.exp(-(mx**2 / (2 * sx) + my**2 / (2 * 0.1)))
+        wanted = np.floor(exact) if exact >= 10 else 0.0
+        if abs(exact - 10) > 1e-3 and abs(exact - np.round(exact)) > 1e-3:
+            assert cost == wanted
+            costly += cost > 0
+    assert costly > 50
+    at_rest = np.asarray(run(layers, *jnp.asarray([[0.64, 0.65], [0, 0], [0, 0], [0, 0]], jnp.float32)))
+    np.testing.assert_array_equal(at_rest, [0, 0] if at_rest[0] == 0 else [10, 0])  # 0.64 m at rest (C = 0.1)
+
+
+def test_inflation_and_people_on_the_map(room):
+    scenario, states = room
+    layers, state = social_costmap.data.layers, jax.tree.map(lambda leaf: leaf[1], states)
+    x = jnp.asarray([0.0, 0.0, 0.0, 3.0, 4.9, 0.0], jnp.float32)
+    y = jnp.asarray([2.95, 2.7, 2.0, -2.0, 0.0, 0.65], jnp.float32)
+    cost = np.asarray(jax.jit(lambda x, y: costmap.costs(scenario, layers, state.pedestrians, x, y))(x, y))
+    radius = scenario.robot.radius
+    assert cost[0] == cost[4] == 253  # touches the pillar; the edge of the floor
+    assert cost[1] == pytest.approx(252 * np.exp(-10 * (3.1 - 2.7 - radius)), rel=1e-3)
+    assert cost[2] == cost[3] == 0
+    assert cost[5] == 253 * (0.35 <= radius + 0.2)
+
+
+def test_the_wave_is_that_of_dijkstra():
+    """Eight neighbours, steps worth what the cell that is entered from says; against scipy on the same grid."""
+    count, cell = 14, 0.2
+    random = np.random.default_rng(1)
+    costs = random.uniform(0, 120, (count, count))
+    costs[3:11, 6] = 253
+    worth = wavefront.resistance(jnp.asarray(costs, jnp.float32))
+    resisting = np.asarray(worth, float)
+    start = np.full((count, count), 1e6, np.float32)
+    start[5, 2], start[0, 13] = 0.0, 4.0
+
+    def many(wave):
+        return jax.lax.scan(lambda w, _: (wavefront.sweep(w, worth, jnp.float32(cell)), None),
+                            wave, length=80)[0]  # fmt: skip
+
+    mine = np.asarray(jax.jit(many)(jnp.asarray(start)))
+    rows, columns, weights = [], [], []
+    for i, j in np.ndindex(count, count):
+        for di, dj in np.ndindex(3, 3):
+            a, b = i + di - 1, j + dj - 1
+            if (a, b) != (i, j) and 0 <= a < count and 0 <= b < count:
+                rows.append(i * count + j)
+                columns.append(a * count + b)
+                weights.append(cell * np.hypot(di - 1, dj - 1) * resisting[a, b])
+    from_both = dijkstra(coo_matrix((weights, (rows, columns))).tocsr(), indices=[5 * count + 2, 13])
+    wanted = np.minimum(from_both[0], 4.0 + from_both[1]).reshape(count, count)
+    open_ = costs < 253
+    np.testing.assert_allclose(mine[open_], wanted[open_], rtol=1e-4)
+    assert (mine[~open_] > 1e4).all()
+
+
+def test_the_dynamic_window_is_sampled_as_ros_does():
+    model = robots.load("kuri", "twin")
+    speed, turn = dynamic_window.samples(
+        model, social_costmap.data.scores, jnp.float32(0.0), jnp.float32(0.5), time_step=0.1
+    )
+    speed, turn = np.asarray(speed), np.asarray(turn)
+    assert len(speed) == 20 * 40 + 1 and speed[-1] == pytest.approx(-0.1) and turn[-1] == 0
+    table, turns = speed[:-1].reshape(20, 40), turn[:-1].reshape(20, 40)
+    np.testing.assert_allclose(table[:, 0], np.linspace(0, 0.3, 20), atol=1e-6)
+    assert (turns[:, 0] == 0).all()  # straight ahead
+    np.testing.assert_allclose(turns[1, 1:], np.linspace(-0.5, 1.5, 39), atol=1e-6)
+    spins = np.abs(turns[0, 1:])
+    assert spins.min() == pytest.approx(0.5) and spins.max() == pytest.approx(1.5)
+
+
+def test_arcs_and_rolls_are_where_the_twin_goes(room):
+    """A planner's belief against the robot's own physics, from rest, over three seconds."""
+    scenario, states = room
+    state = jax.tree.map(lambda leaf: leaf[0], states)
+    model = scenario.robot
+
+    def physics(state, command):
+        def one(state, _):
+            robot = model.drive(scenario, state, command)
+            return dataclasses.replace(state, robot=robot), robot.position
+
+        return jax.lax.scan(one, state, length=30)[1][1::2]
+
+    commands = jnp.asarray([[0.5, 0.0], [0.4, 1.0], [0.3, -2.0], [-0.3, 0.5]], jnp.float32)
+    exact = np.asarray(jax.jit(jax.vmap(physics, in_axes=(None, 0)))(state, commands))
+    zero = jnp.zeros((), jnp.float32)
+    steps = jnp.broadcast_to(commands, (15, 4, 2))
+    x, y, *_ = jax.jit(lambda a, b: unicycle.roll(model, zero, zero, (a, b), 0.2))(steps[..., 0], steps[..., 1])
+    x, y = unicycle.over_ground(state.robot.position, state.robot.heading, x, y)
+    assert np.hypot(np.asarray(x).T - exact[..., 0], np.asarray(y).T - exact[..., 1]).max() < 0.06
+    x, y, _ = dynamic_window.arcs(commands[:, 0], commands[:, 1])  # these are at their speed at once
+    x, y = unicycle.over_ground(state.robot.position, state.robot.heading, x, y)
+    assert np.hypot(np.asarray(x).T - exact[:, :10, 0], np.asarray(y).T - exact[:, :10, 1]).max() < 0.1
+
+
+def test_the_way_that_is_left_is_that_of_the_tables(scenario):
+    """Around robots anywhere in the warehouse, from places within 1.5 m of each: against the exact geodesic."""
+    table, random = scenario.navigation, np.random.default_rng(3)
+    here, goals = (random.choice(np.asarray(table.places), 24) for _ in range(2))
+    places = (here[:, None] + random.uniform(-1.5, 1.5, (24, 24, 2))).astype(np.float32)
+
+    def one(each):
+        here, goal, place = each
+        task = types.SimpleNamespace(goal=goal, to_goal=navigation.to_goal(table, goal))
+        state: Any = types.SimpleNamespace(task=task)
+        chosen = outlook.look(scenario, state, outlook.onward(scenario, state), *here[:, None])
+        left = outlook.remaining(scenario, state, chosen, *place.T)
+        exact = jax.lax.map(lambda spot: navigation.geodesic(table, spot, goal, task.to_goal), place)
+        near = jax.vmap(lambda spot: navigation.sees(table.obstacles, here, spot, table.radius))(place)
+        return left, exact, near
+
+    given = jnp.asarray(here), jnp.asarray(goals), jnp.asarray(places)
+    left, exact, near = (np.asarray(part) for part in jax.jit(lambda given: jax.lax.map(one, given))(given))
+    there = near & np.isfinite(exact)
+    assert there.sum() > 200
+    error = np.where(np.isfinite(left), left - exact, 99.0)[there]
+    assert error.min() > -0.01  # never shorter than it is
+    assert np.quantile(error, 0.95) < 0.001  # by a bend that was not chosen it may be longer
+
+
+def test_plans_keep_to_the_limits_of_every_robot():
+    for name in robots.ROBOTS:
+        model = robots.load(name, "twin")
+        mocked: Any = types.SimpleNamespace(robot=model)
+        ahead, back, turn = limits(mocked)
+        assert 0 < float(back) <= float(ahead) <= float(model.max_speed) and 0 < float(turn) <= model.max_turn_rate
+
+
+def test_each_is_documented_and_on_the_list():
+    lines = dict(offered())["policy"]
+    assert set(lines) == set(POLICIES) and {"go_to_goal", "social_costmap", "orca", "expert"} <= set(lines)
+    assert all(line for line in lines.values())
+    for policy in POLICIES.values():
+        for function in (policy.start, policy.drive) if isinstance(policy, Driver) else (policy,):
+            assert inspect.getdoc(function)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", POLICIES)
+def test_sean_run_takes_each(name, tmp_path, capsys):
+    command = ["run", "--policy", name, "--people", "14", "--episodes", "2", "--time-limit", "5", "--dynamics", "twin"]
+    assert cli.main([*command, "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "summary.json").is_file()
