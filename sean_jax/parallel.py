@@ -35,6 +35,14 @@ def simulate(
     return jax.lax.scan(one, state, length=steps)
 
 
+def as_argument(policy: Policy) -> Policy:
+    """The policy as a pytree, to be an argument of a jitted function.
+
+    What a driver has learned would otherwise be constants of the program, which take long to compile.
+    """
+    return policy if isinstance(policy, Driver) else jax.tree_util.Partial(policy)
+
+
 def begin(scenario: Scenario, policy: Policy, state: State) -> State:
     """The state with the memory of the policy at the beginning of an episode; as it is for a mere function."""
     if not isinstance(policy, Driver):

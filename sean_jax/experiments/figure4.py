@@ -19,7 +19,7 @@ from sean_jax import learning
 from sean_jax.experiments import page, parts, rollouts, shares
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.learning.options import Collect, Train
-from sean_jax.learning.protocol import streams, who_drives
+from sean_jax.learning.protocol import Stream, streams, who_drives
 from sean_jax.metrics import Estimate, aggregate, resamples
 
 if TYPE_CHECKING:
@@ -81,7 +81,8 @@ def run(options: Experiment, console: Console | None = None) -> Path:
     measured: dict[str, dict[str, dict[str, Any]]] = {policy: {} for policy in policies}
     with parts.shown(console, len(policies) * len(BEHAVIORS)) as tell:
         for row, behavior in enumerate(BEHAVIORS):
-            programs: dict[Any, rollouts.Numbered] = {}
+            kinds, tasks = streams(Collect(**_asked(options, behavior)))
+            programs = rollouts.Numbered(tasks)
             for column, policy in enumerate(policies):
                 done, what = len(policies) * row + column, f"{policy} in {behavior}"
 
@@ -89,7 +90,7 @@ def run(options: Experiment, console: Console | None = None) -> Path:
                     tell(done + share, what)
 
                 watch(0.0)
-                measured[policy][behavior] = _drive(options, folder, policy, behavior, programs, watch)
+                measured[policy][behavior] = _drive(options, folder, policy, behavior, kinds, programs, watch)
     found = _found(options, policies, measured, trained)
     write(options, folder, found)
     return folder
@@ -133,27 +134,32 @@ def _train(options: Experiment, folder: Path, behavior: str, console: Console | 
 
 def _policy(options: Experiment, folder: Path, policy: str, scenario: Scenario) -> Policy:
     if policy in LEARNED:
-        return learning.load(folder / f"policy-{LEARNED[policy]}", scenario)
+        # Of one name, for a driver of another name is compiled anew.
+        return dataclasses.replace(learning.load(folder / f"policy-{LEARNED[policy]}", scenario), name="learned")
     return who_drives("social_costmap" if policy == NAVIGATION else options.driver)
 
 
 def _drive(
-    options: Experiment, folder: Path, policy: str, behavior: str, programs: dict, watch: Callable
+    options: Experiment,
+    folder: Path,
+    policy: str,
+    behavior: str,
+    kinds: list[Stream],
+    programs: rollouts.Numbered,
+    watch: Callable,
 ) -> dict[str, Any]:
     """The measures of each episode as lists, as saved in the folder or driven; streams take turns.
 
-    ``programs`` has those compiled for the behavior by now; the learned policies share one.
+    The learned policies share what ``programs`` compile.
     """
     import jax
 
     file = folder / f"episodes-{policy}-{behavior}.json"
     if (told := parts.saved(file)) is not None:
         return told
-    kinds, tasks = streams(Collect(**_asked(options, behavior)))
     metrics = _metrics()
     scenario = dataclasses.replace(kinds[0].scenario, metrics=metrics)
-    driver, kind_of = _policy(options, folder, policy, scenario), "learned" if policy in LEARNED else policy
-    program = programs.setdefault(kind_of, rollouts.Numbered(tasks, driver))
+    driver = _policy(options, folder, policy, scenario)
     number = options.episodes or 1
     each = math.ceil(number / len(kinds))
     batch = min(each, BATCH.get(jax.default_backend(), BATCH_ELSEWHERE))
@@ -165,7 +171,7 @@ def _drive(
             before = (turn * math.ceil(each / batch) + first // batch) * options.time_limit
             numbers = np.arange(first, first + batch) * len(kinds) + turn
             tell = lambda seconds, before=before: watch(min(1.0, (before + seconds) / total))  # noqa: E731
-            parts_of.append(program.episodes(driver, scenario, options.seed + 1, kind.turn, numbers, tell))
+            parts_of.append(programs.episodes(driver, scenario, options.seed + 1, kind.turn, numbers, tell))
         found.append(parts_of)
     told = {name: _in_turns(found, name, each, number) for name in KEPT}
     if not all(np.isfinite(np.asarray(told[name])).all() for name in ("completed", "seconds", *INTIMATE)):

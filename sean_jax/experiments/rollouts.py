@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import devices, parallel, restarts
-from sean_jax.base import Array, Driver, Policy, RobotTask, Scenario, State
+from sean_jax.base import Array, Policy, RobotTask, Scenario, State
 from sean_jax.scenario import reset, results
 
 MINUTE = 60  # s, of a block of the bootstrap
@@ -31,11 +31,11 @@ class Episodes:
 class Chains:
     """Episodes that follow one another, a minute of all chains in one call; compiled once for each number of chains."""
 
-    def __init__(self, scenario: Scenario, tasks: Sequence[Callable], policy: Policy):
-        self.over = devices.mesh()
-        self.pool = jax.jit(functools.partial(_pool, tuple(tasks), policy))
-        self.begin = devices.spread(self.over, functools.partial(_begin, policy))
-        self.run = devices.spread(self.over, functools.partial(_minute, policy), donate=True)
+    def __init__(self, tasks: Sequence[Callable], policy: Policy):
+        self.over, self.policy = devices.mesh(), parallel.as_argument(policy)
+        self.pool = jax.jit(functools.partial(_pool, tuple(tasks)))
+        self.begin = devices.spread(self.over, _begin)
+        self.run = devices.spread(self.over, _minute, donate=True)
 
     def minutes(
         self, scenario: Scenario, turn: int, seed: int, chains: int, minutes: int, watch: Callable[[int], None]
@@ -46,8 +46,8 @@ class Chains:
         """
         size = -(-chains // self.over.size) * self.over.size
         key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), turn), 1)
-        starts = self.pool(scenario, jnp.int32(turn), key)
-        fixed = devices.everywhere(self.over, (scenario, starts))
+        starts = self.pool(scenario, self.policy, jnp.int32(turn), key)
+        fixed = devices.everywhere(self.over, (scenario, self.policy, starts))
         states = self.begin(fixed, devices.keys(self.over, jax.random.fold_in(key, 2), size))
         kept, ended = [], np.zeros(2, int)
         for minute in range(minutes):
@@ -60,19 +60,19 @@ class Chains:
         return np.stack(kept, 1), ended
 
 
-def _pool(tasks: tuple, policy: Policy, scenario: Scenario, turn: Array, key: Array) -> restarts.Pool:
+def _pool(tasks: tuple, scenario: Scenario, policy: Policy, turn: Array, key: Array) -> restarts.Pool:
     return restarts.pool(_with_turn(scenario, tasks, turn), key, STARTS, policy)
 
 
-def _begin(policy: Policy, fixed: tuple, key: Array) -> State:
+def _begin(fixed: tuple, key: Array) -> State:
     """A start of the pool with a key of its own."""
-    _, starts = fixed
+    *_, starts = fixed
     chosen = jax.random.randint(key, (), 0, starts.starts.tick.shape[0], jnp.int32)
     return dataclasses.replace(jax.tree.map(lambda leaf: leaf[chosen], starts.starts), key=jax.random.fold_in(key, 1))
 
 
-def _minute(policy: Policy, fixed: tuple, state: State) -> tuple:
-    scenario, starts = fixed
+def _minute(fixed: tuple, state: State) -> tuple:
+    scenario, policy, starts = fixed
     ticks = round(1.0 / scenario.time_step)
 
     def second(state: State, _) -> tuple:
@@ -99,12 +99,12 @@ def _with_turn(scenario: Scenario, tasks: tuple, turn: Array) -> Scenario:
 
 
 class Numbered:
-    """Programs for numbered episodes of one kind of policy; drivers that differ in their data alone share them."""
+    """Programs for numbered episodes; drivers that differ in their data alone share what is compiled."""
 
-    def __init__(self, tasks: Sequence[Callable], policy: Policy):
+    def __init__(self, tasks: Sequence[Callable]):
         self.over = devices.mesh()
-        self.draw = devices.spread(self.over, functools.partial(_draw, tuple(tasks), policy))
-        self.advance = devices.spread(self.over, functools.partial(_advance, policy), donate=True)
+        self.draw = devices.spread(self.over, functools.partial(_draw, tuple(tasks)))
+        self.advance = devices.spread(self.over, _advance, donate=True)
 
     def episodes(
         self,
@@ -120,8 +120,8 @@ class Numbered:
         ``watch(seconds)`` is told how far they are.
         """
         size = -(-len(numbers) // self.over.size) * self.over.size
-        data = policy.data if isinstance(policy, Driver) else ()
-        fixed = devices.everywhere(self.over, (scenario, data, jnp.uint32(seed), jnp.int32(turn)))
+        fixed = scenario, parallel.as_argument(policy), jnp.uint32(seed), jnp.int32(turn)
+        fixed = devices.everywhere(self.over, fixed)
         states = self.draw(fixed, jnp.asarray(np.resize(np.asarray(numbers, np.uint32), size)))
         lived = jnp.zeros(size, jnp.int32)
         for done in range(CHUNK, math.ceil(scenario.time_limit) + CHUNK, CHUNK):
@@ -135,23 +135,19 @@ class Numbered:
         return Episodes(np.asarray(states.completed)[kept], np.asarray(lived)[kept] * scenario.time_step, found)
 
 
-def _with_data(policy: Policy, data: Any) -> Policy:
-    return dataclasses.replace(policy, data=data) if isinstance(policy, Driver) else policy
-
-
-def _draw(tasks: tuple, policy: Policy, fixed: tuple, number: Array) -> State:
-    scenario, data, seed, turn = fixed
+def _draw(tasks: tuple, fixed: tuple, number: Array) -> State:
+    scenario, policy, seed, turn = fixed
     key = jax.random.fold_in(jax.random.key(seed), number)
-    return parallel.begin(scenario, _with_data(policy, data), reset(_with_turn(scenario, tasks, turn), key))
+    return parallel.begin(scenario, policy, reset(_with_turn(scenario, tasks, turn), key))
 
 
-def _advance(policy: Policy, fixed: tuple, state: State, lived: Array) -> tuple[State, Array]:
+def _advance(fixed: tuple, state: State, lived: Array) -> tuple[State, Array]:
     """CHUNK seconds more, and how many steps the episode has lived."""
-    scenario, data, *_ = fixed
+    scenario, policy, *_ = fixed
 
     def one(carry: tuple, _) -> tuple:
         before, lived = carry
-        after, _ = parallel.advance(scenario, _with_data(policy, data), before)
+        after, _ = parallel.advance(scenario, policy, before)
         return (after, lived + ~(before.completed | before.timed_out)), None
 
     return jax.lax.scan(one, (state, lived), length=CHUNK * round(1.0 / scenario.time_step))[0]

@@ -97,7 +97,7 @@ def _cell(options: Experiment, folder: Path, behavior: str, driver: str, people:
     found, ended = [], np.zeros(2, int)
     for turn, kind in enumerate(kinds):
         scenario = _with_speeds(kind.scenario, speeds)
-        chains = chains or Chains(scenario, tasks, who_drives(driver))
+        chains = chains or Chains(tasks, who_drives(driver))
         done = lambda minutes, turn=turn: watch((turn + minutes / each) / len(kinds))  # noqa: E731
         flags, over = chains.minutes(scenario, kind.turn, options.seed + 1000 * turn, number, each, done)
         found.append(flags.reshape(-1, MINUTE, len(speeds), len(shares.NAMES)))

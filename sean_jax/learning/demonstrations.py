@@ -17,7 +17,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from sean_jax import devices, navigation, parallel, sensors
-from sean_jax.base import Array, Driver, Policy, RobotTask, Scenario, State
+from sean_jax.base import Array, Policy, RobotTask, Scenario, State
 from sean_jax.learning.rows import Row, row
 from sean_jax.scenario import reset
 
@@ -38,10 +38,10 @@ class Programs:
     """What is compiled for batches of B episodes."""
 
     seconds: int  # T
-    draw: Callable  # ((scenario, data, seed, turn), numbers (B,)) -> carry
-    advance: Callable  # ((scenario, data), carry) -> (carry, (rows (B, CHUNK, ...), active (B, CHUNK)))
+    draw: Callable  # ((scenario, policy, seed, turn), numbers (B,)) -> carry
+    advance: Callable  # ((scenario, policy, ...), carry) -> (carry, (rows (B, CHUNK, ...), active (B, CHUNK)))
     over: Mesh
-    data: Any  # of a Driver: an argument, for as constants of a program its leaves would take long to compile
+    policy: Policy
 
 
 def prepare(
@@ -54,10 +54,10 @@ def prepare(
         over: devices that share the work; the first one alone if None.
     """
     over = devices.mesh(jax.devices()[:1]) if over is None else over
-    draw, advance = functools.partial(_draw, tuple(tasks), policy), functools.partial(_advance, policy, eye)
-    data = policy.data if isinstance(policy, Driver) else ()
+    draw, advance = functools.partial(_draw, tuple(tasks)), functools.partial(_advance, eye)
+    policy = parallel.as_argument(policy)
     seconds = math.ceil(scenario.time_limit - 1e-6)
-    return Programs(seconds, devices.spread(over, draw), devices.spread(over, advance, donate=True), over, data)
+    return Programs(seconds, devices.spread(over, draw), devices.spread(over, advance, donate=True), over, policy)
 
 
 def simulate(
@@ -73,7 +73,7 @@ def simulate(
     ``watch(seconds)`` is told how far they are. Raises FloatingPointError naming episodes with numbers that are not
     finite.
     """
-    fixed = devices.everywhere(programs.over, (scenario, programs.data, jnp.uint32(seed), jnp.int32(turn)))
+    fixed = devices.everywhere(programs.over, (scenario, programs.policy, jnp.uint32(seed), jnp.int32(turn)))
     carry = programs.draw(fixed, jnp.asarray(numbers, jnp.uint32))
     kept, active = [], []
     for done in range(CHUNK, programs.seconds + CHUNK, CHUNK):
@@ -95,10 +95,9 @@ def _fields() -> tuple:
     return dataclasses.fields(Row)  # pyright: ignore[reportArgumentType]
 
 
-def _draw(tasks: tuple[Callable, ...], policy: Policy, fixed: tuple, number: Array) -> tuple:
+def _draw(tasks: tuple[Callable, ...], fixed: tuple, number: Array) -> tuple:
     """An episode before its first step, the way to its goal, and no command yet."""
-    scenario, data, seed, turn = fixed
-    policy = _with(policy, data)
+    scenario, policy, seed, turn = fixed
 
     def task(scenario: Scenario, *others: Any) -> RobotTask:
         return jax.lax.switch(turn, [functools.partial(each, scenario) for each in tasks], *others)
@@ -109,14 +108,9 @@ def _draw(tasks: tuple[Callable, ...], policy: Policy, fixed: tuple, number: Arr
     return parallel.begin(scenario, policy, state), last, jnp.zeros(2, jnp.float32)
 
 
-def _with(policy: Policy, data: Any) -> Policy:
-    """The policy, with that data if it has any."""
-    return dataclasses.replace(policy, data=data) if isinstance(policy, Driver) else policy
-
-
-def _advance(policy: Policy, eye: sensors.Camera, fixed: tuple, carry: tuple) -> tuple:
+def _advance(eye: sensors.Camera, fixed: tuple, carry: tuple) -> tuple:
     """CHUNK seconds more, and the rows at their beginnings, with whether the episode had not ended by then."""
-    scenario, policy = fixed[0], _with(policy, fixed[1])
+    scenario, policy, *_ = fixed
     ticks = round(1.0 / scenario.time_step)
 
     def second(carry: tuple, _) -> tuple:

@@ -56,8 +56,9 @@ class Programs:
 
     scenarios: Sequence[Scenario]
     size: int  # B
-    draw: Callable  # (scenario, seed, numbers (B,)) -> (states, empty tally)
-    advance: Callable  # (scenario, states, tally, counted) -> (states, tally, frames)
+    policy: Policy
+    draw: Callable  # ((scenario, policy), seed, numbers (B,)) -> (states, empty tally)
+    advance: Callable  # ((scenario, policy), states, tally, counted) -> (states, tally, frames)
     seconds: float  # s, taken to compile
 
 
@@ -101,20 +102,21 @@ def run_batches(
 
 def prepare(scenarios: Sequence[Scenario], policy: Policy, size: int, watch: Watch) -> Programs:
     """Compile everything for batches of ``size`` episodes."""
-    began, first = time.perf_counter(), scenarios[0]
+    began, first, policy = time.perf_counter(), scenarios[0], parallel.as_argument(policy)
     watch.compiling(f"tracing {size} episodes")
     numbers = jnp.zeros((size,), jnp.uint32)
     tasks = tuple(scenario.task for scenario in scenarios)
-    draw = jax.jit(_drawing(policy, tasks, crowding.grid(first.environment)))
-    states, tally = jax.eval_shape(draw, first, jnp.uint32(0), numbers)
-    advance = jax.jit(_advance(policy, min(CHUNK, _steps(first)), min(KEPT, size)), donate_argnums=(1, 2))
+    draw = jax.jit(_drawing(tasks, crowding.grid(first.environment)))
+    fixed = first, policy
+    states, tally = jax.eval_shape(draw, fixed, jnp.uint32(0), numbers)
+    advance = jax.jit(_advance(min(CHUNK, _steps(first)), min(KEPT, size)), donate_argnums=(1, 2))
     lowered = [
-        draw.lower(first, jnp.uint32(0), numbers),
-        advance.lower(first, states, tally, jnp.ones((size,), bool)),
+        draw.lower(fixed, jnp.uint32(0), numbers),
+        advance.lower(fixed, states, tally, jnp.ones((size,), bool)),
     ]
     watch.compiling(f"compiling {size} episodes")
     draw, advance = _compile(lowered)
-    return Programs(scenarios, size, draw, advance, time.perf_counter() - began)
+    return Programs(scenarios, size, policy, draw, advance, time.perf_counter() - began)
 
 
 def run_batch(programs: Programs, seed: int, base: int, kept: int, advanced: Callable[[float, float], None]) -> Batch:
@@ -123,12 +125,12 @@ def run_batch(programs: Programs, seed: int, base: int, kept: int, advanced: Cal
     ``advanced(seconds, simulated)`` is told how far each episode is and how much robot time is simulated.
     """
     first, size = programs.scenarios[0], programs.size
-    numbers = jnp.asarray(np.arange(base, base + size), jnp.uint32)
-    states, tally = programs.draw(first, jnp.uint32(seed), numbers)
+    fixed, numbers = (first, programs.policy), jnp.asarray(np.arange(base, base + size), jnp.uint32)
+    states, tally = programs.draw(fixed, jnp.uint32(seed), numbers)
     counted, frames = jnp.arange(size) < kept, []
     chunk = min(CHUNK, _steps(first))
     for done in range(chunk, _steps(first) + chunk, chunk):
-        states, tally, shown = programs.advance(first, states, tally, counted)
+        states, tally, shown = programs.advance(fixed, states, tally, counted)
         if base == 0:
             frames.append(jax.tree.map(np.asarray, shown))
         over = bool(np.all(np.asarray(states.completed | states.timed_out)))
@@ -194,10 +196,12 @@ def _compile(lowered: Sequence[Any]) -> list[Callable]:
     return [outcome[index] for index in range(len(lowered))]
 
 
-def _drawing(policy: Policy, tasks: tuple[Callable, ...], cells: tuple[int, int]) -> Callable:
-    """(scenario, seed, numbers (B,)) -> the starts of the numbered episodes, which take turns at ``tasks``."""
+def _drawing(tasks: tuple[Callable, ...], cells: tuple[int, int]) -> Callable:
+    """((scenario, policy), seed, numbers (B,)) -> the starts of those episodes, which take turns at ``tasks``."""
 
-    def draw(scenario: Scenario, seed: Array, numbers: Array) -> tuple[State, Tally]:
+    def draw(fixed: tuple[Scenario, Policy], seed: Array, numbers: Array) -> tuple[State, Tally]:
+        scenario, policy = fixed
+
         def one(number: Array) -> State:
             turn = (number % len(tasks)).astype(jnp.int32)
 
@@ -228,10 +232,12 @@ def _empty_tally(scenario: Scenario, states: State, cells: tuple[int, int]) -> T
     )
 
 
-def _advance(policy: Policy, steps: int, kept: int) -> Callable:
-    """(scenario, states, tally, counted) -> (states, tally, frames (steps, kept, ...)), ``steps`` control steps on."""
+def _advance(steps: int, kept: int) -> Callable:
+    """((scenario, policy), states, tally, counted) -> (states, tally, frames (steps, kept, ...)), ``steps`` later."""
 
-    def advance(scenario: Scenario, states: State, tally: Tally, counted: Array):
+    def advance(fixed: tuple[Scenario, Policy], states: State, tally: Tally, counted: Array):
+        scenario, policy = fixed
+
         def one(carry, _):
             before, tally = carry
             states, frames = jax.vmap(lambda state: parallel.simulate(scenario, policy, state, 1))(before)
