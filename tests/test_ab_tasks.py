@@ -98,6 +98,7 @@ def test_the_busiest_person_is_in_the_middle_of_the_largest_cluster():
     assert alone == 12
 
 
+@pytest.mark.slow
 def test_custom_task_is_the_one_given():
     scenario = sean_jax.make(
         behavior="random", task="custom", people=4, dynamics="twin", start=(0.0, 17.0, 90.0), goal=(0.0, -17.0)

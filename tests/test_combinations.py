@@ -139,6 +139,7 @@ def test_what_the_paper_does_not_combine_is_refused_in_a_sentence(environment, b
         assert task in said and behavior in said and "\n" not in said and said.endswith(".")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("behavior", BEHAVIORS)
 def test_everything_legal_can_be_traced_again_and_again(behavior, recording):
     """A state has the same shapes and types after a step as before: one program serves all steps. None is compiled."""

@@ -82,6 +82,7 @@ def test_with_respect_to_actions(double):
     agree(run, gradient, actions, [jnp.asarray(random.normal(size=actions.shape)) for _ in range(4)])
 
 
+@pytest.mark.slow
 def test_with_respect_to_force_parameters(double):
     scenario, state = double
     names = ("strength", "range", "relaxation_time", "side_preference")

@@ -64,6 +64,7 @@ def test_documented_sizes():
         assert (len(one.planner_sources), len(one.controller_sources)) == shares
 
 
+@pytest.mark.slow
 def test_it_learns_two_hundred_examples_by_heart(recording):
     chosen = Train("imitation", None, width=32, batch=64, learning_rate=3e-3, weight_decay=0.0)
     network = Network(32, True, (12, 16))

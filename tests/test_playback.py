@@ -163,6 +163,7 @@ def test_what_does_not_go_together_is_refused(folder, arguments, words):
         sean_jax.make(folder, **given)
 
 
+@pytest.mark.slow
 def test_gradients_pass(played):
     scenario, last, _ = played
     state = sean_jax.reset(scenario, jax.random.key(1))
