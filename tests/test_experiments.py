@@ -68,10 +68,11 @@ def test_claims_of_figure_4():
         names = ("time_not_moving", wait), ("violations", harm), ("completed", done), ("collisions", 0.0)
         return {name: np.full(10, value) for name, value in names}
 
-    waits = {"G": 11.0, "R": 16.3, "H": 25.0, "N": 28.7, "E": 5.0}
+    waits = {"G": 11.0, "R": 16.3, "H": 25.0, "B": 11.0, "N": 28.7, "E": 5.0}
     harms = {"graph": 2.5, "random": 1.9, "handcrafted": 1.0}
     values = {p: {b: cell(waits[p], harms[b], 0.9) for b in BEHAVIORS} for p in waits}
     by = {p: {b: np.array([1.0, 1.0, 0.2, 0.2, 0.1]) for b in BEHAVIORS} for p in waits}
+    by["B"] = {b: np.full(5, 0.1) for b in BEHAVIORS}
     found = figure4.Found(tuple(waits), 10, values, by, {})
     told = figure4.claims(found)
     assert all(each["holds"] and each["share"] == 1.0 for each in told)
@@ -80,6 +81,23 @@ def test_claims_of_figure_4():
     assert not told["N stands longest, s"] and not told["G stands less than R, s"]
     assert not told["the learned complete 80 % of what the demonstrator does"]
     assert found.cells["R"]["graph"]["completed"].mean == pytest.approx(9.0)
+
+
+def test_balanced_odds_make_situations_equally_frequent():
+    from sean_jax.learning.balance import odds
+
+    random = np.random.default_rng(0)
+    flags = random.random((2000, 5)) < [0.15, 0.25, 0.08, 0.1, 0.0]
+    flags[~flags.any(1) & (random.random(2000) < 0.6), 4] = True  # empty, and nothing else
+    p = odds(flags)
+    assert p.min() >= 0 and p.sum() == pytest.approx(1.0, abs=1e-5)
+    shared = p @ (flags / np.maximum(flags.sum(1, keepdims=True), 1))
+    assert shares.normalised_entropy(shared) >= 0.98 > shares.normalised_entropy(flags.mean(0))
+    none = ~flags.any(1)
+    assert p[none].sum() == pytest.approx(none.mean(), abs=1e-5)
+    without = odds(flags & np.array([True, True, True, True, False]))
+    np.testing.assert_allclose(without.sum(), 1.0, atol=1e-5)
+    np.testing.assert_allclose(odds(np.zeros((4, 5), bool)), 0.25)
 
 
 @pytest.mark.parametrize(
@@ -150,9 +168,9 @@ def test_figure4(tmp_path):
     given = [*SMALL, "--hours", "0.0167", "--episodes", "5", "--epochs", "2", "--driver", "go_to_goal"]
     assert cli.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
     rows = [line.split(",") for line in (out / "figure4.csv").read_text(encoding="utf-8").splitlines()[1:]]
-    assert {r[0] for r in rows} == set("GRHNE") and {r[1] for r in rows} == set(BEHAVIORS)
+    assert {r[0] for r in rows} == set("GRHBNE") and {r[1] for r in rows} == set(BEHAVIORS)
     done = [float(r[3]) for r in rows if r[2] == "completed"]
-    assert len(done) == 15 and all(0 <= value <= 5 for value in done) and max(done) > 0
+    assert len(done) == 18 and all(0 <= value <= 5 for value in done) and max(done) > 0
     episodes = json.loads((out / "episodes-E-handcrafted.json").read_text(encoding="utf-8"))
     assert len(episodes["completed"]) == 5 and max(episodes["seconds"]) <= 20.0 + 1e-3
     assert "Figure 4" in (out / "report.html").read_text(encoding="utf-8")

@@ -18,6 +18,7 @@ import numpy as np
 from sean_jax import learning
 from sean_jax.experiments import page, parts, rollouts, shares
 from sean_jax.experiments.options import BEHAVIORS, Experiment
+from sean_jax.learning import balance
 from sean_jax.learning.options import Collect, Train
 from sean_jax.learning.protocol import Stream, streams, who_drives
 from sean_jax.metrics import Estimate, aggregate, resamples
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from sean_jax.base import Policy, Scenario
 
 LEARNED = {"G": "graph", "R": "random", "H": "handcrafted"}
-NAVIGATION, DEMONSTRATOR = "N", "E"
+BALANCED, NAVIGATION, DEMONSTRATOR = "B", "N", "E"
 BATCH = {"cpu": 32}  # episodes at once, by kind of device
 BATCH_ELSEWHERE = 4096
 INTIMATE = "intimate_robot_on_person", "intimate_person_on_robot"
@@ -77,7 +78,8 @@ def run(options: Experiment, console: Console | None = None) -> Path:
     who_drives(options.driver)
     folder = parts.begin(options)
     trained = {name: _train(options, folder, behavior, console) for name, behavior in LEARNED.items()}
-    policies = (*LEARNED, NAVIGATION, DEMONSTRATOR)
+    trained[BALANCED] = _train(options, folder, "graph", console, balanced=True)
+    policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR)
     measured: dict[str, dict[str, dict[str, Any]]] = {policy: {} for policy in policies}
     with parts.shown(console, len(policies) * len(BEHAVIORS)) as tell:
         for row, behavior in enumerate(BEHAVIORS):
@@ -103,9 +105,12 @@ def _asked(options: Experiment, behavior: str) -> dict[str, Any]:
     )  # fmt: skip
 
 
-def _train(options: Experiment, folder: Path, behavior: str, console: Console | None) -> dict[str, Any]:
+def _train(
+    options: Experiment, folder: Path, behavior: str, console: Console | None, balanced: bool = False
+) -> dict[str, Any]:
     """Demonstrations and a network of that behavior, in folders of their own, which go on by themselves."""
-    done = folder / f"trained-{behavior}.json"
+    name = f"{behavior}-balanced" if balanced else behavior
+    done = folder / f"trained-{name}.json"
     if (told := parts.saved(done)) is not None:
         return told
     image: dict[str, Any] = dict(width=32, height=24) if options.quick else {}
@@ -117,12 +122,16 @@ def _train(options: Experiment, folder: Path, behavior: str, console: Console | 
     batch = 256 if options.quick else 1024
     train = Train(
         method="imitation", dataset=collect.folder, epochs=options.epochs or 1000, seed=options.seed, batch=batch,
-        out=folder / f"policy-{behavior}",
+        balance=balanced, out=folder / f"policy-{name}",
     )  # fmt: skip
     began = time.perf_counter()
     state = learning.train(train, console)
+    flags = data.read(data.episodes, ("situations",))["situations"]
+    odds = balance.odds(flags) if balanced else np.full(len(flags), 1 / len(flags))
+    shared = odds @ (flags / np.maximum(flags.sum(1, keepdims=True), 1))
     told = {
         "examples": int(data.examples),
+        "entropy": float(shares.normalised_entropy(shared)),
         "epochs": int(state.epoch),
         "best_epoch": int(state.best_epoch),
         "loss": float(state.best),
@@ -133,9 +142,10 @@ def _train(options: Experiment, folder: Path, behavior: str, console: Console | 
 
 
 def _policy(options: Experiment, folder: Path, policy: str, scenario: Scenario) -> Policy:
-    if policy in LEARNED:
+    if policy in LEARNED or policy == BALANCED:
+        made = "graph-balanced" if policy == BALANCED else LEARNED[policy]
         # Of one name, for a driver of another name is compiled anew.
-        return dataclasses.replace(learning.load(folder / f"policy-{LEARNED[policy]}", scenario), name="learned")
+        return dataclasses.replace(learning.load(folder / f"policy-{made}", scenario), name="learned")
     return who_drives("social_costmap" if policy == NAVIGATION else options.driver)
 
 
@@ -230,6 +240,8 @@ def claims(found: Found) -> list[dict[str, Any]]:
     done = {p: found.episodes * np.mean([of(p, b, "completed") for b in BEHAVIORS], 0) for p in found.policies}
     paths = np.mean([found.by_situation[p]["graph"][:2].sum() for p in (*LEARNED, NAVIGATION)])
     all_of_graph = max(float(harm["graph"][0]), 1e-9)
+    worst = found.by_situation["G"]["graph"] if BALANCED in found.policies else np.zeros(5)
+    mended = found.by_situation[BALANCED]["graph"] if BALANCED in found.policies else np.zeros(5)
     less = 1 - of("G", "graph", "time_not_moving") / np.maximum(of("H", "graph", "time_not_moving"), 1e-9)
     told: list[tuple] = [
         ("N stands longest, s", "28.7 against 11 to 22", _listed(wait),
@@ -247,6 +259,9 @@ def claims(found: Found) -> list[dict[str, Any]]:
          np.abs(done["G"] - done["H"]) <= 0.05 * found.episodes),
         ("the learned complete 80 % of what the demonstrator does", "not reported", _listed(done),
          np.min([done[p] for p in LEARNED], 0) >= 0.8 * done[DEMONSTRATOR]),
+        ("balanced examples lower the violations in G's worst situation", "suggested",
+         f"{shares.NAMES[int(worst.argmax())].replace('_', ' ')}: {worst.max():.2f} to {mended[worst.argmax()]:.2f}",
+         np.full(len(weights), mended[worst.argmax()] < worst.max())),
     ]  # fmt: skip
     return [
         {"statement": words, "paper": paper, "ours": ours, "holds": bool(held[0]), "share": float(held[1:].mean())}

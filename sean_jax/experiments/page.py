@@ -153,11 +153,17 @@ def figure4(options: Experiment, found: Found) -> str:
     if found.trained:
         rows = []
         for name, row in found.trained.items():
-            told = str(row["examples"]), str(row["epochs"]), str(row["best_epoch"])
+            told = str(row["examples"]), f"{row['entropy']:.3f}", str(row["epochs"]), str(row["best_epoch"])
             told = *told, f"{row['loss']:.4f}", f"{row['seconds']:.0f}"
             rows.append(f"<tr><td>{name}</td>{''.join(map(_cell, told))}</tr>")
         sections.append(
-            ("Training", _table(["policy", "examples", "epochs", "best", "loss in validation", "seconds"], rows))
+            (
+                "Training",
+                _table(
+                    ["policy", "examples", "entropy of situations", "epochs", "best", "loss in validation", "seconds"],
+                    rows,
+                ),
+            )
         )
     title = f"Figure 4: {len(found.policies)} policies in {len(BEHAVIORS)} scenarios, {found.episodes} episodes each"
     return document(title, "sean_jax · experiment", sections, options)
@@ -165,7 +171,8 @@ def figure4(options: Experiment, found: Found) -> str:
 
 FIGURE = (
     "<p class=note>G, R and H learned from demonstrations among people of the behavior graph, at random and "
-    "handcrafted; N is the navigation stack with social cost layers, E who demonstrated. Darker is more.</p>"
+    "handcrafted, B from those of G drawn so that all situations are equally frequent; N is the navigation stack with "
+    "social cost layers, E who demonstrated. Darker is more.</p>"
 )
 
 

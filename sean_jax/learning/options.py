@@ -111,6 +111,8 @@ class Train:
     """Folder that `sean collect` has written."""
     flags: bool = False
     """Let the network know which social situations occur."""
+    balance: bool = False
+    """Draw examples so that all social situations are as frequent as one another."""
     width: int = 64
     """Of the encodings and hidden layers."""
     batch: int = 1024

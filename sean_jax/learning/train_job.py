@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import devices
-from sean_jax.learning import training
+from sean_jax.learning import balance, training
 from sean_jax.learning.checkpoints import Checkpoints, begun
 from sean_jax.learning.dataset import Dataset, on_device, open_dataset, split
 from sean_jax.learning.loader import Loader, Token
@@ -78,7 +78,10 @@ def _epoch(data: Dataset, kept, held, network: Network, options: Train, over) ->
         recording = devices.everywhere(over, on_device(data.recording([*kept, *held])))
         number = sum(episode.length for episode in kept)
         rows = jnp.arange(data.examples, dtype=jnp.int32)
-        return lambda state: programs.epoch(state, recording, rows[:number], rows[number:])
+        odds = jnp.asarray(balance.odds(data.read(kept, ("situations",))["situations"])) if options.balance else None
+        return lambda state: programs.epoch(state, recording, rows[:number], rows[number:], odds)
+    if options.balance:
+        raise Refused("--balance needs the dataset to fit on the device; collect less, or raise --on-device.")
     size = -(-options.batch // over.size) * over.size
     loader = Loader(data, kept, size, options.seed)
     fixed = Loader(data, held, size, options.seed, shuffle=False)

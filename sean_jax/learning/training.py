@@ -46,7 +46,8 @@ class Losses(NamedTuple):
 class Programs(NamedTuple):
     """What is compiled, at first use."""
 
-    epoch: Callable  # (state, recording, training rows (N,), rows to validate (M,)) -> (state, Losses, Losses)
+    # (state, recording, training rows (N,), rows to validate (M,), odds of the former (N,) or None)
+    epoch: Callable  # -> (state, Losses, Losses)
     update: Callable  # (state, examples (B, ...), weight (B,)) -> (state, sums): where the dataset is read from disk
     measure: Callable  # (state, examples, weight) -> sums
     finish: Callable  # (state, sums, sums) -> (state, Losses, Losses): the end of an epoch made of such parts
@@ -95,9 +96,13 @@ def programs(network: Network, options: Train, over: Mesh) -> Programs:
         examples = example(recording, jnp.maximum(index, 0))
         return examples, (index >= 0).astype(jnp.float32)
 
-    def epoch(state: TrainState, recording: Recording, train: Array, validate: Array):
+    def epoch(state: TrainState, recording: Recording, train: Array, validate: Array, odds: Array | None = None):
         key = jax.random.fold_in(jax.random.key(options.seed), state.epoch)
-        batches = in_batches(jax.random.permutation(key, train), options.batch, over.size)
+        if odds is None:
+            drawn = jax.random.permutation(key, train)
+        else:
+            drawn = jax.random.choice(key, train, train.shape, p=odds)
+        batches = in_batches(drawn, options.batch, over.size)
         state, trained = jax.lax.scan(lambda state, index: update(state, *taken(recording, index)), state, batches)
         batches = in_batches(validate, options.batch, over.size)
         _, found = jax.lax.scan(lambda _, index: (_, measure(state, *taken(recording, index))), 0, batches)
