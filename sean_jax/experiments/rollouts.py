@@ -148,6 +148,6 @@ def _advance(fixed: tuple, state: State, lived: Array) -> tuple[State, Array]:
     def one(carry: tuple, _) -> tuple:
         before, lived = carry
         after, _ = parallel.advance(scenario, policy, before)
-        return (after, lived + ~(before.completed | before.timed_out)), None
+        return (after, lived + (~(before.completed | before.timed_out)).astype(jnp.int32)), None
 
     return jax.lax.scan(one, (state, lived), length=CHUNK * round(1.0 / scenario.time_step))[0]
