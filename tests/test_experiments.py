@@ -103,7 +103,7 @@ def test_balanced_odds_make_situations_equally_frequent():
 @pytest.mark.parametrize(
     "given, words",
     [
-        ({"drivers": "nobody"}, "nobody"),
+        ({"drivers": "nobody"}, "--drivers: 'nobody' is not one of"),
         ({"drivers": ","}, "--drivers names nobody"),
         ({"seeds": 0}, "--seeds is 0"),
         ({"hours": 0.001}, "at least a minute"),

@@ -58,7 +58,7 @@ def run(options: Experiment, console: Console | None = None) -> Path:
     if not drivers:
         raise Refused("--drivers names nobody, try --drivers go_to_goal.")
     for name in drivers:
-        who_drives(name)
+        who_drives(name, "--drivers")
     folder = parts.begin(options)
     jobs = [(behavior, driver, options.people) for driver in drivers for behavior in BEHAVIORS]
     jobs += [(behavior, drivers[0], people) for people in options.crowds or () for behavior in SWEPT]

@@ -61,10 +61,10 @@ def _only(scenario: Scenario, situation: str) -> Scenario:
     return replace(scenario, behavior=replace(scenario.behavior, data=replace(sets, weight=weight)))
 
 
-def who_drives(name: str) -> Policy:
+def who_drives(name: str, option: str = "--driver") -> Policy:
     """The policy of that name. Raises Refused if there is none."""
     if name not in POLICIES:
-        raise Refused(f"--driver: '{name}' is not one of {', '.join(POLICIES)}{files.suggest(name, POLICIES)}")
+        raise Refused(f"{option}: '{name}' is not one of {', '.join(POLICIES)}{files.suggest(name, POLICIES)}")
     return POLICIES[name]
 
 
