@@ -71,8 +71,8 @@ def test_claims_of_figure_4():
     waits = {"G": 11.0, "R": 16.3, "H": 25.0, "B": 11.0, "N": 28.7, "E": 5.0}
     harms = {"graph": 2.5, "random": 1.9, "handcrafted": 1.0}
     values = {p: {b: cell(waits[p], harms[b], 0.9) for b in BEHAVIORS} for p in waits}
-    by = {p: {b: np.array([1.0, 1.0, 0.2, 0.2, 0.1]) for b in BEHAVIORS} for p in waits}
-    by["B"] = {b: np.full(5, 0.1) for b in BEHAVIORS}
+    by = {p: {b: np.tile([1.0, 1.0, 0.2, 0.2, 0.1], (10, 1)) for b in BEHAVIORS} for p in waits}
+    by["B"] = {b: np.full((10, 5), 0.1) for b in BEHAVIORS}
     found = figure4.Found(tuple(waits), 10, values, by, {})
     told = figure4.claims(found)
     assert all(each["holds"] and each["share"] == 1.0 for each in told)

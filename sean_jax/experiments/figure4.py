@@ -49,9 +49,14 @@ class Found:
     policies: tuple[str, ...]
     episodes: int
     values: dict[str, dict[str, dict[str, np.ndarray]]]  # policy -> behavior -> measure -> (E,)
-    by_situation: dict[str, dict[str, np.ndarray]]  # policy -> behavior -> (5,) violations per episode
+    situations: dict[str, dict[str, np.ndarray]]  # policy -> behavior -> (E, 5) violations in each situation
     trained: dict[str, dict[str, Any]]
     claims: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+
+    @property
+    def by_situation(self) -> dict[str, dict[str, np.ndarray]]:
+        """policy -> behavior -> (5,) violations per episode."""
+        return {p: {b: each.mean(0) for b, each in by.items()} for p, by in self.situations.items()}
 
     @property
     def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:
@@ -207,7 +212,7 @@ def _in_turns(found: list[list[rollouts.Episodes]], name: str, each: int, number
 
 def _found(options: Experiment, policies: tuple, measured: dict, trained: dict) -> Found:
     values: dict = {policy: {} for policy in policies}
-    by_situation: dict = {policy: {} for policy in policies}
+    situations: dict = {policy: {} for policy in policies}
     for policy in policies:
         for behavior in BEHAVIORS:
             told = {name: np.asarray(value, float) for name, value in measured[policy][behavior].items()}
@@ -220,8 +225,8 @@ def _found(options: Experiment, policies: tuple, measured: dict, trained: dict) 
                 "violations": violations[:, 0],
                 "collisions": collisions[:, 0] if collisions.ndim == 2 else collisions,
             }
-            by_situation[policy][behavior] = violations[:, 1:].mean(0)
-    found = Found(policies, options.episodes or 1, values, by_situation, trained)
+            situations[policy][behavior] = violations[:, 1:]
+    found = Found(policies, options.episodes or 1, values, situations, trained)
     found.claims = claims(found)
     return found
 
@@ -238,10 +243,10 @@ def claims(found: Found) -> list[dict[str, Any]]:
     wait = {p: np.mean([of(p, b, "time_not_moving") for b in BEHAVIORS], 0) for p in found.policies}
     harm = {b: np.mean([of(p, b, "violations") for p in (*LEARNED, NAVIGATION)], 0) for b in BEHAVIORS}
     done = {p: found.episodes * np.mean([of(p, b, "completed") for b in BEHAVIORS], 0) for p in found.policies}
-    paths = np.mean([found.by_situation[p]["graph"][:2].sum() for p in (*LEARNED, NAVIGATION)])
-    all_of_graph = max(float(harm["graph"][0]), 1e-9)
-    worst = found.by_situation["G"]["graph"] if BALANCED in found.policies else np.zeros(5)
-    mended = found.by_situation[BALANCED]["graph"] if BALANCED in found.policies else np.zeros(5)
+    paths = np.mean([weights @ found.situations[p]["graph"][:, :2].sum(1) for p in (*LEARNED, NAVIGATION)], 0)
+    paths = paths / np.maximum(harm["graph"], 1e-9)
+    worst = int(found.by_situation["G"]["graph"].argmax())
+    worse, mended = (weights @ found.situations[p]["graph"][:, worst] for p in ("G", BALANCED))
     less = 1 - of("G", "graph", "time_not_moving") / np.maximum(of("H", "graph", "time_not_moving"), 1e-9)
     told: list[tuple] = [
         ("N stands longest, s", "28.7 against 11 to 22", _listed(wait),
@@ -253,15 +258,13 @@ def claims(found: Found) -> list[dict[str, Any]]:
          harm["graph"] >= harm["random"]),
         ("violations: random above handcrafted", "1.9, 1.0", f"{harm['random'][0]:.2f}, {harm['handcrafted'][0]:.2f}",
          harm["random"] > harm["handcrafted"]),
-        ("violations in graph are mostly in cross or down path", "mainly", f"{100 * paths / all_of_graph:.0f} %",
-         np.full(len(weights), paths > 0.5 * all_of_graph)),
+        ("violations in graph are mostly in cross or down path", "mainly", f"{100 * paths[0]:.0f} %", paths > 0.5),
         ("G and H complete equally many, within 5 %", "112.7, 112.7", f"{done['G'][0]:.1f}, {done['H'][0]:.1f}",
          np.abs(done["G"] - done["H"]) <= 0.05 * found.episodes),
         ("the learned complete 80 % of what the demonstrator does", "not reported", _listed(done),
          np.min([done[p] for p in LEARNED], 0) >= 0.8 * done[DEMONSTRATOR]),
         ("balanced examples lower the violations in G's worst situation", "suggested",
-         f"{shares.NAMES[int(worst.argmax())].replace('_', ' ')}: {worst.max():.2f} to {mended[worst.argmax()]:.2f}",
-         np.full(len(weights), mended[worst.argmax()] < worst.max())),
+         f"{shares.NAMES[worst].replace('_', ' ')}: {worse[0]:.2f} to {mended[0]:.2f}", mended < worse),
     ]  # fmt: skip
     return [
         {"statement": words, "paper": paper, "ours": ours, "holds": bool(held[0]), "share": float(held[1:].mean())}
