@@ -61,7 +61,7 @@ def _prepare(options: Options) -> tuple[Any, dict[str, Any]]:
 
     from sean_jax.assembly import make
     from sean_jax.bench import page
-    from sean_jax.main_job.output import versions
+    from sean_jax.versions import versions
 
     try:
         scenario = make(options.environment, people=options.people, robot=options.robot, dynamics=options.dynamics)

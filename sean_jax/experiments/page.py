@@ -12,7 +12,7 @@ import sean_jax.report as reports
 from sean_jax.experiments import pictures, shares
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.learning.options import command
-from sean_jax.learning.versions import versions
+from sean_jax.versions import versions
 
 if TYPE_CHECKING:
     from sean_jax.experiments.figure4 import Found

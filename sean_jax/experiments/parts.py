@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from sean_jax.experiments.options import Experiment
 from sean_jax.learning.options import Refused
-from sean_jax.learning.versions import versions
+from sean_jax.versions import versions
 
 if TYPE_CHECKING:
     from rich.console import Console

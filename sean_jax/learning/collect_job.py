@@ -20,7 +20,7 @@ from sean_jax.learning import demonstrations
 from sean_jax.learning.dataset import Dataset
 from sean_jax.learning.options import Collect, Refused, command
 from sean_jax.learning.protocol import Stream, next_stream, share, streams, who_drives
-from sean_jax.learning.versions import versions
+from sean_jax.versions import versions
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -25,7 +25,7 @@ from sean_jax.learning.logs import Log
 from sean_jax.learning.network import Network
 from sean_jax.learning.options import Refused, Train
 from sean_jax.learning.training import Losses, TrainState
-from sean_jax.learning.versions import versions
+from sean_jax.versions import versions
 
 if TYPE_CHECKING:
     from rich.console import Console

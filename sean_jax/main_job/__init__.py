@@ -167,13 +167,14 @@ def _summary(scenario: Scenario, options: Options, results: Results, aggregated:
 def _write(folder: Path, scenario: Scenario, options: Options, results: Results, summary: dict[str, Any]) -> None:
     from sean_jax import drawing, report
     from sean_jax.main_job import output, statistics, table
+    from sean_jax.versions import versions
 
-    versions = output.versions()
+    made_with = versions()
     config = {
         "command": options.command,
         "options": {**dataclasses.asdict(options), "people": scenario.people},
         "time_step": scenario.time_step,
-        "versions": versions,
+        "versions": made_with,
     }
     output.write_yaml(folder / "config.yaml", config)
     output.write_episodes(folder / "episodes.csv", results)
@@ -195,7 +196,7 @@ def _write(folder: Path, scenario: Scenario, options: Options, results: Results,
     page = report.Report(
         title=_title(scenario, options, len(results.tasks)),
         command=options.command,
-        versions=versions,
+        versions=made_with,
         environment=scenario.environment,
         graph=graph,
         situations=results.situations,

@@ -2,10 +2,8 @@
 
 import contextlib
 import csv
-import importlib.metadata
 import json
 import os
-import platform
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,8 +13,6 @@ import numpy as np
 
 from sean_jax.main_job.options import BadInput
 from sean_jax.main_job.results import Results
-
-PACKAGES = ("sean-jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
 
 
 @contextlib.contextmanager
@@ -96,12 +92,3 @@ def write_yaml(path: Path, content: dict[str, Any]) -> None:
     import yaml
 
     path.write_text(yaml.safe_dump(content, sort_keys=False, width=1000), encoding="utf-8")
-
-
-def versions() -> dict[str, str]:
-    """What the run was made with, name to version."""
-    found = {"python": platform.python_version()}
-    for package in PACKAGES:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[package] = importlib.metadata.version(package)
-    return found

@@ -1,4 +1,4 @@
-"""What a dataset or a network was made with."""
+"""What a run, a dataset or a network was made with."""
 
 import contextlib
 import importlib.metadata
