@@ -20,6 +20,7 @@ from sean_jax.experiments import page, parts, rollouts, shares
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.learning import balance
 from sean_jax.learning.options import Collect, Train
+from sean_jax.learning.progress import shown
 from sean_jax.learning.protocol import Stream, streams, who_drives
 from sean_jax.metrics import Estimate, aggregate, resamples
 
@@ -86,7 +87,7 @@ def run(options: Experiment, console: Console | None = None) -> Path:
     trained[BALANCED] = _train(options, folder, "graph", console, balanced=True)
     policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR)
     measured: dict[str, dict[str, dict[str, Any]]] = {policy: {} for policy in policies}
-    with parts.shown(console, len(policies) * len(BEHAVIORS)) as tell:
+    with shown(console, "driving", len(policies) * len(BEHAVIORS)) as tell:
         for row, behavior in enumerate(BEHAVIORS):
             kinds, tasks = streams(Collect(**_asked(options, behavior)))
             programs = rollouts.Numbered(tasks)

@@ -1,18 +1,13 @@
 """What an experiment has finished: files written under another name and renamed, and taken up again."""
 
-import contextlib
 import json
 import os
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sean_jax.experiments.options import Experiment
 from sean_jax.learning.options import Refused
 from sean_jax.versions import versions
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 OPTIONS = "experiment.json"
 
@@ -57,17 +52,3 @@ def saved(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-
-
-@contextlib.contextmanager
-def shown(console: "Console | None", total: float) -> Iterator[Any]:
-    """Tells (done, note) on the console until the block ends."""
-    if console is None:
-        yield lambda done, note: None
-        return
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn(), BarColumn(bar_width=30), TextColumn("{task.percentage:3.0f} % {task.description}"))
-    with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bar:
-        task = bar.add_task("preparing", total=total)
-        yield lambda done, note: bar.update(task, completed=done, description=note)

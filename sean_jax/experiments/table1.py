@@ -22,6 +22,7 @@ from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.experiments.rollouts import MINUTE, Chains
 from sean_jax.experiments.shares import Shares
 from sean_jax.learning.options import Collect, Refused
+from sean_jax.learning.progress import shown
 from sean_jax.learning.protocol import streams, who_drives
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def run(options: Experiment, console: Console | None = None) -> Path:
     jobs = [(behavior, driver, options.people) for driver in drivers for behavior in BEHAVIORS]
     jobs += [(behavior, drivers[0], people) for people in options.crowds or () for behavior in SWEPT]
     cells = []
-    with parts.shown(console, len(jobs)) as tell:
+    with shown(console, "driving", len(jobs)) as tell:
         for number, (behavior, driver, people) in enumerate(jobs):
             what = f"{behavior}, {driver}" + (f", {people} people" if people else "")
 

@@ -6,7 +6,6 @@ and makes those anew that were lost. The result is the same, to the byte, as tha
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ from sean_jax.learning import dataset as datasets
 from sean_jax.learning import demonstrations
 from sean_jax.learning.dataset import Dataset
 from sean_jax.learning.options import Collect, Refused, command
+from sean_jax.learning.progress import shown
 from sean_jax.learning.protocol import Stream, next_stream, share, streams, who_drives
 from sean_jax.versions import versions
 
@@ -49,13 +49,15 @@ def collect(options: Collect, console: Console | None = None) -> Dataset:
         raise Refused(f"--batch: {data.batch} episodes do not spread evenly over {over.size} devices; take a multiple.")
     programs = demonstrations.prepare(parts[0].scenario, tasks, policy, eye, over)
     wanted = share(options.hours, len(parts))
-    with _shown(console, wanted * len(parts)) as tell:
+    total = wanted * len(parts)
+    with shown(console, "recording", total) as tell:
         for stream, shard in _due(data, wanted):
             began = time.perf_counter()
 
             def watch(seconds: int, shard: int = shard) -> None:
                 note = f"shard {shard}: {data.batch} episodes of {parts[0].scenario.people} people at {seconds} s"
-                tell(sum(min(each, wanted) for each in data.recorded), note)
+                done = sum(min(each, wanted) for each in data.recorded)
+                tell(done, f"{done:,} of {total:,} s · {note}")
 
             numbers = np.arange(shard * data.batch, (shard + 1) * data.batch)
             part = parts[stream]
@@ -63,7 +65,8 @@ def collect(options: Collect, console: Console | None = None) -> Dataset:
             data.commit(stream, batch, shard if shard < len(data.manifest["shards"]) else None)
             took = time.perf_counter() - began
             done = sum(min(each, wanted) for each in data.recorded)
-            tell(done, f"shard {shard}: {int(batch.lengths.sum())} examples in {took:.1f} s")
+            note = f"shard {shard}: {int(batch.lengths.sum())} examples in {took:.1f} s"
+            tell(done, f"{done:,} of {total:,} s · {note}")
     return data
 
 
@@ -151,18 +154,3 @@ def _size(options: Collect, parts: int) -> int:
     most = MOST.get(jax.default_backend(), MOST_ELSEWHERE)
     needed = int(np.ceil(share(options.hours, parts) / TYPICAL))
     return int(np.ceil(min(most, max(4, needed)) / count) * count)
-
-
-@contextlib.contextmanager
-def _shown(console: Console | None, total: int) -> Iterator[Any]:
-    """Tells (seconds, note) on the console until the block ends."""
-    if console is None:
-        yield lambda done, note: None
-        return
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=30))
-    bar = Progress(*columns, TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console, transient=True)
-    with bar:
-        task = bar.add_task("recording", total=total, note="compiling")
-        yield lambda done, note: bar.update(task, completed=done, note=f"{done:,} of {total:,} s · {note}")

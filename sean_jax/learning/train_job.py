@@ -5,10 +5,9 @@ Killed at any moment, the same command goes on from the latest checkpoint and co
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +23,7 @@ from sean_jax.learning.loader import Loader, Token
 from sean_jax.learning.logs import Log
 from sean_jax.learning.network import Network
 from sean_jax.learning.options import Refused, Train
+from sean_jax.learning.progress import shown
 from sean_jax.learning.training import Losses, TrainState
 from sean_jax.versions import versions
 
@@ -54,7 +54,7 @@ def train(options: Train, console: Console | None = None) -> TrainState:
     state = (checkpoints.latest(state) if going_on else None) or state
     state = devices.everywhere(over, state)
     log = Log(options.folder, int(state.epoch))
-    with _shown(console, options.epochs) as tell:
+    with shown(console, "training", options.epochs) as tell:
         try:
             while not _over(state, options):
                 began = time.time()
@@ -65,7 +65,8 @@ def train(options: Train, console: Console | None = None) -> TrainState:
                 if better or number % EVERY == 0 or _over(state, options):
                     checkpoints.save(state, float(validated.loss))
                 best = f"best {float(state.best):.4f} after {int(state.best_epoch)}"
-                tell(number, f"loss {float(validated.loss):.4f}, {best}, {time.time() - began:.2f} s an epoch")
+                note = f"loss {float(validated.loss):.4f}, {best}, {time.time() - began:.2f} s an epoch"
+                tell(number, f"epoch {number} · {note}")
         finally:
             checkpoints.wait()
     return state
@@ -140,18 +141,3 @@ def _config(options: Train, data: Dataset, network: Network) -> dict[str, Any]:
         "dataset": {"fingerprint": data.fingerprint(), "command": data.manifest["command"]},
         "versions": versions(),
     }
-
-
-@contextlib.contextmanager
-def _shown(console: Console | None, total: int) -> Iterator[Any]:
-    """Tells (epochs, note) on the console until the block ends."""
-    if console is None:
-        yield lambda done, note: None
-        return
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=20))
-    bar = Progress(*columns, TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console, transient=True)
-    with bar:
-        task = bar.add_task("training", total=total, note="compiling")
-        yield lambda done, note: bar.update(task, completed=done, note=f"epoch {done} · {note}")

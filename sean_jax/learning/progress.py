@@ -1,0 +1,25 @@
+"""The progress of long work on the console: how far, and a note; experiments show theirs with it as well."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@contextlib.contextmanager
+def shown(console: Console | None, what: str, total: float) -> Iterator[Any]:
+    """Tells ``(done, note)``, out of ``total``, on the console until the block ends; nobody if there is none."""
+    if console is None:
+        yield lambda done, note: None
+        return
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=20))
+    bar = Progress(*columns, TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console, transient=True)
+    with bar:
+        task = bar.add_task(what, total=total, note="compiling")
+        yield lambda done, note: bar.update(task, completed=done, note=note)
