@@ -66,7 +66,11 @@ def test_nobody_near_is_missed(kind, within):
         *(pytest.param(name, marks=pytest.mark.slow) for name in social_forces.PRESETS if name != "helbing1995"),
     ],
 )
-def test_forces_and_gradients_are_those_of_all_pairs(preset):
+@pytest.mark.parametrize("on", ["cpu", "gpu"])
+def test_forces_and_gradients_are_those_of_all_pairs(preset, on, monkeypatch):
+    if on == "gpu":  # its way through the runs, on whatever is here
+        monkeypatch.setattr(neighbors, "_cut_parts", neighbors._lookup_parts)
+        monkeypatch.setattr(neighbors, "_cut", neighbors._lookup)
     parameters, people = social_forces.preset(preset), crowd()
     present = np.asarray(people.present)
 

@@ -2,7 +2,7 @@
 
 A strip is as high as the distance within which people feel one another. Those whom somebody feels then stand in three
 runs of the sorted people: one in the own strip and one in each of the two beside it. Sums go along these runs in
-parts of ``PART`` people, as many parts as the longest run has, so no crowd is too dense for them.
+parts of ``PART`` people, as many parts as whoever has the most needs, so no crowd is too dense for them.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from flax import struct
 from sean_jax.base import Array
 
 MANY = 256  # from as many people on this pays
-PART = 16  # people of a run that are looked at together, a power of two
+PART = 16  # people of the runs who are looked at together, a power of two
 
 
 @struct.dataclass
@@ -59,7 +59,8 @@ def sum_pairs(law: Callable, near: Neighbors, shared: Any, own: Array, other: Ar
     """(N,) x and y: sums over the others near each person of ``law(shared, own (A,), other (B,)) -> (x, y)``.
 
     Args:
-        law: of one pair; zero for a person with itself, for who is absent, and beyond the distance of ``near``.
+        law: of one pair, whose rows come as a sequence; zero for a person with itself, for who is absent, and beyond
+            the distance of ``near``.
         shared: a pytree of floats, such as the parameters of the law.
         own: (A, N) floats, of those who feel.
         other: (B, N) floats, of those who are felt.
@@ -69,8 +70,8 @@ def sum_pairs(law: Callable, near: Neighbors, shared: Any, own: Array, other: Ar
     """
     own, other = own[:, near.order], other[:, near.order]
 
-    def add(part: Array, sums: tuple) -> tuple:
-        x, y = _part(law, shared, own, *_window(near, other, part))
+    def add(window: Callable, part: Array, sums: tuple) -> tuple:
+        x, y = _part(law, shared, own, *window(near, other, part))
         return sums[0] + x, sums[1] + y
 
     x, y = _over_parts(near, add, (jnp.zeros_like(own[0]), jnp.zeros_like(own[0])))
@@ -87,16 +88,16 @@ def _backward(law: Callable, kept: tuple, given: tuple[Array, Array]) -> tuple:
     gx, gy = given[0][near.order], given[1][near.order]
     felt_by = jnp.concatenate([own, gx[None], gy[None]])
 
-    def back(shared: Any, felt: Array, feels: Array) -> tuple[Array, Array]:
+    def back(shared: Any, felt: Array, feels: tuple) -> tuple[Array, Array]:
         x, y = law(shared, feels[:-2], felt)
         return x * feels[-2] + y * feels[-1], jnp.zeros_like(x)
 
-    def add(part: Array, sums: tuple) -> tuple:
-        window, there = _window(near, other, part)
-        _, pull = jax.vjp(lambda shared, own: _part(law, shared, own, window, there), shared, own)
+    def add(window: Callable, part: Array, sums: tuple) -> tuple:
+        felt, there = window(near, other, part)
+        _, pull = jax.vjp(lambda shared, own: _part(law, shared, own, felt, there), shared, own)
         d_shared, d_own = pull((gx, gy))
-        window, there = _window(near, felt_by, part)
-        _, pull = jax.vjp(lambda other: _part(back, shared, other, window, there), other)
+        feels, there = window(near, felt_by, part)
+        _, pull = jax.vjp(lambda other: _part(back, shared, other, feels, there), other)
         (d_other,) = pull((jnp.ones_like(gx), jnp.zeros_like(gx)))
         return jax.tree.map(jnp.add, sums, (d_shared, d_own, d_other))
 
@@ -110,33 +111,61 @@ sum_pairs.defvjp(_forward, _backward)
 
 
 def _over_parts(near: Neighbors, add: Callable, sums: Any) -> Any:
-    """The sums after ``add(part, sums)`` for as many parts as there are for whoever has the most."""
-    parts = jnp.max(jnp.sum(_parts(near), 1))
-    return jax.lax.while_loop(lambda so_far: so_far[0] < parts, lambda c: (c[0] + 1, add(*c)), (jnp.int32(0), sums))[1]
+    """The sums after ``add(window, part, sums)`` for as many parts as there are for whoever has the most.
+
+    A processor cuts parts out of runs faster than it looks up one person after the other; a GPU does not mind, so there
+    a part may begin in one run and end in the next, and there are fewer.
+    """
+
+    def along(count: Callable, window: Callable, sums: Any) -> Any:
+        parts = jnp.max(count(near))
+        turn = lambda carry: (carry[0] + 1, add(window, *carry))  # noqa: E731
+        return jax.lax.while_loop(lambda carry: carry[0] < parts, turn, (jnp.int32(0), sums))[1]
+
+    cpu, default = partial(along, _cut_parts, _cut), partial(along, _lookup_parts, _lookup)
+    return jax.lax.platform_dependent(sums, cpu=cpu, default=default)
 
 
-def _parts(near: Neighbors) -> Array:
-    """(N, 3) int32: how many parts each run has."""
-    return (near.last - near.first + PART - 1) // PART
+def _cut_parts(near: Neighbors) -> Array:
+    """(N,) int32: how many parts the runs of each person have, each of one run."""
+    return jnp.sum(_rounded_up(near.last - near.first), 1)
 
 
-def _window(near: Neighbors, rows: Array, part: Array) -> tuple[Array, Array]:
-    """(N, R, PART) the rows (R, N) of those in that part of everybody's runs, and (N, PART) bool whether any is."""
-    below, own, above = jnp.cumsum(_parts(near), 1).T
+def _lookup_parts(near: Neighbors) -> Array:
+    """(N,) int32: how many parts the runs of each person have, one run behind the other."""
+    return _rounded_up(jnp.sum(near.last - near.first, 1))
+
+
+def _rounded_up(people: Array) -> Array:
+    return (people + PART - 1) // PART
+
+
+def _cut(near: Neighbors, rows: Array, part: Array) -> tuple[tuple[Array, ...], Array]:
+    """For each of the rows (R, N) those (N, PART) in that part of everybody's runs, and (N, PART) bool who is any."""
+    below, own, above = jnp.cumsum(_rounded_up(near.last - near.first), 1).T
     run = (part >= below).astype(jnp.int32) + (part >= own).astype(jnp.int32)
     begin, end = (jnp.take_along_axis(side, run[:, None], 1)[:, 0] for side in (near.first, near.last))
     begin = begin + PART * (part - jnp.where(run == 0, 0, jnp.where(run == 1, below, own)))
     begin = jnp.where(part < above, begin, rows.shape[1])
     there = begin[:, None] + jnp.arange(PART, dtype=jnp.int32)[None, :] < end[:, None]
     padded = jnp.pad(rows, ((0, 0), (0, PART)))
-    # Cut out first: a processor does that faster than it looks up one number after the other.
     cut = jax.vmap(lambda at: jax.lax.dynamic_slice(padded, (0, at), (rows.shape[0], PART)))(begin)
-    return jax.lax.optimization_barrier(cut), there
+    return tuple(jax.lax.optimization_barrier(cut).swapaxes(0, 1)), there
 
 
-def _part(law: Callable, shared: Any, own: Array, window: Array, there: Array) -> tuple[Array, Array]:
+def _lookup(near: Neighbors, rows: Array, part: Array) -> tuple[tuple[Array, ...], Array]:
+    """As ``_cut``."""
+    first, below = near.first.T[:, :, None], jnp.cumsum(near.last - near.first, 1).T[:, :, None]
+    number = PART * part + jnp.arange(PART, dtype=jnp.int32)[None, :]
+    beyond = jnp.where(number < below[1], first[1] + number - below[0], first[2] + number - below[1])
+    there = number < below[2]
+    at = jnp.where(there, jnp.where(number < below[0], first[0] + number, beyond), 0)
+    return tuple(row.at[at].get(mode="promise_in_bounds") for row in rows), there
+
+
+def _part(law: Callable, shared: Any, own: Array, window: tuple[Array, ...], there: Array) -> tuple[Array, Array]:
     """(N,) x and y: the law summed over a part of everybody's runs."""
-    others = jax.vmap(law, in_axes=(None, None, 1))
+    others = jax.vmap(law, in_axes=(None, None, 0))
     x, y = jax.vmap(others, in_axes=(None, 1, 0))(shared, own, window)
     pushes = jax.lax.complex(jnp.where(there, x, 0.0), jnp.where(there, y, 0.0))
     total = jax.lax.platform_dependent(pushes, cpu=_by_halves, default=lambda pushes: pushes.sum(1))
