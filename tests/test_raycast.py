@@ -134,7 +134,7 @@ def test_tiles_leave_out_nothing_that_is_seen():
         )
     for image in images[1:]:
         near = np.asarray(images[0]) < 40.0
-        assert np.array_equal(np.asarray(image)[near], np.asarray(images[0])[near])
+        assert np.allclose(np.asarray(image)[near], np.asarray(images[0])[near], rtol=2e-6, atol=0)
 
 
 def test_gradients_equal_central_differences():
@@ -193,3 +193,23 @@ def test_gradients_are_finite_on_edges():
 
     for place in ([0.0, 0.0], [1.0, 1.0], [0.0, 2.0], [-2.0, 0.0]):
         assert np.isfinite(jax.jit(jax.grad(total))(jnp.asarray(place, jnp.float32))).all()
+
+
+def test_who_else_is_in_the_batch_changes_nothing():
+    """Robots with nobody, few and many people in sight: alone, in a batch, and in a batch of batches."""
+    random = np.random.default_rng(7)
+    solids = yard(boxes=[[*random.uniform(-6, 6, 2), 0.6, 0.3, 0.3, 0.6, 1.0, 0.0] for _ in range(9)])
+    ways = np.stack(np.broadcast_arrays(1.0, np.linspace(-0.6, 0.6, 40)[None], np.linspace(0.4, -0.4, 6)[:, None]), -1)
+    rays = raycast.bundle([0.0, 0.0, 0.5], ways, (6, 4), 50.0)
+    away = np.array([60.0, 4.0, 1.0, 0.3])[:, None, None]
+    people = jnp.asarray(away * random.uniform([1.0, -0.5], [2.0, 0.5], (4, 30, 2)), jnp.float32)
+
+    def image(people):
+        return raycast.distance(seen_from(rays, solids, people), rays)
+
+    alone = np.stack([jax.jit(image)(each) for each in people])
+    assert len({float(np.minimum(picture, 40.0).sum()) for picture in alone}) == 4
+    batch = jax.jit(jax.vmap(image))(people)
+    nested = jax.jit(jax.vmap(jax.vmap(image)))(people.reshape(2, 2, 30, 2)).reshape(batch.shape)
+    assert np.allclose(batch, alone, rtol=2e-6, atol=0)
+    assert np.array_equal(nested, batch)

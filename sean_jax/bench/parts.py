@@ -101,7 +101,8 @@ def _images(options: Options, scenario: Scenario, part: str, camera: str, what: 
     pixels = max(batches(options)) * IMAGE[0] * IMAGE[1] // (1 if part == "images" else 8)
     cases += [(max(1, min(max(batches(options)), pixels // (w * h))), w, h) for w, h in SIZES]
     for batch, width, height in dict.fromkeys(cases):
-        program = programs.images(scenario, camera, batch, width, height)
+        often = int(np.clip((1e6 if on_cpu() else 1e9) / (batch * width * height), 1, 200))
+        program = programs.images(scenario, camera, batch, width, height, often)
         yield _row(options, part, what, scenario, batch, program, (width, height))
 
 

@@ -3,6 +3,8 @@
 Scenarios are reset with keys of their own, and the robot drives in circles: a constant command.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 
@@ -10,11 +12,13 @@ from sean_jax import devices, restarts, sensors, social_forces
 from sean_jax.base import Array, Scenario, State
 from sean_jax.bench import workload
 from sean_jax.bench.timing import Program
+from sean_jax.geometry import rotate
 from sean_jax.scenario import reset
 from sean_jax.social_forces import model
 
 STARTS = 1024  # in the pool that ended episodes restart from
 CROWD_STEP = 0.05  # s
+LOOKING = 0.8, 0.6  # cosine and sine of the angle by which robots turn between two images
 
 
 def circles(scenario: Scenario, state: State, key: Array) -> Array:
@@ -49,8 +53,8 @@ def stepping(scenario: Scenario, batch: int, turns: int, image: tuple[int, int] 
     return Program(devices.jitted(over, run, donate=True), (fixed,), (states, blank), batch * number, turns)
 
 
-def images(scenario: Scenario, name: str, batch: int, width: int, height: int) -> Program:
-    """``Program`` of one image of the camera ``name`` for each of ``batch`` scenarios."""
+def images(scenario: Scenario, name: str, batch: int, width: int, height: int, turns: int = 1) -> Program:
+    """``Program`` of ``turns`` images of the camera ``name`` for each of ``batch`` scenarios; the robots look round."""
     camera = sensors.camera(scenario, name, width=width, height=height)
     states = jax.jit(jax.vmap(reset, (None, 0)))(scenario, jax.random.split(jax.random.key(0), batch))
 
@@ -60,12 +64,17 @@ def images(scenario: Scenario, name: str, batch: int, width: int, height: int) -
         return sensors.render(scenario, state, camera).rgb
 
     def run(scenario: Scenario, carried: tuple[State, Array]) -> tuple[State, Array]:
-        states = carried[0]
-        return states, jax.vmap(one, (None, 0))(scenario, states)
+        def turn(carry: tuple[State, Array], _) -> tuple:
+            states, _ = carry
+            x, y = rotate(states.robot.heading[:, 0], states.robot.heading[:, 1], *LOOKING)
+            states = replace(states, robot=replace(states.robot, heading=jnp.stack([x, y], -1)))
+            return (states, jax.vmap(one, (None, 0))(scenario, states)), None
+
+        return jax.lax.scan(turn, carried, length=turns)[0]
 
     shape = jax.eval_shape(jax.vmap(one, (None, 0)), scenario, states)
     blank = jnp.zeros(shape.shape, shape.dtype)
-    return Program(jax.jit(run, donate_argnums=1), (scenario,), (states, blank), batch, 1)
+    return Program(jax.jit(run, donate_argnums=1), (scenario,), (states, blank), batch, turns)
 
 
 def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = "helbing1995") -> Program:

@@ -1,8 +1,8 @@
 """Which body each ray of a bundle meets first (section IV-F), exactly, and without asking about bodies out of sight.
 
-For each tile of rays the bodies within its sector, reach and slopes are counted; a loop then takes them one after the
-other, as many as the fullest tile has. The loop has no gradient and needs none: ``surface`` computes the distance to
-the body that was found anew.
+For each tile of rays the bodies within its sector, reach and slopes are counted. A loop then goes through all of them,
+tile after tile, so it takes as long as there is work. It has no gradient and needs none: ``surface`` computes the
+distance to the body that was found anew.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,34 +13,35 @@ import jax.numpy as jnp
 from sean_jax.base import Array
 from sean_jax.geometry import length
 from sean_jax.raycast import laws
-from sean_jax.raycast.rays import Rays
+from sean_jax.raycast.rays import Beams, Rays
 from sean_jax.raycast.view import View
 
 Row = Array | tuple[Array, ...]  # a table's columns, each of which broadcasts against rays (T, P)
-Law = Callable[[Row], Array]  # (T, P) m to the bodies of those rows
+Law = Callable[[Row, Beams], Array]  # (T, P) m along the beams to the bodies of those rows
 
-CHUNK, FEW = 4, 8  # bodies that one turn of the loop takes; of few bodies, or for numbers as well, it takes one
+CHUNK = 4  # bodies of a task
+SHARE = 2  # tiles for each task of a turn
 TALLEST = laws.HEAD + laws.HEAD_RADIUS  # m, of people
 
 
 def nearest(view: View, rays: Rays) -> Array:
     """(T, P) m the distance along each ray to the first body that it meets, ``laws.MISS`` where it meets none."""
-    return _search(view, rays, (laws.ground(view.height, *_rises(rays)),))[0]
+    beams = Beams.of(rays)
+    found = laws.ground(view.height, beams.direction[2], beams.inverse_rise)
+    for _, table, law, in_sight in _families(view, rays):
+        if table.shape[0]:
+            found = _nearest(law, table, in_sight, beams, found)
+    return found
 
 
 def search(view: View, rays: Rays) -> tuple[Array, Array]:
-    """As ``nearest``, and (T, P) int32 the number of that body, which costs as much memory again."""
-    floor = _starts(view)[4]
-    distance = laws.ground(view.height, *_rises(rays))
-    number = jnp.where(distance < laws.MISS, floor, floor + 1).astype(jnp.int32)
-    distance, number = _search(view, rays, (distance, number))
-    return distance, number
-
-
-def _search(view: View, rays: Rays, found: tuple[Array, ...]) -> tuple[Array, ...]:
+    """As ``nearest``, and (T, P) int32 the number of that body."""
+    beams, floor = Beams.of(rays), _starts(view)[4]
+    distance = laws.ground(view.height, beams.direction[2], beams.inverse_rise)
+    found = distance, jnp.where(distance < laws.MISS, floor, floor + 1).astype(jnp.int32)
     for start, table, law, in_sight in _families(view, rays):
         if table.shape[0]:
-            found = _nearest(law, table, in_sight, start, found)
+            found = _first(law, table, in_sight, start, beams, found)
     return found
 
 
@@ -63,18 +64,18 @@ def _families(view: View, rays: Rays) -> Iterator[tuple[int, Array, Law, Array]]
     v = boxes[:, 6] * boxes[:, 1] - boxes[:, 7] * boxes[:, 0]
     zero = jnp.zeros((), jnp.float32)
     away = length(jnp.maximum(jnp.abs(u) - boxes[:, 3], zero), jnp.maximum(jnp.abs(v) - boxes[:, 4], zero))
-    yield first_of[0], boxes, _box(rays), _in_sight(rays, boxes, edge_of_box, away, boxes[:, 2] + boxes[:, 5])
+    yield first_of[0], boxes, _box, _in_sight(rays, boxes, edge_of_box, away, boxes[:, 2] + boxes[:, 5])
 
     flat = length(cylinders[:, 3], cylinders[:, 4]) * cylinders[:, 7]
     out = cylinders[:, 6] + flat
     top = cylinders[:, 2] + jnp.abs(cylinders[:, 5]) * cylinders[:, 7] + cylinders[:, 6]
-    yield first_of[1], cylinders, _cylinder(rays), _round_in_sight(rays, cylinders, out, top)
+    yield first_of[1], cylinders, _cylinder, _round_in_sight(rays, cylinders, out, top)
 
     out = spheres[:, 3]
-    yield first_of[2], spheres, _sphere(rays), _round_in_sight(rays, spheres, out, spheres[:, 2] + out)
+    yield first_of[2], spheres, _sphere, _round_in_sight(rays, spheres, out, spheres[:, 2] + out)
 
     out = jnp.broadcast_to(view.radius, people.shape[:1])
-    yield first_of[3], people, _person(rays, view), _round_in_sight(rays, people, out, TALLEST - view.height)
+    yield first_of[3], people, _person(rays.low, view), _round_in_sight(rays, people, out, TALLEST - view.height)
 
 
 def _round_in_sight(rays: Rays, table: Array, radius: Array, top: Array) -> Array:
@@ -92,28 +93,79 @@ def _in_sight(rays: Rays, table: Array, edge: Callable, away: Array, top: Array)
     return seen & ((rays.lowest[:, None] <= 0.0) | (top[None, :] >= rays.lowest[:, None] * away[None, :]))
 
 
-def _nearest(law: Law, table: Array, in_sight: Array, start: int, found: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Distances (T, P), and numbers if ``found`` has them, after the bodies of a table (K, F) were met as well."""
-    count = table.shape[0]
-    small = jnp.uint8 if count < 256 else jnp.int32  # the table of counts is read again and again
-    ends = jnp.cumsum(in_sight, axis=1, dtype=small)
-    padded = jnp.concatenate([table, table[-1:]])  # a row for tiles that have no more; what it gives is not used
-    chunk = CHUNK if count > FEW and len(found) == 1 else 1  # each more is compiled anew, and saves a turn on a GPU
-    turns = (ends[:, -1].max().astype(jnp.int32) + (chunk - 1)) // chunk
+def _nearest(law: Law, table: Array, in_sight: Array, beams: Beams, found: Array) -> Array:
+    """Distances (T, P) after the bodies of a table (K, F) were met as well.
 
-    def take(carry: tuple[Array, tuple[Array, ...]]) -> tuple[Array, tuple[Array, ...]]:
+    The work is a list of tasks, each up to ``CHUNK`` bodies of one tile, so empty tiles do not wait for full ones. Two
+    tasks of a turn may be of one tile: the least is taken of integers, which a GPU does without waiting and in
+    whatever order, and distances, none of which is negative, are in the order of their bits.
+    """
+    tiles, count = in_sight.shape
+    ends = _ends(in_sight)
+    padded = jnp.concatenate([table, table[-1:]])  # a row for tiles that have no more; what it gives is not used
+    tasks = (ends[:, -1].astype(jnp.int32) + (CHUNK - 1)) // CHUNK
+    last = jnp.cumsum(tasks)
+    many = max(1, tiles // SHARE)  # tasks of a turn
+    turns = _most((last[-1] + (many - 1)) // many)
+
+    def take(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         turn, found = carry
-        for more in range(chunk):
-            passed = ends <= (chunk * turn + more).astype(small)
-            chosen = passed.sum(1, dtype=jnp.int32)  # the next that the tile has in sight
-            new = law(padded[chosen].T[:, :, None])
-            nearer = (new < found[0]) & (chosen < count)[:, None]
-            values = new, start + chosen[:, None]
-            found = tuple(jnp.where(nearer, value, old) for value, old in zip(values, found, strict=False))
+        task = turn * many + jnp.arange(many, dtype=jnp.int32)
+        tile = (last[None, :] <= task[:, None]).sum(1, dtype=jnp.int32)
+        there = jnp.minimum(tile, tiles - 1)
+        begin = CHUNK * (task - (last - tasks)[there])
+        own, of_tile = ends[there], beams.of_tiles(there)
+        new = jnp.full((many, found.shape[1]), laws.MISS, jnp.float32)
+        for more in range(CHUNK):
+            chosen = (own <= (begin + more).astype(own.dtype)[:, None]).sum(1, dtype=jnp.int32)
+            meets = law(padded[chosen].T[:, :, None], of_tile)
+            new = jnp.minimum(new, jnp.where((chosen < count)[:, None], meets, laws.MISS))
+        bits = jax.lax.bitcast_convert_type(new, jnp.int32)
+        return turn + 1, found.at[tile].min(bits, mode="drop")
+
+    bits = jax.lax.bitcast_convert_type(found, jnp.int32)
+    bits = jax.lax.while_loop(lambda carry: carry[0] < turns, take, (jnp.zeros((), jnp.int32), bits))[1]
+    return jax.lax.bitcast_convert_type(bits, jnp.float32)
+
+
+def _first(
+    law: Law, table: Array, in_sight: Array, start: int, beams: Beams, found: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Distances and numbers (T, P) after the bodies of a table (K, F) were met as well, one of each tile in a turn."""
+    count = table.shape[0]
+    ends = _ends(in_sight)
+    padded = jnp.concatenate([table, table[-1:]])
+    turns = _most(ends[:, -1].max().astype(jnp.int32))
+
+    def take(carry: tuple[Array, tuple[Array, Array]]) -> tuple[Array, tuple[Array, Array]]:
+        turn, (distance, number) = carry
+        chosen = (ends <= turn.astype(ends.dtype)).sum(1, dtype=jnp.int32)  # the next that the tile has in sight
+        new = law(padded[chosen].T[:, :, None], beams)
+        nearer = (new < distance) & (chosen < count)[:, None]
+        found = jnp.where(nearer, new, distance), jnp.where(nearer, start + chosen[:, None], number)
         return turn + 1, found
 
-    # Turns are counted by one: XLA for CPUs counted those of a step of 4 wrong (docs/architecture.md, Traps).
     return jax.lax.while_loop(lambda carry: carry[0] < turns, take, (jnp.zeros((), jnp.int32), found))[1]
+
+
+@jax.custom_batching.custom_vmap
+def _most(turns: Array) -> Array:
+    """The turns () that a loop takes; of a batch the most, for its end shall be one for all.
+
+    XLA would otherwise keep what every turn was given, to undo the turn where the loop is over already.
+    """
+    return turns
+
+
+@_most.def_vmap
+def _most_of_all(size: int, batched: list[bool], turns: Array) -> tuple[Array, bool]:
+    return _most(turns.max()), False
+
+
+def _ends(in_sight: Array) -> Array:
+    """(T, K) how many of the first bodies a tile has in sight."""
+    small = jnp.uint8 if in_sight.shape[1] < 256 else jnp.int32  # it is read again and again
+    return jnp.cumsum(in_sight, axis=1, dtype=small)
 
 
 def surface(view: View, rays: Rays, number: Array) -> tuple[Array, Array, Array, Array]:
@@ -122,16 +174,16 @@ def surface(view: View, rays: Rays, number: Array) -> tuple[Array, Array, Array,
     Differentiable in the view. Where the number is the sky's, or the ray passes the body by a rounding error, the
     distance is ``laws.MISS``.
     """
-    first_of = _starts(view)
-    dx, dy, dz = _directions(rays)
-    distance = laws.ground(view.height, *_rises(rays))
+    first_of, beams = _starts(view), Beams.of(rays)
+    dx, dy, dz = beams.direction
+    distance = laws.ground(view.height, dz, beams.inverse_rise)
     distance = jnp.where(number == first_of[4], distance, laws.MISS)
     nx, ny, nz = jnp.zeros_like(dx * distance), jnp.zeros_like(distance), jnp.ones_like(distance)
     families = (
-        (view.boxes, _box(rays), _normal_of_box),
-        (view.cylinders, _cylinder(rays), _normal_of_cylinder),
-        (view.spheres, _sphere(rays), _normal_of_sphere),
-        (view.people, _person(rays, view), lambda row, x, y, z: _normal_of_person(row, x, y, z, view)),
+        (view.boxes, _box, _normal_of_box),
+        (view.cylinders, _cylinder, _normal_of_cylinder),
+        (view.spheres, _sphere, _normal_of_sphere),
+        (view.people, _person(rays.low, view), lambda row, x, y, z: _normal_of_person(row, x, y, z, view)),
     )
     for start, (table, law, normal) in zip(first_of[:4], families, strict=True):
         if not table.shape[0]:
@@ -139,7 +191,7 @@ def surface(view: View, rays: Rays, number: Array) -> tuple[Array, Array, Array,
         mine = (number >= start) & (number < start + table.shape[0])
         index = jnp.clip(number - start, 0, table.shape[0] - 1)
         row = tuple(column[index] for column in table.T)
-        there = law(row)
+        there = law(row, beams)
         distance = jnp.where(mine, there, distance)
         at = jnp.where(mine & (there < laws.MISS), there, 1.0)
         facing = normal(row, *along(rays, at))
@@ -147,66 +199,42 @@ def surface(view: View, rays: Rays, number: Array) -> tuple[Array, Array, Array,
     return distance, nx, ny, nz
 
 
-def _directions(rays: Rays) -> tuple[Array, Array, Array]:
-    return jnp.asarray(rays.direction[0]), jnp.asarray(rays.direction[1]), jnp.asarray(rays.direction[2])
-
-
-def _rises(rays: Rays) -> tuple[Array, Array]:
-    return jnp.asarray(rays.direction[2]), jnp.asarray(rays.inverse_rise)
-
-
 def along(rays: Rays, distance: Array) -> tuple[Array, Array, Array]:
     """x, y, z [m] from the sensor, (T, P) each, of the places so far along the rays."""
-    x, y, z = (distance * part for part in _directions(rays))
+    x, y, z = (distance * jnp.asarray(part) for part in rays.direction)
     if rays.offset is None:
         return x, y, z
     return x + rays.offset[0], y + rays.offset[1], z + rays.offset[2]
 
 
-def _from_ray(rays: Rays, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+def _from_ray(beams: Beams, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
     """What lies at (x, y, z) from the sensor, from where each ray begins."""
-    if rays.offset is None:
+    if beams.offset is None:
         return x, y, z
-    return x - rays.offset[0], y - rays.offset[1], z - rays.offset[2]
+    return x - beams.offset[0], y - beams.offset[1], z - beams.offset[2]
 
 
-def _box(rays: Rays) -> Law:
-    (dx, dy, dz), inverse_dz = _directions(rays), jnp.asarray(rays.inverse_rise)
-
-    def law(row: Row) -> Array:
-        x, y, z = _from_ray(rays, row[0], row[1], row[2])
-        return laws.box(x, y, z, row[3], row[4], row[5], row[6], row[7], dx, dy, dz, inverse_dz)
-
-    return law
+def _box(row: Row, beams: Beams) -> Array:
+    x, y, z = _from_ray(beams, row[0], row[1], row[2])
+    return laws.box(x, y, z, row[3], row[4], row[5], row[6], row[7], *beams.direction, beams.inverse_rise)
 
 
-def _cylinder(rays: Rays) -> Law:
-    dx, dy, dz = _directions(rays)
-
-    def law(row: Row) -> Array:
-        x, y, z = _from_ray(rays, row[0], row[1], row[2])
-        return laws.cylinder(x, y, z, row[3], row[4], row[5], row[6], row[7], dx, dy, dz)
-
-    return law
+def _cylinder(row: Row, beams: Beams) -> Array:
+    x, y, z = _from_ray(beams, row[0], row[1], row[2])
+    return laws.cylinder(x, y, z, row[3], row[4], row[5], row[6], row[7], *beams.direction)
 
 
-def _sphere(rays: Rays) -> Law:
-    dx, dy, dz = _directions(rays)
-
-    def law(row: Row) -> Array:
-        x, y, z = _from_ray(rays, row[0], row[1], row[2])
-        return laws.sphere(x, y, z, row[3], dx, dy, dz)
-
-    return law
+def _sphere(row: Row, beams: Beams) -> Array:
+    x, y, z = _from_ray(beams, row[0], row[1], row[2])
+    return laws.sphere(x, y, z, row[3], *beams.direction)
 
 
-def _person(rays: Rays, view: View) -> Law:
-    (dx, dy, dz), inverse_run = _directions(rays), jnp.asarray(rays.inverse_run)
-    shape = laws.legs if rays.low else laws.person
+def _person(low: bool, view: View) -> Law:
+    shape = laws.legs if low else laws.person
 
-    def law(row: Row) -> Array:
-        x, y, z = _from_ray(rays, row[0], row[1], jnp.broadcast_to(-view.height, row[0].shape))
-        return shape(x, y, z, view.radius, dx, dy, dz, inverse_run)
+    def law(row: Row, beams: Beams) -> Array:
+        x, y, z = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-view.height, row[0].shape))
+        return shape(x, y, z, view.radius, *beams.direction, beams.inverse_run)
 
     return law
 

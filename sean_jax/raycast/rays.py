@@ -6,8 +6,12 @@ outside of them is never asked about. Everything here is numpy on the host, and 
 
 import dataclasses
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
+from sean_jax.base import Array
 from sean_jax.raycast.laws import SHOULDER, STEEP
 
 WIDEST = np.deg2rad(85.0)  # half of a sector; wider ones keep everything
@@ -33,6 +37,30 @@ class Rays:
     @property
     def tiles(self) -> int:
         return self.direction.shape[1]
+
+
+@struct.dataclass
+class Beams:
+    """The rays of ``T`` tiles, or of some, as arrays."""
+
+    direction: tuple[Array, Array, Array]  # (T, P) each, x, y and z of unit vectors
+    inverse_rise: Array  # (T, P)
+    inverse_run: Array  # (T, P)
+    offset: tuple[Array, Array, Array] | None  # (T, P) m each
+
+    @classmethod
+    def of(cls, rays: Rays) -> "Beams":
+        """All rays."""
+        offset = None if rays.offset is None else _three(rays.offset)
+        return cls(_three(rays.direction), jnp.asarray(rays.inverse_rise), jnp.asarray(rays.inverse_run), offset)
+
+    def of_tiles(self, tile: Array) -> "Beams":
+        """Those of the tiles with these numbers (W,)."""
+        return jax.tree.map(lambda part: part[tile], self)
+
+
+def _three(parts: np.ndarray) -> tuple[Array, Array, Array]:
+    return jnp.asarray(parts[0]), jnp.asarray(parts[1]), jnp.asarray(parts[2])
 
 
 def bundle(origin, direction, tile, reach: float, offset=None) -> Rays:
