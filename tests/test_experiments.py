@@ -1,14 +1,22 @@
 """Experiments: counting and intervals against closed forms, resuming, refusals, and both reports at toy size."""
 
+import dataclasses
+import functools
 import json
+import shutil
+import threading
+import time
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from sean_jax import cli
-from sean_jax.experiments import shares
+from sean_jax.experiments import shares, together
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.learning.options import Refused
+from sean_jax.metrics import METRICS
 
 
 def test_entropy_is_that_of_the_papers_rows():
@@ -62,7 +70,7 @@ def test_other_tables_have_not():
 
 
 def test_claims_of_figure_4():
-    from sean_jax.experiments import figure4
+    from sean_jax.experiments.claims import Found, claims
 
     def cell(wait: float, harm: float, done: float) -> dict:
         names = ("time_not_moving", wait), ("violations", harm), ("completed", done), ("collisions", 0.0)
@@ -73,11 +81,11 @@ def test_claims_of_figure_4():
     values = {p: {b: cell(waits[p], harms[b], 0.9) for b in BEHAVIORS} for p in waits}
     by = {p: {b: np.tile([1.0, 1.0, 0.2, 0.2, 0.1], (10, 1)) for b in BEHAVIORS} for p in waits}
     by["B"] = {b: np.full((10, 5), 0.1) for b in BEHAVIORS}
-    found = figure4.Found(tuple(waits), 10, values, by, {})
-    told = figure4.claims(found)
+    found = Found(tuple(waits), 10, values, by, {})
+    told = claims(found)
     assert all(each["holds"] and each["share"] == 1.0 for each in told)
     values["G"] = {b: cell(30.0, harms[b], 0.5) for b in BEHAVIORS}
-    told = {each["statement"]: each["holds"] for each in figure4.claims(found)}
+    told = {each["statement"]: each["holds"] for each in claims(found)}
     assert not told["N stands longest, s"] and not told["G stands less than R, s"]
     assert not told["the learned complete 80 % of what the demonstrator does"]
     assert found.cells["R"]["graph"]["completed"].mean == pytest.approx(9.0)
@@ -136,11 +144,119 @@ def test_a_folder_of_another_experiment_is_refused(tmp_path):
         parts.begin(options)
 
 
+def test_parts_wait_for_what_they_need_and_are_the_same_in_threads(monkeypatch):
+    order, made, both = [], [], threading.Barrier(2, timeout=20)
+    shared = together.Once(lambda name: made.append(name) or object())
+
+    def work(name: str, meet: bool, tell):
+        if meet:
+            both.wait()  # passes if two parts are at work at once, and only then
+        order.append(name)
+        tell(0.5)
+        return name, shared("place")
+
+    def parts(meet: bool) -> list:
+        alone = [together.Part(name, functools.partial(work, name, meet)) for name in "ab"]
+        return [*alone, together.Part("c", functools.partial(work, "c", False), ("a", "b"))]
+
+    monkeypatch.setattr(together, "workers", lambda: 3)
+    found = together.together(parts(True), None, "at work")
+    assert order[2] == "c" and made == ["place"]
+    monkeypatch.setattr(together, "workers", lambda: 1)
+    assert together.together(parts(False), None, "at work") == found and order[3:] == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize("error", [FloatingPointError, KeyboardInterrupt])
+def test_a_failure_stops_the_other_parts_and_is_raised(error, monkeypatch):
+    began, stopped, never = threading.Event(), [], []
+
+    def lasting(tell):
+        began.set()
+        try:
+            for _ in range(2000):
+                time.sleep(0.01)
+                tell(0.1)
+        except together.Stopped:
+            stopped.append(True)
+            raise
+
+    def failing(tell):
+        began.wait(20)
+        raise error("a robot is nowhere")
+
+    parts = [together.Part("lasting", lasting), together.Part("failing", failing)]
+    parts.append(together.Part("after", never.append, ("failing",)))
+    monkeypatch.setattr(together, "workers", lambda: 2)
+    with pytest.raises(error, match="nowhere"):
+        together.together(parts, None, "at work")
+    assert stopped == [True] and not never
+
+
+def test_several_devices_or_few_cores_work_one_by_one(monkeypatch):
+    monkeypatch.setattr(together.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
+    assert together.workers() == 8
+    monkeypatch.setattr(together.os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+    assert together.workers() == 1
+    monkeypatch.setattr(together.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
+    monkeypatch.setattr(jax, "devices", lambda: ["one", "another"])
+    assert together.workers() == 1
+
+
+@pytest.mark.slow
+def test_numbered_episodes_are_those_of_their_streams():
+    """Of five streams in one batch: as rolled out alone, from the key of the number, with the stream's scenario."""
+    from sean_jax import parallel
+    from sean_jax.experiments.rollouts import Numbered
+    from sean_jax.learning.options import Collect
+    from sean_jax.learning.protocol import streams, who_drives
+    from sean_jax.scenario import results
+
+    asked = Collect(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=20.0)
+    kinds, tasks = streams(asked)
+    metrics = (("time_not_moving", METRICS["time_not_moving"]),)
+    kinds = [dataclasses.replace(k, scenario=dataclasses.replace(k.scenario, metrics=metrics)) for k in kinds]
+    driver, told = who_drives("go_to_goal"), []
+    found = Numbered(tasks).episodes(driver, kinds, 3, 7, 5, told.append)
+    assert len(found.seconds) == 7 and 0 < found.seconds.min() and found.seconds.max() <= 20.0 + 1e-3
+    assert told == sorted(told) and told[-1] <= 1.0
+
+    @jax.jit
+    def alone(scenario, number):
+        key = jax.random.fold_in(jax.random.key(3), number)
+        state, _ = parallel.rollout(scenario, driver, key, 200)
+        return results(scenario, state), state.completed
+
+    for number in range(7):
+        measured, completed = alone(kinds[number % 5].scenario, jnp.uint32(number))
+        assert bool(completed) == found.completed[number]
+        np.testing.assert_allclose(found.metrics["time_not_moving"][number], measured["time_not_moving"], atol=0.11)
+
+
+@pytest.mark.slow
+def test_chains_restart_from_their_own_stream():
+    from sean_jax.experiments import rollouts
+    from sean_jax.learning.options import Collect
+    from sean_jax.learning.protocol import streams, who_drives
+
+    kinds, tasks = streams(Collect(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=20.0))
+    chains, driver = rollouts.Chains(tasks, who_drives("go_to_goal")), who_drives("go_to_goal")
+    turn, policy = jnp.int32(0), jax.tree_util.Partial(driver)
+    pools = [chains.pool(k.scenario, policy, turn, jax.random.key(i), 3) for i, k in enumerate(kinds)]
+    starts = jax.vmap(rollouts._start, (None, 0, 0))
+    stream = jnp.repeat(jnp.arange(5, dtype=jnp.int32), 8)
+    drawn = starts(rollouts._stacked(pools), stream, jax.random.split(jax.random.key(1), 40))
+    for each, place in zip(np.asarray(stream), np.asarray(drawn.robot.position), strict=True):
+        assert (np.asarray(pools[each].robot.position) == place).all(-1).any()
+    assert len(np.unique(np.asarray(jax.random.key_data(drawn.key)), axis=0)) == 40
+
+
 SMALL = ["--environment", "lab", "--quick", "--people", "4", "--dynamics", "twin", "--time-limit", "20", "--quiet"]
 
 
 @pytest.mark.slow
-def test_table1(tmp_path):
+def test_table1(tmp_path, monkeypatch):
+    """With three parts at once, and what is missing one by one, to the same bytes."""
+    monkeypatch.setattr(together, "workers", lambda: 3)
     out = tmp_path / "table1"
     given = [*SMALL, "--hours", "0.0167", "--seeds", "1", "--drivers", "go_to_goal", "--out", str(out)]
     assert cli.main(["experiment", "table1", *given]) == 0
@@ -155,22 +271,34 @@ def test_table1(tmp_path):
     }
     for values in cross.values():
         assert len(values) == 6 and all(one <= other + 1e-9 for one, other in zip(values, values[1:], strict=False))
-    before = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix in (".csv", ".npz")}
-    (out / "graph-go_to_goal-4.npz").unlink()
+    before = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".csv"}
+    for behavior in BEHAVIORS:
+        (out / f"{behavior}-go_to_goal-4.npz").unlink()
+    monkeypatch.setattr(together, "workers", lambda: 1)
     assert cli.main(["experiment", "table1", *given]) == 0
     after = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".csv"}
     assert all(before[name] == content for name, content in after.items())
 
 
 @pytest.mark.slow
-def test_figure4(tmp_path):
+def test_figure4(tmp_path, monkeypatch):
+    """With four parts at once, and some of it anew one by one, to the same bytes."""
+    monkeypatch.setattr(together, "workers", lambda: 4)
     out = tmp_path / "figure4"
     given = [*SMALL, "--hours", "0.0167", "--episodes", "5", "--epochs", "2", "--driver", "go_to_goal"]
     assert cli.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
     rows = [line.split(",") for line in (out / "figure4.csv").read_text(encoding="utf-8").splitlines()[1:]]
-    assert {r[0] for r in rows} == set("GRHBNE") and {r[1] for r in rows} == set(BEHAVIORS)
+    assert {r[0] for r in rows} == {*"GRHBNE", "B-G"} and {r[1] for r in rows} == set(BEHAVIORS)
     done = [float(r[3]) for r in rows if r[2] == "completed"]
     assert len(done) == 18 and all(0 <= value <= 5 for value in done) and max(done) > 0
     episodes = json.loads((out / "episodes-E-handcrafted.json").read_text(encoding="utf-8"))
     assert len(episodes["completed"]) == 5 and max(episodes["seconds"]) <= 20.0 + 1e-3
     assert "Figure 4" in (out / "report.html").read_text(encoding="utf-8")
+    before = {name: (out / name).read_bytes() for name in ("figure4.csv", "claims.csv")}
+    for missing in ("trained-random.json", "episodes-R-graph.json", "episodes-G-handcrafted.json", *before):
+        (out / missing).unlink()
+    for missing in ("demonstrations-random", "policy-random"):
+        shutil.rmtree(out / missing)
+    monkeypatch.setattr(together, "workers", lambda: 1)
+    assert cli.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
+    assert all((out / name).read_bytes() == content for name, content in before.items())

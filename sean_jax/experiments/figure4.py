@@ -7,71 +7,33 @@ with social cost layers (N) and the demonstrator itself (E) drive the same numbe
 from __future__ import annotations
 
 import dataclasses
-import math
+import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sean_jax import learning
 from sean_jax.experiments import page, parts, rollouts, shares
+from sean_jax.experiments.claims import BALANCED, DEMONSTRATOR, LEARNED, NAVIGATION, Found, claims
 from sean_jax.experiments.options import BEHAVIORS, Experiment
+from sean_jax.experiments.together import Part, together
 from sean_jax.learning import balance
 from sean_jax.learning.options import Collect, Train
-from sean_jax.learning.progress import shown
-from sean_jax.learning.protocol import Stream, streams, who_drives
-from sean_jax.metrics import Estimate, aggregate, resamples
+from sean_jax.learning.protocol import streams, who_drives
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from sean_jax.base import Policy, Scenario
+    from sean_jax.metrics import Estimate
 
-LEARNED = {"G": "graph", "R": "random", "H": "handcrafted"}
-BALANCED, NAVIGATION, DEMONSTRATOR = "B", "N", "E"
 BATCH = {"cpu": 32}  # episodes at once, by kind of device
 BATCH_ELSEWHERE = 4096
 INTIMATE = "intimate_robot_on_person", "intimate_person_on_robot"
 KEPT = "completed", "seconds", "time_not_moving", *INTIMATE, "collision_robot_on_person", "collision_person_on_robot"
-
-
-@dataclasses.dataclass
-class Found:
-    """What the page tells."""
-
-    MEASURES: ClassVar[dict[str, str]] = {
-        "completed": "completed tasks",
-        "time_not_moving": "time not moving, s",
-        "violations": "intimate distance violations",
-        "collisions": "collisions with people",
-    }
-    policies: tuple[str, ...]
-    episodes: int
-    values: dict[str, dict[str, dict[str, np.ndarray]]]  # policy -> behavior -> measure -> (E,)
-    situations: dict[str, dict[str, np.ndarray]]  # policy -> behavior -> (E, 5) violations in each situation
-    trained: dict[str, dict[str, Any]]
-    claims: list[dict[str, Any]] = dataclasses.field(default_factory=list)
-
-    @property
-    def by_situation(self) -> dict[str, dict[str, np.ndarray]]:
-        """policy -> behavior -> (5,) violations per episode."""
-        return {p: {b: each.mean(0) for b, each in by.items()} for p, by in self.situations.items()}
-
-    @property
-    def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:
-        """policy -> behavior -> measure -> mean with interval; of completed tasks the number."""
-        return {
-            policy: {
-                behavior: {
-                    name: _scaled(aggregate(values), self.episodes if name == "completed" else 1)
-                    for name, values in measured.items()
-                }
-                for behavior, measured in by_behavior.items()
-            }
-            for policy, by_behavior in self.values.items()
-        }
 
 
 def run(options: Experiment, console: Console | None = None) -> Path:
@@ -83,25 +45,40 @@ def run(options: Experiment, console: Console | None = None) -> Path:
     options = options.settled()
     who_drives(options.driver)
     folder = parts.begin(options)
-    trained = {name: _train(options, folder, behavior, console) for name, behavior in LEARNED.items()}
-    trained[BALANCED] = _train(options, folder, "graph", console, balanced=True)
     policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR)
-    measured: dict[str, dict[str, dict[str, Any]]] = {policy: {} for policy in policies}
-    with shown(console, "driving", len(policies) * len(BEHAVIORS)) as tell:
-        for row, behavior in enumerate(BEHAVIORS):
-            kinds, tasks = streams(Collect(**_asked(options, behavior)))
-            programs = rollouts.Numbered(tasks)
-            for column, policy in enumerate(policies):
-                done, what = len(policies) * row + column, f"{policy} in {behavior}"
-
-                def watch(share: float, done: int = done, what: str = what) -> None:
-                    tell(done + share, what)
-
-                watch(0.0)
-                measured[policy][behavior] = _drive(options, folder, policy, behavior, kinds, programs, watch)
-    found = _found(options, policies, measured, trained)
-    write(options, folder, found)
+    places = {behavior: streams(Collect(**_asked(options, behavior))) for behavior in BEHAVIORS}
+    found = together(_parts(options, folder, places), console, "figure 4")
+    measured = {
+        policy: {behavior: found[_driven(policy, behavior)][policy] for behavior in BEHAVIORS} for policy in policies
+    }
+    trained = {name: found[f"training {name}"] for name in (*LEARNED, BALANCED)}
+    write(options, folder, _found(options, policies, measured, trained))
     return folder
+
+
+def _driven(policy: str, behavior: str) -> str:
+    """The name of the part in which that policy drives; learned ones take turns, for they share programs."""
+    return f"{policy if policy in (NAVIGATION, DEMONSTRATOR) else 'learned'} in {behavior}"
+
+
+def _parts(options: Experiment, folder: Path, places: dict[str, tuple]) -> list[Part]:
+    """What there is to do, in an order in which it can be done one by one."""
+    learned = (*LEARNED, BALANCED)
+    data = {behavior: f"demonstrations in {behavior}" for behavior in BEHAVIORS}
+    made: list[Part] = []
+    for behavior in reversed(BEHAVIORS):  # the graph is needed by two
+        made.append(Part(data[behavior], functools.partial(_collect, options, folder, behavior)))
+    for policy in (DEMONSTRATOR, NAVIGATION):
+        for behavior in BEHAVIORS:
+            work = functools.partial(_drive, options, folder, (policy,), behavior, places[behavior])
+            made.append(Part(_driven(policy, behavior), work))
+    for policy in learned:
+        work = functools.partial(_train, options, folder, policy)
+        made.append(Part(f"training {policy}", work, (data[LEARNED.get(policy, "graph")],)))
+    for behavior in BEHAVIORS:
+        work = functools.partial(_drive, options, folder, learned, behavior, places[behavior])
+        made.append(Part(_driven("G", behavior), work, tuple(f"training {policy}" for policy in learned)))
+    return made
 
 
 def _asked(options: Experiment, behavior: str) -> dict[str, Any]:
@@ -111,27 +88,39 @@ def _asked(options: Experiment, behavior: str) -> dict[str, Any]:
     )  # fmt: skip
 
 
-def _train(
-    options: Experiment, folder: Path, behavior: str, console: Console | None, balanced: bool = False
-) -> dict[str, Any]:
-    """Demonstrations and a network of that behavior, in folders of their own, which go on by themselves."""
-    name = f"{behavior}-balanced" if balanced else behavior
-    done = folder / f"trained-{name}.json"
-    if (told := parts.saved(done)) is not None:
-        return told
+def _collecting(options: Experiment, folder: Path, behavior: str) -> Collect:
     image: dict[str, Any] = dict(width=32, height=24) if options.quick else {}
-    collect = Collect(
+    return Collect(
         **_asked(options, behavior), driver=options.driver, hours=options.hours or 1.0, seed=options.seed,
         out=folder / f"demonstrations-{behavior}", **image,
     )  # fmt: skip
-    data = learning.collect(collect, console)
-    batch = 256 if options.quick else 1024
+
+
+def _trained(policy: str) -> str:
+    return "graph-balanced" if policy == BALANCED else LEARNED[policy]
+
+
+def _collect(options: Experiment, folder: Path, behavior: str, watch: Callable) -> None:
+    """Demonstrations in a folder of their own, which goes on by itself, if a network has yet to learn from them."""
+    learners = [_trained(policy) for policy in (*LEARNED, BALANCED) if LEARNED.get(policy, "graph") == behavior]
+    if any(parts.saved(folder / f"trained-{name}.json") is None for name in learners):
+        learning.collect(_collecting(options, folder, behavior), watch)
+
+
+def _train(options: Experiment, folder: Path, policy: str, watch: Callable) -> dict[str, Any]:
+    """A network in a folder of its own, which goes on by itself."""
+    name, balanced = _trained(policy), policy == BALANCED
+    done = folder / f"trained-{name}.json"
+    if (told := parts.saved(done)) is not None:
+        return told
+    collected = _collecting(options, folder, LEARNED.get(policy, "graph")).folder
     train = Train(
-        method="imitation", dataset=collect.folder, epochs=options.epochs or 1000, seed=options.seed, batch=batch,
-        balance=balanced, out=folder / f"policy-{name}",
+        method="imitation", dataset=collected, epochs=options.epochs or 1000, seed=options.seed,
+        batch=256 if options.quick else 1024, balance=balanced, out=folder / f"policy-{name}",
     )  # fmt: skip
     began = time.perf_counter()
-    state = learning.train(train, console)
+    state = learning.train(train, watch)
+    data = learning.open_dataset(collected)
     flags = data.read(data.episodes, ("situations",))["situations"]
     odds = balance.odds(flags) if balanced else np.full(len(flags), 1 / len(flags))
     shared = odds @ (flags / np.maximum(flags.sum(1, keepdims=True), 1))
@@ -149,66 +138,49 @@ def _train(
 
 def _policy(options: Experiment, folder: Path, policy: str, scenario: Scenario) -> Policy:
     if policy in LEARNED or policy == BALANCED:
-        made = "graph-balanced" if policy == BALANCED else LEARNED[policy]
         # Of one name, for a driver of another name is compiled anew.
-        return dataclasses.replace(learning.load(folder / f"policy-{made}", scenario), name="learned")
+        return dataclasses.replace(learning.load(folder / f"policy-{_trained(policy)}", scenario), name="learned")
     return who_drives("social_costmap" if policy == NAVIGATION else options.driver)
 
 
 def _drive(
-    options: Experiment,
-    folder: Path,
-    policy: str,
-    behavior: str,
-    kinds: list[Stream],
-    programs: rollouts.Numbered,
-    watch: Callable,
-) -> dict[str, Any]:
-    """The measures of each episode as lists, as saved in the folder or driven; streams take turns.
+    options: Experiment, folder: Path, policies: tuple[str, ...], behavior: str, place: tuple, watch: Callable
+) -> dict[str, dict[str, Any]]:
+    """policy -> the measures of each episode as lists, as saved in the folder or driven.
 
-    The learned policies share what ``programs`` compile.
+    The policies, which differ in what they learned, share what is compiled.
     """
     import jax
 
-    file = folder / f"episodes-{policy}-{behavior}.json"
-    if (told := parts.saved(file)) is not None:
-        return told
+    kinds, tasks = place
     metrics = _metrics()
-    scenario = dataclasses.replace(kinds[0].scenario, metrics=metrics)
-    driver = _policy(options, folder, policy, scenario)
-    number = options.episodes or 1
-    each = math.ceil(number / len(kinds))
-    batch = min(each, BATCH.get(jax.default_backend(), BATCH_ELSEWHERE))
-    found: list[list[rollouts.Episodes]] = []
-    total = math.ceil(each / batch) * len(kinds) * options.time_limit
-    for turn, kind in enumerate(kinds):
-        scenario, parts_of = dataclasses.replace(kind.scenario, metrics=metrics), []
-        for first in range(0, each, batch):
-            before = (turn * math.ceil(each / batch) + first // batch) * options.time_limit
-            numbers = np.arange(first, first + batch) * len(kinds) + turn
-            tell = lambda seconds, before=before: watch(min(1.0, (before + seconds) / total))  # noqa: E731
-            parts_of.append(programs.episodes(driver, scenario, options.seed + 1, kind.turn, numbers, tell))
-        found.append(parts_of)
-    told = {name: _in_turns(found, name, each, number) for name in KEPT}
-    if not all(np.isfinite(np.asarray(told[name])).all() for name in ("completed", "seconds", *INTIMATE)):
-        raise FloatingPointError(f"{policy} in {behavior}: a metric is not finite; nothing of it is written.")
-    parts.save(file, {name: np.nan_to_num(np.asarray(values, float)).tolist() for name, values in told.items()})
-    return parts.saved(file)
+    kinds = [dataclasses.replace(k, scenario=dataclasses.replace(k.scenario, metrics=metrics)) for k in kinds]
+    programs, number = rollouts.Numbered(tasks), options.episodes or 1
+    most = BATCH.get(jax.default_backend(), BATCH_ELSEWHERE)
+    found = {}
+    for turn, policy in enumerate(policies):
+        file = folder / f"episodes-{policy}-{behavior}.json"
+        if parts.saved(file) is None:
+            tell = functools.partial(_tell, watch, turn, len(policies))
+            driver = _policy(options, folder, policy, kinds[0].scenario)
+            ended = programs.episodes(driver, kinds, options.seed + 1, number, most, tell)
+            measured = {"completed": ended.completed, "seconds": ended.seconds, **ended.metrics}
+            if not all(np.isfinite(measured[name]).all() for name in ("completed", "seconds", *INTIMATE)):
+                raise FloatingPointError(f"{policy} in {behavior}: a metric is not finite; nothing of it is written.")
+            told = {name: np.nan_to_num(np.asarray(measured[name], float)).tolist() for name in KEPT}
+            parts.save(file, told)
+        found[policy] = parts.saved(file)
+    return found
+
+
+def _tell(watch: Callable, turn: int, turns: int, share: float) -> None:
+    watch((turn + share) / turns)
 
 
 def _metrics() -> tuple:
     from sean_jax.metrics import METRICS
 
     return tuple((name, METRICS[name]) for name in KEPT if name in METRICS)
-
-
-def _in_turns(found: list[list[rollouts.Episodes]], name: str, each: int, number: int) -> np.ndarray:
-    """(number, ...) the values of all episodes in the order of their numbers."""
-    columns = []
-    for batches in found:
-        values = [getattr(b, name) if name in ("completed", "seconds") else b.metrics[name] for b in batches]
-        columns.append(np.concatenate(values)[:each])
-    return np.stack(columns, 1).reshape(-1, *columns[0].shape[1:])[:number]
 
 
 def _found(options: Experiment, policies: tuple, measured: dict, trained: dict) -> Found:
@@ -232,53 +204,11 @@ def _found(options: Experiment, policies: tuple, measured: dict, trained: dict) 
     return found
 
 
-def claims(found: Found) -> list[dict[str, Any]]:
-    """What the paper says of its figure: statement, its numbers, ours, whether it holds and in how many resamples."""
-    weights = resamples(found.episodes, seed=0)
-    weights = np.concatenate([np.full((1, found.episodes), 1.0), weights])
-    weights = weights / weights.sum(1, keepdims=True)
-
-    def of(policy: str, behavior: str, name: str) -> np.ndarray:
-        return weights @ found.values[policy][behavior][name]
-
-    wait = {p: np.mean([of(p, b, "time_not_moving") for b in BEHAVIORS], 0) for p in found.policies}
-    harm = {b: np.mean([of(p, b, "violations") for p in (*LEARNED, NAVIGATION)], 0) for b in BEHAVIORS}
-    done = {p: found.episodes * np.mean([of(p, b, "completed") for b in BEHAVIORS], 0) for p in found.policies}
-    paths = np.mean([weights @ found.situations[p]["graph"][:, :2].sum(1) for p in (*LEARNED, NAVIGATION)], 0)
-    paths = paths / np.maximum(harm["graph"], 1e-9)
-    worst = int(found.by_situation["G"]["graph"].argmax())
-    worse, mended = (weights @ found.situations[p]["graph"][:, worst] for p in ("G", BALANCED))
-    less = 1 - of("G", "graph", "time_not_moving") / np.maximum(of("H", "graph", "time_not_moving"), 1e-9)
-    told: list[tuple] = [
-        ("N stands longest, s", "28.7 against 11 to 22", _listed(wait),
-         wait["N"] > np.max([wait[p] for p in LEARNED], 0)),
-        ("G stands less than R, s", "11 < 16.3", f"{wait['G'][0]:.1f}, {wait['R'][0]:.1f}", wait["G"] < wait["R"]),
-        ("R stands less than H, s", "16.3 < 22", f"{wait['R'][0]:.1f}, {wait['H'][0]:.1f}", wait["R"] < wait["H"]),
-        ("in graph, G stands less than H by half", "-55 %", f"{-100 * less[0]:.0f} %", less >= 0.5),
-        ("violations: graph at least random", "2.5, 1.9", f"{harm['graph'][0]:.2f}, {harm['random'][0]:.2f}",
-         harm["graph"] >= harm["random"]),
-        ("violations: random above handcrafted", "1.9, 1.0", f"{harm['random'][0]:.2f}, {harm['handcrafted'][0]:.2f}",
-         harm["random"] > harm["handcrafted"]),
-        ("violations in graph are mostly in cross or down path", "mainly", f"{100 * paths[0]:.0f} %", paths > 0.5),
-        ("G and H complete equally many, within 5 %", "112.7, 112.7", f"{done['G'][0]:.1f}, {done['H'][0]:.1f}",
-         np.abs(done["G"] - done["H"]) <= 0.05 * found.episodes),
-        ("the learned complete 80 % of what the demonstrator does", "not reported", _listed(done),
-         np.min([done[p] for p in LEARNED], 0) >= 0.8 * done[DEMONSTRATOR]),
-        ("balanced examples lower the violations in G's worst situation", "suggested",
-         f"{shares.NAMES[worst].replace('_', ' ')}: {worse[0]:.2f} to {mended[0]:.2f}", mended < worse),
-    ]  # fmt: skip
+def _by_situation(policy: str, behavior: str, cells: Estimate) -> list[str]:
     return [
-        {"statement": words, "paper": paper, "ours": ours, "holds": bool(held[0]), "share": float(held[1:].mean())}
-        for words, paper, ours, held in told
+        f"{policy},{behavior},violations_{situation},{cells.mean[k]:.5f},{cells.low[k]:.5f},{cells.high[k]:.5f}"
+        for k, situation in enumerate(shares.NAMES)
     ]
-
-
-def _listed(values: dict[str, np.ndarray]) -> str:
-    return ", ".join(f"{name} {each[0]:.1f}" for name, each in values.items())
-
-
-def _scaled(estimate: Estimate, by: float) -> Estimate:
-    return estimate._replace(mean=estimate.mean * by, low=estimate.low * by, high=estimate.high * by)
 
 
 def write(options: Experiment, folder: Path, found: Found) -> None:
@@ -288,9 +218,9 @@ def write(options: Experiment, folder: Path, found: Found) -> None:
         for behavior, measured in by_behavior.items():
             for name, cell in measured.items():
                 lines.append(f"{policy},{behavior},{name},{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}")
-            for k, situation in enumerate(shares.NAMES):
-                value = found.by_situation[policy][behavior][k]
-                lines.append(f"{policy},{behavior},violations_{situation},{value:.5f},,")
+            lines += _by_situation(policy, behavior, found.by_situation[policy][behavior])
+    for behavior, less in found.balancing.items():
+        lines += _by_situation(f"{BALANCED}-G", behavior, less)
     parts.save(folder / "figure4.csv", "\n".join(lines) + "\n")
     held = ["statement,paper,ours,holds,share_of_resamples"]
     for row in found.claims:

@@ -15,8 +15,9 @@ from sean_jax.learning.options import command
 from sean_jax.versions import versions
 
 if TYPE_CHECKING:
-    from sean_jax.experiments.figure4 import Found
+    from sean_jax.experiments.claims import Found
     from sean_jax.experiments.table1 import Cell
+    from sean_jax.metrics import Estimate
 
 STYLE = Path(reports.__file__).with_name("style.css")
 
@@ -195,13 +196,24 @@ def _numbers(found: Found) -> str:
 
 
 def _by_situation(found: Found) -> str:
-    rows = []
-    for behavior in BEHAVIORS:
-        for policy in found.policies:
-            told = "".join(_cell(f"{value:.3f}") for value in found.by_situation[policy][behavior])
-            rows.append(f"<tr><td>{policy} in {behavior}</td>{told}</tr>")
-    head = ["intimate distance violations per episode", *(name.replace("_", " ") for name in shares.NAMES)]
-    return _table(head, rows)
+    names = [name.replace("_", " ") for name in shares.NAMES]
+    rows = [
+        _in_situations(f"{policy} in {behavior}", found.by_situation[policy][behavior])
+        for behavior in BEHAVIORS
+        for policy in found.policies
+    ]
+    more = [_in_situations(f"in {behavior}", less, "+.3f") for behavior, less in found.balancing.items()]
+    return (
+        _table(["intimate distance violations per episode", *names], rows)
+        + _table(["of B more than of G, in the same episodes", *names], more)
+        + "<p class=note>Small: the middle 95 % of a bootstrap over episodes.</p>"
+    )
+
+
+def _in_situations(name: str, found: Estimate, form: str = ".3f") -> str:
+    cells = zip(found.mean, found.low, found.high, strict=True)
+    told = "".join(_cell(f"{mean:{form}}", f"{low:{form}} – {high:{form}}", "ours") for mean, low, high in cells)
+    return f"<tr><td>{name}</td>{told}</tr>"
 
 
 def _claims(found: Found) -> str:

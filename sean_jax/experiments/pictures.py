@@ -15,7 +15,7 @@ from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.report.figures import svg
 
 if TYPE_CHECKING:
-    from sean_jax.experiments.figure4 import Found
+    from sean_jax.experiments.claims import Found
     from sean_jax.experiments.table1 import Cell
 
 
@@ -121,7 +121,7 @@ def grids(found: Found) -> str:
         _grid(spot, values, found.policies, found.MEASURES[name])
     for spot in axes[0][len(names) :]:
         spot.set_visible(False)
-    by = np.array([[found.by_situation[p][b] for p in found.policies] for b in BEHAVIORS])
+    by = np.array([[found.by_situation[p][b].mean for p in found.policies] for b in BEHAVIORS])
     for k, (spot, situation) in enumerate(zip(axes[1], shares.NAMES, strict=True)):
         _grid(spot, by[:, :, k], found.policies, f"violations, {situation.replace('_', ' ')}", top=float(by.max()))
     return _shown(figure, "figure4-grids")

@@ -21,9 +21,9 @@ from sean_jax.experiments import page, parts, shares
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.experiments.rollouts import MINUTE, Chains
 from sean_jax.experiments.shares import Shares
+from sean_jax.experiments.together import Once, Part, together
 from sean_jax.learning.options import Collect, Refused
-from sean_jax.learning.progress import shown
-from sean_jax.learning.protocol import streams, who_drives
+from sean_jax.learning.protocol import Stream, streams, who_drives
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from sean_jax.base import Array, Moment, Scenario
 
 SWEPT = "random", "graph"  # behaviors whose number of people can be chosen
+CHAIN = 6  # minutes of a chain, which an hour, a half and a fifth of it are multiples of
+STARTS = 64  # of each stream and seed, from which its chains restart
 
 
 @dataclasses.dataclass
@@ -55,55 +57,62 @@ def run(options: Experiment, console: Console | None = None) -> Path:
     before stays.
     """
     options = options.settled()
-    drivers = [name.strip() for name in options.drivers.split(",") if name.strip()]
+    drivers = list(dict.fromkeys(name.strip() for name in options.drivers.split(",") if name.strip()))
     if not drivers:
         raise Refused("--drivers names nobody, try --drivers go_to_goal.")
     for name in drivers:
         who_drives(name, "--drivers")
     folder = parts.begin(options)
     jobs = [(behavior, driver, options.people) for driver in drivers for behavior in BEHAVIORS]
-    jobs += [(behavior, drivers[0], people) for people in options.crowds or () for behavior in SWEPT]
-    cells = []
-    with shown(console, "driving", len(jobs)) as tell:
-        for number, (behavior, driver, people) in enumerate(jobs):
-            what = f"{behavior}, {driver}" + (f", {people} people" if people else "")
-
-            def watch(share: float, number: int = number, what: str = what) -> None:
-                tell(number + share, what)
-
-            watch(0.0)
-            cells.append(_cell(options, folder, behavior, driver, people, watch))
-    write(options, folder, cells[: len(drivers) * len(BEHAVIORS)], cells[len(drivers) * len(BEHAVIORS) :])
+    sweep = [(behavior, drivers[0], people) for people in options.crowds or () for behavior in SWEPT]
+    places = Once(functools.partial(_places, options))
+    parts_of = [
+        Part(_named(*job), functools.partial(_cell, options, folder, *job, places))
+        for job in dict.fromkeys([*jobs, *sweep])
+    ]
+    found = together(parts_of, console, "driving")
+    write(options, folder, *([found[_named(*job)] for job in each] for each in (jobs, sweep)))
     return folder
 
 
-def _cell(options: Experiment, folder: Path, behavior: str, driver: str, people: int | None, watch: Callable) -> Cell:
+def _named(behavior: str, driver: str, people: int | None) -> str:
+    return f"{behavior}, {driver}" + (f", {people} people" if people else "")
+
+
+def _places(options: Experiment, behavior: str, people: int | None) -> tuple[list[Stream], tuple]:
+    """The streams of the protocol, with situations for each walking speed, and their tasks."""
+    asked = Collect(
+        behavior=behavior, environment=options.environment, people=None if behavior == "handcrafted" else people,
+        robot=options.robot, dynamics=options.dynamics, time_limit=options.time_limit,
+    )  # fmt: skip
+    kinds, tasks = streams(asked)
+    held = _at_speeds(kinds[0].scenario, options.speeds)
+    kinds = [dataclasses.replace(k, scenario=dataclasses.replace(k.scenario, situations=held)) for k in kinds]
+    return kinds, tasks
+
+
+def _cell(
+    options: Experiment,
+    folder: Path,
+    behavior: str,
+    driver: str,
+    people: int | None,
+    places: Once,
+    watch: Callable[[float], None],
+) -> Cell:
     """As saved in the folder, or simulated."""
     file = folder / f"{behavior}-{driver}{'' if people is None else f'-{people}'}.npz"
     if file.is_file():
         with np.load(file) as kept:
             flags = np.unpackbits(kept["flags"], axis=-1, count=len(shares.NAMES)).astype(bool)
             return Cell(behavior, driver, int(kept["people"]), flags, kept["ended"])
-    asked = Collect(
-        behavior=behavior, environment=options.environment, people=None if behavior == "handcrafted" else people,
-        robot=options.robot, dynamics=options.dynamics, time_limit=options.time_limit,
-    )  # fmt: skip
-    kinds, tasks = streams(asked)
-    speeds = options.speeds
-    chains = None
-    # A chain is ten minutes long, or as long as there is time for.
+    kinds, tasks = places(behavior, people)
+    seeds, speeds = options.seeds or 1, options.speeds
     wanted = max(1, math.ceil(60.0 * (options.hours or 1.0) / len(kinds) - 1e-6))
-    each = min(10, wanted)
-    number = (options.seeds or 1) * math.ceil(wanted / each)
-    found, ended = [], np.zeros(2, int)
-    for turn, kind in enumerate(kinds):
-        scenario = _with_speeds(kind.scenario, speeds)
-        chains = chains or Chains(tasks, who_drives(driver))
-        done = lambda minutes, turn=turn: watch((turn + minutes / each) / len(kinds))  # noqa: E731
-        flags, over = chains.minutes(scenario, kind.turn, options.seed + 1000 * turn, number, each, done)
-        found.append(flags.reshape(-1, MINUTE, len(speeds), len(shares.NAMES)))
-        ended += over
-    flags = np.moveaxis(np.concatenate(found), 2, 0)
+    each = min(CHAIN, wanted)
+    chains = seeds * math.ceil(wanted / each)
+    flags, ended = Chains(tasks, who_drives(driver)).minutes(kinds, options.seed, chains, each, STARTS * seeds, watch)
+    flags = np.moveaxis(flags.reshape(-1, MINUTE, len(speeds), len(shares.NAMES)), 2, 0)
     temporary = file.with_name(f".{file.name}")
     with temporary.open("wb") as stream:
         np.savez_compressed(stream, flags=np.packbits(flags, axis=-1), people=kinds[0].scenario.people, ended=ended)
@@ -111,14 +120,13 @@ def _cell(options: Experiment, folder: Path, behavior: str, driver: str, people:
     return Cell(behavior, driver, kinds[0].scenario.people, flags, ended)
 
 
-def _with_speeds(scenario: Scenario, speeds: tuple[float, ...]) -> Scenario:
-    """The scenario with the paper's situations once for each walking speed."""
-    held = tuple(
+def _at_speeds(scenario: Scenario, speeds: tuple[float, ...]) -> tuple:
+    """The paper's situations once for each walking speed, to take the place of the scenario's."""
+    return tuple(
         (f"{name}_{speed:g}", functools.partial(_at, holds, speed))
         for speed in speeds
         for name, holds in scenario.situations
     )
-    return dataclasses.replace(scenario, situations=held)
 
 
 def _at(holds: Callable, speed: float, moment: Moment, thresholds: Any) -> Array:

@@ -7,7 +7,7 @@ and makes those anew that were lost. The result is the same, to the byte, as tha
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -30,7 +30,7 @@ MOST = {"cpu": 32}  # episodes at once, by kind of device
 MOST_ELSEWHERE = 1024
 
 
-def collect(options: Collect, console: Console | None = None) -> Dataset:
+def collect(options: Collect, console: Console | Callable[[float], None] | None = None) -> Dataset:
     """Record until every stream has its time, and give the dataset.
 
     Raises Refused for what cannot be asked for, Failed if something breaks midway, FloatingPointError for numbers that

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -11,8 +11,14 @@ if TYPE_CHECKING:
 
 
 @contextlib.contextmanager
-def shown(console: Console | None, what: str, total: float) -> Iterator[Any]:
-    """Tells ``(done, note)``, out of ``total``, on the console until the block ends; nobody if there is none."""
+def shown(console: Console | Callable[[float], None] | None, what: str, total: float) -> Iterator[Any]:
+    """Tells ``(done, note)``, out of ``total``, on the console until the block ends; nobody if there is none.
+
+    In the place of a console, a function is told the share that is done: so the work is a part of a longer one.
+    """
+    if callable(console):
+        yield lambda done, note: console(min(1.0, done / total))
+        return
     if console is None:
         yield lambda done, note: None
         return

@@ -34,7 +34,7 @@ EVERY = 10  # epochs, between two checkpoints where nothing gets better
 FALLBACK = 4e9  # bytes, of a device that does not tell how much memory it has
 
 
-def train(options: Train, console: Console | None = None) -> TrainState:
+def train(options: Train, console: Console | Callable[[float], None] | None = None) -> TrainState:
     """Train, and give the state at the end; the best network is what ``learned.load`` takes from the folder.
 
     Raises Refused for what cannot be asked for, Failed if a file is damaged or cannot be written, FloatingPointError

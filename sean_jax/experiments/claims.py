@@ -1,0 +1,113 @@
+"""What Figure 4 shows (section V-C): cells with intervals, and what the paper says of them, with how sure that is."""
+
+import dataclasses
+import functools
+from typing import Any, ClassVar
+
+import numpy as np
+
+from sean_jax.experiments import shares
+from sean_jax.experiments.options import BEHAVIORS
+from sean_jax.metrics import Estimate, aggregate, resamples
+
+LEARNED = {"G": "graph", "R": "random", "H": "handcrafted"}
+BALANCED, NAVIGATION, DEMONSTRATOR = "B", "N", "E"
+
+
+@dataclasses.dataclass
+class Found:
+    """What the page tells. All intervals are of the same resamples of the numbered episodes."""
+
+    MEASURES: ClassVar[dict[str, str]] = {
+        "completed": "completed tasks",
+        "time_not_moving": "time not moving, s",
+        "violations": "intimate distance violations",
+        "collisions": "collisions with people",
+    }
+    policies: tuple[str, ...]
+    episodes: int
+    values: dict[str, dict[str, dict[str, np.ndarray]]]  # policy -> behavior -> measure -> (E,)
+    situations: dict[str, dict[str, np.ndarray]]  # policy -> behavior -> (E, 5) violations in each situation
+    trained: dict[str, dict[str, Any]]
+    claims: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+
+    @functools.cached_property
+    def resamples(self) -> np.ndarray:
+        """(R, E) how often each episode is in each resample."""
+        return resamples(self.episodes, seed=0)
+
+    @functools.cached_property
+    def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:
+        """policy -> behavior -> measure -> mean with interval; of completed tasks the number."""
+        return {
+            policy: {
+                behavior: {
+                    name: _scaled(self._estimate(values), self.episodes if name == "completed" else 1)
+                    for name, values in measured.items()
+                }
+                for behavior, measured in by_behavior.items()
+            }
+            for policy, by_behavior in self.values.items()
+        }
+
+    @functools.cached_property
+    def by_situation(self) -> dict[str, dict[str, Estimate]]:
+        """policy -> behavior -> (5,) violations per episode."""
+        return {p: {b: self._estimate(each) for b, each in by.items()} for p, by in self.situations.items()}
+
+    @functools.cached_property
+    def balancing(self) -> dict[str, Estimate]:
+        """behavior -> (5,) how many more violations per episode the balanced policy has than G, in equal episodes."""
+        return {b: self._estimate(self.situations[BALANCED][b] - self.situations["G"][b]) for b in BEHAVIORS}
+
+    def _estimate(self, values: np.ndarray) -> Estimate:
+        return aggregate(values, weights=self.resamples)
+
+
+def _scaled(estimate: Estimate, by: float) -> Estimate:
+    return estimate._replace(mean=estimate.mean * by, low=estimate.low * by, high=estimate.high * by)
+
+
+def claims(found: Found) -> list[dict[str, Any]]:
+    """What the paper says of its figure: statement, its numbers, ours, whether it holds and in how many resamples."""
+    weights = found.resamples
+    weights = np.concatenate([np.full((1, found.episodes), 1.0), weights])
+    weights = weights / weights.sum(1, keepdims=True)
+
+    def of(policy: str, behavior: str, name: str) -> np.ndarray:
+        return weights @ found.values[policy][behavior][name]
+
+    wait = {p: np.mean([of(p, b, "time_not_moving") for b in BEHAVIORS], 0) for p in found.policies}
+    harm = {b: np.mean([of(p, b, "violations") for p in (*LEARNED, NAVIGATION)], 0) for b in BEHAVIORS}
+    done = {p: found.episodes * np.mean([of(p, b, "completed") for b in BEHAVIORS], 0) for p in found.policies}
+    paths = np.mean([weights @ found.situations[p]["graph"][:, :2].sum(1) for p in (*LEARNED, NAVIGATION)], 0)
+    paths = paths / np.maximum(harm["graph"], 1e-9)
+    worst = int(found.by_situation["G"]["graph"].mean.argmax())
+    worse, mended = (weights @ found.situations[p]["graph"][:, worst] for p in ("G", BALANCED))
+    less = 1 - of("G", "graph", "time_not_moving") / np.maximum(of("H", "graph", "time_not_moving"), 1e-9)
+    told: list[tuple] = [
+        ("N stands longest, s", "28.7 against 11 to 22", _listed(wait),
+         wait["N"] > np.max([wait[p] for p in LEARNED], 0)),
+        ("G stands less than R, s", "11 < 16.3", f"{wait['G'][0]:.1f}, {wait['R'][0]:.1f}", wait["G"] < wait["R"]),
+        ("R stands less than H, s", "16.3 < 22", f"{wait['R'][0]:.1f}, {wait['H'][0]:.1f}", wait["R"] < wait["H"]),
+        ("in graph, G stands less than H by half", "-55 %", f"{-100 * less[0]:.0f} %", less >= 0.5),
+        ("violations: graph at least random", "2.5, 1.9", f"{harm['graph'][0]:.2f}, {harm['random'][0]:.2f}",
+         harm["graph"] >= harm["random"]),
+        ("violations: random above handcrafted", "1.9, 1.0", f"{harm['random'][0]:.2f}, {harm['handcrafted'][0]:.2f}",
+         harm["random"] > harm["handcrafted"]),
+        ("violations in graph are mostly in cross or down path", "mainly", f"{100 * paths[0]:.0f} %", paths > 0.5),
+        ("G and H complete equally many, within 5 %", "112.7, 112.7", f"{done['G'][0]:.1f}, {done['H'][0]:.1f}",
+         np.abs(done["G"] - done["H"]) <= 0.05 * found.episodes),
+        ("the learned complete 80 % of what the demonstrator does", "not reported", _listed(done),
+         np.min([done[p] for p in LEARNED], 0) >= 0.8 * done[DEMONSTRATOR]),
+        ("balanced examples lower the violations in G's worst situation", "suggested",
+         f"{shares.NAMES[worst].replace('_', ' ')}: {worse[0]:.2f} to {mended[0]:.2f}", mended < worse),
+    ]  # fmt: skip
+    return [
+        {"statement": words, "paper": paper, "ours": ours, "holds": bool(held[0]), "share": float(held[1:].mean())}
+        for words, paper, ours, held in told
+    ]
+
+
+def _listed(values: dict[str, np.ndarray]) -> str:
+    return ", ".join(f"{name} {each[0]:.1f}" for name, each in values.items())
