@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 BATCH = {"cpu": 32}  # episodes at once, by kind of device
 BATCH_ELSEWHERE = 4096
+LOADING = threading.Lock()
 INTIMATE = "intimate_robot_on_person", "intimate_person_on_robot"
 KEPT = "completed", "seconds", "time_not_moving", *INTIMATE, "collision_robot_on_person", "collision_person_on_robot"
 
@@ -72,9 +74,11 @@ def _parts(options: Experiment, folder: Path, places: dict[str, tuple]) -> list[
         for behavior in BEHAVIORS:
             work = functools.partial(_drive, options, folder, (policy,), behavior, places[behavior])
             made.append(Part(_driven(policy, behavior), work))
-    for policy in learned:
+    before: tuple[str, ...] = ()
+    for policy in learned:  # one after the other: orbax mixes up what several threads save
         work = functools.partial(_train, options, folder, policy)
-        made.append(Part(f"training {policy}", work, (data[LEARNED.get(policy, "graph")],)))
+        made.append(Part(f"training {policy}", work, (data[LEARNED.get(policy, "graph")], *before)))
+        before = (made[-1].name,)
     for behavior in BEHAVIORS:
         work = functools.partial(_drive, options, folder, learned, behavior, places[behavior])
         made.append(Part(_driven("G", behavior), work, tuple(f"training {policy}" for policy in learned)))
@@ -138,8 +142,8 @@ def _train(options: Experiment, folder: Path, policy: str, watch: Callable) -> d
 
 def _policy(options: Experiment, folder: Path, policy: str, scenario: Scenario) -> Policy:
     if policy in LEARNED or policy == BALANCED:
-        # Of one name, for a driver of another name is compiled anew.
-        return dataclasses.replace(learning.load(folder / f"policy-{_trained(policy)}", scenario), name="learned")
+        with LOADING:  # Of one name, for a driver of another name is compiled anew.
+            return dataclasses.replace(learning.load(folder / f"policy-{_trained(policy)}", scenario), name="learned")
     return who_drives("social_costmap" if policy == NAVIGATION else options.driver)
 
 
