@@ -21,11 +21,11 @@ __all__ = ["PARTS", "BadInput", "Options", "run"]
 def run(options: Options, console: Console) -> Path:
     """Measure what the options name; the folder written, which has table.txt, bench.json and bench.png.
 
-    After Ctrl-C what was measured until then is written; KeyboardInterrupt is raised if there is nothing. Raises
-    BadInput for options that cannot be met.
+    After Ctrl-C what was measured until then is written, and after a kill it is in the folder of the unfinished name;
+    KeyboardInterrupt is raised if there is nothing. Raises BadInput for options that cannot be met.
     """
     options.check()
-    from sean_jax.main_job.output import unfinished, write_json
+    from sean_jax.main_job.output import unfinished
 
     target = options.folder()
     with unfinished(target) as folder:
@@ -41,18 +41,24 @@ def run(options: Options, console: Console) -> Path:
                     for row in parts.MEASURES[part](options, scenario):
                         rows.append(row)
                         _print(console, page.line(row))
+                        _save(folder, rows, about)
         except KeyboardInterrupt:
             if not rows:
                 raise
             _print(console, "stopped; what was measured until then is written.")
-        notes = page.notes(rows, about)
-        _print(console, *notes)
-        lines = [page.title(about), page.HEAD, *(page.line(row) for row in rows), *notes]
-        (folder / "table.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        found = {**about, "rows": [_finite(dataclasses.asdict(row)) for row in rows]}
-        write_json(folder / "bench.json", found)
+        _print(console, *page.notes(rows, about))
         page.picture(rows, about).savefig(folder / "bench.png", dpi=150)
     return target
+
+
+def _save(folder: Path, rows: list[Any], about: dict[str, Any]) -> None:
+    """table.txt and bench.json of what was measured so far, for a kill leaves the folder as it is."""
+    from sean_jax.bench import page
+    from sean_jax.main_job.output import write_json
+
+    lines = [page.title(about), page.HEAD, *(page.line(row) for row in rows), *page.notes(rows, about)]
+    (folder / "table.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_json(folder / "bench.json", {**about, "rows": [_finite(dataclasses.asdict(row)) for row in rows]})
 
 
 def _prepare(options: Options) -> tuple[Any, dict[str, Any]]:

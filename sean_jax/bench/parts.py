@@ -60,7 +60,7 @@ def crowd(options: Options, scenario: Scenario) -> Iterator[Row]:
     most = 2**14 if on_cpu() else 2**19
     for people in CROWDS:
         for batch in sorted({1, max(1, most // people)}):
-            number = int(np.clip((2e5 if on_cpu() else 2e8) / (batch * people), 2, 1000)) // 2 * 2
+            number = int(np.clip((2e5 if on_cpu() else 2e8) / (batch * people), 2, 40)) // 2 * 2
             program = programs.crowd(people, batch, number)
             figures = measure(program, options.repeats, options.seconds)
             yield Row("crowd", "agent-steps", batch, people, 0, 1, **_shared(figures, batch))

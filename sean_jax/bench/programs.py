@@ -66,7 +66,8 @@ def images(scenario: Scenario, name: str, batch: int, width: int, height: int, t
     def run(scenario: Scenario, carried: tuple[State, Array]) -> tuple[State, Array]:
         def turn(carry: tuple[State, Array], _) -> tuple:
             states, _ = carry
-            x, y = rotate(states.robot.heading[:, 0], states.robot.heading[:, 1], *LOOKING)
+            cosine, sine = jnp.asarray(LOOKING, jnp.float32)
+            x, y = rotate(states.robot.heading[:, 0], states.robot.heading[:, 1], cosine, sine)
             states = replace(states, robot=replace(states.robot, heading=jnp.stack([x, y], -1)))
             return (states, jax.vmap(one, (None, 0))(scenario, states)), None
 
@@ -80,7 +81,8 @@ def images(scenario: Scenario, name: str, batch: int, width: int, height: int, t
 def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = "helbing1995") -> Program:
     """``Program`` of ``turns`` steps of 0.05 s of ``batch`` crowds of the social forces alone, in a hall with walls.
 
-    Large crowds look for neighbors every second step, as in a control step.
+    Each call begins with the same crowds, or they would meet in the middle of the hall, and the figure would depend on
+    how long one measures. Large crowds look for neighbors every second step, as in a control step.
     """
     parameters = social_forces.preset(preset)
     single, nearby, _ = workload.crowd(people, walls)
@@ -92,10 +94,10 @@ def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = "h
             people = social_forces.advance(parameters, people, nearby, None, None, CROWD_STEP, near=near)
         return people
 
-    def run(parameters, nearby, many):
+    def run(parameters, nearby, many, place):
         def turn(many, _):
             return jax.vmap(twice, (None, None, 0))(parameters, nearby, many), None
 
-        return jax.lax.scan(turn, many, length=turns // 2)[0]
+        return jax.lax.scan(turn, many, length=turns // 2)[0].position
 
-    return Program(jax.jit(run, donate_argnums=2), (parameters, nearby), many, batch * people, turns // 2 * 2)
+    return Program(jax.jit(run), (parameters, nearby, many), many.position, batch * people, turns)

@@ -2,12 +2,13 @@
 
 A strip is as high as the distance within which people feel one another. Those whom somebody feels then stand in three
 runs of the sorted people: one in the own strip and one in each of the two beside it. Sums go along these runs in
-parts of ``PART`` people, as many parts as whoever has the most needs, so no crowd is too dense for them.
+parts of ``PART`` people. Those with as many neighbors are summed for together, in as many parts as whoever of them has
+the most needs: so no crowd is too dense, and a throng in one place makes nobody wait elsewhere.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from sean_jax.base import Array
 
 MANY = 256  # from as many people on this pays
 PART = 16  # people of the runs who are looked at together, a power of two
+BLOCKS = 4  # of people who are summed for together
 
 
 @struct.dataclass
@@ -24,8 +26,11 @@ class Neighbors:
     """Where in the sorted crowd everybody's neighbors stand."""
 
     order: Array  # (N,) int32 the people, strip by strip, in each from left to right
-    place: Array  # (N,) int32 where in that order each person is
-    first: Array  # (N, 3) int32 of the person at a place: where the runs begin in the strip below, the own, that above
+    fullest: Array  # (N,) int32 the people, who has the most neighbors first
+    rank: Array  # (N,) int32 where among those each person is
+    first: (
+        Array  # (N, 3) int32 of the fullest: where in ``order`` the runs begin in the strip below, the own, that above
+    )
     last: Array  # (N, 3) int32 where they end, exclusively
 
 
@@ -40,12 +45,15 @@ def find(position: Array, present: Array, within: Array) -> Neighbors:
     within = within + 1e-6 * width * (jnp.max(strip) + 2.0)  # the rounding of what follows
     width = jnp.max(x) + 2.0 * within + 1.0
     along = strip * width + x
-    along, order = jax.lax.sort((along, jnp.arange(x.shape[0], dtype=jnp.int32)), num_keys=1)
-    place = jnp.zeros_like(order).at[order].set(jnp.arange(x.shape[0], dtype=jnp.int32), unique_indices=True)
+    numbers = jnp.arange(x.shape[0], dtype=jnp.int32)
+    along, order = jax.lax.sort((along, numbers), num_keys=1)
     middle = jnp.stack([along - width, along, along + width], 1)
     where = partial(jnp.searchsorted, along, method="scan_unrolled")
     first, last = where(middle - within, side="left"), where(middle + within, side="right")
-    return Neighbors(order, place, first.astype(jnp.int32), last.astype(jnp.int32))
+    _, place = jax.lax.sort((-jnp.sum(last - first, 1), numbers), num_keys=1)
+    fullest = order[place]
+    rank = jnp.zeros_like(fullest).at[fullest].set(numbers, unique_indices=True)
+    return Neighbors(order, fullest, rank, first[place].astype(jnp.int32), last[place].astype(jnp.int32))
 
 
 def _from_least(values: Array, present: Array) -> Array:
@@ -68,14 +76,17 @@ def sum_pairs(law: Callable, near: Neighbors, shared: Any, own: Array, other: Ar
     Reverse mode goes along the same runs: who feels somebody stands among those whom that one feels. There is no
     forward mode.
     """
-    own, other = own[:, near.order], other[:, near.order]
+    there = other[:, near.order]
 
-    def add(window: Callable, part: Array, sums: tuple) -> tuple:
-        x, y = _part(law, shared, own, *window(near, other, part))
-        return sums[0] + x, sums[1] + y
+    def block(runs: Runs, own: Array) -> tuple:
+        def add(window: Callable, part: Array, sums: tuple) -> tuple:
+            x, y = _part(law, shared, own, *window(runs, there, part))
+            return sums[0] + x, sums[1] + y
 
-    x, y = _over_parts(near, add, (jnp.zeros_like(own[0]), jnp.zeros_like(own[0])))
-    return x[near.place], y[near.place]
+        return _over_parts(runs, add, (jnp.zeros_like(own[0]), jnp.zeros_like(own[0]))), None
+
+    (x, y), _ = _over_blocks(near, block, own)
+    return x[near.rank], y[near.rank]
 
 
 def _forward(law: Callable, near: Neighbors, shared: Any, own: Array, other: Array) -> tuple:
@@ -84,33 +95,62 @@ def _forward(law: Callable, near: Neighbors, shared: Any, own: Array, other: Arr
 
 def _backward(law: Callable, kept: tuple, given: tuple[Array, Array]) -> tuple:
     near, shared, own, other = kept
-    own, other = own[:, near.order], other[:, near.order]
-    gx, gy = given[0][near.order], given[1][near.order]
-    felt_by = jnp.concatenate([own, gx[None], gy[None]])
+    feeling, felt = len(own), len(other)
+    pulls = jnp.stack(given)
+    there, felt_by = other[:, near.order], jnp.concatenate([own, pulls])[:, near.order]
 
     def back(shared: Any, felt: Array, feels: tuple) -> tuple[Array, Array]:
         x, y = law(shared, feels[:-2], felt)
         return x * feels[-2] + y * feels[-1], jnp.zeros_like(x)
 
-    def add(window: Callable, part: Array, sums: tuple) -> tuple:
-        felt, there = window(near, other, part)
-        _, pull = jax.vjp(lambda shared, own: _part(law, shared, own, felt, there), shared, own)
-        d_shared, d_own = pull((gx, gy))
-        feels, there = window(near, felt_by, part)
-        _, pull = jax.vjp(lambda other: _part(back, shared, other, feels, there), other)
-        (d_other,) = pull((jnp.ones_like(gx), jnp.zeros_like(gx)))
-        return jax.tree.map(jnp.add, sums, (d_shared, d_own, d_other))
+    def block(runs: Runs, rows: Array) -> tuple:
+        own, other, pulls = rows[:feeling], rows[feeling : feeling + felt], rows[feeling + felt :]
 
-    zeros = jax.tree.map(jnp.zeros_like, (shared, own, other))
-    d_shared, d_own, d_other = _over_parts(near, add, zeros)
+        def add(window: Callable, part: Array, sums: tuple) -> tuple:
+            those, any_there = window(runs, there, part)
+            _, pull = jax.vjp(lambda shared, own: _part(law, shared, own, those, any_there), shared, own)
+            d_shared, d_own = pull((pulls[0], pulls[1]))
+            feels, any_there = window(runs, felt_by, part)
+            _, pull = jax.vjp(lambda other: _part(back, shared, other, feels, any_there), other)
+            (d_other,) = pull((jnp.ones_like(pulls[0]), jnp.zeros_like(pulls[0])))
+            return jax.tree.map(jnp.add, sums, ((*d_own, *d_other), d_shared))
+
+        return _over_parts(runs, add, jax.tree.map(jnp.zeros_like, ((*own, *other), shared)))
+
+    d_rows, d_shared = _over_blocks(near, block, jnp.concatenate([own, other, pulls]))
+    d_rows = jnp.stack([row[near.rank] for row in d_rows])
     nowhere = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, jax.dtypes.float0), near)
-    return nowhere, d_shared, d_own[:, near.place], d_other[:, near.place]
+    return nowhere, d_shared, d_rows[:feeling], d_rows[feeling:]
 
 
 sum_pairs.defvjp(_forward, _backward)
 
 
-def _over_parts(near: Neighbors, add: Callable, sums: Any) -> Any:
+class Runs(NamedTuple):
+    """Those of the people of a block."""
+
+    first: Array  # (N, 3) int32
+    last: Array  # (N, 3) int32
+
+
+def _over_blocks(near: Neighbors, block: Callable, rows: Array) -> tuple:
+    """What ``block(runs, rows) -> (of each person, in all)`` gives for all people, those with most neighbors first.
+
+    Of rows (R, N) a block gets (R, n), and gives a tuple of (n,), which become (N,), and what the blocks' sum is of.
+    """
+    number = near.fullest.shape[0]
+    size = -(-number // BLOCKS)
+
+    def split(values: Array) -> Array:  # (N, ...) to (BLOCKS, n, ...), with nobody at the end
+        filled = jnp.pad(values, [(0, BLOCKS * size - number)] + [(0, 0)] * (values.ndim - 1))
+        return filled.reshape(BLOCKS, size, *values.shape[1:])
+
+    blocks = Runs(split(near.first), split(near.last)), split(rows[:, near.fullest].T)
+    each, total = jax.lax.map(lambda one: block(one[0], one[1].T), blocks)
+    return tuple(row.reshape(-1)[:number] for row in each), jax.tree.map(lambda leaf: leaf.sum(0), total)
+
+
+def _over_parts(runs: Runs, add: Callable, sums: Any) -> Any:
     """The sums after ``add(window, part, sums)`` for as many parts as there are for whoever has the most.
 
     A processor cuts parts out of runs faster than it looks up one person after the other; a GPU does not mind, so there
@@ -118,7 +158,7 @@ def _over_parts(near: Neighbors, add: Callable, sums: Any) -> Any:
     """
 
     def along(count: Callable, window: Callable, sums: Any) -> Any:
-        parts = jnp.max(count(near))
+        parts = jnp.max(count(runs))
         turn = lambda carry: (carry[0] + 1, add(window, *carry))  # noqa: E731
         return jax.lax.while_loop(lambda carry: carry[0] < parts, turn, (jnp.int32(0), sums))[1]
 
@@ -126,25 +166,25 @@ def _over_parts(near: Neighbors, add: Callable, sums: Any) -> Any:
     return jax.lax.platform_dependent(sums, cpu=cpu, default=default)
 
 
-def _cut_parts(near: Neighbors) -> Array:
+def _cut_parts(runs: Runs) -> Array:
     """(N,) int32: how many parts the runs of each person have, each of one run."""
-    return jnp.sum(_rounded_up(near.last - near.first), 1)
+    return jnp.sum(_rounded_up(runs.last - runs.first), 1)
 
 
-def _lookup_parts(near: Neighbors) -> Array:
+def _lookup_parts(runs: Runs) -> Array:
     """(N,) int32: how many parts the runs of each person have, one run behind the other."""
-    return _rounded_up(jnp.sum(near.last - near.first, 1))
+    return _rounded_up(jnp.sum(runs.last - runs.first, 1))
 
 
 def _rounded_up(people: Array) -> Array:
     return (people + PART - 1) // PART
 
 
-def _cut(near: Neighbors, rows: Array, part: Array) -> tuple[tuple[Array, ...], Array]:
+def _cut(runs: Runs, rows: Array, part: Array) -> tuple[tuple[Array, ...], Array]:
     """For each of the rows (R, N) those (N, PART) in that part of everybody's runs, and (N, PART) bool who is any."""
-    below, own, above = jnp.cumsum(_rounded_up(near.last - near.first), 1).T
+    below, own, above = jnp.cumsum(_rounded_up(runs.last - runs.first), 1).T
     run = (part >= below).astype(jnp.int32) + (part >= own).astype(jnp.int32)
-    begin, end = (jnp.take_along_axis(side, run[:, None], 1)[:, 0] for side in (near.first, near.last))
+    begin, end = (jnp.take_along_axis(side, run[:, None], 1)[:, 0] for side in (runs.first, runs.last))
     begin = begin + PART * (part - jnp.where(run == 0, 0, jnp.where(run == 1, below, own)))
     begin = jnp.where(part < above, begin, rows.shape[1])
     there = begin[:, None] + jnp.arange(PART, dtype=jnp.int32)[None, :] < end[:, None]
@@ -153,9 +193,9 @@ def _cut(near: Neighbors, rows: Array, part: Array) -> tuple[tuple[Array, ...], 
     return tuple(jax.lax.optimization_barrier(cut).swapaxes(0, 1)), there
 
 
-def _lookup(near: Neighbors, rows: Array, part: Array) -> tuple[tuple[Array, ...], Array]:
+def _lookup(runs: Runs, rows: Array, part: Array) -> tuple[tuple[Array, ...], Array]:
     """As ``_cut``."""
-    first, below = near.first.T[:, :, None], jnp.cumsum(near.last - near.first, 1).T[:, :, None]
+    first, below = runs.first.T[:, :, None], jnp.cumsum(runs.last - runs.first, 1).T[:, :, None]
     number = PART * part + jnp.arange(PART, dtype=jnp.int32)[None, :]
     beyond = jnp.where(number < below[1], first[1] + number - below[0], first[2] + number - below[1])
     there = number < below[2]
