@@ -40,6 +40,16 @@ def test_step():
 
 
 @pytest.mark.slow
+def test_profile():
+    lines = run("benchmarks/profile.py", "--batch", "2", "--people", "14", "--dynamics", "twin", "--depth")
+    rows = {line[:20].strip(): float(line[20:].split()[0]) for line in lines[2:]}
+    named = ["direct_pedestrians", "move_pedestrians", "move_robot", "measure", "depth"]
+    assert all(rows[name] > 0 for name in named)
+    assert sum(rows[name] for name in named) > 0.5 * rows["all"]
+    assert sum(rows.values()) == pytest.approx(2 * rows["all"], rel=0.01)
+
+
+@pytest.mark.slow
 def test_drivers():
     arguments = "--episodes", "2", "--seconds", "2", "--environment", "lab", "--conditions", "graph, join_group"
     lines = run("benchmarks/drivers.py", *arguments)

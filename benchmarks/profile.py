@@ -1,0 +1,102 @@
+"""Where the time of a control step goes, by the names that the stages of the step have in the program.
+
+XLA_FLAGS=--xla_gpu_enable_command_buffer= python benchmarks/profile.py --batch 32768    on a GPU
+python benchmarks/profile.py --batch 64                                                  on a CPU
+
+JAX's profiler tells how long each kernel ran, and the compiled program which stage that is of; a kernel
+of two stages counts for that with more of its operations. Command buffers would hide which kernel is which.
+"""
+
+import argparse
+import re
+import tempfile
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import jax
+from jax.profiler import ProfileData
+
+import sean_jax
+from sean_jax.bench import programs
+
+STAGES = "direct_pedestrians", "move_pedestrians", "move_robot", "classify", "measure", "restart", "depth"
+TURNS = 4
+
+
+def origins(text: str) -> dict[str, str]:
+    """name of an instruction -> stage that it comes from, of a compiled program's text."""
+    inside: dict[str, Counter] = defaultdict(Counter)
+    called: dict[str, tuple[str, str]] = {}
+    computation = ""
+    for line in text.splitlines():
+        if line and not line.startswith(" "):
+            computation = line.removeprefix("ENTRY ").lstrip("%").split(" ")[0]
+            continue
+        name = re.match(r"\s*(?:ROOT )?%([\w.\-]+) = ", line)
+        stage = stage_of(line)
+        if stage:
+            inside[computation][stage] += 1
+        if name and not re.search(r" (?:while|call|conditional)\(", line):  # they last as long as what is in them
+            calls = re.search(r"(?:calls|to_apply)=%([\w.\-]+)", line)
+            called[name[1]] = stage, calls[1] if calls else ""
+    return {name: most(inside[inner]) or stage for name, (stage, inner) in called.items()}
+
+
+def stage_of(line: str) -> str:
+    """The innermost stage that is named in an instruction's origin, or nothing."""
+    origin = re.search(r'op_name="([^"]*)"', line)
+    found = [part for part in origin[1].split("/") if part in STAGES] if origin else []
+    return found[-1] if found else ""
+
+
+def most(counts: Counter) -> str:
+    """The most frequent, or nothing."""
+    return counts.most_common(1)[0][0] if counts else ""
+
+
+def kernels(folder: Path, names: dict[str, str]) -> tuple[dict[str, float], dict[str, int]]:
+    """(seconds, launches) by stage, of what the profiler wrote."""
+    seconds: dict[str, float] = defaultdict(float)
+    launches: dict[str, int] = defaultdict(int)
+    (file,) = folder.rglob("*.xplane.pb")
+    for plane in ProfileData.from_file(str(file)).planes:
+        gpu = plane.name.startswith("/device:GPU")
+        for line in plane.lines if gpu or jax.devices()[0].platform == "cpu" else ():
+            if gpu and "Stream" not in line.name:
+                continue
+            for event in line.events:
+                told = dict(pair for pair in event.stats if pair and pair[0])
+                name = str(told.get("hlo_op") or (event.name if gpu else ""))
+                if name in names or gpu:
+                    stage = names.get(name) or "none of these"
+                    seconds[stage] += event.duration_ns * 1e-9
+                    launches[stage] += 1
+    return seconds, launches
+
+
+def main() -> None:
+    """Print the table."""
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--batch", type=int, default=64)
+    arguments.add_argument("--people", type=int, default=62)
+    arguments.add_argument("--dynamics", default="mjx")
+    arguments.add_argument("--depth", action="store_true", help="a depth image of 64x48 after each step")
+    chosen = arguments.parse_args()
+    scenario = sean_jax.make("warehouse", people=chosen.people, dynamics=chosen.dynamics)
+    program = programs.stepping(scenario, chosen.batch, TURNS, (64, 48) if chosen.depth else None)
+    compiled = program.run.lower(*program.fixed, program.carried).compile()
+    carried = jax.block_until_ready(compiled(*program.fixed, program.carried))
+    with tempfile.TemporaryDirectory() as folder:
+        with jax.profiler.trace(folder):
+            jax.block_until_ready(compiled(*program.fixed, carried))
+        seconds, launches = kernels(Path(folder), origins(compiled.as_text()))
+    whole = sum(seconds.values())
+    print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, B = {chosen.batch}, {chosen.people} people")
+    print(f"{'stage':<20}{'us a step':>11}{'share':>8}{'kernels':>9}")
+    for stage, spent in sorted(seconds.items(), key=lambda item: -item[1]):
+        print(f"{stage:<20}{1e6 * spent / TURNS:11.1f}{100 * spent / whole:7.1f}%{launches[stage] / TURNS:9.0f}")
+    print(f"{'all':<20}{1e6 * whole / TURNS:11.1f}{100:7.1f}%{sum(launches.values()) / TURNS:9.0f}")
+
+
+if __name__ == "__main__":
+    main()
