@@ -8,7 +8,7 @@ import numpy as np
 
 from sean_jax.experiments import shares
 from sean_jax.experiments.options import BEHAVIORS
-from sean_jax.metrics import Estimate, aggregate, resamples
+from sean_jax.metrics import Estimate, aggregate, aggregate_ratio, resamples
 
 LEARNED = {"G": "graph", "R": "random", "H": "handcrafted"}
 BALANCED, NAVIGATION, DEMONSTRATOR = "B", "N", "E"
@@ -51,6 +51,14 @@ class Found:
         }
 
     @functools.cached_property
+    def waiting(self) -> dict[str, dict[str, Estimate]]:
+        """policy -> behavior -> time not moving [s] of the completed episodes alone; episodes are 0 where none is."""
+        return {
+            p: {b: self._of_completed(each["time_not_moving"], each["completed"]) for b, each in by.items()}
+            for p, by in self.values.items()
+        }
+
+    @functools.cached_property
     def by_situation(self) -> dict[str, dict[str, Estimate]]:
         """policy -> behavior -> (5,) violations per episode."""
         return {p: {b: self._estimate(each) for b, each in by.items()} for p, by in self.situations.items()}
@@ -59,6 +67,9 @@ class Found:
     def balancing(self) -> dict[str, Estimate]:
         """behavior -> (5,) how many more violations per episode the balanced policy has than G, in equal episodes."""
         return {b: self._estimate(self.situations[BALANCED][b] - self.situations["G"][b]) for b in BEHAVIORS}
+
+    def _of_completed(self, values: np.ndarray, completed: np.ndarray) -> Estimate:
+        return aggregate_ratio(values * completed, completed, weights=self.resamples)
 
     def _estimate(self, values: np.ndarray) -> Estimate:
         return aggregate(values, weights=self.resamples)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sean_jax import learning
-from sean_jax.experiments import page, parts, rollouts, shares
+from sean_jax.experiments import page, parts, pictures, rollouts, shares
 from sean_jax.experiments.claims import BALANCED, DEMONSTRATOR, LEARNED, NAVIGATION, Found, claims
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.experiments.together import Part, together
@@ -216,7 +216,7 @@ def _by_situation(policy: str, behavior: str, cells: Estimate) -> list[str]:
 
 
 def write(options: Experiment, folder: Path, found: Found) -> None:
-    """figure4.csv, claims.csv and report.html."""
+    """figure4.csv, claims.csv, the figure and report.html."""
     lines = ["policy,behavior,measure,mean,low,high"]
     for policy, by_behavior in found.cells.items():
         for behavior, measured in by_behavior.items():
@@ -230,4 +230,6 @@ def write(options: Experiment, folder: Path, found: Found) -> None:
     for row in found.claims:
         held.append(f'"{row["statement"]}","{row["paper"]}","{row["ours"]}",{row["holds"]},{row["share"]:.4f}')
     parts.save(folder / "claims.csv", "\n".join(held) + "\n")
-    parts.save(folder / "report.html", page.figure4(options, found))
+    grids = pictures.grids(found)
+    pictures.save(folder, {"figure4-grids": grids})
+    parts.save(folder / "report.html", page.figure4(options, found, grids))
