@@ -7,6 +7,7 @@ All is of 62 people in the warehouse, unless a set is handcrafted, and of equal 
 """
 
 import argparse
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,14 +17,17 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax import environment
+from sean_jax import environment, parallel
 from sean_jax.assembly import with_task
 from sean_jax.base import Policy, Scenario, State
 from sean_jax.classifiers import SITUATIONS
+from sean_jax.metrics import METRICS
 from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.social_costmap import settings
+from sean_jax.tasks import TASKS
 
 NEAR, SLOW = 2.4, 0.05  # m, D of the paper; m/s, who is slower stands
+MEASURED = tuple((n, METRICS[n]) for n in ("time_not_moving", "intimate_robot_on_person", "intimate_person_on_robot"))
 
 
 def seen(scenario: Scenario) -> Callable:
@@ -50,15 +54,23 @@ def seen(scenario: Scenario) -> Callable:
 
 
 def drive(scenario: Scenario, policy: Policy, episodes: int, seconds: float, seed: int) -> tuple[dict, dict]:
-    """(E, T, ...) what was seen in each step, and (E,) results."""
-    steps, keep = round(seconds / scenario.time_step), seen(scenario)
+    """(E, T, ...) what was seen in each step, and (E,) results. Tasks and settings share what is compiled."""
+    scenario, policy = replace(scenario, metrics=MEASURED), parallel.as_argument(policy)
+    keys = jax.random.split(jax.random.key(seed), episodes)
+    starts = jax.jit(jax.vmap(sean_jax.reset, in_axes=(None, 0)))(scenario, keys)
+    same = replace(scenario, task=TASKS["random_ab_nav"], task_name="")  # which no step reads
+    kept, found = _episodes(same, policy, starts, round(seconds / scenario.time_step))
+    return jax.tree.map(np.asarray, (kept, found))
 
-    def one(key: jax.Array) -> tuple:
-        last, kept = sean_jax.rollout(scenario, policy, key, steps, record=keep)
+
+@functools.partial(jax.jit, static_argnums=3)
+def _episodes(scenario: Scenario, policy: Policy, starts: State, steps: int) -> tuple:
+    def one(state: State) -> tuple:
+        state, keep = parallel.begin(scenario, policy, state), seen(scenario)
+        last, kept = parallel.simulate(scenario, policy, state, steps, keep)
         return kept, sean_jax.results(scenario, last) | {"completed": last.completed}
 
-    kept, found = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(seed), episodes))
-    return jax.tree.map(np.asarray, (kept, found))
+    return jax.vmap(one)(starts)
 
 
 def over_all(values: np.ndarray) -> np.ndarray:
@@ -77,7 +89,7 @@ def crowds(options: argparse.Namespace) -> None:
         scenario = sean_jax.make("warehouse", behavior=behavior, task=task, dynamics="twin")
         floor = np.random.default_rng(0).uniform(-20, 20, (20000, 2)).astype(np.float32)
         room = np.asarray(jax.jit(environment.clearance)(scenario.environment, jnp.asarray(floor)))
-        kept, _ = drive(scenario, social_costmap, options.episodes, 90.0, options.seed)
+        kept, _ = drive(scenario, social_costmap, options.episodes, 120.0, options.seed)
         lived = kept["active"]
         speeds, near = kept["speeds"][lived], kept["distance"][lived] < NEAR
         walk = speeds > 0.4
@@ -105,7 +117,7 @@ def groups(options: argparse.Namespace) -> None:
     for name in ("go_to_goal", "social_costmap", "expert"):
         for task in ("join_group", "leave_group"):
             scenario = with_task(join, task)
-            kept, _ = drive(scenario, POLICIES[name], options.episodes, 90.0, options.seed)
+            kept, _ = drive(scenario, POLICIES[name], options.episodes, 120.0, options.seed)
             lived = kept["active"]
             held = kept["situations"][..., names.index(task)] & lived
             seconds = 0.1 * held.sum(1)

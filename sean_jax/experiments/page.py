@@ -42,10 +42,7 @@ def document(title: str, kicker: str, sections: list[tuple[str, str]], options: 
 def _command(options: Experiment) -> str:
     given = options.lasting()
     which = given.pop("which")
-    for name in ("speeds", "crowds"):
-        given[name] = None if not given[name] else " ".join(f"{value:g}" for value in given[name])
-    words = command(f"experiment {which}", given)
-    return words.replace("'", "")  # of lists of numbers
+    return command(f"experiment {which}", {name: value for name, value in given.items() if value != []})
 
 
 def _cell(text: str, small: str = "", kind: str = "") -> str:
