@@ -1,13 +1,14 @@
 """Why orderings of Table I and Figure 4 do not hold here (section V): figures of what people and robots do.
 
-    python benchmarks/causes.py                        # the people, groups, and the navigation stack
-    python benchmarks/causes.py --figure4 runs/figure4  # and where its learned policies stand
+    python benchmarks/causes.py --table1 runs/table1 --figure4 runs/figure4   # their parts, and all that follows
+    python benchmarks/causes.py --only crowds groups stacks facing            # people, groups, the navigation stack
 
 All is of 62 people in the warehouse, unless a set is handcrafted, and of equal keys for what is compared.
 """
 
 import argparse
 import functools
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -166,8 +167,10 @@ def standing(options: argparse.Namespace) -> None:
     """Where learned policies stand, and what they command there."""
     from sean_jax import learning
 
-    scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", dynamics="twin")
-    for name in ("graph", "random", "handcrafted", "graph-balanced"):
+    join = sean_jax.make("warehouse", behavior="graph", task="join_group", dynamics="twin")
+    names = "graph", "random", "handcrafted", "graph-balanced"
+    for task, name in ((task, name) for task in ("join_group", "leave_group") for name in names):
+        scenario = with_task(join, task)
         policy = replace(learning.load(options.figure4 / f"policy-{name}", scenario), name="learned")
         kept, found = drive(scenario, policy, options.episodes, 120.0, options.seed)
         done = found["completed"]
@@ -196,18 +199,58 @@ def standing(options: argparse.Namespace) -> None:
               f"goal at {np.round(where['to_goal'], 1)} m", flush=True)  # fmt: skip
 
 
+def _streams(behavior: str) -> list[str]:
+    """The parts of the protocol, in the order in which experiments take them."""
+    if behavior != "handcrafted":
+        return {"random": ["random_ab_nav"], "graph": ["join_group", "leave_group"]}[behavior]
+    return list(dict.fromkeys(sean_jax.make("warehouse", behavior=behavior, task=behavior).behavior.data.situations))
+
+
+def fifths(options: argparse.Namespace) -> None:
+    """Table I, part by part of the protocol: the shares in percent, an example in several situations being shared."""
+    print(f"\n{'Table I':46} {' '.join(f'{name:>11}' for name in SITUATIONS)} {'none':>11}")
+    for behavior in ("handcrafted", "graph"):
+        names = _streams(behavior)
+        for driver in ("go_to_goal", "social_costmap", "expert"):
+            with np.load(options.table1 / f"{behavior}-{driver}.npz") as kept:
+                flags = np.unpackbits(kept["flags"], axis=-1, count=len(SITUATIONS)).astype(bool)[0]
+            for name, part in zip(names, np.split(flags, len(names)), strict=True):
+                held = part.sum(-1, keepdims=True)
+                values = [*(part / np.maximum(held, 1)).mean((0, 1)), (held == 0).mean()]
+                cells = " ".join(f"{100 * value:11.1f}" for value in values)
+                print(f"{f'{behavior}, {driver}, {name}':46} {cells}")
+
+
+def episodes(options: argparse.Namespace) -> None:
+    """Figure 4, part by part of the protocol: who did not arrive, and violations a minute."""
+    print(f"\n{'Figure 4':34} {'not completed':>14} {'their s still':>13} {'violations/min':>15}")
+    for file in sorted(options.figure4.glob("episodes-*.json")):
+        _, policy, behavior = file.stem.split("-")
+        told = {name: np.array(values) for name, values in json.loads(file.read_text(encoding="utf-8")).items()}
+        harm = told["intimate_robot_on_person"] + told["intimate_person_on_robot"]
+        late, still = told["completed"] == 0, over_all(told["time_not_moving"])
+        names = _streams(behavior)
+        for k, name in enumerate(names):
+            of = slice(k, None, len(names))
+            print(f"{f'{policy}, {behavior}, {name}':34} {f'{late[of].sum()} of {late[of].size}':>14} "
+                  f"{still[of][late[of]].mean() if late[of].any() else 0:13.1f} "
+                  f"{60 * harm[of, 0].sum() / told['seconds'][of].sum():15.2f}")  # fmt: skip
+
+
 def main() -> None:
     """Print all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=64)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--figure4", type=Path, help="folder of sean experiment figure4")
-    parts = {each.__name__: each for each in (crowds, groups, stacks, facing, standing)}
+    parser.add_argument("--table1", type=Path, help="folder of sean experiment table1")
+    parser.add_argument("--figure4", type=Path, help="folder of sean experiment figure4, with its policies")
+    needs = {fifths: "table1", episodes: "figure4", standing: "figure4"}
+    parts = {each.__name__: each for each in (fifths, episodes, crowds, groups, stacks, facing, standing)}
     parser.add_argument("--only", nargs="+", choices=list(parts), default=list(parts))
     options = parser.parse_args()
     print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, {options.episodes} episodes, seed {options.seed}")
     for name, part in parts.items():
-        if name in options.only and (name != "standing" or options.figure4):
+        if name in options.only and (part not in needs or getattr(options, needs[part])):
             part(options)
 
 

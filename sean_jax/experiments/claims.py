@@ -51,6 +51,22 @@ class Found:
         }
 
     @functools.cached_property
+    def means(self) -> dict[str, dict[str, Estimate]]:
+        """policy -> measure -> over the three scenarios; "B-G" is how much more the balanced policy has than G."""
+        over = {
+            policy: {name: np.mean([by[behavior][name] for behavior in BEHAVIORS], 0) for name in self.MEASURES}
+            for policy, by in self.values.items()
+        }
+        over[f"{BALANCED}-G"] = {name: over[BALANCED][name] - over["G"][name] for name in self.MEASURES}
+        return {
+            policy: {
+                name: _scaled(self._estimate(values), self.episodes if name == "completed" else 1)
+                for name, values in measured.items()
+            }
+            for policy, measured in over.items()
+        }
+
+    @functools.cached_property
     def waiting(self) -> dict[str, dict[str, Estimate]]:
         """policy -> behavior -> time not moving [s] of the completed episodes alone; episodes are 0 where none is."""
         return {

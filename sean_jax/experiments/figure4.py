@@ -223,6 +223,14 @@ def write(options: Experiment, folder: Path, found: Found) -> None:
             for name, cell in measured.items():
                 lines.append(f"{policy},{behavior},{name},{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}")
             lines += _by_situation(policy, behavior, found.by_situation[policy][behavior])
+    for policy, measured in found.means.items():
+        for name, cell in measured.items():
+            lines.append(f"{policy},mean,{name},{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}")
+    for policy, by_behavior in found.waiting.items():
+        for behavior, cell in by_behavior.items():
+            if cell.episodes:
+                told = f"{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}"
+                lines.append(f"{policy},{behavior},time_not_moving_of_completed,{told}")
     for behavior, less in found.balancing.items():
         lines += _by_situation(f"{BALANCED}-G", behavior, less)
     parts.save(folder / "figure4.csv", "\n".join(lines) + "\n")

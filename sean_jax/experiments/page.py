@@ -6,8 +6,6 @@ import html as markup
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 import sean_jax.report as reports
 from sean_jax.experiments import pictures, shares
 from sean_jax.experiments.options import BEHAVIORS, Experiment
@@ -187,14 +185,9 @@ def _numbers(found: Found) -> str:
     for name, words in found.MEASURES.items():
         rows = []
         for behavior in BEHAVIORS:
-            told = "".join(
-                _cell(f"{cell.mean:.2f}", f"{cell.low:.2f} – {cell.high:.2f}", "ours")
-                for cell in (found.cells[policy][behavior][name] for policy in found.policies)
-            )
+            told = "".join(_between(found.cells[policy][behavior][name]) for policy in found.policies)
             rows.append(f"<tr><td>in {behavior}</td>{told}</tr>")
-        mean = "".join(
-            _cell(f"{np.mean([found.cells[p][b][name].mean for b in BEHAVIORS]):.2f}") for p in found.policies
-        )
+        mean = "".join(_between(found.means[policy][name]) for policy in found.policies)
         rows.append(f"<tr><td class=none>mean</td>{mean}</tr>")
         if name in PAPER:
             theirs = "".join(_cell(PAPER[name].get(policy, "")) for policy in found.policies)
@@ -205,14 +198,15 @@ def _numbers(found: Found) -> str:
     return "".join(tables) + "<p class=note>Small: the middle 95 % of a bootstrap over episodes.</p>"
 
 
+def _between(cell: Estimate, form: str = ".2f") -> str:
+    return _cell(f"{cell.mean:{form}}", f"{cell.low:{form}} – {cell.high:{form}}", "ours")
+
+
 def _waiting(found: Found) -> list[str]:
     rows = []
     for behavior in BEHAVIORS:
         cells = (found.waiting[policy][behavior] for policy in found.policies)
-        told = "".join(
-            _cell(f"{cell.mean:.2f}", f"{cell.low:.2f} – {cell.high:.2f}", "ours") if cell.episodes else _cell("-")
-            for cell in cells
-        )
+        told = "".join(_between(cell) if cell.episodes else _cell("-") for cell in cells)
         rows.append(f"<tr><td>in {behavior}</td>{told}</tr>")
     return rows
 
@@ -224,10 +218,12 @@ def _by_situation(found: Found) -> str:
         for behavior in BEHAVIORS
         for policy in found.policies
     ]
+    mean = "".join(_between(cell, "+.2f") for cell in found.means["B-G"].values())
     more = [_in_situations(f"in {behavior}", less, "+.3f") for behavior, less in found.balancing.items()]
     return (
         _table(["intimate distance violations per episode", *names], rows)
         + _table(["of B more than of G, in the same episodes", *names], more)
+        + _table(["likewise", *found.MEASURES.values()], [f"<tr><td>mean over scenarios</td>{mean}</tr>"])
         + "<p class=note>Small: the middle 95 % of a bootstrap over episodes.</p>"
     )
 
