@@ -46,6 +46,7 @@ def seen(scenario: Scenario) -> Callable:
             "along": (people.velocity * robot.heading).sum(1) / jnp.maximum(speed, 1e-6),
             "situations": after.situations,
             "robot": jnp.abs(robot.speed),
+            "pose": jnp.concatenate([robot.position, robot.heading]),
             "command": action,
             "gap": environment.clearance(scenario.environment, robot.position[None])[0] - scenario.robot.radius,
             "to_goal": jnp.sqrt((goal**2).sum()),
@@ -179,9 +180,8 @@ def standing(options: argparse.Namespace) -> None:
         near = kept["distance"].min(2)
         command = np.abs(kept["command"][lasting])
         last = lasting[:, -50:].all(1)  # stand at the end for 5 s
-        where = {key: kept[key][last, -1] for key in ("gap", "to_goal")}
         print(
-            f"\n{name}: completed {done.sum()} of {len(done)}; seconds slower than {SLOW} m/s: "
+            f"\n{name}, {task}: completed {done.sum()} of {len(done)}; seconds slower than {SLOW} m/s: "
             f"{0.1 * still[done].sum(1).mean():.1f} of those, {0.1 * still[~done].sum(1).mean():.1f} of others"
         )
         if not lasting.any():
@@ -195,8 +195,22 @@ def standing(options: argparse.Namespace) -> None:
             f"  command there: {np.median(command[:, 0]):.3f} m/s, {np.median(command[:, 1]):.3f} rad/s in the "
             f"median; {100 * (command[:, 0] > 0.1).mean():.0f} % above 0.1 m/s (it pushes)"
         )
-        print(f"  at the end {last.sum()} stand: obstacle at {np.round(where['gap'], 2)} m, "
-              f"goal at {np.round(where['to_goal'], 1)} m", flush=True)  # fmt: skip
+        side, height = _touched(scenario, kept["pose"][last, -1])
+        print(f"  at the end {last.sum()} stand: goal at {np.round(kept['to_goal'][last, -1], 1)} m, "
+              f"obstacle at {np.round(side)} degrees from ahead, {height} m high", flush=True)  # fmt: skip
+
+
+def _touched(scenario: Scenario, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the nearest obstacle of each pose (E, 4) is, in degrees from ahead, and its height [m]."""
+    boxes = scenario.environment.obstacles
+    center, half, yaw = (np.asarray(each) for each in (boxes.center, boxes.half_extent, boxes.yaw))
+    axes = np.stack([np.stack([np.cos(yaw), np.sin(yaw)], -1), np.stack([-np.sin(yaw), np.cos(yaw)], -1)], -2)
+    local = np.einsum("wij,ewj->ewi", axes, poses[:, None, :2] - center)
+    away = np.einsum("wij,ewi->ewj", axes, np.clip(local, -half, half) - local)
+    nearest = np.linalg.norm(away, axis=-1).argmin(1)
+    to = away[np.arange(len(poses)), nearest]
+    turned = np.arctan2(to[:, 1], to[:, 0]) - np.arctan2(poses[:, 3], poses[:, 2])
+    return np.abs(np.rad2deg((turned + np.pi) % (2 * np.pi) - np.pi)), np.asarray(boxes.height)[nearest]
 
 
 def _streams(behavior: str) -> list[str]:
