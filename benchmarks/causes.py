@@ -115,16 +115,18 @@ def groups(options: argparse.Namespace) -> None:
     """Join and leave group: how long a robot is near the group, and how fast."""
     join = sean_jax.make("warehouse", behavior="graph", task="join_group", dynamics="twin")
     names = list(SITUATIONS)
-    print(f"\n{'near the group':24} {'episodes':>9} {'never %':>8} {'s near':>8} {'m/s there':>10} {'s in all':>9}")
-    for name in ("go_to_goal", "social_costmap", "expert"):
+    heads = f"{'episodes':>9} {'never %':>8} {'s near':>8} {'m/s there':>10} {'s in all':>9} {'at obstacle %':>14}"
+    print(f"\n{'near the group':28} {heads}")
+    for name in ("expert", "go_to_goal", "social_costmap"):
         for task in ("join_group", "leave_group"):
             scenario = with_task(join, task)
             kept, _ = drive(scenario, POLICIES[name], options.episodes, 120.0, options.seed)
             lived = kept["active"]
             held = kept["situations"][..., names.index(task)] & lived
             seconds = 0.1 * held.sum(1)
-            print(f"{name + ', ' + task:24} {len(held):9d} {100 * (seconds == 0).mean():8.1f} {seconds.mean():8.2f} "
-                  f"{kept['robot'][held].mean():10.2f} {0.1 * lived.sum(1).mean():9.1f}", flush=True)  # fmt: skip
+            print(f"{name + ', ' + task:28} {len(held):9d} {100 * (seconds == 0).mean():8.1f} {seconds.mean():8.2f} "
+                  f"{kept['robot'][held].mean():10.2f} {0.1 * lived.sum(1).mean():9.1f} "
+                  f"{100 * (kept['gap'][lived] < 0.1).mean():14.2f}", flush=True)  # fmt: skip
 
 
 def stacks(options: argparse.Namespace) -> None:
@@ -244,9 +246,11 @@ def episodes(options: argparse.Namespace) -> None:
         harm = told["intimate_robot_on_person"] + told["intimate_person_on_robot"]
         late, still = told["completed"] == 0, over_all(told["time_not_moving"])
         names = _streams(behavior)
+        apart = 100 * still[late].sum() / still.sum()
+        print(f"{policy}, {behavior}: {apart:.0f} % of the time not moving is that of who did not arrive")
         for k, name in enumerate(names):
             of = slice(k, None, len(names))
-            print(f"{f'{policy}, {behavior}, {name}':34} {f'{late[of].sum()} of {late[of].size}':>14} "
+            print(f"{f'  {name}':34} {f'{late[of].sum()} of {late[of].size}':>14} "
                   f"{still[of][late[of]].mean() if late[of].any() else 0:13.1f} "
                   f"{60 * harm[of, 0].sum() / told['seconds'][of].sum():15.2f}")  # fmt: skip
 
