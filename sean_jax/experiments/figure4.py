@@ -18,7 +18,7 @@ import numpy as np
 
 from sean_jax import learning
 from sean_jax.experiments import page, parts, pictures, rollouts, shares
-from sean_jax.experiments.claims import BALANCED, DEMONSTRATOR, LEARNED, NAVIGATION, Found, claims
+from sean_jax.experiments.claims import BALANCED, DEMONSTRATOR, FOUR, LEARNED, NAVIGATION, Found, claims
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.experiments.together import Part, together
 from sean_jax.learning import balance
@@ -223,9 +223,12 @@ def write(options: Experiment, folder: Path, found: Found) -> None:
             for name, cell in measured.items():
                 lines.append(f"{policy},{behavior},{name},{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}")
             lines += _by_situation(policy, behavior, found.by_situation[policy][behavior])
-    for policy, measured in found.means.items():
+    apart = [(policy, "mean", measured) for policy, measured in found.means.items()]
+    apart += [(f"{BALANCED}-G", behavior, measured) for behavior, measured in found.more.items()]
+    apart += [("".join(FOUR), behavior, {"violations": cell}) for behavior, cell in found.harm.items()]
+    for policy, behavior, measured in apart:
         for name, cell in measured.items():
-            lines.append(f"{policy},mean,{name},{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}")
+            lines.append(f"{policy},{behavior},{name},{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}")
     for policy, by_behavior in found.waiting.items():
         for behavior, cell in by_behavior.items():
             if cell.episodes:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import sean_jax.report as reports
-from sean_jax.experiments import pictures, shares
+from sean_jax.experiments import parts, pictures, shares
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.learning.options import command
 from sean_jax.versions import versions
@@ -19,13 +19,15 @@ if TYPE_CHECKING:
     from sean_jax.experiments.table1 import Cell
     from sean_jax.metrics import Estimate
 
+OTHERS = {"table1": ("driver", "episodes", "epochs"), "figure4": ("drivers", "seeds", "speeds", "crowds")}
 STYLE = Path(reports.__file__).with_name("style.css")
 
 
 def document(title: str, kicker: str, sections: list[tuple[str, str]], options: Experiment) -> str:
     """The page of these (heading, body) sections, and how to get it again."""
+    made = (parts.saved(options.folder / parts.OPTIONS) or {}).get("versions") or versions()  # not those that draw it
     again = f"<pre>{markup.escape(_command(options))}</pre>"
-    facts = "".join(f"<dt>{markup.escape(k)}</dt><dd>{markup.escape(str(v))}</dd>" for k, v in versions().items())
+    facts = "".join(f"<dt>{markup.escape(k)}</dt><dd>{markup.escape(str(v))}</dd>" for k, v in made.items())
     sections = [*sections, ("How to get this again", again + f"<dl>{facts}</dl>")]
     body = "\n".join(f"<section><h2>{name}</h2>\n{text}</section>" for name, text in sections)
     return (
@@ -40,7 +42,8 @@ def document(title: str, kicker: str, sections: list[tuple[str, str]], options: 
 def _command(options: Experiment) -> str:
     given = options.lasting()
     which = given.pop("which")
-    return command(f"experiment {which}", {name: value for name, value in given.items() if value != []})
+    other = OTHERS[which]
+    return command(f"experiment {which}", {k: v for k, v in given.items() if v != [] and k not in other})
 
 
 def _cell(text: str, small: str = "", kind: str = "") -> str:
@@ -218,12 +221,15 @@ def _by_situation(found: Found) -> str:
         for behavior in BEHAVIORS
         for policy in found.policies
     ]
-    mean = "".join(_between(cell, "+.2f") for cell in found.means["B-G"].values())
+    less = [
+        f"<tr><td>in {behavior}</td>{''.join(_between(measured[name], '+.2f') for name in found.MEASURES)}</tr>"
+        for behavior, measured in found.more.items()
+    ]
     more = [_in_situations(f"in {behavior}", less, "+.3f") for behavior, less in found.balancing.items()]
     return (
         _table(["intimate distance violations per episode", *names], rows)
         + _table(["of B more than of G, in the same episodes", *names], more)
-        + _table(["likewise", *found.MEASURES.values()], [f"<tr><td>mean over scenarios</td>{mean}</tr>"])
+        + _table(["likewise", *found.MEASURES.values()], less)
         + "<p class=note>Small: the middle 95 % of a bootstrap over episodes.</p>"
     )
 
