@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -101,3 +102,25 @@ def test_spreading():
     lines = run("benchmarks/spreading.py", *arguments)
     rows = [[float(part) for part in line.split()] for line in lines[1:]]
     assert [row[0] for row in rows] == [0, 10] and all(len(row) == 7 and min(row[1:]) >= 0 for row in rows)
+
+
+def test_causes(tmp_path):
+    """The parts of the protocol, of experiments with known numbers."""
+    for behavior, parts in (("handcrafted", 5), ("graph", 2)):
+        flags = np.zeros((1, 2 * parts, 60, 5), bool)
+        flags[0, -2:, :30, 0] = flags[0, -2:, :15, 1] = True  # of the last part: across, and half of it along as well
+        for driver in ("go_to_goal", "social_costmap", "expert"):
+            np.savez(tmp_path / f"{behavior}-{driver}.npz", flags=np.packbits(flags, axis=-1))
+    harm = [[0.0] * 6, [2.0] * 6, [0.0] * 6, [1.0] * 6]
+    told = {"completed": [1.0, 0.0, 1.0, 1.0], "seconds": [30.0, 120.0, 30.0, 60.0], "intimate_robot_on_person": harm}
+    told |= {"time_not_moving": [1.0, 97.0, 1.0, 1.0], "intimate_person_on_robot": [[0.0] * 6] * 4}
+    (tmp_path / "episodes-G-graph.json").write_text(json.dumps(told))
+    folders = "--table1", str(tmp_path), "--figure4", str(tmp_path)
+    lines = run("benchmarks/causes.py", "--only", "fifths", "episodes", *folders)
+    rows = {line[:46].strip(): line[46:].split() for line in lines}
+    assert rows["handcrafted, expert, cross_path"] == ["37.5", "12.5", "0.0", "0.0", "0.0", "50.0"]
+    assert rows["graph, go_to_goal, join_group"] == ["0.0"] * 5 + ["100.0"]
+    assert "G, graph: 97 % of the time not moving is that of who did not arrive" in lines
+    join, leave = (line.split() for line in lines[-2:])
+    assert join == ["join_group", "0", "of", "2", "0.0", "0.00"]
+    assert leave == ["leave_group", "1", "of", "2", "97.0", "1.00"]

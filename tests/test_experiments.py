@@ -89,6 +89,17 @@ def test_claims_of_figure_4():
     assert not told["N stands longest, s"] and not told["G stands less than R, s"]
     assert not told["the learned complete 80 % of what the demonstrator does"]
     assert found.cells["R"]["graph"]["completed"].mean == pytest.approx(9.0)
+    assert found.means["R"]["completed"].mean == pytest.approx(9.0)
+    assert found.more["mean"]["time_not_moving"].mean == pytest.approx(11.0 - 30.0)
+    assert found.harm["random"].mean == pytest.approx(1.9)
+    some = {name: each.copy() for name, each in values["G"]["graph"].items()}
+    some["completed"], some["time_not_moving"] = np.repeat([1.0, 0.0], 5), np.repeat([2.0, 90.0], 5)
+    values["G"] = {b: some for b in BEHAVIORS}
+    found = Found(tuple(waits), 10, values, by, {})
+    assert found.cells["G"]["graph"]["time_not_moving"].mean == pytest.approx(46.0)
+    assert found.waiting["G"]["graph"].mean == pytest.approx(2.0), "of the completed alone"
+    some["completed"][:] = 0.0
+    assert Found(tuple(waits), 10, values, by, {}).waiting["G"]["graph"].episodes == 0
 
 
 def test_balanced_odds_make_situations_equally_frequent():
@@ -288,8 +299,10 @@ def test_figure4(tmp_path, monkeypatch):
     given = [*SMALL, "--hours", "0.0167", "--episodes", "5", "--epochs", "2", "--driver", "go_to_goal"]
     assert cli.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
     rows = [line.split(",") for line in (out / "figure4.csv").read_text(encoding="utf-8").splitlines()[1:]]
-    assert {r[0] for r in rows} == {*"GRHBNE", "B-G"} and {r[1] for r in rows} == set(BEHAVIORS)
-    done = [float(r[3]) for r in rows if r[2] == "completed"]
+    assert {r[0] for r in rows} == {*"GRHBNE", "B-G", "GRHN"} and {r[1] for r in rows} == {*BEHAVIORS, "mean"}
+    done = [float(r[3]) for r in rows if r[2] == "completed" and r[1] != "mean" and r[0] != "B-G"]
+    means = {r[0]: float(r[3]) for r in rows if r[2] == "completed" and r[1] == "mean"}
+    assert means["B-G"] == pytest.approx(means["B"] - means["G"], abs=1e-4)
     assert len(done) == 18 and all(0 <= value <= 5 for value in done) and max(done) > 0
     episodes = json.loads((out / "episodes-E-handcrafted.json").read_text(encoding="utf-8"))
     assert len(episodes["completed"]) == 5 and max(episodes["seconds"]) <= 20.0 + 1e-3

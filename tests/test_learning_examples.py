@@ -9,7 +9,7 @@ import pytest
 
 from sean_jax import sensors
 from sean_jax.learning import demonstrations, examples, protocol
-from sean_jax.learning.options import Collect, Refused
+from sean_jax.learning.options import Collect, Refused, command
 from sean_jax.learning.recorder import Recorder, record
 
 
@@ -126,6 +126,22 @@ def test_the_papers_protocol():
         assert drawn == {part.name}
         assert jax.tree.structure(part.scenario) == jax.tree.structure(parts[0].scenario), "one program serves all"
     assert Collect().tasks == ("join_group", "leave_group") and Collect(behavior="random").tasks == ("random_ab_nav",)
+
+
+def test_people_of_demonstrations_are_those_asked_for():
+    """Parties, and choices on the graph, as `sean run` has them; and the command says so."""
+    given = {"parties": (0.5, 0.0), "paths": "edge", "spreading": 10.0}
+    asked = Collect(environment="lab", dynamics="twin", people=4, **given)
+    (join, _), _ = protocol.streams(asked)
+    behavior = join.scenario.behavior
+    assert (np.asarray(behavior.companions) >= 0).sum() == 2 and float(behavior.data.spreading) == 10.0
+    assert (
+        behavior.direct is not protocol.streams(dataclasses.replace(asked, paths=None))[0][0].scenario.behavior.direct
+    )
+    words = command("collect", asked.fixed())
+    assert "--parties 0.5 0 " in words and "--paths edge" in words and "--spreading 10" in words
+    with pytest.raises(Refused, match="parties"):
+        protocol.streams(Collect(environment="lab", behavior="handcrafted", parties=(0.5, 0.0)))
 
 
 def test_wrong_names_are_answered_in_a_sentence():

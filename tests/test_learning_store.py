@@ -135,6 +135,8 @@ def test_other_options_are_refused(data):
     for others, said in (
         ({"people": 5}, "was begun with --people 4, not 5"),
         ({"seed": 4}, "was begun with --seed 3, not 4"),
+        ({"parties": (0.5, 0.0)}, "was begun with --parties 0 0, not 0.5 0"),
+        ({"paths": "edge"}, "was begun with --paths None, not edge"),
         ({"batch": 4}, "was begun with --batch 8, not 4"),
         ({"hours": 0.01}, "was begun with --hours 0.05, not 0.01"),
     ):
@@ -142,6 +144,10 @@ def test_other_options_are_refused(data):
         with pytest.raises(Refused, match=said):
             collect_job._begun(learning_data.options(data.folder, **others), parts, eye)
     assert open_dataset(data.folder).manifest == data.manifest
+    for name in ("parties", "paths", "spreading"):  # as in a dataset made before these could be chosen
+        del data.manifest["options"][name]
+    data.save(data.manifest)
+    assert collect_job._begun(learning_data.options(data.folder), parts, eye).recorded == data.recorded
 
 
 def test_more_hours_continue_a_dataset(data):

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sean_jax import learning
-from sean_jax.experiments import page, parts, rollouts, shares
-from sean_jax.experiments.claims import BALANCED, DEMONSTRATOR, LEARNED, NAVIGATION, Found, claims
+from sean_jax.experiments import page, parts, pictures, rollouts, shares
+from sean_jax.experiments.claims import BALANCED, DEMONSTRATOR, FOUR, LEARNED, NAVIGATION, Found, claims
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.experiments.together import Part, together
 from sean_jax.learning import balance
@@ -216,13 +216,24 @@ def _by_situation(policy: str, behavior: str, cells: Estimate) -> list[str]:
 
 
 def write(options: Experiment, folder: Path, found: Found) -> None:
-    """figure4.csv, claims.csv and report.html."""
+    """figure4.csv, claims.csv, the figure and report.html."""
     lines = ["policy,behavior,measure,mean,low,high"]
     for policy, by_behavior in found.cells.items():
         for behavior, measured in by_behavior.items():
             for name, cell in measured.items():
                 lines.append(f"{policy},{behavior},{name},{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}")
             lines += _by_situation(policy, behavior, found.by_situation[policy][behavior])
+    apart = [(policy, "mean", measured) for policy, measured in found.means.items()]
+    apart += [(f"{BALANCED}-G", behavior, measured) for behavior, measured in found.more.items()]
+    apart += [("".join(FOUR), behavior, {"violations": cell}) for behavior, cell in found.harm.items()]
+    for policy, behavior, measured in apart:
+        for name, cell in measured.items():
+            lines.append(f"{policy},{behavior},{name},{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}")
+    for policy, by_behavior in found.waiting.items():
+        for behavior, cell in by_behavior.items():
+            if cell.episodes:
+                told = f"{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}"
+                lines.append(f"{policy},{behavior},time_not_moving_of_completed,{told}")
     for behavior, less in found.balancing.items():
         lines += _by_situation(f"{BALANCED}-G", behavior, less)
     parts.save(folder / "figure4.csv", "\n".join(lines) + "\n")
@@ -230,4 +241,6 @@ def write(options: Experiment, folder: Path, found: Found) -> None:
     for row in found.claims:
         held.append(f'"{row["statement"]}","{row["paper"]}","{row["ours"]}",{row["holds"]},{row["share"]:.4f}')
     parts.save(folder / "claims.csv", "\n".join(held) + "\n")
-    parts.save(folder / "report.html", page.figure4(options, found))
+    grids = pictures.grids(found)
+    pictures.save(folder, {"figure4-grids": grids})
+    parts.save(folder / "report.html", page.figure4(options, found, grids))

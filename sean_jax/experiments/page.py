@@ -6,26 +6,28 @@ import html as markup
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 import sean_jax.report as reports
-from sean_jax.experiments import pictures, shares
+from sean_jax.experiments import parts, pictures, shares
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.learning.options import command
 from sean_jax.versions import versions
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from sean_jax.experiments.claims import Found
     from sean_jax.experiments.table1 import Cell
     from sean_jax.metrics import Estimate
 
+OTHERS = {"table1": ("driver", "episodes", "epochs"), "figure4": ("drivers", "seeds", "speeds", "crowds")}
 STYLE = Path(reports.__file__).with_name("style.css")
 
 
 def document(title: str, kicker: str, sections: list[tuple[str, str]], options: Experiment) -> str:
     """The page of these (heading, body) sections, and how to get it again."""
+    made = (parts.saved(options.folder / parts.OPTIONS) or {}).get("versions") or versions()  # not those that draw it
     again = f"<pre>{markup.escape(_command(options))}</pre>"
-    facts = "".join(f"<dt>{markup.escape(k)}</dt><dd>{markup.escape(str(v))}</dd>" for k, v in versions().items())
+    facts = "".join(f"<dt>{markup.escape(k)}</dt><dd>{markup.escape(str(v))}</dd>" for k, v in made.items())
     sections = [*sections, ("How to get this again", again + f"<dl>{facts}</dl>")]
     body = "\n".join(f"<section><h2>{name}</h2>\n{text}</section>" for name, text in sections)
     return (
@@ -40,10 +42,8 @@ def document(title: str, kicker: str, sections: list[tuple[str, str]], options: 
 def _command(options: Experiment) -> str:
     given = options.lasting()
     which = given.pop("which")
-    for name in ("speeds", "crowds"):
-        given[name] = None if not given[name] else " ".join(f"{value:g}" for value in given[name])
-    words = command(f"experiment {which}", given)
-    return words.replace("'", "")  # of lists of numbers
+    other = OTHERS[which]
+    return command(f"experiment {which}", {k: v for k, v in given.items() if v != [] and k not in other})
 
 
 def _cell(text: str, small: str = "", kind: str = "") -> str:
@@ -56,24 +56,26 @@ def _table(head: list[str], rows: list[str]) -> str:
     return f"<div class=wide><table><thead><tr>{first}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
 
 
-def table1(options: Experiment, cells: list[Cell], swept: list[Cell]) -> str:
-    """The page of Table I."""
+def table1(options: Experiment, cells: list[Cell], figures: dict[str, Figure]) -> str:
+    """The page of Table I, with these figures."""
     drivers = list(dict.fromkeys(cell.driver for cell in cells))
     speed = options.speeds[0]
+    drawn = {name: pictures.shown(figure, name) for name, figure in figures.items()}
     sections = [
-        ("Table I", pictures.bars(cells) + _legend()),
+        ("Table I", drawn["table1-bars"] + BARS + _legend()),
         (f"Shares at V = {speed:g} m/s", "".join(_shares(cells, driver) for driver in drivers) + COUNTED),
         ("Orderings of the paper", _orderings(cells, drivers, speed)),
     ]
-    if len(options.speeds) > 1:
-        sections.append(("When does one count as walking?", pictures.speeds(options, cells) + SPEEDS))
-    if swept:
-        sections.append(("How many people?", pictures.crowds(cells, swept)))
+    if "table1-speeds" in drawn:
+        sections.append(("When does one count as walking?", drawn["table1-speeds"] + SPEEDS))
+    if "table1-crowds" in drawn:
+        sections.append(("How many people?", drawn["table1-crowds"]))
     minutes = 60.0 * (options.hours or 0) * (options.seeds or 0)
     title = f"Table I: social situations in {minutes:g} minutes of each behavior and driver"
     return document(title, "sean_jax · experiment", sections, options)
 
 
+BARS = "<figcaption>Dashed: the paper's Table I.</figcaption>"
 COUNTED = (
     "<p class=note>Percent of the examples, one a second. Small: the middle 95 % of a bootstrap over minutes. Each "
     "situation counts fully (several can hold at once, or none); in brackets, an example in several is shared equally. "
@@ -143,10 +145,10 @@ def _verdict(row: dict[str, Any]) -> tuple[str, str]:
     return ("" if sure else "perhaps ") + ("yes" if row["holds"] else "no"), f"{100 * row['share']:.1f} %"
 
 
-def figure4(options: Experiment, found: Found) -> str:
-    """The page of Figure 4."""
+def figure4(options: Experiment, found: Found, grids: Figure) -> str:
+    """The page of Figure 4, with that figure."""
     sections = [
-        ("Figure 4", pictures.grids(found) + FIGURE),
+        ("Figure 4", pictures.shown(grids, "figure4-grids") + FIGURE),
         ("Numbers", _numbers(found)),
         ("By situation", _by_situation(found)),
         ("What the paper reports", _claims(found)),
@@ -170,6 +172,10 @@ def figure4(options: Experiment, found: Found) -> str:
     return document(title, "sean_jax · experiment", sections, options)
 
 
+PAPER = {  # section V-C: means over the three scenarios
+    "completed": {"G": "112.7", "H": "112.7"},
+    "time_not_moving": {"G": "11", "R": "16.3", "H": "22", "N": "28.7"},
+}
 FIGURE = (
     "<p class=note>G, R and H learned from demonstrations among people of the behavior graph, at random and "
     "handcrafted, B from those of G drawn so that all situations are equally frequent; N is the navigation stack with "
@@ -182,17 +188,30 @@ def _numbers(found: Found) -> str:
     for name, words in found.MEASURES.items():
         rows = []
         for behavior in BEHAVIORS:
-            told = "".join(
-                _cell(f"{cell.mean:.2f}", f"{cell.low:.2f} – {cell.high:.2f}", "ours")
-                for cell in (found.cells[policy][behavior][name] for policy in found.policies)
-            )
+            told = "".join(_between(found.cells[policy][behavior][name]) for policy in found.policies)
             rows.append(f"<tr><td>in {behavior}</td>{told}</tr>")
-        mean = "".join(
-            _cell(f"{np.mean([found.cells[p][b][name].mean for b in BEHAVIORS]):.2f}") for p in found.policies
-        )
+        mean = "".join(_between(found.means[policy][name]) for policy in found.policies)
         rows.append(f"<tr><td class=none>mean</td>{mean}</tr>")
+        if name in PAPER:
+            theirs = "".join(_cell(PAPER[name].get(policy, "")) for policy in found.policies)
+            rows.append(f"<tr><td class=none>paper, mean</td>{theirs}</tr>")
         tables.append(_table([words, *found.policies], rows))
+        if name == "time_not_moving":
+            tables.append(_table(["the same, of completed tasks", *found.policies], _waiting(found)))
     return "".join(tables) + "<p class=note>Small: the middle 95 % of a bootstrap over episodes.</p>"
+
+
+def _between(cell: Estimate, form: str = ".2f") -> str:
+    return _cell(f"{cell.mean:{form}}", f"{cell.low:{form}} – {cell.high:{form}}", "ours")
+
+
+def _waiting(found: Found) -> list[str]:
+    rows = []
+    for behavior in BEHAVIORS:
+        cells = (found.waiting[policy][behavior] for policy in found.policies)
+        told = "".join(_between(cell) if cell.episodes else _cell("-") for cell in cells)
+        rows.append(f"<tr><td>in {behavior}</td>{told}</tr>")
+    return rows
 
 
 def _by_situation(found: Found) -> str:
@@ -202,10 +221,15 @@ def _by_situation(found: Found) -> str:
         for behavior in BEHAVIORS
         for policy in found.policies
     ]
+    less = [
+        f"<tr><td>in {behavior}</td>{''.join(_between(measured[name], '+.2f') for name in found.MEASURES)}</tr>"
+        for behavior, measured in found.more.items()
+    ]
     more = [_in_situations(f"in {behavior}", less, "+.3f") for behavior, less in found.balancing.items()]
     return (
         _table(["intimate distance violations per episode", *names], rows)
         + _table(["of B more than of G, in the same episodes", *names], more)
+        + _table(["likewise", *found.MEASURES.values()], less)
         + "<p class=note>Small: the middle 95 % of a bootstrap over episodes.</p>"
     )
 

@@ -1,7 +1,8 @@
-"""Figures of the experiments: Table I's bars, sweeps over V and people, Figure 4's grids. As SVG for the pages."""
+"""Figures of the experiments: Table I's bars, sweeps over V and people, Figure 4's grids. SVG for pages, and PNG."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
@@ -36,11 +37,28 @@ def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Figur
     return figure, axes
 
 
-def _shown(figure: Figure, name: str) -> str:
+def shown(figure: Figure, name: str) -> str:
+    """The figure for a page."""
     return f"<figure>{svg(figure, name)}</figure>"
 
 
-def bars(cells: list[Cell]) -> str:
+def save(folder: Path, figures: dict[str, Figure]) -> None:
+    """Each as a picture of its name."""
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png", dpi=110, metadata={"Software": None})
+
+
+def table1(options: Experiment, cells: list[Cell], swept: list[Cell]) -> dict[str, Figure]:
+    """What there is to draw of Table I, by name."""
+    figures = {"table1-bars": bars(cells)}
+    if len(options.speeds) > 1:
+        figures["table1-speeds"] = speeds(options, cells)
+    if swept:
+        figures["table1-crowds"] = crowds(cells, swept)
+    return figures
+
+
+def bars(cells: list[Cell]) -> Figure:
     """Shares of each driver and behavior as bars with intervals, and the paper's as ticks."""
     drivers = list(dict.fromkeys(cell.driver for cell in cells))
     figure, axes = _figure(3.6 * len(BEHAVIORS), 2.1 * len(drivers) + 0.3, len(drivers), len(BEHAVIORS))
@@ -62,10 +80,10 @@ def bars(cells: list[Cell]) -> str:
                   transform=spot.transAxes, ha="left", va="top", fontsize=8, color=colors.MUTED)  # fmt: skip
     for row in axes:
         row[0].set_ylabel("% of examples", color=colors.MUTED)
-    return _shown(figure, "table1-bars") + "<figcaption>Dashed: the paper's Table I.</figcaption>"
+    return figure
 
 
-def speeds(options: Experiment, cells: list[Cell]) -> str:
+def speeds(options: Experiment, cells: list[Cell]) -> Figure:
     """Entropy and share of cross path against the walking speed V, of each behavior; lines are drivers."""
     drivers = list(dict.fromkeys(cell.driver for cell in cells))
     figure, axes = _figure(10.8, 2.8, 1, 2)
@@ -89,10 +107,10 @@ def speeds(options: Experiment, cells: list[Cell]) -> str:
         spot.set_xlabel("V, m/s", color=colors.MUTED)
         spot.set_ylim(bottom=0)
     axes[0, 1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return _shown(figure, "table1-speeds")
+    return figure
 
 
-def crowds(cells: list[Cell], swept: list[Cell]) -> str:
+def crowds(cells: list[Cell], swept: list[Cell]) -> Figure:
     """Entropy and share of each situation against the number of people, random and graph, one driver."""
     first = [cell for cell in cells if cell.driver == swept[0].driver]
     kinds = list(dict.fromkeys(cell.behavior for cell in swept))
@@ -109,22 +127,22 @@ def crowds(cells: list[Cell], swept: list[Cell]) -> str:
         spot.set_ylim(0, 100)
     axes[0, 0].set_ylabel("% of examples", color=colors.MUTED)
     axes[0, -1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return _shown(figure, "table1-crowds")
+    return figure
 
 
-def grids(found: Found) -> str:
+def grids(found: Found) -> Figure:
     """Figure 4: for each measure, scenarios down and policies across; violations by situation below."""
     names = list(found.MEASURES)
     figure, axes = _figure(3.2 * 5, 5.6, 2, 5)
     for spot, name in zip(axes[0], names, strict=False):
         values = np.array([[found.cells[p][b][name].mean for p in found.policies] for b in BEHAVIORS])
         _grid(spot, values, found.policies, found.MEASURES[name])
-    for spot in axes[0][len(names) :]:
-        spot.set_visible(False)
+    waits = np.array([[found.waiting[p][b].mean for p in found.policies] for b in BEHAVIORS])
+    _grid(axes[0][len(names)], waits, found.policies, "time not moving of completed, s")
     by = np.array([[found.by_situation[p][b].mean for p in found.policies] for b in BEHAVIORS])
     for k, (spot, situation) in enumerate(zip(axes[1], shares.NAMES, strict=True)):
         _grid(spot, by[:, :, k], found.policies, f"violations, {situation.replace('_', ' ')}", top=float(by.max()))
-    return _shown(figure, "figure4-grids")
+    return figure
 
 
 def _grid(spot: Any, values: np.ndarray, policies: tuple[str, ...], title: str, top: float | None = None) -> None:
@@ -133,7 +151,8 @@ def _grid(spot: Any, values: np.ndarray, policies: tuple[str, ...], title: str, 
     spot.imshow(values, cmap=shade, vmin=0, vmax=most, aspect="auto")
     for (row, column), value in np.ndenumerate(values):
         ink = "#ffffff" if value > 0.45 * most else colors.INK
-        spot.text(column, row, f"{value:.3g}", ha="center", va="center", color=ink, fontsize=9)
+        told = f"{value:g}" if value == round(value) else f"{value:.{2 if value < 9.995 else 1}f}"
+        spot.text(column, row, told, ha="center", va="center", color=ink, fontsize=9)
     spot.set_xticks(range(len(policies)), policies)
     spot.set_yticks(range(len(BEHAVIORS)), [name[:1].upper() for name in BEHAVIORS])
     spot.set_title(title, loc="left", fontsize=9, color=colors.INK)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.experiments import page, parts, shares
+from sean_jax.experiments import page, parts, pictures, shares
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.experiments.rollouts import MINUTE, Chains
 from sean_jax.experiments.shares import Shares
@@ -134,7 +134,7 @@ def _at(holds: Callable, speed: float, moment: Moment, thresholds: Any) -> Array
 
 
 def write(options: Experiment, folder: Path, cells: list[Cell], swept: list[Cell]) -> None:
-    """table1.csv, sweeps.csv, orderings.csv and report.html."""
+    """shares.csv, entropies.csv, orderings.csv, the figures and report.html."""
     lines = ["driver,behavior,people,V,counting,situation,share,low,high"]
     entropies = ["driver,behavior,people,V,counting,entropy,low,high,examples,none,completed,not_completed"]
     for cell in [*cells, *swept]:
@@ -162,4 +162,6 @@ def write(options: Experiment, folder: Path, cells: list[Cell], swept: list[Cell
                     held.append(f'{driver},{speed:g},{name},{row["name"]},{row["hard"]},"{row["statement"]}",'
                                 f"{row['holds']},{row['share']:.4f}")  # fmt: skip
     parts.save(folder / "orderings.csv", "\n".join(held) + "\n")
-    parts.save(folder / "report.html", page.table1(options, cells, swept))
+    figures = pictures.table1(options, cells, swept)
+    pictures.save(folder, figures)
+    parts.save(folder / "report.html", page.table1(options, cells, figures))

@@ -97,11 +97,11 @@ def _begun(options: Collect, parts: list[Stream], eye: sensors.Camera) -> Datase
 
 
 def _check_same(options: Collect, data: Dataset) -> None:
-    asked, had = options.fixed(), data.manifest["options"]
+    asked = options.fixed()
+    had = {"parties": [0.0, 0.0], **data.manifest["options"]}  # which datasets made before there were any do not name
     for name in asked:
         if asked[name] != had.get(name):
-            flag = "--" + name.replace("_", "-")
-            said = f"{flag} {had.get(name)}, not {asked[name]}"
+            said = f"--{name.replace('_', '-')} {_said(had.get(name))}, not {_said(asked[name])}"
             raise Refused(f"{data.folder} was begun with {said}; ask for the same or choose another --out.")
     if options.batch not in (None, data.batch):
         raise Refused(f"{data.folder} was begun with --batch {data.batch}, not {options.batch}; ask for the same.")
@@ -110,6 +110,10 @@ def _check_same(options: Collect, data: Dataset) -> None:
         raise Refused(
             f"{data.folder} was begun with --hours {had_hours}, not {options.hours:g}; ask for as much or more."
         )
+
+
+def _said(value: Any) -> str:
+    return " ".join(f"{each:g}" for each in value) if isinstance(value, list) else str(value)
 
 
 def _manifest(options: Collect, parts: list[Stream], eye: sensors.Camera) -> dict[str, Any]:

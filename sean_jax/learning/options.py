@@ -41,10 +41,16 @@ class Collect:
     """Physical environment: a name, or the folder of your own."""
     handcrafted: str | None = None
     """Of the behavior handcrafted: a set, a situation, or all; the five situations in equal parts by default."""
+    paths: str | None = None
+    """Of the behavior graph: whole, the way to a goal is kept, by default; or edge, people choose anew at each node."""
+    spreading: float | None = None
+    """Of the behavior graph: how much people avoid crowded edges, 0 by default; try 10."""
     robot: str = "kuri"
     """Robot."""
     people: int | None = None
     """Number of people; the environment's own number by default (62 in the warehouse)."""
+    parties: tuple[float, float] = (0.0, 0.0)
+    """Shares of the people who walk in pairs and in triples."""
     model: str = "social_forces"
     """How people move."""
     forces: str = "helbing1995"
@@ -83,7 +89,8 @@ class Collect:
     def fixed(self) -> dict[str, Any]:
         """All that decides what is recorded, but for how long and the batch."""
         loose = ("out", "hours", "quiet", "batch")
-        return {name: value for name, value in dataclasses.asdict(self).items() if name not in loose}
+        told = {name: value for name, value in dataclasses.asdict(self).items() if name not in loose}
+        return told | {"parties": list(self.parties)}  # as it is read back
 
     def check(self) -> None:
         """Raises Refused for what nothing could be recorded with."""
@@ -190,5 +197,6 @@ def command(word: str, fixed: dict[str, Any]) -> str:
         if value is True:
             words.append(flag)
         elif value is not None and value is not False:
-            words += [flag, f"{value:g}" if isinstance(value, float) else str(value)]
+            values = value if isinstance(value, list) else [value]
+            words += [flag, *(f"{each:g}" if isinstance(each, float) else str(each) for each in values)]
     return shlex.join(words)
