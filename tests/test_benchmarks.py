@@ -41,8 +41,8 @@ def test_step():
 
 
 @pytest.mark.slow
-def test_profile():
-    lines = run("benchmarks/profile.py", "--batch", "2", "--people", "14", "--dynamics", "twin", "--depth")
+def test_stages():
+    lines = run("benchmarks/stages.py", "--batch", "2", "--people", "14", "--dynamics", "twin", "--depth")
     rows = {line[:20].strip(): float(line[20:].split()[0]) for line in lines[2:]}
     named = ["direct_pedestrians", "move_pedestrians", "move_robot", "measure", "depth"]
     assert all(rows[name] > 0 for name in named)

@@ -234,6 +234,18 @@ def test_export_to_lerobot(made, tmp_path):
         export(made.folder, out)
 
 
+def test_lerobot_loads_the_export(made, tmp_path):
+    datasets = pytest.importorskip("lerobot.datasets.lerobot_dataset", reason="LeRobot itself is not installed")
+    from sean_jax.learning.lerobot import export
+
+    loaded = datasets.LeRobotDataset("local/exported", root=export(made.folder, tmp_path / "out"))
+    rows = made.recording(made.episodes).rows
+    assert len(loaded) == len(rows.command) and loaded.num_episodes == len(made.episodes)
+    for index in (0, 77, len(loaded) - 1):
+        np.testing.assert_array_equal(loaded[index]["action"].numpy(), rows.command[index])
+        np.testing.assert_array_equal(loaded[index]["observation.images.depth"][0].numpy(), rows.depth[index])
+
+
 @pytest.mark.slow
 def test_a_killed_collection_gives_the_same_bytes(tmp_path):
     """A real SIGKILL, some times over, at moments that differ, then the same command until it is done."""

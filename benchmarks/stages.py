@@ -1,7 +1,7 @@
 """Where the time of a control step goes, by the names that the stages of the step have in the program.
 
-XLA_FLAGS=--xla_gpu_enable_command_buffer= python benchmarks/profile.py --batch 32768    on a GPU
-python benchmarks/profile.py --batch 64                                                  on a CPU
+XLA_FLAGS=--xla_gpu_enable_command_buffer= python benchmarks/stages.py --batch 32768    on a GPU
+python benchmarks/stages.py --batch 64                                                  on a CPU
 
 JAX's profiler tells how long each kernel ran, and the compiled program which stage that is of; a kernel
 of two stages counts for that with more of its operations. Command buffers would hide which kernel is which.
