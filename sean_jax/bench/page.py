@@ -6,6 +6,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from sean_jax.bench.timing import Row
 from sean_jax.drawing import colors
@@ -95,16 +96,14 @@ def picture(rows: list[Row], about: dict[str, Any]) -> Figure:
                 best[row.pixels] = row
         chosen = [best[pixels] for pixels in sorted(best)]
         _curve(right, [row.pixels for row in chosen], [1e6 / row.per_second for row in chosen], name, shade)
-    _label(right, "images, best B", "pixels", "us per image")
+    _label(right, "images, best B", "pixels", "µs per image")
     return figure
 
 
 def _curve(axes: Any, x: list, y: list, name: str, shade: str) -> None:
     if x:
         axes.loglog(x, y, marker="o", ms=4, lw=1.6, color=shade, label=name)
-        axes.annotate(
-            f"{y[-1]:.2g}", (x[-1], y[-1]), textcoords="offset points", xytext=(0, 6), ha="right", color=shade
-        )
+        axes.annotate(_short(y[-1]), (x[-1], y[-1]), textcoords="offset points", xytext=(0, 6), ha="right", color=shade)
 
 
 def _label(axes: Any, name: str, across: str, up: str) -> None:
@@ -113,6 +112,9 @@ def _label(axes: Any, name: str, across: str, up: str) -> None:
     axes.set_ylabel(up, color=colors.MUTED)
     axes.grid(True, which="major", color="#e4e8ef", lw=0.8)
     axes.set_axisbelow(True)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(FuncFormatter(_short))
+        axis.set_minor_formatter(NullFormatter())
     axes.tick_params(colors=colors.MUTED)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
@@ -120,3 +122,11 @@ def _label(axes: Any, name: str, across: str, up: str) -> None:
         axes.legend(frameon=False, loc="best")
     else:
         axes.text(0.5, 0.5, "not measured", transform=axes.transAxes, ha="center", color=colors.MUTED)
+
+
+def _short(value: float, _: int | None = None) -> str:
+    """Such as 6.92M."""
+    for size, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if value >= size:
+            return f"{value / size:.3g}{letter}"
+    return f"{value:.3g}"
