@@ -12,7 +12,7 @@ from sean_jax.bench import workload
 from sean_jax.social_forces import model, neighbors
 from sean_jax.social_forces.parameters import felt_within
 
-NUMBER = 300  # enough that neighbors are looked for
+NUMBER = 303  # enough that neighbors are looked for, and no multiple of the blocks
 find = jax.jit(neighbors.find)
 
 
