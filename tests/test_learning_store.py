@@ -96,6 +96,24 @@ def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
         assert len(simulated) == before, "nothing is recorded twice"
 
 
+def test_a_shard_that_cannot_be_written_ends_the_collection(tmp_path, monkeypatch):
+    """The next one, which was simulated meanwhile, is not written, and the same command goes on."""
+    simulate = lambda *others: learning_data.batches()[int(others[4][0]) // 8]  # noqa: E731
+    monkeypatch.setattr(collect_job.demonstrations, "simulate", simulate)
+    folder, asked = tmp_path / "data", []
+
+    def full(folder, shard, fields):
+        asked.append(shard)
+        raise Failed("the disk is full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(store, "write", full)
+        with pytest.raises(Failed, match="the disk is full"):
+            collect_job.collect(learning_data.options(folder))
+    assert asked == [0] and open_dataset(folder).recorded == [0, 0]
+    assert collect_job.collect(learning_data.options(folder)).examples == 180
+
+
 def test_lost_and_damaged_files(data, monkeypatch):
     whole, file = files(data.folder), data.folder / "depth/c/0/0/0/0"
     content = bytearray(file.read_bytes())

@@ -1,13 +1,16 @@
 """``sean collect``: demonstrations of a driver until there is as much as asked for, shard by shard (section V-B).
 
 What has been committed is never lost: after a kill, or for more hours, the same command goes on with the next shard,
-and makes those anew that were lost. The result is the same, to the byte, as that of one run.
+and makes those anew that were lost. The result is the same, to the byte, as that of one run. A shard is written while
+the next one is simulated.
 """
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -50,32 +53,57 @@ def collect(options: Collect, console: Console | Callable[[float], None] | None 
     programs = demonstrations.prepare(parts[0].scenario, tasks, policy, eye, over)
     wanted = share(options.hours, len(parts))
     total = wanted * len(parts)
-    with shown(console, "recording", total) as tell:
-        for stream, shard in _due(data, wanted):
+    recorded, first_new = data.recorded, len(data.manifest["shards"])
+    with shown(console, "recording", total) as tell, _behind(data) as commit:
+        for stream, shard in _due(data, recorded, wanted):
             began = time.perf_counter()
 
             def watch(seconds: int, shard: int = shard) -> None:
                 note = f"shard {shard}: {data.batch} episodes of {parts[0].scenario.people} people at {seconds} s"
-                done = sum(min(each, wanted) for each in data.recorded)
+                done = sum(min(each, wanted) for each in recorded)
                 tell(done, f"{done:,} of {total:,} s · {note}")
 
             numbers = np.arange(shard * data.batch, (shard + 1) * data.batch)
             part = parts[stream]
             batch = demonstrations.simulate(programs, part.scenario, options.seed, part.turn, numbers, watch)
-            data.commit(stream, batch, shard if shard < len(data.manifest["shards"]) else None)
+            commit(stream, batch, shard)
+            if shard >= first_new:
+                recorded[stream] += int(batch.lengths.sum())
             took = time.perf_counter() - began
-            done = sum(min(each, wanted) for each in data.recorded)
+            done = sum(min(each, wanted) for each in recorded)
             note = f"shard {shard}: {int(batch.lengths.sum())} examples in {took:.1f} s"
             tell(done, f"{done:,} of {total:,} s · {note}")
     return data
 
 
-def _due(data: Dataset, wanted: int) -> Iterator[tuple[int, int]]:
-    """(stream, shard) of what is to be recorded: first what was lost, then what is missing."""
+def _due(data: Dataset, recorded: list[int], wanted: int) -> Iterator[tuple[int, int]]:
+    """(stream, shard) of what is to be recorded: first what was lost, then what is missing of ``recorded`` [s]."""
+    shards = data.manifest["shards"]
     for shard in data.lost():
-        yield data.manifest["shards"][shard]["stream"], shard
-    while (stream := next_stream(data.recorded, wanted)) is not None:
-        yield stream, len(data.manifest["shards"])
+        yield shards[shard]["stream"], shard
+    number = len(shards)
+    while (stream := next_stream(recorded, wanted)) is not None:
+        yield stream, number
+        number += 1
+
+
+@contextlib.contextmanager
+def _behind(data: Dataset) -> Iterator[Callable[..., None]]:
+    """``data.commit``, one after the other in a thread; what one of them raises is raised at the next, or at the end.
+
+    Whatever ends the block, it waits until what was begun is committed.
+    """
+    with ThreadPoolExecutor(1, thread_name_prefix="sean-commit") as pool:
+        last: list[Future] = []
+
+        def commit(*arguments: Any) -> None:
+            for begun in last:
+                begun.result()
+            last[:] = [pool.submit(data.commit, *arguments)]
+
+        yield commit
+        for begun in last:
+            begun.result()
 
 
 def _begun(options: Collect, parts: list[Stream], eye: sensors.Camera) -> Dataset:

@@ -75,20 +75,37 @@ def simulate(
     """
     fixed = devices.everywhere(programs.over, (scenario, programs.policy, jnp.uint32(seed), jnp.int32(turn)))
     carry = programs.draw(fixed, jnp.asarray(numbers, jnp.uint32))
-    kept, active = [], []
-    for done in range(CHUNK, programs.seconds + CHUNK, CHUNK):
-        carry, (rows, on) = programs.advance(fixed[:2], carry)
-        kept.append(jax.tree.map(np.asarray, rows))
-        active.append(np.asarray(on))
-        if watch is not None:
-            watch(min(done, programs.seconds))
+    made: dict[str, np.ndarray] = {}
+    lengths, waiting = np.zeros(len(numbers), np.int64), []
+    for done in range(0, programs.seconds, CHUNK):
         if bool(np.asarray(carry[0].completed | carry[0].timed_out).all()):
             break
-    lengths = np.concatenate(active, 1)[:, : programs.seconds].sum(1)
-    fields = {field.name: np.concatenate([getattr(part, field.name) for part in kept], 1) for field in _fields()}
-    fields = {name: _padded(values, lengths, programs.seconds) for name, values in fields.items()}
-    _refuse_nan(fields, numbers)
-    return Batch(fields, lengths, np.asarray(carry[0].completed))
+        carry, chunk = programs.advance(fixed[:2], carry)
+        for begin, (rows, active) in waiting:  # those of before, while the device goes on
+            lengths += _keep(made, rows, np.asarray(active), begin, programs.seconds)
+        waiting = [(done, chunk)]
+        if watch is not None:
+            watch(done)
+    for begin, (rows, active) in waiting:
+        lengths += _keep(made, rows, np.asarray(active), begin, programs.seconds)
+    _refuse_nan(made, numbers)
+    return Batch(made, lengths, np.asarray(carry[0].completed))
+
+
+def _keep(made: dict[str, np.ndarray], rows: Row, active: np.ndarray, begin: int, seconds: int) -> np.ndarray:
+    """Put rows (B, CHUNK, ...) from the second ``begin`` on into arrays (B, T, ...); how many each episode has, (B,).
+
+    What comes after an episode's end stays zero.
+    """
+    end = min(begin + active.shape[1], seconds)
+    active = active[:, : end - begin]
+    for field in _fields():
+        values = np.asarray(getattr(rows, field.name))
+        if field.name not in made:
+            made[field.name] = np.zeros((len(values), seconds, *values.shape[2:]), values.dtype)
+        shown = active.reshape(*active.shape, *(1,) * (values.ndim - 2))
+        np.copyto(made[field.name][:, begin:end], values[:, : end - begin], where=shown)
+    return active.sum(1)
 
 
 def _fields() -> tuple:
@@ -127,14 +144,6 @@ def _advance(eye: sensors.Camera, fixed: tuple, carry: tuple) -> tuple:
         return parallel.advance(scenario, policy, state)
 
     return jax.lax.scan(second, carry, length=CHUNK)
-
-
-def _padded(values: np.ndarray, lengths: np.ndarray, seconds: int) -> np.ndarray:
-    """(B, T, ...) of which zeros are what comes after the end."""
-    whole = np.zeros((len(values), seconds, *values.shape[2:]), values.dtype)
-    for padded, given, length in zip(whole, values, lengths, strict=True):
-        padded[:length] = given[:length]
-    return whole
 
 
 def _refuse_nan(fields: dict[str, np.ndarray], numbers: np.ndarray) -> None:
