@@ -7,6 +7,7 @@ import pytest
 
 from sean_jax import geometry, nearby
 from sean_jax.base import Obstacles
+from sean_jax.platforms import by_platform
 
 
 def draw_boxes(random, number, widest=2.0):
@@ -208,3 +209,12 @@ def test_around_off_the_grid_and_without_obstacles():
     none = nearby.tabulate(as_boxes(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)), jnp.array([0.0, 0.0, 2.0, 2.0]))
     rows = nearby.around(none, jnp.array([1.0]), jnp.array([1.0]))
     assert rows.shape == (1, 1, 6) and float(rows[0, 0, 0]) == nearby.FAR
+
+
+def test_a_function_in_two_forms_differentiates_as_the_first():
+    function = by_platform(lambda x, k: (k * x * x).sum(), lambda x, k: k * jnp.dot(x, x))
+    x = jnp.arange(3, dtype=jnp.float32)
+    k = jnp.float32(2.0)
+    assert jax.jit(function)(x, k) == 10.0 == jax.vmap(function, (0, None))(x[None], k)[0]
+    np.testing.assert_array_equal(jax.grad(function)(x, k), 4.0 * x)
+    np.testing.assert_array_equal(jax.jacfwd(function)(x, k), 4.0 * x)

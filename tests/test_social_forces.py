@@ -102,6 +102,29 @@ def test_step_equals_the_float64_loop(preset):
 
 
 @pytest.mark.parametrize("preset", ["helbing1995", "helbing2000"])
+def test_the_form_for_a_gpu_gives_the_same(preset, monkeypatch):
+    """Others two by two, of an odd number; obstacles one by one, bodies in them as well."""
+    parameters, (people, table, _) = social_forces.preset(preset), workload.crowd(21, 12)
+    center = jnp.asarray(workload.boxes(21, 12)[0], jnp.float32)[6]
+    people = replace(people, position=people.position.at[0].set(center + 0.1))
+
+    def after():
+        return jax.jit(lambda people: social_forces.advance(parameters, people, table, None, None, STEP))(people)
+
+    cpu = after()
+    forms = []
+
+    def chosen(*given, cpu, default):
+        forms.append(default)
+        return default(*given)
+
+    monkeypatch.setattr(jax.lax, "platform_dependent", chosen)
+    for ours, theirs in zip(jax.tree.leaves(after()), jax.tree.leaves(cpu), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5)
+    assert len(forms) >= 4, "pairs, wall forces, keeping out, shortening"
+
+
+@pytest.mark.parametrize("preset", ["helbing1995", "helbing2000"])
 def test_parties_in_a_crush_at_a_wall_equal_the_float64_loop(preset):
     """Eleven people who overlap, two of them in the wall as well: cohesion, contact, friction of bodies and walls."""
     parameters = social_forces.preset(preset)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.geometry import length
 from sean_jax.social_forces.model import turn
-from sean_jax.social_forces.walls import distances, keep_out
+from sean_jax.social_forces.walls import keep_out
 
 
 def constant_velocity(scenario: Scenario, state: State) -> Pedestrians:
@@ -24,8 +24,8 @@ def walk(scenario: Scenario, people: Pedestrians, velocity: Array) -> Pedestrian
     vx, vy = velocity[:, 0], velocity[:, 1]
     speed, greatest = length(vx, vy), parameters.speed_ratio * people.preferred_speed
     slower = jnp.where(speed > greatest, greatest / jnp.where(speed > greatest, speed, 1.0), 1.0)
-    gap, nx, ny = distances(people.position[:, 0], people.position[:, 1], scenario.environment.nearby)
-    vx, vy = keep_out(vx * slower, vy * slower, gap - parameters.radius, nx, ny, scenario.time_step)
+    (px, py), nearby = people.position.T, scenario.environment.nearby
+    vx, vy = keep_out(px, py, vx * slower, vy * slower, nearby, parameters.radius, scenario.time_step)
     velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
     heading = turn(people, velocity, parameters.turn_rate * scenario.time_step)
     return replace(people, position=people.position + velocity * scenario.time_step, velocity=velocity, heading=heading)

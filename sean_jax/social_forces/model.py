@@ -1,17 +1,20 @@
 """The social force model (section IV-D [28][44][45]): accelerations, and one semi-implicit Euler step."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 
 from sean_jax.base import Array, Groups, Nearby, Pedestrians, Robot, Scenario, State
 from sean_jax.geometry import angle_between, length, rotate, sum_vectors, unit
+from sean_jax.platforms import by_platform
 from sean_jax.social_forces.cohesion import cohesion_forces
 from sean_jax.social_forces.neighbors import MANY, Neighbors, find, sum_pairs
 from sean_jax.social_forces.parameters import Parameters, felt_within
 from sean_jax.social_forces.repulsion import TINY, contact, sidestep
-from sean_jax.social_forces.walls import distances, keep_out, wall_forces
+from sean_jax.social_forces.walls import keep_out, wall_forces
 
 ABSENT = -2  # marks who is not there where a group index is -1 for nobody's member
 PARTIES = 1 << 20  # added to the number of a party where it stands among those of groups
@@ -59,9 +62,8 @@ def advance(
         fx, fy = _add((fx, fy), robot_force(parameters, people, look_x, look_y, robot, robot_radius))
     if groups is not None:
         fx, fy = _add((fx, fy), group_forces(parameters, people, groups))
-    walls = None if nearby is None else distances(px, py, nearby)
-    if walls is not None:
-        fx, fy = _add((fx, fy), wall_forces(*walls, parameters))
+    if nearby is not None:
+        fx, fy = _add((fx, fy), wall_forces(px, py, nearby, parameters))
     fx, fy = _yield(parameters, fx, fy, people.heading)
     if companions is not None:
         fx, fy = _add((fx, fy), cohesion_forces(parameters, people, companions, look_x, look_y))
@@ -72,9 +74,10 @@ def advance(
     greatest = parameters.speed_ratio * people.preferred_speed
     slower = jnp.where(speed > greatest, greatest / jnp.where(speed > greatest, speed, 1.0), 1.0)
     vx, vy = vx * slower, vy * slower
-    if walls is not None:
+    if nearby is not None:
         rub = None if parameters.friction is None else parameters.friction / parameters.body
-        vx, vy = keep_out(vx, vy, walls[0] - parameters.radius, walls[1], walls[2], time_step, rub)
+        vx, vy = keep_out(px, py, vx, vy, nearby, parameters.radius, time_step, rub)
+        vx, vy = jax.lax.optimization_barrier((vx, vy))  # XLA for a GPU would compute both twice: for x and for y
     velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
     heading = turn(people, velocity, parameters.turn_rate * time_step)
     return replace(people, position=people.position + velocity * time_step, velocity=velocity, heading=heading)
@@ -124,8 +127,27 @@ def pair_forces(
     own = *other, look_x, look_y, _side(parameters, people)
     if near is not None:
         return sum_pairs(pair, near, parameters, jnp.stack(own), jnp.stack(other))
-    others = jax.vmap(pair, in_axes=(None, None, 0))
-    return sum_vectors(*jax.vmap(others, in_axes=(None, 0, None))(parameters, own, other), 1)
+    return _sum_over_all(pair, parameters, own, other)
+
+
+def _sum_over_all(pair: Callable, parameters: Parameters, own: tuple, other: tuple) -> tuple[Array, Array]:
+    """(N,) x and y: the sums over all others of the law of one pair.
+
+    On a GPU each thread takes two others, so it reads what is one's own half as often: a sixth faster.
+    """
+
+    def in_turns(turns: int, parameters, own, other):
+        nobody = (0, -len(other[0]) % turns)
+        other = tuple(jnp.pad(row, nobody, constant_values=ABSENT).reshape(turns, -1) for row in other)
+
+        def several(parameters, own, others):
+            turn = lambda total, one: (_add(total, pair(parameters, own, one)), None)  # noqa: E731
+            return jax.lax.scan(turn, (jnp.float32(0.0), jnp.float32(0.0)), others, unroll=turns)[0]
+
+        each = jax.vmap(jax.vmap(several, in_axes=(None, None, 1)), in_axes=(None, 0, None))
+        return sum_vectors(*each(parameters, own, other), 1)
+
+    return by_platform(partial(in_turns, 1), partial(in_turns, 2))(parameters, own, other)
 
 
 def robot_force(

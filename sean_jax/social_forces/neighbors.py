@@ -1,9 +1,9 @@
 """Who is near whom in a large crowd: people sorted into strips of floor, so that a force is summed over few pairs.
 
 A strip is as high as the distance within which people feel one another. Those whom somebody feels then stand in three
-runs of the sorted people: one in the own strip and one in each of the two beside it. Sums go along these runs in
-parts of ``PART`` people. Those with as many neighbors are summed for together, in as many parts as whoever of them has
-the most needs: so no crowd is too dense, and a throng in one place makes nobody wait elsewhere.
+runs of the sorted people: one in the own strip and one in each of the two beside it. Sums go along all three at once,
+in parts of ``PART`` people. Those with as long runs are summed for together, in as many parts as the longest of them
+needs: so no crowd is too dense, and a throng in one place makes nobody wait elsewhere.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from flax import struct
 from sean_jax.base import Array
 
 MANY = 256  # from as many people on this pays
-PART = 16  # people of the runs who are looked at together, a power of two
+PART = 8  # people of each run who are looked at together, a power of two
 BLOCKS = 4  # of people who are summed for together
 
 
@@ -26,7 +26,7 @@ class Neighbors:
     """Where in the sorted crowd everybody's neighbors stand."""
 
     order: Array  # (N,) int32 the people, strip by strip, in each from left to right
-    fullest: Array  # (N,) int32 the people, who has the most neighbors first
+    fullest: Array  # (N,) int32 the people, whose runs have the most parts first
     rank: Array  # (N,) int32 where among those each person is
     first: (
         Array  # (N, 3) int32 of the fullest: where in ``order`` the runs begin in the strip below, the own, that above
@@ -40,20 +40,30 @@ def find(position: Array, present: Array, within: Array) -> Neighbors:
     x, y = (_from_least(part, present) for part in jax.lax.stop_gradient(position).T)
     within = jax.lax.stop_gradient(within)
     within = jnp.minimum(within, 2.0 * (jnp.max(x) + jnp.max(y)) + 1.0)
-    width = jnp.max(x) + 2.0 * within + 1.0
     strip = jnp.floor(y / within)
-    within = within + 1e-6 * width * (jnp.max(strip) + 2.0)  # the rounding of what follows
+    rounding = 1e-6 * (jnp.max(x) + 2.0 * within + 1.0) * (jnp.max(strip) + 2.0)
+    up = y - strip * within  # from the own strip's lower edge
+    below, above = (_half_chord(within, apart - rounding) + rounding for apart in (up, within - up))
+    within = within + rounding
     width = jnp.max(x) + 2.0 * within + 1.0
     along = strip * width + x
     numbers = jnp.arange(x.shape[0], dtype=jnp.int32)
-    along, order = jax.lax.sort((along, numbers), num_keys=1)
+    along, order, below, above = jax.lax.sort((along, numbers, below, above), num_keys=1)
     middle = jnp.stack([along - width, along, along + width], 1)
+    half = jnp.stack([below, jnp.full_like(below, within), above], 1)
     where = partial(jnp.searchsorted, along, method="scan_unrolled")
-    first, last = where(middle - within, side="left"), where(middle + within, side="right")
-    _, place = jax.lax.sort((-jnp.sum(last - first, 1), numbers), num_keys=1)
+    first, last = (
+        where(query, side=side).astype(jnp.int32) for query, side in ((middle - half, "left"), (middle + half, "right"))
+    )
+    _, place = jax.lax.sort((-_parts(first, last), numbers), num_keys=1)
     fullest = order[place]
     rank = jnp.zeros_like(fullest).at[fullest].set(numbers, unique_indices=True)
-    return Neighbors(order, fullest, rank, first[place].astype(jnp.int32), last[place].astype(jnp.int32))
+    return Neighbors(order, fullest, rank, first[place], last[place])
+
+
+def _half_chord(radius: Array, apart: Array) -> Array:
+    """Half of what a circle cuts off a line at that distance from its middle."""
+    return jnp.sqrt(jnp.maximum(radius * radius - jnp.maximum(apart, 0.0) ** 2, 0.0))
 
 
 def _from_least(values: Array, present: Array) -> Array:
@@ -79,8 +89,8 @@ def sum_pairs(law: Callable, near: Neighbors, shared: Any, own: Array, other: Ar
     there = other[:, near.order]
 
     def block(runs: Runs, own: Array) -> tuple:
-        def add(window: Callable, part: Array, sums: tuple) -> tuple:
-            x, y = _part(law, shared, own, *window(runs, there, part))
+        def add(part: Array, sums: tuple) -> tuple:
+            x, y = _part(law, shared, own, *_window(runs, there, part))
             return sums[0] + x, sums[1] + y
 
         return _over_parts(runs, add, (jnp.zeros_like(own[0]), jnp.zeros_like(own[0]))), None
@@ -106,11 +116,11 @@ def _backward(law: Callable, kept: tuple, given: tuple[Array, Array]) -> tuple:
     def block(runs: Runs, rows: Array) -> tuple:
         own, other, pulls = rows[:feeling], rows[feeling : feeling + felt], rows[feeling + felt :]
 
-        def add(window: Callable, part: Array, sums: tuple) -> tuple:
-            those, any_there = window(runs, there, part)
+        def add(part: Array, sums: tuple) -> tuple:
+            those, any_there = _window(runs, there, part)
             _, pull = jax.vjp(lambda shared, own: _part(law, shared, own, those, any_there), shared, own)
             d_shared, d_own = pull((pulls[0], pulls[1]))
-            feels, any_there = window(runs, felt_by, part)
+            feels, any_there = _window(runs, felt_by, part)
             _, pull = jax.vjp(lambda other: _part(back, shared, other, feels, any_there), other)
             (d_other,) = pull((jnp.ones_like(pulls[0]), jnp.zeros_like(pulls[0])))
             return jax.tree.map(jnp.add, sums, ((*d_own, *d_other), d_shared))
@@ -151,56 +161,28 @@ def _over_blocks(near: Neighbors, block: Callable, rows: Array) -> tuple:
 
 
 def _over_parts(runs: Runs, add: Callable, sums: Any) -> Any:
-    """The sums after ``add(window, part, sums)`` for as many parts as there are for whoever has the most.
-
-    A processor cuts parts out of runs faster than it looks up one person after the other; a GPU does not mind, so there
-    a part may begin in one run and end in the next, and there are fewer.
-    """
-
-    def along(count: Callable, window: Callable, sums: Any) -> Any:
-        parts = jnp.max(count(runs))
-        turn = lambda carry: (carry[0] + 1, add(window, *carry))  # noqa: E731
-        return jax.lax.while_loop(lambda carry: carry[0] < parts, turn, (jnp.int32(0), sums))[1]
-
-    cpu, default = partial(along, _cut_parts, _cut), partial(along, _lookup_parts, _lookup)
-    return jax.lax.platform_dependent(sums, cpu=cpu, default=default)
+    """The sums after ``add(part, sums)`` for as many parts as there are for whoever has the most."""
+    parts = jnp.max(_parts(runs.first, runs.last))
+    turn = lambda carry: (carry[0] + 1, add(*carry))  # noqa: E731
+    return jax.lax.while_loop(lambda carry: carry[0] < parts, turn, (jnp.int32(0), sums))[1]
 
 
-def _cut_parts(runs: Runs) -> Array:
-    """(N,) int32: how many parts the runs of each person have, each of one run."""
-    return jnp.sum(_rounded_up(runs.last - runs.first), 1)
+def _parts(first: Array, last: Array) -> Array:
+    """(N,) int32: how many parts the longest of each person's runs (N, 3) has."""
+    return (jnp.max(last - first, 1) + PART - 1) // PART
 
 
-def _lookup_parts(runs: Runs) -> Array:
-    """(N,) int32: how many parts the runs of each person have, one run behind the other."""
-    return _rounded_up(jnp.sum(runs.last - runs.first, 1))
-
-
-def _rounded_up(people: Array) -> Array:
-    return (people + PART - 1) // PART
-
-
-def _cut(runs: Runs, rows: Array, part: Array) -> tuple[tuple[Array, ...], Array]:
-    """For each of the rows (R, N) those (N, PART) in that part of everybody's runs, and (N, PART) bool who is any."""
-    below, own, above = jnp.cumsum(_rounded_up(runs.last - runs.first), 1).T
-    run = (part >= below).astype(jnp.int32) + (part >= own).astype(jnp.int32)
-    begin, end = (jnp.take_along_axis(side, run[:, None], 1)[:, 0] for side in (runs.first, runs.last))
-    begin = begin + PART * (part - jnp.where(run == 0, 0, jnp.where(run == 1, below, own)))
-    begin = jnp.where(part < above, begin, rows.shape[1])
-    there = begin[:, None] + jnp.arange(PART, dtype=jnp.int32)[None, :] < end[:, None]
+def _window(runs: Runs, rows: Array, part: Array) -> tuple[tuple[Array, ...], Array]:
+    """For each of the rows (R, N) those (N, 3 PART) in that part of everybody's runs; (N, 3 PART) bool who is any."""
+    begin = runs.first + PART * part
+    there = begin[:, :, None] + jnp.arange(PART, dtype=jnp.int32)[None, None, :] < runs.last[:, :, None]
     padded = jnp.pad(rows, ((0, 0), (0, PART)))
-    cut = jax.vmap(lambda at: jax.lax.dynamic_slice(padded, (0, at), (rows.shape[0], PART)))(begin)
-    return tuple(jax.lax.optimization_barrier(cut).swapaxes(0, 1)), there
 
+    def cut(row: Array) -> Array:  # a processor does it once and for all, a GPU where it needs them
+        those = jax.vmap(jax.vmap(lambda at: jax.lax.dynamic_slice(row, (at,), (PART,))))(begin)
+        return jax.lax.platform_dependent(those, cpu=jax.lax.optimization_barrier, default=lambda those: those)
 
-def _lookup(runs: Runs, rows: Array, part: Array) -> tuple[tuple[Array, ...], Array]:
-    """As ``_cut``."""
-    first, below = runs.first.T[:, :, None], jnp.cumsum(runs.last - runs.first, 1).T[:, :, None]
-    number = PART * part + jnp.arange(PART, dtype=jnp.int32)[None, :]
-    beyond = jnp.where(number < below[1], first[1] + number - below[0], first[2] + number - below[1])
-    there = number < below[2]
-    at = jnp.where(there, jnp.where(number < below[0], first[0] + number, beyond), 0)
-    return tuple(row.at[at].get(mode="promise_in_bounds") for row in rows), there
+    return tuple(cut(row).reshape(-1, 3 * PART) for row in padded), there.reshape(-1, 3 * PART)
 
 
 def _part(law: Callable, shared: Any, own: Array, window: tuple[Array, ...], there: Array) -> tuple[Array, Array]:
@@ -213,8 +195,9 @@ def _part(law: Callable, shared: Any, own: Array, window: tuple[Array, ...], the
 
 
 def _by_halves(pushes: Array) -> Array:
-    """(N,) the sums of (N, PART), which XLA for a CPU adds up three times slower by itself, one after the other."""
+    """(N,) the sums of (N, 3 PART), which XLA for a CPU adds up three times slower by itself, one after the other."""
     pushes = jax.lax.optimization_barrier(pushes)
+    pushes = pushes[:, :PART] + pushes[:, PART : 2 * PART] + pushes[:, 2 * PART :]
     while pushes.shape[1] > 1:
         half = pushes.shape[1] // 2
         pushes = pushes[:, :half] + pushes[:, half:]

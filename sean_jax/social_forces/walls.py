@@ -3,13 +3,16 @@
 Helbing & Molnar (1995), eq. (5): U(d) = U0 exp(-d / R), the force being its negative gradient.
 """
 
+from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from sean_jax.base import Array, Nearby
 from sean_jax.geometry import from_rectangle, sum_vectors
 from sean_jax.nearby import around
+from sean_jax.platforms import by_platform
 
 SLACK = 1e-3  # m/s, or rounding would hold whoever walks along a wall: 0.05 mm in a step of 0.05 s
 
@@ -20,20 +23,31 @@ def distances(px: Array, py: Array, nearby: Nearby) -> tuple[Array, Array, Array
     return from_rectangle(px[:, None], py[:, None], *(rows[..., part] for part in range(6)))
 
 
-def wall_forces(distance: Array, nx: Array, ny: Array, parameters: Any) -> tuple[Array, Array]:
+def wall_forces(px: Array, py: Array, nearby: Nearby, parameters: Any) -> tuple[Array, Array]:
     """(N,) x and y parts [m/s2] of the push of all obstacles along their normals."""
-    push = parameters.wall_strength * jnp.exp((parameters.wall_reach - distance) * (1.0 / parameters.wall_range))
-    push = push * (1.0 + parameters.wall_lever * (distance - 1.0))
-    push = jnp.where(distance < parameters.perception, push, 0.0)
-    return sum_vectors(push * nx, push * ny, 1)
+
+    def push(distance, nx, ny, parameters):
+        size = parameters.wall_strength * jnp.exp((parameters.wall_reach - distance) * (1.0 / parameters.wall_range))
+        size = size * (1.0 + parameters.wall_lever * (distance - 1.0))
+        size = jnp.where(distance < parameters.perception, size, 0.0)
+        return size * nx, size * ny
+
+    return _summed(push, px, py, around(nearby, px, py), (), parameters)
 
 
 def keep_out(
-    vx: Array, vy: Array, gap: Array, nx: Array, ny: Array, time_step: float, rub: Array | None = None
+    px: Array,
+    py: Array,
+    vx: Array,
+    vy: Array,
+    nearby: Nearby,
+    radius: Array,
+    time_step: float,
+    rub: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Velocities (N,) [m/s] with which nobody ends the step inside an obstacle.
+    """Velocities (N,) [m/s] with which no body of that radius [m] ends the step inside an obstacle.
 
-    A body at that gap (N, K) [m] may approach by no more than the gap in one step: n . v >= -gap / time_step.
+    A body at a gap [m] from an obstacle may approach by no more than the gap in one step: n . v >= -gap / time_step.
     For a convex obstacle this linear bound is exact or stricter. All violated bounds are mended together, which is
     exact at the inner corner of two walls and leads out a body that is inside (a negative gap). Where that violates
     another bound, as in an acute corner, the velocity is shortened until it does not.
@@ -43,16 +57,73 @@ def keep_out(
     their friction kappa g is rub u / time_step. An implicit step of it divides the speed along the wall by 1 + rub u,
     which turns nobody round, however long the step.
     """
-    excess = jnp.maximum(-gap / time_step - (nx * vx[:, None] + ny * vy[:, None]), 0.0)
-    x, y = sum_vectors(excess * nx, excess * ny, 1)
-    vx, vy = vx + x, vy + y
+    rows = around(nearby, px, py)
+
+    def excess(distance, nx, ny, vx, vy, shared):
+        return jnp.maximum((shared[0] - distance) / shared[1] - (nx * vx + ny * vy), 0.0)
+
+    def mended(distance, nx, ny, vx, vy, shared):
+        over = excess(distance, nx, ny, vx, vy, shared)
+        return over * nx, over * ny
+
+    def rubbed(distance, nx, ny, before_x, before_y, vx, vy, shared):
+        over = excess(distance, nx, ny, before_x, before_y, shared)
+        lost = (ny * vx - nx * vy) * (1.0 - 1.0 / (1.0 + shared[2] * over))
+        return -lost * ny, lost * nx
+
+    def share(distance, nx, ny, vx, vy, shared):
+        approach, allowed = -(nx * vx + ny * vy), jnp.maximum((distance - shared[0]) / shared[1] + SLACK, 0.0)
+        over = approach > allowed
+        return jnp.where(over, allowed / jnp.where(over, approach, 1.0), 1.0)
+
+    shared = radius, time_step, rub
+    x, y = _summed(mended, px, py, rows, (vx, vy), shared)
+    before, vx, vy = (vx, vy), vx + x, vy + y
     if rub is not None:
-        along = ny * vx[:, None] - nx * vy[:, None]
-        lost = along * (1.0 - 1.0 / (1.0 + rub * excess))
-        x, y = sum_vectors(lost * ny, -lost * nx, 1)
-        vx, vy = vx - x, vy - y
-    approach = -(nx * vx[:, None] + ny * vy[:, None])
-    allowed = jnp.maximum(gap / time_step + SLACK, 0.0)
-    over = approach > allowed
-    share = jnp.min(jnp.where(over, allowed / jnp.where(over, approach, 1.0), 1.0), axis=1)
-    return vx * share, vy * share
+        x, y = _summed(rubbed, px, py, rows, (*before, vx, vy), shared)
+        vx, vy = vx + x, vy + y
+    least = _least(share, px, py, rows, (vx, vy), shared)
+    return vx * least, vy * least
+
+
+def _summed(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: Any) -> tuple[Array, Array]:
+    """(N,) x and y: the sums over obstacles, of ``rows`` (N, K, 6), of ``law(distance, nx, ny, *each, shared)``."""
+
+    def add(total: tuple, one: tuple) -> tuple:
+        return total[0] + one[0], total[1] + one[1]
+
+    nothing = jnp.zeros_like(px), jnp.zeros_like(px)
+    return _over_obstacles(
+        law, lambda pushes: sum_vectors(pushes[0], pushes[1], 1), add, nothing, px, py, rows, each, shared
+    )
+
+
+def _least(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: Any) -> Array:
+    """(N,) the least that the law gives, at most 1."""
+    whole = jnp.ones_like(px)
+    return _over_obstacles(law, lambda values: values.min(1), jnp.minimum, whole, px, py, rows, each, shared)
+
+
+def _over_obstacles(law: Callable, reduce: Callable, join: Callable, start: Any, *given: Any) -> Any:
+    """The law of all obstacles (N, K): on a CPU at once and then reduced, elsewhere joined to the start one by one.
+
+    XLA for a GPU writes what is (N, K) to memory and reads it again for each sum over K; one by one it makes a single
+    kernel of it all, which would be slow on a CPU.
+    """
+
+    def value(px: Array, py: Array, row: Any, each: tuple, shared: Any) -> Any:  # of one obstacle
+        distance, nx, ny = from_rectangle(px, py, *row)
+        return law(distance, nx, ny, *each, shared)
+
+    def at_once(start: Any, px: Array, py: Array, rows: Array, each: tuple, shared: Any) -> Any:
+        obstacles = jax.vmap(value, (None, None, 0, None, None))
+        return reduce(jax.vmap(obstacles, (0, 0, 0, 0, None))(px, py, rows, each, shared))
+
+    def one_by_one(start: Any, px: Array, py: Array, rows: Array, each: tuple, shared: Any) -> Any:
+        def turn(total: Any, row: tuple) -> tuple:
+            return join(total, value(px, py, row, each, shared)), None
+
+        parts = tuple(rows[..., part].T for part in range(rows.shape[2]))
+        return jax.lax.scan(turn, start, parts, unroll=rows.shape[1])[0]
+
+    return by_platform(at_once, one_by_one)(start, *given)
