@@ -101,7 +101,7 @@ def rows(people: int, turns: int) -> dict[str, tuple[str, Counter, float, float]
     for number in (62, 1000, 10_000):
         crowd, nearby, _ = workload.crowd(number, 32)
         one = jax.make_jaxpr(lambda p: social_forces.advance(parameters, p, nearby, None, None, 0.05))  # noqa: B023
-        counted = count(one(jax.eval_shape(lambda: crowd)).jaxpr, 3)  # noqa: B023
+        counted = count(one(jax.eval_shape(lambda: crowd)).jaxpr, 2)  # noqa: B023
         found[f"agent-steps, N = {number}"] = (f"crowd {number}", counted, 2.0 * bytes_of(crowd), float(number))
     return found
 

@@ -77,17 +77,21 @@ def simulate(
     carry = programs.draw(fixed, jnp.asarray(numbers, jnp.uint32))
     made: dict[str, np.ndarray] = {}
     lengths, waiting = np.zeros(len(numbers), np.int64), []
+
+    def settle() -> None:
+        for begin, (rows, active) in waiting:
+            lengths[:] += _keep(made, rows, np.asarray(active), begin, programs.seconds)
+        waiting.clear()
+
     for done in range(0, programs.seconds, CHUNK):
         if bool(np.asarray(carry[0].completed | carry[0].timed_out).all()):
             break
         carry, chunk = programs.advance(fixed[:2], carry)
-        for begin, (rows, active) in waiting:  # those of before, while the device goes on
-            lengths += _keep(made, rows, np.asarray(active), begin, programs.seconds)
-        waiting = [(done, chunk)]
+        settle()  # what came before, while the device goes on
+        waiting.append((done, chunk))
         if watch is not None:
             watch(done)
-    for begin, (rows, active) in waiting:
-        lengths += _keep(made, rows, np.asarray(active), begin, programs.seconds)
+    settle()
     _refuse_nan(made, numbers)
     return Batch(made, lengths, np.asarray(carry[0].completed))
 

@@ -142,7 +142,8 @@ def _sum_over_all(pair: Callable, parameters: Parameters, own: tuple, other: tup
 
         def several(parameters, own, others):
             turn = lambda total, one: (_add(total, pair(parameters, own, one)), None)  # noqa: E731
-            return jax.lax.scan(turn, (jnp.float32(0.0), jnp.float32(0.0)), others, unroll=turns)[0]
+            nothing = jnp.zeros_like(own[0]), jnp.zeros_like(own[0])
+            return jax.lax.scan(turn, nothing, others, unroll=turns)[0]
 
         each = jax.vmap(jax.vmap(several, in_axes=(None, None, 1)), in_axes=(None, 0, None))
         return sum_vectors(*each(parameters, own, other), 1)
