@@ -133,7 +133,7 @@ def pair_forces(
 def _sum_over_all(pair: Callable, parameters: Parameters, own: tuple, other: tuple) -> tuple[Array, Array]:
     """(N,) x and y: the sums over all others of the law of one pair.
 
-    On a GPU each thread takes two others, so it reads what is one's own half as often: a sixth faster.
+    On a GPU each thread takes two others, so it reads what is one's own half as often: a fifth less time.
     """
 
     def in_turns(turns: int, parameters, own, other):
