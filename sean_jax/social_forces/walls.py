@@ -24,7 +24,7 @@ def distances(px: Array, py: Array, nearby: Nearby) -> tuple[Array, Array, Array
 
 
 def wall_forces(px: Array, py: Array, nearby: Nearby, parameters: Any) -> tuple[Array, Array]:
-    """(N,) x and y parts [m/s2] of the push of all obstacles along their normals."""
+    """(N,) x and y parts [m/s2] of the push of all obstacles along their normals, on people at (px, py) (N,) [m]."""
 
     def push(distance, nx, ny, parameters):
         size = parameters.wall_strength * jnp.exp((parameters.wall_reach - distance) * (1.0 / parameters.wall_range))
@@ -32,7 +32,7 @@ def wall_forces(px: Array, py: Array, nearby: Nearby, parameters: Any) -> tuple[
         size = jnp.where(distance < parameters.perception, size, 0.0)
         return size * nx, size * ny
 
-    return _summed(push, px, py, around(nearby, px, py), (), parameters)
+    return _summed(push, px, py, around(nearby, px, py), (), (parameters,))
 
 
 def keep_out(
@@ -45,7 +45,7 @@ def keep_out(
     time_step: float,
     rub: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Velocities (N,) [m/s] with which no body of that radius [m] ends the step inside an obstacle.
+    """Velocities (N,) [m/s] with which no body of that radius [m] at (px, py) [m] ends the step [s] inside an obstacle.
 
     A body at a gap [m] from an obstacle may approach by no more than the gap in one step: n . v >= -gap / time_step.
     For a convex obstacle this linear bound is exact or stricter. All violated bounds are mended together, which is
@@ -59,35 +59,35 @@ def keep_out(
     """
     rows = around(nearby, px, py)
 
-    def excess(distance, nx, ny, vx, vy, shared):
-        return jnp.maximum((shared[0] - distance) / shared[1] - (nx * vx + ny * vy), 0.0)
+    def excess(distance, nx, ny, vx, vy, radius, time_step):
+        return jnp.maximum((radius - distance) / time_step - (nx * vx + ny * vy), 0.0)
 
-    def mended(distance, nx, ny, vx, vy, shared):
-        over = excess(distance, nx, ny, vx, vy, shared)
+    def mended(distance, nx, ny, vx, vy, radius, time_step):
+        over = excess(distance, nx, ny, vx, vy, radius, time_step)
         return over * nx, over * ny
 
-    def rubbed(distance, nx, ny, before_x, before_y, vx, vy, shared):
-        over = excess(distance, nx, ny, before_x, before_y, shared)
-        lost = (ny * vx - nx * vy) * (1.0 - 1.0 / (1.0 + shared[2] * over))
+    def rubbed(distance, nx, ny, before_x, before_y, vx, vy, radius, time_step, rub):
+        over = excess(distance, nx, ny, before_x, before_y, radius, time_step)
+        lost = (ny * vx - nx * vy) * (1.0 - 1.0 / (1.0 + rub * over))
         return -lost * ny, lost * nx
 
-    def share(distance, nx, ny, vx, vy, shared):
-        approach, allowed = -(nx * vx + ny * vy), jnp.maximum((distance - shared[0]) / shared[1] + SLACK, 0.0)
+    def share(distance, nx, ny, vx, vy, radius, time_step):
+        approach, allowed = -(nx * vx + ny * vy), jnp.maximum((distance - radius) / time_step + SLACK, 0.0)
         over = approach > allowed
         return jnp.where(over, allowed / jnp.where(over, approach, 1.0), 1.0)
 
-    shared = radius, time_step, rub
+    shared = radius, time_step
     x, y = _summed(mended, px, py, rows, (vx, vy), shared)
     before, vx, vy = (vx, vy), vx + x, vy + y
     if rub is not None:
-        x, y = _summed(rubbed, px, py, rows, (*before, vx, vy), shared)
+        x, y = _summed(rubbed, px, py, rows, (*before, vx, vy), (*shared, rub))
         vx, vy = vx + x, vy + y
     least = _least(share, px, py, rows, (vx, vy), shared)
     return vx * least, vy * least
 
 
-def _summed(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: Any) -> tuple[Array, Array]:
-    """(N,) x and y: the sums over obstacles, of ``rows`` (N, K, 6), of ``law(distance, nx, ny, *each, shared)``."""
+def _summed(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> tuple[Array, Array]:
+    """(N,) x and y: the sums over obstacles, of ``rows`` (N, K, 6), of ``law(distance, nx, ny, *each, *shared)``."""
 
     def add(total: tuple, one: tuple) -> tuple:
         return total[0] + one[0], total[1] + one[1]
@@ -98,7 +98,7 @@ def _summed(law: Callable, px: Array, py: Array, rows: Array, each: tuple, share
     )
 
 
-def _least(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: Any) -> Array:
+def _least(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> Array:
     """(N,) the least that the law gives, at most 1."""
     whole = jnp.ones_like(px)
     return _over_obstacles(law, lambda values: values.min(1), jnp.minimum, whole, px, py, rows, each, shared)
@@ -111,15 +111,15 @@ def _over_obstacles(law: Callable, reduce: Callable, join: Callable, start: Any,
     kernel of it all, which would be slow on a CPU.
     """
 
-    def value(px: Array, py: Array, row: Any, each: tuple, shared: Any) -> Any:  # of one obstacle
+    def value(px: Array, py: Array, row: Any, each: tuple, shared: tuple) -> Any:  # of one obstacle
         distance, nx, ny = from_rectangle(px, py, *row)
-        return law(distance, nx, ny, *each, shared)
+        return law(distance, nx, ny, *each, *shared)
 
-    def at_once(start: Any, px: Array, py: Array, rows: Array, each: tuple, shared: Any) -> Any:
+    def at_once(start: Any, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> Any:
         obstacles = jax.vmap(value, (None, None, 0, None, None))
         return reduce(jax.vmap(obstacles, (0, 0, 0, 0, None))(px, py, rows, each, shared))
 
-    def one_by_one(start: Any, px: Array, py: Array, rows: Array, each: tuple, shared: Any) -> Any:
+    def one_by_one(start: Any, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> Any:
         def turn(total: Any, row: tuple) -> tuple:
             return join(total, value(px, py, row, each, shared)), None
 
