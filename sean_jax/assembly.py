@@ -84,11 +84,27 @@ def make(
     Raises:
         ValueError: one sentence that names the value and the cure.
     """
-    _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time, task_distance)
-    _check_graph_options(paths, spreading)
-    _check_poses(task, start, goal)
+    _check(time_step, time_limit, goal_radius, hold_time, task_distance, substeps)
+    folder = check(
+        environment,
+        behavior=behavior,
+        task=task,
+        robot=robot,
+        people=people,
+        model=model,
+        forces=forces,
+        dynamics=dynamics,
+        paths=paths,
+        spreading=spreading,
+        recording=recording,
+        frame_rate=frame_rate,
+        handcrafted=handcrafted,
+        start=start,
+        goal=goal,
+        situations=situations,
+        parties=parties,
+    )
     chosen, usual = _situations(situations)
-    folder = environments.find(environment)
     scene, vehicle = environments.load(folder), robots.load(robot, dynamics)
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     walking = _navigation(folder, PERSON_CLEARANCE)
@@ -113,7 +129,7 @@ def make(
         task_distance=jnp.asarray(task_distance, jnp.float32),
         robot=vehicle,
         task=tasks.TASKS[task],
-        move=_model(model, behavior),
+        move=behaviors.playback.follow if behavior == "playback" else pedestrian_models.MODELS[model],
         situations=chosen,
         metrics=tuple(metrics.METRICS.items()),
         time_step=time_step,
@@ -129,9 +145,62 @@ def make(
     return dataclasses.replace(scenario, task=tasks.poses(scenario, start, goal))
 
 
+def check(
+    environment: str | Path = "warehouse",
+    *,
+    behavior: str = "graph",
+    task: str = "join_group",
+    robot: str | Path = "kuri",
+    people: int | None = None,
+    model: str = "social_forces",
+    forces: str | social_forces.Parameters = "helbing1995",
+    dynamics: str = "mjx",
+    paths: str | None = None,
+    spreading: float | None = None,
+    recording: str | Path | None = None,
+    frame_rate: float | None = None,
+    handcrafted: str | None = None,
+    start: tuple[float, ...] | None = None,
+    goal: tuple[float, ...] | None = None,
+    situations: str | Mapping[str, Callable] = "paper",
+    parties: tuple[float, float] = (0.0, 0.0),
+) -> Path:
+    """Refuse what ``make`` would refuse, as far as it can be told in a moment; the folder of the environment.
+
+    Nothing is compiled and no table is made. The arguments are those of ``make``.
+
+    Raises:
+        ValueError: one sentence that names the value and the cure.
+    """
+    _check_name("behavior", behavior, behaviors.BEHAVIORS)
+    check_task(task, behavior)
+    _check_poses(task, start, goal)
+    options = {
+        "paths": paths,
+        "spreading": spreading,
+        "parties": None if tuple(parties) == (0.0, 0.0) else tuple(parties),
+        "recording": recording,
+        "frame_rate": frame_rate,
+        "handcrafted": handcrafted,
+    }
+    _check_owners(behavior, options)
+    _check_graph_options(paths, spreading)
+    behaviors.parties.parties(0, tuple(parties))
+    if isinstance(situations, str):
+        _check_name("situations", situations, classifiers.SITUATION_SETS)
+    _check_name("model", model, pedestrian_models.MODELS)
+    if behavior == "playback" and model != "social_forces":
+        raise ValueError(f"model: '{model}' moves nobody in behavior 'playback', where people walk as recorded.")
+    robots.find(robot, dynamics)
+    folder = environments.find(environment)
+    _check_people(people, behavior, folder, forces)
+    _check_recording(behavior, recording, frame_rate)
+    return folder
+
+
 def with_task(scenario: Scenario, task: str) -> Scenario:
     """The same scenario with another robot task; ValueError if there is none of that name or it does not fit."""
-    _check_task(task, scenario.behavior.name)
+    check_task(task, scenario.behavior.name)
     if task == "custom":
         raise ValueError("task: 'custom' needs a start and a goal; give them to make with it as the only task.")
     if task == "handcrafted":
@@ -147,10 +216,6 @@ def _navigation(folder: Path, radius: float) -> navigation.Navigation:
 
 def _behavior(name, folder, scene, walking, people, time_step, options) -> tuple[Behavior, int]:
     """The behavior and the number of people: as many as are recorded at once, as the largest set has, or as asked."""
-    for option, (owners, has) in OPTIONS_OF.items():
-        if options[option] is not None and name not in owners:
-            choices = " or ".join(f"'{owner}'" for owner in owners)
-            raise ValueError(f"{option}: behavior '{name}' has {has}; choose behavior {choices}.")
     build, here = behaviors.BEHAVIORS[name], (folder, scene, walking)
     if name == "handcrafted":
         return _handcrafted(*here, people, options["handcrafted"])
@@ -179,20 +244,41 @@ def _handcrafted(folder, scene, walking, people, handcrafted) -> tuple[Behavior,
     return directed, behaviors.handcrafted_behavior.most_people(directed)
 
 
-def _model(name: str, behavior: str) -> Callable:
-    _check_name("model", name, pedestrian_models.MODELS)
+def _check_owners(behavior: str, options: dict) -> None:
+    for option, (owners, has) in OPTIONS_OF.items():
+        if options[option] is not None and behavior not in owners:
+            choices = " or ".join(f"'{owner}'" for owner in owners)
+            raise ValueError(f"{option}: behavior '{behavior}' has {has}; choose behavior {choices}.")
+
+
+def _check_people(people: int | None, behavior: str, folder: Path, forces: str | social_forces.Parameters) -> None:
+    parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
+    if people is None:
+        return
+    if people < 0:
+        raise ValueError(f"people: {people} is too few; give 0 or more.")
+    if behavior == "handcrafted":
+        raise ValueError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
+    x_min, y_min, x_max, y_max = environments.floor(folder)
+    area, radius = (x_max - x_min) * (y_max - y_min), float(parameters.radius)
+    most = int(area / (2 * 3**0.5 * radius**2))  # discs of a body's size, packed in the densest way
+    if people > most:
+        raise ValueError(f"people: {people} do not fit on a floor of {area:.6g} m2, {most} at most; give fewer.")
+
+
+def _check_recording(behavior: str, recording: str | Path | None, frame_rate: float | None) -> None:
     if behavior != "playback":
-        return pedestrian_models.MODELS[name]
-    if name != "social_forces":
-        raise ValueError(f"model: '{name}' moves nobody in behavior 'playback', where people walk as recorded.")
-    return behaviors.playback.follow
+        return
+    if recording is None:
+        raise ValueError("behavior: 'playback' needs a recording; give the path of a CSV file: frame, id, x, y.")
+    if not Path(recording).is_file():
+        what = "is no file" if Path(recording).exists() else "does not exist"
+        raise ValueError(f"recording: {recording} {what}; give the path of a CSV file: frame, id, x, y.")
+    if frame_rate is not None and not 0 < frame_rate < float("inf"):
+        raise ValueError(f"frame_rate: {frame_rate} must be more than 0 frames a second, and finite.")
 
 
-def _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time, task_distance) -> None:
-    _check_name("behavior", behavior, behaviors.BEHAVIORS)
-    _check_task(task, behavior)
-    if people is not None and people < 1:
-        raise ValueError(f"people: {people} is too few; give 1 or more.")
+def _check(time_step, time_limit, goal_radius, hold_time, task_distance, substeps) -> None:
     for name, value in (("time_step", time_step), ("time_limit", time_limit), ("goal_radius", goal_radius)):
         if not value > 0:
             raise ValueError(f"{name}: {value} must be more than 0.")
@@ -200,21 +286,21 @@ def _check(behavior, task, people, time_step, time_limit, goal_radius, hold_time
         raise ValueError(f"hold_time: {hold_time} must not be negative.")
     if not 0 <= task_distance[0] < task_distance[1]:
         raise ValueError(f"task_distance: {task_distance} must be a least and a greater distance in metres.")
+    if substeps is not None and substeps < 1:
+        raise ValueError(f"substeps: {substeps} is too few; give 1 or more.")
 
 
 def _substeps(substeps: int | None, parameters: social_forces.Parameters, time_step: float) -> int:
-    if substeps is None:
-        return social_forces.substeps(parameters, time_step)
-    if substeps < 1:
-        raise ValueError(f"substeps: {substeps} is too few; give 1 or more.")
-    return substeps
+    return social_forces.substeps(parameters, time_step) if substeps is None else substeps
 
 
-def _check_task(task: str, behavior: str) -> None:
+def check_task(task: str, behavior: str) -> None:
+    """ValueError if there is no such task, or if it does not fit to that behavior."""
     _check_name("task", task, tasks.TASKS)
     if task in tasks.NEEDS_GROUPS and behavior != "graph":
-        cure = "; its own task is 'handcrafted'" if behavior == "handcrafted" else ""
-        raise ValueError(f"task: '{task}' needs groups, which only behavior 'graph' has, not '{behavior}'{cure}.")
+        own = "handcrafted" if behavior == "handcrafted" else "random_ab_nav"
+        why = "needs groups, which only behavior 'graph' has"
+        raise ValueError(f"task: '{task}' {why}, not '{behavior}'; choose task '{own}' with it.")
     if task == "handcrafted" and behavior != "handcrafted":
         why = "poses that belong to handcrafted people"
         raise ValueError(f"task: '{task}' needs {why}, not '{behavior}'; choose behavior 'handcrafted' with it.")

@@ -7,6 +7,7 @@ import dataclasses
 import importlib.metadata
 import math
 import os
+import shlex
 import sys
 import threading
 from collections.abc import Sequence
@@ -17,9 +18,11 @@ import tyro
 
 from sean_jax.bench import Options as Bench
 from sean_jax.experiments.options import Experiment
-from sean_jax.learning.options import Collect, Export, Failed, Refused, Train
-from sean_jax.main_job.options import BadInput, Options
+from sean_jax.learning.options import Collect, Export, Failed, Train
+from sean_jax.main_job.options import Options
+from sean_jax.options import BadInput, check_file, check_limits, check_new_folder
 
+PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # of those that matplotlib writes
 WRONG, FAILED, STOPPED = 2, 1, 130  # exit codes: bad input, a broken simulation, Ctrl-C
 
 
@@ -57,6 +60,24 @@ class ImportMap:
     unknown: Literal["obstacle", "free"] = "obstacle"
     """What cells are that the map does not know."""
 
+    def check(self) -> None:
+        """Raises BadInput for numbers and folders that cannot be."""
+        check_limits(self, {"height": (0.06, 100.0)})
+        check_new_folder(self.out)
+
+
+COMMANDS: dict[str, Any] = {
+    "run": Options,
+    "collect": Collect,
+    "train": Train,
+    "experiment": Experiment,
+    "export": Export,
+    "draw": Draw,
+    "import-map": ImportMap,
+    "bench": Bench,
+    "list": List,
+}
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0, or 2 for bad input, 1 for a NaN, 130 for Ctrl-C."""
@@ -81,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(command, Collect | Train | Export | Experiment):
             return _learn(command)
         return _run(command)
-    except (BadInput, Refused) as error:
+    except BadInput as error:
         return _fail(str(error), WRONG)
     except Failed as error:
         return _fail(str(error), FAILED)
@@ -105,25 +126,29 @@ def cache_compilations() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 
-def _parse(arguments: list[str]) -> Options | Collect | Train | Experiment | Export | Draw | ImportMap | Bench | List:
-    commands = (
-        Annotated[Options, tyro.conf.subcommand("run", default=Options())]
-        | Annotated[Collect, tyro.conf.subcommand("collect")]
-        | Annotated[Train, tyro.conf.subcommand("train")]
-        | Annotated[Experiment, tyro.conf.subcommand("experiment")]
-        | Annotated[Export, tyro.conf.subcommand("export")]
-        | Annotated[Draw, tyro.conf.subcommand("draw", default=Draw())]
-        | Annotated[ImportMap, tyro.conf.subcommand("import-map")]
-        | Annotated[Bench, tyro.conf.subcommand("bench", default=Bench())]
-        | Annotated[List, tyro.conf.subcommand("list", default=List())]
-    )
-    return tyro.cli(
-        commands,  # pyright: ignore[reportArgumentType]
+def _parse(arguments: list[str]) -> Any:
+    """An instance of one of ``COMMANDS``. A command's own parser tells of its own help alone, where words are wrong."""
+    _refuse_empty(arguments)
+    config = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
+    if arguments and arguments[0] in COMMANDS:
+        word = arguments[0]
+        return tyro.cli(COMMANDS[word], prog=f"sean {word}", args=arguments[1:], config=config)
+    return tyro.extras.subcommand_cli_from_dict(
+        COMMANDS,
         prog="sean",
         description="Social robot navigation in JAX: simulate, measure, report. `sean --version` names this version.",
         args=arguments,
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+        config=config,
     )
+
+
+def _refuse_empty(arguments: list[str]) -> None:
+    """An empty text is what a shell makes of a variable that is not set; as a path it would be the current folder."""
+    for before, word in zip(["", *arguments], arguments, strict=False):
+        option, equals, value = word.partition("=")
+        if not word.strip() or (option.startswith("--") and equals and not value.strip()):
+            named = option if equals else before if before.startswith("--") else "an argument"
+            raise BadInput(f"{named} is an empty text; give a value, or leave the option out for its default.")
 
 
 def _run(options: Options) -> int:
@@ -133,7 +158,7 @@ def _run(options: Options) -> int:
 
     console = Console(quiet=options.quiet)
     folder, episodes = main_job.run(options, console)
-    console.print(f"report: [bold]{folder / 'report.html'}[/]", highlight=False, soft_wrap=True)
+    _say(console, "report: ", folder / "report.html")
     if episodes < options.episodes:
         return _fail(f"stopped; the {episodes} episodes finished until then are in {folder}.", STOPPED)
     return 0
@@ -142,9 +167,10 @@ def _run(options: Options) -> int:
 def _draw(command: Draw) -> int:
     if command.graph == command.handcrafted:
         return _fail("draw: give either --graph or --handcrafted.", WRONG)
+    what = "graph" if command.graph else "handcrafted"
+    check_file(command.out or Path(f"{what}.png"), PICTURES)
     from sean_jax import assembly, drawing, environment
 
-    what = "graph" if command.graph else "handcrafted"
     names = environment.available() if command.environment is None else [command.environment]
     for name in names:
         task = "handcrafted" if command.handcrafted else "random_ab_nav"
@@ -155,6 +181,7 @@ def _draw(command: Draw) -> int:
             file = command.out or Path(f"{what}.png")
             if command.out is None or len(names) > 1:
                 file = file.with_stem(f"{file.stem}-{scenario.environment.name}")
+                check_file(file, PICTURES)
             sheet.savefig(file, dpi=150)
         except ValueError as error:
             return _fail(str(error), WRONG)
@@ -169,12 +196,13 @@ def _bench(options: Bench) -> int:
 
     console = Console(quiet=options.quiet)
     folder = bench.run(options, console)
-    console.print(f"picture: [bold]{folder / 'bench.png'}[/]", highlight=False, soft_wrap=True)
+    _say(console, "picture: ", folder / "bench.png")
     return 0
 
 
 def _learn(command: Collect | Train | Export | Experiment) -> int:
     """Collect, train, export or experiment; what is done when something goes wrong, or at Ctrl-C, is kept."""
+    command.check()
     from rich.console import Console
 
     from sean_jax import learning
@@ -184,22 +212,22 @@ def _learn(command: Collect | Train | Export | Experiment) -> int:
     try:
         if isinstance(command, Collect):
             data = learning.collect(command, console)
-            said = f"{data.examples} examples in {len(data.episodes)} episodes: [bold]{folder}[/]"
+            _say(console, f"{data.examples} examples in {len(data.episodes)} episodes: ", folder)
         elif isinstance(command, Train):
             state = learning.train(command, console)
             best = f"least loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
-            said = f"{int(state.epoch)} epochs, {best}: [bold]{folder}[/]\nnext: sean run --policy {folder}"
+            _say(console, f"{int(state.epoch)} epochs, {best}: ", folder)
+            _say(console, "next: ", shlex.join(["sean", "run", "--policy", str(folder)]))
         elif isinstance(command, Experiment):
-            said = f"report: [bold]{_experiment(command, console) / 'report.html'}[/]"
+            _say(console, "report: ", _experiment(command, console) / "report.html")
         else:
-            said = f"written: [bold]{learning.export(command.dataset, command.out)}[/]"
+            _say(console, "written: ", learning.export(command.dataset, command.out))
     except FloatingPointError as error:
         return _fail(str(error), FAILED)
     except ModuleNotFoundError as error:
         return _fail(f'{error.name} is missing; pip install "sean_jax[learning]".', WRONG)
     except KeyboardInterrupt:
         return _fail(f"stopped; what was finished until then is in {folder}, and the same command goes on.", STOPPED)
-    console.print(said, highlight=False, soft_wrap=True)
     return 0
 
 
@@ -214,6 +242,7 @@ def _experiment(command: Experiment, console: Any) -> Path:
 
 
 def _import_map(command: ImportMap) -> int:
+    command.check()
     from sean_jax import maps
 
     options = dataclasses.asdict(command)
@@ -223,22 +252,25 @@ def _import_map(command: ImportMap) -> int:
         return _fail(str(error), WRONG)
     share = math.floor(made.agreement * 1e4) / 1e2  # rounded up, 99.999 % would read as all
     print(f"{made.folder}: {made.boxes} boxes describe {share:.2f} % of the map's {made.cells} cells.")
-    print(f"next: sean run --environment {made.folder} --behavior random --task random_ab_nav, or write a graph.yaml.")
+    again = shlex.join(["sean", "run", "--environment", str(made.folder), "--behavior", "random"])
+    print(f"next: {again}, or write a graph.yaml.")
     return 0
+
+
+def _say(console: Any, what: str, where: Path | str) -> None:
+    """A line whose words rich takes for neither markup nor emoji, as a path may hold both."""
+    from rich.text import Text
+
+    console.print(Text.assemble(what, (str(where), "bold")), soft_wrap=True)
 
 
 def _fail(sentence: str, code: int) -> int:
     from rich.console import Console
+    from rich.text import Text
 
     sys.stdout.flush()
-    Console(stderr=True).print(f"[bold red]sean:[/] {_escape(sentence)}", highlight=False, soft_wrap=True)
+    Console(stderr=True).print(Text.assemble(("sean:", "bold red"), " ", sentence), soft_wrap=True)
     return code
-
-
-def _escape(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)
 
 
 def _version() -> str:

@@ -61,6 +61,11 @@ def default_people(folder: str | Path) -> int:
     return _settings(Path(folder)).people
 
 
+def floor(folder: str | Path) -> tuple[float, float, float, float]:
+    """x_min, y_min, x_max, y_max [m] of an environment's floor."""
+    return _settings(Path(folder)).floor
+
+
 def load(name_or_path: str | Path) -> Environment:
     """The environment of that name or folder: environment.yaml and the upright boxes of scene.xml.
 

@@ -51,9 +51,9 @@ def test_the_picture_shows_each_series():
     "arguments, words",
     [
         (["--only", "stepp"], "'stepp' is not one of step"),
-        (["--only", ""], "'nothing' is not one of"),
-        (["--batches", "0"], "each must be at least 1"),
-        (["--repeats", "0"], "greater than 0"),
+        (["--only", ""], "--only is an empty text"),
+        (["--batches", "0"], "--batches is 0, but must lie between 1"),
+        (["--repeats", "0"], "--repeats is 0, but must lie between 1"),
         (["--environment", "moon", "--only", "step"], "moon"),
     ],
 )

@@ -125,9 +125,10 @@ def test_balanced_odds_make_situations_equally_frequent():
         ({"drivers": "nobody"}, "--drivers: 'nobody' is not one of"),
         ({"drivers": ","}, "--drivers names nobody"),
         ({"seeds": 0}, "--seeds is 0"),
-        ({"hours": 0.001}, "at least a minute"),
+        ({"hours": 0.001}, "--hours is 0.001, but must lie between 0.0166"),
         ({"speeds": ()}, "--speeds"),
-        ({"crowds": (0,)}, "--crowds"),
+        ({"crowds": (-1,)}, "--crowds is -1"),
+        ({"speeds": (1.4, float("nan"))}, "--speeds is nan"),
         ({"time_limit": 0.0}, "--time-limit"),
     ],
 )

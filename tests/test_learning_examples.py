@@ -9,7 +9,7 @@ import pytest
 
 from sean_jax import sensors
 from sean_jax.learning import demonstrations, examples, protocol
-from sean_jax.learning.options import Collect, Refused, command
+from sean_jax.learning.options import Collect, Refused
 from sean_jax.learning.recorder import Recorder, record
 
 
@@ -138,7 +138,7 @@ def test_people_of_demonstrations_are_those_asked_for():
     assert (
         behavior.direct is not protocol.streams(dataclasses.replace(asked, paths=None))[0][0].scenario.behavior.direct
     )
-    words = command("collect", asked.fixed())
+    words = asked.command
     assert "--parties 0.5 0 " in words and "--paths edge" in words and "--spreading 10" in words
     with pytest.raises(Refused, match="parties"):
         protocol.streams(Collect(environment="lab", behavior="handcrafted", parties=(0.5, 0.0)))
@@ -149,7 +149,7 @@ def test_wrong_names_are_answered_in_a_sentence():
         protocol.who_drives("go_to_gaol")
     with pytest.raises(Refused, match="'join_grup' is not one of"):
         protocol.streams(Collect(environment="lab", task="join_grup"))
-    with pytest.raises(Refused, match="--hours is 0, but must be above zero"):
+    with pytest.raises(Refused, match="--hours is 0, but must lie between"):
         Collect(hours=0.0).check()
 
 

@@ -1,6 +1,6 @@
 """Pedestrian behaviors (section IV-D, high level): who goes where."""
 
-from sean_jax.behaviors import graph_behavior, handcrafted_behavior, playback, random_behavior
+from sean_jax.behaviors import graph_behavior, handcrafted_behavior, parties, playback, random_behavior
 
 BEHAVIORS = {
     "graph": graph_behavior.build,
@@ -10,4 +10,4 @@ BEHAVIORS = {
 }
 """name -> (folder of the environment, environment, navigation for people, number of people) -> Behavior"""
 
-__all__ = ["BEHAVIORS", "graph_behavior", "handcrafted_behavior", "playback"]
+__all__ = ["BEHAVIORS", "graph_behavior", "handcrafted_behavior", "parties", "playback"]

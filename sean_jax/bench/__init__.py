@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sean_jax.bench.options import PARTS, Options
-from sean_jax.main_job.options import BadInput
+from sean_jax.options import BadInput
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,6 +32,7 @@ def run(options: Options, console: Console) -> Path:
         with console.status("importing JAX and preparing the scenario"):
             from sean_jax.bench import page, parts
 
+            _check(options)
             scenario, about = _prepare(options)
         rows: list[Any] = []
         _print(console, page.title(about), page.HEAD)
@@ -61,6 +62,17 @@ def _save(folder: Path, rows: list[Any], about: dict[str, Any]) -> None:
     write_json(folder / "bench.json", {**about, "rows": [_finite(dataclasses.asdict(row)) for row in rows]})
 
 
+def _check(options: Options) -> None:
+    """Refuse all that can be told before the scenario is made."""
+    from sean_jax import assembly
+
+    try:
+        parts = {"people": options.people, "robot": options.robot, "dynamics": options.dynamics}
+        assembly.check(options.environment, **parts)
+    except ValueError as error:
+        raise BadInput(str(error)) from error
+
+
 def _prepare(options: Options) -> tuple[Any, dict[str, Any]]:
     """The scenario, and on what it is measured."""
     import jax
@@ -74,6 +86,7 @@ def _prepare(options: Options) -> tuple[Any, dict[str, Any]]:
     except ValueError as error:
         raise BadInput(str(error)) from error
     about = {
+        "command": options.command,
         "device": jax.devices()[0].device_kind,
         "devices": jax.device_count(),
         "memory": page.memory(),
@@ -90,7 +103,7 @@ def _prepare(options: Options) -> tuple[Any, dict[str, Any]]:
 
 def _print(console: Console, *lines: str) -> None:
     for line in lines:
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+        console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
 def _finite(row: dict[str, Any]) -> dict[str, Any]:

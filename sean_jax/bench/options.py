@@ -4,7 +4,7 @@ import dataclasses
 import datetime
 from pathlib import Path
 
-from sean_jax.main_job.options import BadInput
+from sean_jax.options import LIMITS, BadInput, check_limits, check_new_folder, command
 
 PARTS = ("step", "depth", "images", "pictures", "crowd", "compile", "devices")
 
@@ -44,10 +44,14 @@ class Options:
         for part in self.parts or ["nothing"]:
             if part not in PARTS:
                 raise BadInput(f"--only: {part!r} is not one of {', '.join(PARTS)}.")
-        if any(batch < 1 for batch in self.batches):
-            raise BadInput("--batches: each must be at least 1.")
-        if self.repeats < 1 or not self.seconds > 0:
-            raise BadInput("--repeats and --seconds must be greater than 0.")
+        check_limits(self, {"batches": LIMITS["batch"], "repeats": (1, 10**6), "seconds": (1e-6, 1e5)})
+        if self.out is not None:
+            check_new_folder(self.out)
+
+    @property
+    def command(self) -> str:
+        """The command that measures this again, in full."""
+        return command("bench", self, leave_out=("out", "quiet"))
 
     def folder(self) -> Path:
         """Where the results go."""

@@ -21,7 +21,7 @@ from sean_jax.experiments import page, parts, pictures, rollouts, shares
 from sean_jax.experiments.claims import BALANCED, DEMONSTRATOR, FOUR, LEARNED, NAVIGATION, Found, claims
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.experiments.together import Part, together
-from sean_jax.learning import balance
+from sean_jax.learning import balance, protocol
 from sean_jax.learning.options import Collect, Train
 from sean_jax.learning.protocol import streams, who_drives
 
@@ -45,7 +45,8 @@ def run(options: Experiment, console: Console | None = None) -> Path:
     finite; what was finished before stays.
     """
     options = options.settled()
-    who_drives(options.driver)
+    for behavior in BEHAVIORS:
+        protocol.check(_collecting(options, options.folder, behavior))
     folder = parts.begin(options)
     policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR)
     places = {behavior: streams(Collect(**_asked(options, behavior))) for behavior in BEHAVIORS}

@@ -10,8 +10,11 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from sean_jax.learning.options import Refused
+from sean_jax.options import LIMITS, check_limits, command
 
 BEHAVIORS = ("random", "handcrafted", "graph")  # in the order of Table I
+OTHERS = {"table1": ("driver", "episodes", "epochs"), "figure4": ("drivers", "seeds", "speeds", "crowds")}
+"""experiment -> the options that are for the other one"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,18 +69,24 @@ class Experiment:
         quick: dict[str, Any] = dict(hours=0.05, seeds=2, episodes=12, epochs=30, crowds=())
         given = {k: v if (now := getattr(self, k)) is None else now for k, v in (quick if self.quick else full).items()}
         settled = dataclasses.replace(self, **given)
-        for option in ("seeds", "episodes", "epochs"):
-            if getattr(settled, option) < 1:
-                raise Refused(f"--{option} is {getattr(settled, option)}, but must be at least 1.")
-        if not (settled.hours or 0.0) >= 1 / 60:
-            raise Refused(f"--hours is {settled.hours:g}, but must be at least a minute, 0.0167.")
-        if not settled.time_limit >= 1:
-            raise Refused(f"--time-limit is {settled.time_limit:g} s, but must be at least 1 (120 is the default).")
-        if not settled.speeds or min(settled.speeds) < 0:
-            raise Refused("--speeds: give at least one, none below zero, such as 1.4 0.4.")
-        if any(number < 1 for number in settled.crowds or ()):
-            raise Refused("--crowds: each must be at least 1.")
+        check_limits(settled, {
+            "hours": (0.0166, 1e7), "seeds": (1, 10**6), "speeds": (0.0, 100.0), "crowds": LIMITS["people"],
+            "epochs": (1, 10**9),
+        })  # fmt: skip
+        if self.which == "table1" and not [name for name in self.drivers.split(",") if name.strip()]:
+            raise Refused("--drivers names nobody, try --drivers go_to_goal.")
+        if not settled.speeds:
+            raise Refused("--speeds names none; give at least one, such as 1.4 0.4.")
         return settled
+
+    def check(self) -> None:
+        """Raises Refused for what nothing could be tried with."""
+        self.settled()
+
+    @property
+    def command(self) -> str:
+        """The command that gives these results again, in full."""
+        return command("experiment", self, ("which",), (*OTHERS[self.which], "out", "quiet"))
 
     def lasting(self) -> dict:
         """All that decides the results, for the record and for finding out whether a folder has the same."""

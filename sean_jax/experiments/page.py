@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import sean_jax.report as reports
 from sean_jax.experiments import parts, pictures, shares
 from sean_jax.experiments.options import BEHAVIORS, Experiment
-from sean_jax.learning.options import command
+from sean_jax.options import written
 from sean_jax.versions import versions
 
 if TYPE_CHECKING:
@@ -19,14 +19,13 @@ if TYPE_CHECKING:
     from sean_jax.experiments.table1 import Cell
     from sean_jax.metrics import Estimate
 
-OTHERS = {"table1": ("driver", "episodes", "epochs"), "figure4": ("drivers", "seeds", "speeds", "crowds")}
 STYLE = Path(reports.__file__).with_name("style.css")
 
 
 def document(title: str, kicker: str, sections: list[tuple[str, str]], options: Experiment) -> str:
     """The page of these (heading, body) sections, and how to get it again."""
     made = (parts.saved(options.folder / parts.OPTIONS) or {}).get("versions") or versions()  # not those that draw it
-    again = f"<pre>{markup.escape(_command(options))}</pre>"
+    again = f"<pre>{markup.escape(options.command)}</pre>"
     facts = "".join(f"<dt>{markup.escape(k)}</dt><dd>{markup.escape(str(v))}</dd>" for k, v in made.items())
     sections = [*sections, ("How to get this again", again + f"<dl>{facts}</dl>")]
     body = "\n".join(f"<section><h2>{name}</h2>\n{text}</section>" for name, text in sections)
@@ -37,13 +36,6 @@ def document(title: str, kicker: str, sections: list[tuple[str, str]], options: 
         f"td.text,th.text{{text-align:left;white-space:normal}}</style></head>\n<body><main><header>"
         f"<p class=kicker>{kicker}</p><h1>{markup.escape(title)}</h1></header>\n{body}\n</main></body></html>\n"
     )
-
-
-def _command(options: Experiment) -> str:
-    given = options.lasting()
-    which = given.pop("which")
-    other = OTHERS[which]
-    return command(f"experiment {which}", {k: v for k, v in given.items() if v != [] and k not in other})
 
 
 def _cell(text: str, small: str = "", kind: str = "") -> str:
@@ -63,7 +55,7 @@ def table1(options: Experiment, cells: list[Cell], figures: dict[str, Figure]) -
     drawn = {name: pictures.shown(figure, name) for name, figure in figures.items()}
     sections = [
         ("Table I", drawn["table1-bars"] + BARS + _legend()),
-        (f"Shares at V = {speed:g} m/s", "".join(_shares(cells, driver) for driver in drivers) + COUNTED),
+        (f"Shares at V = {written(speed)} m/s", "".join(_shares(cells, driver) for driver in drivers) + COUNTED),
         ("Orderings of the paper", _orderings(cells, drivers, speed)),
     ]
     if "table1-speeds" in drawn:
@@ -71,7 +63,7 @@ def table1(options: Experiment, cells: list[Cell], figures: dict[str, Figure]) -
     if "table1-crowds" in drawn:
         sections.append(("How many people?", drawn["table1-crowds"]))
     minutes = 60.0 * (options.hours or 0) * (options.seeds or 0)
-    title = f"Table I: social situations in {minutes:g} minutes of each behavior and driver"
+    title = f"Table I: social situations in {written(minutes)} minutes of each behavior and driver"
     return document(title, "sean_jax · experiment", sections, options)
 
 
@@ -134,8 +126,8 @@ def _orderings(cells: list[Cell], drivers: list[str], speed: float) -> str:
         rows.append(f"<tr><td>{first['name']}</td><td class=text>{markup.escape(first['statement'])}</td>"
                     f"<td>{kind}</td>{told}</tr>")  # fmt: skip
     note = (
-        f"<p class=note>At V = {speed:g} m/s, examples shared. Below: in how many of the resamples it holds; at least "
-        "97.5 % is counted as surely. orderings.csv has the other speeds and ways to count.</p>"
+        f"<p class=note>At V = {written(speed)} m/s, examples shared. Below: in how many of the resamples it holds; at "
+        "least 97.5 % is counted as surely. orderings.csv has the other speeds and ways to count.</p>"
     )
     return _table(["", "statement", "", *drivers], rows) + note
 

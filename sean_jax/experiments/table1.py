@@ -22,8 +22,10 @@ from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.experiments.rollouts import MINUTE, Chains
 from sean_jax.experiments.shares import Shares
 from sean_jax.experiments.together import Once, Part, together
-from sean_jax.learning.options import Collect, Refused
+from sean_jax.learning import protocol
+from sean_jax.learning.options import Collect
 from sean_jax.learning.protocol import Stream, streams, who_drives
+from sean_jax.options import written
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,10 +60,12 @@ def run(options: Experiment, console: Console | None = None) -> Path:
     """
     options = options.settled()
     drivers = list(dict.fromkeys(name.strip() for name in options.drivers.split(",") if name.strip()))
-    if not drivers:
-        raise Refused("--drivers names nobody, try --drivers go_to_goal.")
     for name in drivers:
         who_drives(name, "--drivers")
+    for behavior, people in [(each, options.people) for each in BEHAVIORS] + [
+        (each, crowd) for crowd in options.crowds or () for each in SWEPT
+    ]:
+        protocol.check(_asked(options, behavior, people))
     folder = parts.begin(options)
     jobs = [(behavior, driver, options.people) for driver in drivers for behavior in BEHAVIORS]
     sweep = [(behavior, drivers[0], people) for people in options.crowds or () for behavior in SWEPT]
@@ -76,16 +80,19 @@ def run(options: Experiment, console: Console | None = None) -> Path:
 
 
 def _named(behavior: str, driver: str, people: int | None) -> str:
-    return f"{behavior}, {driver}" + (f", {people} people" if people else "")
+    return f"{behavior}, {driver}" + ("" if people is None else f", {people} people")
+
+
+def _asked(options: Experiment, behavior: str, people: int | None) -> Collect:
+    return Collect(
+        behavior=behavior, environment=options.environment, people=None if behavior == "handcrafted" else people,
+        robot=options.robot, dynamics=options.dynamics, time_limit=options.time_limit,
+    )  # fmt: skip
 
 
 def _places(options: Experiment, behavior: str, people: int | None) -> tuple[list[Stream], tuple]:
     """The streams of the protocol, with situations for each walking speed, and their tasks."""
-    asked = Collect(
-        behavior=behavior, environment=options.environment, people=None if behavior == "handcrafted" else people,
-        robot=options.robot, dynamics=options.dynamics, time_limit=options.time_limit,
-    )  # fmt: skip
-    kinds, tasks = streams(asked)
+    kinds, tasks = streams(_asked(options, behavior, people))
     held = _at_speeds(kinds[0].scenario, options.speeds)
     kinds = [dataclasses.replace(k, scenario=dataclasses.replace(k.scenario, situations=held)) for k in kinds]
     return kinds, tasks
@@ -123,7 +130,7 @@ def _cell(
 def _at_speeds(scenario: Scenario, speeds: tuple[float, ...]) -> tuple:
     """The paper's situations once for each walking speed, to take the place of the scenario's."""
     return tuple(
-        (f"{name}_{speed:g}", functools.partial(_at, holds, speed))
+        (f"{name}_{written(speed)}", functools.partial(_at, holds, speed))
         for speed in speeds
         for name, holds in scenario.situations
     )
@@ -143,7 +150,7 @@ def write(options: Experiment, folder: Path, cells: list[Cell], swept: list[Cell
             for counting in ("multi", "exclusive"):
                 samples = getattr(found, counting)
                 low, high = shares.interval(samples)
-                head = f"{cell.driver},{cell.behavior},{cell.people},{speed:g},{counting}"
+                head = f"{cell.driver},{cell.behavior},{cell.people},{written(speed)},{counting}"
                 for k, name in enumerate(shares.NAMES):
                     lines.append(f"{head},{name},{samples[0, k]:.5f},{low[k]:.5f},{high[k]:.5f}")
                 entropy = shares.normalised_entropy(samples)
@@ -159,7 +166,7 @@ def write(options: Experiment, folder: Path, cells: list[Cell], swept: list[Cell
             for exclusive in (True, False):
                 for row in shares.orderings(found, exclusive):
                     name = "exclusive" if exclusive else "multi"
-                    held.append(f'{driver},{speed:g},{name},{row["name"]},{row["hard"]},"{row["statement"]}",'
+                    held.append(f'{driver},{written(speed)},{name},{row["name"]},{row["hard"]},"{row["statement"]}",'
                                 f"{row['holds']},{row['share']:.4f}")  # fmt: skip
     parts.save(folder / "orderings.csv", "\n".join(held) + "\n")
     figures = pictures.table1(options, cells, swept)

@@ -115,7 +115,7 @@ def begun(folder: Path, config: dict[str, Any]) -> bool:
     except (OSError, ValueError) as error:
         raise Refused(f"{file} cannot be read ({error}); choose another folder with --out.") from error
     for name, value in json.loads(json.dumps(config)).items():
-        if name != "versions" and had.get(name) != value:
+        if name not in ("versions", "command") and had.get(name) != value:
             said = f"{name.replace('_', ' ')} {_shown(had.get(name))}, not {_shown(value)}"
             raise Refused(f"{folder} has checkpoints of another network, with {said}; choose another --out.")
     return True

@@ -8,6 +8,7 @@ the next one is simulated.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -20,9 +21,10 @@ from sean_jax import devices, sensors
 from sean_jax.learning import dataset as datasets
 from sean_jax.learning import demonstrations
 from sean_jax.learning.dataset import Dataset
-from sean_jax.learning.options import Collect, Refused, command
+from sean_jax.learning.options import Collect, Refused
 from sean_jax.learning.progress import shown
-from sean_jax.learning.protocol import Stream, next_stream, share, streams, who_drives
+from sean_jax.learning.protocol import Stream, check, next_stream, share, streams, who_drives
+from sean_jax.options import written
 from sean_jax.versions import versions
 
 if TYPE_CHECKING:
@@ -40,6 +42,7 @@ def collect(options: Collect, console: Console | Callable[[float], None] | None 
     are not finite, KeyboardInterrupt; what was committed before stays in each case.
     """
     options.check()
+    check(options)
     policy = who_drives(options.driver)
     parts, tasks = streams(options)
     try:
@@ -115,7 +118,7 @@ def _begun(options: Collect, parts: list[Stream], eye: sensors.Camera) -> Datase
         data = datasets.open_dataset(folder)
         _check_same(options, data)
         if options.hours > data.manifest["hours"]:
-            data.save({**data.manifest, "command": _command(options), "hours": options.hours})
+            data.save({**data.manifest, "command": _command(options, data.batch), "hours": options.hours})
         return data
     if folder.is_dir() and any(folder.iterdir()) and not (folder / "zarr.json").is_file():
         left = sorted(item.name for item in folder.iterdir())
@@ -134,30 +137,28 @@ def _check_same(options: Collect, data: Dataset) -> None:
     if options.batch not in (None, data.batch):
         raise Refused(f"{data.folder} was begun with --batch {data.batch}, not {options.batch}; ask for the same.")
     if options.hours < data.manifest["hours"]:
-        had_hours = f"{data.manifest['hours']:g}"
-        raise Refused(
-            f"{data.folder} was begun with --hours {had_hours}, not {options.hours:g}; ask for as much or more."
-        )
+        had_hours, asked_hours = written(data.manifest["hours"]), written(options.hours)
+        raise Refused(f"{data.folder} was begun with --hours {had_hours}, not {asked_hours}; ask for as much or more.")
 
 
 def _said(value: Any) -> str:
-    return " ".join(f"{each:g}" for each in value) if isinstance(value, list) else str(value)
+    return " ".join(written(each) for each in (value if isinstance(value, list) else [value]))
 
 
 def _manifest(options: Collect, parts: list[Stream], eye: sensors.Camera) -> dict[str, Any]:
-    scenario = parts[0].scenario
+    scenario, size = parts[0].scenario, _size(options, len(parts))
     return {
-        "command": _command(options),
+        "command": _command(options, size),
         "options": options.fixed(),
         **described(scenario, eye, options.driver),
         "hours": options.hours,
-        "batch": _size(options, len(parts)),
+        "batch": size,
         "streams": [part.name for part in parts],
     }
 
 
-def _command(options: Collect) -> str:
-    return command("collect", {**options.fixed(), "hours": options.hours})
+def _command(options: Collect, batch: int) -> str:
+    return dataclasses.replace(options, batch=batch).command
 
 
 def described(scenario: Any, eye: sensors.Camera, driver: str) -> dict[str, Any]:

@@ -4,11 +4,12 @@ Nothing here imports JAX, so that ``sean --help`` answers at once.
 """
 
 import dataclasses
-import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
+
+from sean_jax.options import BadInput, check_limits, check_new_folder, command
 
 DRIVER = "expert"  # who drives unless told otherwise
 
@@ -16,8 +17,13 @@ DRIVER = "expert"  # who drives unless told otherwise
 TASKS = {"graph": "join_group,leave_group", "random": "random_ab_nav", "handcrafted": "handcrafted"}
 
 
-class Refused(ValueError):
-    """What was asked for cannot be done; the message is one sentence that says what to do instead."""
+Refused = BadInput  # as learning calls it
+
+
+def tasks_of(behavior: str, task: str | None) -> tuple[str, ...]:
+    """The names in ``task``, which commas separate; the paper's tasks for that behavior if None."""
+    named = TASKS.get(behavior, "random_ab_nav") if task is None else task
+    return tuple(part.strip() for part in named.split(",") if part.strip())
 
 
 class Failed(RuntimeError):
@@ -83,8 +89,8 @@ class Collect:
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        named = TASKS.get(self.behavior, "random_ab_nav") if self.task is None else self.task
-        return tuple(part.strip() for part in named.split(",") if part.strip())
+        """The names in ``task``, or the default's."""
+        return tasks_of(self.behavior, self.task)
 
     def fixed(self) -> dict[str, Any]:
         """All that decides what is recorded, but for how long and the batch."""
@@ -92,18 +98,17 @@ class Collect:
         told = {name: value for name, value in dataclasses.asdict(self).items() if name not in loose}
         return told | {"parties": list(self.parties)}  # as it is read back
 
+    @property
+    def command(self) -> str:
+        """The command that gives this dataset again, in full; the batch belongs to it where it was chosen."""
+        return command("collect", self, leave_out=("out", "quiet"))
+
     def check(self) -> None:
-        """Raises Refused for what nothing could be recorded with."""
-        for option, least in (("people", 1), ("batch", 1), ("width", 8), ("height", 8)):
-            value = getattr(self, option)
-            if value is not None and value < least:
-                raise Refused(f"--{option} is {value}, but must be at least {least}.")
-        if not 0 < self.hours < 1e7:
-            raise Refused(f"--hours is {self.hours:g}, but must be above zero (1 is the default).")
-        if not 1 <= self.time_limit < 1e5:
-            raise Refused(f"--time-limit is {self.time_limit:g} s, but must be at least 1 (120 is the default).")
-        if not 0 <= self.seed < 2**32:
-            raise Refused(f"--seed is {self.seed}, but must lie between 0 and {2**32 - 1}.")
+        """Raises BadInput for what nothing could be recorded with."""
+        check_limits(self, {"hours": (1e-6, 1e7), "width": (8, 4096), "height": (8, 4096)})
+        if self.behavior == "playback" or "custom" in self.tasks:
+            what = "--behavior playback" if self.behavior == "playback" else "--task custom"
+            raise Refused(f"{what} is not recorded; choose behavior graph, random or handcrafted and one of its tasks.")
         if not self.tasks:
             raise Refused("--task names no task, try --task join_group; `sean list` shows them all.")
 
@@ -154,20 +159,17 @@ class Train:
         loose = ("method", "dataset", "out", "patience", "epochs", "on_device", "quiet")
         return {name: value for name, value in dataclasses.asdict(self).items() if name not in loose}
 
+    @property
+    def command(self) -> str:
+        """The command that gives this network again, in full."""
+        return command("train", self, positional=("method", "dataset"), leave_out=("out", "quiet"))
+
     def check(self) -> None:
-        """Raises Refused for what nothing could be learned with."""
-        for option, least in (("width", 1), ("batch", 1), ("patience", 1), ("epochs", 1)):
-            value = getattr(self, option)
-            if value < least:
-                raise Refused(f"--{option} is {value}, but must be at least {least}.")
-        if not 0 < self.learning_rate < 1:
-            raise Refused(f"--learning-rate is {self.learning_rate:g}, but must lie between 0 and 1 (try 0.001).")
-        if not 0 < self.validation < 1:
-            raise Refused(f"--validation is {self.validation:g}, but must lie between 0 and 1 (try 0.1).")
-        if not 0 <= self.weight_decay < 1:
-            raise Refused(f"--weight-decay is {self.weight_decay:g}, but must be at least 0 and below 1 (try 0.01).")
-        if not 0 <= self.seed < 2**32:
-            raise Refused(f"--seed is {self.seed}, but must lie between 0 and {2**32 - 1}.")
+        """Raises BadInput for what nothing could be learned with."""
+        check_limits(self, {
+            "width": (1, 2**14), "patience": (1, 10**9), "epochs": (1, 10**9), "learning_rate": (1e-12, 1.0),
+            "weight_decay": (0.0, 1.0), "validation": (1e-6, 1 - 1e-6), "on_device": (0.0, 1.0),
+        })  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,15 +190,6 @@ class Export:
         """The folder to write."""
         return self.out
 
-
-def command(word: str, fixed: dict[str, Any]) -> str:
-    """The command that gives these results again."""
-    words = ["sean", *word.split()]
-    for name, value in fixed.items():
-        flag = "--" + name.replace("_", "-")
-        if value is True:
-            words.append(flag)
-        elif value is not None and value is not False:
-            values = value if isinstance(value, list) else [value]
-            words += [flag, *(f"{each:g}" if isinstance(each, float) else str(each) for each in values)]
-    return shlex.join(words)
+    def check(self) -> None:
+        """Raises BadInput for a folder that cannot be written."""
+        check_new_folder(self.out)

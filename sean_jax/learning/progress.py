@@ -24,8 +24,9 @@ def shown(console: Console | Callable[[float], None] | None, what: str, total: f
         return
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=20))
-    bar = Progress(*columns, TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console, transient=True)
+    said = (TextColumn(text, markup=False) for text in ("{task.description}", "{task.fields[note]}"))
+    columns = (SpinnerColumn(), next(said), BarColumn(bar_width=20), next(said), TimeElapsedColumn())
+    bar = Progress(*columns, console=console, transient=True)
     with bar:
         task = bar.add_task(what, total=total, note="compiling")
         yield lambda done, note: bar.update(task, completed=done, note=note)

@@ -7,11 +7,12 @@ Behavior Graph: half of it joining groups, half of it leaving them. A part of th
 import dataclasses
 import math
 from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import assembly, files
+from sean_jax import assembly, files, robots, sensors
 from sean_jax.base import Policy, Scenario
 from sean_jax.learning.options import Collect, Refused
 from sean_jax.policies import POLICIES
@@ -26,25 +27,41 @@ class Stream:
     turn: int  # which of the tasks
 
 
+def check(options: Collect) -> None:
+    """Refuse all that can be told before a scenario is made. Raises Refused."""
+    who_drives(options.driver)
+    try:
+        assembly.check(options.environment, **_parts(options))
+        for task in options.tasks[1:]:
+            assembly.check_task(task, options.behavior)
+        robot = robots.load(options.robot, "twin")
+        sensors.camera(robot, "depth", width=options.width, height=options.height)
+    except ValueError as error:
+        raise Refused(str(error)) from error
+
+
+def _parts(options: Collect) -> dict[str, Any]:
+    """What ``make`` and ``assembly.check`` are told beside the environment."""
+    return {
+        "behavior": options.behavior,
+        "task": options.tasks[0],
+        "robot": options.robot,
+        "people": options.people,
+        "parties": options.parties,
+        "paths": options.paths,
+        "spreading": options.spreading,
+        "model": options.model,
+        "forces": options.forces,
+        "dynamics": options.dynamics,
+        "handcrafted": options.handcrafted,
+        "situations": options.situations,
+    }
+
+
 def streams(options: Collect) -> tuple[list[Stream], tuple]:
     """What takes part, and the functions of the tasks. Raises Refused for what does not exist or go together."""
     try:
-        first = assembly.make(
-            options.environment,
-            behavior=options.behavior,
-            task=options.tasks[0],
-            robot=options.robot,
-            people=options.people,
-            parties=options.parties,
-            paths=options.paths,
-            spreading=options.spreading,
-            model=options.model,
-            forces=options.forces,
-            dynamics=options.dynamics,
-            time_limit=options.time_limit,
-            handcrafted=options.handcrafted,
-            situations=options.situations,
-        )
+        first = assembly.make(options.environment, **_parts(options), time_limit=options.time_limit)
         scenarios = [first, *(assembly.with_task(first, task) for task in options.tasks[1:])]
     except ValueError as error:
         raise Refused(str(error)) from error

@@ -131,6 +131,7 @@ def _config(options: Train, data: Dataset, network: Network) -> dict[str, Any]:
     if data.examples < 2:
         raise Refused(f"{data.folder} has {data.examples} examples, too few to learn from; collect more.")
     return {
+        "command": options.command,
         "width": network.width,
         "flags": network.flags,
         "image": list(network.image),

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sean_jax.main_job.options import BadInput, Options
+from sean_jax.options import written
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,10 +37,10 @@ def run(options: Options, console: Console) -> tuple[Path, int]:
         with console.status("importing JAX"):
             from sean_jax.main_job import progress, simulation, statistics, table
 
+            _check(options)
         with console.status("preparing the scenario"):
             scenarios = _scenarios(options)
             policy = _policy(options.policy, scenarios[0])
-            _check_camera(options, scenarios[0])
         _introduce(console, scenarios[0], options)
         with progress.shown(console) as watch:
             results = simulation.run_batches(scenarios, policy, options.episodes, options.batch, options.seed, watch)
@@ -55,51 +56,68 @@ def _scenarios(options: Options) -> list[Scenario]:
     from sean_jax.assembly import make, with_task
 
     try:
-        first = make(
-            options.environment,
-            behavior=options.behavior,
-            task=options.tasks[0],
-            robot=options.robot,
-            people=options.people,
-            parties=options.parties,
-            model=options.model,
-            forces=options.forces,
-            dynamics=options.dynamics,
-            time_limit=options.time_limit,
-            paths=options.paths,
-            spreading=options.spreading,
-            recording=options.recording,
-            frame_rate=options.frame_rate,
-            handcrafted=options.handcrafted,
-            start=options.start,
-            goal=options.goal,
-            situations=options.situations,
-        )
+        first = make(options.environment, **_parts(options), time_limit=options.time_limit)
         return [first, *(with_task(first, task) for task in options.tasks[1:])]
     except ValueError as error:
         raise BadInput(str(error)) from error
 
 
-def _check_camera(options: Options, scenario: Scenario) -> None:
-    """Before anything is simulated for it."""
-    from sean_jax import drawing, sensors
+def _parts(options: Options) -> dict[str, Any]:
+    """What ``make`` and ``check`` are told beside the environment."""
+    return {
+        "behavior": options.behavior,
+        "task": options.tasks[0],
+        "robot": options.robot,
+        "people": options.people,
+        "parties": options.parties,
+        "model": options.model,
+        "forces": options.forces,
+        "dynamics": options.dynamics,
+        "paths": options.paths,
+        "spreading": options.spreading,
+        "recording": options.recording,
+        "frame_rate": options.frame_rate,
+        "handcrafted": options.handcrafted,
+        "start": options.start,
+        "goal": options.goal,
+        "situations": options.situations,
+    }
 
-    if options.camera is None:
-        return
+
+def _check(options: Options) -> None:
+    """Refuse all that can be told before the scenario is made, which takes long."""
+    from sean_jax import assembly, drawing, robots, sensors
+    from sean_jax.policies import POLICIES
+
     try:
-        sensors.camera(scenario, options.camera)
-        drawing.check_renderer(options.renderer)
+        if options.policy not in POLICIES and not Path(options.policy).is_dir():
+            raise ValueError(_no_policy(options.policy))
+        if options.camera is not None:
+            drawing.check_renderer(options.renderer or "rays")
+        assembly.check(options.environment, **_parts(options))
+        for task in options.tasks[1:]:
+            assembly.check_task(task, options.behavior)
+            if task == "custom":
+                raise ValueError("task: 'custom' needs a start and a goal of its own; give it as the only task.")
+        if options.camera is not None:
+            sensors.camera(robots.load(options.robot, "twin"), options.camera)
     except ValueError as error:
         raise BadInput(str(error)) from error
 
 
-def _policy(name: str, scenario: Scenario) -> Any:
-    """The policy of that name, or the driver that a training has made in the folder of that name."""
-    import difflib
-
+def _no_policy(name: str) -> str:
+    from sean_jax.files import suggest
     from sean_jax.policies import POLICIES
 
-    if name not in POLICIES and Path(name).is_dir():
+    cure = suggest(name, POLICIES) or ", nor is it a folder that `sean train` has written."
+    return f"policy: '{name}' is not one of {', '.join(POLICIES)}{cure}"
+
+
+def _policy(name: str, scenario: Scenario) -> Any:
+    """The policy of that name, or the driver that a training has made in the folder of that name."""
+    from sean_jax.policies import POLICIES
+
+    if name not in POLICIES:
         from sean_jax import learning
         from sean_jax.learning.options import Failed, Refused
 
@@ -107,10 +125,6 @@ def _policy(name: str, scenario: Scenario) -> Any:
             return learning.load(name, scenario)
         except (Failed, Refused) as error:
             raise BadInput(str(error)) from error
-    if name not in POLICIES:
-        near = difflib.get_close_matches(name, POLICIES, 1)
-        cure = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(POLICIES)}."
-        raise BadInput(f"there is no policy {name!r}; {cure}")
     return POLICIES[name]
 
 
@@ -121,15 +135,12 @@ def _title(scenario: Scenario, options: Options, episodes: int) -> str:
 
 def _introduce(console: Console, scenario: Scenario, options: Options) -> None:
     import jax
+    from rich.text import Text
 
     devices = jax.devices()
-    console.print(f"[bold]{_title(scenario, options, options.episodes)}[/]", highlight=False, soft_wrap=True)
-    console.print(
-        f"[dim]{options.time_limit:g} s each, policy {options.policy}, seed {options.seed}, "
-        f"on {len(devices)} × {devices[0].device_kind}[/]",
-        highlight=False,
-        soft_wrap=True,
-    )
+    console.print(Text(_title(scenario, options, options.episodes), "bold"), soft_wrap=True)
+    about = f"{written(options.time_limit)} s each, policy {options.policy}, seed {options.seed}"
+    console.print(Text(f"{about}, on {len(devices)} × {devices[0].device_kind}", "dim"), soft_wrap=True)
 
 
 def _summary(scenario: Scenario, options: Options, results: Results, aggregated: dict[str, Any]) -> dict[str, Any]:
@@ -164,6 +175,11 @@ def _summary(scenario: Scenario, options: Options, results: Results, aggregated:
     }
 
 
+def _plain(options: dict[str, Any]) -> dict[str, Any]:
+    """As YAML has words for."""
+    return {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
+
+
 def _write(folder: Path, scenario: Scenario, options: Options, results: Results, summary: dict[str, Any]) -> None:
     from sean_jax import drawing, report
     from sean_jax.main_job import output, statistics, table
@@ -172,7 +188,7 @@ def _write(folder: Path, scenario: Scenario, options: Options, results: Results,
     made_with = versions()
     config = {
         "command": options.command,
-        "options": {**dataclasses.asdict(options), "people": scenario.people},
+        "options": _plain({**dataclasses.asdict(options), "task": ",".join(options.tasks), "people": scenario.people}),
         "time_step": scenario.time_step,
         "versions": made_with,
     }
@@ -192,7 +208,7 @@ def _write(folder: Path, scenario: Scenario, options: Options, results: Results,
         )
     if results.frames and options.camera is not None:
         path = folder / "camera.gif"
-        drawing.video(results.frames[0], scenario, path, view=options.camera, renderer=options.renderer)
+        drawing.video(results.frames[0], scenario, path, view=options.camera, renderer=options.renderer or "rays")
     page = report.Report(
         title=_title(scenario, options, len(results.tasks)),
         command=options.command,

@@ -4,12 +4,12 @@ Nothing here imports JAX, so that ``sean --help`` answers at once.
 """
 
 import dataclasses
-import shlex
 from pathlib import Path
 
+from sean_jax.learning.options import tasks_of
+from sean_jax.options import BadInput, check_limits, check_new_folder, command
 
-class BadInput(ValueError):
-    """What the user asked for cannot be done; the message is one sentence that says what to do instead."""
+__all__ = ["BadInput", "Options"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,8 +20,9 @@ class Options:
     """Physical environment: a name, or the folder of your own."""
     behavior: str = "graph"
     """Pedestrian behavior: who goes where."""
-    task: str = "join_group,leave_group"
-    """Robot task; several, separated by commas, take turns."""
+    task: str | None = None
+    """Robot task; several, separated by commas, take turns. By default join_group,leave_group with behavior graph,
+    handcrafted with handcrafted, custom if a start and a goal are given, else random_ab_nav."""
     paths: str | None = None
     """Of the behavior graph: whole, the way to a goal is kept, by default; or edge, people choose anew at each node."""
     spreading: float | None = None
@@ -62,34 +63,33 @@ class Options:
     """Most episodes that are simulated at once."""
     camera: str | None = None
     """Also write camera.gif, the first episode as first_person, third_person, overhead or depth sees it."""
-    renderer: str = "rays"
-    """What draws camera.gif: rays, or mujoco, which needs OpenGL."""
+    renderer: str | None = None
+    """What draws camera.gif: rays, the default, or mujoco, which needs OpenGL."""
     name: str = ""
     """Name of the run, environment and behavior by default: the end of the folder's name."""
-    out: str = ""
+    out: Path | None = None
     """Folder to write, runs/<date>-<time>-<name> by default; it must not exist or be empty."""
     quiet: bool = False
     """Say nothing but errors."""
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        return tuple(part.strip() for part in self.task.split(",") if part.strip())
+        """The names in ``task``, or the default's."""
+        if self.task is None and self.start is not None and self.goal is not None:
+            return ("custom",)
+        return tasks_of(self.behavior, self.task)
 
     @property
     def command(self) -> str:
-        """The command that gives these results again, in full."""
-        words = ["sean", "run"]
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if field.name not in ("name", "out", "quiet", "batch") and value is not None:
-                values = value if isinstance(value, tuple) else (value,)
-                written = (f"{value:g}" if isinstance(value, float) else str(value) for value in values)
-                words += ["--" + field.name.replace("_", "-"), *written]
-        return shlex.join(words)
+        """The command that gives these results again, in full.
+
+        The batch belongs to it: XLA rounds otherwise for another number of episodes at once.
+        """
+        return command("run", self, leave_out=("name", "out", "quiet"))
 
     def folder(self, now: str) -> Path:
         """The folder to write; ``now`` is the date and time in its name."""
-        return Path(self.out) if self.out else Path("runs") / f"{now}-{self.label}"
+        return self.out or Path("runs") / f"{now}-{self.label}"
 
     @property
     def label(self) -> str:
@@ -98,13 +98,13 @@ class Options:
 
     def check(self) -> None:
         """Raises BadInput for what no scenario could run with."""
-        for option, least in (("people", 1), ("episodes", 1), ("batch", 1)):
-            value = getattr(self, option)
-            if value is not None and value < least:
-                raise BadInput(f"--{option} is {value}, but must be at least {least}.")
-        if not 0 < self.time_limit < 1e6:
-            raise BadInput(f"--time-limit is {self.time_limit:g} s, but must be above zero (120 is the default).")
-        if not 0 <= self.seed < 2**32:
-            raise BadInput(f"--seed is {self.seed}, but must lie between 0 and {2**32 - 1}.")
+        check_limits(self, {"time_limit": (0.1, 1e6)})
+        for name, pose in (("start", self.start), ("goal", self.goal)):
+            if pose is not None and len(pose) not in (2, 3):
+                raise BadInput(f"--{name} has {len(pose)} numbers; give x and y, and a heading in degrees if you like.")
         if not self.tasks:
             raise BadInput("--task names no task, try --task join_group; `sean list` shows them all.")
+        if self.renderer is not None and self.camera is None:
+            raise BadInput("--renderer draws camera.gif, which needs a camera: add --camera first_person.")
+        if self.out is not None:
+            check_new_folder(self.out)

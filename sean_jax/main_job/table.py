@@ -118,7 +118,7 @@ def print_table(console: Console, summary: dict[str, Any], title: str) -> None:
     measured = rows(summary)
     beside = 1 + max(len(f"{row.title} {row.unit}".strip()) for row in measured)
     for first, last in _blocks(names, console.width - beside):
-        table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
+        table = Table(box=box.SIMPLE_HEAD, title=Text(title), title_justify="left", title_style="bold", pad_edge=False)
         table.add_column("", no_wrap=True)
         if first == 0:
             table.add_column("overall", justify="right", style="bold", no_wrap=True)
@@ -130,9 +130,9 @@ def print_table(console: Console, summary: dict[str, Any], title: str) -> None:
             if begin in ("intimate", "collision") and begin != group:
                 table.add_section()
             group = begin
-            unit = f" [dim]{row.unit}[/]" if row.unit else ""
+            head = Text.assemble(row.title, (f" {row.unit}" if row.unit else "", "dim"))
             cells = row.cells[first + (first > 0) : last + 1]
-            table.add_row(f"{row.title}{unit}", *(cell or "[dim]–[/]" for cell in cells))
+            table.add_row(head, *(Text(cell) if cell else Text("–", "dim") for cell in cells))
         console.print(table)
     console.print(
         "[dim]Violations and collisions are times per episode; 95 % intervals are in summary.json.[/]", soft_wrap=True

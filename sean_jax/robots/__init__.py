@@ -20,15 +20,21 @@ def load(robot: str | Path, dynamics: str = "mjx") -> RobotModel:
     Raises ValueError, in one sentence, for an unknown name or dynamics, a missing file, and a file that describes no
     planar differential-drive base with all of its limits.
     """
+    path = find(robot, dynamics)
+    model, figures, mass = description.read(path)
+    data = mjx_dynamics.put(model, jnp.asarray(mass, figures["mass"].dtype)) if dynamics == "mjx" else ()
+    return RobotModel(**figures, data=data, name=path.stem, place=place, drive=DYNAMICS[dynamics])
+
+
+def find(robot: str | Path, dynamics: str = "mjx") -> Path:
+    """The file of a robot. Raises ValueError, in one sentence, for an unknown name or dynamics, and a missing file."""
     if dynamics not in DYNAMICS:
         raise ValueError(f"unknown dynamics {dynamics!r}{_meant(dynamics, DYNAMICS)}")
     path = ROBOTS.get(str(robot), Path(robot))
     if not path.is_file():
         problem = f"no robot file {str(robot)!r}" if path.suffix == ".xml" else f"unknown robot {str(robot)!r}"
         raise ValueError(f"{problem}{_meant(str(robot), ROBOTS)}")
-    model, figures, mass = description.read(path)
-    data = mjx_dynamics.put(model, jnp.asarray(mass, figures["mass"].dtype)) if dynamics == "mjx" else ()
-    return RobotModel(**figures, data=data, name=path.stem, place=place, drive=DYNAMICS[dynamics])
+    return path
 
 
 def _meant(wrong: str, right: dict) -> str:
