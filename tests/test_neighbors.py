@@ -99,6 +99,30 @@ def test_forces_and_gradients_are_those_of_all_pairs(preset, on, monkeypatch):
         np.testing.assert_allclose(one, other, rtol=2e-2, atol=2e-2)
 
 
+def test_forward_mode_equals_reverse_mode_also_twice():
+    """Among 303 people: the Jacobian of forces by three places and a constant, and second derivatives of all pairs."""
+    parameters, people = social_forces.preset("helbing1995"), crowd()
+    at = people.position[1:4], parameters.strength
+
+    def forces(places, strength, few=True):
+        moved = replace(people, position=people.position.at[1:4].set(places))
+        near = model.neighbors(parameters, moved, 0.1) if few else None
+        x, y = model.pair_forces(replace(parameters, strength=strength), moved, *model._look(moved), near=near)
+        return jnp.where(people.present, jnp.stack([x, y]), 0.0)[:, :8]
+
+    both = jax.jit(lambda *at: (jax.jacfwd(forces, (0, 1))(*at), jax.jacrev(forces, (0, 1))(*at)))
+    for forward, backward in zip(*both(*at), strict=True):
+        np.testing.assert_allclose(forward, backward, atol=1e-5, rtol=1e-4)
+        assert np.abs(forward).max() > 0.1
+
+    def bend(places, few):
+        slope = jax.grad(lambda places: jnp.sin(forces(places, parameters.strength, few)).sum())
+        return jax.jvp(slope, (places,), (jnp.ones_like(places),))[1]
+
+    ours, exact = jax.jit(lambda places: (bend(places, True), bend(places, False)))(at[0])
+    np.testing.assert_allclose(ours, exact, atol=1e-4, rtol=1e-3)
+
+
 def test_who_is_farther_than_felt_pushes_by_less_than_said():
     for name in social_forces.PRESETS:
         parameters = social_forces.preset(name)

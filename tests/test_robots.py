@@ -284,6 +284,24 @@ def test_gradients_equal_differences_of_the_mjx_robot():
     np.testing.assert_allclose(gradients[0], differences, rtol=1e-3, atol=1e-6)
 
 
+def test_forward_mode_equals_reverse_mode(kuri):
+    """Through MJX, by the command, the start and a constant of the robot; touching somebody, and free."""
+    place = leaves(world([WALL], [(0.46, 0.1)]))
+
+    def end(action, start, friction):
+        model = kuri.replace(friction=friction)
+        robot = model.place(model, start[:2], jnp.stack([jnp.cos(start[2]), jnp.sin(start[2])]))
+        after = advance(model, place, robot, place[1], action)
+        return jnp.concatenate([after.position, after.heading, after.speed[None]])
+
+    both = jax.jit(jax.vmap(lambda *at: (jax.jacfwd(end, (0, 1, 2))(*at), jax.jacrev(end, (0, 1, 2))(*at))))
+    at = [[0.3, 0.2], [0.5, -1.0], [9.0, 0.0]], [[0.0, 0.05, 0.1], [-3.0, 0.0, 0.0], [0.02, 0.1, 0.0]], [0.1, 1.0, 0.05]
+    forward, backward = both(*(jnp.asarray(part, jnp.float32) for part in at))
+    for one, other in zip(forward, backward, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5)
+        assert np.isfinite(one).all() and np.abs(one).max() > 1e-3
+
+
 FIGURES = {  # mass, wheel radius, track; greatest speed, turn rate, acceleration, turn acceleration; radius
     "jackal": (18.431, 0.098, 0.37559, 0.5, 8.0, 5.0, 25.0, 0.27),
     "kuri": (6.0, 0.035, 0.175, 0.5, 3.0, 5.0, 10.0, 0.16),

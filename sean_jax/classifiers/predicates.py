@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from sean_jax.base import Array, Moment, Pedestrians
+from sean_jax.geometry import TINY
 
 
 def near(x1: Array, x2: Array, distance: Array) -> Array:
@@ -39,9 +40,9 @@ def parallel_trajectory(d1: Array, d2: Array, angle: Array) -> Array:
 
 
 def cosine(d1: Array, d2: Array) -> Array:
-    """Cosine of the angle between two vectors; -2, so that no predicate holds, if one of them is zero."""
+    """Cosine of the angle between two vectors; -2, so that no predicate holds, if one of them is zero (to 1e-12)."""
     square = (d1 * d1).sum() * (d2 * d2).sum()
-    zero = square == 0.0
+    zero = square < TINY
     return jnp.where(zero, -2.0, (d1 * d2).sum() / jnp.sqrt(jnp.where(zero, 1.0, square)))
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from sean_jax.base import Array, Moment
-from sean_jax.geometry import length, sum_vectors, unit
+from sean_jax.geometry import TINY, length, sum_vectors, unit
 from sean_jax.metrics.metric import Metric, least, mean, nan_if_never, never, nothing, split, value_itself
 
 SPACE = 0.5  # m, of the iGibson social navigation challenge
@@ -40,7 +40,7 @@ def collision_time(x: Array, y: Array, vx: Array, vy: Array, reach: Array) -> Ar
     speeds, product = vx * vx + vy * vy, x * vx + y * vy
     outside = x * x + y * y - reach * reach
     inner = product * product - speeds * outside
-    meets = (product < 0.0) & (inner > 0.0)
+    meets = (product < 0.0) & (inner > 0.0) & (speeds > TINY)
     root = jnp.sqrt(jnp.where(meets, inner, 1.0))
     # c / (-b + root) is (-b - root) / a without the difference of nearly equal numbers.
     time = outside / jnp.where(meets, root - product, 1.0)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 
 from sean_jax.base import Array, Moment
+from sean_jax.geometry import TINY
 from sean_jax.metrics.metric import Metric, nothing, split, value_itself
 
 INTIMATE = 0.45  # m [Hall; section IV-H]
@@ -53,7 +54,7 @@ def _entries(limit: Callable, by_robot: bool) -> Callable:
 def _least(moment: Moment) -> Array:
     square = jnp.min(_squares(moment), initial=jnp.inf)
     alone = ~jnp.isfinite(square)
-    touching = square == 0.0
+    touching = square < TINY
     return jnp.where(alone, 1e3, jnp.where(touching, 0.0, jnp.sqrt(jnp.where(alone | touching, 1.0, square))))
 
 

@@ -96,8 +96,9 @@ def half_plane(
     along, across = vx * ex + vy * ey - distance / within, vy * ex - vx * ey
     side = jnp.where(across > 0.0, 1.0, -1.0)
     across = across * side
-    sine = jnp.where(apart, reach / jnp.where(apart, distance, 1.0), 0.0)
-    cosine = jnp.sqrt(jnp.where(apart, 1.0 - sine * sine, 1.0))
+    inverse = jnp.where(apart, 1.0 / jnp.where(apart, distance, 1.0), 0.0)
+    beyond = jnp.where(apart, (distance - reach) * (distance + reach), 1.0)  # positive, however little they are apart
+    sine, cosine = reach * inverse, jnp.where(apart, jnp.sqrt(beyond) * inverse, 1.0)
     leg = apart & (along * cosine + across * sine > 0.0)
     size = length(along, across)
     tip_a, tip_b = unit(along, across)

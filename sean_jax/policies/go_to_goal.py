@@ -27,7 +27,7 @@ def go_to_goal(scenario: Scenario, state: State, key: Array) -> Array:
     distance = length(seen.people[:, 0], seen.people[:, 1])
     direction = jnp.arctan2(seen.people[:, 1], jnp.where(distance > 0.0, seen.people[:, 0], 1.0))
     off = _wrapped(direction - bearing)
-    span = jnp.arcsin(jnp.clip(AROUND / jnp.maximum(distance, 1e-3), 0.0, 1.0))
+    span = _half_width(distance)
     in_way = seen.people_present & (distance < jnp.minimum(2.0, to_path + 0.3)) & (jnp.abs(off) < span)
     nearest = jnp.argmin(jnp.where(in_way, distance, jnp.inf))
     side = jnp.where(off[nearest] > 0.0, -1.0, 1.0)
@@ -45,6 +45,13 @@ def go_to_goal(scenario: Scenario, state: State, key: Array) -> Array:
     turn = jnp.where(arrived, angle_between(forward, seen.goal_heading), aim)
     most = scenario.robot.max_turn_rate
     return jnp.stack([jnp.where(arrived, 0.0, speed), jnp.clip(TURN_GAIN * turn, -most, most)])
+
+
+def _half_width(distance: Array) -> Array:
+    """The angle [rad] from the middle of a disc of radius ``AROUND``, so far away [m], to its edge; inside, pi / 2."""
+    beyond = distance * distance - AROUND * AROUND
+    outside = beyond > 0.0
+    return jnp.where(outside, jnp.arctan2(AROUND, jnp.sqrt(jnp.where(outside, beyond, 1.0))), 0.5 * jnp.pi)
 
 
 def _wrapped(angle: Array) -> Array:

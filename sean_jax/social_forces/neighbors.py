@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from sean_jax.base import Array
+from sean_jax.social_forces.linear import linear_call
 
 MANY = 256  # from as many people on this pays
 PART = 8  # people of each run who are looked at together, a power of two
@@ -72,7 +73,7 @@ def _from_least(values: Array, present: Array) -> Array:
     return jnp.where(present, values - least, 0.0)
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(0,))
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
 def sum_pairs(law: Callable, near: Neighbors, shared: Any, own: Array, other: Array) -> tuple[Array, Array]:
     """(N,) x and y: sums over the others near each person of ``law(shared, own (A,), other (B,)) -> (x, y)``.
 
@@ -83,9 +84,12 @@ def sum_pairs(law: Callable, near: Neighbors, shared: Any, own: Array, other: Ar
         own: (A, N) floats, of those who feel.
         other: (B, N) floats, of those who are felt.
 
-    Reverse mode goes along the same runs: who feels somebody stands among those whom that one feels. There is no
-    forward mode.
+    Derivatives, forward and reverse, go along the same runs: who feels somebody stands among those whom that one feels.
     """
+    return _sum(law, near, shared, own, other)
+
+
+def _sum(law: Callable, near: Neighbors, shared: Any, own: Array, other: Array) -> tuple[Array, Array]:
     there = other[:, near.order]
 
     def block(runs: Runs, own: Array) -> tuple:
@@ -99,12 +103,19 @@ def sum_pairs(law: Callable, near: Neighbors, shared: Any, own: Array, other: Ar
     return x[near.rank], y[near.rank]
 
 
-def _forward(law: Callable, near: Neighbors, shared: Any, own: Array, other: Array) -> tuple:
-    return sum_pairs(law, near, shared, own, other), (near, shared, own, other)
+@sum_pairs.defjvp
+def _move(law: Callable, primals: tuple, tangents: tuple) -> tuple:
+    sums = sum_pairs(law, *primals)
+    change = linear_call(partial(_forward, law), partial(_backward, law), primals, tangents[1:], sums)
+    return sums, change
 
 
-def _backward(law: Callable, kept: tuple, given: tuple[Array, Array]) -> tuple:
-    near, shared, own, other = kept
+def _forward(law: Callable, at: tuple, changes: tuple) -> tuple[Array, Array]:
+    return jax.jvp(partial(_sum, law, at[0]), at[1:], changes)[1]
+
+
+def _backward(law: Callable, at: tuple, given: tuple[Array, Array]) -> tuple:
+    near, shared, own, other = at
     feeling, felt = len(own), len(other)
     pulls = jnp.stack(given)
     there, felt_by = other[:, near.order], jnp.concatenate([own, pulls])[:, near.order]
@@ -129,11 +140,7 @@ def _backward(law: Callable, kept: tuple, given: tuple[Array, Array]) -> tuple:
 
     d_rows, d_shared = _over_blocks(near, block, jnp.concatenate([own, other, pulls]))
     d_rows = jnp.stack([row[near.rank] for row in d_rows])
-    nowhere = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, jax.dtypes.float0), near)
-    return nowhere, d_shared, d_rows[:feeling], d_rows[feeling:]
-
-
-sum_pairs.defvjp(_forward, _backward)
+    return d_shared, d_rows[:feeling], d_rows[feeling:]
 
 
 class Runs(NamedTuple):
