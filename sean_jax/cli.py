@@ -3,14 +3,16 @@
 Nothing heavy is imported before a command is chosen, so that ``sean --help`` answers at once.
 """
 
+import contextlib
 import dataclasses
 import importlib.metadata
 import math
 import os
 import shlex
+import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,9 +23,10 @@ from sean_jax.experiments.options import Experiment
 from sean_jax.learning.options import Collect, Export, Failed, Train
 from sean_jax.main_job.options import Options
 from sean_jax.options import BadInput, check_file, check_limits, check_new_folder
+from sean_jax.writing import Unwritable
 
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # of those that matplotlib writes
-WRONG, FAILED, STOPPED = 2, 1, 130  # exit codes: bad input, a broken simulation, Ctrl-C
+WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, what broke midway, Ctrl-C, SIGTERM
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +83,38 @@ COMMANDS: dict[str, Any] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code: 0, or 2 for bad input, 1 for a NaN, 130 for Ctrl-C."""
+    """Run the command line and return its exit code.
+
+    That is 0, 2 for bad input, 1 for what broke midway, 130 for Ctrl-C and 143 for SIGTERM.
+    """
+    with _terminated_as_by_ctrl_c() as received:
+        code = _main(arguments)
+        code = TERMINATED if code == STOPPED and received else code
+        if code in (STOPPED, TERMINATED) and any(thread.name == "sean-compiler" for thread in threading.enumerate()):
+            os._exit(code)  # the compiler cannot be interrupted, and the interpreter would wait for it
+    return code
+
+
+@contextlib.contextmanager
+def _terminated_as_by_ctrl_c() -> Iterator[list[int]]:
+    """Until the block ends SIGTERM, by which schedulers stop a job, does what Ctrl-C does; the signals received."""
+    received: list[int] = []
+
+    def stop(number: int, _: Any) -> None:
+        received.append(number)
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # where no signal arrives
+        yield received
+        return
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield received
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _main(arguments: Sequence[str] | None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if arguments in (["--version"], ["-V"]):
         print(f"sean_jax {_version()}")
@@ -102,7 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(command, Collect | Train | Export | Experiment):
             return _learn(command)
         return _run(command)
-    except BadInput as error:
+    except (BadInput, Unwritable) as error:
         return _fail(str(error), WRONG)
     except Failed as error:
         return _fail(str(error), FAILED)
@@ -110,12 +144,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f" ({error.filename})" if error.filename else ""
         return _fail(f"{(error.strerror or str(error)).lower()}{where}; nothing was written.", WRONG)
     except FloatingPointError as error:
-        return _fail(f"{error} Nothing was written; earlier runs are as they were.", FAILED)
-    except KeyboardInterrupt:
-        code = _fail("stopped before a batch of episodes was finished; nothing was written.", STOPPED)
-        if any(thread.name == "sean-compiler" for thread in threading.enumerate()):
-            os._exit(code)  # the compiler cannot be interrupted, and the interpreter would wait for it
-        return code
+        return _fail(str(error), FAILED)
+    except KeyboardInterrupt as error:
+        return _fail(str(error) or "stopped; nothing was written.", STOPPED)
 
 
 def cache_compilations() -> None:
@@ -160,7 +191,8 @@ def _run(options: Options) -> int:
     folder, episodes = main_job.run(options, console)
     _say(console, "report: ", folder / "report.html")
     if episodes < options.episodes:
-        return _fail(f"stopped; the {episodes} episodes finished until then are in {folder}.", STOPPED)
+        said = f"stopped; the {episodes} episodes finished until then are in {folder}"
+        return _fail(f"{said}, and the same command with --out {folder} goes on.", STOPPED)
     return 0
 
 
@@ -227,7 +259,8 @@ def _learn(command: Collect | Train | Export | Experiment) -> int:
     except ModuleNotFoundError as error:
         return _fail(f'{error.name} is missing; pip install "sean_jax[learning]".', WRONG)
     except KeyboardInterrupt:
-        return _fail(f"stopped; what was finished until then is in {folder}, and the same command goes on.", STOPPED)
+        kept = f"what was finished until then is in {folder}, and the same command goes on"
+        return _fail(f"stopped; {kept if folder.exists() else 'nothing was written'}.", STOPPED)
     return 0
 
 

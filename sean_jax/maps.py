@@ -6,8 +6,6 @@ p = (255 - x) / 255 is how occupied a pixel of value x is, or x / 255 with ``neg
 
 import dataclasses
 import json
-import shutil
-import tempfile
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,7 +14,7 @@ import pydantic
 from PIL import Image, UnidentifiedImageError
 
 from sean_jax import environment as environments
-from sean_jax import files
+from sean_jax import files, writing
 
 AGREE = 0.995  # least share of cells that are the same in the map and in the boxes
 SPARED = 0.2  # of the cells that may differ: slivers along larger boxes are left out that many at most
@@ -196,10 +194,7 @@ def import_map(
     boxes = rectangles(solid, int(solid.size * (1 - AGREE) * SPARED))
     free = float((~solid).sum()) * raster.resolution**2
     count = max(1, min(MOST_PEOPLE, round(free / AREA_OF_ONE))) if people is None else people
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:  # a whole folder is written, or none
-        made = Path(scratch) / "environment"
-        made.mkdir()
+    with writing.whole_folder(folder) as made:
         name = folder.resolve().name
         source = f"ROS map {Path(path).name}, {raster.resolution:g} m a cell"
         (made / environments.SETTINGS).write_text(_settings(raster, name, count, source), encoding="utf-8")
@@ -207,9 +202,6 @@ def import_map(
         agreement = float(np.mean(rasterised(environments.load(made).obstacles, raster) == solid))
         if agreement < AGREE:
             raise ValueError(f"the boxes describe only {agreement:.2%} of the map's cells; nothing was written.")
-        if folder.exists():
-            folder.rmdir()
-        shutil.move(made, folder)
     return Imported(folder, len(boxes), count, solid.size, agreement)
 
 

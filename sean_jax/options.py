@@ -10,6 +10,8 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from sean_jax import writing
+
 LIMITS = {
     "people": (0, 100_000),
     "parties": (0.0, 1.0),
@@ -88,7 +90,7 @@ def check_new_folder(folder: Path, option: str = "--out") -> None:
     """
     if folder.exists() and not folder.is_dir():
         raise BadInput(f"{option}: {folder} is a file or a device; give the name of a new folder.")
-    if folder.is_dir() and any(folder.iterdir()):
+    if writing.contents(folder):
         raise BadInput(f"{option}: the folder {folder} is not empty; give the name of a new folder.")
     if folder.exists() and os.path.samefile(folder, "."):
         raise BadInput(f"{option}: {folder} is the folder that you are in; give the name of a new folder.")

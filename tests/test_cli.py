@@ -104,8 +104,8 @@ def test_folder_that_cannot_be_written_is_refused(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("raised", "code", "said"),
     [
-        (OSError(28, "No space left on device", "episodes.csv"), 2, "no space left on device"),
-        (FloatingPointError("1 of 4 episodes hold numbers that are not finite: 2."), 1, "not finite: 2."),
+        (OSError(28, "No space left on device", "episodes.csv"), 1, "the disk is full (episodes.csv); nothing was"),
+        (FloatingPointError("1 of 4 episodes hold numbers that are not finite: 2."), 1, "finite: 2. Nothing was"),
         (KeyboardInterrupt(), 130, "stopped"),
     ],
 )

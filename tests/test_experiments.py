@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax import cli
+from sean_jax import cli, writing
 from sean_jax.experiments import shares, together
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.learning.options import Refused
@@ -144,16 +144,19 @@ def test_a_folder_of_another_experiment_is_refused(tmp_path):
     from sean_jax.experiments import parts
 
     options = Experiment("table1", quick=True, out=tmp_path / "here").settled()
-    assert parts.begin(options) == tmp_path / "here" == parts.begin(options)
+    assert not parts.begun(options)
+    with writing.held(options.folder):
+        parts.begin(options)
+    assert parts.begun(options)
     with pytest.raises(Refused, match="begun with --seed 0, not 1"):
-        parts.begin(Experiment("table1", quick=True, seed=1, out=tmp_path / "here").settled())
+        parts.begun(Experiment("table1", quick=True, seed=1, out=tmp_path / "here").settled())
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("dear")
     with pytest.raises(Refused, match="holds something else"):
-        parts.begin(Experiment("table1", out=tmp_path / "full").settled())
+        parts.begun(Experiment("table1", out=tmp_path / "full").settled())
     (tmp_path / "here" / parts.OPTIONS).write_text("{")
     with pytest.raises(Refused, match="damaged"):
-        parts.begin(options)
+        parts.begun(options)
 
 
 def test_parts_wait_for_what_they_need_and_are_the_same_in_threads(monkeypatch):

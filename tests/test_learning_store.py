@@ -12,7 +12,7 @@ import learning_data
 import numpy as np
 import pytest
 
-from sean_jax import cli
+from sean_jax import cli, writing
 from sean_jax.learning import collect_job, dataset, store
 from sean_jax.learning.dataset import open_dataset, split
 from sean_jax.learning.examples import example
@@ -83,7 +83,7 @@ def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
             return stopping
 
         with monkeypatch.context() as patched:
-            patched.setattr(store.os, "replace", step(os.replace))
+            patched.setattr(writing.os, "replace", step(os.replace))
             patched.setattr(store, "path", step(store.path))
             try:
                 collect_job.collect(learning_data.options(folder))
@@ -142,7 +142,7 @@ def test_a_full_disk_leaves_what_was_committed(data, monkeypatch):
         with pytest.raises(Failed, match="the disk is full; what was committed before is as it was"):
             data.commit(0, learning_data.batches()[0])
     with monkeypatch.context() as patched:
-        patched.setattr(store.os, "replace", full)
+        patched.setattr(writing.os, "replace", full)
         with pytest.raises(Failed, match="the disk is full; what was committed before is as it was"):
             data.save({**data.manifest, "hours": 2.0})
     again = open_dataset(data.folder)

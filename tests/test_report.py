@@ -105,17 +105,6 @@ def test_episodes_file_is_the_same_bytes_again_and_reads_back(tmp_path):
     assert [int(row["intimate_robot_on_person__empty"]) for row in rows] == counts[:, 5].tolist()
 
 
-def test_unfinished_folder_appears_whole_or_not_at_all(tmp_path):
-    with output.unfinished(tmp_path / "deep" / "run") as folder:
-        (folder / "a").write_text("1")
-        assert not (tmp_path / "deep" / "run").exists()
-    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["run"]
-    with pytest.raises(KeyboardInterrupt), output.unfinished(tmp_path / "other" / "run") as folder:
-        (folder / "a").write_text("1")
-        raise KeyboardInterrupt
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["deep"]
-
-
 class Reader(html.parser.HTMLParser):
     """Collects the attributes that could lead outside, the tags left open, and the text."""
 

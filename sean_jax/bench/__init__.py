@@ -6,11 +6,13 @@ Importing this imports no JAX: the command line must answer at once.
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sean_jax import writing
 from sean_jax.bench.options import PARTS, Options
-from sean_jax.options import BadInput
+from sean_jax.options import BadInput, check_new_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,14 +23,13 @@ __all__ = ["PARTS", "BadInput", "Options", "run"]
 def run(options: Options, console: Console) -> Path:
     """Measure what the options name; the folder written, which has table.txt, bench.json and bench.png.
 
-    After Ctrl-C what was measured until then is written, and after a kill it is in the folder of the unfinished name;
-    KeyboardInterrupt is raised if there is nothing. Raises BadInput for options that cannot be met.
+    After Ctrl-C or a kill what was measured until then is there; KeyboardInterrupt is raised if there is nothing.
+    Raises BadInput for options that cannot be met, Unwritable for a folder that cannot be written.
     """
     options.check()
-    from sean_jax.main_job.output import unfinished
-
-    target = options.folder()
-    with unfinished(target) as folder:
+    folder = options.folder()
+    with writing.held(folder):
+        check_new_folder(folder)
         with console.status("importing JAX and preparing the scenario"):
             from sean_jax.bench import page, parts
 
@@ -48,18 +49,19 @@ def run(options: Options, console: Console) -> Path:
                 raise
             _print(console, "stopped; what was measured until then is written.")
         _print(console, *page.notes(rows, about))
-        page.picture(rows, about).savefig(folder / "bench.png", dpi=150)
-    return target
+        with writing.whole(folder / "bench.png") as stream:
+            page.picture(rows, about).savefig(stream, dpi=150, format="png")
+    return folder
 
 
 def _save(folder: Path, rows: list[Any], about: dict[str, Any]) -> None:
-    """table.txt and bench.json of what was measured so far, for a kill leaves the folder as it is."""
+    """table.txt and bench.json of what was measured so far."""
     from sean_jax.bench import page
-    from sean_jax.main_job.output import write_json
 
     lines = [page.title(about), page.HEAD, *(page.line(row) for row in rows), *page.notes(rows, about)]
-    (folder / "table.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    write_json(folder / "bench.json", {**about, "rows": [_finite(dataclasses.asdict(row)) for row in rows]})
+    writing.write(folder / "table.txt", "\n".join(lines) + "\n")
+    told = {**about, "rows": [_finite(dataclasses.asdict(row)) for row in rows]}
+    writing.write(folder / "bench.json", json.dumps(told, indent=2, allow_nan=False) + "\n")
 
 
 def _check(options: Options) -> None:

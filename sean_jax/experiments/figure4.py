@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sean_jax import learning
+from sean_jax import learning, writing
 from sean_jax.experiments import page, parts, pictures, rollouts, shares
 from sean_jax.experiments.claims import BALANCED, DEMONSTRATOR, FOUR, LEARNED, NAVIGATION, Found, claims
 from sean_jax.experiments.options import BEHAVIORS, Experiment
@@ -41,22 +41,29 @@ KEPT = "completed", "seconds", "time_not_moving", *INTIMATE, "collision_robot_on
 def run(options: Experiment, console: Console | None = None) -> Path:
     """Collect, train and drive what is missing, and write the report; the folder.
 
-    Raises Refused for what cannot be asked for, Failed for damaged files, FloatingPointError for numbers that are not
-    finite; what was finished before stays.
+    Raises Refused for what cannot be asked for, Unwritable if somebody else writes in the folder, Failed for damaged
+    files, FloatingPointError for numbers that are not finite; what was finished before stays.
     """
     options = options.settled()
     for behavior in BEHAVIORS:
         protocol.check(_collecting(options, options.folder, behavior))
-    folder = parts.begin(options)
+    folder = options.folder
+    parts.begun(options)
+    with writing.held(folder):
+        _run(options, folder, console)
+    return folder
+
+
+def _run(options: Experiment, folder: Path, console: Console | None) -> None:
     policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR)
     places = {behavior: streams(Collect(**_asked(options, behavior))) for behavior in BEHAVIORS}
+    parts.begin(options)  # now that nothing is refused any more
     found = together(_parts(options, folder, places), console, "figure 4")
     measured = {
         policy: {behavior: found[_driven(policy, behavior)][policy] for behavior in BEHAVIORS} for policy in policies
     }
     trained = {name: found[f"training {name}"] for name in (*LEARNED, BALANCED)}
     write(options, folder, _found(options, policies, measured, trained))
-    return folder
 
 
 def _driven(policy: str, behavior: str) -> str:

@@ -10,6 +10,7 @@ import matplotlib.colors
 import numpy as np
 from matplotlib.figure import Figure
 
+from sean_jax import writing
 from sean_jax.drawing import colors
 from sean_jax.experiments import shares
 from sean_jax.experiments.options import BEHAVIORS, Experiment
@@ -45,7 +46,8 @@ def shown(figure: Figure, name: str) -> str:
 def save(folder: Path, figures: dict[str, Figure]) -> None:
     """Each as a picture of its name."""
     for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.png", dpi=110, metadata={"Software": None})
+        with writing.whole(folder / f"{name}.png") as stream:
+            figure.savefig(stream, dpi=110, format="png", metadata={"Software": None})
 
 
 def table1(options: Experiment, cells: list[Cell], swept: list[Cell]) -> dict[str, Figure]:

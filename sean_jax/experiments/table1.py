@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
+from sean_jax import writing
 from sean_jax.experiments import page, parts, pictures, shares
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.experiments.rollouts import MINUTE, Chains
@@ -55,8 +56,8 @@ class Cell:
 def run(options: Experiment, console: Console | None = None) -> Path:
     """Simulate what is missing, and write the report; the folder.
 
-    Raises Refused for what cannot be asked for, FloatingPointError for numbers that are not finite; what was finished
-    before stays.
+    Raises Refused for what cannot be asked for, Unwritable if somebody else writes in the folder, FloatingPointError
+    for numbers that are not finite; what was finished before stays.
     """
     options = options.settled()
     drivers = list(dict.fromkeys(name.strip() for name in options.drivers.split(",") if name.strip()))
@@ -66,17 +67,25 @@ def run(options: Experiment, console: Console | None = None) -> Path:
         (each, crowd) for crowd in options.crowds or () for each in SWEPT
     ]:
         protocol.check(_asked(options, behavior, people))
-    folder = parts.begin(options)
+    folder, known = options.folder, parts.begun(options)
     jobs = [(behavior, driver, options.people) for driver in drivers for behavior in BEHAVIORS]
     sweep = [(behavior, drivers[0], people) for people in options.crowds or () for behavior in SWEPT]
     places = Once(functools.partial(_places, options))
+    with writing.held(folder):
+        for behavior, _, people in [] if known else dict.fromkeys([*jobs, *sweep]):
+            places(behavior, people)  # to refuse what cannot be before anything is written
+        parts.begin(options)
+        _run(options, folder, console, places, jobs, sweep)
+    return folder
+
+
+def _run(options: Experiment, folder: Path, console: Console | None, places: Once, jobs: list, sweep: list) -> None:
     parts_of = [
         Part(_named(*job), functools.partial(_cell, options, folder, *job, places))
         for job in dict.fromkeys([*jobs, *sweep])
     ]
     found = together(parts_of, console, "driving")
     write(options, folder, *([found[_named(*job)] for job in each] for each in (jobs, sweep)))
-    return folder
 
 
 def _named(behavior: str, driver: str, people: int | None) -> str:
@@ -120,10 +129,8 @@ def _cell(
     chains = seeds * math.ceil(wanted / each)
     flags, ended = Chains(tasks, who_drives(driver)).minutes(kinds, options.seed, chains, each, STARTS * seeds, watch)
     flags = np.moveaxis(flags.reshape(-1, MINUTE, len(speeds), len(shares.NAMES)), 2, 0)
-    temporary = file.with_name(f".{file.name}")
-    with temporary.open("wb") as stream:
+    with writing.whole(file) as stream:
         np.savez_compressed(stream, flags=np.packbits(flags, axis=-1), people=kinds[0].scenario.people, ended=ended)
-    temporary.replace(file)
     return Cell(behavior, driver, kinds[0].scenario.people, flags, ended)
 
 

@@ -13,9 +13,9 @@ import jax
 import orbax.checkpoint as ocp
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
+from sean_jax import writing
 from sean_jax.learning.learned import Weights
 from sean_jax.learning.options import Failed, Refused
-from sean_jax.learning.store import write_whole
 from sean_jax.learning.training import TrainState
 
 CONFIG = "config.json"  # what the network is, beside the checkpoints
@@ -28,16 +28,22 @@ def _less_loss(metrics: dict[str, float]) -> float:
 
 
 class Checkpoints:
-    """The checkpoints in a folder, each named by the number of epochs that were done."""
+    """The checkpoints in a folder, each named by the number of epochs that were done.
 
-    def __init__(self, folder: Path):
+    Who writes them holds the folder (``writing.held``), for what is left of a kill is removed; who does not, changes
+    nothing there.
+    """
+
+    def __init__(self, folder: Path, writes: bool = False):
         logging.getLogger("absl").setLevel(logging.CRITICAL)  # orbax tells of every step it takes
         self.folder = Path(folder).absolute()
         keep = AnyPreservationPolicy([LatestN(n=1), BestN(get_metric_fn=_less_loss, n=1)])
         options = ocp.CheckpointManagerOptions(
             best_fn=_less_loss,  # decides nothing here, but without it the losses would not be kept on disk
             preservation_policy=keep,
-            cleanup_tmp_directories=True,
+            cleanup_tmp_directories=writes,
+            create=writes,
+            read_only=not writes,
         )
         self.manager = ocp.CheckpointManager(self.folder / "checkpoints", options=options)
 
@@ -69,12 +75,17 @@ class Checkpoints:
 
     def best_weights(self, like: Weights) -> Weights:
         """The weights with the least loss in validation. Raises Refused if there are none."""
-        known = {step: self.manager.metrics(step) for step in self.manager.all_steps()}
-        scored = {step: _less_loss(found) for step, found in known.items() if found}
-        if not scored:
-            raise Refused(f"{self.folder} has no checkpoint; train a network with `sean train imitation`.")
-        best = max(scored, key=lambda step: (scored[step], -step))
-        return self._restore(best, like, part="weights")
+        while True:
+            known = {step: self.manager.metrics(step) for step in self.manager.all_steps(read=True)}
+            scored = {step: _less_loss(found) for step, found in known.items() if found}
+            if not scored:
+                raise Refused(f"{self.folder} has no checkpoint; train a network with `sean train imitation`.")
+            best = max(scored, key=lambda step: (scored[step], -step))
+            try:
+                return self._restore(best, like, part="weights")
+            except Failed:
+                if best in self.manager.all_steps(read=True):
+                    raise  # else a training that goes on has a better one by now
 
     def _restore(self, step: int, like: Any, part: str | None = None) -> Any:
         sharding = jax.sharding.SingleDeviceSharding(jax.devices()[0])
@@ -93,22 +104,14 @@ class Checkpoints:
 
 
 def begun(folder: Path, config: dict[str, Any]) -> bool:
-    """Whether a training of that configuration was begun in the folder; if not, it begins now.
+    """Whether a training of that configuration was begun in the folder.
 
-    Raises Refused if another training was.
+    Raises Refused if another training was, or something else is there.
     """
     file = folder / CONFIG
     if not file.exists():
-        if folder.exists() and not folder.is_dir():
-            raise Refused(f"{folder} is a file, give the name of a folder with --out.")
-        if folder.is_dir() and any(item for item in folder.iterdir() if item.name != f".{CONFIG}.new"):
+        if writing.contents(folder):
             raise Refused(f"the folder {folder} holds something else already, choose another with --out.")
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            write_whole(file, json.dumps(config, indent=1) + "\n")
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise Refused(f"cannot write {folder}: {reason}; choose another folder with --out.") from error
         return False
     try:
         had = json.loads(file.read_text(encoding="utf-8"))
@@ -119,6 +122,15 @@ def begun(folder: Path, config: dict[str, Any]) -> bool:
             said = f"{name.replace('_', ' ')} {_shown(had.get(name))}, not {_shown(value)}"
             raise Refused(f"{folder} has checkpoints of another network, with {said}; choose another --out.")
     return True
+
+
+def begin(folder: Path, config: dict[str, Any]) -> None:
+    """A training of that configuration begins. Raises Refused if the folder cannot be written."""
+    try:
+        writing.write(folder / CONFIG, json.dumps(config, indent=1) + "\n")
+    except OSError as error:
+        why = writing.reason(error)
+        raise Refused(f"cannot write {folder}: {why}; choose another folder with --out.") from error
 
 
 def _shown(value: Any) -> str:

@@ -12,12 +12,13 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
-from sean_jax import devices, sensors
+from sean_jax import devices, sensors, writing
 from sean_jax.learning import dataset as datasets
 from sean_jax.learning import demonstrations
 from sean_jax.learning.dataset import Dataset
@@ -38,21 +39,33 @@ MOST_ELSEWHERE = 1024
 def collect(options: Collect, console: Console | Callable[[float], None] | None = None) -> Dataset:
     """Record until every stream has its time, and give the dataset.
 
-    Raises Refused for what cannot be asked for, Failed if something breaks midway, FloatingPointError for numbers that
-    are not finite, KeyboardInterrupt; what was committed before stays in each case.
+    Raises Refused for what cannot be asked for, Unwritable if somebody else records in the folder, Failed if something
+    breaks midway, FloatingPointError for numbers that are not finite, KeyboardInterrupt; what was committed before
+    stays in each case.
     """
     options.check()
     check(options)
+    _check_place(options.folder)
+    with writing.held(options.folder):
+        return _collect(options, console)
+
+
+def _collect(options: Collect, console: Console | Callable[[float], None] | None) -> Dataset:
+    """In a folder that nobody else writes."""
     policy = who_drives(options.driver)
     parts, tasks = streams(options)
     try:
         eye = sensors.camera(parts[0].scenario, "depth", width=options.width, height=options.height)
     except ValueError as error:
         raise Refused(str(error)) from error
-    data = _begun(options, parts, eye)
     over = devices.mesh()
+    if (options.batch or 0) % over.size:
+        batch = options.batch
+        raise Refused(f"--batch: {batch} episodes do not spread evenly over {over.size} devices; take a multiple.")
+    data = _begun(options, parts, eye)
     if data.batch % over.size:
-        raise Refused(f"--batch: {data.batch} episodes do not spread evenly over {over.size} devices; take a multiple.")
+        said = f"{data.folder} was begun with --batch {data.batch}, which does"
+        raise Refused(f"{said} not spread evenly over {over.size} devices; choose another --out.")
     programs = demonstrations.prepare(parts[0].scenario, tasks, policy, eye, over)
     wanted = share(options.hours, len(parts))
     total = wanted * len(parts)
@@ -112,19 +125,21 @@ def _behind(data: Dataset) -> Iterator[Callable[..., None]]:
 def _begun(options: Collect, parts: list[Stream], eye: sensors.Camera) -> Dataset:
     """The dataset of the folder, if it was begun with the same options, or an empty one."""
     folder = options.folder
-    if folder.exists() and not folder.is_dir():
-        raise Refused(f"{folder} is a file, give the name of a folder with --out.")
+    _check_place(folder)
     if (folder / datasets.MANIFEST).exists():
         data = datasets.open_dataset(folder)
         _check_same(options, data)
         if options.hours > data.manifest["hours"]:
             data.save({**data.manifest, "command": _command(options, data.batch), "hours": options.hours})
         return data
-    if folder.is_dir() and any(folder.iterdir()) and not (folder / "zarr.json").is_file():
-        left = sorted(item.name for item in folder.iterdir())
-        if not set(left) <= {*datasets.fields(1, 1, 1), ".zarr.json.new"}:  # what a kill at the very beginning left
-            raise Refused(f"the folder {folder} holds something else already, choose another with --out.")
     return datasets.create_dataset(folder, _manifest(options, parts, eye))
+
+
+def _check_place(folder: Path) -> None:
+    """Refuse a folder that holds something else than a dataset, or what a kill at the very beginning left of one."""
+    if not any((folder / name).is_file() for name in (datasets.MANIFEST, "zarr.json")):
+        if not set(writing.contents(folder)) <= set(datasets.fields(1, 1, 1)):
+            raise Refused(f"the folder {folder} holds something else already, choose another with --out.")
 
 
 def _check_same(options: Collect, data: Dataset) -> None:

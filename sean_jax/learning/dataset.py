@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sean_jax import writing
 from sean_jax.learning import store
 from sean_jax.learning.examples import Recording
 from sean_jax.learning.options import Failed, Refused
@@ -148,10 +149,9 @@ class Dataset:
     def save(self, manifest: dict[str, Any]) -> None:
         """Replace the manifest. Raises Failed if it cannot be written."""
         try:
-            store.write_whole(self.folder / MANIFEST, json.dumps(manifest, indent=1) + "\n")
+            writing.write(self.folder / MANIFEST, json.dumps(manifest, indent=1) + "\n")
         except OSError as error:
-            why = "the disk is full" if error.errno == 28 else (error.strerror or str(error)).lower()
-            raise Failed(f"{self.folder}: {why}; what was committed before is as it was.") from error
+            raise Failed(f"{self.folder}: {writing.reason(error)}; what was committed before is as it was.") from error
         self.manifest = manifest
 
     def lost(self) -> list[int]:

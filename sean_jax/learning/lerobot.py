@@ -5,14 +5,13 @@ Depth images are kept in the parquet files as PNG of 16 bits, in mm, as LeRobot 
 
 import io
 import json
-import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sean_jax import writing
 from sean_jax.learning.dataset import Dataset, Episode, open_dataset
 from sean_jax.learning.options import Refused
 
@@ -31,7 +30,8 @@ NUMBERS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 def export(dataset: Path | str, out: Path | str) -> Path:
     """Write the dataset in ``out``, which must not exist or be empty.
 
-    Raises Refused if that cannot be, or if pyarrow is not there; Failed if a file of the dataset is damaged.
+    Raises Refused or Unwritable if that cannot be, or if pyarrow is not there; Failed if a file of the dataset is
+    damaged.
     """
     try:
         import pyarrow  # noqa: F401
@@ -42,14 +42,8 @@ def export(dataset: Path | str, out: Path | str) -> Path:
         raise Refused(f"{out} holds something already, choose another with --out.")
     if not data.episodes:
         raise Refused(f"{data.folder} has no episodes; collect some.")
-    temporary = out.absolute().with_name(f".{out.name}.unfinished-{os.getpid()}")
-    try:
-        _export(data, temporary)
-        if out.is_dir():
-            out.rmdir()
-        temporary.rename(out)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    with writing.whole_folder(out) as made:
+        _export(data, made)
     return out
 
 

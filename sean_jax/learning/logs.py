@@ -9,8 +9,8 @@ import struct
 from pathlib import Path
 from typing import Any
 
+from sean_jax import writing
 from sean_jax.learning.options import Failed
-from sean_jax.learning.store import write_whole
 
 LINES = "metrics.jsonl"
 EVENTS = "events.out.tfevents.0000000000.sean"
@@ -44,9 +44,9 @@ class Log:
         """Goes on after that many epochs: what was told of later ones, before an interruption, is dropped."""
         self.folder = folder
         kept = [line for line in _lines(folder / LINES) if line["epoch"] <= epochs]
-        write_whole(folder / LINES, "".join(json.dumps(line) + "\n" for line in kept))
+        writing.write(folder / LINES, "".join(json.dumps(line) + "\n" for line in kept))
         first = _event(kept[0]["time"] if kept else 0.0, version="brain.Event:2")
-        (folder / EVENTS).write_bytes(first + b"".join(_events(line) for line in kept))
+        writing.write(folder / EVENTS, first + b"".join(_events(line) for line in kept))
 
     def add(self, line: dict[str, Any]) -> None:
         """A line has ``epoch``, ``time`` [s since 1970], and values, which may lie in dicts.
@@ -59,8 +59,9 @@ class Log:
             with (self.folder / EVENTS).open("ab") as stream:
                 stream.write(_events(line))
         except OSError as error:
-            why = "the disk is full" if error.errno == 28 else (error.strerror or str(error)).lower()
-            raise Failed(f"{self.folder}: {why}; the checkpoints until then are as they were.") from error
+            raise Failed(
+                f"{self.folder}: {writing.reason(error)}; the checkpoints until then are as they were."
+            ) from error
 
 
 def _lines(file: Path) -> list[dict[str, Any]]:

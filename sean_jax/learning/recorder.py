@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import navigation, sensors
+from sean_jax import navigation, sensors, writing
 from sean_jax.base import Array, Scenario, State
 from sean_jax.learning import dataset as datasets
 from sean_jax.learning.collect_job import described
@@ -74,7 +74,11 @@ class Recorder:
         return self.state
 
     def commit(self) -> None:
-        """Keep the episode. Raises Failed if it cannot be written, and then it can be tried again."""
+        """Keep the episode.
+
+        Raises Failed if it cannot be written, and then it can be tried again; Refused or Unwritable if somebody else
+        records in the folder.
+        """
         if self.state is None or not self._rows:
             raise Refused("recorder: there is nothing to commit; call begin and step first.")
         rows = {}
@@ -82,7 +86,10 @@ class Recorder:
             rows[name] = np.zeros((1, self._most, *shape), kind)
             rows[name][0, : len(self._rows)] = np.stack([getattr(one, name) for one in self._rows])
         completed = np.array([bool(self.state.completed)])
-        self.data.commit(0, Batch(rows, np.array([len(self._rows)]), completed))
+        with writing.held(self.data.folder):
+            if datasets.open_dataset(self.data.folder).manifest != self.data.manifest:
+                raise Refused(f"{self.data.folder} was continued by somebody else; record in another folder.")
+            self.data.commit(0, Batch(rows, np.array([len(self._rows)]), completed))
         self.discard()
 
     def discard(self) -> None:
@@ -113,9 +120,10 @@ class Recorder:
             "streams": [self.scenario.task_name],
         }
         if not (folder / datasets.MANIFEST).exists():
-            if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            if folder.is_file() or writing.contents(folder):
                 raise Refused(f"{folder} holds something else already, choose another folder.")
-            return datasets.create_dataset(folder, manifest)
+            with writing.held(folder):
+                return datasets.create_dataset(folder, manifest)
         data = datasets.open_dataset(folder)
         if data.manifest["options"] != manifest["options"]:
             raise Refused(f"{folder} was begun with another scenario, driver or seed; choose another folder.")

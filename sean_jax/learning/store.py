@@ -6,12 +6,12 @@ each episode is a chunk of its own. Every chunk has a checksum (crc32c).
 """
 
 import errno
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sean_jax import writing
 from sean_jax.learning.options import Failed
 
 LEVEL = 3  # of zstd
@@ -41,7 +41,7 @@ def create(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], batch: 
         }
         _opened(folder / name, {"metadata": metadata, "create": True, "open": True})
     group = {"zarr_format": 3, "node_type": "group", "attributes": {}}
-    write_whole(folder / "zarr.json", json.dumps(group, indent=2) + "\n")
+    writing.write(folder / "zarr.json", json.dumps(group, indent=2) + "\n")
 
 
 def write(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict[str, int]:
@@ -78,20 +78,6 @@ CURE = "remove the damaged file, and `sean collect` with the same options makes 
 def path(folder: Path, name: str, shard: int, dimensions: int) -> Path:
     """The file of a shard."""
     return folder / name / "c" / str(shard) / "/".join("0" * (dimensions - 1))
-
-
-def write_whole(file: Path, text: str) -> None:
-    """The file is as it was or new, whenever this is interrupted, and new for good when it returns."""
-    temporary = file.with_name(f".{file.name}.new")
-    with temporary.open("w", encoding="utf-8") as stream:
-        stream.write(text)
-        stream.flush()
-        os.fsync(stream.fileno())
-    os.replace(temporary, file)
-    if os.name == "posix":
-        folder = os.open(file.parent, os.O_RDONLY)
-        os.fsync(folder)
-        os.close(folder)
 
 
 def _opened(folder: Path, more: dict[str, Any] | None = None) -> Any:

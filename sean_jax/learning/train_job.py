@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import devices
+from sean_jax import devices, writing
 from sean_jax.learning import balance, training
-from sean_jax.learning.checkpoints import Checkpoints, begun
+from sean_jax.learning.checkpoints import Checkpoints, begin, begun
 from sean_jax.learning.dataset import Dataset, on_device, open_dataset, split
 from sean_jax.learning.loader import Loader, Token
 from sean_jax.learning.logs import Log
@@ -37,20 +37,29 @@ FALLBACK = 4e9  # bytes, of a device that does not tell how much memory it has
 def train(options: Train, console: Console | Callable[[float], None] | None = None) -> TrainState:
     """Train, and give the state at the end; the best network is what ``learned.load`` takes from the folder.
 
-    Raises Refused for what cannot be asked for, Failed if a file is damaged or cannot be written, FloatingPointError
-    if the loss is not finite; the checkpoints until then stay.
+    Raises Refused for what cannot be asked for, Unwritable if somebody else trains in the folder, Failed if a file is
+    damaged or cannot be written, FloatingPointError if the loss is not finite; the checkpoints until then stay.
     """
     options.check()
     data = open_dataset(options.dataset)
     kept, held = split(data, options.validation, options.seed)
     network = Network(options.width, options.flags, data.image)
-    going_on = begun(options.folder, _config(options, data, network))
-    over = devices.mesh()
+    config = _config(options, data, network)
+    begun(options.folder, config)  # to refuse before anything is written
+    with writing.held(options.folder):
+        return _train(options, console, data, kept, held, network, config)
+
+
+def _train(options: Train, console: Any, data: Dataset, kept, held, network: Network, config: dict) -> TrainState:
+    """In a folder that nobody else writes."""
+    going_on, over = begun(options.folder, config), devices.mesh()
     epoch = _epoch(data, kept, held, network, options, over)
     commands = jnp.asarray(_commands(data, kept))
     start = jax.jit(training.begin, static_argnums=(0, 1, 2))
     state = start(network, len(data.manifest["situations"]), options, commands)
-    checkpoints = Checkpoints(options.folder)
+    if not going_on:
+        begin(options.folder, config)
+    checkpoints = Checkpoints(options.folder, writes=True)
     state = (checkpoints.latest(state) if going_on else None) or state
     state = devices.everywhere(over, state)
     log = Log(options.folder, int(state.epoch))

@@ -5,11 +5,13 @@ Importing this imports no JAX: the command line must answer at once.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sean_jax import writing
 from sean_jax.main_job.options import BadInput, Options
 from sean_jax.options import written
 
@@ -26,29 +28,70 @@ def run(options: Options, console: Console) -> tuple[Path, int]:
     """Simulate, summarize, write; the folder written and the number of episodes in it.
 
     Fewer episodes than asked for are there after Ctrl-C between two batches; KeyboardInterrupt is raised if none
-    were finished. Raises BadInput for options that cannot be met, FloatingPointError for numbers that are not
-    finite; then nothing is written.
+    were finished. Raises BadInput for options that cannot be met, Unwritable for a folder that cannot be written,
+    FloatingPointError for numbers that are not finite, Failed for a full disk. Batches that were finished until then,
+    or until a kill, stay in the folder, and the run goes on if it is given the same options and that folder.
     """
     options.check()
-    folder = options.folder(datetime.datetime.now().strftime("%Y%m%d-%H%M%S"))
-    from sean_jax.main_job.output import unfinished
+    from sean_jax.main_job.unfinished import Unfinished
 
-    with unfinished(folder) as temporary:
+    with contextlib.ExitStack() as stack:
+        folder = _own(options, stack)
+        unfinished = Unfinished(folder, options)
+        stack.enter_context(unfinished.told())
+        _tell_of_others(console, options, folder)
         with console.status("importing JAX"):
-            from sean_jax.main_job import progress, simulation, statistics, table
+            from sean_jax.main_job import batches, progress, statistics, table
 
             _check(options)
         with console.status("preparing the scenario"):
             scenarios = _scenarios(options)
             policy = _policy(options.policy, scenarios[0])
+        unfinished.settle(scenarios[0], policy)
         _introduce(console, scenarios[0], options)
+        if unfinished.episodes:
+            console.print(f"[dim]going on after {unfinished.episodes} finished episodes[/]", highlight=False)
         with progress.shown(console) as watch:
-            results = simulation.run_batches(scenarios, policy, options.episodes, options.batch, options.seed, watch)
+            asked = options.episodes, options.batch, options.seed
+            results = batches.run_batches(scenarios, policy, *asked, watch, unfinished)
         summary = _summary(scenarios[0], options, results, statistics.aggregate(results))
-        with console.status("drawing the report"):
-            _write(temporary, scenarios[0], options, results, summary)
+        complete = len(results.tasks) == options.episodes
+        with console.status("drawing the report"), unfinished.results(complete) as place:
+            _write(place, scenarios[0], options, results, summary)
     table.print_table(console, summary, _title(scenarios[0], options, len(results.tasks)))
     return folder, len(results.tasks)
+
+
+def _own(options: Options, stack: contextlib.ExitStack) -> Path:
+    """The folder for the results, which nobody else writes until the stack is closed."""
+    from sean_jax.main_job.unfinished import check_place
+
+    now = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+    if options.out is not None:
+        check_place(options.out)
+        stack.enter_context(writing.held(options.out))
+        return options.out
+    folder, number = options.folder(now), 1
+    while True:  # for several runs may begin in one second
+        try:
+            if not folder.exists():
+                stack.enter_context(writing.held(folder))
+                return folder
+        except writing.Unwritable:
+            if not folder.exists():
+                raise
+        number += 1
+        folder = options.folder(f"{now}-{number}")
+
+
+def _tell_of_others(console: Console, options: Options, folder: Path) -> None:
+    from rich.text import Text
+
+    from sean_jax.main_job import unfinished
+
+    for place, episodes in unfinished.others(options, folder) if options.out is None else []:
+        said = f"{place} has {episodes} of {options.episodes} episodes of such a run; --out {place} goes on with it"
+        console.print(Text(said, "dim"), soft_wrap=True)
 
 
 def _scenarios(options: Options) -> list[Scenario]:

@@ -7,7 +7,7 @@ import dataclasses
 from pathlib import Path
 
 from sean_jax.learning.options import tasks_of
-from sean_jax.options import BadInput, check_limits, check_new_folder, command
+from sean_jax.options import BadInput, check_limits, command
 
 __all__ = ["BadInput", "Options"]
 
@@ -106,5 +106,3 @@ class Options:
             raise BadInput("--task names no task, try --task join_group; `sean list` shows them all.")
         if self.renderer is not None and self.camera is None:
             raise BadInput("--renderer draws camera.gif, which needs a camera: add --camera first_person.")
-        if self.out is not None:
-            check_new_folder(self.out)

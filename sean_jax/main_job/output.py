@@ -1,55 +1,13 @@
-"""The folder of a run: written under another name and renamed when complete, so there is never half a run."""
+"""The files of a run's results."""
 
-import contextlib
 import csv
 import json
-import os
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sean_jax.main_job.options import BadInput
 from sean_jax.main_job.results import Results
-
-
-@contextlib.contextmanager
-def unfinished(folder: Path) -> Iterator[Path]:
-    """A new empty folder beside ``folder`` that becomes ``folder`` at the end, or vanishes if anything is raised.
-
-    Raises BadInput if ``folder`` holds something already or cannot be written.
-    """
-    folder = Path(os.path.abspath(folder))
-    made: list[Path] = []
-    temporary = folder.parent / f".{folder.name}.unfinished-{os.getpid()}"
-    try:
-        if folder.exists() and not folder.is_dir():
-            raise BadInput(f"{folder} is a file, give the name of a new folder with --out.")
-        made = [parent for parent in folder.parents if not parent.exists()]
-        if folder.is_dir() and any(folder.iterdir()):
-            raise BadInput(f"the folder {folder} is not empty, choose another with --out.")
-        temporary.mkdir(parents=True)
-    except OSError as error:
-        _remove_empty(made)
-        reason = (error.strerror or str(error)).lower()
-        raise BadInput(f"cannot write {folder}: {reason}; choose another folder with --out.") from error
-    try:
-        yield temporary
-        if folder.is_dir():
-            folder.rmdir()
-        temporary.rename(folder)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        _remove_empty(made)
-        raise
-
-
-def _remove_empty(folders: list[Path]) -> None:
-    for folder in folders:  # the innermost first
-        with contextlib.suppress(OSError):
-            folder.rmdir()
 
 
 def write_episodes(path: Path, results: Results) -> None:

@@ -19,7 +19,6 @@ from flax import struct
 from sean_jax import crowding, geometry, parallel
 from sean_jax.base import Array, Frame, Policy, RobotTask, Scenario, State
 from sean_jax.graph import graph_of
-from sean_jax.main_job.results import Results
 from sean_jax.scenario import reset, results
 
 CHUNK = 100  # control steps between two looks at the progress
@@ -71,33 +70,7 @@ class Batch:
     metrics: dict[str, np.ndarray]  # (B,) or (B, 1 + S)
     tally: Tally
     frames: list[Frame]  # (T, ...) of the kept episodes
-
-
-def run_batches(
-    scenarios: Sequence[Scenario], policy: Policy, episodes: int, batch: int, seed: int, watch: Watch
-) -> Results:
-    """Simulate ``episodes`` episodes, at most about ``batch`` at once.
-
-    ``scenarios`` differ in their task alone and take turns. After Ctrl-C the finished batches are returned, or
-    KeyboardInterrupt is raised if there are none. Raises FloatingPointError naming the episodes with a NaN.
-    """
-    size, limit = min(episodes, batch), scenarios[0].time_limit
-    programs = prepare(scenarios, policy, size, watch)
-    watch.begun(math.ceil(episodes / size) * limit)
-    began, batches, before = time.perf_counter(), [], 0.0
-    try:
-        for base in range(0, episodes, size):
-
-            def advanced(done: float, simulated: float, base: int = base, before: float = before) -> None:
-                speed = (before + simulated) / (time.perf_counter() - began)
-                watch.advanced(base // size * limit + done, speed)
-
-            batches.append(run_batch(programs, seed, base, min(size, episodes - base), advanced))
-            before += float(batches[-1].tally.steps.sum()) * scenarios[0].time_step
-    except KeyboardInterrupt:
-        if not batches:
-            raise
-    return _results(programs, batches, episodes, time.perf_counter() - began)
+    seconds: float = 0.0  # s, taken to simulate
 
 
 def prepare(scenarios: Sequence[Scenario], policy: Policy, size: int, watch: Watch) -> Programs:
@@ -143,32 +116,6 @@ def run_batch(programs: Programs, seed: int, base: int, kept: int, advanced: Cal
     completed, timed_out, measured, (steps, faulty) = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], ended)
     tally = dataclasses.replace(jax.tree.map(np.asarray, tally), steps=steps, faulty=faulty)
     return Batch(completed, timed_out, measured, tally, _episodes(frames, min(KEPT, kept)) if frames else [])
-
-
-def _results(programs: Programs, batches: list[Batch], wanted: int, seconds: float) -> Results:
-    first, tallies = programs.scenarios[0], [batch.tally for batch in batches]
-    completed = np.concatenate([batch.completed for batch in batches])
-    measured = {name: np.concatenate([batch.metrics[name] for batch in batches]) for name, _ in first.metrics}
-    found = Results(
-        situations=tuple(name for name, _ in first.situations),
-        tasks=[programs.scenarios[i % len(programs.scenarios)].task_name for i in range(len(completed))],
-        completed=completed,
-        timed_out=np.concatenate([batch.timed_out for batch in batches]),
-        seconds=np.concatenate([tally.steps for tally in tallies]) * first.time_step,
-        metrics=measured,
-        counts=tuple(name for name, metric in first.metrics if metric.unit == "count"),
-        walks=np.stack([tally.walks for tally in tallies]).sum(0, dtype=np.int64),
-        heat=np.stack([tally.heat for tally in tallies]).sum(0, dtype=np.int64) * first.time_step,
-        together=np.stack([tally.together for tally in tallies]).sum(0, dtype=np.int64) * first.time_step,
-        penetration=max(float(tally.penetration) for tally in tallies),
-        group_size=np.max([tally.group_size for tally in tallies], 0),
-        frames=batches[0].frames,
-        compile_seconds=programs.seconds,
-        run_seconds=seconds,
-        wanted=wanted,
-    )
-    _refuse_nan(found, np.concatenate([tally.faulty for tally in tallies]))
-    return found
 
 
 def _steps(scenario: Scenario) -> int:
@@ -287,12 +234,3 @@ def _episodes(chunks: list[Frame], kept: int) -> list[Frame]:
     frames = jax.tree.map(lambda *xs: np.concatenate(xs), *chunks)
     lengths = [max(1, int(frames.active[:, i].sum())) for i in range(kept)]
     return [jax.tree.map(lambda leaf: leaf[:n, i], frames) for i, n in enumerate(lengths)]  # noqa: B023
-
-
-def _refuse_nan(found: Results, faulty: np.ndarray) -> None:
-    for values in found.metrics.values():
-        faulty = faulty | np.isnan(values.reshape(len(faulty), -1)[:, 0])
-    if faulty.any():
-        which = np.flatnonzero(faulty)
-        listed = ", ".join(map(str, which[:8])) + (f" and {len(which) - 8} more" if len(which) > 8 else "")
-        raise FloatingPointError(f"{len(which)} of {len(faulty)} episodes hold numbers that are not finite: {listed}.")

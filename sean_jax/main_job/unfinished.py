@@ -1,0 +1,200 @@
+"""A run that is not finished: its finished batches stay in its folder, and the same command goes on with the next.
+
+``FOLDER/unfinished`` has run.json, which is all that decides what the episodes are, and a file for each batch. It is
+gone when all results have been written, so a folder that has it is not finished.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sean_jax import writing
+from sean_jax.learning.options import Failed
+from sean_jax.main_job.options import Options
+from sean_jax.options import BadInput, check_new_folder
+
+if TYPE_CHECKING:
+    from sean_jax.base import Policy, Scenario
+    from sean_jax.main_job.simulation import Batch
+
+PLACE, ABOUT, STAGE = "unfinished", "run.json", "written"
+LOOSE = ("name", "out", "quiet", "camera", "renderer")  # options that change nothing about the episodes
+
+
+class Unfinished:
+    """The finished batches of the run in a folder, which is ``writing.held``.
+
+    Raises BadInput if the folder holds something else, or the batches of other options.
+    """
+
+    def __init__(self, folder: Path, options: Options):
+        self.folder, self.place = folder, folder / PLACE
+        self.about = _options(options)
+        check_place(folder)
+        self._compare()
+
+    def settle(self, scenario: Scenario, policy: Policy) -> None:
+        """Add what only they tell. Raises BadInput if the batches were made with others."""
+        self.about |= _made_with(scenario, policy)
+        self._compare()
+
+    @property
+    def episodes(self) -> int:
+        """How many are finished."""
+        return _episodes(self.place)
+
+    def load(self, base: int, kept: int) -> Batch | None:
+        """The batch of so many episodes from number ``base`` on, if it is finished."""
+        file = self._file(base, kept)
+        if not file.is_file():
+            return None
+        try:
+            with np.load(file, allow_pickle=False) as found:
+                return _batch({name: found[name] for name in found.files})
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise Failed(f"{file} is damaged ({error}); remove it, and the same command makes it anew.") from error
+
+    def save(self, base: int, batch: Batch) -> None:
+        """Keep the batch, for good when this returns."""
+        self.place.mkdir(exist_ok=True)
+        if not (self.place / ABOUT).is_file():
+            writing.write(self.place / ABOUT, json.dumps(self.about, indent=1) + "\n")
+        with writing.whole(self._file(base, len(batch.completed))) as stream:
+            np.savez_compressed(stream, **_arrays(batch))
+
+    @contextlib.contextmanager
+    def results(self, complete: bool) -> Iterator[Path]:
+        """A folder whose files become the run's when the block ends; the batches go then if it is ``complete``."""
+        stage = self.place / STAGE
+        stage.mkdir(parents=True, exist_ok=True)
+        yield stage
+        for file in sorted(stage.iterdir()):
+            os.replace(file, self.folder / file.name)
+        if complete:
+            shutil.rmtree(self.place)
+
+    @contextlib.contextmanager
+    def told(self) -> Iterator[None]:
+        """Whatever ends the block too early is raised with a sentence on what is kept; what is half-written goes."""
+        try:
+            yield
+        except KeyboardInterrupt as error:
+            raise KeyboardInterrupt(f"stopped; {self._said()}") from error
+        except FloatingPointError as error:
+            said = self._said()
+            raise FloatingPointError(f"{error} {said[0].upper()}{said[1:]}") from error
+        except OSError as error:
+            where = f" ({error.filename})" if error.filename else ""
+            raise Failed(f"{writing.reason(error)}{where}; {self._said()}") from error
+        finally:
+            shutil.rmtree(self.place / STAGE if self.episodes else self.place, ignore_errors=True)
+
+    def _said(self) -> str:
+        if not self.episodes:
+            return "nothing was written, for no batch of episodes was finished."
+        kept = f"the {self.episodes} episodes finished until then are kept"
+        return f"{kept}, and the same command with --out {self.folder} goes on."
+
+    def _file(self, base: int, kept: int) -> Path:
+        return self.place / f"batch-{base:08d}-{kept}.npz"
+
+    def _compare(self) -> None:
+        had = _read(self.place / ABOUT)
+        if had is None:
+            return
+        for name, value in self.about.items():
+            if had.get(name, value) != value:
+                said = f"{self.folder} has an unfinished run with {name} {had.get(name)}, not {value}"
+                raise BadInput(f"{said}; ask for the same or choose another --out.")
+
+
+def check_place(folder: Path) -> None:
+    """Raises BadInput if the folder holds something else than an unfinished run."""
+    if not (folder / PLACE / ABOUT).is_file():
+        check_new_folder(folder)
+
+
+def others(options: Options, beside: Path) -> Iterator[tuple[Path, int]]:
+    """Folders beside that one with an unfinished run of these options that nobody is at, and how many are finished.
+
+    Of runs that were killed before anything was finished, the folders go.
+    """
+    asked = _options(options)
+    for folder in sorted(each for each in beside.parent.glob("*") if each.is_dir() and each != beside):
+        if os.listdir(folder) == [writing.LOCK]:
+            with contextlib.suppress(writing.Unwritable, OSError), writing.held(folder):
+                pass
+        elif (folder / PLACE / ABOUT).is_file() and not writing.is_held(folder):
+            with contextlib.suppress(BadInput):
+                had = _read(folder / PLACE / ABOUT) or {}
+                if all(had.get(name) == value for name, value in asked.items()):
+                    yield folder, _episodes(folder / PLACE)
+
+
+def _episodes(place: Path) -> int:
+    return sum(int(file.stem.split("-")[2]) for file in place.glob("batch-*.npz"))
+
+
+def _options(options: Options) -> dict[str, Any]:
+    told = {name: value for name, value in dataclasses.asdict(options).items() if name not in LOOSE}
+    told["batch"] = min(options.batch, options.episodes)
+    return json.loads(json.dumps({f"--{name.replace('_', '-')}": value for name, value in told.items()}, default=str))
+
+
+def _made_with(scenario: Scenario, policy: Policy) -> dict[str, Any]:
+    import jax
+
+    from sean_jax.versions import versions
+
+    digest = hashlib.sha256()
+    for leaf in jax.tree.leaves((scenario, getattr(policy, "data", None))):
+        values = np.asarray(leaf)
+        digest.update(f"{values.dtype}{values.shape}".encode() + values.tobytes())
+    return {
+        **{f"the version of {name}": version for name, version in versions().items()},
+        "the device": f"{len(jax.devices())} x {jax.devices()[0].device_kind}",
+        "the content of scenario and driver": digest.hexdigest()[:16],
+    }
+
+
+def _read(file: Path) -> dict[str, Any] | None:
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{file} cannot be read ({error}); remove {file.parent} or choose another --out.") from error
+    if not isinstance(found, dict):
+        raise BadInput(f"{file} is damaged; remove {file.parent} or choose another --out.")
+    return found
+
+
+def _arrays(batch: Batch) -> dict[str, Any]:
+    """A batch as named arrays: its own, and those that lie in it under ``of:name``."""
+    named = {f"metrics:{name}": values for name, values in batch.metrics.items()}
+    for place, one in (("tally", batch.tally), *((f"frame{k}", frame) for k, frame in enumerate(batch.frames))):
+        named |= {f"{place}:{field.name}": getattr(one, field.name) for field in dataclasses.fields(one)}
+    return {"completed": batch.completed, "timed_out": batch.timed_out, "seconds": batch.seconds, **named}
+
+
+def _batch(arrays: dict[str, np.ndarray]) -> Batch:
+    from sean_jax.base import Frame
+    from sean_jax.main_job.simulation import Batch, Tally
+
+    def of(place: str) -> dict[str, Any]:
+        return {name.split(":", 1)[1]: value for name, value in arrays.items() if name.startswith(f"{place}:")}
+
+    frames = [Frame(**of(f"frame{k}")) for k in range(sum(name.endswith(":active") for name in arrays))]
+    ended = arrays["completed"], arrays["timed_out"]
+    return Batch(*ended, of("metrics"), Tally(**of("tally")), frames, float(arrays["seconds"]))

@@ -1,0 +1,129 @@
+"""Results are whole or not there, a folder has one writer at a time, and who was killed is not in the way."""
+
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from sean_jax import writing
+from sean_jax.writing import Unwritable
+
+
+def names(folder) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(28, "No space left on device")])
+def test_a_file_is_as_it_was_or_new(tmp_path, error):
+    file = tmp_path / "results.json"
+    writing.write(file, "old")
+    with pytest.raises(type(error)), writing.whole(file) as stream:
+        stream.write(b"half of it")
+        stream.flush()
+        raise error
+    assert file.read_text() == "old" and names(tmp_path) == ["results.json"]
+    (tmp_path / ".results.json.new").write_text("what one who was killed left, and it is longer")
+    writing.write(file, "new")
+    assert file.read_text() == "new" and names(tmp_path) == ["results.json"]
+
+
+def test_two_cannot_write_one_file_at_once(tmp_path):
+    with writing.whole(tmp_path / "a") as stream:
+        stream.write(b"first")
+        with pytest.raises(Unwritable, match="is being written by another process"):
+            writing.write(tmp_path / "a", "second")
+    assert (tmp_path / "a").read_text() == "first" and names(tmp_path) == ["a"]
+
+
+def test_a_held_folder_says_by_whom_and_vanishes_if_nothing_was_written(tmp_path):
+    folder = tmp_path / "deep" / "run"
+    with writing.held(folder):
+        for refused in (writing.held(folder), writing.held(tmp_path / "deep" / ".." / "deep" / "run")):
+            with pytest.raises(Unwritable, match=r"run is being written by process \d+ on \S+ since 20\d\d-"), refused:
+                pass
+        assert names(tmp_path) == ["deep", "deep/run", "deep/run/.lock"] and writing.contents(folder) == []
+    assert names(tmp_path) == []
+    with pytest.raises(KeyboardInterrupt), writing.held(folder):
+        (folder / "kept").write_text("1")
+        raise KeyboardInterrupt
+    assert names(folder) == ["kept"]
+
+
+def test_what_cannot_be_a_folder_is_refused(tmp_path):
+    (tmp_path / "file").write_text("kept")
+    for place, said in (("file", "is a file"), ("file/run", "cannot write"), ("a" * 300, "cannot write")):
+        with pytest.raises(Unwritable, match=said), writing.held(tmp_path / place):
+            pass
+    assert names(tmp_path) == ["file"]
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from sean_jax import writing
+with writing.held(Path(sys.argv[1])) if sys.argv[2] == "held" else writing.whole_folder(Path(sys.argv[1])) as made:
+    if made:
+        (made / "half").write_text("of it")
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
+@pytest.mark.parametrize("way", ["held", "whole_folder"])
+def test_a_killed_process_holds_nothing_and_leaves_nothing_after_the_next_start(tmp_path, way):
+    folder = tmp_path / "run"
+    process = subprocess.Popen([sys.executable, "-c", HOLD, str(folder), way], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "held\n"
+    with (
+        pytest.raises(Unwritable, match=f"is being written by process {process.pid} on "),
+        getattr(writing, way)(folder),
+    ):
+        pass
+    process.kill()
+    process.wait()
+    assert names(tmp_path), "a kill leaves something"
+    with getattr(writing, way)(folder) as made:
+        assert made is None or names(made) == []
+    assert names(tmp_path) == ([] if way == "held" else ["run"])
+
+
+def test_never_two_at_once_although_the_lock_comes_and_goes(tmp_path):
+    """Threads as well as processes: the lock belongs to the open file, and the file is removed each time."""
+    folder, inside, most, turns = tmp_path / "run", [], [], []
+
+    def work() -> None:
+        for _ in range(150):
+            try:
+                with writing.held(folder):
+                    inside.append(1)
+                    most.append(len(inside))
+                    inside.pop()
+                turns.append(1)
+            except Unwritable:
+                pass
+
+    threads = [threading.Thread(target=work) for _ in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert max(most) == 1 and len(turns) >= 6 and names(tmp_path) in ([], ["run"])
+
+
+def test_a_whole_folder_appears_whole_or_not_at_all(tmp_path):
+    with writing.whole_folder(tmp_path / "deep" / "run") as folder:
+        (folder / "a").write_text("1")
+        assert not (tmp_path / "deep" / "run").exists()
+        with pytest.raises(Unwritable, match="is being written by process"):
+            with writing.whole_folder(tmp_path / "deep" / "run"):
+                pass
+    assert names(tmp_path) == ["deep", "deep/run", "deep/run/a"]
+    with pytest.raises(Unwritable, match="is not empty"), writing.whole_folder(tmp_path / "deep" / "run"):
+        pass
+    with pytest.raises(KeyboardInterrupt), writing.whole_folder(tmp_path / "other" / "run") as folder:
+        (folder / "a").write_text("1")
+        raise KeyboardInterrupt
+    assert names(tmp_path) == ["deep", "deep/run", "deep/run/a"]
