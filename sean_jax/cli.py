@@ -3,21 +3,20 @@
 Nothing heavy is imported before a command is chosen, so that ``sean --help`` answers at once.
 """
 
-import contextlib
 import dataclasses
 import importlib.metadata
 import math
 import os
 import shlex
-import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
+from sean_jax import stopping
 from sean_jax.bench import Options as Bench
 from sean_jax.experiments.options import Experiment
 from sean_jax.learning.options import Collect, Export, Failed, Train
@@ -87,31 +86,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     That is 0, 2 for bad input, 1 for what broke midway, 130 for Ctrl-C and 143 for SIGTERM.
     """
-    with _terminated_as_by_ctrl_c() as received:
+    with stopping.terminated_as_by_ctrl_c() as received:
         code = _main(arguments)
         code = TERMINATED if code == STOPPED and received else code
         if code in (STOPPED, TERMINATED) and any(thread.name == "sean-compiler" for thread in threading.enumerate()):
             os._exit(code)  # the compiler cannot be interrupted, and the interpreter would wait for it
     return code
-
-
-@contextlib.contextmanager
-def _terminated_as_by_ctrl_c() -> Iterator[list[int]]:
-    """Until the block ends SIGTERM, by which schedulers stop a job, does what Ctrl-C does; the signals received."""
-    received: list[int] = []
-
-    def stop(number: int, _: Any) -> None:
-        received.append(number)
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():  # where no signal arrives
-        yield received
-        return
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield received
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _main(arguments: Sequence[str] | None) -> int:

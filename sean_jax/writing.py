@@ -71,7 +71,7 @@ def held(folder: Path) -> Iterator[None]:
     if os.path.exists(folder) and not os.path.isdir(folder):
         raise Unwritable(f"{folder} is a file, give the name of a folder with --out.")
     made = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
-    if os.path.isdir(folder) and os.listdir(folder) == [LOCK]:
+    if os.path.isdir(folder) and _names(folder) == [LOCK]:
         made = [folder]  # all that is left of one who was killed
     lock = folder / LOCK
     try:
@@ -131,8 +131,9 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 
 def contents(folder: Path) -> list[str]:
     """Names in a folder, in order, but for a lock and half-written files; none if there is no such folder."""
-    names = os.listdir(folder) if os.path.isdir(folder) else []
-    return sorted(name for name in names if name != LOCK and not (name.startswith(".") and name.endswith(".new")))
+    return sorted(
+        name for name in _names(folder) if name != LOCK and not (name.startswith(".") and name.endswith(".new"))
+    )
 
 
 def is_held(folder: Path) -> bool:
@@ -170,6 +171,13 @@ def _alone(file: Path) -> int:
             os.close(descriptor)
             raise
         os.close(descriptor)
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return os.listdir(folder)
+    except (FileNotFoundError, NotADirectoryError):
+        return []
 
 
 def _holder(lock: Path) -> str:

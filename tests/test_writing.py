@@ -3,7 +3,7 @@
 import signal
 import subprocess
 import sys
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -105,11 +105,9 @@ def test_never_two_at_once_although_the_lock_comes_and_goes(tmp_path):
             except Unwritable:
                 pass
 
-    threads = [threading.Thread(target=work) for _ in range(6)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(6) as pool:
+        for each in [pool.submit(work) for _ in range(6)]:
+            each.result()
     assert max(most) == 1 and len(turns) >= 6 and names(tmp_path) in ([], ["run"])
 
 
