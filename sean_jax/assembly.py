@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from sean_jax import behaviors, classifiers, files, metrics, navigation, pedestrian_models, robots, social_forces, tasks
 from sean_jax import environment as environments
 from sean_jax.base import Behavior, Scenario
+from sean_jax.graph import graph_of
 
 PERSON_CLEARANCE = 0.25  # m: people's paths stand off from obstacles by a body of 0.2 m and some room
 # option of make -> the behaviors that it is for, and what the others have instead
@@ -138,6 +139,7 @@ def make(
         substeps=_substeps(substeps, parameters, time_step),
         task_name=task,
     )
+    _check_groups(scenario)
     if task == "handcrafted":
         tasks.check_room(scenario)
     if start is None or goal is None:
@@ -205,7 +207,9 @@ def with_task(scenario: Scenario, task: str) -> Scenario:
         raise ValueError("task: 'custom' needs a start and a goal; give them to make with it as the only task.")
     if task == "handcrafted":
         tasks.check_room(scenario)
-    return dataclasses.replace(scenario, task=tasks.TASKS[task], task_name=task)
+    scenario = dataclasses.replace(scenario, task=tasks.TASKS[task], task_name=task)
+    _check_groups(scenario)
+    return scenario
 
 
 @functools.lru_cache(maxsize=8)
@@ -304,6 +308,13 @@ def check_task(task: str, behavior: str) -> None:
     if task == "handcrafted" and behavior != "handcrafted":
         why = "poses that belong to handcrafted people"
         raise ValueError(f"task: '{task}' needs {why}, not '{behavior}'; choose behavior 'handcrafted' with it.")
+
+
+def _check_groups(scenario: Scenario) -> None:
+    graph = graph_of(scenario)
+    if scenario.task_name in tasks.NEEDS_GROUPS and graph is not None and not len(graph.groups):
+        where = f"the graph of {scenario.environment.name} has none"
+        raise ValueError(f"task: '{scenario.task_name}' needs a group, and {where}; add one or choose another task.")
 
 
 def _check_graph_options(paths: str | None, spreading: float | None) -> None:

@@ -48,7 +48,10 @@ class Robot:
 
 @struct.dataclass
 class Obstacles:
-    """Upright boxes: the one source of geometry for forces, navigation, rays and contact."""
+    """Upright boxes: the one source of geometry for forces, navigation and contact.
+
+    Those of no height are edges of the floor, which hold who comes there and which nobody sees.
+    """
 
     center: Array  # (W, 2) m
     half_extent: Array  # (W, 2) m
@@ -79,7 +82,7 @@ class Solids:
 class Scenery:
     """What an environment looks like."""
 
-    solids: Solids  # the obstacles first, then what nothing can touch
+    solids: Solids  # the obstacles that have a height first, then what nothing can touch
     floor: Array  # (2, 3) two colors of its squares
     square: Array  # () m, side of a square
     sky: Array  # (2, 3) colors at the zenith and at the horizon
@@ -95,6 +98,7 @@ class Environment:
     nearby: Nearby
     scenery: Scenery
     name: str = struct.field(pytree_node=False)
+    open: bool = struct.field(pytree_node=False, default=False)  # whether people and robots may leave the floor
 
 
 @struct.dataclass

@@ -23,6 +23,8 @@ ENVS: Path = next((path for path in (HERE / "envs", HERE.parent / "envs") if pat
 SETTINGS, SCENE = "environment.yaml", "scene.xml"
 UPRIGHT = 1e-4  # how far from 1 the cosine of a box's tilt may be
 LOWEST = 0.05  # m above the floor, to which a box must reach down
+SEAM = 0.01  # m, between boxes side by side that cover an edge of the floor
+DEPTH = 10.0  # m, half of how deep an edge of the floor is: nobody gets so far in that its other side is nearer
 BATCH = 1024  # candidates that free_points looks at in one go
 
 
@@ -35,6 +37,7 @@ class Settings(pydantic.BaseModel):
     floor: tuple[float, float, float, float]  # m: x_min, y_min, x_max, y_max
     people: Annotated[int, pydantic.Field(ge=0)]  # unless told otherwise
     source: str = ""
+    open: bool = False  # whether people and robots may leave the floor
 
 
 def available() -> list[str]:
@@ -69,14 +72,24 @@ def floor(folder: str | Path) -> tuple[float, float, float, float]:
 def load(name_or_path: str | Path) -> Environment:
     """The environment of that name or folder: environment.yaml and the upright boxes of scene.xml.
 
+    Unless it is open, the edges of the floor are obstacles as well, but for those that obstacles cover anyway.
+
     Raises ValueError for an unknown name and FileError for files that cannot be used.
     """
     folder = find(name_or_path)
     settings = _settings(folder)
     floor = jnp.asarray(np.array(settings.floor, np.float32))
-    obstacles, looks = _boxes(folder / SCENE)
+    boxes, looks = _boxes(folder / SCENE)
+    if not settings.open:
+        boxes = np.concatenate([boxes, _edges(boxes, settings.floor)])
+    obstacles = Obstacles(*(jnp.asarray(part, jnp.float32) for part in (boxes[:, :2], boxes[:, 2:4], *boxes[:, 4:].T)))
     return Environment(
-        floor=floor, obstacles=obstacles, nearby=tabulate(obstacles, floor), scenery=looks, name=settings.name
+        floor=floor,
+        obstacles=obstacles,
+        nearby=tabulate(obstacles, floor),
+        scenery=looks,
+        name=settings.name,
+        open=settings.open,
     )
 
 
@@ -124,8 +137,35 @@ def _floor_problems(settings: Settings) -> list[files.Problem]:
     return [(("floor",), f"{list(settings.floor)} is empty; give x_min, y_min, x_max, y_max in this order")]
 
 
-def _boxes(path: Path) -> tuple[Obstacles, Scenery]:
-    """The boxes of an MJCF file, and what it looks like.
+def _edges(boxes: np.ndarray, floor: tuple[float, ...]) -> np.ndarray:
+    """(E, 6), as ``_boxes`` has them, of no height: what lies beyond edges of the floor that no boxes (W, 6) cover."""
+    lower, upper = np.array(floor[:2]), np.array(floor[2:])
+    middle, half = (lower + upper) / 2, (upper - lower) / 2
+    cosine, sine = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
+    found = []
+    for axis, side in ((0, -1.0), (1, -1.0), (0, 1.0), (1, 1.0)):
+        out, along = np.eye(2)[axis] * side, np.eye(2)[1 - axis]
+        begin = middle + half * (out - along) - boxes[:, :2]  # one end of the edge, from each box
+        begin, way = (
+            np.stack([cosine * x + sine * y, cosine * y - sine * x], -1)
+            for x, y in (begin.T, 2 * half[1 - axis] * along[:, None])
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):  # of the way along the edge, where a box begins and ends
+            ends = (np.array([[[-1.0]], [[1.0]]]) * (boxes[:, 2:4] + SEAM) - begin) / way
+        beside = (way == 0.0) & (np.abs(begin) > boxes[:, 2:4] + SEAM)
+        first = np.where(way == 0.0, np.where(beside, np.inf, -np.inf), ends.min(0)).max(-1)
+        last = np.where(way == 0.0, np.where(beside, -np.inf, np.inf), ends.max(0)).min(-1)
+        covered = 0.0
+        for number in np.argsort(first):
+            if first[number] <= covered:
+                covered = max(covered, last[number])
+        if covered < 1.0:
+            found.append([*(middle + out * (half + DEPTH)), *(half * along + DEPTH * np.array([1.0, 1.0])), 0.0, 0.0])
+    return np.array(found).reshape(-1, 6)
+
+
+def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
+    """(W, 6) the boxes of an MJCF file, and what it looks like: center x, y, half extent x, y [m], yaw, height [m].
 
     Horizontal planes are floors; geoms that nothing can touch are decoration.
 
@@ -145,18 +185,11 @@ def _boxes(path: Path) -> tuple[Obstacles, Scenery]:
     clauses = {index: _refusal(model, data, index, kind[index]) for index in solid}
     lines = [f"{files.shown(path)}: {_called(model, index)} {text}." for index, text in clauses.items() if text]
     boxes = [index for index in solid if kind[index] == "box"]
-    if not boxes and not lines:
-        lines = [f"{files.shown(path)}: has no box that can be touched; obstacles are geoms of type 'box'."]
     if lines:
         raise files.FileError("\n".join(lines))
     position, half, turn = data.geom_xpos[boxes], model.geom_size[boxes], data.geom_xmat[boxes]
-    obstacles = Obstacles(
-        center=jnp.asarray(position[:, :2], jnp.float32),
-        half_extent=jnp.asarray(half[:, :2], jnp.float32),
-        yaw=jnp.asarray(np.arctan2(turn[:, 3], turn[:, 0]), jnp.float32),
-        height=jnp.asarray(position[:, 2] + half[:, 2], jnp.float32),
-    )
-    return obstacles, appearance(model, data, boxes)
+    yaw, height = np.arctan2(turn[:, 3], turn[:, 0]), position[:, 2] + half[:, 2]
+    return np.column_stack([position[:, :2], half[:, :2], yaw, height]), appearance(model, data, boxes)
 
 
 def _called(model: Any, index: int) -> str:

@@ -91,9 +91,13 @@ def room(environment: Environment, points: Array) -> tuple[Array, Array]:
     x, y = points[:, 0], points[:, 1]
     each_box = jax.vmap(lambda px, py, box: from_box(px, py, box)[0], in_axes=(None, None, 0))
     to_boxes = jax.vmap(each_box, in_axes=(0, 0, None))(x, y, environment.obstacles)  # (P, W) m
+    return jnp.min(to_boxes, axis=1, initial=jnp.inf), to_edge(environment, x, y)
+
+
+def to_edge(environment: Environment, x: Array, y: Array) -> Array:
+    """Signed distance [m] from places (x, y) [m] to the nearest edge of the floor, of their shape; negative off it."""
     x_min, y_min, x_max, y_max = environment.floor
-    to_edge = jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
-    return jnp.min(to_boxes, axis=1, initial=jnp.inf), to_edge
+    return jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
 
 
 def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radius: Array | float) -> Array:

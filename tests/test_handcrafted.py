@@ -358,7 +358,7 @@ def yard(folder: Path) -> Path:
         ("goals: [[3, 0, 0]", "goals: [[0, 3.1, 0]", "6:13", "goals[0]: [0, 3.1] is inside an obstacle; move it by"),
         ("goals: [[3, 0, 0]", "goals: [desk", "6:13", "goals[0]: there is no group 'desk'; add it to groups or give"),
         ("    walkers:\n      - {people: 5, loop: [[-4, -2], [4, -2], [4, 2], [-4, 2]], way: both}\n", "", "3:3",
-         "there is nobody; give the set walkers or groups."),
+         "there is nobody; give the set walkers or groups, or make its situation empty."),
         ("goals: [desk", "goals: [dsk", "12:13", "goals[0]: there is no group 'dsk'; did you mean 'desk'?"),
         ("goals: [desk", "goals: [[1, 1, 0]", "12:13", "goals[0]: goals of join_group lie in a group; give the name"),
         ("situation: join_group", "situation: empty", "12:13", "goals[0]: only goals of join_group lie in a group and"),

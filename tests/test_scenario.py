@@ -136,7 +136,7 @@ def test_observation_is_in_the_robots_frame(scenario):
         (dict(robot="kurri"), "did you mean 'kuri'"),
         (dict(forces="helbing1996"), "did you mean 'helbing1995'"),
         (dict(people=10_000), "the most that do is"),
-        (dict(people=0), "people: 0 is too few"),
+        (dict(people=-1), "people: -1 is too few; give 0 or more"),
         (dict(time_limit=-1.0), "time_limit: -1.0 must be more than 0"),
         (dict(time_step=0.0), "time_step: 0.0 must be more than 0"),
         (dict(hold_time=-2.0), "hold_time: -2.0 must not be negative"),

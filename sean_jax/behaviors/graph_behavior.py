@@ -172,11 +172,11 @@ def _stay_or_leave(scenario, people, memory, graph, chance) -> tuple[Memory, Arr
     distance = length(gap[:, 0], gap[:, 1])
     was_standing = memory.stay > 0.0
     stay = jnp.maximum(memory.stay - scenario.time_step, 0.0)
-    leaves = was_standing & (stay == 0.0)
     at_last = memory.hop == memory.goal
     sits_down = ~was_standing & (memory.seat >= 0) & at_last & (distance < SEATED)
     limits = graph.stay[of_seat(graph.seat_node, memory.seat)]
     stay = jnp.where(sits_down, limits[:, 0] + chance * (limits[:, 1] - limits[:, 0]), stay)
+    leaves = (was_standing | sits_down) & (stay == 0.0)  # at once, if the stay that was drawn takes no time
     at_waypoint = ~was_standing & (memory.seat < 0) & at_last & (distance < ARRIVED)
     return memory._replace(stay=stay), leaves | at_waypoint
 

@@ -91,7 +91,7 @@ def assign(graph: BehaviorGraph, memory: Memory, free: Array, chance: Array, alo
 def hand_over(graph: BehaviorGraph, people: Pedestrians, memory: Memory, onward: Array, chance: Array) -> Memory:
     """One seat a step goes from somebody who is still nodes away from it to the walker at a node who is nearest."""
     seats = jnp.arange(graph.seat_group.shape[0], dtype=jnp.int32)
-    if seats.shape[0] == 0:
+    if seats.shape[0] == 0 or memory.seat.shape[0] == 0:
         return memory
     holds = memory.seat[:, None] == seats[None, :]
     holder = jnp.argmax(holds, axis=0).astype(jnp.int32)

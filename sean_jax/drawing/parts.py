@@ -66,11 +66,12 @@ def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, 
 
 
 def draw_obstacles(axes: Axes, environment: Environment) -> None:
-    """Every box, the higher the darker."""
+    """Every box that can be seen, the higher the darker."""
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgba
 
     boxes = jax.tree.map(np.asarray, environment.obstacles)
+    boxes = jax.tree.map(lambda part: part[boxes.height > 0.0], boxes)
     corners = boxes.half_extent[:, None] * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], float)
     cosine, sine = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
     x = boxes.center[:, None, 0] + cosine * corners[..., 0] - sine * corners[..., 1]

@@ -109,8 +109,8 @@ def check(annotation: Annotation) -> Iterator[files.Problem]:
         here = ("sets", name)
         if name in (ALL, *get_args(Situation)):
             yield here, f"'{name}' stands for several sets; give the set a name of its own, such as '{name}_1'"
-        if each.people == 0:
-            yield here, "there is nobody; give the set walkers or groups"
+        if each.people == 0 and each.situation != "empty":
+            yield here, "there is nobody; give the set walkers or groups, or make its situation empty"
         if each.situation in ("down_path", "cross_path") and not each.walkers:
             yield here, f"nobody walks, without which {each.situation} does not occur; give the set walkers"
         yield from _check_poses(name, each)

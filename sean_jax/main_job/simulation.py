@@ -34,7 +34,7 @@ class Tally:
     walks: Array  # (M, M) int32 people who walked the edge from the row's node to the column's
     node: Array  # (B, N) int32 node that each person was at last, -1 before the first
     together: Array  # (2 ** S,) int32 steps per set of situations, situation s is bit s
-    penetration: Array  # () m, deepest that a person's body was inside an obstacle, negative: closest to one
+    penetration: Array  # () m, deepest that a body was in an obstacle or off the floor, negative: closest to it
     group_size: Array  # (G,) int32 most members seen in each group
     steps: Array  # (B,) int32 active steps
     faulty: Array  # (B,) bool, a number was NaN or infinite
@@ -209,7 +209,9 @@ def _count(scenario: Scenario, tally: Tally, frames: Frame, present: Array, acti
         node, walked = jax.vmap(crowding.follow, (None, 0, 0, 0))(graph, tally.node, frames.people, present)
         walks = walks.at[tally.node, node].add((walked & active[:, None]).astype(jnp.int32))
     distance, _, _ = jax.vmap(geometry.from_box, (None, None, 0))(x, y, scenario.environment.obstacles)
-    inside = jnp.where(here, scenario.forces.radius - jnp.min(distance, 0, initial=jnp.inf), -jnp.inf)
+    edge = jnp.inf if scenario.environment.open else geometry.to_edge(scenario.environment, x, y)
+    nearest = jnp.minimum(jnp.min(distance, 0, initial=jnp.inf), edge)
+    inside = jnp.where(here, scenario.forces.radius - nearest, -jnp.inf)
     bits = jnp.asarray(2 ** np.arange(frames.situations.shape[-1]), jnp.int32)
     held = jnp.sum(jnp.where(frames.situations, bits[None, :], 0), -1)
     index = jnp.arange(tally.group_size.shape[0], dtype=jnp.int32)
@@ -222,7 +224,7 @@ def _count(scenario: Scenario, tally: Tally, frames: Frame, present: Array, acti
         walks=walks,
         node=node,
         together=tally.together.at[held].add(active.astype(jnp.int32)),
-        penetration=jnp.maximum(tally.penetration, jnp.max(inside)),
+        penetration=jnp.maximum(tally.penetration, jnp.max(inside, initial=-jnp.inf)),
         group_size=jnp.maximum(tally.group_size, jnp.max(members, 0)),
         steps=tally.steps + active.astype(jnp.int32),
         faulty=tally.faulty | (~sound & active),

@@ -32,6 +32,8 @@ def led_out(boxes: Obstacles, place: Array, radius: Array | float) -> tuple[Arra
 
     That is the radius, or less where there is no room for it. Gradients are those of the place itself.
     """
+    if boxes.yaw.shape[0] == 0:
+        return place, jnp.full_like(place[0], jnp.maximum(radius - SLACK, 0.0))
     spot = place
     for _ in range(2):
         distance, nx, ny = jax.vmap(from_box, in_axes=(None, None, 0))(spot[0], spot[1], boxes)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from sean_jax.base import Array, Pedestrians, Scenario
-from sean_jax.geometry import from_rectangle, length
+from sean_jax.geometry import from_rectangle, length, to_edge
 from sean_jax.nearby import around
 
 TOUCHES = 253.0  # the disc of the robot touches something there
@@ -86,8 +86,7 @@ def costs(scenario: Scenario, layers: Layers, people: Pedestrians, x: Array, y: 
     x, y = x.ravel(), y.ravel()
     rows = around(scenario.environment.nearby, x, y)
     walls = from_rectangle(x[:, None], y[:, None], *(rows[..., part] for part in range(6)))[0]
-    x_min, y_min, x_max, y_max = scenario.environment.floor
-    edge = jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
+    edge = to_edge(scenario.environment, x, y)
     gap = jnp.minimum(jnp.min(walls, 1), edge) - radius
 
     def person(px: Array, py: Array, vx: Array, vy: Array, present: Array) -> tuple[Array, Array]:
@@ -98,5 +97,5 @@ def costs(scenario: Scenario, layers: Layers, people: Pedestrians, x: Array, y: 
 
     (px, py), (vx, vy) = people.position.T, people.velocity.T
     bodies, social = jax.vmap(person)(px, py, vx, vy, people.present)
-    gap = jnp.minimum(gap, jnp.min(bodies, 0))
-    return jnp.maximum(inflated(layers, gap), jnp.max(social, 0)).reshape(shape)
+    gap = jnp.minimum(gap, jnp.min(bodies, 0, initial=jnp.inf))
+    return jnp.maximum(inflated(layers, gap), jnp.max(social, 0, initial=0.0)).reshape(shape)

@@ -29,10 +29,12 @@ def go_to_goal(scenario: Scenario, state: State, key: Array) -> Array:
     off = _wrapped(direction - bearing)
     span = _half_width(distance)
     in_way = seen.people_present & (distance < jnp.minimum(2.0, to_path + 0.3)) & (jnp.abs(off) < span)
-    nearest = jnp.argmin(jnp.where(in_way, distance, jnp.inf))
-    side = jnp.where(off[nearest] > 0.0, -1.0, 1.0)
-    aside = direction[nearest] + side * span[nearest]
-    aim = _wrapped(jnp.where(in_way.any(), aside, bearing))
+    aim = bearing
+    if in_way.shape[0]:
+        nearest = jnp.argmin(jnp.where(in_way, distance, jnp.inf))
+        side = jnp.where(off[nearest] > 0.0, -1.0, 1.0)
+        aside = direction[nearest] + side * span[nearest]
+        aim = _wrapped(jnp.where(in_way.any(), aside, bearing))
 
     ahead = seen.people_present & (jnp.abs(direction) < jnp.pi / 3)
     closing = jnp.maximum(-seen.people_velocity[:, 0], 0.0)  # somebody who comes along needs more room

@@ -36,8 +36,10 @@ def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
     cluster_key, ring_key, draw_key, goal_key, choice_key, turn_key = jax.random.split(key, 6)
     index = jax.random.randint(draw_key, (CANDIDATES,), 0, navigation.places.shape[0], jnp.int32)
     anywhere = navigation.places[index]
-    middle = pedestrians.position[busiest(pedestrians.position, pedestrians.present, cluster_key)]
-    middle = jnp.where(pedestrians.present.any(), middle, anywhere[0])
+    middle = anywhere[0]
+    if pedestrians.present.shape[0]:
+        busy = pedestrians.position[busiest(pedestrians.position, pedestrians.present, cluster_key)]
+        middle = jnp.where(pedestrians.present.any(), busy, middle)
     share = jax.random.uniform(ring_key, (2, CANDIDATES), jnp.float32)
     angle, off = 2.0 * jnp.pi * share[0], RING + SNAP * (2.0 * share[1] - 1.0)
     around = middle[None, :] + off[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)

@@ -1,0 +1,141 @@
+"""The floor's edge holds people and robots unless the environment is open, and the report's check measures it."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax import environment as environments
+from sean_jax import sensors, social_forces
+from sean_jax.base import Pedestrians
+from sean_jax.behaviors.starts import uniform
+from sean_jax.geometry import from_box, to_edge
+from sean_jax.main_job import simulation
+from sean_jax.scenario import moment, reset
+
+FLOOR = -6.0, -5.0, 6.0, 5.0
+SETTINGS = "name: plaza\nfloor: [-6, -5, 6, 5]\npeople: 6\n"
+PLANE = '<geom type="plane" size="5 5 0.1"/>'
+WALLS = (  # on the edge, beyond it, of two parts side by side, and one that leaves 0.3 m free
+    '<geom type="box" pos="-5.9 0 1" size="0.1 5 1"/>',
+    '<geom type="box" pos="0 5.5 1" size="6.2 0.5 1"/>',
+    '<geom type="box" pos="6 -3 1" size="0.1 2 1"/><geom type="box" pos="6 2 1" size="3 0.1 1" euler="0 0 90"/>',
+    '<geom type="box" pos="0.3 -5 1" size="6 0.1 1"/>',
+)
+PEOPLE, STEPS = 64, 100
+
+
+def write(folder, geoms="", more=""):
+    (folder / "environment.yaml").write_text(SETTINGS + more)
+    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{PLANE}{geoms}</worldbody></mujoco>")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plazas(tmp_path_factory):
+    """Closed and open, without a single box."""
+    folders = write(tmp_path_factory.mktemp("closed")), write(tmp_path_factory.mktemp("open"), more="open: true\n")
+    return [environments.load(folder) for folder in folders]
+
+
+@pytest.fixture(scope="module")
+def scenarios(plazas, tmp_path_factory):
+    made = []
+    for name, more in (("closed", ""), ("open", "open: true\n")):
+        folder = write(tmp_path_factory.mktemp(name), more=more)
+        made.append(sean_jax.make(folder, behavior="random", task="busy_ab_nav", dynamics="twin"))
+    return made
+
+
+def test_edges_are_added_where_no_walls_cover_them(tmp_path):
+    """None for the environments of the package, whose walls cover theirs; each one by itself for a plaza."""
+    for name in environments.available():
+        assert (np.asarray(environments.load(name).obstacles.height) > 0).all(), name
+    for number in range(len(WALLS) + 1):
+        boxes = environments.load(write(tmp_path, "".join(WALLS[:number]))).obstacles
+        edge = np.asarray(boxes.height) == 0
+        assert edge.sum() == max(4 - number, 1) and (edge == np.sort(edge)).all()  # after the boxes
+    surface = jax.vmap(lambda x, y: from_box(x, y, jax.tree.map(lambda part: part[-1], boxes))[0])
+    x = jnp.linspace(-6.0, 6.0, 50)
+    np.testing.assert_allclose(surface(x, jnp.full_like(x, -4.0)), 1.0, atol=1e-5)
+
+
+def walk(place, key):
+    """Least distance to the floor's edge over the steps of people who want to leave it, shoved by one another."""
+    parameters = social_forces.preset("helbing1995")
+    keys = jax.random.split(key, 3)
+    lower, upper = jnp.asarray(FLOOR[:2]) + 0.2, jnp.asarray(FLOOR[2:]) - 0.2
+    position = jax.random.uniform(keys[0], (PEOPLE, 2), jnp.float32, lower, upper)
+    angle = jax.random.uniform(keys[1], (PEOPLE,), jnp.float32, 0.0, 2 * jnp.pi)
+    heading = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    speed = jax.random.uniform(keys[2], (PEOPLE, 1), jnp.float32, 1.0, 20.0)
+    nobody = jnp.full(PEOPLE, -1, jnp.int32)
+    people = Pedestrians(
+        position=position, velocity=heading * speed, heading=heading, desired_velocity=heading * speed, group=nobody,
+        party=nobody, present=jnp.ones(PEOPLE, bool), preferred_speed=speed[:, 0], robot_distance=jnp.zeros(PEOPLE),
+    )  # fmt: skip
+
+    def step(people, _):
+        people = social_forces.advance(parameters, people, place.nearby, None, None, 0.05)
+        return people, to_edge(place, *people.position.T).min()
+
+    return jax.lax.scan(step, people, length=STEPS)[1].min()
+
+
+def test_nobody_is_pushed_off_the_floor(plazas):
+    """8 crowds of 64 in 100 steps, all at up to 20 m/s towards an edge; where it is open, they leave."""
+    least = [jax.jit(jax.vmap(walk, (None, 0)))(place, jax.random.split(jax.random.key(2), 8)) for place in plazas]
+    assert np.asarray(least[0]).min() >= 0.2 - 1e-3
+    assert np.asarray(least[1]).max() < -1.0
+
+
+def test_a_robot_stays_on_the_floor_and_sees_no_edge(scenarios):
+    """It drives at an edge from 32 places; nothing but the floor is in its pictures, and metrics know of the edge."""
+
+    def run(scenario, key):
+        state = reset(scenario, key)
+        drive = jnp.asarray([2.0, 0.0], jnp.float32)
+        last = jax.lax.fori_loop(0, 300, lambda _, state: sean_jax.scenario.move_robot(scenario, state, drive), state)
+        return last, dict(scenario.metrics)["min_distance_to_obstacles"].start(moment(scenario, last))
+
+    found = []
+    for scenario in scenarios:
+        empty = dataclasses.replace(scenario, people=0)
+        last, distance = jax.jit(jax.vmap(run, (None, 0)))(empty, jax.random.split(jax.random.key(1), 32))
+        found.append(np.asarray(to_edge(scenario.environment, *last.robot.position.T)))
+        assert scenario.environment.scenery.solids.boxes.shape == (0, 8)
+        if not scenario.environment.open:
+            np.testing.assert_allclose(np.asarray(distance)[:, 0], found[0], atol=1e-3)
+            one = jax.tree.map(lambda leaf: leaf[0], last)
+            sensor = sensors.lidar(scenario, count=16, far=100.0)
+            assert (np.asarray(jax.jit(sensors.scan, static_argnums=2)(empty, one, sensor)) == 100.0).all()
+    assert found[0].min() >= scenarios[0].robot.radius - 2e-3
+    assert found[1].min() < -1.0
+
+
+def test_the_check_measures_the_edge(scenarios):
+    """Of people half a metre off the floor: the truth where it holds them, nothing where they may leave."""
+    for scenario, wanted in zip(scenarios, (0.5 + 0.2, -1.0), strict=True):
+        spots = jnp.asarray([[[0.0, -4.0], [6.5, 0.0], [-4.0, 4.0]]], jnp.float32)
+        frames = SimpleNamespace(
+            people=spots, people_velocity=spots, situations=jnp.zeros((1, 5), bool), position=spots[:, 0],
+            velocity=spots[:, 0], group=jnp.full((1, 3), -1, jnp.int32),
+        )  # fmt: skip
+        states = SimpleNamespace(tick=jnp.zeros(1), groups=SimpleNamespace(radius=jnp.zeros((1, 0))))
+        tally = simulation._empty_tally(dataclasses.replace(scenario, people=3), states, (4, 4))
+        here, active = jnp.ones((1, 3), bool), jnp.ones(1, bool)
+        found = simulation._count(scenario, tally, frames, here, active).penetration
+        assert (found < wanted) if scenario.environment.open else (abs(found - wanted) < 1e-5)
+
+
+def test_a_plaza_has_free_places_and_straight_ways(scenarios):
+    for scenario, people in zip(scenarios, (0, 6), strict=True):
+        navigation = scenario.navigation
+        assert np.asarray(to_edge(scenario.environment, *navigation.places.T)).min() >= scenario.robot.radius
+        assert len(uniform(scenario.environment, navigation, 100)) >= 100
+        task = jax.jit(reset)(dataclasses.replace(scenario, people=people), jax.random.key(0)).task
+        np.testing.assert_allclose(task.geodesic, np.linalg.norm(task.goal - task.start), rtol=1e-6)
