@@ -85,7 +85,7 @@ def rows(people: int, turns: int) -> dict[str, tuple[str, Counter, float, float]
     """name -> (part of ``sean bench``, counts, bytes, how many of what is counted they make)."""
     scenario = sean_jax.make("warehouse", people=people, dynamics="twin")
     state = jax.eval_shape(lambda key: reset(scenario, key), jax.random.key(0))
-    whole = jax.make_jaxpr(lambda s: step(scenario, s, programs.circles(scenario, s, s.key)))(state)
+    whole = jax.make_jaxpr(lambda s: step(scenario, s, programs.circles(scenario, s, s.streams.policy)))(state)
     eye = sensors.camera(scenario, "depth", width=64, height=48)
     image = count(jax.make_jaxpr(lambda s: sensors.depth(scenario, s, eye))(state).jaxpr, SHARE * turns)
     moved = 2.0 * bytes_of(state)

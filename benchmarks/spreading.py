@@ -25,10 +25,10 @@ def measured(scenario, key, steps: int) -> tuple:
     graph = scenario.behavior.data.graph
 
     def one(state, _):
-        after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.key, state.tick))
+        after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
         after = stages.move_pedestrians(scenario, after).replace(tick=state.tick + 1)
         memory, people = after.memory, after.pedestrians
-        walking = memory.stay == 0.0
+        walking = memory.stay == 0
         fullest = crowds(graph, memory.origin, memory.hop, walking).max()
         speed = jnp.linalg.norm(people.velocity, axis=-1).mean(where=walking)
         return after, (stages.frame(state, after, jnp.zeros(2)), fullest, (~walking).sum(), speed)

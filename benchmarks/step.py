@@ -22,13 +22,13 @@ def parts(scenario) -> dict:
     command = jnp.asarray([0.4, 0.3], jnp.float32)
 
     def chance(state):
-        return jax.random.fold_in(state.key, state.tick)
+        return jax.random.fold_in(state.streams.people, state.tick)
 
     def driven(state):
-        return stages.step(scenario, state, go_to_goal(scenario, state, state.key))
+        return stages.step(scenario, state, go_to_goal(scenario, state, state.streams.policy))
 
     def policy(state):
-        action = go_to_goal(scenario, state, state.key)
+        action = go_to_goal(scenario, state, state.streams.policy)
         return replace(state, robot=replace(state.robot, speed=state.robot.speed + 1e-6 * action[0]))
 
     def classify(state):

@@ -213,7 +213,7 @@ def in_scenario(
 
     def walk(key):
         def step(state, _):
-            after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.key, state.tick))
+            after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
             after = stages.move_pedestrians(scenario, after).replace(tick=state.tick + 1)
             return after, (after.pedestrians.position, after.pedestrians.velocity)
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from sean_jax.drawing import view
     from sean_jax.metrics import aggregate
     from sean_jax.parallel import rollout, simulate
-    from sean_jax.scenario import observe, reset, results, step
+    from sean_jax.scenario import observe, place, reset, results, step
 
 __version__ = "0.1.0"
 
@@ -25,6 +25,7 @@ _HOMES = {
     "rollout": "parallel",
     "simulate": "parallel",
     "observe": "scenario",
+    "place": "scenario",
     "reset": "scenario",
     "results": "scenario",
     "step": "scenario",
@@ -38,6 +39,7 @@ __all__ = [
     "congestion",
     "make",
     "observe",
+    "place",
     "reset",
     "results",
     "rollout",

@@ -39,11 +39,13 @@ class Groups:
 
 @struct.dataclass
 class Robot:
+    """The one place of a robot's pose and speed: the physics go on from what is replaced here."""
+
     position: Array  # (2,) m
-    heading: Array  # (2,) unit vector
+    heading: Array  # (2,) unit vector; of another one the direction counts, from the next step on
     speed: Array  # () m/s, along the heading
     turn_rate: Array  # () rad/s, counter-clockwise
-    body: Any  # of the robot model: generalised coordinates and velocities, the last command and its age
+    body: Any  # of the robot model: wheels, slip, the last command and its age; nothing that stands above
 
 
 @struct.dataclass
@@ -144,10 +146,20 @@ class Moment:
 
 
 @struct.dataclass
+class Streams:
+    """The chance of an episode, () typed PRNG keys: a use at a tick draws from ``fold_in(stream, tick)`` alone."""
+
+    people: Array  # of the pedestrian behavior
+    policy: Array  # of who drives
+    sensors: Array  # of the noise that a caller adds; further split by whoever has several sensors
+    restart: Array  # of what follows the episode
+
+
+@struct.dataclass
 class State:
     """Everything that the future depends on: equal states and equal actions give equal futures."""
 
-    key: Array  # () typed PRNG key of the episode; each use is fold_in(key, tick)
+    streams: Streams  # never advanced
     tick: Array  # () int32, steps taken
     pedestrians: Pedestrians
     groups: Groups
@@ -156,7 +168,7 @@ class State:
     memory: Any  # of the pedestrian behavior
     situations: Array  # (S,) bool, in the order of scenario.situations
     metrics: Any  # dict of name -> running value
-    time_at_goal: Array  # () s, spent inside the goal radius without a break
+    ticks_at_goal: Array  # () int32, steps spent inside the goal radius without a break
     completed: Array  # () bool, latched
     timed_out: Array  # () bool, latched; never together with completed
     driver: Any = ()  # what a Driver remembers; () for a policy that remembers nothing

@@ -9,8 +9,6 @@ import jax.numpy as jnp
 from sean_jax.base import Array, Driver, Frame, Policy, Scenario, State
 from sean_jax.scenario import frame, reset, step
 
-POLICY_STREAM = 1  # folded into an episode's key, so that a policy's chance is apart from people's
-
 
 def rollout(
     scenario: Scenario, policy: Policy, key: Array, steps: int, record: Callable = frame
@@ -51,8 +49,8 @@ def begin(scenario: Scenario, policy: Policy, state: State) -> State:
 
 
 def advance(scenario: Scenario, policy: Policy, state: State) -> tuple[State, Array]:
-    """One step with the command (2,) of a policy, whose chance is a stream of the episode's key of its own."""
-    key = jax.random.fold_in(jax.random.fold_in(state.key, POLICY_STREAM), state.tick)
+    """One step with the command (2,) of a policy, whose chance is a stream of the episode's own."""
+    key = jax.random.fold_in(state.streams.policy, state.tick)
     if isinstance(policy, Driver):
         action, memory = policy.drive(scenario, policy.data, state, key)
         state = replace(state, driver=memory)

@@ -1,8 +1,8 @@
 """Automatic restarts: an episode that has ended goes on as another one, drawn from a pool of starts.
 
 A reset inside every step would be computed for every scenario at every step, and make stepping three times slower; a
-start of the pool is only copied. Its chance is its own: the key of the restarted episode comes from that of the one
-that ended, so no two episodes are equal although two may begin alike.
+start of the pool is only copied. Its chance is its own: the streams of the restarted episode come from the one that
+ended, so no two episodes are equal although two may begin alike.
 """
 
 from collections.abc import Callable
@@ -12,11 +12,10 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from sean_jax import chance
 from sean_jax.base import Array, Frame, Policy, Scenario, State
 from sean_jax.parallel import advance, begin
 from sean_jax.scenario import frame, reset
-
-STREAM = 0x5EA  # folded into the key of an ended episode, for what follows it
 
 
 @struct.dataclass
@@ -40,12 +39,11 @@ def pool(scenario: Scenario, key: Array, size: int, policy: Policy | None = None
 
 
 def restart(starts: Pool, state: State) -> State:
-    """The state; or, if its episode has ended, one of the pool's starts with a key of its own."""
-    key = jax.random.fold_in(jax.random.fold_in(state.key, STREAM), state.tick)
-    size = starts.starts.tick.shape[0]
-    chosen = jax.random.randint(key, (), 0, size, jnp.int32)
+    """The state; or, if its episode has ended, one of the pool's starts with streams of its own."""
+    choice_key, streams_key = jax.random.split(jax.random.fold_in(state.streams.restart, state.tick))
+    chosen = jax.random.randint(choice_key, (), 0, starts.starts.tick.shape[0], jnp.int32)
     fresh = jax.tree.map(lambda leaf: leaf[chosen], starts.starts)
-    fresh = replace(fresh, key=jax.random.fold_in(key, 1))
+    fresh = replace(fresh, streams=chance.streams(streams_key))
     over = state.completed | state.timed_out
     return jax.tree.map(lambda old, new: jnp.where(over, new, old), state, fresh)
 

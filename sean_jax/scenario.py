@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
+from sean_jax import chance, clock
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Frame, Moment, Scenario, State
 from sean_jax.geometry import length, rotate
@@ -17,13 +18,13 @@ def reset(scenario: Scenario, key: Array) -> State:
     Args:
         key: () typed PRNG key, all that the episode's chance comes from.
     """
-    people_key, task_key, run_key = jax.random.split(key, 3)
+    people_key, task_key, streams_key = jax.random.split(key, 3)
     pedestrians, groups, memory = scenario.behavior.reset(scenario, people_key)
     task = scenario.task(scenario, pedestrians, groups, memory, task_key)
     path = task.start, task.start_heading, task.goal, task.to_goal
     task = replace(task, turning=paths.turning(scenario.navigation, *path))
     state = State(
-        key=run_key,
+        streams=chance.streams(streams_key),
         tick=jnp.zeros((), jnp.int32),
         pedestrians=pedestrians,
         groups=groups,
@@ -32,7 +33,7 @@ def reset(scenario: Scenario, key: Array) -> State:
         memory=memory,
         situations=jnp.zeros(len(scenario.situations), bool),
         metrics={},
-        time_at_goal=jnp.zeros((), jnp.float32),
+        ticks_at_goal=jnp.zeros((), jnp.int32),
         completed=jnp.zeros((), bool),
         timed_out=jnp.zeros((), bool),
     )
@@ -47,7 +48,7 @@ def step(scenario: Scenario, state: State, action: Array) -> State:
     Args:
         action: (2,) linear [m/s] and angular [rad/s] velocity that the robot is told to take.
     """
-    key = jax.random.fold_in(state.key, state.tick)
+    key = jax.random.fold_in(state.streams.people, state.tick)
     after = direct_pedestrians(scenario, state, key)
     after = move_pedestrians(scenario, after)
     after = move_robot(scenario, after, action)
@@ -55,6 +56,22 @@ def step(scenario: Scenario, state: State, action: Array) -> State:
     after = classify(scenario, after)
     after = measure(scenario, state, after)
     return finish(scenario, state, after)
+
+
+def place(scenario: Scenario, state: State, position: Array, heading: Array) -> State:
+    """The state with the robot put somewhere else, at rest and without a command; situations are those there.
+
+    The task stays as it was, with its start, its goal and how far that was, and so do metrics, for which this is a
+    step of the path. Shortest paths are found from wherever the robot is. Nobody makes room: what the robot overlaps
+    with pushes it out. A policy that remembers (``base.Driver``) is begun again by ``parallel.begin``.
+
+    Args:
+        position: (2,) m.
+        heading: (2,) where it looks, of any length; along x if it is zero.
+    """
+    there, looking = (jnp.asarray(part, state.robot.position.dtype) for part in (position, heading))
+    robot = scenario.robot.place(scenario.robot, there, looking)
+    return classify(scenario, replace(state, robot=robot, ticks_at_goal=jnp.zeros((), jnp.int32)))
 
 
 @jax.named_scope("direct_pedestrians")
@@ -96,11 +113,12 @@ def finish(scenario: Scenario, before: State, after: State) -> State:
     """Whether the task is completed, the goal having been held, or the time is over; both stay once they are."""
     gap = after.robot.position - after.task.goal
     inside = length(gap[0], gap[1]) <= scenario.goal_radius
-    held = jnp.where(inside, before.time_at_goal + scenario.time_step, 0.0)
-    last = jnp.asarray(round(scenario.time_limit / scenario.time_step), jnp.int32)
-    completed = before.completed | (~before.timed_out & inside & (held >= scenario.hold_time - 1e-4))
+    held = jnp.where(inside, before.ticks_at_goal + 1, 0)
+    wanted = clock.in_ticks(scenario.hold_time, scenario.time_step)
+    last = clock.ticks(scenario.time_limit, scenario.time_step)
+    completed = before.completed | (~before.timed_out & inside & (held.astype(wanted.dtype) >= wanted))
     timed_out = before.timed_out | (~completed & (after.tick >= last))
-    return replace(after, time_at_goal=held, completed=completed, timed_out=timed_out)
+    return replace(after, ticks_at_goal=held, completed=completed, timed_out=timed_out)
 
 
 def moment(scenario: Scenario, state: State) -> Moment:

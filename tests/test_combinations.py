@@ -109,7 +109,7 @@ def check(made: list) -> None:
     before, after = after_two_steps(made)
     ways = np.asarray(after.task.to_goal)  # of bends from which no way leads to the goal, the lengths are infinite
     assert np.isfinite(ways[:, 1]).all() and (ways[:, 0] >= 0).all() and np.isfinite(ways[:, 0]).any()
-    numbers = dataclasses.replace(after, key=None, task=dataclasses.replace(after.task, to_goal=None))
+    numbers = dataclasses.replace(after, streams=None, task=dataclasses.replace(after.task, to_goal=None))
     for leaf in jax.tree.leaves(jax.tree.map(jnp.isfinite, numbers)):
         assert np.asarray(leaf).all()
     assert (np.asarray(after.tick) == 2).all() and after.situations.shape == (len(made), 5)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import devices, restarts
+from sean_jax import chance, devices, restarts
 from sean_jax.base import Driver
 from sean_jax.policies import go_to_goal
 
@@ -94,7 +94,7 @@ def starts(short):
 
 def test_episodes_follow_one_another(short, starts):
     def record(before, after, action):
-        return before.tick, after.timed_out, before.pedestrians.position, jax.random.key_data(before.key)
+        return before.tick, after.timed_out, before.pedestrians.position, jax.random.key_data(before.streams.people)
 
     def run(state):
         return restarts.endless(short, go_to_goal, starts, state, 35, record)
@@ -130,7 +130,9 @@ def test_a_driver_remembers_its_episode_and_no_other(short):
 
 
 def test_a_running_episode_is_left_alone(starts):
-    state = dataclasses.replace(jax.tree.map(lambda leaf: leaf[1], starts.starts), key=jax.random.key(9))
+    state = dataclasses.replace(
+        jax.tree.map(lambda leaf: leaf[1], starts.starts), streams=chance.streams(jax.random.key(9))
+    )
     after = jax.jit(restarts.restart)(starts, state)
     same = jax.tree.map(lambda old, new: jnp.array_equal(jax_data(old), jax_data(new)), state, after)
     assert all(jax.tree.leaves(same))

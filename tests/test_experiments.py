@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax import cli, writing
+from sean_jax import chance, cli, writing
 from sean_jax.experiments import shares, together
 from sean_jax.experiments.options import BEHAVIORS, Experiment
 from sean_jax.learning.options import Refused
@@ -237,7 +237,7 @@ def test_numbered_episodes_are_those_of_their_streams():
 
     @jax.jit
     def alone(scenario, number):
-        key = jax.random.fold_in(jax.random.key(3), number)
+        key = jax.random.fold_in(chance.key("figure4", 3), number)
         state, _ = parallel.rollout(scenario, driver, key, 200)
         return results(scenario, state), state.completed
 
@@ -262,7 +262,7 @@ def test_chains_restart_from_their_own_stream():
     drawn = starts(rollouts._stacked(pools), stream, jax.random.split(jax.random.key(1), 40))
     for each, place in zip(np.asarray(stream), np.asarray(drawn.robot.position), strict=True):
         assert (np.asarray(pools[each].robot.position) == place).all(-1).any()
-    assert len(np.unique(np.asarray(jax.random.key_data(drawn.key)), axis=0)) == 40
+    assert len(np.unique(np.asarray(jax.random.key_data(drawn.streams.people)), axis=0)) == 40
 
 
 SMALL = ["--environment", "lab", "--quick", "--people", "4", "--dynamics", "twin", "--time-limit", "20", "--quiet"]

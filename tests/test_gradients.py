@@ -42,7 +42,7 @@ def double(request):
     memory = state.memory
     onward = robot - 6.0 * ahead
     memory = memory._replace(
-        stay=memory.stay.at[6:].set(0.0), seat=memory.seat.at[6:].set(-1), target=memory.target.at[6:].set(onward)
+        stay=memory.stay.at[6:].set(0), seat=memory.seat.at[6:].set(-1), target=memory.target.at[6:].set(onward)
     )
     facing = scenario.robot.place(scenario.robot, robot, ahead)
     state = state.replace(pedestrians=people, memory=memory, robot=facing)

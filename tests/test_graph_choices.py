@@ -52,7 +52,7 @@ def crowd_alone(scenario, key, steps: int):
     """The frames and memories of ``steps`` steps in which nobody but people moves."""
 
     def one(state, _):
-        after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.key, state.tick))
+        after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
         after = stages.move_pedestrians(scenario, after).replace(tick=state.tick + 1)
         return after, (stages.frame(state, after, jnp.zeros(2, jnp.float32)), after.memory)
 
@@ -330,7 +330,9 @@ def test_gradients_with_spreading_are_finite(scenario):
     @jax.grad
     def slope(position):
         before = state.replace(pedestrians=state.pedestrians.replace(position=position))
-        return jnp.sum(stages.direct_pedestrians(crowded, before, state.key).pedestrians.desired_velocity ** 2)
+        return jnp.sum(
+            stages.direct_pedestrians(crowded, before, state.streams.people).pedestrians.desired_velocity ** 2
+        )
 
     assert np.isfinite(np.asarray(slope(state.pedestrians.position))).all()
 
@@ -363,7 +365,7 @@ def test_odd_graphs_and_numbers_of_people(kind, hall):
         scenario = hall(f"nodes:\n{nodes}{edges}", people, paths, spreading)
 
         def one(state, _, scenario=scenario):
-            after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.key, state.tick))
+            after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
             there = after.pedestrians.replace(position=after.memory.target)
             return after.replace(pedestrians=there, tick=state.tick + 1), (after.memory, after.pedestrians)
 

@@ -51,7 +51,7 @@ def reset():
 
 @pytest.fixture(scope="module")
 def states(lab, reset):
-    return jax.tree.map(np.asarray, reset(lab, jax.random.split(jax.random.key(0), KEYS)).replace(key=0))
+    return jax.tree.map(np.asarray, reset(lab, jax.random.split(jax.random.key(0), KEYS)).replace(streams=0))
 
 
 def direction(a, b) -> float:

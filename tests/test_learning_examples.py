@@ -25,7 +25,7 @@ def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
     scenario = dataclasses.replace(parts[0].scenario, task=tasks[0], task_name="join_group")
     drive = jax.jit(learning_data.DRIVE)
     recorder = Recorder(tmp_path / "one", scenario, seed=learning_data.SEED, width=16, height=12)
-    data = record(recorder, lambda state: drive(scenario, state, state.key), 2)
+    data = record(recorder, lambda state: drive(scenario, state, state.streams.policy), 2)
     batch = learning_data.batches()[0]
     assert [episode.length for episode in data.episodes] == batch.lengths[:2].tolist()
     assert [episode.completed for episode in data.episodes] == batch.completed[:2].tolist()

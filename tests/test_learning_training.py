@@ -11,7 +11,7 @@ import learning_data
 import numpy as np
 import pytest
 
-from sean_jax import cli, devices, parallel
+from sean_jax import chance, cli, devices, parallel
 from sean_jax.learning import learned, train_job, training
 from sean_jax.learning.checkpoints import Checkpoints
 from sean_jax.learning.dataset import on_device, split
@@ -289,7 +289,7 @@ def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
     parts, tasks, eye = learning_data.setting()
     scenario = dataclasses.replace(parts[0].scenario, task=tasks[0])
     policy = learned.load(trained[1], scenario)
-    keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(learning_data.SEED), jnp.arange(3))
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(chance.key("collect", learning_data.SEED), jnp.arange(3))
 
     def follow(before, after, action):
         return after.driver.decision, action

@@ -28,7 +28,7 @@ def mixed(request):
     )
 
     def one(state, _):
-        after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.key, state.tick))
+        after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
         after = stages.move_pedestrians(scenario, after).replace(tick=state.tick + 1)
         return after, (after.pedestrians, after.memory)
 

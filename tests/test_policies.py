@@ -116,7 +116,7 @@ def command_of(scenario, name, traced):
         state = state.replace(
             robot=state.robot.replace(position=here), pedestrians=state.pedestrians.replace(position=people)
         )
-        key = jax.random.fold_in(jax.random.fold_in(state.key, parallel.POLICY_STREAM), state.tick)
+        key = jax.random.fold_in(state.streams.policy, state.tick)
         if isinstance(policy, Driver):
             action = policy.drive(scenario, policy.data, state, key)[0]
         else:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from sean_jax import clock
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Environment, Groups, Pedestrians, Scenario, State
 from sean_jax.behaviors import graph_goals, parties, starts
@@ -121,7 +122,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         robot_distance=robot_distance,
     )
     groups = Groups(center=center, radius=radius, opening=opening, present=jnp.ones(radius.shape, bool))
-    stay = jnp.concatenate([stay, jnp.zeros(people - seated, jnp.float32)])
+    stay = jnp.concatenate([_stay(scenario, stay), jnp.zeros(people - seated, jnp.int32)])
     memory = Memory(node, node, node, position, seat, stay, seat_position, seat_heading)
     return pedestrians, groups, memory
 
@@ -145,7 +146,7 @@ def _directed(choose: Callable, scenario: Scenario, state: State, key: Array) ->
     tables: Tables = scenario.behavior.data
     graph, people, memory = tables.graph, state.pedestrians, state.memory
     if tables.spreading is not None:
-        walking = people.present & (memory.stay == 0.0)
+        walking = people.present & (memory.stay == 0)
         graph = spread(graph, crowds(graph, memory.origin, memory.hop, walking), tables.spreading)
     chance = jax.random.uniform(key, (3, scenario.people), jnp.float32)
     memory, free = _stay_or_leave(scenario, people, memory, graph, chance[0])
@@ -156,7 +157,7 @@ def _directed(choose: Callable, scenario: Scenario, state: State, key: Array) ->
     desired_velocity = _desired_velocity(tables, people, memory)
     if scenario.behavior.companions is not None:
         desired_velocity = parties.abreast(people, desired_velocity)
-    standing = memory.stay > 0.0
+    standing = memory.stay > 0
     people = replace(
         people,
         desired_velocity=desired_velocity,
@@ -170,15 +171,21 @@ def _stay_or_leave(scenario, people, memory, graph, chance) -> tuple[Memory, Arr
     """Stays that begin, go on or end; and who is (N,) bool without a goal now."""
     gap = memory.target - people.position
     distance = length(gap[:, 0], gap[:, 1])
-    was_standing = memory.stay > 0.0
-    stay = jnp.maximum(memory.stay - scenario.time_step, 0.0)
+    was_standing = memory.stay > 0
+    stay = jnp.maximum(memory.stay - 1, 0)
     at_last = memory.hop == memory.goal
     sits_down = ~was_standing & (memory.seat >= 0) & at_last & (distance < SEATED)
     limits = graph.stay[of_seat(graph.seat_node, memory.seat)]
-    stay = jnp.where(sits_down, limits[:, 0] + chance * (limits[:, 1] - limits[:, 0]), stay)
-    leaves = (was_standing | sits_down) & (stay == 0.0)  # at once, if the stay that was drawn takes no time
+    drawn = _stay(scenario, limits[:, 0] + chance * (limits[:, 1] - limits[:, 0]))
+    stay = jnp.where(sits_down, drawn, stay)
+    leaves = (was_standing | sits_down) & (stay == 0)  # at once, if the stay that was drawn takes no time
     at_waypoint = ~was_standing & (memory.seat < 0) & at_last & (distance < ARRIVED)
     return memory._replace(stay=stay), leaves | at_waypoint
+
+
+def _stay(scenario: Scenario, time: Array) -> Array:
+    """(N,) int32 ticks that a stay of so many seconds (N,) lasts."""
+    return jnp.ceil(jnp.minimum(clock.in_ticks(time, scenario.time_step), 1e9)).astype(jnp.int32)
 
 
 def _desired_velocity(tables: Tables, people: Pedestrians, memory: Memory) -> Array:

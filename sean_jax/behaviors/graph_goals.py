@@ -24,7 +24,7 @@ class Memory(NamedTuple):
     origin: Array  # (N,) int32 node that was left for it; the same one before the first edge
     target: Array  # (N, 2) m, the point of that node's disc, or the seat
     seat: Array  # (N,) int32 seat taken or walked to, -1 none
-    stay: Array  # (N,) s left to stand at the seat
+    stay: Array  # (N,) int32 ticks left to stand at the seat, 0 for who does not
     seat_position: Array  # (Q, 2) m
     seat_heading: Array  # (Q, 2) unit vector
 

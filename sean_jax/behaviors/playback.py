@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
+from sean_jax import clock
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Environment, Groups, Pedestrians, Scenario, State
 from sean_jax.behaviors.random_behavior import no_groups
@@ -59,7 +59,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     """Who is there at a random moment, after which the recording lasts for an episode if it can; else at its start."""
     tracks: Tracks = scenario.behavior.data
     begin_key, trait_key = jax.random.split(key)
-    steps = int(np.ceil(scenario.time_limit / scenario.time_step))
+    steps = clock.ticks(scenario.time_limit, scenario.time_step)
     latest = max(tracks.present.shape[0] - 1 - steps, 0)
     first = jax.random.randint(begin_key, (), 0, latest + 1, jnp.int32)
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, scenario.people)

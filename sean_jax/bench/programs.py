@@ -8,7 +8,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from sean_jax import devices, restarts, sensors, social_forces
+from sean_jax import chance, devices, restarts, sensors, social_forces
 from sean_jax.base import Array, Scenario, State
 from sean_jax.bench import workload
 from sean_jax.bench.timing import Program
@@ -32,9 +32,9 @@ def stepping(scenario: Scenario, batch: int, turns: int, image: tuple[int, int] 
     With an ``image`` (width, height) every scenario has its depth image made after each step.
     """
     over = devices.mesh(jax.devices()[:number])
-    starts = jax.jit(restarts.pool, static_argnums=2)(scenario, jax.random.key(1), min(STARTS, batch))
+    starts = jax.jit(restarts.pool, static_argnums=2)(scenario, chance.key("bench starts", 0), min(STARTS, batch))
     fixed = devices.everywhere(over, (scenario, starts))
-    keys = devices.keys(over, jax.random.key(0), batch * number)
+    keys = devices.keys(over, chance.key("bench", 0), batch * number)
     states = devices.spread(over, lambda fixed, key: reset(fixed[0], key))(fixed, keys)
     eye = None if image is None else sensors.camera(scenario, "depth", width=image[0], height=image[1])
 
@@ -56,7 +56,7 @@ def stepping(scenario: Scenario, batch: int, turns: int, image: tuple[int, int] 
 def images(scenario: Scenario, name: str, batch: int, width: int, height: int, turns: int = 1) -> Program:
     """``Program`` of ``turns`` images of the camera ``name`` for each of ``batch`` scenarios; the robots look round."""
     camera = sensors.camera(scenario, name, width=width, height=height)
-    states = jax.jit(jax.vmap(reset, (None, 0)))(scenario, jax.random.split(jax.random.key(0), batch))
+    states = jax.jit(jax.vmap(reset, (None, 0)))(scenario, jax.random.split(chance.key("bench", 0), batch))
 
     def one(scenario: Scenario, state: State) -> Array:
         if name == "depth":

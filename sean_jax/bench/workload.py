@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sean_jax import chance
 from sean_jax.base import Nearby, Obstacles, Pedestrians
 from sean_jax.geometry import rotate
 from sean_jax.nearby import tabulate
@@ -36,7 +37,7 @@ def boxes(people: int, walls: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Nearby | None, dict[str, np.ndarray]]:
     """(people, table of obstacles, all in float64): nobody inside a shelf, all on the way to the opposite side."""
-    random = np.random.default_rng(seed)
+    random = chance.generator("bench", seed)
     center, half, yaw = boxes(people, walls)
     rows = int(np.ceil(np.sqrt(4 * people)))
     cell = side(people) / rows

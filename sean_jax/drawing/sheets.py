@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sean_jax import chance
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Environment, Scenario
 from sean_jax.drawing import colors, parts
@@ -37,7 +38,7 @@ def handcrafted_sheet(scenario: Scenario, *, panel: float = 3.2, seed: int = 0) 
     from matplotlib.figure import Figure
 
     sets: Sets = scenario.behavior.data
-    shown = jax.tree.map(np.asarray, jax.jit(_starts)(scenario, jax.random.key(seed)))
+    shown = jax.tree.map(np.asarray, jax.jit(_starts)(scenario, chance.key("draw", seed)))
     table = jax.tree.map(np.asarray, sets)
     floor = np.asarray(scenario.environment.floor, float)
     windows = []
@@ -87,7 +88,7 @@ def graph_sheet(environment: Environment, graph: BehaviorGraph, *, width: float 
     groups = np.asarray(graph.groups)
     if len(groups):
         center = graph.position[graph.groups]
-        form = jax.jit(formation)(jax.random.key(seed), graph.capacity[graph.groups], center, graph.seat_group)
+        form = jax.jit(formation)(chance.key("draw", seed), graph.capacity[graph.groups], center, graph.seat_group)
         seat, look, _, opening = (np.asarray(part) for part in form)
         _draw_people(axes, seat, look, np.ones(len(seat), bool), 0.0035 * (high[0] - low[0]))
         axes.plot(*opening.T, linestyle="", marker="o", markersize=5, color=colors.MEMBER, fillstyle="none", zorder=6)

@@ -131,7 +131,7 @@ def _state(frame: Frame) -> State:
     )
     robot = Robot(frame.position, frame.heading, nothing, nothing, nothing)
     return State(
-        key=nothing,
+        streams=nothing,
         tick=nothing,
         pedestrians=people,
         groups=nothing,
@@ -140,7 +140,7 @@ def _state(frame: Frame) -> State:
         memory=nothing,
         situations=frame.situations,
         metrics=nothing,
-        time_at_goal=nothing,
+        ticks_at_goal=nothing,
         completed=nothing,
         timed_out=nothing,
     )

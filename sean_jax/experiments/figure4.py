@@ -175,7 +175,7 @@ def _drive(
         if parts.saved(file) is None:
             tell = functools.partial(_tell, watch, turn, len(policies))
             driver = _policy(options, folder, policy, kinds[0].scenario)
-            ended = programs.episodes(driver, kinds, options.seed + 1, number, most, tell)
+            ended = programs.episodes(driver, kinds, options.seed, number, most, tell)
             measured = {"completed": ended.completed, "seconds": ended.seconds, **ended.metrics}
             if not all(np.isfinite(measured[name]).all() for name in ("completed", "seconds", *INTIMATE)):
                 raise FloatingPointError(f"{policy} in {behavior}: a metric is not finite; nothing of it is written.")

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 
-from sean_jax import devices, parallel, restarts
+from sean_jax import chance, devices, parallel, restarts
 from sean_jax.base import Array, Policy, RobotTask, Scenario, State
 from sean_jax.learning.protocol import Stream
 from sean_jax.scenario import reset, results
@@ -61,7 +61,7 @@ class Chains:
         """
         number, scenario = chains * len(streams), streams[0].scenario
         size = -(-number // self.over.size) * self.over.size
-        key, pool_key = (jax.random.fold_in(jax.random.key(seed), use) for use in (1, 2))
+        key, pool_key = (chance.key(use, seed) for use in ("table1", "table1 starts"))
         pools = [
             self.pool(each.scenario, self.policy, jnp.int32(each.turn), jax.random.fold_in(pool_key, index), starts)
             for index, each in enumerate(streams)
@@ -95,9 +95,11 @@ def _begin(fixed: tuple, key: Array, stream: Array) -> tuple[Array, State]:
 
 
 def _start(starts: State, stream: Array, key: Array) -> State:
-    """A start of the stream's pool, with a key of its own."""
-    chosen = jax.random.randint(key, (), 0, starts.tick.shape[1], jnp.int32)
-    return dataclasses.replace(jax.tree.map(lambda leaf: leaf[stream, chosen], starts), key=jax.random.fold_in(key, 1))
+    """A start of the stream's pool, with chance of its own."""
+    choice_key, streams_key = jax.random.split(key)
+    chosen = jax.random.randint(choice_key, (), 0, starts.tick.shape[1], jnp.int32)
+    fresh = jax.tree.map(lambda leaf: leaf[stream, chosen], starts)
+    return dataclasses.replace(fresh, streams=chance.streams(streams_key))
 
 
 def _minute(fixed: tuple, carry: tuple[Array, State]) -> tuple:
@@ -108,7 +110,7 @@ def _minute(fixed: tuple, carry: tuple[Array, State]) -> tuple:
 
     def tick(before: State, _) -> tuple[State, Array]:
         after, _ = parallel.advance(scenario, policy, before)
-        key = jax.random.fold_in(jax.random.fold_in(after.key, restarts.STREAM), after.tick)
+        key = jax.random.fold_in(after.streams.restart, after.tick)
         fresh, over = _start(starts, stream, key), after.completed | after.timed_out
         ended = jnp.stack([after.completed, after.timed_out])
         return jax.tree.map(lambda old, new: jnp.where(over, new, old), after, fresh), ended
@@ -153,8 +155,8 @@ class Numbered:
     ) -> Episodes:
         """The first ``number`` episodes, each until its end; of C streams in turns, about ``most`` at once.
 
-        Episode ``i`` is drawn from ``fold_in(key(seed), i)`` and of stream ``i % C``. ``watch(share)`` is told how far
-        they are.
+        Episode ``i`` is drawn from ``fold_in(chance.key("figure4", seed), i)`` and of stream ``i % C``.
+        ``watch(share)`` is told how far they are.
         """
         rows = math.ceil(number / len(streams))  # a row has one episode of each stream
         batches = math.ceil(rows * len(streams) / most)
@@ -198,7 +200,7 @@ def _tell(watch: Callable[[float], None], batch: int, batches: int, share: float
 
 def _draw(tasks: tuple, fixed: tuple, number: Array) -> State:
     scenario, policy, seed, turn = fixed
-    key = jax.random.fold_in(jax.random.key(seed), number)
+    key = jax.random.fold_in(chance.key("figure4", seed), number)
     return parallel.begin(scenario, policy, reset(_with_turn(scenario, tasks, turn), key))
 
 

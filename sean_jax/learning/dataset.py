@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import writing
+from sean_jax import chance, writing
 from sean_jax.learning import store
 from sean_jax.learning.examples import Recording
 from sean_jax.learning.options import Failed, Refused
@@ -221,7 +221,7 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[list[Episode], lis
     if len(episodes) < 2:
         raise Refused(f"{dataset.folder} has {len(episodes)} episodes, too few to train and validate; collect more.")
     count = min(max(1, round(share * len(episodes))), len(episodes) - 1)
-    chosen = set(np.random.default_rng(seed).permutation(len(episodes))[:count].tolist())
+    chosen = set(chance.generator("validation", seed).permutation(len(episodes))[:count].tolist())
     kept = [episode for index, episode in enumerate(episodes) if index not in chosen]
     return kept, [episode for index, episode in enumerate(episodes) if index in chosen]
 

@@ -1,8 +1,8 @@
 """Demonstrations by simulation: a batch of numbered episodes, recorded once a second until all have ended.
 
-Episode ``i`` is drawn from ``fold_in(key(seed), i)`` alone, so it does not depend on what else is simulated, and an
-interrupted collection goes on where it stopped. Outside, recordings are numpy arrays (B, T, ...): what comes after the
-end of an episode is zero.
+Episode ``i`` is drawn from ``fold_in(chance.key("collect", seed), i)`` alone, so it does not depend on what else is
+simulated, and an interrupted collection goes on where it stopped. Outside, recordings are numpy arrays (B, T, ...):
+what comes after the end of an episode is zero.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
-from sean_jax import devices, navigation, parallel, sensors
+from sean_jax import chance, devices, navigation, parallel, sensors
 from sean_jax.base import Array, Policy, RobotTask, Scenario, State
 from sean_jax.learning.rows import Row, row
 from sean_jax.scenario import reset
@@ -123,7 +123,7 @@ def _draw(tasks: tuple[Callable, ...], fixed: tuple, number: Array) -> tuple:
     def task(scenario: Scenario, *others: Any) -> RobotTask:
         return jax.lax.switch(turn, [functools.partial(each, scenario) for each in tasks], *others)
 
-    key = jax.random.fold_in(jax.random.key(seed), number)
+    key = jax.random.fold_in(chance.key("collect", seed), number)
     state = reset(dataclasses.replace(scenario, task=task), key)
     last = navigation.bend_to_goal(scenario.navigation, state.task.goal)
     return parallel.begin(scenario, policy, state), last, jnp.zeros(2, jnp.float32)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from sean_jax import chance
 from sean_jax.learning.dataset import Dataset, Episode
 from sean_jax.learning.examples import Example, Recording, example
 from sean_jax.learning.rows import Row
@@ -65,7 +66,7 @@ class Loader:
 
     def _order(self, epoch: int) -> tuple[np.ndarray, np.ndarray]:
         """(R,) which episode and (R,) which of its seconds, in the order of that epoch."""
-        random = np.random.default_rng((self.seed, epoch))
+        random = chance.generator("order", self.seed, epoch)
         count = len(self.episodes)
         episodes = random.permutation(count) if self.shuffle else np.arange(count)
         whose, when = [], []

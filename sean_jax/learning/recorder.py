@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import navigation, sensors, writing
+from sean_jax import chance, navigation, sensors, writing
 from sean_jax.base import Array, Scenario, State
 from sean_jax.learning import dataset as datasets
 from sean_jax.learning.collect_job import described
@@ -35,7 +35,7 @@ class Recorder:
     ):
         """Args:
             driver: who gives the commands: a word for the manifest.
-            seed: episode ``i`` begins as ``fold_in(key(seed), i)`` says.
+            seed: episode ``i`` begins as ``fold_in(chance.key("record", seed), i)`` says.
             width: of the depth images [pixels].
             height: likewise.
 
@@ -57,7 +57,7 @@ class Recorder:
     def begin(self) -> State:
         """A new episode; one that was not committed is forgotten."""
         self.discard()
-        self.state, self._last = self._begin(self.scenario, jax.random.key(self.seed), jnp.uint32(self.number))
+        self.state, self._last = self._begin(self.scenario, chance.key("record", self.seed), jnp.uint32(self.number))
         return self.state
 
     def step(self, command: Any) -> State:

@@ -14,6 +14,7 @@ import optax
 from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from sean_jax import chance
 from sean_jax.base import Array
 from sean_jax.devices import AXIS
 from sean_jax.learning.examples import Example, Recording, example
@@ -55,7 +56,7 @@ class Programs(NamedTuple):
 
 def begin(network: Network, situations: int, options: Train, commands: Array) -> TrainState:
     """Before the first epoch. ``commands`` (R, 2) are those to be imitated, which decide the scale of the command."""
-    weights = initial(network, situations, jax.random.key(options.seed))
+    weights = initial(network, situations, chance.key("weights", options.seed))
     weights = replace(weights, scale=jnp.maximum(jnp.std(commands, 0), STILL))
     state = _optimizer(options).init(weights.parameters)
     return TrainState(
@@ -97,7 +98,7 @@ def programs(network: Network, options: Train, over: Mesh) -> Programs:
         return examples, (index >= 0).astype(jnp.float32)
 
     def epoch(state: TrainState, recording: Recording, train: Array, validate: Array, odds: Array | None = None):
-        key = jax.random.fold_in(jax.random.key(options.seed), state.epoch)
+        key = jax.random.fold_in(chance.key("order", options.seed), state.epoch)
         if odds is None:
             drawn = jax.random.permutation(key, train)
         else:

@@ -1,6 +1,7 @@
 """Many episodes in one compiled call, with what is counted on the way (sections III-A, IV-H).
 
-Episode ``i`` is drawn from ``fold_in(key(seed), i)`` alone, so it does not depend on how many others there are.
+Episode ``i`` is drawn from ``fold_in(chance.key("run", seed), i)`` alone, so it does not depend on how many others
+there are.
 """
 
 import dataclasses
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from sean_jax import crowding, geometry, parallel
+from sean_jax import chance, clock, crowding, geometry, parallel
 from sean_jax.base import Array, Frame, Policy, RobotTask, Scenario, State
 from sean_jax.graph import graph_of
 from sean_jax.scenario import reset, results
@@ -119,7 +120,7 @@ def run_batch(programs: Programs, seed: int, base: int, kept: int, advanced: Cal
 
 
 def _steps(scenario: Scenario) -> int:
-    return max(1, math.ceil(scenario.time_limit / scenario.time_step - 1e-6))
+    return clock.ticks(scenario.time_limit, scenario.time_step)
 
 
 def _compile(lowered: Sequence[Any]) -> list[Callable]:
@@ -155,7 +156,7 @@ def _drawing(tasks: tuple[Callable, ...], cells: tuple[int, int]) -> Callable:
             def task(scenario: Scenario, *others: Any) -> RobotTask:
                 return jax.lax.switch(turn, [functools.partial(each, scenario) for each in tasks], *others)
 
-            key = jax.random.fold_in(jax.random.key(seed), number)
+            key = jax.random.fold_in(chance.key("run", seed), number)
             return parallel.begin(scenario, policy, reset(dataclasses.replace(scenario, task=task), key))
 
         states = jax.vmap(one)(numbers)

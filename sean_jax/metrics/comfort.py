@@ -6,7 +6,19 @@ import jax.numpy as jnp
 
 from sean_jax.base import Array, Moment
 from sean_jax.geometry import TINY, length, sum_vectors, unit
-from sean_jax.metrics.metric import Metric, least, mean, nan_if_never, never, nothing, split, value_itself
+from sean_jax.metrics.metric import (
+    Duration,
+    Metric,
+    least,
+    mean,
+    nan_if_never,
+    never,
+    no_time,
+    nothing,
+    seconds,
+    split,
+    value_itself,
+)
 
 SPACE = 0.5  # m, of the iGibson social navigation challenge
 HORIZON = 30.0  # s: a collision later than that counts as one then
@@ -71,13 +83,13 @@ def _fold_work(value: Array, before: Moment, after: Moment) -> Array:
     return value + after.time_step * (robot + push.sum()) * split(after)
 
 
-def _fold_looked(value: Array, before: Moment, after: Moment) -> Array:
+def _fold_looked(value: Duration, before: Moment, after: Moment) -> Duration:
     x, y = _gap(after)
     distance = length(x, y)
     heading = after.people.heading
     toward = -(heading[:, 0] * x + heading[:, 1] * y) >= LOOKING * distance
     looks = toward & (distance <= SEEN) & after.people.present
-    return value + jnp.where(looks.any(), after.time_step, 0.0) * split(after)
+    return value._replace(steps=value.steps + jnp.where(looks.any(), split(after), 0.0))
 
 
 personal_space_compliance = Metric(
@@ -102,5 +114,5 @@ centres: the circular law of Helbing & Molnar (1995), whatever law moves the peo
 compared. A sum of force over time, which HuNavSim calls work.
 """
 
-time_looked_at = Metric(nothing, _fold_looked, value_itself, "s")
+time_looked_at = Metric(no_time, _fold_looked, seconds, "s")
 """Time in which at least one person within 3.6 m faces the robot to within 5 degrees; obstacles hide nobody."""

@@ -1,11 +1,11 @@
 """What a metric is (section IV-H): a value folded over the moments of a robot's task, in constant memory."""
 
 from collections.abc import Callable
-from fractions import Fraction
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from sean_jax import clock
 from sean_jax.base import Array, Moment
 
 NEVER = 1e6  # more than any distance or time that is measured
@@ -30,6 +30,23 @@ def split(moment: Moment) -> Array:
     return jnp.concatenate([jnp.ones(1, jnp.float32), moment.situations.astype(jnp.float32)])
 
 
+class Duration(NamedTuple):
+    """A time as a number of steps: a sum of rounded steps would drift."""
+
+    steps: Array  # (1 + S,)
+    step: Array  # () s
+
+
+def no_time(moment: Moment) -> Duration:
+    """None so far."""
+    return Duration(nothing(moment), jnp.full_like(moment.geodesic, moment.time_step))
+
+
+def seconds(value: Duration) -> Array:
+    """(1 + S,) s."""
+    return value.steps * value.step
+
+
 def by_second(moment: Moment) -> Array:
     """() bool: a whole second has passed within the last step, when SEAN samples its path metrics.
 
@@ -40,23 +57,15 @@ def by_second(moment: Moment) -> Array:
 
 def since_second(moment: Moment) -> Array:
     """() s since the last sample before this tick: 1 where seconds are whole steps, else about that."""
-    over, under = _ratio(moment)
+    over, under = clock.per_tick(moment.time_step)
     sampled = -((-_seconds(moment, moment.tick - 1) * under) // over)  # the first tick at or after that second
     return (moment.tick - sampled).astype(jnp.float32) * moment.time_step
 
 
 def _seconds(moment: Moment, tick: Array) -> Array:
     """() int32 whole seconds that have passed at a tick, exact: a product in float32 would miss some."""
-    over, under = _ratio(moment)
+    over, under = clock.per_tick(moment.time_step)
     return tick * over // under
-
-
-def _ratio(moment: Moment) -> tuple[int, int]:
-    """The time step [s] as a fraction."""
-    step = Fraction(moment.time_step).limit_denominator(1000)
-    if step <= 0:
-        raise ValueError(f"time_step: {moment.time_step} s must be 0.001 s or more.")
-    return step.numerator, step.denominator
 
 
 def mean(amount: Array, weight: Array) -> Array:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from sean_jax.base import Array, Moment
 from sean_jax.geometry import angle_between, length
-from sean_jax.metrics.metric import Metric, by_second, nothing, since_second, split, value_itself
+from sean_jax.metrics.metric import Metric, by_second, no_time, nothing, seconds, since_second, split, value_itself
 
 STILL = 0.05  # m/s: not moving is having moved no farther than 0.05 m in the last second (SEAN 2.0)
 
@@ -122,6 +122,6 @@ final_distance_to_goal = Metric(_to_goal, lambda value, before, after: _to_goal(
 """Last distance to the goal in a straight line."""
 
 time_in_situation = Metric(
-    nothing, lambda value, before, after: value + after.time_step * split(after), value_itself, "s"
+    no_time, lambda value, before, after: value._replace(steps=value.steps + split(after)), seconds, "s"
 )
 """Seconds of the episode, and those spent in each situation."""

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from sean_jax.base import Array, Moment
 from sean_jax.geometry import length
-from sean_jax.metrics.metric import Metric
+from sean_jax.metrics.metric import Duration, Metric, no_time, seconds, split
 from sean_jax.metrics.path import Sampled, path_length
 
 GOAL_RADIUS = 1.2  # m, where a moment does not tell (SEAN 2.0)
@@ -18,7 +18,7 @@ class Success(NamedTuple):
 
     reached: Array  # () 1 or 0
     path: Sampled
-    time: Array  # () s
+    time: Duration
     geodesic: Array  # () m
     top_speed: Array  # () m/s
 
@@ -34,7 +34,7 @@ def _start(moment: Moment) -> Success:
     return Success(
         reached=_reached(moment),
         path=path_length.start(moment),
-        time=jnp.zeros_like(moment.geodesic),
+        time=no_time(moment),
         geodesic=moment.geodesic,
         top_speed=jnp.full_like(moment.geodesic, TOP_SPEED) if known is None else known,
     )
@@ -42,7 +42,9 @@ def _start(moment: Moment) -> Success:
 
 def _fold(value: Success, before: Moment, after: Moment) -> Success:
     path = path_length.fold(value.path, before, after)
-    return value._replace(reached=_reached(after), path=path, time=value.time + after.time_step)
+    return value._replace(
+        reached=_reached(after), path=path, time=value.time._replace(steps=value.time.steps + split(after))
+    )
 
 
 def _by_length(value: Success) -> Array:
@@ -51,7 +53,7 @@ def _by_length(value: Success) -> Array:
 
 
 def _by_time(value: Success) -> Array:
-    return value.reached * _share(value.geodesic / value.top_speed, value.time)
+    return value.reached * _share(value.geodesic / value.top_speed, seconds(value.time)[0])
 
 
 def _share(best: Array, taken: Array) -> Array:

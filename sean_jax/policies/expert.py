@@ -54,7 +54,7 @@ class Plan(NamedTuple):
     knots: Array  # (KNOTS, 2) shares of the limits
     follows: Array  # (V,) int32, of ``outlook.onward``
     nearest: Array  # () m, the way that was left when it last got nearer
-    waited: Array  # () s since then
+    waited: Array  # () int32 ticks since then
 
 
 def settings() -> Settings:
@@ -77,7 +77,7 @@ def settings() -> Settings:
 def start(scenario: Scenario, data: Settings, state: State) -> Plan:
     """Polite: plans seconds ahead by sampling, with people predicted, social distances, o-spaces and comfort."""
     knots = jnp.zeros((KNOTS, 2), jnp.float32)
-    return Plan(knots, onward(scenario, state), jnp.full((), FIRST, jnp.float32), jnp.zeros((), jnp.float32))
+    return Plan(knots, onward(scenario, state), jnp.full((), FIRST, jnp.float32), jnp.zeros((), jnp.int32))
 
 
 def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple[Array, Plan]:
@@ -90,7 +90,7 @@ def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple
     spots = [jnp.append(here[axis], moved[axis][STEPS // 4 - 1 :: STEPS // 4, 0]) for axis in (0, 1)]
     outlook = look(scenario, state, state.driver.follows, *spots)
     nearest, waited = _waited(scenario, data, state, outlook)
-    pushing = data.weights.personal * data.patience / (data.patience + waited)
+    pushing = data.weights.personal * data.patience / (data.patience + scenario.time_step * waited.astype(here.dtype))
     data = replace(data, weights=replace(data.weights, personal=pushing))
 
     def cost(knots: Array) -> Array:
@@ -109,7 +109,7 @@ def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple
 
 
 def _waited(scenario: Scenario, data: Settings, state: State, outlook: Outlook) -> tuple[Array, Array]:
-    """() m left when it last got nearer, by NEARER at least, and () s since then, none at the goal.
+    """() m left when it last got nearer, by NEARER at least, and () int32 ticks since then, none at the goal.
 
     Two who are polite would else wait for each other for ever.
     """
@@ -118,7 +118,7 @@ def _waited(scenario: Scenario, data: Settings, state: State, outlook: Outlook) 
     left = jnp.where(jnp.isfinite(left), left, before.nearest)
     nearer = (left < before.nearest - NEARER) | (left < data.stop + NEARER)
     nearest = jnp.where(nearer, left, before.nearest)
-    return nearest, jnp.where(nearer, 0.0, before.waited + scenario.time_step)
+    return nearest, jnp.where(nearer, 0, before.waited + 1)
 
 
 def limits(scenario: Scenario) -> tuple[Array, Array, Array]:

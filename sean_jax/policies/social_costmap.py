@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from sean_jax import clock
 from sean_jax.base import Array, Driver, Scenario, State
 from sean_jax.geometry import length
 from sean_jax.policies import costmap, dynamic_window, wavefront
@@ -53,7 +54,7 @@ class Memory(NamedTuple):
     wave: Array  # (CELLS, CELLS) m
     path: Array  # (2, POINTS) m, x and y of the plan that is followed
     planned: Array  # () bool, whether that leads to the goal
-    waited: Array  # () s without a way; less than zero while it turns
+    waited: Array  # () int32 ticks without a way; less than zero while it turns
 
 
 def settings(top_speed: float = 0.6, covariance: float = 0.1) -> Settings:
@@ -85,7 +86,7 @@ def start(scenario: Scenario, data: Settings, state: State) -> Memory:
     here = jnp.broadcast_to(state.robot.position[:, None], (2, POINTS))
     cells = jnp.full((CELLS, CELLS), wavefront.FAR, jnp.float32)
     over = Window(jnp.zeros(2, jnp.float32), jnp.ones((), jnp.float32))
-    waited = jnp.zeros((), jnp.float32)
+    waited = jnp.zeros((), jnp.int32)
     return Memory(onward(scenario, state), over, cells, cells, here, jnp.zeros((), bool), waited)
 
 
@@ -110,7 +111,7 @@ def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple
     command, waited = _recover(scenario, data, memory.waited, command, clear & planned)
     gap = state.task.goal - robot.position
     arrived = length(gap[0], gap[1]) < data.reached
-    command, waited = jnp.where(arrived, 0.0, command), jnp.where(arrived, 0.0, waited)
+    command, waited = jnp.where(arrived, 0.0, command), jnp.where(arrived, 0, waited)
     return command, Memory(memory.follows, over, resisting, wave, path, planned, waited)
 
 
@@ -160,12 +161,11 @@ def _ahead(path: Array, here: Array) -> tuple[Array, Array]:
 
 
 def _recover(scenario: Scenario, data: Settings, waited: Array, command: Array, way: Array) -> tuple[Array, Array]:
-    """The command, or turning on the spot when there has been no way for too long; and the time without one."""
-    turning = waited < 0.0
-    left = jnp.minimum(waited + scenario.time_step, 0.0)
-    longer = jnp.where(way, 0.0, waited + scenario.time_step)
-    around = -2.0 * jnp.pi / data.spin
-    after = jnp.where(turning, left, jnp.where(longer > data.patience, around, longer))
+    """The command, or turning on the spot when there has been no way for too long; and the ticks without one."""
+    turning, longer = waited < 0, jnp.where(way, 0, waited + 1)
+    patience, around = (clock.in_ticks(time, scenario.time_step) for time in (data.patience, 2.0 * jnp.pi / data.spin))
+    lost = longer.astype(patience.dtype) > patience
+    after = jnp.where(turning, waited + 1, jnp.where(lost, -jnp.ceil(around).astype(jnp.int32), longer))
     spin = jnp.stack([jnp.zeros((), jnp.float32), jnp.minimum(data.spin, scenario.robot.max_turn_rate)])
     return jnp.where(turning, spin, command), after
 

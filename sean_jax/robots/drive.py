@@ -12,28 +12,40 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from sean_jax import clock
 from sean_jax.base import Array, Robot, RobotModel, Scenario, State
-from sean_jax.geometry import rotate
+from sean_jax.geometry import rotate, unit_vectors
 from sean_jax.robots import mjx_dynamics, twin
 from sean_jax.robots.ground import Surroundings
 
 
 class Body(NamedTuple):
-    """What a robot's future depends on, apart from the world."""
+    """What a robot's future depends on beyond its pose, its speed and its turn rate, which ``Robot`` has alone."""
 
-    position: Array  # (5,) x, y [m], yaw, left and right wheel angle [rad]
-    velocity: Array  # (5,) their rates
+    wheels: Array  # (2,) rad, angles of the left and the right wheel
+    wheel_rates: Array  # (2,) rad/s
+    sideways: Array  # () m/s, to the left: zero unless it slips
     command: Array  # (2,) m/s and rad/s, the last that was given
-    age: Array  # () s since then
+    age: Array  # () int32, control steps since then
 
 
 def place(model: RobotModel, position: Array, heading: Array) -> Robot:
-    """A robot at rest at ``position`` (2,) m that looks along ``heading`` (2,), a unit vector."""
-    yaw = jnp.arctan2(heading[1], heading[0])
-    zero = jnp.zeros((), position.dtype)
-    at = jnp.stack([position[0], position[1], yaw, zero, zero])
-    body = Body(at, jnp.zeros((5,), position.dtype), jnp.zeros((2,), position.dtype), zero)
-    return Robot(position=position, heading=heading, speed=zero, turn_rate=zero, body=body)
+    """A robot at rest at ``position`` (2,) m that looks along ``heading`` (2,) of any length, along x if it is zero."""
+    pair = jnp.zeros((2,), position.dtype)
+    body = Body(pair, pair, pair[0], pair, jnp.zeros((), jnp.int32))
+    return Robot(position=position, heading=_direction(heading), speed=pair[0], turn_rate=pair[0], body=body)
+
+
+def coordinates(robot: Robot) -> tuple[Array, Array]:
+    """Generalised coordinates (5,): x, y [m], yaw, left and right wheel angle [rad]; and their rates (5,)."""
+    cosine, sine = _direction(robot.heading)
+    velocity = jnp.stack([*rotate(robot.speed, robot.body.sideways, cosine, sine), robot.turn_rate])
+    position = jnp.append(robot.position, jnp.arctan2(sine, cosine))
+    return jnp.append(position, robot.body.wheels), jnp.append(velocity, robot.body.wheel_rates)
+
+
+def _direction(heading: Array) -> Array:
+    return unit_vectors(heading, jnp.asarray([1.0, 0.0], heading.dtype))
 
 
 def drive_mjx(scenario: Scenario, state: State, action: Array) -> Robot:
@@ -69,13 +81,14 @@ def wheel_speeds(model: RobotModel, robot: Robot, action: Array, time_step: floa
 
 
 def held(model: RobotModel, body: Body, action: Array, time_step: float) -> tuple[Array, Array]:
-    """The command (2,) that acts now, and its age () s: ``action`` if it is finite, else the last one that was.
+    """The command (2,) that acts now, and its age () in control steps: ``action`` if it is finite, else the last one.
 
     A command that is older than the robot's timeout has become (0, 0).
     """
     given = jnp.isfinite(action).all()
-    age = jnp.where(given, 0.0, body.age + time_step)
-    late = age > model.command_timeout + 1e-4  # an age is a sum of steps, which is rounded
+    age = jnp.where(given, 0, body.age + 1)
+    limit = clock.in_ticks(model.command_timeout, time_step)
+    late = age.astype(limit.dtype) > limit
     return jnp.where(given, action, jnp.where(late, 0.0, body.command)), age
 
 
@@ -88,20 +101,22 @@ def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -
         present=people.present,
         person_radius=scenario.forces.radius,
     )
-    body = state.robot.body
-    command, age = held(model, body, action, scenario.time_step)
-    targets = wheel_speeds(model, state.robot, command, scenario.time_step)
+    robot = state.robot
+    command, age = held(model, robot.body, action, scenario.time_step)
+    targets = wheel_speeds(model, robot, command, scenario.time_step)
     steps = round(scenario.time_step / model.time_step)
     if abs(steps * model.time_step - scenario.time_step) > 1e-6:
         raise ValueError(f"the step {scenario.time_step} s is no multiple of {model.name}'s step {model.time_step} s")
-    position, velocity = physics(steps, model, around, (body.position, body.velocity), targets)
-    # Whole turns are taken off, or single precision would lose the angle of a robot that turns for long.
-    turns = jnp.round(position[2:] / (2.0 * jnp.pi))
-    position = jnp.concatenate([position[:2], position[2:] - 2.0 * jnp.pi * turns])
-    cosine, sine = jnp.cos(position[2]), jnp.sin(position[2])
-    speed, _ = rotate(velocity[0], velocity[1], cosine, -sine)
-    heading = jnp.stack([cosine, sine])
-    return Robot(position[:2], heading, speed, velocity[2], Body(position, velocity, command, age))
+    before = coordinates(robot)
+    position, velocity = physics(steps, model, around, before, targets)
+    # The heading is turned rather than made from the yaw: it is kept to the bit by a robot that does not turn, and no
+    # less exact in single precision after many turns. Whole turns of the wheels are taken off for the same reason.
+    turned = position[2] - before[0][2]
+    cosine, sine = _direction(jnp.stack(rotate(*_direction(robot.heading), jnp.cos(turned), jnp.sin(turned))))
+    wheels = position[3:] - 2.0 * jnp.pi * jnp.round(position[3:] / (2.0 * jnp.pi))
+    speed, sideways = rotate(velocity[0], velocity[1], cosine, -sine)
+    body = Body(wheels, velocity[3:], sideways, command, age)
+    return Robot(position[:2], jnp.stack([cosine, sine]), speed, velocity[2], body)
 
 
 def _simulate(substep: Callable, steps: int, model: RobotModel, around: Surroundings, body: tuple, targets: Array):

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from sean_jax import clock
 from sean_jax.base import Array
 
 
@@ -61,6 +62,6 @@ def due(tick: Array, time_step: float, rate: float) -> Array:
     Where the rate does not divide that of control, an image that is due between two ticks is taken at the second. A
     sensor that is faster than control, such as one of 15 Hz with steps of 0.1 s, is due at each tick and no oftener.
     """
-    taken = jnp.floor(tick.astype(jnp.float32) * (time_step * rate) + 1e-3)
-    before = jnp.floor((tick.astype(jnp.float32) - 1.0) * (time_step * rate) + 1e-3)
-    return (tick == 0) | (taken > before)
+    over, under = clock.per_tick(time_step, rate)
+    now = tick % under  # whole turns apart, what is due is the same
+    return (tick == 0) | (now * over // under > (now - 1) * over // under)
