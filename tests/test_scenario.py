@@ -1,5 +1,7 @@
 """Scenario: valid resets, one trace, episodes that a key alone decides, and how they end."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -107,6 +109,25 @@ def test_a_task_is_completed_after_the_goal_is_held_and_never_timed_out_too(scen
         ended[name] = flags
     assert ended["held"][:2] == [(False, False)] * 2 and ended["held"][2:] == [(True, False)] * 10
     assert ended["away"][:9] == [(False, False)] * 9 and ended["away"][9:] == [(False, True)] * 3
+
+
+def test_a_robot_is_placed_at_rest_and_its_task_goes_on(scenario):
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(5))
+    going = replace(state, robot=replace(state.robot, speed=jnp.float32(0.5)), ticks_at_goal=jnp.int32(7))
+    spots = jnp.asarray([[1.0, 2.0], [-3.0, 0.5], [0.0, 0.0]])
+    heading = jnp.asarray([[0.0, -2.0], [0.6, 0.8], [0.0, 0.0]])
+    place = jax.jit(jax.vmap(lambda spot, heading: sean_jax.place(scenario, going, spot, heading)))
+    placed = place(spots, heading)
+    np.testing.assert_array_equal(placed.robot.position, spots)
+    np.testing.assert_allclose(placed.robot.heading, [[0.0, -1.0], [0.6, 0.8], [1.0, 0.0]], atol=1e-6)
+    fresh = jax.vmap(scenario.robot.place, (None, 0, 0))(scenario.robot, spots, heading)
+    jax.tree.map(lambda new, old: np.testing.assert_allclose(new, old, atol=1e-6), placed.robot, fresh)
+    assert not placed.ticks_at_goal.any()
+    jax.tree.map(lambda old, new: np.testing.assert_array_equal(old[None], new[:1]), going.task, placed.task)
+    jax.tree.map(lambda old, new: np.testing.assert_array_equal(old[None], new[:1]), going.metrics, placed.metrics)
+    slope = jax.jit(jax.jacobian(lambda turn: sean_jax.place(scenario, going, spots[0], turn).robot.heading))
+    np.testing.assert_allclose(slope(jnp.asarray([0.0, 2.0])), [[0.5, 0.0], [0.0, 0.0]], atol=1e-6)
+    assert np.isfinite(slope(jnp.zeros(2))).all()
 
 
 def test_metrics_stand_still_after_the_end(scenario):

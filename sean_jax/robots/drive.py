@@ -23,8 +23,8 @@ class Body(NamedTuple):
     """What a robot's future depends on beyond its pose, its speed and its turn rate, which ``Robot`` has alone."""
 
     wheels: Array  # (2,) rad, angles of the left and the right wheel
-    wheel_rates: Array  # (2,) rad/s
-    sideways: Array  # () m/s, to the left: zero unless it slips
+    slip: Array  # (2,) rad/s, by which they turn faster than they would roll
+    sideways: Array  # () m/s, to the left: zero unless it is pushed
     command: Array  # (2,) m/s and rad/s, the last that was given
     age: Array  # () int32, control steps since then
 
@@ -36,12 +36,19 @@ def place(model: RobotModel, position: Array, heading: Array) -> Robot:
     return Robot(position=position, heading=_direction(heading), speed=pair[0], turn_rate=pair[0], body=body)
 
 
-def coordinates(robot: Robot) -> tuple[Array, Array]:
+def coordinates(model: RobotModel, robot: Robot) -> tuple[Array, Array]:
     """Generalised coordinates (5,): x, y [m], yaw, left and right wheel angle [rad]; and their rates (5,)."""
     cosine, sine = _direction(robot.heading)
     velocity = jnp.stack([*rotate(robot.speed, robot.body.sideways, cosine, sine), robot.turn_rate])
     position = jnp.append(robot.position, jnp.arctan2(sine, cosine))
-    return jnp.append(position, robot.body.wheels), jnp.append(velocity, robot.body.wheel_rates)
+    rates = _rolling(model, robot.speed, robot.turn_rate) + robot.body.slip
+    return jnp.append(position, robot.body.wheels), jnp.append(velocity, rates)
+
+
+def _rolling(model: RobotModel, speed: Array, turn_rate: Array) -> Array:
+    """(2,) rad/s of the left and the right wheel that roll without slip."""
+    rim = 0.5 * model.track * turn_rate
+    return jnp.stack([speed - rim, speed + rim]) / model.wheel_radius
 
 
 def _direction(heading: Array) -> Array:
@@ -76,8 +83,7 @@ def wheel_speeds(model: RobotModel, robot: Robot, action: Array, time_step: floa
     speed = jnp.clip(jnp.clip(action[0], *ahead), -backward, model.max_speed)
     turn_rate = jnp.clip(action[1], robot.turn_rate - change, robot.turn_rate + change)
     turn_rate = jnp.clip(turn_rate, -model.max_turn_rate, model.max_turn_rate)
-    rim = 0.5 * model.track * turn_rate
-    return jnp.stack([speed - rim, speed + rim]) / model.wheel_radius
+    return _rolling(model, speed, turn_rate)
 
 
 def held(model: RobotModel, body: Body, action: Array, time_step: float) -> tuple[Array, Array]:
@@ -107,7 +113,7 @@ def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -
     steps = round(scenario.time_step / model.time_step)
     if abs(steps * model.time_step - scenario.time_step) > 1e-6:
         raise ValueError(f"the step {scenario.time_step} s is no multiple of {model.name}'s step {model.time_step} s")
-    before = coordinates(robot)
+    before = coordinates(model, robot)
     position, velocity = physics(steps, model, around, before, targets)
     # The heading is turned rather than made from the yaw: it is kept to the bit by a robot that does not turn, and no
     # less exact in single precision after many turns. Whole turns of the wheels are taken off for the same reason.
@@ -115,7 +121,8 @@ def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -
     cosine, sine = _direction(jnp.stack(rotate(*_direction(robot.heading), jnp.cos(turned), jnp.sin(turned))))
     wheels = position[3:] - 2.0 * jnp.pi * jnp.round(position[3:] / (2.0 * jnp.pi))
     speed, sideways = rotate(velocity[0], velocity[1], cosine, -sine)
-    body = Body(wheels, velocity[3:], sideways, command, age)
+    slip = velocity[3:] - _rolling(model, speed, velocity[2])
+    body = Body(wheels, slip, sideways, command, age)
     return Robot(position[:2], jnp.stack([cosine, sine]), speed, velocity[2], body)
 
 
