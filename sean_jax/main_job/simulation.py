@@ -6,7 +6,6 @@ there are.
 
 import dataclasses
 import functools
-import math
 import threading
 import time
 from collections.abc import Callable, Sequence
