@@ -16,7 +16,7 @@ from PIL import Image
 import sean_jax
 from sean_jax import drawing, sensors
 from sean_jax.base import Array
-from sean_jax.drawing import gl_scene, videos
+from sean_jax.drawing import gifs, gl_scene, videos
 from sean_jax.scenario import frame
 from sean_jax.scenery import plain
 
@@ -93,7 +93,7 @@ def test_without_opengl_one_sentence_names_the_cure(monkeypatch):
 COMPARE = """
 import jax, numpy as np, sean_jax
 from sean_jax import drawing, sensors
-from sean_jax.drawing import gl_scene, videos
+from sean_jax.drawing import gifs, gl_scene, videos
 from sean_jax.policies import POLICIES
 try:
     drawing.check_renderer("mujoco")
@@ -125,3 +125,52 @@ def test_mujoco_draws_what_the_rays_see():
     assert [row[0] for row in rows] == list(sensors.CAMERAS)
     for name, close, seen in rows:
         assert float(close) >= 0.97 and float(seen) > 0.5, (name, close, seen)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_gif_keeps_rare_colors_beside_many_shades(seed, tmp_path):
+    """40 colors of 24 pixels each, drawn at random, among the shades of a sky and a floor that fill 12 pictures."""
+    random = np.random.default_rng(seed)
+    rise = np.linspace(0, 1, 120)[:, None, None]
+    sky = 255 * (rise * [0.95, 0.97, 1.0] + (1 - rise) * [0.35, 0.55, 0.85])
+    light = random.normal(0, 6, (12, 120, 160, 1))
+    pictures = np.clip(np.broadcast_to(sky, (12, 120, 160, 3)) + light, 0, 255).astype(np.uint8)
+    rare = random.integers(0, 256, (40, 3), dtype=np.uint8)
+    for k, color in enumerate(rare):
+        pictures[k % 12, 2 * k : 2 * k + 2, 30:42] = color
+    gifs.save(tmp_path / "rare.gif", 12, lambda index: Image.fromarray(pictures[index]), 0.2)
+    read = read_back(tmp_path / "rare.gif")
+    off = [np.abs(read[k % 12, 2 * k, 36] - color).max() for k, color in enumerate(rare.astype(int))]
+    assert max(off) <= 20, off
+    assert np.abs(read - pictures.astype(int)).mean() <= 4
+
+
+def read_back(path: Path) -> np.ndarray:
+    """(T, H, W, 3) int: the pictures of a GIF."""
+    with Image.open(path) as gif:
+        pictures = []
+        for index in range(gif.n_frames):  # pyright: ignore[reportAttributeAccessIssue]
+            gif.seek(index)
+            pictures.append(np.asarray(gif.convert("RGB"), int))
+    return np.stack(pictures)
+
+
+def test_people_keep_the_colors_of_their_clothes(scenario, frames, tmp_path):
+    """16 people around the robot, each in a color of their own, as rendered and as in the GIF."""
+    turn, away = np.arange(16) * np.pi / 8, np.where(np.arange(16) % 2, 1.2, 2.2)
+    place = frames.position[0] + np.stack([away * np.cos(turn), away * np.sin(turn)], 1)
+    people = np.broadcast_to(place, frames.people.shape).astype(np.float32)
+    crowd = dataclasses.replace(frames, people=people, present=np.ones_like(frames.present))
+    eye = sensors.camera(scenario, "overhead", width=96, height=72)
+    shown = jax.tree.map(lambda leaf: leaf[[0, 8, 16, 20]], crowd)
+    rendered = np.stack(list(videos.by_rays(shown, scenario, eye))).astype(int)
+    drawing.video(crowd, scenario, tmp_path / "camera.gif", view=eye)
+    off = np.abs(read_back(tmp_path / "camera.gif") - rendered).max(-1)
+    least, most = rendered.min(-1), rendered.max(-1)
+    hue = np.round(6 * (2 * rendered - least[..., None] - most[..., None]) / np.maximum(most - least, 1)[..., None])
+    worn = most - least > 60
+    kinds = np.unique(hue[worn], axis=0, return_inverse=True)[1]
+    assert len(np.unique(kinds)) >= 6, "people are seen"
+    for kind in np.unique(kinds):
+        assert off[worn][kinds == kind].mean() <= 12
+    assert np.quantile(off[worn], 0.99) <= 24 and off.mean() <= 2

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from sean_jax.base import Environment, Frame
-from sean_jax.drawing import colors, parts
+from sean_jax.drawing import colors, gifs, parts
 
+COLORS = 128  # of the palette: those of colors.py and what lies between them at smooth edges
 TAIL = 2.0  # s, of the line that a person draws behind
 
 
@@ -32,27 +33,10 @@ def animate(
     ``every``-th frame is shown, ``speed`` times as fast as it happened. Raises ValueError for frames with a
     batch axis.
     """
-    from PIL import Image
-
     frames = parts.one_episode(frames)
     scene = _Scene(environment, frames, graph, situations, time_step, size, title, every)
     shown = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
-    sample = scene.picture(shown[-1])
-    palette_colors = (*colors.situation_colors(situations), colors.NO_SITUATION, colors.ROBOT, colors.MEMBER)
-    for k, color in enumerate(palette_colors):  # so that each has its place in the palette from the first picture on
-        sample.paste(color, (0, 12 * k, 48, 12 * k + 12))
-    palette = sample.quantize(96)
-    pictures = [scene.picture(t).quantize(palette=palette, dither=Image.Dither.NONE) for t in shown]
-    pause = max(20, round(1000 * every * time_step / speed / 10) * 10)  # GIF counts in hundredths of a second
-    pictures[0].save(
-        path,
-        format="GIF",
-        save_all=True,
-        append_images=pictures[1:],
-        duration=[pause] * (len(pictures) - 1) + [2000],
-        loop=0,
-        optimize=False,
-    )
+    gifs.save(path, len(shown), lambda index: scene.picture(shown[index]), every * time_step / speed, colors=COLORS)
 
 
 class _Scene:

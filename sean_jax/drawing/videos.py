@@ -14,11 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax.base import Array, Frame, Pedestrians, Robot, Scenario, State
-from sean_jax.drawing import gl_scene, parts
+from sean_jax.drawing import gifs, gl_scene, parts
 from sean_jax.sensors import Camera, camera, depth, render
 
-COLORS = 255  # of a GIF's palette
-SAMPLES = 8  # pictures that the palette is made from
 FINER = 2  # times as many pixels each way are drawn, and halved again: smooth edges
 WIDTH, HEIGHT = 320, 240  # pixels, unless told otherwise
 
@@ -59,14 +57,7 @@ def video(
     shown = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
     each = RENDERERS[renderer](jax.tree.map(lambda leaf: leaf[shown], frames), scenario, eye)
     pictures = [Image.fromarray(picture) for picture in each]
-    sample = Image.new("RGB", (eye.width, eye.height * SAMPLES))
-    for place, index in enumerate(np.linspace(0, len(pictures) - 1, SAMPLES).round().astype(int)):
-        sample.paste(pictures[index], (0, place * eye.height))
-    palette = sample.quantize(COLORS)
-    few = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    pause = max(20, round(100 * every * scenario.time_step / speed) * 10)  # GIF counts in hundredths of a second
-    pauses = [pause] * (len(few) - 1) + [2000]
-    few[0].save(path, format="GIF", save_all=True, append_images=few[1:], duration=pauses, loop=0, optimize=False)
+    gifs.save(path, len(pictures), pictures.__getitem__, every * scenario.time_step / speed)
 
 
 def by_rays(frames: Frame, scenario: Scenario, eye: Camera) -> Iterator[np.ndarray]:
