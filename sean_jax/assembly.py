@@ -7,7 +7,18 @@ from pathlib import Path
 
 import jax.numpy as jnp
 
-from sean_jax import behaviors, classifiers, files, metrics, navigation, pedestrian_models, robots, social_forces, tasks
+from sean_jax import (
+    behaviors,
+    classifiers,
+    files,
+    metrics,
+    navigation,
+    pedestrian_models,
+    quantities,
+    robots,
+    social_forces,
+    tasks,
+)
 from sean_jax import environment as environments
 from sean_jax.base import Behavior, Scenario
 from sean_jax.graph import graph_of
@@ -19,6 +30,7 @@ OPTIONS_OF = {
     "spreading": (("graph",), "no graph"),
     "parties": (("graph", "random"), "people whose ways are laid down"),
     "recording": (("playback",), "none"),
+    "recording_format": (("playback",), "none"),
     "frame_rate": (("playback",), "none"),
     "handcrafted": (("handcrafted",), "no sets"),
 }
@@ -42,6 +54,7 @@ def make(
     paths: str | None = None,
     spreading: float | None = None,
     recording: str | Path | None = None,
+    recording_format: str | None = None,
     frame_rate: float | None = None,
     handcrafted: str | None = None,
     start: tuple[float, ...] | None = None,
@@ -72,7 +85,8 @@ def make(
         spreading: of behavior ``graph`` [m2]: how many times its cost is added to that of an edge for each person per
             m2 on it, so that people avoid crowds; 0, not at all, if None.
         recording: of behavior ``playback``: a CSV file with the columns frame, id, x, y [m].
-        frame_rate: of the recording [1/s]; 25 if None.
+        recording_format: of the recording: ``eth_ucy``, ``juelich``, ``groups`` or ``csv``; recognised if None.
+        frame_rate: of the recording [1/s]; that of its format if None.
         handcrafted: of behavior ``handcrafted``: a set, a situation, whose sets are drawn from, or ``all``, as if None.
         start: of task ``custom``: (x, y) [m] or (x, y, heading [degrees]).
         goal: likewise.
@@ -98,6 +112,7 @@ def make(
         paths=paths,
         spreading=spreading,
         recording=recording,
+        recording_format=recording_format,
         frame_rate=frame_rate,
         handcrafted=handcrafted,
         start=start,
@@ -108,6 +123,9 @@ def make(
     chosen, usual = _situations(situations)
     scene, vehicle = environments.load(folder), robots.load(robot, dynamics)
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
+    quantities.check_leaves("forces", parameters)
+    quantities.check_leaves("thresholds", thresholds)
+    robots.check_step(vehicle, time_step)
     walking = _navigation(folder, PERSON_CLEARANCE)
     driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius)
     options = {
@@ -115,6 +133,7 @@ def make(
         "spreading": spreading,
         "parties": None if tuple(parties) == (0.0, 0.0) else tuple(parties),
         "recording": recording,
+        "recording_format": recording_format,
         "frame_rate": frame_rate,
         "handcrafted": handcrafted,
     }
@@ -160,6 +179,7 @@ def check(
     paths: str | None = None,
     spreading: float | None = None,
     recording: str | Path | None = None,
+    recording_format: str | None = None,
     frame_rate: float | None = None,
     handcrafted: str | None = None,
     start: tuple[float, ...] | None = None,
@@ -182,6 +202,7 @@ def check(
         "spreading": spreading,
         "parties": None if tuple(parties) == (0.0, 0.0) else tuple(parties),
         "recording": recording,
+        "recording_format": recording_format,
         "frame_rate": frame_rate,
         "handcrafted": handcrafted,
     }
@@ -196,7 +217,7 @@ def check(
     robots.find(robot, dynamics)
     folder = environments.find(environment)
     _check_people(people, behavior, folder, forces)
-    _check_recording(behavior, recording, frame_rate)
+    _check_recording(behavior, recording, frame_rate, recording_format)
     return folder
 
 
@@ -224,16 +245,16 @@ def _behavior(name, folder, scene, walking, people, time_step, options) -> tuple
     if name == "handcrafted":
         return _handcrafted(*here, people, options["handcrafted"])
     if name == "playback":
-        return _playback(*here, people, options["recording"], options["frame_rate"], time_step)
+        told = (options["recording"], options["frame_rate"], time_step, options["recording_format"])
+        return _playback(*here, people, *told)
     count = environments.default_people(folder) if people is None else people
     shares = options["parties"] or (0.0, 0.0)
     further = {"graph": (options["paths"] or "whole", options["spreading"] or 0.0, shares), "random": (shares,)}
     return build(*here, count, *further.get(name, ())), count
 
 
-def _playback(folder, scene, walking, people, recording, frame_rate, time_step) -> tuple[Behavior, int]:
-    rate = behaviors.playback.FRAME_RATE if frame_rate is None else frame_rate
-    directed = behaviors.playback.build(folder, scene, walking, 0, recording, rate, time_step)
+def _playback(folder, scene, walking, people, *told) -> tuple[Behavior, int]:
+    directed = behaviors.playback.build(folder, scene, walking, 0, *told)
     count = behaviors.playback.most_people(directed)
     if people not in (None, count):
         raise ValueError(f"people: {people}, but {count} are there at once in the recording; leave people out.")
@@ -270,7 +291,7 @@ def _check_people(people: int | None, behavior: str, folder: Path, forces: str |
         raise ValueError(f"people: {people} do not fit on a floor of {area:.6g} m2, {most} at most; give fewer.")
 
 
-def _check_recording(behavior: str, recording: str | Path | None, frame_rate: float | None) -> None:
+def _check_recording(behavior: str, recording: str | Path | None, frame_rate: float | None, kind: str | None) -> None:
     if behavior != "playback":
         return
     if recording is None:
@@ -278,20 +299,25 @@ def _check_recording(behavior: str, recording: str | Path | None, frame_rate: fl
     if not Path(recording).is_file():
         what = "is no file" if Path(recording).exists() else "does not exist"
         raise ValueError(f"recording: {recording} {what}; give the path of a CSV file: frame, id, x, y.")
-    if frame_rate is not None and not 0 < frame_rate < float("inf"):
-        raise ValueError(f"frame_rate: {frame_rate} must be more than 0 frames a second, and finite.")
+    if frame_rate is not None:
+        quantities.check("frame_rate", frame_rate, 0.001, 1e4, "frames a second")
+    if kind is not None:
+        _check_name("recording_format", kind, dict.fromkeys(behaviors.playback.FORMATS))
 
 
 def _check(time_step, time_limit, goal_radius, hold_time, task_distance, substeps) -> None:
-    for name, value in (("time_step", time_step), ("time_limit", time_limit), ("goal_radius", goal_radius)):
-        if not value > 0:
-            raise ValueError(f"{name}: {value} must be more than 0.")
-    if hold_time < 0:
-        raise ValueError(f"hold_time: {hold_time} must not be negative.")
-    if not 0 <= task_distance[0] < task_distance[1]:
+    quantities.check("time_step", time_step, *quantities.STEPS, "s")
+    quantities.check("time_limit", time_limit, time_step, quantities.LONGEST, "s")
+    quantities.check("goal_radius", goal_radius, 0.01, 1_000.0, "m")
+    quantities.check("hold_time", hold_time, 0.0, quantities.LONGEST, "s")
+    if not isinstance(task_distance, (tuple, list)) or len(task_distance) != 2:
         raise ValueError(f"task_distance: {task_distance} must be a least and a greater distance in metres.")
-    if substeps is not None and substeps < 1:
-        raise ValueError(f"substeps: {substeps} is too few; give 1 or more.")
+    for value in task_distance:
+        quantities.check("task_distance", value, 0.0, quantities.FARTHEST, "m")
+    if not task_distance[0] < task_distance[1]:
+        raise ValueError(f"task_distance: {task_distance} must be a least and a greater distance in metres.")
+    if substeps is not None:
+        quantities.check("substeps", substeps, 1, 1_000)
 
 
 def _substeps(substeps: int | None, parameters: social_forces.Parameters, time_step: float) -> int:
@@ -320,8 +346,8 @@ def _check_groups(scenario: Scenario) -> None:
 def _check_graph_options(paths: str | None, spreading: float | None) -> None:
     if paths is not None:
         _check_name("paths", paths, behaviors.graph_behavior.PATHS)
-    if spreading is not None and not 0 <= spreading < float("inf"):
-        raise ValueError(f"spreading: {spreading} must be 0 or more.")
+    if spreading is not None:
+        quantities.check("spreading", spreading, 0.0, 1e6, "m2")
 
 
 def _check_poses(task: str, start: tuple[float, ...] | None, goal: tuple[float, ...] | None) -> None:

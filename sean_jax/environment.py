@@ -12,8 +12,10 @@ import pydantic
 
 from sean_jax import files
 from sean_jax.base import Array, Environment, Obstacles, Scenery
+from sean_jax.files import mjcf
 from sean_jax.geometry import room
 from sean_jax.nearby import tabulate
+from sean_jax.quantities import FARTHEST, LARGEST_FLOOR, MOST_OBSTACLES, MOST_PEOPLE, Coordinate
 from sean_jax.scenery import appearance
 
 HERE = Path(__file__).resolve().parent
@@ -25,6 +27,8 @@ UPRIGHT = 1e-4  # how far from 1 the cosine of a box's tilt may be
 LOWEST = 0.05  # m above the floor, to which a box must reach down
 SEAM = 0.01  # m, between boxes side by side that cover an edge of the floor
 DEPTH = 10.0  # m, half of how deep an edge of the floor is: nobody gets so far in that its other side is nearer
+LEAST_FLOOR = 0.5  # m, of a side
+THINNEST = 5e-4  # m, of half the side of a box
 BATCH = 1024  # candidates that free_points looks at in one go
 
 
@@ -34,8 +38,8 @@ class Settings(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
 
     name: Annotated[str, pydantic.Field(min_length=1)]
-    floor: tuple[float, float, float, float]  # m: x_min, y_min, x_max, y_max
-    people: Annotated[int, pydantic.Field(ge=0)]  # unless told otherwise
+    floor: tuple[Coordinate, Coordinate, Coordinate, Coordinate]  # m: x_min, y_min, x_max, y_max
+    people: Annotated[int, pydantic.Field(ge=0, le=MOST_PEOPLE)]  # unless told otherwise
     source: str = ""
     open: bool = False  # whether people and robots may leave the floor
 
@@ -132,9 +136,13 @@ def _settings(folder: Path) -> Settings:
 
 def _floor_problems(settings: Settings) -> list[files.Problem]:
     x_min, y_min, x_max, y_max = settings.floor
-    if x_min < x_max and y_min < y_max:
-        return []
-    return [(("floor",), f"{list(settings.floor)} is empty; give x_min, y_min, x_max, y_max in this order")]
+    wide, deep = x_max - x_min, y_max - y_min
+    if not (wide >= LEAST_FLOOR and deep >= LEAST_FLOOR):
+        why = "empty" if min(wide, deep) <= 0 else f"{wide:g} by {deep:g} m, too narrow to walk on"
+        return [(("floor",), f"{list(settings.floor)} is {why}; give x_min, y_min, x_max, y_max in this order")]
+    if max(wide, deep) > LARGEST_FLOOR:
+        return [(("floor",), f"is {wide:g} by {deep:g} m, and {LARGEST_FLOOR:g} m is the longest side; cut it out")]
+    return []
 
 
 def _edges(boxes: np.ndarray, floor: tuple[float, ...]) -> np.ndarray:
@@ -171,13 +179,10 @@ def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
 
     MJCF makes decoration of a geom by contype="0" conaffinity="0".
     """
-    if not path.is_file():
+    if not path.exists():
         raise files.FileError(f"{path}: there is no such file; an environment's obstacles are MJCF boxes in it.")
+    model = mjcf.read(path)
     mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        raise files.FileError(f"{files.shown(path)}: MuJoCo cannot read it: {' '.join(str(error).split())}.") from None
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     kind = [mujoco.mjtGeom(number).name.removeprefix("mjGEOM_").lower() for number in model.geom_type]
@@ -185,6 +190,8 @@ def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
     clauses = {index: _refusal(model, data, index, kind[index]) for index in solid}
     lines = [f"{files.shown(path)}: {_called(model, index)} {text}." for index, text in clauses.items() if text]
     boxes = [index for index in solid if kind[index] == "box"]
+    if len(boxes) > MOST_OBSTACLES:
+        lines.append(f"{files.shown(path)}: has {len(boxes)} boxes that can be touched; {MOST_OBSTACLES} are the most.")
     if lines:
         raise files.FileError("\n".join(lines))
     position, half, turn = data.geom_xpos[boxes], model.geom_size[boxes], data.geom_xmat[boxes]
@@ -209,6 +216,10 @@ def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
     if abs(tilt) < 1 - UPRIGHT:
         return "is tilted; turn it about the vertical axis only"
     bottom, top = data.geom_xpos[index, 2] + model.geom_size[index, 2] * np.array([-1.0, 1.0])
+    if np.abs(data.geom_xpos[index]).max() > FARTHEST or model.geom_size[index].max() > FARTHEST:
+        return f"reaches farther than {FARTHEST:g} m; give metres"
+    if model.geom_size[index].min() < THINNEST:
+        return f"is thinner than {2000 * THINNEST:g} mm; make it thicker"
     if bottom > LOWEST:
         return f"begins {bottom:.2f} m above the floor; extend it down to z = 0"
     if top <= 0:

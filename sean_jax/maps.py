@@ -5,7 +5,10 @@ p = (255 - x) / 255 is how occupied a pixel of value x is, or x / 255 with ``neg
 """
 
 import dataclasses
+import io
 import json
+import os
+import warnings
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,13 +17,17 @@ import pydantic
 from PIL import Image, UnidentifiedImageError
 
 from sean_jax import environment as environments
-from sean_jax import files, writing
+from sean_jax import files, quantities, writing
+from sean_jax.quantities import LARGEST_FLOOR, MOST_OBSTACLES, Coordinate
 
 AGREE = 0.995  # least share of cells that are the same in the map and in the boxes
 SPARED = 0.2  # of the cells that may differ: slivers along larger boxes are left out that many at most
 OCCUPIED = 65  # occupancy [%] from which a cell of a "scale" or "raw" map is an obstacle; map_saver's default
 AREA_OF_ONE = 25.0  # m2 of free floor for each of the people, as in the warehouse
-MOST_BOXES = 5000  # more are noise, and no path could be planned among them
+MOST_BOXES = MOST_OBSTACLES  # more are noise, and no path could be planned among them
+MOST_BYTES = 100_000_000  # of an image
+MOST_CELLS = 16_000_000
+FORMATS, NAMED = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF"), "a PGM or PNG file"
 MOST_PEOPLE = 60
 
 
@@ -30,8 +37,8 @@ class MapFile(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
 
     image: Annotated[str, pydantic.Field(min_length=1)]
-    resolution: Annotated[float, pydantic.Field(gt=0)]  # m, side of a pixel
-    origin: tuple[float, float, float]  # m, m, rad: pose of the lower left corner
+    resolution: Annotated[float, pydantic.Field(ge=1e-3, le=10)]  # m, side of a pixel
+    origin: tuple[Coordinate, Coordinate, float]  # m, m, rad: pose of the lower left corner
     negate: bool | Literal[0, 1] = 0
     occupied_thresh: Annotated[float, pydantic.Field(ge=0, le=1)]
     free_thresh: Annotated[float, pydantic.Field(ge=0, le=1)]
@@ -67,13 +74,13 @@ def read(path: Path | str) -> Raster:
     path = Path(path)
     found = files.load(path, MapFile, _problems)
     image = path.parent / found.image
-    try:
-        with Image.open(image) as opened:
-            shades, opaque = _shades(opened)
-    except FileNotFoundError:
-        raise files.FileError(f"{files.shown(path)}: image: there is no file {image}.") from None
-    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise files.FileError(f"{files.shown(image)}: is no image that can be read ({error}).") from None
+    if not os.path.lexists(image):
+        raise files.FileError(f"{files.shown(path)}: image: there is no file {image}.")
+    shades, opaque = _image(image)
+    size = found.resolution * max(shades.shape)
+    if size > LARGEST_FLOOR:
+        cure = "look at resolution and at the image"
+        raise files.FileError(f"{files.shown(path)}: the map is {size:g} m long, of {shades.shape} cells; {cure}.")
     if found.mode == "raw":
         value = np.where(shades <= 100, shades, -1.0)
     else:
@@ -94,13 +101,33 @@ def _problems(found: MapFile) -> list[files.Problem]:
     return problems
 
 
+def _image(image: Path) -> tuple[np.ndarray, np.ndarray]:
+    """What ``_shades`` makes of an image file. Raises FileError."""
+    content = files.content(image, MOST_BYTES)
+    try:
+        with warnings.catch_warnings(), Image.open(io.BytesIO(content), formats=FORMATS) as opened:
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            width, height = opened.size
+            if width * height > MOST_CELLS:
+                cells = f"{width} x {height} cells and {MOST_CELLS // 10**6} million are the most"
+                raise files.FileError(f"{files.shown(image)}: has {cells}; cut it out or lower its resolution.")
+            return _shades(opened)
+    except files.FileError:
+        raise
+    except UnidentifiedImageError:
+        raise files.FileError(f"{files.shown(image)}: is no image that can be read; give {NAMED}.") from None
+    except Exception as error:  # Pillow's decoders raise whatever a damaged file makes them stumble over
+        raise files.FileError(f"{files.shown(image)}: is no image that can be read ({error}); give {NAMED}.") from None
+
+
 def _shades(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:
     """(rows, columns) mean of the colours, 0 to 255, and whether the pixel is opaque at all."""
     if image.mode.startswith("I") or image.mode == "F":  # 16 bits
-        values = np.asarray(image, float)
-        return values * (255 / 65535 if values.max(initial=0) > 255 else 1.0), np.ones(values.shape, bool)
-    values = np.asarray(image.convert("RGBA"), float)
-    return values[..., :3].mean(-1), values[..., 3] > 0
+        values = np.asarray(image, np.float32)
+        values = np.where(np.isfinite(values), values, 0.0)
+        return values * np.float32(255 / 65535 if values.max(initial=0) > 255 else 1.0), np.ones(values.shape, bool)
+    values = np.asarray(image.convert("RGBA"))
+    return values[..., :3].mean(-1, dtype=np.float32), values[..., 3] > 0
 
 
 def rectangles(occupied: np.ndarray, spare: int = 0) -> np.ndarray:
@@ -180,10 +207,9 @@ def import_map(
     is read again and compared with the map, cell by cell. Raises ValueError, with a sentence.
     """
     folder = Path(folder)
-    if not height > 0:
-        raise ValueError(f"height is {height:g} m; it must be more than 0.")
-    if people is not None and people < 0:
-        raise ValueError(f"people is {people}; it must not be negative.")
+    quantities.check("height", height, 0.1, 100.0, "m")
+    if people is not None:
+        quantities.check("people", people, 0, quantities.MOST_PEOPLE)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ValueError(f"{folder} exists and is not an empty folder; give another one.")
     raster = read(path)

@@ -6,27 +6,33 @@ import numpy as np
 from sean_jax.base import Array, Nearby, Obstacles
 
 REACH = 3.0  # m: exp(-d / 0.2 m) has fallen to 3e-7 there
+MOST_CELLS = 50_000  # the cells of larger floors are wider
+MOST_ROWS = 5_000_000
 FAR = 1e4  # m, where spare rows lie
 
 
 def tabulate(obstacles: Obstacles, floor: Array, cell: float = 1.0, reach: float = REACH) -> Nearby:
     """The table for obstacles (W) on a floor (4,) [m]: for each cell all that lie within ``reach`` of any of it.
 
-    Runs on the host, once. The number of rows K is that of the fullest cell, at least one.
+    Runs on the host, once. The number of rows K is that of the fullest cell, at least one. Raises ValueError for more
+    obstacles in one place than there is memory for.
     """
     lower, upper = np.asarray(floor[:2], float), np.asarray(floor[2:], float)
+    cell = max(cell, float(np.sqrt(np.prod(upper - lower) / MOST_CELLS)))
     count = np.maximum(1, np.ceil((upper - lower) / cell).astype(int))
     x = lower[0] + (np.arange(count[0]) + 0.5) * cell
     y = lower[1] + (np.arange(count[1]) + 0.5) * cell
-    spots = np.stack(np.meshgrid(x, y, indexing="ij"), -1)  # (X, Y, 2)
     center, half = np.asarray(obstacles.center, float), np.asarray(obstacles.half_extent, float)
     cosine, sine = np.cos(np.asarray(obstacles.yaw, float)), np.sin(np.asarray(obstacles.yaw, float))
-    offset = spots[:, :, None] - center  # (X, Y, W, 2)
-    local = np.stack([cosine * offset[..., 0] + sine * offset[..., 1],
-                      cosine * offset[..., 1] - sine * offset[..., 0]], -1)  # fmt: skip
-    distance = np.linalg.norm(np.maximum(np.abs(local) - half, 0.0), axis=-1)
-    felt = distance <= reach + cell / np.sqrt(2)
-    rows = np.zeros((*count, max(1, int(felt.sum(-1).max(initial=0))), 6), np.float32)
+    felt = np.zeros((*count, len(center)), bool)
+    for i in range(count[0]):  # column by column, or large floors would need too much memory
+        dx, dy = x[i] - center[:, 0], y[:, None] - center[:, 1]  # (W,), (Y, W)
+        along, across = np.abs(cosine * dx + sine * dy) - half[:, 0], np.abs(cosine * dy - sine * dx) - half[:, 1]
+        felt[i] = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0)) <= reach + cell / np.sqrt(2)
+    most = max(1, int(felt.sum(-1).max(initial=0)))
+    if count[0] * count[1] * most > MOST_ROWS:
+        raise ValueError(f"up to {most} obstacles are within {reach:g} m of one place; use fewer and larger boxes.")
+    rows = np.zeros((*count, most, 6), np.float32)
     rows[..., 0], rows[..., 1], rows[..., 4] = FAR, FAR, 1.0
     table = np.concatenate([center, half, cosine[:, None], sine[:, None]], 1)
     for i, j in np.argwhere(felt.any(-1)):

@@ -88,13 +88,23 @@ def _color(model: Any, index: int) -> np.ndarray:
 
 
 def _texture(model: Any, kind: str) -> np.ndarray | None:
-    """(n, 3) the colors of the first texture of a kind, in the order in which they first occur; None without one."""
+    """(n, 3) colors of the first texture of a kind: a floor's darkest and lightest, a sky's from its top down.
+
+    None without one.
+    """
     mujoco: Any = import_module("mujoco")
     wanted = {"2d": mujoco.mjtTexture.mjTEXTURE_2D, "skybox": mujoco.mjtTexture.mjTEXTURE_SKYBOX}[kind]
     for index in range(model.ntex):
         if model.tex_type[index] == wanted:
             start, channels = model.tex_adr[index], model.tex_nchannel[index]
             pixels = model.tex_data[start : start + model.tex_height[index] * model.tex_width[index] * channels]
-            pixels = pixels.reshape(model.tex_height[index], -1, channels)[:, :, :3] / 255.0
-            return np.unique(pixels.reshape(-1, 3), axis=0) if kind == "2d" else pixels[:, pixels.shape[1] // 2]
+            pixels = pixels.reshape(model.tex_height[index], -1, channels)
+            pixels = pixels[:, :, :3] if channels >= 3 else np.repeat(pixels[:, :, :1], 3, axis=-1)  # grey
+            if kind == "skybox":
+                return pixels[:, pixels.shape[1] // 2] / 255.0
+            code = pixels.astype(np.int32) @ np.array([65536, 256, 1], np.int32)
+            return (
+                np.array([[shade >> 16 & 255, shade >> 8 & 255, shade & 255] for shade in (code.min(), code.max())])
+                / 255
+            )
     return None

@@ -91,7 +91,7 @@ extra: 1
         ),
         ("things: !!python/name:os.system\n", ":1:9: is not YAML: "),
         ("things: {}\nwords: []\nthings: {}\n", ":3:1: things: the key was used in line 1; remove or rename one."),
-        ("things: {}\nwords: &w [*w]\n", ": cannot be used: Circular reference detected."),
+        ("things: {}\nwords: &w [*w]\n", ":2:8: an alias stands inside of its own anchor; remove it."),
         ("things:\n", ":1:1: things: an empty value is not a mapping, which has lines 'key: value'."),
         ("things: {a: {kind: group, radius: 010, position: [1]}}\n", "position[1]: one value more is needed."),
         ("things: {}\non: 1\n", ":2:5: on: 1 is not true or false."),

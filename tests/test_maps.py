@@ -139,7 +139,10 @@ def test_an_imported_map_is_the_map_again(tmp_path, unknown):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"image": "plan.pgm", "resolution": 0}, "plan.yaml:2:13: resolution: 0 is not greater than 0."),
+        (
+            {"image": "plan.pgm", "resolution": 0},
+            "plan.yaml:2:13: resolution: 0 is less than 0.001, the least allowed.",
+        ),
         ({"origin": [0, 0, 0.5]}, "origin[2]: the map is turned by 0.5 rad; turn its image and give 0."),
         ({"free_thresh": 0.7}, "free_thresh: 0.7 is more than occupied_thresh; exchange them."),
         ({"mode": "trinry"}, "mode: 'trinry' is not one of trinary, scale, raw; did you mean 'trinary'?"),

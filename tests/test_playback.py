@@ -129,10 +129,10 @@ def test_whoever_is_not_seen_for_long_has_left(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("frame,x,y\n0,1,1\n", "bad.csv:1: there is no column 'id' but frame, x, y"),
-        ("frame,id,x,y\n0,a,1,1\n1,a,one,1\n", "bad.csv:3: frame, x and y must be numbers"),
-        ("frame,id,x,y\n0,a,1,nan\n", "bad.csv:2: frame, x and y must be finite"),
-        ("frame,id,x,y\n0,a,1,1\n0,a,1,2\n", "bad.csv:3: person a is at two places in frame 0"),
+        ("frame,x,y\n0,1,1\n", "bad.csv:1: has no column ped_id or id or person but frame, x, y"),
+        ("frame,id,x,y\n0,a,1,1\n1,a,one,1\n", "bad.csv:3: is no line of a person and numbers"),
+        ("frame,id,x,y\n0,a,1,nan\n", "bad.csv:2: y is nan, which is not finite"),
+        ("frame,id,x,y\n0,a,1,1\n0,a,1,2\n", "bad.csv:3: the person is already there in frame 0"),
         ("frame,id,x,y\n0,a,1,1\n", "nobody is there for two control steps"),
     ],
 )
@@ -149,7 +149,13 @@ def test_a_recording_that_cannot_be_used_is_refused(tmp_path, text, words):
         (dict(), "'playback' needs a recording"),
         (dict(recording="nowhere.csv"), "nowhere.csv: there is no such file"),
         (dict(recording="people.csv", people=5), "people: 5, but 3 are there at once"),
-        (dict(recording="people.csv", frame_rate=0.0), "frame_rate: 0.0 must be more than 0"),
+        (dict(recording="people.csv", frame_rate=0.0), "frame_rate: 0.0 must be from 0.001"),
+        (
+            dict(recording="people.csv", frame_rate=None),
+            "does not tell how many frames a second it has; give frame_rate",
+        ),
+        (dict(recording="people.csv", frame_rate=25.0), "people walk at .* m/s, and nobody does; look at frame_rate"),
+        (dict(recording="people.csv", recording_format="juelch"), "did you mean 'juelich'"),
         (dict(recording="people.csv", behavior="random"), "recording: behavior 'random' has none"),
         (dict(recording="people.csv", task="join_group"), "needs groups"),
         (dict(recording="people.csv", model="orca"), "where people walk as recorded"),

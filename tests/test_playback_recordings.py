@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 import sean_jax
+from sean_jax.behaviors import tracks
 from sean_jax.policies import go_to_goal
+from sean_jax.recordings import READERS
 
-FILES = {  # path, frames a second
-    "hotel": ("eth_ucy/hotel.csv", 25.0),
-    "zara01": ("eth_ucy/zara01.csv", 25.0),
-    "uo": ("juelich/uo-180-180-180_4of16fps.csv", 16.0),
-    "bo": ("juelich/bo-360-160-160_4of16fps.csv", 16.0),
+FILES = {  # path, format, frames a second
+    "eth": ("eth_ucy/eth.csv", None, 15.0),
+    "hotel": ("eth_ucy/hotel.csv", None, 25.0),
+    "zara01": ("eth_ucy/zara01.csv", None, 25.0),
+    "uo": ("juelich/uo-180-180-180_4of16fps.csv", "juelich", 16.0),
+    "bo": ("juelich/bo-360-160-160_4of16fps.csv", "juelich", 16.0),
 }
 EPISODES, SECONDS, STEP = 4, 20, 0.1
 GAP = 2.0  # s, after which somebody who is not seen has left
@@ -28,7 +31,7 @@ QUICK = "hotel"  # each file takes a compilation of its own
 )
 def played(request, recordings, tmp_path_factory):
     """The rows of a recording, and episodes of it on an open floor that holds everybody."""
-    path, rate = FILES[request.param]
+    path, kind, rate = FILES[request.param]
     table = np.loadtxt(recordings / path, delimiter=",", skiprows=1, usecols=(0, 1, 2, 3))
     low, high = table[:, 2:].min(0) - 2.0, table[:, 2:].max(0) + 2.0
     folder = tmp_path_factory.mktemp(request.param)
@@ -37,8 +40,8 @@ def played(request, recordings, tmp_path_factory):
     post = f'<geom type="box" size="0.1 0.1 1" pos="{low[0] + 0.2:.2f} {low[1] + 0.2:.2f} 1"/>'  # nobody was there
     (folder / "scene.xml").write_text(f"<mujoco><worldbody>{post}</worldbody></mujoco>")
     scenario = sean_jax.make(
-        folder, behavior="playback", task="random_ab_nav", recording=recordings / path, frame_rate=rate,
-        dynamics="twin", time_limit=float(SECONDS), task_distance=(2.0, 12.0),
+        folder, behavior="playback", task="random_ab_nav", recording=recordings / path,
+        recording_format=kind, dynamics="twin", time_limit=float(SECONDS), task_distance=(2.0, 12.0),
     )  # fmt: skip
     scenario = scenario.replace(metrics=scenario.metrics[:2])  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -51,6 +54,26 @@ def played(request, recordings, tmp_path_factory):
     first, _, frames = run(jax.random.split(jax.random.key(0), EPISODES))
     table[:, 0] = (table[:, 0] - table[:, 0].min()) / rate
     return scenario, first, jax.tree.map(np.asarray, frames), table
+
+
+@pytest.mark.parametrize(
+    ("path", "kind", "reader"),
+    [
+        ("eth_ucy/eth.csv", None, "eth_ucy"),
+        ("eth_ucy/hotel.csv", None, "eth_ucy"),
+        ("eth_ucy/zara01.csv", None, "eth_ucy"),
+        ("juelich/uo-050-180-180_4of16fps.csv", "juelich", "juelich"),
+    ],
+)
+def test_people_walk_as_fast_in_playback_as_in_the_reader(recordings, path, kind, reader):
+    """Both know the clock of the format: ETH's 15 frames a second were played at 25, and people walked 2.4 m/s."""
+    played = tracks.read(recordings / path, None, STEP, kind)
+    speed = np.linalg.norm(played.velocity, axis=-1)[np.asarray(played.present)].mean()
+    read = READERS[reader](recordings / path)
+    steps = np.linalg.norm(np.diff(read.position, axis=0), axis=-1) / read.time_step
+    both = np.asarray(read.present[1:] & read.present[:-1])
+    assert 1.0 < speed < 1.6
+    assert speed == pytest.approx(steps[both].mean(), rel=0.03)
 
 
 def stretches(table):

@@ -20,8 +20,8 @@ def write(path, text):
 def test_columns_frames_and_people(tmp_path):
     """Rows are two frames apart, as most lines of a person are; a missing one is a gap; order is of no matter."""
     file = write(tmp_path / "a.csv", "frame,id,x,y\n14,7,3,0\n10,7,1,0.5\n12,7,2,0\n\n18,7,5,0\n12,3,-1,4\n")
-    tracks = recordings.read_csv(file, seconds=0.25)
-    assert tracks.time_step == 0.5 and tracks.person.tolist() == [3, 7]
+    tracks = recordings.read_csv(file, seconds=0.5)
+    assert tracks.time_step == 1.0 and tracks.person.tolist() == [3, 7]
     assert tracks.frame.tolist() == [10, 12, 14, 16, 18]
     assert tracks.present.tolist() == [[False, True], [True, True], [False, True], [False, False], [False, True]]
     np.testing.assert_array_equal(tracks.position[:, 1], [[1, 0.5], [2, 0], [3, 0], [0, 0], [5, 0]])
@@ -30,7 +30,9 @@ def test_columns_frames_and_people(tmp_path):
 
 
 def test_formats_have_their_clocks(tmp_path):
-    walk = write(tmp_path / "walk.csv", "frame,ped_id,x_m,y_m,vx_mps,vy_mps\n6,1,0,0,9,9\n12,1,1,0,9,9\n15,2,1,1,9,9\n")
+    walk = write(
+        tmp_path / "walk.csv", "frame,ped_id,x_m,y_m,vx_mps,vy_mps\n6,1,0,0,1.2,0\n12,1,0.5,0,1.2,0\n15,2,1,1,9,9\n"
+    )
     tracks = recordings.read_eth_ucy(walk)
     assert tracks.time_step == pytest.approx(0.4) and tracks.present.tolist() == [[True, False], [True, False],
                                                                                  [False, True]]  # fmt: skip
@@ -45,8 +47,8 @@ def test_formats_have_their_clocks(tmp_path):
     ("text", "words"),
     [
         ("frame,id,x\n1,1,0\n", "no column y_m or y"),
-        ("frame,id,x,y\n1,1,0,0\n2,1,east,0\n", ":3: is not a line of numbers"),
-        ("frame,id,x,y\n1,1,0,nan\n", ":2: holds a number that is not finite"),
+        ("frame,id,x,y\n1,1,0,0\n2,1,east,0\n", ":3: is no line of a person and numbers"),
+        ("frame,id,x,y\n1,1,0,nan\n", ":2: y is nan, which is not finite"),
         ("frame,id,x,y\n1,1,0,0\n2,1,1,0\n2,1,3,0\n", ":4: the person is already there"),
         ("frame,id,x,y\n", "holds no line"),
         ("", "no column frame"),

@@ -158,9 +158,9 @@ def test_observation_is_in_the_robots_frame(scenario):
         (dict(forces="helbing1996"), "did you mean 'helbing1995'"),
         (dict(people=10_000), "the most that do is"),
         (dict(people=-1), "people: -1 is too few; give 0 or more"),
-        (dict(time_limit=-1.0), "time_limit: -1.0 must be more than 0"),
-        (dict(time_step=0.0), "time_step: 0.0 must be more than 0"),
-        (dict(hold_time=-2.0), "hold_time: -2.0 must not be negative"),
+        (dict(time_limit=-1.0), "time_limit: -1.0 must be from 0.1 to 86,400 s"),
+        (dict(time_step=0.0), "time_step: 0.0 must be from 0.001 to 1 s"),
+        (dict(hold_time=-2.0), "hold_time: -2.0 must be from 0 to 86,400 s"),
         (dict(task_distance=(5.0, 4.0)), "task_distance"),
     ],
 )

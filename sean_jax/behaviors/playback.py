@@ -16,9 +16,10 @@ from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Environment, Groups, Pedestrians, Scenario, State
 from sean_jax.behaviors.random_behavior import no_groups
 from sean_jax.behaviors.tracks import Tracks, read
+from sean_jax.files import suggest
+from sean_jax.quantities import check
+from sean_jax.recordings.lines import FORMATS
 from sean_jax.social_forces import draw_traits
-
-FRAME_RATE = 25.0  # 1/s, of a recording unless told otherwise
 
 
 class Memory(NamedTuple):
@@ -31,22 +32,26 @@ def build(
     navigation: paths.Navigation,
     people: int,
     recording: str | Path | None = None,
-    frame_rate: float = FRAME_RATE,
+    frame_rate: float | None = None,
     time_step: float = 0.1,
+    kind: str | None = None,
 ) -> Behavior:
     """Recorded people, who walk as they did.
 
-    The recording is a CSV file with the columns frame, id, x and y [m]. ``people`` is not read: there are as many as
-    are recorded at once.
+    The recording is a CSV file with the columns frame, id, x and y [m], and ``kind`` its format, a key of
+    ``recordings.READERS``, whose clock counts without a ``frame_rate`` [1/s]. ``people`` is not read: there are as many
+    as are recorded at once.
 
     Raises:
         ValueError: there is no recording, or it cannot be used.
     """
     if recording is None:
         raise ValueError("behavior: 'playback' needs a recording; give the path of a CSV file: frame, id, x, y.")
-    if not frame_rate > 0:
-        raise ValueError(f"frame_rate: {frame_rate} must be more than 0 frames a second.")
-    tracks = jax.tree.map(jnp.asarray, read(recording, frame_rate, time_step))
+    if frame_rate is not None:
+        check("frame_rate", frame_rate, 0.001, 1e4, "frames a second")
+    if kind is not None and kind not in FORMATS:
+        raise ValueError(f"recording_format: '{kind}' is not one of {', '.join(FORMATS)}{suggest(kind, FORMATS)}")
+    tracks = jax.tree.map(jnp.asarray, read(recording, frame_rate, time_step, kind))
     return Behavior(data=tracks, name="playback", reset=reset, direct=direct)
 
 

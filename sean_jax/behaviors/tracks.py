@@ -1,6 +1,5 @@
 """Recorded people as tables at the control step (playback, section IV-D): who is where, when they are there."""
 
-import csv
 import math
 from pathlib import Path
 
@@ -9,9 +8,10 @@ from flax import struct
 
 from sean_jax.base import Array
 from sean_jax.files import FileError, shown
+from sean_jax.recordings import lines
+from sean_jax.recordings.lines import LONGEST_GAP, Lines
 
-COLUMNS = {"frame": ("frame",), "id": ("id", "ped_id", "person"), "x": ("x", "x_m"), "y": ("y", "y_m")}
-LONGEST_GAP = 2.0  # s: who is not seen for longer has left and entered again
+MOST_MOMENTS = 10_000_000  # of all people together
 WALKING = 0.1  # m/s: who is slower keeps the heading
 
 
@@ -25,8 +25,8 @@ class Tracks:
     present: Array  # (T, N) bool
 
 
-def read(path: str | Path, frame_rate: float, time_step: float) -> Tracks:
-    """The recording in a CSV file with the columns frame, id, x [m] and y [m], ``frame_rate`` frames a second.
+def read(path: str | Path, frame_rate: float | None, time_step: float, kind: str | None = None) -> Tracks:
+    """The recording in a CSV file, read by ``recordings.lines``: its clock is that of its format unless told otherwise.
 
     Positions at the control steps are interpolated linearly. Nobody is there before their first row, after their
     last one, or in between for more than 2 s without any.
@@ -34,48 +34,28 @@ def read(path: str | Path, frame_rate: float, time_step: float) -> Tracks:
     Raises:
         FileError: the file does not exist or holds something else, with the line.
     """
-    walks = [part for rows in _rows(Path(path)).values() for part in _walks(rows, frame_rate)]
-    first = min((walk[0, 0] for walk in walks), default=0.0)
+    found = lines.read(path, kind, frame_rate)
+    walks = [
+        part for person in range(len(found.number)) for part in _walks(found, np.flatnonzero(found.person == person))
+    ]
+    first = min(walk[0, 0] for walk in walks)
+    moments = sum(walk[-1, 0] - walk[0, 0] for walk in walks) / time_step
+    if moments > MOST_MOMENTS or (max(walk[-1, 0] for walk in walks) - first) / time_step > MOST_MOMENTS / 10:
+        raise FileError(
+            f"{shown(Path(path))}: is too long to be played in steps of {time_step:g} s; cut the recording."
+        )
     sampled = [sample for walk in walks if (sample := _sample(walk, first, time_step)) is not None]
     if not sampled:
         raise FileError(f"{shown(Path(path))}: nobody is there for two control steps of {time_step:g} s; is frame_rate "
-                        f"{frame_rate:g} frames a second right?")  # fmt: skip
-    return _tables(sorted(sampled, key=lambda sample: sample[0]), time_step)
+                        f"{1.0 / found.seconds:g} frames a second right?")  # fmt: skip
+    return _tables(sorted(sampled, key=lambda sample: sample[0]), time_step, Path(path))
 
 
-def _rows(path: Path) -> dict[str, list[tuple[float, float, float]]]:
-    """id -> (frame, x, y) in order of time."""
-    if not path.is_file():
-        raise FileError(f"{path}: there is no such file; a recording is a CSV file with the columns frame, id, x, y.")
-    people: dict[str, dict[float, tuple[float, float, float]]] = {}
-    with path.open(newline="", encoding="utf-8-sig") as stream:
-        reader = csv.reader(stream)
-        header = [name.strip().lower() for name in next(reader, [])]
-        column = {}
-        for what, names in COLUMNS.items():
-            found = [header.index(name) for name in names if name in header]
-            if not found:
-                raise FileError(f"{shown(path)}:1: there is no column '{what}' but {', '.join(header) or 'nothing'}.")
-            column[what] = found[0]
-        for number, row in enumerate(reader, 2):
-            if not any(cell.strip() for cell in row):
-                continue
-            try:
-                frame, x, y = (float(row[column[what]]) for what in ("frame", "x", "y"))
-                person = row[column["id"]].strip()
-            except (ValueError, IndexError):
-                raise FileError(f"{shown(path)}:{number}: frame, x and y must be numbers: {','.join(row)}") from None
-            if not all(math.isfinite(value) for value in (frame, x, y)):
-                raise FileError(f"{shown(path)}:{number}: frame, x and y must be finite: {','.join(row)}")
-            if frame in people.setdefault(person, {}):
-                raise FileError(f"{shown(path)}:{number}: person {person} is at two places in frame {frame:g}.")
-            people[person][frame] = (frame, x, y)
-    return {person: [rows[frame] for frame in sorted(rows)] for person, rows in people.items()}
-
-
-def _walks(rows: list[tuple[float, float, float]], frame_rate: float) -> list[np.ndarray]:
-    """(K, 3) time [s], x, y [m] for each stretch in which a person is there."""
-    walk = np.array(rows) / [frame_rate, 1.0, 1.0]
+def _walks(found: Lines, own: np.ndarray) -> list[np.ndarray]:
+    """(K, 3) time [s], x, y [m] for each stretch in which a person, whose lines those are, is there."""
+    frame, x, y = (found.values[name][own] for name in ("frame", "x", "y"))
+    order = np.argsort(frame)
+    walk = np.stack([frame * found.seconds, x, y], -1)[order]
     return np.split(walk, np.flatnonzero(np.diff(walk[:, 0]) > LONGEST_GAP) + 1)
 
 
@@ -89,7 +69,7 @@ def _sample(walk: np.ndarray, first: float, time_step: float) -> tuple[int, np.n
     return begin, np.stack([np.interp(time, walk[:, 0], walk[:, k]) for k in (1, 2)], -1)
 
 
-def _tables(sampled: list[tuple[int, np.ndarray]], time_step: float) -> Tracks:
+def _tables(sampled: list[tuple[int, np.ndarray]], time_step: float, path: Path) -> Tracks:
     """Walks in order of their begin, each in the first row that has been free for a step."""
     rows: list[list[tuple[int, np.ndarray]]] = []
     for begin, places in sampled:
@@ -99,6 +79,9 @@ def _tables(sampled: list[tuple[int, np.ndarray]], time_step: float) -> Tracks:
             rows.append(row := [])
         row.append((begin, places))
     moments = max(begin + len(places) for begin, places in sampled)
+    if moments * len(rows) > MOST_MOMENTS:
+        size = f"{moments:,} steps with up to {len(rows):,} people at once"
+        raise FileError(f"{shown(path)}: {size} are too much to be played; cut the recording.")
     position, velocity = np.zeros((2, moments, len(rows), 2))
     heading, present = np.zeros((moments, len(rows), 2)), np.zeros((moments, len(rows)), bool)
     for n, row in enumerate(rows):

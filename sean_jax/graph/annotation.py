@@ -16,11 +16,11 @@ from sean_jax.graph.behavior_graph import BehaviorGraph
 from sean_jax.graph.formation import reach
 from sean_jax.graph.places import PERSON, places
 from sean_jax.graph.routes import routes
+from sean_jax.quantities import Coordinate, Duration, Radius, Weight
 
 NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
-Positive = Annotated[float, pydantic.Field(gt=0)]
-NotNegative = Annotated[float, pydantic.Field(ge=0)]
+LEAST = 1e-3  # of a spawn weight: one that is much smaller is 0 in single precision
 
 
 class Node(pydantic.BaseModel):
@@ -29,12 +29,14 @@ class Node(pydantic.BaseModel):
     model_config = STRICT
 
     kind: Literal["waypoint", "group"]
-    position: tuple[float, float]  # m
-    radius: Positive  # m
-    spawn: NotNegative = 0.0  # weight with which somebody starts here
+    position: tuple[Coordinate, Coordinate]  # m
+    radius: Radius  # m
+    spawn: Weight = 0.0  # weight with which somebody starts here
     capacity: Annotated[int, pydantic.Field(ge=2, le=32)] | None = None  # people, of a group
-    stay: tuple[NotNegative, NotNegative] | None = None  # s, least and greatest, of a group
-    id: int | None = None  # number in the graph that this one was made from
+    stay: tuple[Duration, Duration] | None = None  # s, least and greatest, of a group
+    id: Annotated[int, pydantic.Field(ge=-(2**31), lt=2**31)] | None = (
+        None  # number in the graph that this one was made from
+    )
 
 
 class Edge(pydantic.BaseModel):
@@ -54,10 +56,10 @@ class Annotation(pydantic.BaseModel):
 
     version: Literal[1]
     source: str = ""
-    c_min: Annotated[float, pydantic.Field(gt=0, lt=1)]
-    c_max: Annotated[float, pydantic.Field(gt=1)]
-    nodes: Annotated[dict[str, Node], pydantic.Field(min_length=1)]
-    edges: list[Edge]
+    c_min: Annotated[float, pydantic.Field(ge=1e-3, lt=1)]
+    c_max: Annotated[float, pydantic.Field(gt=1, le=1e3)]
+    nodes: Annotated[dict[str, Node], pydantic.Field(min_length=1, max_length=500)]
+    edges: Annotated[list[Edge], pydantic.Field(max_length=5000)]
 
     def flows(self) -> dict[str, tuple[float, float]]:
         """The paper's pairs <c_uv, c_vu> of edge weights by name."""
@@ -136,8 +138,8 @@ def check(annotation: Annotation) -> Iterator[files.Problem]:
                     yield ("nodes", name, key), f"only a group has one and this is a waypoint; {cure}"
     if not any(node.kind == "waypoint" for node in annotation.nodes.values()):
         yield ("nodes",), "none is a waypoint; people need at least one to go to when the groups are full"
-    if not any(node.spawn > 0 for node in annotation.nodes.values()):
-        yield ("nodes",), "no spawn is above 0; give at least one node 'spawn: 1'"
+    if not any(node.spawn >= LEAST for node in annotation.nodes.values()):
+        yield ("nodes",), f"no spawn is {LEAST:g} or more; give at least one node 'spawn: 1'"
     seen: dict[frozenset[str], int] = {}
     for number, edge in enumerate(annotation.edges):
         here = ("edges", number)

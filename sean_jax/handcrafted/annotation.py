@@ -9,12 +9,13 @@ import pydantic
 from sean_jax import files
 from sean_jax.base import Environment
 from sean_jax.handcrafted import room
+from sean_jax.quantities import Coordinate, Degrees
 
 FILE = "handcrafted.yaml"
 ALL = "all"  # any of the sets
 POSES = 5  # starts, and as many goals, of a set (SEAN 2.0)
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
-Place = tuple[float, float]  # m
+Place = tuple[Coordinate, Coordinate]  # m
 Situation = Literal["empty", "join_group", "leave_group", "down_path", "cross_path"]
 
 
@@ -24,7 +25,7 @@ def _kind(pose: Any) -> str:
 
 
 Pose = Annotated[
-    Annotated[tuple[float, float, float], pydantic.Tag("pose")] | Annotated[str, pydantic.Tag("group")],
+    Annotated[tuple[Coordinate, Coordinate, Degrees], pydantic.Tag("pose")] | Annotated[str, pydantic.Tag("group")],
     pydantic.Discriminator(_kind),
 ]  # x [m], y [m], heading [degrees]; or the name of a group: its open place, facing its centre
 Poses = Annotated[list[Pose], pydantic.Field(min_length=POSES, max_length=POSES)]
@@ -36,7 +37,7 @@ class Walkers(pydantic.BaseModel):
     model_config = STRICT
 
     people: Annotated[int, pydantic.Field(ge=1, le=32)]
-    loop: Annotated[list[Place], pydantic.Field(min_length=3)]  # m
+    loop: Annotated[list[Place], pydantic.Field(min_length=3, max_length=100)]  # m
     way: Literal["forward", "both"] = "forward"  # both: every second person walks the loop backwards
 
 
@@ -57,8 +58,8 @@ class Set(pydantic.BaseModel):
     situation: Situation
     starts: Poses
     goals: Poses
-    walkers: list[Walkers] = []
-    groups: dict[str, Group] = {}
+    walkers: Annotated[list[Walkers], pydantic.Field(max_length=32)] = []
+    groups: Annotated[dict[str, Group], pydantic.Field(max_length=32)] = {}
 
     @property
     def people(self) -> int:
@@ -73,7 +74,7 @@ class Annotation(pydantic.BaseModel):
 
     version: Literal[1]
     source: str = ""
-    sets: Annotated[dict[str, Set], pydantic.Field(min_length=1)]
+    sets: Annotated[dict[str, Set], pydantic.Field(min_length=1, max_length=200)]
 
     def chosen(self, name: str) -> dict[str, Set]:
         """The set of that name, the sets of that situation, or with ``all`` every one.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial import KDTree
 
 from sean_jax import files
 from sean_jax.base import Array, Environment
@@ -24,6 +25,7 @@ ARRIVED = 1.0  # m from a waypoint, where it counts as reached (SEAN 2.0)
 POSE = 0.3  # m, from the robot's poses to obstacles and to the floor's edge
 APART = 0.6  # m, from people to others of another loop or group and to the robot's poses
 SPACING = 0.55  # m, between people who start on one loop, wherever on it they are
+LONGEST_LOOP = 1_000.0  # m
 STRIDE = 0.1  # m, between the points that stand for a loop where distances are measured
 
 
@@ -39,6 +41,15 @@ def trace(loop: list[tuple[float, float]]) -> np.ndarray:
 
 def check_apart(here: files.Location, each: Set) -> Iterator[files.Problem]:
     """What is too near to what in a set, whatever obstacles there are."""
+    too_long = False
+    for number, walkers in enumerate(each.walkers):
+        corners = np.array(walkers.loop, float)
+        around = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=-1).sum())
+        if around > LONGEST_LOOP:
+            too_long = True
+            yield (*here, "walkers", number, "loop"), f"is {around:,.0f} m long; {LONGEST_LOOP:,g} m are the most"
+    if too_long:
+        return
     traces = [trace(walkers.loop) for walkers in each.walkers]
     for number, (walkers, points) in enumerate(zip(each.walkers, traces, strict=True)):
         place = (*here, "walkers", number)
@@ -154,4 +165,4 @@ def _most(points: np.ndarray, people: int) -> int:
 
 def _gap(one: np.ndarray, other: np.ndarray) -> float:
     """Least distance [m] between points (P, 2) and (Q, 2)."""
-    return float(np.linalg.norm(one[:, None] - other[None], axis=-1).min())
+    return float(KDTree(one).query(other)[0].min())

@@ -8,6 +8,7 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import chance, writing
+from sean_jax import chance, files, writing
 from sean_jax.learning import store
 from sean_jax.learning.examples import Recording
+from sean_jax.learning.manifests import check_manifest
 from sean_jax.learning.options import Failed, Refused
 from sean_jax.learning.protocol import share
 from sean_jax.learning.rows import POINTS, Row
@@ -200,15 +202,19 @@ def create_dataset(folder: Path, manifest: dict[str, Any]) -> Dataset:
 def open_dataset(folder: Path | str) -> Dataset:
     """The dataset in a folder. Raises Refused if there is none, or none that this version reads."""
     folder = Path(folder)
+    file = folder / MANIFEST
+    if not os.path.lexists(file):
+        raise Refused(f"{folder} has no {MANIFEST}; make a dataset with `sean collect --out {folder}`.")
     try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-        known = manifest["format"]
-    except FileNotFoundError:
-        raise Refused(f"{folder} has no {MANIFEST}; make a dataset with `sean collect --out {folder}`.") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise Refused(f"{folder / MANIFEST} cannot be read ({error}); restore it or collect anew.") from error
-    if known != FORMAT:
-        raise Refused(f"{folder} has format {known}, but this version reads {FORMAT}; collect anew.")
+        manifest = files.read_json(file)
+        known = manifest.get("format") if isinstance(manifest, dict) else None
+        if isinstance(known, int) and known != FORMAT:
+            raise Refused(f"{folder} has format {known}, but this version reads {FORMAT}; collect anew.")
+        check_manifest(file, manifest, tuple(fields(1, 1, 1)))
+    except files.FileError as error:
+        more = str(error).splitlines()
+        others = f" (and {len(more) - 1} more)" if len(more) > 1 else ""
+        raise Refused(f"{more[0].rstrip('.')}{others}; {file} cannot be read: restore it or collect anew.") from None
     return Dataset(folder, manifest)
 
 

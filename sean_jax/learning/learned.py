@@ -6,7 +6,7 @@ at those that are 0 to 4 s old: just what an example has. The latest decision is
 """
 
 import functools
-import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,10 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from sean_jax import navigation, sensors
+from sean_jax import files, navigation, sensors
 from sean_jax.base import Array, Driver, Scenario, State
 from sean_jax.learning.examples import SECONDS
+from sean_jax.learning.manifests import read_trained
 from sean_jax.learning.network import Decision, Network
 from sean_jax.learning.options import Refused
 from sean_jax.learning.rows import depth_image, plan_ahead
@@ -105,16 +106,18 @@ def load(folder: Path | str, scenario: Scenario) -> Driver:
     from sean_jax.learning.checkpoints import CONFIG, Checkpoints
 
     folder = Path(folder)
+    if not os.path.lexists(folder / CONFIG):
+        raise Refused(f"{folder} has no trained network; make one with `sean train imitation`.")
     try:
-        config = json.loads((folder / CONFIG).read_text(encoding="utf-8"))
-        network = Network(config["width"], config["flags"], tuple(config["image"]))
-    except (OSError, ValueError, KeyError, TypeError):
-        raise Refused(f"{folder} has no trained network; make one with `sean train imitation`.") from None
+        config = read_trained(folder / CONFIG)
+    except files.FileError as error:
+        raise Refused(str(error)) from None
+    network = Network(config.width, config.flags, config.image)
     names = [name for name, _ in scenario.situations]
-    if network.flags and names != config["situations"]:
+    if network.flags and names != config.situations:
         here = ", ".join(names)
         raise Refused(f"the network of {folder} knows other situations than {here}; give make the same situations.")
-    abstract = jax.eval_shape(functools.partial(initial, network, len(config["situations"])), jax.random.key(0))
+    abstract = jax.eval_shape(functools.partial(initial, network, len(config.situations)), jax.random.key(0))
     weights = Checkpoints(folder).best_weights(abstract)
     return driver(network, weights, scenario, name=folder.name)
 

@@ -119,6 +119,7 @@ def _parts(options: Options) -> dict[str, Any]:
         "paths": options.paths,
         "spreading": options.spreading,
         "recording": options.recording,
+        "recording_format": options.recording_format,
         "frame_rate": options.frame_rate,
         "handcrafted": options.handcrafted,
         "start": options.start,

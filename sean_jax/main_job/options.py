@@ -29,8 +29,10 @@ class Options:
     """Of the behavior graph: how much people avoid crowded edges, 0 by default; try 10."""
     recording: str | None = None
     """Of the behavior playback: a CSV file with the columns frame, id, x and y in metres."""
+    recording_format: str | None = None
+    """Of the recording: eth_ucy, juelich, groups or csv; recognised by default if it tells velocities."""
     frame_rate: float | None = None
-    """Of the recording in frames a second, 25 by default."""
+    """Of the recording in frames a second; that of its format by default."""
     handcrafted: str | None = None
     """Of the behavior handcrafted: a set, a situation whose sets take part, or all, the default."""
     start: tuple[float, ...] | None = None

@@ -1,9 +1,8 @@
 """Trajectory files as arrays: people walking (ETH/UCY, Juelich, any CSV) and people in conversation.
 
-All are CSV with a header line and one line for each person and frame: the number of the frame, the person, metres.
+``lines`` reads them; here their lines become rows at even times.
 """
 
-import csv
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -12,16 +11,11 @@ from flax import struct
 
 from sean_jax import files
 from sean_jax.base import Array
+from sean_jax.quantities import LONGEST, check
+from sean_jax.recordings import lines
+from sean_jax.recordings.lines import Lines
 
-NAMES = {  # what a column may be called
-    "frame": ("frame",),
-    "person": ("ped_id", "id", "person"),
-    "x": ("x_m", "x"),
-    "y": ("y_m", "y"),
-    "facing": ("theta_rad",),
-    "group": ("group_id",),
-}
-OPTIONAL = ("facing", "group")
+MOST_CELLS = 10_000_000  # of times and people
 
 
 @struct.dataclass
@@ -49,8 +43,7 @@ def read_csv(path: str | Path, seconds: float = 1.0) -> Tracks:
     Raises:
         files.FileError: one sentence that names the file, its line or column, and the cure.
     """
-    table, lines = _table(Path(path))
-    return _arrange(Path(path), table, lines, seconds)
+    return _arrange(lines.read(path, "csv", 1.0 / check("seconds", seconds, 1e-4, LONGEST, "s")))
 
 
 def read_eth_ucy(path: str | Path) -> Tracks:
@@ -58,13 +51,12 @@ def read_eth_ucy(path: str | Path) -> Tracks:
 
     In ETH some people's lines lie between those of others; they are moved by up to half a row. Raises FileError.
     """
-    table, lines = _table(Path(path))
-    return _arrange(Path(path), table, lines, 0.4 / _usual_step(table))
+    return _arrange(lines.read(path, "eth_ucy"))
 
 
 def read_juelich(path: str | Path) -> Tracks:
     """Corridor experiments of Forschungszentrum Juelich (HERMES 2009) as CSV: frames are 1/16 s. Raises FileError."""
-    return read_csv(path, 1 / 16)
+    return _arrange(lines.read(path, "juelich"))
 
 
 def read_groups(path: str | Path, seconds: float = 1.0) -> Tracks:
@@ -72,71 +64,32 @@ def read_groups(path: str | Path, seconds: float = 1.0) -> Tracks:
 
     ``seconds`` lie between annotated frames (Cocktail Party: 5). Raises FileError.
     """
-    table, lines = _table(Path(path))
-    for name in OPTIONAL:
-        if name not in table:
-            raise files.FileError(f"{files.shown(Path(path))}: has no column {NAMES[name][0]}, which groups need.")
-    return _arrange(Path(path), table, lines, seconds)
+    found = lines.read(path, "groups", 1.0 / check("seconds", seconds, 1e-4, LONGEST, "s"))
+    for name in ("facing", "group"):
+        if name not in found.values:
+            column = lines.NAMES[name][0]
+            raise files.FileError(f"{files.shown(Path(path))}: has no column {column}, which groups need.")
+    return _arrange(found)
 
 
 READERS = {"csv": read_csv, "eth_ucy": read_eth_ucy, "juelich": read_juelich, "groups": read_groups}
 """name of a format -> path -> Tracks"""
 
 
-def _table(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Columns by our names, and the line of the file that each row comes from."""
-    if not path.is_file():
-        raise files.FileError(f"{path}: there is no such file; give a CSV file of recorded people.")
-    with path.open(newline="", encoding="utf-8") as stream:
-        rows = list(csv.reader(stream))
-    header = [name.strip() for name in rows[0]] if rows else []
-    places = {}
-    for ours, theirs in NAMES.items():
-        found = [header.index(name) for name in theirs if name in header]
-        if found:
-            places[ours] = found[0]
-        elif ours not in OPTIONAL:
-            raise files.FileError(
-                f"{files.shown(path)}:1: has no column {' or '.join(theirs)}; the first line names the columns."
-            )
-    numbers, lines = [], []
-    for line, row in enumerate(rows[1:], 2):
-        if not any(cell.strip() for cell in row):
-            continue
-        try:
-            numbers.append([float(row[place]) for place in places.values()])
-        except (ValueError, IndexError):
-            raise files.FileError(f"{files.shown(path)}:{line}: is not a line of numbers: {','.join(row)}") from None
-        if not np.isfinite(numbers[-1]).all():
-            raise files.FileError(f"{files.shown(path)}:{line}: holds a number that is not finite; leave the line out.")
-        lines.append(line)
-    if not numbers:
-        raise files.FileError(f"{files.shown(path)}: holds no line besides the names of its columns.")
-    return dict(zip(places, np.array(numbers).T, strict=True)), np.array(lines)
-
-
-def _usual_step(table: dict[str, np.ndarray]) -> float:
-    """By how much the frame number mostly rises from a person's line to their next."""
-    order = np.lexsort((table["frame"], table["person"]))
-    frame, person = table["frame"][order], table["person"][order]
-    steps = np.diff(frame)[np.diff(person) == 0]
-    steps = steps[steps > 0]
-    if not len(steps):
-        return 1.0
-    values, counts = np.unique(steps, return_counts=True)
-    return float(values[counts.argmax()])
-
-
-def _arrange(path: Path, table: dict[str, np.ndarray], lines: np.ndarray, seconds: float) -> Tracks:
-    step, first = _usual_step(table), table["frame"].min()
+def _arrange(found: Lines) -> Tracks:
+    path, table, person, seconds = found.path, found.values, found.person, found.seconds
+    step, first = found.usual_step, table["frame"].min()
+    times = float(np.ceil((table["frame"].max() - first) / step)) + 1
+    if times * len(found.number) > MOST_CELLS:
+        cells = f"{times:,.0f} times of {len(found.number):,} people are more than {MOST_CELLS:,} places"
+        raise files.FileError(f"{files.shown(path)}: {cells}; cut the recording.")
     row = np.floor((table["frame"] - first) / step + 0.5).astype(int)
-    person, column = np.unique(table["person"], return_inverse=True)
-    shape = (row.max() + 1, len(person))
+    column, shape = person, (row.max() + 1, len(found.number))
     present = np.zeros(shape, bool)
     order = np.lexsort((column, row))
     same = (np.diff(row[order]) == 0) & (np.diff(column[order]) == 0)
     if same.any():
-        line = lines[order[1:][same][0]]
+        line = found.line[order[1:][same][0]]
         raise files.FileError(
             f"{files.shown(path)}:{line}: the person is already there in this frame; keep one of the lines."
         )
@@ -159,7 +112,7 @@ def _arrange(path: Path, table: dict[str, np.ndarray], lines: np.ndarray, second
         facing=jnp.asarray(facing),
         group=jnp.asarray(group),
         present=jnp.asarray(present),
-        person=jnp.asarray(person.astype(np.int32)),
+        person=jnp.asarray(found.number),
         frame=jnp.asarray((first + step * np.arange(shape[0])).astype(np.int32)),
         time_step=float(seconds * step),
     )

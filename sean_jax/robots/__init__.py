@@ -37,6 +37,12 @@ def find(robot: str | Path, dynamics: str = "mjx") -> Path:
     return path
 
 
+def check_step(model: RobotModel, time_step: float) -> None:
+    """Raises ValueError if a step of control [s] is no multiple of the robot's step of physics."""
+    if abs(round(time_step / model.time_step) * model.time_step - time_step) > 1e-6:
+        raise ValueError(f"time_step: {time_step:g} s is no multiple of {model.name}'s step of {model.time_step:g} s.")
+
+
 def _meant(wrong: str, right: dict) -> str:
     """How a message about a wrong name goes on: with the name that was probably meant, or with all there are."""
     close = difflib.get_close_matches(wrong, right, n=1)

@@ -7,9 +7,29 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import scenery
+from sean_jax import quantities, scenery
 from sean_jax.base import Mount, Solids
+from sean_jax.files import FileError, mjcf
 
+RANGES = {  # least, greatest and unit of a figure: wider than any robot that moves among people
+    "max_speed": (0.01, 30.0, "m/s"),
+    "max_reverse_speed": (0.001, 30.0, "m/s"),
+    "max_turn_rate": (0.01, 100.0, "rad/s"),
+    "max_acceleration": (0.01, 1e3, "m/s2"),
+    "max_deceleration": (0.01, 1e3, "m/s2"),
+    "max_turn_acceleration": (0.01, 1e4, "rad/s2"),
+    "command_timeout": (1e-3, 3600.0, "s"),
+    "radius": (0.01, 10.0, "m"),
+    "friction": (0.01, 10.0, ""),
+    "mass": (0.01, 1e5, "kg"),
+    "inertia": (1e-6, 1e6, "kg m2"),
+    "wheel_radius": (1e-3, 5.0, "m"),
+    "wheel_inertia": (1e-8, 1e4, "kg m2"),
+    "track": (0.01, 10.0, "m"),
+    "servo_gain": (1e-6, 1e6, "N m s/rad"),
+    "servo_torque": (1e-6, 1e6, "N m"),
+}
+FARTHEST_MOUNT = 100.0  # m
 LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration", "command_timeout")
 NUMERICS = (*LIMITS, "radius", "friction")
 OPTIONAL = ("max_reverse_speed", "max_deceleration")  # those ahead hold backward as well where these are absent
@@ -26,10 +46,7 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     another kind of robot than a planar differential-drive base.
     """
     mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        raise ValueError(f"{path}: MuJoCo cannot read this robot: {' '.join(str(error).split())}") from error
+    model = mjcf.read(path)
     disable = mujoco.mjtDisableBit
     for unused in (disable.mjDSBL_CONSTRAINT, disable.mjDSBL_SPRING, disable.mjDSBL_DAMPER, disable.mjDSBL_EULERDAMP):
         model.opt.disableflags |= int(unused)
@@ -48,8 +65,14 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
         "servo_torque": model.actuator_forcerange[0, 1],
         **{key: value for key, value in numerics.items() if key != "radius"},
     }
+    for key, value in figures.items():
+        _within(path, f"its {key.replace('_', ' ')}", value, *RANGES[key])
+    _within(path, "the timestep of its <option>", model.opt.timestep, *quantities.STEPS, "s")
     fields = {key: jnp.asarray(value, jnp.result_type(float)) for key, value in figures.items()}
     seen = {"mounts": mounts(model), "solids": _solids(model)}
+    for mount in seen["mounts"]:
+        far = max(map(abs, mount.origin))
+        _within(path, f"the greatest coordinate of its mount '{mount.name}'", far, 0.0, FARTHEST_MOUNT, "m")
     return model, {**fields, **seen, "radius": numerics["radius"], "time_step": float(model.opt.timestep)}, mass
 
 
@@ -80,9 +103,13 @@ def _numerics(path: Path, model: Any) -> dict[str, float]:
     for key in told:
         if key not in there:
             raise ValueError(f'{path}: <custom> lacks <numeric name="{key}" data="..."/>, which every robot needs')
-        if not (np.isfinite(there[key]) and there[key] > 0.0):
-            raise ValueError(f"{path}: the numeric {key} is {there[key]:g}, but must be a positive number")
+        _within(path, f"the numeric {key}", there[key], *RANGES[key])
     return {key: float(there[key]) for key in told}
+
+
+def _within(path: Path, what: str, value: float, least: float, most: float, unit: str) -> None:
+    if not least <= value <= most:
+        raise FileError(f"{path}: {what} is {value:g}, but must be from {least:g} to {most:g}{unit and ' ' + unit}.")
 
 
 def _check_build(path: Path, model: Any) -> None:

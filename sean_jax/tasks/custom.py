@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Groups, Pedestrians, RobotTask, Scenario
 from sean_jax.environment import clearance
+from sean_jax.quantities import FARTHEST, check
 
 
 def custom(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
@@ -54,11 +55,13 @@ def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...])
         ValueError: one of them is not free, or there is no way between them.
     """
     for name, pose in (("start", start), ("goal", goal)):
-        if len(pose) not in (2, 3) or not all(math.isfinite(number) for number in pose):
-            raise ValueError(f"{name}: {tuple(pose)} must be x and y in metres, and if you like a heading in degrees.")
+        if not isinstance(pose, (tuple, list)) or len(pose) not in (2, 3):
+            raise ValueError(f"{name}: {pose} must be x and y in metres, and if you like a heading in degrees.")
+        for what, number, most in zip(("x", "y", "heading"), pose, (FARTHEST, FARTHEST, 3600.0), strict=False):
+            check(f"{name}: {what}", number, -most, most, "degrees" if what == "heading" else "m")
         spot = jnp.asarray([pose[:2]], jnp.float32)
         room, needed = float(jax.jit(clearance)(scenario.environment, spot)[0]), scenario.robot.radius
-        if room < needed:
+        if not room >= needed:
             where = f"({pose[0]:g}, {pose[1]:g})"
             lies = "off the floor or inside an obstacle" if room < 0 else f"{room:.2f} m from an obstacle or the edge"
             raise ValueError(f"{name}: {where} lies {lies}, where a robot of radius {needed:g} m cannot be; move it.")

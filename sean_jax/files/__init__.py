@@ -1,0 +1,157 @@
+"""YAML files read into pydantic models, with every error at once, each at its line and column, with its cure.
+
+A message has one line an error, such as ``warehouse/graph.yaml:6:19: nodes.dock.kind: 'gruop' is not one of
+waypoint, group; did you mean 'group'?``: file, line, column, keys, value, cure.
+"""
+
+import json
+import types
+import typing
+from collections.abc import Callable, Collection, Iterable
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import pydantic
+import yaml
+
+from sean_jax.files import nodes
+from sean_jax.files.content import DEEPEST, FileError, content, read_json, shown, suggest, text
+from sean_jax.files.nodes import Location
+
+__all__ = [
+    "DEEPEST",
+    "FileError",
+    "Location",
+    "Problem",
+    "check_json",
+    "content",
+    "load",
+    "read_json",
+    "shown",
+    "suggest",
+    "text",
+]
+
+Model = TypeVar("Model", bound=pydantic.BaseModel)
+Problem = tuple[Location, str]  # where, and what is wrong there, in one clause
+
+
+def load(path: Path | str, model: type[Model], *checks: Callable[[Model], Iterable[Problem]]) -> Model:
+    """The YAML file as an instance of ``model``, which should forbid extra fields.
+
+    ``checks`` look at relations between fields once every field is right by itself; what they return is reported
+    at its place in the file too. Raises FileError.
+    """
+    path = Path(path)
+    root, data = nodes.read(path)
+    try:
+        value = model.model_validate_json(json.dumps(data), strict=True)
+    except pydantic.ValidationError as error:
+        details = error.errors(include_url=False)
+        unknown = [item["loc"] for item in details if item["type"] == "extra_forbidden"]
+        raise _report(path, root, [(item["loc"], _clause(item, model)) for item in details], unknown) from None
+    problems = [problem for check in checks for problem in check(value)]
+    if problems:
+        raise _report(path, root, problems)
+    return value
+
+
+def check_json(path: Path | str, data: Any, model: type[Model], *checks: Callable[[Model], Iterable[Problem]]) -> Model:
+    """The values of a JSON file as an instance of ``model``, checked as in ``load``. Raises FileError."""
+    try:
+        value = model.model_validate_json(json.dumps(data), strict=True)
+    except pydantic.ValidationError as error:
+        problems = [(item["loc"], _clause(item, model)) for item in error.errors(include_url=False)]
+    else:
+        problems = [problem for check in checks for problem in check(value)]
+        if not problems:
+            return value
+    found = [f"{shown(Path(path))}: {_sentence(loc, clause)}" for loc, clause in problems]
+    raise FileError("\n".join(dict.fromkeys(found)))
+
+
+def _report(path: Path, root: yaml.Node, problems: Iterable[Problem], at_key: Collection[Location] = ()) -> FileError:
+    """All problems, in the order of their places in the file; those in ``at_key`` are marked there."""
+    marked = []
+    for loc, clause in problems:
+        known, mark = nodes.place(root, loc, loc in at_key)
+        marked.append((mark, _sentence(known, clause)))
+    return FileError(nodes.lines(path, marked))
+
+
+def _sentence(loc: Location, clause: str) -> str:
+    end = "" if clause.endswith(("?", ".")) else "."
+    return f"{nodes.dotted(loc)}: {clause}{end}" if loc else f"{clause}{end}"
+
+
+def _clause(error: Any, model: type[pydantic.BaseModel]) -> str:
+    """pydantic's error as one clause that names the value and the cure."""
+    loc, kind = error["loc"], error["type"]
+    context = {key: f"{item:g}" if isinstance(item, float) else item for key, item in error.get("ctx", {}).items()}
+    value = _quoted(error["input"])
+    if kind == "missing":
+        return "one value more is needed" if isinstance(loc[-1], int) else "is missing; add it"
+    if kind == "extra_forbidden":
+        keys = [key for part in _types_at(model, loc[:-1]) for key in getattr(part, "model_fields", ())]
+        return f"'{loc[-1]}' is not a known key{suggest(str(loc[-1]), keys) or '; there are ' + ', '.join(keys)}"
+    if kind == "literal_error":
+        choices = [c for part in _types_at(model, loc) if typing.get_origin(part) is Literal for c in part.__args__]
+        return f"{value} is not one of {', '.join(map(str, choices))}{suggest(str(error['input']), choices)}"
+    if kind == "value_error":
+        return str(context.get("error", error["msg"]))
+    templates = {
+        "float_type": "is not a number",
+        "int_type": "is not a whole number",
+        "int_from_float": "is not a whole number",
+        "string_type": "is not text; put it in quotes",
+        "string_too_short": "is too short a text",
+        "bool_type": "is not true or false",
+        "list_type": "is not a list, such as [a, b]",
+        "tuple_type": "is not a list, such as [a, b]",
+        "dict_type": "is not a mapping, which has lines 'key: value'",
+        "model_type": "is not a mapping, which has lines 'key: value'",
+        "model_attributes_type": "is not a mapping, which has lines 'key: value'",
+        "finite_number": "is not a finite number",
+        "greater_than": "is not greater than {gt}",
+        "greater_than_equal": "is less than {ge}, the least allowed",
+        "less_than": "is not less than {lt}",
+        "less_than_equal": "is more than {le}, the most allowed",
+        "too_short": "has {actual_length} values, {min_length} are needed",
+        "too_long": "has {actual_length} values, {max_length} are allowed",
+    }
+    return f"{value} {templates[kind].format(**context)}" if kind in templates else f"{value}: {error['msg']}"
+
+
+def _quoted(value: Any) -> str:
+    text = "an empty value" if value is None else repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _types_at(model: Any, loc: Location) -> list[Any]:
+    """The types that a value at that place may have, unions taken apart."""
+    found = _alternatives(model)
+    for part in loc:
+        found = [kind for outer in found for kind in _alternatives(_inner(outer, part))]
+    return found
+
+
+def _alternatives(kind: Any) -> list[Any]:
+    origin = typing.get_origin(kind)
+    if origin is typing.Annotated:
+        return _alternatives(typing.get_args(kind)[0])
+    if origin in (typing.Union, types.UnionType):
+        return [one for arg in typing.get_args(kind) for one in _alternatives(arg)]
+    return [kind]
+
+
+def _inner(kind: Any, part: str | int) -> Any:
+    """The type of an entry of a model, mapping, list or tuple; None if it has no such entry."""
+    args = typing.get_args(kind)
+    if isinstance(kind, type) and issubclass(kind, pydantic.BaseModel):
+        field = kind.model_fields.get(str(part))
+        return field.annotation if field else None
+    if typing.get_origin(kind) is dict:
+        return args[1]
+    if typing.get_origin(kind) is tuple and isinstance(part, int) and Ellipsis not in args:
+        return args[part] if part < len(args) else None
+    return args[0] if args else None

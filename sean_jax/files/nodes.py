@@ -1,0 +1,188 @@
+"""YAML text as nodes, which know their places, and as plain data: scalars, lists and mappings, and no tags.
+
+What YAML offers beside these is refused where it stands: tags, which make other types or run code, and anchors that
+unfold to more than a file could hold.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from sean_jax.files.content import DEEPEST, FileError, shown, text
+
+MOST_VALUES = 50_000  # in a file, aliases unfolded
+LONGEST_NUMBER = 60  # characters
+Location = tuple[str | int, ...]  # keys and list indices that lead to a value
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML 1.2 scalars: ``no`` and ``on`` are words, ``1e5`` is a number, ``12:30`` and dates are text."""
+
+    def __init__(self, stream: str):
+        super().__init__(stream)
+        self.depth, self.values = 0, 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """SafeLoader's own, for values without tags, not too deep and not too many."""
+        event: Any = self.peek_event()
+        tag = getattr(event, "tag", None)
+        if tag not in (None, "tag:yaml.org,2002:str"):
+            written = tag.replace("tag:yaml.org,2002:", "!!")
+            raise yaml.MarkedYAMLError(problem=f"tags such as '{written}' mean nothing here; remove it",
+                                       problem_mark=event.start_mark)  # fmt: skip
+        self.values += 1
+        if self.depth >= DEEPEST or self.values > MOST_VALUES:
+            what = f"nested deeper than {DEEPEST} levels" if self.depth >= DEEPEST else f"more than {MOST_VALUES:,}"
+            raise yaml.MarkedYAMLError(problem=f"values are {what}; make it simpler", problem_mark=event.start_mark)
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
+_Loader.yaml_implicit_resolvers = {}
+for _tag, _pattern, _first in (
+    ("null", r"~|null|", ["~", "n", ""]),
+    ("bool", r"true|false", list("tf")),
+    ("int", r"[-+]?[0-9]+", list("-+0123456789")),
+    ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.inf|\.nan", list("-+.0123456789")),
+    ("merge", r"<<", ["<"]),
+):
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(rf"^(?:{_pattern})$"), _first)
+
+
+def _number(_: yaml.SafeLoader, node: yaml.ScalarNode) -> int | float:
+    """SafeLoader's own reading takes 010 for 8."""
+    value = node.value.lower().replace(".inf", "inf").replace(".nan", "nan")
+    if len(value) > LONGEST_NUMBER:
+        raise yaml.MarkedYAMLError(problem=f"a number has {len(value)} characters; write fewer digits",
+                                   problem_mark=node.start_mark)  # fmt: skip
+    return int(value) if node.tag.endswith(":int") else float(value)
+
+
+def _word(_: yaml.SafeLoader, node: yaml.ScalarNode) -> str:
+    if any("\ud800" <= letter <= "\udfff" for letter in node.value):
+        raise yaml.MarkedYAMLError(problem="half a character, of the codes D800 to DFFF; remove it",
+                                   problem_mark=node.start_mark)  # fmt: skip
+    return node.value
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _number)
+_Loader.add_constructor("tag:yaml.org,2002:float", _number)
+_Loader.add_constructor("tag:yaml.org,2002:str", _word)
+
+
+def read(path: Path) -> tuple[yaml.Node, Any]:
+    """The composed nodes, and the plain data, of a YAML file. Raises FileError."""
+    found, loader = text(path), None
+    try:
+        loader = _Loader(found)
+        root = loader.get_single_node()
+        if root is None:
+            raise FileError(f"{shown(path)}:1:1: the file is empty.")
+        _refuse_bombs(path, root)
+        _refuse_twins(path, root)
+        return root, loader.construct_document(root)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
+        begun = f" that begins in line {error.context_mark.line + 1}" if error.context_mark else ""
+        context = f"{error.context}{begun}, " if error.context else ""
+        raise FileError(f"{shown(path)}:{place}: is not YAML: {context}{error.problem}.") from None
+    except yaml.reader.ReaderError as error:
+        raise FileError(f"{shown(path)}: character {error.position} is not allowed in YAML; remove it.") from None
+    except (ValueError, OverflowError) as error:  # such as of "\UFFFFFFFF"
+        if isinstance(error, FileError):
+            raise
+        mark = loader.get_mark() if loader else None
+        place = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
+        raise FileError(f"{shown(path)}{place}: is not YAML: {error}.") from None
+
+
+def _children(node: yaml.Node) -> list[yaml.Node]:
+    if isinstance(node, yaml.MappingNode):
+        return [part for pair in node.value for part in pair]
+    return node.value if isinstance(node, yaml.SequenceNode) else []
+
+
+def _refuse_bombs(path: Path, root: yaml.Node) -> None:
+    """Counts values as if aliases were written out: a few lines of them can stand for billions."""
+    sizes: dict[int, int | None] = {}  # None while a node is being counted
+    pending = [(root, False)]
+    while pending:
+        node, counted = pending.pop()
+        place = f"{shown(path)}:{node.start_mark.line + 1}:{node.start_mark.column + 1}"
+        if counted:
+            sizes[id(node)] = 1 + sum(sizes[id(child)] or 0 for child in _children(node))
+            if (sizes[id(node)] or 0) > MOST_VALUES:
+                raise FileError(f"{place}: aliases unfold to more than {MOST_VALUES:,} values; write fewer.")
+        elif id(node) not in sizes:
+            sizes[id(node)] = None
+            pending += [(node, True), *((child, False) for child in _children(node))]
+        elif sizes[id(node)] is None:
+            raise FileError(f"{place}: an alias stands inside of its own anchor; remove it.")
+
+
+def _refuse_twins(path: Path, root: yaml.Node) -> None:
+    """YAML lets the last of two equal keys win in silence; here they are an error."""
+    problems: list[tuple[yaml.Mark, str]] = []
+    pending: list[tuple[Location, yaml.Node]] = [((), root)]
+    visited = set()
+    while pending:
+        loc, node = pending.pop()
+        if id(node) in visited:
+            continue
+        visited.add(id(node))
+        if isinstance(node, yaml.SequenceNode):
+            pending += [((*loc, index), item) for index, item in enumerate(node.value)]
+        elif isinstance(node, yaml.MappingNode):
+            first: dict[str, int] = {}
+            for key, value in node.value:
+                name, here = str(key.value), key.start_mark
+                if name in first and name != "<<":
+                    what = f"{dotted((*loc, name))}: the key was used in line {first[name]}; remove or rename one."
+                    problems.append((here, what))
+                first.setdefault(name, here.line + 1)
+                pending.append(((*loc, name), value))
+    if problems:
+        raise FileError(lines(path, problems))
+
+
+def lines(path: Path, marked: list[tuple[yaml.Mark, str]]) -> str:
+    """One line for each of the problems, in the order of their places in the file."""
+    marked = sorted(marked, key=lambda item: (item[0].line, item[0].column))
+    found = [f"{shown(path)}:{mark.line + 1}:{mark.column + 1}: {told}" for mark, told in marked]
+    return "\n".join(dict.fromkeys(found))
+
+
+def place(root: yaml.Node, loc: Location, at_key: bool) -> tuple[Location, yaml.Mark]:
+    """The keys as the file has them, and the mark of the value, or of the nearest key that leads to it.
+
+    A mapping is marked at its key, and a missing value at the key of what lacks it.
+    """
+    node, mark, known = root, root.start_mark, []
+    for depth, part in enumerate(loc):
+        if isinstance(node, yaml.MappingNode):
+            pair = next(((key, value) for key, value in node.value if str(key.value) == str(part)), None)
+            known.append(part)
+            if pair is None:
+                break
+            node = pair[1]
+            plain = depth == len(loc) - 1 and node.value and not isinstance(node, yaml.MappingNode)
+            mark = node.start_mark if plain and not at_key else pair[0].start_mark
+        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int):
+            known.append(part)
+            if part >= len(node.value):
+                break
+            node = node.value[part]
+            mark = node.start_mark
+        else:  # pydantic names the member of a union, or a key, after the last real key
+            break
+    return tuple(known), mark
+
+
+def dotted(loc: Location) -> str:
+    """nodes.dock.position[0]"""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc).lstrip(".")

@@ -1,0 +1,550 @@
+"""Inputs that were made wrong at random, and what reads them: run as a program, this file is the worker of test_fuzz.
+
+    python tests/fuzzing.py SEED FIRST COUNT FOLDER
+
+prints a line of JSON before and after each mutant. A mutant that takes more than 5 s of processor time, or waits for
+more than a minute, ends the process, as an abort inside of MuJoCo does; the test sees who it was and goes on.
+"""
+
+import functools
+import io
+import json
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from xml.etree import ElementTree
+
+import yaml
+
+HANG, WAIT = 5.0, 60.0  # s of processor time, and of waiting
+MEMORY = 10**9  # bytes that a mutant may take
+INFINITE = ("walked", "weight", "cost", "distance")  # fields in which inf stands for what is not there
+UNSAID = re.compile(  # how Python's and other packages' own words begin
+    "Traceback|pydantic|invalid literal|could not convert|cannot convert|not supported between|object is not"
+    "|has no attribute|unexpected keyword|out of range|out of bounds|cannot reshape|broadcast|shape mismatch|zero-size"
+    "|unhashable|recursion"
+)
+NASTY = [
+    "nan", ".nan", "inf", "-inf", ".inf", "1e39", "-1e39", "1e300", "1e999", "1e-50", "0", "-1", "-0.0", "1e6", "2.5",
+    "99999999999999999999", "9" * 5000, "4294967296", "true", "null", "~", "''", "[]", "{}", "[1, 2]", "{a: b}",
+    "!!binary aGVsbG8=", "!!set {a, b}", "!!timestamp 2001-01-01", "!!bool abc", "!!int abc", "!!float x", "!!str 3",
+    "[" * 3000, "&a [*a]", "<<", "*nobody", "0x10", "1_000", "60000", "100000", "\"\\ud800\"", "\"\\UFFFFFFFF\"",
+    "ümläut 漢字", "x" * 3000, "a" * 200_000, "\x00", "\t", "%", "#", "@", "-", "../../etc/passwd", "all", "nobody",
+    "1 2 3 4 5 6 7", "0 0 0", "NaN", "Infinity", "1e1000000", "-", "1,2", "'", '"', "<", ">", "&amp;", "&lt;", "]]>",
+]  # fmt: skip
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{chr(98 + k)}: &{chr(98 + k)} [{', '.join(['*' + chr(97 + k)] * 9)}]\n" for k in range(9)
+)
+MERGES = "a: &a {k: 1, l: 2}\n" + "".join(
+    f"{chr(98 + k)}: &{chr(98 + k)} {{<<: [{', '.join(['*' + chr(97 + k)] * 9)}]}}\n" for k in range(12)
+)
+
+
+class Kind:
+    """A kind of input: the files that it starts from, the one that is made wrong, and who reads it."""
+
+    def __init__(self, files: dict[str, bytes], wrong: tuple[str, ...], load: Callable[[Path], Any], share: int):
+        self.files, self.wrong, self.load, self.share = files, wrong, load, share
+
+
+def hall() -> dict[str, bytes]:
+    """A small environment."""
+    walls = "\n".join(
+        f'    <geom name="wall_{k}" type="box" size="{a} {b} 1" pos="{x} {y} 1" euler="0 0 0"/>'
+        for k, (a, b, x, y) in enumerate(
+            ((5, 0.1, 0, 4), (5, 0.1, 0, -4), (0.1, 4, 5, 0), (0.1, 4, -5, 0), (1, 1, 1, 0))
+        )
+    )
+    look = '<texture name="t" type="2d" builtin="checker" rgb1="1 1 1" rgb2="0 0 0" width="64" height="64"/>'
+    again = '<replicate count="2" offset="0.5 0 0"><geom type="box" size="0.1 0.1 1" pos="-3 -2 1"/></replicate>'
+    head = '<mujoco model="hall">\n  <compiler angle="degree"/>\n  <size memory="1M"/>\n'
+    light = '<light pos="0 0 5" dir="0 0.1 -1"/>\n    <geom name="floor" type="plane" size="5 4 0.1"/>'
+    assets = f"  <asset>\n    {look}\n  </asset>\n"
+    scene = f"{head}{assets}  <worldbody>\n    {light}\n{walls}\n    {again}\n  </worldbody>\n</mujoco>\n"
+    settings = "name: hall\nfloor: [-5, -4, 5, 4]  # m\npeople: 4\nsource: made up\n"
+    return {"environment.yaml": settings.encode(), "scene.xml": scene.encode()}
+
+
+def walks() -> bytes:
+    """Three people who walk at 1.2 m/s, as ETH is recorded, with groups and facing."""
+    lines = ["frame,ped_id,x_m,y_m,vx_mps,vy_mps,theta_rad,group_id"]
+    lines += [
+        f"{780 + 6 * k},{person},{0.48 * k + 0.3 * person:.3f},{person},1.2,0.0,{0.1 * person},{person % 2 - 1}"
+        for k in range(12)
+        for person in range(3)
+    ]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def image() -> bytes:
+    """A map of 40 x 30 cells with walls and a pillar."""
+    import numpy as np
+    from PIL import Image
+
+    shades = np.full((30, 40), 254, np.uint8)
+    shades[[0, -1]] = shades[:, [0, -1]] = 0
+    shades[10:14, 20:26] = 0
+    stream = io.BytesIO()
+    Image.fromarray(shades).save(stream, "PNG")
+    return stream.getvalue()
+
+
+def dataset(folder: Path) -> dict[str, bytes]:
+    """Two shards of two episodes of nothing."""
+    import numpy as np
+
+    from sean_jax.learning import dataset as datasets
+
+    manifest = {
+        "command": "sean collect", "options": {"seed": 0}, "hours": 0.01, "batch": 2, "seconds": 6,
+        "streams": ["join_group", "leave_group"], "situations": ["empty", "cross_path"], "rate": 1.0,
+        "camera": {"width": 8, "height": 6, "fovy": 60.0, "far": 10.0}, "robot": {"name": "kuri", "max_speed": 0.5},
+    }  # fmt: skip
+    made = datasets.create_dataset(folder, manifest)
+    for stream in (0, 1):
+        rows = {name: np.zeros((2, 6, *shape), kind) for name, (shape, kind) in made.fields.items()}
+        made.commit(stream, SimpleNamespace(rows=rows, lengths=np.array([6, 4]), completed=np.array([True, False])))
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def policy(folder: Path) -> dict[str, bytes]:
+    """A network as training keeps it."""
+    import jax
+    import jax.numpy as jnp
+    import optax
+
+    from sean_jax.learning.checkpoints import Checkpoints
+    from sean_jax.learning.learned import initial
+    from sean_jax.learning.network import Network
+    from sean_jax.learning.training import TrainState
+
+    config = {"width": 8, "flags": True, "image": [12, 16], "situations": list(names()), "seed": 0, "epochs": 2}
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text(json.dumps(config, indent=1))
+    weights = initial(Network(8, True, (12, 16)), len(names()), jax.random.key(0))
+    optimizer = optax.sgd(0.1).init(weights.parameters)
+    state = TrainState(weights, optimizer, jnp.ones((), jnp.int32), jnp.ones(()), jnp.ones((), jnp.int32))
+    keeper = Checkpoints(folder)
+    keeper.save(state, 1.0)
+    keeper.wait()
+    keeper.manager.close()
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def names() -> tuple[str, ...]:
+    from sean_jax.classifiers import SITUATION_SETS
+
+    return tuple(SITUATION_SETS["paper"])
+
+
+@functools.cache
+def lab() -> Any:
+    from sean_jax import environment
+
+    return environment.load("lab")
+
+
+def load_graph(folder: Path) -> Any:
+    from sean_jax.graph import annotation
+
+    return annotation.read(folder / "graph.yaml", lab())
+
+
+def load_handcrafted(folder: Path) -> Any:
+    from sean_jax.handcrafted import annotation, sets
+
+    return sets.build(annotation.read(folder, lab()).sets)
+
+
+def load_environment(folder: Path) -> Any:
+    from sean_jax import environment
+
+    place = environment.load(folder)
+    return place, environment.default_people(folder)
+
+
+def load_robot(folder: Path) -> Any:
+    from sean_jax import robots
+
+    return robots.load(folder / "robot.xml", "twin")
+
+
+def load_recording(folder: Path) -> Any:
+    from sean_jax import recordings
+    from sean_jax.behaviors import tracks
+
+    path, found = folder / "people.csv", []
+    readers: list = [*recordings.READERS.values(), lambda path: tracks.read(path, None, 0.1)]
+    refused = None
+    for reader in readers:  # who needs a column more may refuse, and the others read
+        try:
+            found.append(reader(path))
+        except ValueError as error:
+            check_error(error, "people.csv")
+            refused = error
+    if not found and refused is not None:
+        raise refused
+    return found
+
+
+def load_map(folder: Path) -> Any:
+    from sean_jax import environment, maps
+
+    made = folder / "made"
+    try:
+        maps.import_map(folder / "map.yaml", made)
+        return environment.load(made)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def load_dataset(folder: Path) -> Any:
+    from sean_jax.learning import dataset as datasets
+
+    data = datasets.open_dataset(folder)
+    data.fingerprint()
+    lost = data.lost()
+    return data.recording(data.episodes) if not lost else (data.examples, data.recorded, data.row_bytes)
+
+
+def load_policy(folder: Path) -> Any:
+    import dataclasses
+
+    from sean_jax import robots
+    from sean_jax.base import Scenario
+    from sean_jax.learning import learned
+
+    told = tuple((name, None) for name in names())
+    known = {"situations": told, "robot": robots.load("kuri", "twin")}  # all that is looked at
+    scenario = Scenario(**dict.fromkeys(field.name for field in dataclasses.fields(Scenario)) | known)
+    return learned.load(folder, scenario).data
+
+
+def kinds(folder: Path) -> dict[str, Kind]:
+    """Every kind of input, each with how many of a hundred mutants are of it."""
+    from sean_jax.environment import ENVS
+
+    read = lambda *names: {name: (ENVS / "lab" / name).read_bytes() for name in names}  # noqa: E731
+    settings = "image: map.png\nresolution: 0.1\norigin: [-2.0, -1.5, 0.0]\nnegate: 0\noccupied_thresh: 0.65\n"
+    chart = {"map.yaml": f"{settings}free_thresh: 0.196\nmode: trinary\n".encode(), "map.png": image()}
+    trained = policy(folder / "policy")
+    return {
+        "environment": Kind(hall(), ("environment.yaml",), load_environment, 10),
+        "scene": Kind(hall(), ("scene.xml",), load_environment, 14),
+        "graph": Kind(read("graph.yaml"), ("graph.yaml",), load_graph, 13),
+        "handcrafted": Kind(read("handcrafted.yaml"), ("handcrafted.yaml",), load_handcrafted, 10),
+        "robot": Kind({"robot.xml": (ENVS / "robots/kuri.xml").read_bytes()}, ("robot.xml",), load_robot, 14),
+        "recording": Kind({"people.csv": walks()}, ("people.csv",), load_recording, 14),
+        "map": Kind(chart, ("map.yaml", "map.yaml", "map.png"), load_map, 10),
+        "manifest": Kind(dataset(folder / "dataset"), ("dataset.json",), load_dataset, 9),
+        "policy": Kind(trained, ("config.json",), load_policy, 6),
+    }
+
+
+# Mutations
+
+
+def mutated(chance: random.Random, name: str, given: bytes) -> bytes | Path | None:
+    """The content of that file made wrong; a path to stand in its place, or None, nothing at all."""
+    if chance.random() < 0.03:
+        return chance.choice([None, Path("pipe"), Path("folder"), Path("/dev/zero"), Path("/dev/null"), Path("itself")])
+    if chance.random() < 0.06:
+        whole = [b"", b"\xef\xbb\xbf" + given, given.decode("latin-1").encode("utf-16"), b"\x00" * 1000, b"[" * 3000,
+                 b"[" * 200_000, given * 50, b" " * 20_000_000, given + b"\xff", BOMB.encode(), MERGES.encode(),
+                 given + b"\n" + BOMB.encode(), b"<" * 1000, b"<a>" * 3000, b"{" * 100_000, b"a: " * 2000,
+                 given.replace(b"\n", b"\r\n"), given.replace(b"\n", b"\r")]  # fmt: skip
+        return chance.choice(whole)
+    if name.endswith(".png"):
+        return in_bytes(chance, given)
+    result = given
+    for _ in range(chance.choice((1, 1, 1, 2, 3))):
+        how = chance.choice((in_lines, in_values, in_values, in_values, in_bytes, structured(name), structured(name)))
+        try:
+            result = how(chance, result)
+        except (ValueError, yaml.YAMLError, ElementTree.ParseError, RecursionError):
+            result = in_values(chance, result)
+    return result
+
+
+def in_lines(chance: random.Random, given: bytes) -> bytes:
+    """Lines that are gone, twice there, or elsewhere."""
+    lines = given.split(b"\n")
+    first = chance.randrange(len(lines))
+    many = chance.choice((1, 1, 2, 5))
+    block = lines[first : first + many]
+    how = chance.randrange(5)
+    if how == 0:
+        del lines[first : first + many]
+    elif how == 1:
+        lines[first:first] = block
+    elif how == 2:
+        other = chance.randrange(len(lines))
+        lines[first], lines[other] = lines[other], lines[first]
+    elif how == 3:
+        lines[first] = chance.choice((b"  ", b"\t", b"# ", b"- ", b" ")) + lines[first]
+    else:
+        lines[first:first] = block * chance.choice((3, 100))
+    return b"\n".join(lines)
+
+
+def in_values(chance: random.Random, given: bytes) -> bytes:
+    """A number or a word replaced by something nasty."""
+    places = list(re.finditer(rb"[-+]?[0-9][0-9.eE+-]*|[A-Za-z_][A-Za-z0-9_]*", given))
+    if not places:
+        return given
+    if chance.random() < 0.6:
+        places = [place for place in places if place.group()[:1] in b"+-0123456789"] or places
+    place = chance.choice(places)
+    if chance.random() < 0.3 and place.group().isdigit():
+        new = str(int(place.group()[:15]) * chance.choice((-1, 10, 1000, 10**9))).encode()
+    else:
+        new = chance.choice(NASTY).encode("utf-8", "surrogatepass")
+    return given[: place.start()] + new + given[place.end() :]
+
+
+def in_bytes(chance: random.Random, given: bytes) -> bytes:
+    """Bytes flipped, put in, or cut off."""
+    if not given:
+        return given
+    at, how = chance.randrange(len(given)), chance.randrange(4)
+    if how == 0:
+        return given[:at] + bytes([given[at] ^ (1 << chance.randrange(8))]) + given[at + 1 :]
+    if how == 1:
+        return given[:at] + bytes(chance.randrange(256) for _ in range(chance.choice((1, 4, 40)))) + given[at:]
+    return given[:at] if how == 2 else given[:at] + given[at + chance.choice((1, 10, 100)) :]
+
+
+def structured(name: str) -> Callable[[random.Random, bytes], bytes]:
+    """The mutation that knows the format."""
+    return {".yaml": in_tree, ".json": in_tree, ".xml": in_elements, ".csv": in_cells}[Path(name).suffix]
+
+
+TREE = [
+    None,
+    True,
+    [],
+    {},
+    "x",
+    "",
+    0,
+    -1,
+    1.5,
+    1e39,
+    float("nan"),
+    float("inf"),
+    -1e300,
+    10**30,
+    [[[]]],
+    {"a": {}},
+    1e-50,
+]
+
+
+def in_tree(chance: random.Random, given: bytes) -> bytes:
+    """A key or an item that is gone, another value, another's value, or one level deeper."""
+    root = yaml.safe_load(given)
+    spots = []
+
+    def visit(value: Any) -> None:
+        for key in list(value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()):
+            spots.append((value, key))
+            visit(value[key])
+
+    visit(root)
+    if not spots:
+        return given
+    holder, key = chance.choice(spots)
+    how = chance.randrange(6)
+    if how == 0:
+        del holder[key]
+    elif how == 1:
+        other, place = chance.choice(spots)
+        holder[key] = json.loads(json.dumps(other[place]))
+    elif how == 2 and isinstance(holder, list):
+        holder.extend([holder[key]] * chance.choice((1, 30, 3000)))
+    elif how == 3:
+        holder[key] = [holder[key]] if chance.random() < 0.5 else {"x": holder[key]}
+    elif how == 4 and isinstance(holder[key], (int, float)):
+        holder[key] = holder[key] * chance.choice((-1, 0, 1e-3, 1e3, 1e6, 1e30)) + chance.choice((0, 0.5, 3))
+    else:
+        holder[key] = chance.choice(TREE)
+    return (json.dumps(root) if given.lstrip()[:1] == b"{" else yaml.safe_dump(root, sort_keys=False)).encode()
+
+
+def in_elements(chance: random.Random, given: bytes) -> bytes:
+    """An element or attribute of XML that is gone, twice there, elsewhere, or another."""
+    root = ElementTree.fromstring(given)
+    pairs = [(above, element) for above in root.iter() for element in above]
+    above, element = chance.choice(pairs)
+    how = chance.randrange(8)
+    if how == 0:
+        above.remove(element)
+    elif how == 1:
+        above.append(element)
+    elif how == 2:
+        chance.choice(pairs)[0].append(element)
+    elif how == 3:
+        many = ElementTree.SubElement(above, "replicate", count=chance.choice(("3", "1000", "100000", "-1", "1e9")))
+        many.append(element)
+    elif how == 4:
+        extra = [("composite", {"type": "grid", "count": "9999 9999 1"}), ("include", {"file": "scene.xml"}),
+                 ("texture", {"name": "x", "type": "2d", "builtin": "flat", "width": "60000", "height": "60000"}),
+                 ("hfield", {"name": "x", "nrow": "60000", "ncol": "60000", "size": "1 1 1 1"}),
+                 ("size", {"memory": "900G"}), ("size", {"nuser_geom": "1000000000"}), ("freejoint", {}),
+                 ("geom", {"type": "mesh", "mesh": "none"}), ("geom", {"size": "1"}), ("body", {"pos": "1 1 1"}),
+                 ("option", {"timestep": "0"}), ("numeric", {"name": "radius", "data": "1"}), ("joint", {}),
+                 ("include", {"file": "/dev/zero"}), ("mesh", {"name": "x", "file": "pipe"})]  # fmt: skip
+        ElementTree.SubElement(above, *chance.choice(extra))
+    elif element.attrib:
+        key = chance.choice(list(element.attrib))
+        if how == 5:
+            del element.attrib[key]
+        elif how == 6:
+            words = element.attrib[key].split() or [""]
+            words[chance.randrange(len(words))] = chance.choice([word for word in NASTY if "\x00" not in word])
+            element.attrib[key] = " ".join(words)
+        else:
+            other = chance.choice(pairs)[1]
+            if other.attrib:
+                place = chance.choice(list(other.attrib))
+                element.attrib[place] = other.attrib[place]
+    return ElementTree.tostring(root)
+
+
+def in_cells(chance: random.Random, given: bytes) -> bytes:
+    """A cell or a whole column of CSV that is another."""
+    rows = [line.split(",") for line in given.decode().split("\n")]
+    row, how = chance.choice(rows), chance.randrange(5)
+    column = chance.randrange(len(rows[0]))
+    if how == 0:
+        for each in rows:
+            del each[column : column + 1]
+    elif how == 1:
+        scale = chance.choice((1e-9, 10, 100, 1e6, 1e9, -1))
+        for each in rows[1:]:
+            if len(each) > column:
+                each[column] = f"{float(each[column]) * scale:g}"
+    elif how == 2:
+        rows.insert(1, ["1000000000" if k == 0 else cell for k, cell in enumerate(rows[1])])
+    elif how == 3:
+        rows[0][column] = chance.choice((rows[0][column].upper(), " " + rows[0][column], "x", "frame", ""))
+    elif len(row) > column:
+        row[column] = chance.choice(NASTY)
+    return "\n".join(",".join(each) for each in rows).encode("utf-8", "surrogatepass")
+
+
+# The worker
+
+
+def place(target: Path, content: bytes | Path | None) -> None:
+    """Write what stands in a file's place."""
+    if content is None:
+        return
+    if isinstance(content, bytes):
+        target.write_bytes(content)
+    elif str(content) == "pipe":
+        os.mkfifo(target)
+    elif str(content) == "folder":
+        target.mkdir()
+    else:
+        target.symlink_to(target if str(content) == "itself" else content)
+
+
+def check_error(error: BaseException, name: str) -> None:
+    """AssertionError unless it is one of the package's own, raised there, in sentences that name the file."""
+    from sean_jax.files import FileError
+    from sean_jax.learning.options import Failed, Refused
+
+    where = traceback.extract_tb(error.__traceback__)[-1].filename
+    own = type(error) in (FileError, Failed, Refused) or type(error) is ValueError
+    assert own and "sean_jax" in where, f"{type(error).__name__} from {where}"
+    lines = str(error).split("\n")
+    assert all(line.strip() for line in lines), "an empty line"
+    assert Path(name).stem in lines[0], f"does not name the file: {lines[0][:200]}"
+    assert not UNSAID.search(str(error)), f"another's words: {str(error)[:300]}"
+    assert all(len(line) < 1000 for line in lines), f"too long: {str(error)[:300]}"
+
+
+def check_finite(found: Any) -> None:
+    """AssertionError for a leaf that holds NaN, or inf where it means nothing."""
+    import jax
+    import numpy as np
+
+    for path, leaf in jax.tree_util.tree_leaves_with_path(found):
+        values = np.asarray(leaf)
+        if values.dtype.kind == "f":
+            field = jax.tree_util.keystr(path)
+            assert not np.isnan(values).any(), f"{field} is not a number"
+            allowed = any(name in field for name in INFINITE)
+            assert allowed or (np.abs(values) < 1e12).all(), f"{field} is not finite"
+
+
+def attempt(kind: Kind, folder: Path, name: str) -> tuple[str, str]:
+    """("accepted" or "refused" or "wrong", what was said)."""
+    try:
+        found = kind.load(folder)
+    except Exception as error:  # whatever it is, it is looked at
+        try:
+            check_error(error, "map" if name.startswith("map") else name)
+        except AssertionError as wrong:
+            return "wrong", f"{wrong}\n{''.join(traceback.format_exception(error))}"
+        return "refused", str(error)
+    try:
+        check_finite(found)
+    except AssertionError as wrong:
+        return "wrong", str(wrong)
+    return "accepted", ""
+
+
+def prepare(kind: Kind, folder: Path, name: str, content: bytes | Path | None) -> None:
+    """The files of a kind in a folder, the one of that name replaced."""
+    shutil.rmtree(folder, ignore_errors=True)
+    for other, given in kind.files.items():
+        if other != name:
+            (folder / other).parent.mkdir(parents=True, exist_ok=True)
+            (folder / other).write_bytes(given)
+    folder.mkdir(parents=True, exist_ok=True)
+    place(folder / name, content)
+
+
+def main(seed: int, first: int, count: int, folder: Path, only: str = "") -> None:
+    """Mutants ``first`` to ``first + count`` of a seed; each is the same whoever comes before it."""
+    out = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what libraries print is no answer
+    every = kinds(folder / "originals")
+    for name, kind in every.items():  # as it is, each is accepted; this compiles what they share
+        prepare(kind, folder / name, "", None)
+        answer = attempt(kind, folder / name, kind.wrong[0])
+        assert answer[0] == "accepted", (name, answer)
+    status = Path("/proc/self/status").read_text() if Path("/proc/self/status").exists() else ""
+    if used := re.search(r"VmData:\s*(\d+) kB", status):
+        resource.setrlimit(resource.RLIMIT_DATA, (int(used.group(1)) * 1024 + MEMORY,) * 2)
+    for number in range(first, first + count):
+        chance = random.Random(f"{seed} {number}")
+        chosen = chance.choices(list(every), [kind.share for kind in every.values()])[0]
+        kind = every[chosen]
+        name = chance.choice(kind.wrong)
+        content = mutated(chance, name, kind.files[name])
+        if only and only != chosen:
+            continue
+        prepare(kind, folder / chosen, name, content)
+        print(json.dumps({"number": number, "kind": chosen}), file=out, flush=True)
+        signal.setitimer(signal.ITIMER_PROF, HANG)
+        signal.setitimer(signal.ITIMER_REAL, WAIT)
+        result, said = attempt(kind, folder / chosen, name)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        print(json.dumps({"number": number, "kind": chosen, "result": result, "said": said}), file=out, flush=True)
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:4]), Path(sys.argv[4]), *sys.argv[5:])
