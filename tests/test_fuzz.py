@@ -1,0 +1,60 @@
+"""A thousand inputs made wrong at random: each is refused in sentences or read, at once, and nothing becomes NaN."""
+
+import collections
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import fuzzing
+import pytest
+
+MUTANTS = 1000
+SEED = int(os.environ.get("SEAN_JAX_FUZZ_SEED", "0"))
+
+
+def answers(seed: int, count: int, folder: Path) -> dict[int, dict]:
+    """What became of each mutant; a worker that ends in the middle of one is followed by the next."""
+    found, first = {}, 0
+    while first < count:
+        command = [
+            sys.executable,
+            fuzzing.__file__,
+            str(seed),
+            str(first),
+            str(count - first),
+            str(folder / f"{first}"),
+        ]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
+        lines = [json.loads(line) for line in done.stdout.splitlines()]
+        assert lines, done.stderr
+        found |= {line["number"]: line for line in lines if "result" in line}
+        last = lines[-1]
+        if "result" not in last:
+            said = f"ended by signal {-done.returncode}: {done.stderr[-1000:]}"
+            found[last["number"]] = {**last, "result": "wrong", "said": said}
+        first = last["number"] + 1
+    return found
+
+
+@pytest.mark.slow
+def test_a_thousand_mutants_are_refused_in_sentences_or_are_finite(tmp_path):
+    found = answers(SEED, MUTANTS, tmp_path)
+    assert sorted(found) == list(range(MUTANTS))
+    wrong = [f"mutant {one['number']} of seed {SEED}, {one['kind']}: {one['said']}" for one in found.values()
+             if one["result"] == "wrong"]  # fmt: skip
+    assert not wrong, "\n\n".join(wrong)
+    count = collections.Counter((one["kind"], one["result"]) for one in found.values())
+    for kind in {one["kind"] for one in found.values()}:  # mutants that all fail alike would test nothing
+        assert count[kind, "refused"] >= 20 and count[kind, "accepted"] >= 3, (kind, count)
+    assert not list(tmp_path.glob("MUJOCO_LOG.TXT")), "MuJoCo writes where the program was started"
+
+
+def test_mutants_are_the_same_again():
+    """So that a number and a seed are enough to see one again, whoever came before."""
+    import random
+
+    given = fuzzing.walks()
+    again = [[fuzzing.mutated(random.Random(f"0 {number}"), "people.csv", given) for number in range(30)] for _ in "ab"]
+    assert again[0] == again[1] and len({str(content) for content in again[0]}) > 20
