@@ -224,8 +224,8 @@ def load_policy(folder: Path) -> Any:
     from sean_jax.learning import learned
 
     told = tuple((name, None) for name in names())
-    known = {"situations": told, "robot": robots.load("kuri", "twin")}  # all that is looked at
-    scenario = Scenario(**dict.fromkeys(field.name for field in dataclasses.fields(Scenario)) | known)
+    nothing: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Scenario))
+    scenario = Scenario(**nothing | {"situations": told, "robot": robots.load("kuri", "twin")})  # all that is looked at
     return learned.load(folder, scenario).data
 
 
@@ -527,7 +527,8 @@ def main(seed: int, first: int, count: int, folder: Path, only: str = "") -> Non
         assert answer[0] == "accepted", (name, answer)
     status = Path("/proc/self/status").read_text() if Path("/proc/self/status").exists() else ""
     if used := re.search(r"VmData:\s*(\d+) kB", status):
-        resource.setrlimit(resource.RLIMIT_DATA, (int(used.group(1)) * 1024 + MEMORY,) * 2)
+        most = int(used.group(1)) * 1024 + MEMORY
+        resource.setrlimit(resource.RLIMIT_DATA, (most, most))
     for number in range(first, first + count):
         chance = random.Random(f"{seed} {number}")
         chosen = chance.choices(list(every), [kind.share for kind in every.values()])[0]
@@ -547,4 +548,4 @@ def main(seed: int, first: int, count: int, folder: Path, only: str = "") -> Non
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:4]), Path(sys.argv[4]), *sys.argv[5:])
+    main(int(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4]), *sys.argv[5:6])

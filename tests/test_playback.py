@@ -147,7 +147,7 @@ def test_a_recording_that_cannot_be_used_is_refused(tmp_path, text, words):
     ("arguments", "words"),
     [
         (dict(), "'playback' needs a recording"),
-        (dict(recording="nowhere.csv"), "nowhere.csv: there is no such file"),
+        (dict(recording="nowhere.csv"), "recording: nowhere.csv does not exist"),
         (dict(recording="people.csv", people=5), "people: 5, but 3 are there at once"),
         (dict(recording="people.csv", frame_rate=0.0), "frame_rate: 0.0 must be from 0.001"),
         (

@@ -90,7 +90,7 @@ def read(path: Path) -> tuple[yaml.Node, Any]:
         place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
         begun = f" that begins in line {error.context_mark.line + 1}" if error.context_mark else ""
         context = f"{error.context}{begun}, " if error.context else ""
-        raise FileError(f"{shown(path)}:{place}: is not YAML: {context}{error.problem}.") from None
+        raise FileError(f"{shown(path)}:{place}: is not YAML: {context}{_plain(error.problem)}.") from None
     except yaml.reader.ReaderError as error:
         raise FileError(f"{shown(path)}: character {error.position} is not allowed in YAML; remove it.") from None
     except (ValueError, OverflowError) as error:  # such as of "\UFFFFFFFF"
@@ -99,6 +99,10 @@ def read(path: Path) -> tuple[yaml.Node, Any]:
         mark = loader.get_mark() if loader else None
         place = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
         raise FileError(f"{shown(path)}{place}: is not YAML: {error}.") from None
+
+
+def _plain(problem: str | None) -> str:
+    return "a key is a list or a mapping; write a word" if problem == "found unhashable key" else str(problem)
 
 
 def _children(node: yaml.Node) -> list[yaml.Node]:
