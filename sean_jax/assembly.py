@@ -100,6 +100,8 @@ def make(
         ValueError: one sentence that names the value and the cure.
     """
     _check(time_step, time_limit, goal_radius, hold_time, task_distance, substeps)
+    quantities.check_leaves("forces", None if isinstance(forces, str) else forces)
+    quantities.check_leaves("thresholds", thresholds)
     folder = check(
         environment,
         behavior=behavior,
@@ -123,8 +125,6 @@ def make(
     chosen, usual = _situations(situations)
     scene, vehicle = environments.load(folder), robots.load(robot, dynamics)
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
-    quantities.check_leaves("forces", parameters)
-    quantities.check_leaves("thresholds", thresholds)
     robots.check_step(vehicle, time_step)
     walking = _navigation(folder, PERSON_CLEARANCE)
     driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius)

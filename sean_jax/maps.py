@@ -27,6 +27,7 @@ AREA_OF_ONE = 25.0  # m2 of free floor for each of the people, as in the warehou
 MOST_BOXES = MOST_OBSTACLES  # more are noise, and no path could be planned among them
 MOST_BYTES = 100_000_000  # of an image
 MOST_CELLS = 16_000_000
+SMALLER = "cut it out or lower its resolution"
 FORMATS, NAMED = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF"), "a PGM or PNG file"
 MOST_PEOPLE = 60
 
@@ -109,11 +110,14 @@ def _image(image: Path) -> tuple[np.ndarray, np.ndarray]:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             width, height = opened.size
             if width * height > MOST_CELLS:
-                cells = f"{width} x {height} cells and {MOST_CELLS // 10**6} million are the most"
-                raise files.FileError(f"{files.shown(image)}: has {cells}; cut it out or lower its resolution.")
+                raise Image.DecompressionBombError
             return _shades(opened)
     except files.FileError:
         raise
+    except Image.DecompressionBombError:
+        raise files.FileError(
+            f"{files.shown(image)}: has more than {MOST_CELLS // 10**6} million cells; {SMALLER}."
+        ) from None
     except UnidentifiedImageError:
         raise files.FileError(f"{files.shown(image)}: is no image that can be read; give {NAMED}.") from None
     except Exception as error:  # Pillow's decoders raise whatever a damaged file makes them stumble over

@@ -459,17 +459,18 @@ def place(target: Path, content: bytes | Path | None) -> None:
         target.symlink_to(target if str(content) == "itself" else content)
 
 
-def check_error(error: BaseException, name: str) -> None:
-    """AssertionError unless it is one of the package's own, raised there, in sentences that name the file."""
+def check_error(error: BaseException, *names: str) -> None:
+    """AssertionError unless it is one of the package's own, raised there, in sentences that name one of the files."""
     from sean_jax.files import FileError
     from sean_jax.learning.options import Failed, Refused
+    from sean_jax.options import BadInput
 
     where = traceback.extract_tb(error.__traceback__)[-1].filename
-    own = type(error) in (FileError, Failed, Refused) or type(error) is ValueError
+    own = type(error) in (FileError, Failed, Refused, BadInput) or type(error) is ValueError
     assert own and "sean_jax" in where, f"{type(error).__name__} from {where}"
     lines = str(error).split("\n")
     assert all(line.strip() for line in lines), "an empty line"
-    assert Path(name).stem in lines[0], f"does not name the file: {lines[0][:200]}"
+    assert any(Path(name).stem in lines[0] for name in names), f"does not name the file: {lines[0][:200]}"
     assert not UNSAID.search(str(error)), f"another's words: {str(error)[:300]}"
     assert all(len(line) < 1000 for line in lines), f"too long: {str(error)[:300]}"
 
@@ -494,7 +495,7 @@ def attempt(kind: Kind, folder: Path, name: str) -> tuple[str, str]:
         found = kind.load(folder)
     except Exception as error:  # whatever it is, it is looked at
         try:
-            check_error(error, "map" if name.startswith("map") else name)
+            check_error(error, "map" if name.startswith("map") else name, "policy")
         except AssertionError as wrong:
             return "wrong", f"{wrong}\n{''.join(traceback.format_exception(error))}"
         return "refused", str(error)

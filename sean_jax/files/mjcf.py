@@ -16,6 +16,7 @@ from sean_jax.files.content import DEEPEST, FileError, content, shown, text
 MOST_ELEMENTS = 10_000  # in all, those of a replicate as often as it makes them
 MOST_JOINTS = 100
 MOST_PIXELS = 25_000_000  # of all textures and height fields together
+MOST_TEXT = 10_000_000  # bytes
 MOST_ASSET = 50_000_000  # bytes of a mesh or an image
 LARGEST = 1e10  # of a number; MuJoCo's own bound of what a simulation may hold
 # element, attribute -> the most that it may be; what it sets is allocated
@@ -37,7 +38,7 @@ def read(path: Path) -> Any:
     Raises:
         FileError: one sentence that names the file, the line where there is one, and the cure.
     """
-    _Scan(path).run(path)
+    _Scan(path).run(path, text(path, MOST_TEXT))
     mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
     warned: list[str] = []
     before = mujoco.get_mju_user_warning()
@@ -69,9 +70,8 @@ class _Scan:
         self.elements = self.joints = self.pixels = 0
         self.assets = {"meshdir": "", "texturedir": "", "assetdir": ""}
 
-    def run(self, path: Path, including: tuple[Path, ...] = (), times: int = 1) -> None:
-        """Raises FileError."""
-        found = text(path, 10_000_000)
+    def run(self, path: Path, found: str, including: tuple[Path, ...] = (), times: int = 1) -> None:
+        """Looks through the text ``found`` of a file that is made so many times. Raises FileError."""
         parser = expat.ParserCreate("utf-8")
         above = [times]  # how often what stands within the elements that are open is made
 
@@ -81,15 +81,19 @@ class _Scan:
         def begin(name: str, attributes: dict[str, str]) -> None:
             try:
                 above.append(above[-1] * self.element(name, attributes, above[-1]))
-            except _Wrong as wrong:
-                refuse(str(wrong))
+            except (_Wrong, FileError) as wrong:
+                refuse(str(wrong).rstrip("."))
             if len(above) > DEEPEST:
                 refuse(f"elements are nested deeper than {DEEPEST} levels; make it simpler")
             if name == "include" and attributes.get("file"):
                 inner = self.folder / attributes["file"]
                 if inner in (path, *including) or len(including) > 10:
                     refuse(f"{attributes['file']} includes itself; remove this")
-                self.run(inner, (*including, path), above[-1])
+                try:
+                    included = text(inner, MOST_TEXT)
+                except FileError as wrong:
+                    return refuse(str(wrong).rstrip("."))
+                self.run(inner, included, (*including, path), above[-1])
 
         def doctype(*_: Any) -> None:
             refuse("has a document type, which MJCF does not; remove it")

@@ -106,11 +106,17 @@ class Dataset:
         found = {}
         for name in self.fields if names is None else names:
             shape, kind = self.fields[name]
-            whole, done = np.empty((total, *shape), kind), 0
+            whole, done = np.empty((0, *shape), kind), 0
             for group in self._together(episodes, name == "depth"):
                 first, last = min(one.number for one in group), max(one.number for one in group)
                 self._check_file(name, first // self.batch, len(shape) + 2)
                 values = store.read(self.folder, name, first, last + 1)
+                told = (last + 1 - first, self.manifest["seconds"], *shape)
+                if values.shape != told or values.dtype != kind:
+                    sizes = f"{values.shape} {values.dtype}, but by {MANIFEST} they are {told} {kind}"
+                    raise Failed(f"{self.folder / name}: the values are {sizes}; restore {MANIFEST} or collect anew.")
+                if done == 0:  # not before it is known that there is as much
+                    whole = np.empty((total, *shape), kind)
                 for one in group:
                     whole[done : done + one.length] = values[one.number - first, : one.length]
                     done += one.length
