@@ -277,7 +277,9 @@ def _check_owners(behavior: str, options: dict) -> None:
 
 
 def _check_people(people: int | None, behavior: str, folder: Path, forces: str | social_forces.Parameters) -> None:
-    parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
+    if isinstance(forces, str):
+        _check_name("forces", forces, social_forces.PRESETS)
+        forces = social_forces.PRESETS[forces]
     if people is None:
         return
     if people < 0:
@@ -285,7 +287,7 @@ def _check_people(people: int | None, behavior: str, folder: Path, forces: str |
     if behavior == "handcrafted":
         raise ValueError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
     x_min, y_min, x_max, y_max = environments.floor(folder)
-    area, radius = (x_max - x_min) * (y_max - y_min), float(parameters.radius)
+    area, radius = (x_max - x_min) * (y_max - y_min), float(forces.radius)
     most = int(area / (2 * 3**0.5 * radius**2))  # discs of a body's size, packed in the densest way
     if people > most:
         raise ValueError(f"people: {people} do not fit on a floor of {area:.6g} m2, {most} at most; give fewer.")
@@ -370,4 +372,4 @@ def _situations(situations: str | Mapping[str, Callable]) -> tuple[tuple, Callab
 
 def _check_name(option: str, name: str, choices: dict) -> None:
     if name not in choices:
-        raise ValueError(f"{option}: '{name}' is not one of {', '.join(choices)}{files.suggest(name, choices)}")
+        raise ValueError(f"{option}: '{name}' is not one of {', '.join(choices)}{files.suggest(name, choices) or '.'}")

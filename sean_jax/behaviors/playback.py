@@ -36,7 +36,7 @@ def build(
     time_step: float = 0.1,
     kind: str | None = None,
 ) -> Behavior:
-    """Recorded people, who walk as they did.
+    """Recorded people walk as they did.
 
     The recording is a CSV file with the columns frame, id, x and y [m], and ``kind`` its format, a key of
     ``recordings.READERS``, whose clock counts without a ``frame_rate`` [1/s]. ``people`` is not read: there are as many

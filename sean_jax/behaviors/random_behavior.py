@@ -44,7 +44,7 @@ def build(
     people: int,
     shares: tuple[float, float] = (0.0, 0.0),
 ) -> Behavior:
-    """People who walk from anywhere to anywhere, these shares of them in pairs and in triples.
+    """People walk from anywhere to anywhere, alone or, by these shares, in pairs and in triples.
 
     Raises:
         ValueError: so many people or parties do not fit.

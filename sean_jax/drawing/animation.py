@@ -31,8 +31,9 @@ def animate(
 
     ``frames`` are its (T, ...) frames, ``path`` a path or a binary file, ``size`` the width in pixels. Every
     ``every``-th frame is shown, ``speed`` times as fast as it happened. Raises ValueError for frames with a
-    batch axis.
+    batch axis, and for a path that cannot be written.
     """
+    gifs.check(path)
     frames = parts.one_episode(frames)
     scene = _Scene(environment, frames, graph, situations, time_step, size, title, every)
     shown = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]

@@ -7,10 +7,14 @@ of the palette goes to those that are farthest from it, one after the other.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from sean_jax.options import check_file
 
 COLORS = 255  # of the palette: one of GIF's 256 stays free, to say that a pixel has not changed
 CELLS = 64  # each way of the cube of colors
@@ -51,6 +55,12 @@ def save(
     few = [reduced(index) for index in range(number)]
     pauses = [max(20, round(100 * pause) * 10)] * (number - 1) + [round(1000 * last)]
     few[0].save(path, format="GIF", save_all=True, append_images=few[1:], duration=pauses, loop=0, optimize=False)
+
+
+def check(path: Any) -> None:
+    """Refuse, with a ValueError, a path that no GIF can be written to; a binary file is in order."""
+    if isinstance(path, str | os.PathLike):
+        check_file(Path(path), (".gif",), "path")
 
 
 def palette(pictures: list[np.ndarray], colors: int = COLORS) -> np.ndarray:

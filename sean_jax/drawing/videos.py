@@ -44,10 +44,12 @@ def video(
         speed: how many times as fast as it happened.
 
     Raises:
-        ValueError: frames with a batch axis, an unknown camera or renderer, or no OpenGL for MuJoCo.
+        ValueError: frames with a batch axis, an unknown camera or renderer, no OpenGL for MuJoCo, or a path that
+            cannot be written.
     """
     from PIL import Image
 
+    gifs.check(path)
     eye = camera(scenario, view, width=WIDTH, height=HEIGHT) if isinstance(view, str) else view
     check_renderer(renderer)
     if not (rate > 0 and speed > 0):

@@ -84,7 +84,7 @@ def _only(scenario: Scenario, situation: str) -> Scenario:
 def who_drives(name: str, option: str = "--driver") -> Policy:
     """The policy of that name. Raises Refused if there is none."""
     if name not in POLICIES:
-        raise Refused(f"{option}: '{name}' is not one of {', '.join(POLICIES)}{files.suggest(name, POLICIES)}")
+        raise Refused(f"{option}: '{name}' is not one of {', '.join(POLICIES)}{files.suggest(name, POLICIES) or '.'}")
     return POLICIES[name]
 
 

@@ -2,15 +2,17 @@
 
 import inspect
 import re
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.text import Text
 
 DYNAMICS = {
-    "mjx": "rigid bodies in MuJoCo's MJX, on wheels with tyres",
-    "twin": "the same law in closed form: faster, and easier to differentiate",
+    "mjx": "Rigid bodies move in MuJoCo's MJX, on wheels with tyres.",
+    "twin": "The same law moves it in closed form: faster, and easier to differentiate.",
 }
 
 
@@ -18,12 +20,25 @@ def print_choices() -> None:
     """Every option of ``sean run`` that takes a name, each of its names and one line on it."""
     console = Console()
     for option, choices in offered():
-        console.print(f"[bold]--{option}[/]", highlight=False, soft_wrap=True)
+        console.print(Text(f"--{option}", "bold"))
         width = max(len(name) for name in choices)
         for name, line in choices.items():
-            console.print(f"  [bold cyan]{name:<{width}}[/]  {line}", highlight=False, soft_wrap=True)
-    console.print("[bold]metrics[/] that are measured", highlight=False, soft_wrap=True)
-    console.print("  " + ", ".join(measured()), highlight=False, soft_wrap=True)
+            _print(console, f"  {name:<{width}}  ", line)
+    console.print(Text.assemble(("metrics", "bold"), " that are measured"))
+    _print(console, "  ", ", ".join(measured()))
+
+
+def _print(console: Console, name: str, text: str) -> None:
+    """A name and what it is, wrapped behind the name where a terminal is wide enough, and as it is in a file."""
+    if not console.is_terminal:
+        console.print(Text(name + text), soft_wrap=True)
+        return
+    room = console.width - len(name)
+    behind = room >= 30
+    lines = textwrap.wrap(text, room if behind else max(20, console.width - 4))
+    indent = " " * (len(name) if behind else 4)
+    first, rest = (lines[0], lines[1:]) if behind else ("", lines)
+    console.print(Text.assemble((name, "bold cyan"), first, *(f"\n{indent}{line}" for line in rest)), soft_wrap=True)
 
 
 def offered() -> Iterator[tuple[str, dict[str, str]]]:
@@ -50,10 +65,16 @@ def measured() -> list[str]:
 
 
 def _documented(value: Any) -> str:
-    """First line of a function's docstring, or of that of the first function that a value holds."""
+    """First sentence of a function's docstring, or of that of the first function that a value holds."""
     functions = [value] if callable(value) else [held for held in vars(value).values() if callable(held)]
     text = next((inspect.getdoc(function) for function in functions if inspect.getdoc(function)), None) or ""
-    return text.split("\n")[0].rstrip(".")
+    return _sentence(text.split("\n\n")[0])
+
+
+def _sentence(text: str) -> str:
+    """The first one, on one line, as a terminal shows it."""
+    words = " ".join(text.replace("``", "").split())
+    return words[: end.start() + 1] if (end := re.search(r"\.(?= [A-Z]|$)", words)) else words + "."
 
 
 def _environment(folder: Path) -> str:
@@ -61,15 +82,16 @@ def _environment(folder: Path) -> str:
 
     content = yaml.safe_load((folder / "environment.yaml").read_text(encoding="utf-8"))
     x0, y0, x1, y1 = content["floor"]
-    return f"{x1 - x0:g} x {y1 - y0:g} m, {content['people']} people"
+    return f"The floor has {x1 - x0:.6g} x {y1 - y0:.6g} m and, unless told otherwise, {content['people']} people."
 
 
 def _robot(path: Path) -> str:
-    """The first words of the first comment in a robot's MJCF file."""
-    found = re.search(r"<!--\s*(.*?)[.:]\s", path.read_text(encoding="utf-8"), re.DOTALL)
-    return " ".join(found.group(1).split()) if found else ""
+    """The first sentence of the first comment in a robot's MJCF file."""
+    found = re.search(r"<!--\s*(.*?)-->", path.read_text(encoding="utf-8"), re.DOTALL)
+    return _sentence(found.group(1)) if found else ""
 
 
 def _forces(parameters: Any) -> str:
     speed, spread = float(parameters.speed_mean), float(parameters.speed_deviation)
-    return f"{parameters.repulsion.__name__} repulsion, people walk at {speed:.2f} ± {spread:.2f} m/s"
+    law = parameters.repulsion.__name__.capitalize()
+    return f"{law} repulsion acts between people, who walk at {speed:.2f} ± {spread:.2f} m/s."

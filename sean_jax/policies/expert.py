@@ -75,7 +75,7 @@ def settings() -> Settings:
 
 
 def start(scenario: Scenario, data: Settings, state: State) -> Plan:
-    """Polite: plans seconds ahead by sampling, with people predicted, social distances, o-spaces and comfort."""
+    """Plans seconds ahead by sampling, politely: people are predicted, and their distances and o-spaces kept."""
     knots = jnp.zeros((KNOTS, 2), jnp.float32)
     return Plan(knots, onward(scenario, state), jnp.full((), FIRST, jnp.float32), jnp.zeros((), jnp.int32))
 

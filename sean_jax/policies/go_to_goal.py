@@ -14,7 +14,7 @@ ARRIVED = 0.1  # m from the goal, where it turns to the goal's heading
 
 
 def go_to_goal(scenario: Scenario, state: State, key: Array) -> Array:
-    """Along the shortest path around obstacles, giving way to people.
+    """Drives along the shortest path around obstacles, giving way to people.
 
     Gives the (2,) command [m/s, rad/s]. Heads for where the path bends next. If a person is near in that direction,
     it aims beside them, on the side that is nearer; it drives as fast as the room ahead allows, and turns on the

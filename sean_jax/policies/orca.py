@@ -32,7 +32,7 @@ ARRIVED = 0.1  # m from the goal, where it turns to the goal's heading
 
 
 def orca(scenario: Scenario, state: State, key: Array) -> Array:
-    """Along the shortest path, at the nearest velocity without a collision with anybody within 4 s (ORCA).
+    """Drives along the shortest path, at the nearest velocity without a collision with anybody within 4 s (ORCA).
 
     Gives the (2,) command [m/s, rad/s]. It avoids people wholly, for they need not reciprocate, as far as that is
     possible at its speed; else it takes the velocity that fails them least. Obstacles bound its speed, ahead and

@@ -82,7 +82,7 @@ def settings(top_speed: float = 0.6, covariance: float = 0.1) -> Settings:
 
 
 def start(scenario: Scenario, data: Settings, state: State) -> Memory:
-    """The paper's navigation stack: plans on a cost map with personal spaces, drives by dynamic windows (move_base)."""
+    """Plans on a cost map with personal spaces and drives by dynamic windows, as the paper's navigation stack."""
     here = jnp.broadcast_to(state.robot.position[:, None], (2, POINTS))
     cells = jnp.full((CELLS, CELLS), wavefront.FAR, jnp.float32)
     over = Window(jnp.zeros(2, jnp.float32), jnp.ones((), jnp.float32))

@@ -46,4 +46,4 @@ def check_step(model: RobotModel, time_step: float) -> None:
 def _meant(wrong: str, right: dict) -> str:
     """How a message about a wrong name goes on: with the name that was probably meant, or with all there are."""
     close = difflib.get_close_matches(wrong, right, n=1)
-    return f"; did you mean {close[0]!r}?" if close else f"; there are: {', '.join(right)}"
+    return f"; did you mean {close[0]!r}?" if close else f"; there are: {', '.join(right)}."

@@ -17,7 +17,7 @@ ROOM = 0.1  # m, to obstacles beside the robot's radius
 
 
 def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """From anywhere to anywhere, as far apart as ``scenario.task_distance`` asks; headings at random."""
+    """The robot goes from anywhere to anywhere, as far as ``scenario.task_distance`` asks, with random headings."""
     places = scenario.navigation.places
     draw_key, choice_key, turn_key = jax.random.split(key, 3)
     spots = places[jax.random.randint(draw_key, (GOALS + CANDIDATES,), 0, places.shape[0], jnp.int32)]
@@ -27,7 +27,7 @@ def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, 
 
 
 def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """A start and a goal 5 m around the person in the middle of the largest of three clusters of people.
+    """The robot starts and ends 5 m around the person in the middle of the largest of three clusters of people.
 
     Clusters are found by k-means (section IV-E). Where too little of the ring is free, places off it that are
     nearest to it are taken. With nobody there, the ring is around any free place.

@@ -14,7 +14,7 @@ from sean_jax.quantities import FARTHEST, check
 
 
 def custom(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """The start and the goal that are given as (x, y) or (x, y, heading in degrees)."""
+    """The robot goes from the start to the goal that are given as (x, y) or (x, y, heading in degrees)."""
     raise ValueError("task: 'custom' needs a start and a goal; give start=(x, y) and goal=(x, y) in metres.")
 
 

@@ -12,7 +12,7 @@ from sean_jax.tasks.places import far_place
 
 
 def join_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """To the open place of a random group, from a drawn distance away."""
+    """The robot goes to the open place of a random group, from a drawn distance away."""
     group, opening, inward, away, facing = _poses(scenario, pedestrians, groups, key)
     to_goal = paths.to_goal(scenario.navigation, opening)
     return RobotTask(
@@ -28,7 +28,7 @@ def join_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, mem
 
 
 def leave_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """From the open place of a random group to a place a drawn distance away."""
+    """The robot goes from the open place of a random group to a place a drawn distance away."""
     group, opening, inward, away, facing = _poses(scenario, pedestrians, groups, key)
     to_goal = paths.to_goal(scenario.navigation, away)
     return RobotTask(

@@ -16,7 +16,7 @@ from sean_jax.handcrafted import Sets
 
 
 def handcrafted(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """From one of the five starts to one of the five goals of the handcrafted set.
+    """The robot goes from one of the five starts to one of the five goals of the handcrafted set.
 
     The episode's set is read from ``memory``, that of behavior ``handcrafted``.
     """
