@@ -113,6 +113,7 @@ run --robot kurri | robot 'kurri'; did you mean 'kuri'
 run --robot nope.xml | no robot file 'nope.xml'
 run --policy go_to_gaol | policy: 'go_to_gaol'; did you mean 'go_to_goal'
 run --policy runs/nope | policy: 'runs/nope'; sean train
+run --policy full | full has no trained network; sean train imitation
 run --camera first_persn | camera: robot 'kuri' has no 'first_persn'; did you mean 'first_person'
 run --camera depth --renderer unity | renderer: 'unity' is not one of rays, mujoco
 run --renderer mujoco | --renderer; add --camera first_person
@@ -176,8 +177,8 @@ def compiled():
     """Grows by the name of everything that XLA compiles, but for changes of a number's type."""
     found = []
 
-    def listen(event: str, seconds: float, **about: typing.Any) -> None:
-        if "backend_compile" in event and "convert_element_type" not in (name := str(about.get("fun_name"))):
+    def listen(event: str, duration_secs: float, **kwargs: typing.Any) -> None:
+        if "backend_compile" in event and "convert_element_type" not in (name := str(kwargs.get("fun_name"))):
             found.append(name)
 
     jax.monitoring.register_event_duration_secs_listener(listen)

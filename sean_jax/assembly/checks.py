@@ -60,7 +60,7 @@ def check(
     }
     _check_owners(behavior, options)
     _check_graph_options(paths, spreading)
-    behaviors.parties.parties(0, tuple(parties))
+    behaviors.parties.parties(0, parties)
     if isinstance(situations, str):
         _check_name("situations", situations, classifiers.SITUATION_SETS)
     _check_name("model", model, pedestrian_models.MODELS)

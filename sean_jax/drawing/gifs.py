@@ -47,7 +47,7 @@ def save(
     def reduced(index: int) -> Any:
         pixels = np.asarray(picture(index).convert("RGB")).astype(np.int32)
         shades, where = np.unique(pixels @ (1 << 16, 1 << 8, 1), return_inverse=True)
-        found = nearest.query(np.stack([shades >> 16, shades >> 8 & 255, shades & 255], 1))[1]
+        found: Any = nearest.query(np.stack([shades >> 16, shades >> 8 & 255, shades & 255], 1))[1]
         small = Image.fromarray(found.astype(np.uint8)[where].reshape(pixels.shape[:2]))
         small.putpalette(table.ravel().tolist())
         return small

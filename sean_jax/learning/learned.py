@@ -103,9 +103,22 @@ def load(folder: Path | str, scenario: Scenario) -> Driver:
 
     Raises Refused if there is none, or if it was made for other situations or another rate than the scenario's.
     """
-    from sean_jax.learning.checkpoints import CONFIG, Checkpoints
+    from sean_jax.learning.checkpoints import Checkpoints
 
     folder = Path(folder)
+    network, situations = trained(folder, [name for name, _ in scenario.situations])
+    abstract = jax.eval_shape(functools.partial(initial, network, situations), jax.random.key(0))
+    weights = Checkpoints(folder).best_weights(abstract)
+    return driver(network, weights, scenario, name=folder.name)
+
+
+def trained(folder: Path, situations: list[str]) -> tuple[Network, int]:
+    """The network that was trained in that folder, and the number of situations that it was trained with.
+
+    Raises Refused if there is none, or if it is told of other situations than these.
+    """
+    from sean_jax.learning.checkpoints import CONFIG
+
     if not os.path.lexists(folder / CONFIG):
         raise Refused(f"{folder} has no trained network; make one with `sean train imitation`.")
     try:
@@ -113,13 +126,10 @@ def load(folder: Path | str, scenario: Scenario) -> Driver:
     except files.FileError as error:
         raise Refused(str(error)) from None
     network = Network(config.width, config.flags, config.image)
-    names = [name for name, _ in scenario.situations]
-    if network.flags and names != config.situations:
-        here = ", ".join(names)
+    if network.flags and situations != config.situations:
+        here = ", ".join(situations)
         raise Refused(f"the network of {folder} knows other situations than {here}; give make the same situations.")
-    abstract = jax.eval_shape(functools.partial(initial, network, len(config.situations)), jax.random.key(0))
-    weights = Checkpoints(folder).best_weights(abstract)
-    return driver(network, weights, scenario, name=folder.name)
+    return network, len(config.situations)
 
 
 def initial(network: Network, situations: int, key: Array) -> Weights:

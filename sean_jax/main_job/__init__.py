@@ -143,6 +143,11 @@ def _check(options: Options) -> None:
             assembly.check_task(task, options.behavior)
             if task == "custom":
                 raise ValueError("task: 'custom' needs a start and a goal of its own; give it as the only task.")
+        if options.policy not in POLICIES:
+            from sean_jax.classifiers import SITUATION_SETS
+            from sean_jax.learning.learned import trained
+
+            trained(Path(options.policy), list(SITUATION_SETS[options.situations]))
         if options.camera is not None:
             sensors.camera(robots.load(options.robot, "twin"), options.camera)
     except ValueError as error:
