@@ -61,16 +61,16 @@ def congestion(
     lasts = np.diff(ends, prepend=0)  # steps in each span
 
     cell = cell_of(scenario.environment, (rows, columns), frames.people)  # (T, N)
-    people = jnp.zeros((number, rows * columns), jnp.float32)
-    people = people.at[index[:, None], cell].add(frames.present.astype(jnp.float32))
+    people = jnp.zeros((number, rows * columns), float)
+    people = people.at[index[:, None], cell].add(frames.present.astype(float))
     floor = scenario.environment.floor
     area = (floor[2] - floor[0]) * (floor[3] - floor[1]) / (rows * columns)
-    density = people.reshape(number, rows, columns) / (area * jnp.asarray(lasts, jnp.float32)[:, None, None])
+    density = people.reshape(number, rows, columns) / (area * jnp.asarray(lasts, float)[:, None, None])
 
     graph = graph_of(scenario)
-    minutes = jnp.asarray(lasts * scenario.time_step / 60.0, jnp.float32)[:, None, None]
+    minutes = jnp.asarray(lasts * scenario.time_step / 60.0, float)[:, None, None]
     flow = _walks(graph, frames, index, number) / minutes
-    return Congestion(time=jnp.asarray(ends * scenario.time_step, jnp.float32), density=density, flow=flow)
+    return Congestion(time=jnp.asarray(ends * scenario.time_step, float), density=density, flow=flow)
 
 
 def grid(environment: Environment) -> tuple[int, int]:
@@ -112,15 +112,15 @@ def follow(graph: BehaviorGraph, last: Array, people: Array, present: Array) -> 
 def _walks(graph: Any, frames: Frame, index: Array, number: int) -> Array:
     """(number, M, M) people who walked each edge in the spans whose ``index`` (T,) the frames have."""
     if graph is None:
-        return jnp.zeros((number, 0, 0), jnp.float32)
+        return jnp.zeros((number, 0, 0), float)
     nodes = graph.radius.shape[0]
 
     def one(carry, frame):
         last, count = carry
         people, present, span = frame
         now, walked = follow(graph, last, people, present)
-        return (now, count.at[span, last, now].add(walked.astype(jnp.float32))), None
+        return (now, count.at[span, last, now].add(walked.astype(float))), None
 
     nowhere = jnp.full(frames.present.shape[1:], NOWHERE, jnp.int32)
-    start = nowhere, jnp.zeros((number, nodes, nodes), jnp.float32)
+    start = nowhere, jnp.zeros((number, nodes, nodes), float)
     return jax.lax.scan(one, start, (frames.people, frames.present, index))[0][1]

@@ -82,11 +82,11 @@ def load(name_or_path: str | Path) -> Environment:
     """
     folder = find(name_or_path)
     settings = _settings(folder)
-    floor = jnp.asarray(np.array(settings.floor, np.float32))
+    floor = jnp.asarray(settings.floor, float)
     boxes, looks = _boxes(folder / SCENE)
     if not settings.open:
         boxes = np.concatenate([boxes, _edges(boxes, settings.floor)])
-    obstacles = Obstacles(*(jnp.asarray(part, jnp.float32) for part in (boxes[:, :2], boxes[:, 2:4], *boxes[:, 4:].T)))
+    obstacles = Obstacles(*(jnp.asarray(part, float) for part in (boxes[:, :2], boxes[:, 2:4], *boxes[:, 4:].T)))
     return Environment(
         floor=floor,
         obstacles=obstacles,
@@ -118,7 +118,7 @@ def free_points(environment: Environment, radius: float, number: int, seed: int 
     missing, tried = number, 0
     while missing > 0:
         places = generator.uniform(floor[:2], floor[2:], (BATCH, 2)).astype(np.float32)
-        free = places[np.asarray(measure(environment, jnp.asarray(places))) >= radius]
+        free = places[np.asarray(measure(environment, jnp.asarray(places, float))) >= radius]
         found.append(free[:missing])
         missing -= len(found[-1])
         tried += BATCH

@@ -32,13 +32,13 @@ def tabulate(obstacles: Obstacles, floor: Array, cell: float = 1.0, reach: float
     most = max(1, int(felt.sum(-1).max(initial=0)))
     if count[0] * count[1] * most > MOST_ROWS:
         raise ValueError(f"up to {most} obstacles are within {reach:g} m of one place; use fewer and larger boxes.")
-    rows = np.zeros((*count, most, 6), np.float32)
+    rows = np.zeros((*count, most, 6))
     rows[..., 0], rows[..., 1], rows[..., 4] = FAR, FAR, 1.0
     table = np.concatenate([center, half, cosine[:, None], sine[:, None]], 1)
     for i, j in np.argwhere(felt.any(-1)):
         near = np.flatnonzero(felt[i, j])
         rows[i, j, : len(near)] = table[near]
-    return Nearby(rows=jnp.asarray(rows), origin=jnp.asarray(lower, jnp.float32), cell=jnp.asarray(cell, jnp.float32))
+    return Nearby(rows=jnp.asarray(rows, float), origin=jnp.asarray(lower, float), cell=jnp.asarray(cell, float))
 
 
 def around(nearby: Nearby, x: Array, y: Array) -> Array:

@@ -136,7 +136,7 @@ def moment(scenario: Scenario, state: State) -> Moment:
         geodesic=task.geodesic,
         situations=state.situations,
         tick=state.tick,
-        robot_radius=jnp.asarray(scenario.robot.radius, jnp.float32),
+        robot_radius=jnp.asarray(scenario.robot.radius, float),
         person_radius=scenario.forces.radius,
         time_step=scenario.time_step,
         obstacles=scenario.environment.obstacles,

@@ -21,7 +21,7 @@ def plain(obstacles: Obstacles) -> Scenery:
     half = jnp.concatenate([obstacles.half_extent, 0.5 * obstacles.height[:, None]], 1)
     middle = jnp.concatenate([obstacles.center, 0.5 * obstacles.height[:, None]], 1)
     turn = jnp.stack([jnp.cos(obstacles.yaw), jnp.sin(obstacles.yaw)], -1)
-    color = jnp.broadcast_to(jnp.asarray(OBSTACLE, jnp.float32), (number, 3))
+    color = jnp.broadcast_to(jnp.asarray(OBSTACLE, float), (number, 3))
     return _scenery(_solids(jnp.concatenate([middle, half, turn], 1), np.zeros((0, 8)), np.zeros((0, 4)), color))
 
 
@@ -66,18 +66,18 @@ def solids(model: Any, data: Any, geoms: list[int]) -> Solids:
 def _solids(boxes, cylinders, spheres, color) -> Solids:
     shapes = (("boxes", boxes, 8), ("cylinders", cylinders, 8), ("spheres", spheres, 4), ("color", color, 3))
     return Solids(
-        **{name: jnp.asarray(np.asarray(rows, np.float32).reshape(-1, width)) for name, rows, width in shapes}
+        **{name: jnp.asarray(np.asarray(rows, float).reshape(-1, width), float) for name, rows, width in shapes}
     )
 
 
 def _scenery(shape: Solids, floor=FLOOR, sky=SKY, sun=SUN) -> Scenery:
-    towards = np.asarray(sun, np.float32)
+    towards = np.asarray(sun, float)
     return Scenery(
         solids=shape,
-        floor=jnp.asarray(np.asarray(floor, np.float32)),
-        square=jnp.asarray(SQUARE, jnp.float32),
-        sky=jnp.asarray(np.asarray(sky, np.float32)),
-        sun=jnp.asarray(towards / np.linalg.norm(towards)),
+        floor=jnp.asarray(floor, float),
+        square=jnp.asarray(SQUARE, float),
+        sky=jnp.asarray(sky, float),
+        sun=jnp.asarray(towards / np.linalg.norm(towards), float),
     )
 
 

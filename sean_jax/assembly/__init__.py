@@ -119,8 +119,9 @@ def make(
     scene, vehicle = environments.load(folder), robots.load(robot, dynamics)
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     robots.check_step(vehicle, time_step)
-    walking = _navigation(folder, PERSON_CLEARANCE)
-    driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius)
+    precision = jnp.result_type(float)
+    walking = _navigation(folder, PERSON_CLEARANCE, precision)
+    driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius, precision)
     options = {
         "paths": paths,
         "spreading": spreading,
@@ -137,9 +138,9 @@ def make(
         behavior=directed,
         forces=parameters,
         thresholds=usual() if thresholds is None else thresholds,
-        goal_radius=jnp.asarray(goal_radius, jnp.float32),
-        hold_time=jnp.asarray(hold_time, jnp.float32),
-        task_distance=jnp.asarray(task_distance, jnp.float32),
+        goal_radius=jnp.asarray(goal_radius, float),
+        hold_time=jnp.asarray(hold_time, float),
+        task_distance=jnp.asarray(task_distance, float),
         robot=vehicle,
         task=tasks.TASKS[task],
         move=behaviors.playback.follow if behavior == "playback" else pedestrian_models.MODELS[model],
@@ -172,7 +173,7 @@ def with_task(scenario: Scenario, task: str) -> Scenario:
 
 
 @functools.lru_cache(maxsize=8)
-def _navigation(folder: Path, radius: float) -> navigation.Navigation:
+def _navigation(folder: Path, radius: float, precision: object) -> navigation.Navigation:
     """Built once per process for each environment and radius; files are read again, tables are not made again."""
     return navigation.build(environments.load(folder), radius)
 

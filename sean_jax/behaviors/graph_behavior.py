@@ -78,10 +78,10 @@ def build(
         graph=graph,
         navigation=navigation,
         ways=paths.towards(navigation, graph.position),
-        start=jnp.asarray(start, jnp.float32),
+        start=jnp.asarray(start, float),
         start_node=jnp.asarray(node, jnp.int32),
-        start_weight=jnp.asarray(np.log(weight), jnp.float32),
-        spreading=jnp.asarray(spreading, jnp.float32) if spreading else None,
+        start_weight=jnp.asarray(np.log(weight), float),
+        spreading=jnp.asarray(spreading, float) if spreading else None,
         clumps=jnp.asarray(parties.clumps(navigation, start, groups)),
         together=groups,
     )
@@ -98,16 +98,16 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         form_key, graph.capacity[graph.groups], center, graph.seat_group
     )
     seated = min(people - tables.together.members, graph.seat_group.shape[0])
-    chance = tables.start_weight + jax.random.gumbel(place_key, tables.start_weight.shape, jnp.float32)
+    chance = tables.start_weight + jax.random.gumbel(place_key, tables.start_weight.shape, float)
     chosen = parties.places(chance, tables.clumps, people - seated, tables.together)
     party = parties.leaders(scenario.behavior.companions, people)
-    angle = jax.random.uniform(turn_key, (people - seated,), jnp.float32, 0.0, 2 * jnp.pi)
+    angle = jax.random.uniform(turn_key, (people - seated,), float, 0.0, 2 * jnp.pi)
     facing = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
     position = jnp.concatenate([seat_position[:seated], tables.start[chosen]])
     node = jnp.concatenate([graph.seat_node[:seated], tables.start_node[chosen]])
     seat = jnp.concatenate([jnp.arange(seated, dtype=jnp.int32), jnp.full(people - seated, -1, jnp.int32)])
     limits = graph.stay[graph.seat_node[:seated]]
-    share = jax.random.uniform(stay_key, (2, seated), jnp.float32)
+    share = jax.random.uniform(stay_key, (2, seated), float)
     stay = share[1] * (limits[:, 0] + share[0] * (limits[:, 1] - limits[:, 0]))  # some have been there for a while
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
     pedestrians = Pedestrians(
@@ -148,7 +148,7 @@ def _directed(choose: Callable, scenario: Scenario, state: State, key: Array) ->
     if tables.spreading is not None:
         walking = people.present & (memory.stay == 0)
         graph = spread(graph, crowds(graph, memory.origin, memory.hop, walking), tables.spreading)
-    chance = jax.random.uniform(key, (3, scenario.people), jnp.float32)
+    chance = jax.random.uniform(key, (3, scenario.people), float)
     memory, free = _stay_or_leave(scenario, people, memory, graph, chance[0])
     memory = choose(graph, people, memory, free, chance[1:])
     if scenario.behavior.companions is not None:

@@ -135,7 +135,7 @@ def _other_waypoint(graph: BehaviorGraph, hop: Array, chance: Array) -> Array:
     is_own = graph.waypoints[None, :] == hop[:, None]
     here, own = is_own.any(1), jnp.argmax(is_own, axis=1).astype(jnp.int32)
     others = number - here.astype(jnp.int32)
-    index = jnp.minimum((chance * others.astype(jnp.float32)).astype(jnp.int32), jnp.maximum(others - 1, 0))
+    index = jnp.minimum((chance * others.astype(float)).astype(jnp.int32), jnp.maximum(others - 1, 0))
     return graph.waypoints[jnp.minimum(index + (here & (index >= own)).astype(jnp.int32), number - 1)]
 
 

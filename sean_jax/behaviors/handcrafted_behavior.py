@@ -60,12 +60,12 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
 
     # Whoever walks or is absent takes a seat of one group more, which nobody sees.
     groups, people = one.capacity.shape[0], one.group.shape[0]
-    center = jnp.concatenate([one.center, jnp.zeros((1, 2), jnp.float32)])
+    center = jnp.concatenate([one.center, jnp.zeros((1, 2), float)])
     capacity = jnp.concatenate([one.capacity, jnp.ones(1, jnp.int32)])
     seat = jnp.where(one.group >= 0, one.group, groups)
     seat_position, seat_heading, radius, opening = formation(form_key, capacity, center, seat)
 
-    phase = jax.random.uniform(phase_key, one.waypoints.shape, jnp.float32)
+    phase = jax.random.uniform(phase_key, one.waypoints.shape, float)
     place, ahead, target = jax.vmap(_on_loop, in_axes=(None, 0, 0, 0, None))(
         one, one.loop, one.share, one.way, phase
     )  # fmt: skip
@@ -125,4 +125,4 @@ def _on_loop(one: Sets, loop: Array, share: Array, way: Array, phase: Array) -> 
     size = jnp.maximum(length(gap[0], gap[1]), 1e-6)
     ahead = gap / size
     place = b - (ends[leg] - along) * ahead
-    return place, way.astype(jnp.float32) * ahead, jnp.where(way > 0, (leg + 1) % count, leg)
+    return place, way.astype(float) * ahead, jnp.where(way > 0, (leg + 1) % count, leg)

@@ -78,7 +78,7 @@ def clumps(navigation: Navigation, start: np.ndarray, groups: Parties) -> np.nda
     if groups.number:
         pairs = KDTree(start).query_pairs(NEAREST, output_type="ndarray")
         sees = jax.jit(jax.vmap(lambda p, q: paths.sees(navigation.obstacles, p, q, 0.0)))
-        spots = jnp.asarray(start, jnp.float32)
+        spots = jnp.asarray(start, float)
         clear = np.asarray(sees(spots[pairs[:, 0]], spots[pairs[:, 1]]))
         near: list[list[int]] = [[] for _ in start]
         for i, j in pairs[clear]:
@@ -128,7 +128,7 @@ def speeds(scenario: Scenario, party: Array, preferred: Array) -> Array:
     companions = scenario.behavior.companions
     if companions is None:
         return preferred
-    slower = scenario.forces.party_slowness * (companions >= 0).sum(1, dtype=jnp.int32).astype(jnp.float32)
+    slower = scenario.forces.party_slowness * (companions >= 0).sum(1, dtype=jnp.int32).astype(float)
     (shared,) = follow(party, preferred)
     return jnp.where(party >= 0, jnp.maximum(shared - slower, SLOWEST), preferred)
 

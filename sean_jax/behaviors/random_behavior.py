@@ -56,7 +56,7 @@ def build(
     rows = jax.jit(lambda places: jax.lax.map(lambda p: paths.to_goal(navigation, p), places, batch_size=32))
     tables = Tables(
         navigation=navigation,
-        start=jnp.asarray(start, jnp.float32),
+        start=jnp.asarray(start, float),
         to_goal=rows(navigation.places),
         clumps=jnp.asarray(parties.clumps(navigation, start, groups)),
         together=groups,
@@ -69,10 +69,10 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     tables: Tables = scenario.behavior.data
     people = scenario.people
     place_key, goal_key, trait_key, turn_key = jax.random.split(key, 4)
-    chance = jax.random.uniform(place_key, tables.start.shape[:1], jnp.float32)
+    chance = jax.random.uniform(place_key, tables.start.shape[:1], float)
     chosen = parties.places(chance, tables.clumps, people, tables.together)
     party = parties.leaders(scenario.behavior.companions, people)
-    angle = jax.random.uniform(turn_key, (people,), jnp.float32, 0.0, 2 * jnp.pi)
+    angle = jax.random.uniform(turn_key, (people,), float, 0.0, 2 * jnp.pi)
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
     position = tables.start[chosen]
     pedestrians = Pedestrians(
@@ -111,7 +111,7 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
 
 def no_groups() -> Groups:
     """Groups of which there are none (G = 0)."""
-    pairs, none = jnp.zeros((0, 2), jnp.float32), jnp.zeros(0, jnp.float32)
+    pairs, none = jnp.zeros((0, 2), float), jnp.zeros(0, float)
     return Groups(center=pairs, radius=none, opening=pairs, present=jnp.zeros(0, bool))
 
 

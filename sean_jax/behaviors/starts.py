@@ -28,7 +28,7 @@ def places(
     distance = radius[disc] * np.sqrt(generator.uniform(size=len(disc)))
     angle = generator.uniform(0, 2 * np.pi, len(disc))
     spots = center[disc] + distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
-    free = np.asarray(clearance(environment, jnp.asarray(spots, jnp.float32))) > float(navigation.radius)
+    free = np.asarray(clearance(environment, jnp.asarray(spots, float))) > float(navigation.radius)
     for middle, reach in avoid:
         free &= np.linalg.norm(spots - np.asarray(middle, float), axis=-1) > reach
     spots, disc = spots[free], disc[free]

@@ -94,7 +94,7 @@ def _tables(sampled: list[tuple[int, np.ndarray]], time_step: float, path: Path)
             present[begin:end, n] = True
             heading[before:end, n] = _headings(velocity[before:end, n])
             heading[end:, n], before = heading[end - 1, n], end
-    return Tracks(position.astype(np.float32), velocity.astype(np.float32), heading.astype(np.float32), present)  # pyright: ignore
+    return Tracks(position, velocity, heading, present)  # pyright: ignore
 
 
 def _headings(velocity: np.ndarray) -> np.ndarray:

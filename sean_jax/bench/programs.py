@@ -23,7 +23,7 @@ LOOKING = 0.8, 0.6  # cosine and sine of the angle by which robots turn between 
 
 def circles(scenario: Scenario, state: State, key: Array) -> Array:
     """The command 0.4 m/s and 0.3 rad/s."""
-    return jnp.asarray([0.4, 0.3], jnp.float32)
+    return jnp.asarray([0.4, 0.3], float)
 
 
 def stepping(scenario: Scenario, batch: int, turns: int, image: tuple[int, int] | None = None, number: int = 1):
@@ -49,7 +49,7 @@ def stepping(scenario: Scenario, batch: int, turns: int, image: tuple[int, int] 
         return jax.lax.scan(turn, (state, shown), length=turns)[0]
 
     size = (1, 1) if image is None else (image[1], image[0])
-    blank = devices.spread(over, lambda _, tick: jnp.zeros(size, jnp.float32))(fixed, states.tick)
+    blank = devices.spread(over, lambda _, tick: jnp.zeros(size, float))(fixed, states.tick)
     return Program(devices.jitted(over, run, donate=True), (fixed,), (states, blank), batch * number, turns)
 
 
@@ -66,7 +66,7 @@ def images(scenario: Scenario, name: str, batch: int, width: int, height: int, t
     def run(scenario: Scenario, carried: tuple[State, Array]) -> tuple[State, Array]:
         def turn(carry: tuple[State, Array], _) -> tuple:
             states, _ = carry
-            cosine, sine = jnp.asarray(LOOKING, jnp.float32)
+            cosine, sine = jnp.asarray(LOOKING, float)
             x, y = rotate(states.robot.heading[:, 0], states.robot.heading[:, 1], cosine, sine)
             states = replace(states, robot=replace(states.robot, heading=jnp.stack([x, y], -1)))
             return (states, jax.vmap(one, (None, 0))(scenario, states)), None

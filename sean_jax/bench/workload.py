@@ -56,7 +56,7 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Nearby |
         desired=heading * preferred[:, None], preferred=preferred, center=center, half=half, yaw=yaw,
     )  # fmt: skip
     exact = {key: value.astype(np.float32).astype(np.float64) for key, value in exact.items()}
-    single = {key: jnp.asarray(value, jnp.float32) for key, value in exact.items()}
+    single = {key: jnp.asarray(value, float) for key, value in exact.items()}
     pedestrians = Pedestrians(
         position=single["x"],
         velocity=single["v"],
@@ -66,20 +66,20 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Nearby |
         party=jnp.full(people, -1, jnp.int32),
         present=jnp.ones(people, bool),
         preferred_speed=single["preferred"],
-        robot_distance=jnp.zeros(people, jnp.float32),
+        robot_distance=jnp.zeros(people, float),
     )
     obstacles = Obstacles(
         center=single["center"], half_extent=single["half"], yaw=single["yaw"],
-        height=jnp.full(walls, 2.0, jnp.float32),
+        height=jnp.full(walls, 2.0, float),
     )  # fmt: skip
     half = side(people) / 2 + 1.0
-    floor = jnp.asarray([-half, -half, half, half], jnp.float32)
+    floor = jnp.asarray([-half, -half, half, half], float)
     return pedestrians, tabulate(obstacles, floor) if walls else None, exact
 
 
 def repeat(people: Pedestrians, size: int) -> Pedestrians:
     """The crowd ``size`` times, each copy's velocities turned a little so that no two are alike."""
-    angle = jnp.linspace(0.0, 0.3, size, dtype=jnp.float32)[:, None]
+    angle = jnp.linspace(0.0, 0.3, size, dtype=float)[:, None]
     many = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size, *leaf.shape)), people)
     vx, vy = rotate(many.velocity[..., 0], many.velocity[..., 1], jnp.cos(angle), jnp.sin(angle))
     return replace(many, velocity=jnp.stack([vx, vy], -1))

@@ -82,7 +82,7 @@ def found_groups(estimated: Array, annotated: Array, present: Array, tolerance: 
     second = (annotated[None, :] == everybody[:, None]) & present[None, :]
     common = (second[:, None, :] & first[None, :, :]).sum(-1, dtype=jnp.int32)
     size, true_size = first.sum(-1, dtype=jnp.int32), second.sum(-1, dtype=jnp.int32)
-    real = true_size.astype(jnp.float32)
+    real = true_size.astype(float)
     need = jnp.ceil(tolerance * real - 1e-4).astype(jnp.int32)
     spare = jnp.ceil((1 - tolerance) * real - 1e-4).astype(jnp.int32)
     match = (common >= need[:, None]) & (size[None, :] - common <= spare[:, None])

@@ -90,7 +90,7 @@ def crowded(moment: Moment, thresholds: Thresholds) -> Array:
     people = moment.people
     gaps = people.position - moment.position[None, :]
     inside = (gaps * gaps).sum(-1) < thresholds.near * thresholds.near
-    number = (inside & people.present).sum().astype(jnp.float32)
+    number = (inside & people.present).sum().astype(float)
     return number >= thresholds.crowd * jnp.pi * thresholds.near * thresholds.near
 
 

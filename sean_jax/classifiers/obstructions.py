@@ -69,7 +69,7 @@ def narrow_passage(moment: Moment, thresholds: Thresholds) -> Array:
         width = _to_nearest(obstacles, place, left) + _to_nearest(obstacles, place, right)
         return (width < limit) & (ahead <= free)
 
-    places = jnp.arange(STEPS + 1).astype(jnp.float32) * (thresholds.personal / STEPS)
+    places = jnp.arange(STEPS + 1).astype(float) * (thresholds.personal / STEPS)
     somebody = any_person(moment, lambda agent: near(moment.position, agent.position, thresholds.near))
     return somebody & jax.vmap(narrow)(places).any()
 

@@ -50,7 +50,7 @@ def thresholds(
 ) -> Thresholds:
     """The paper's thresholds, D = 2.4 m, V = 1.4 m/s, A = 15 degrees, and those of the other situations."""
     values = (near, walking, angle, arrival, reach, personal, moving, gaining, crowd, hides)
-    return Thresholds(*(jnp.asarray(value, jnp.float32) for value in values))
+    return Thresholds(*(jnp.asarray(value, float) for value in values))
 
 
 def cross_path(moment: Moment, thresholds: Thresholds) -> Array:

@@ -91,8 +91,8 @@ def view(trajectory: Frame, scenario: Scenario | None = None, animate: bool = Fa
 def _empty_floor(frames: Frame) -> Environment:
     """A floor without obstacles that holds everybody's way, with 2 m around it."""
     seen = np.concatenate([np.asarray(frames.people).reshape(-1, 2), np.asarray(frames.position).reshape(-1, 2)])
-    floor = jnp.asarray(np.concatenate([seen.min(0) - 2.0, seen.max(0) + 2.0]), jnp.float32)
-    none, pairs = jnp.zeros(0, jnp.float32), jnp.zeros((0, 2), jnp.float32)
+    floor = jnp.asarray(np.concatenate([seen.min(0) - 2.0, seen.max(0) + 2.0]), float)
+    none, pairs = jnp.zeros(0, float), jnp.zeros((0, 2), float)
     obstacles = Obstacles(center=pairs, half_extent=pairs, yaw=none, height=none)
     return Environment(
         floor=floor,

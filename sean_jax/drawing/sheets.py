@@ -79,7 +79,7 @@ def graph_sheet(environment: Environment, graph: BehaviorGraph, *, width: float 
     low, high = (place - radius).min(0) - 6.0, (place + radius).max(0) + 6.0
     low[0], high[0] = min(low[0], high[0] - 0.5 * (high[1] - low[1])), max(high[0], low[0] + 0.5 * (high[1] - low[1]))
     low, high = np.maximum(low, floor[:2]), np.minimum(high, floor[2:])
-    part = replace(environment, floor=jnp.asarray([*low, *high], jnp.float32))
+    part = replace(environment, floor=jnp.asarray([*low, *high], float))
     figure, axes = parts.canvas(part, width, f"Behavior graph: {environment.name}")
     parts.draw_obstacles(axes, environment)
     for drawn in axes.collections:

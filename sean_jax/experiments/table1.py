@@ -144,7 +144,7 @@ def _at_speeds(scenario: Scenario, speeds: tuple[float, ...]) -> tuple:
 
 
 def _at(holds: Callable, speed: float, moment: Moment, thresholds: Any) -> Array:
-    return holds(moment, dataclasses.replace(thresholds, walking=jnp.asarray(speed, jnp.float32)))
+    return holds(moment, dataclasses.replace(thresholds, walking=jnp.asarray(speed, float)))
 
 
 def write(options: Experiment, folder: Path, cells: list[Cell], swept: list[Cell]) -> None:

@@ -88,20 +88,20 @@ def build(annotation: Annotation, environment: Environment, seed: int = 0) -> Be
     cost, next_hop = routes(weight, is_group)
     groups = np.flatnonzero(is_group)
     return BehaviorGraph(
-        position=jnp.asarray(position, jnp.float32),
-        radius=jnp.asarray(radius, jnp.float32),
+        position=jnp.asarray(position, float),
+        radius=jnp.asarray(radius, float),
         is_group=jnp.asarray(is_group),
         capacity=jnp.asarray(capacity, jnp.int32),
-        stay=jnp.asarray([node.stay or (0.0, 0.0) for node in nodes], jnp.float32),
-        spawn=jnp.asarray([node.spawn for node in nodes], jnp.float32),
-        weight=jnp.asarray(weight, jnp.float32),
-        cost=jnp.asarray(cost, jnp.float32),
+        stay=jnp.asarray([node.stay or (0.0, 0.0) for node in nodes], float),
+        spawn=jnp.asarray([node.spawn for node in nodes], float),
+        weight=jnp.asarray(weight, float),
+        cost=jnp.asarray(cost, float),
         next_hop=jnp.asarray(next_hop, jnp.int32),
         waypoints=jnp.asarray(np.flatnonzero(~is_group), jnp.int32),
         groups=jnp.asarray(groups, jnp.int32),
         seat_group=jnp.asarray(np.repeat(np.arange(len(groups)), capacity[groups]), jnp.int32),
         seat_node=jnp.asarray(np.repeat(groups, capacity[groups]), jnp.int32),
-        places=jnp.asarray(places(environment, position, radius, seed), jnp.float32),
+        places=jnp.asarray(places(environment, position, radius, seed), float),
         names=tuple(annotation.nodes),
     )
 
@@ -191,7 +191,7 @@ def _unreachable(annotation: Annotation) -> Iterator[files.Problem]:
 
 def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
     """What is wrong with where the nodes lie in an environment."""
-    points = jnp.asarray([node.position for node in annotation.nodes.values()], jnp.float32)
+    points = jnp.asarray([node.position for node in annotation.nodes.values()], float)
     to_box, to_edge = (np.asarray(distance) for distance in jax.jit(room)(environment, points))
     for (name, node), box, edge in zip(annotation.nodes.items(), to_box, to_edge, strict=True):
         here = ("nodes", name, "position")

@@ -26,7 +26,7 @@ JITTER = 0.12  # m, most by which a seat is off its place, along the ring and ac
 
 
 def _tables() -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation [m] of the ring's radius by group size, float32 (LARGEST + 1,).
+    """Mean and standard deviation [m] of the ring's radius by group size, (LARGEST + 1,).
 
     With one of n + 1 places open, members' centroid is not the ring's centre: the data's distance from the centroid
     is a share of the ring's radius.
@@ -38,7 +38,7 @@ def _tables() -> tuple[np.ndarray, np.ndarray]:
         share = float(np.mean(np.linalg.norm(ring - ring.mean(0), axis=-1))) if size > 1 else 1.0
         distance, spread = MEASURED.get(size, (0.26 + 0.10 * size, 0.18))
         mean[size], deviation[size] = distance / share, spread / share
-    return mean.astype(np.float32), deviation.astype(np.float32)
+    return mean, deviation
 
 
 MEAN, DEVIATION = _tables()
@@ -60,34 +60,34 @@ def formation(key: Array, capacity: Array, center: Array, seat_group: Array) -> 
     groups, seats = capacity.shape[0], seat_group.shape[0]
     ring_key, turn_key, order_key, jitter_key, side_key, angle_key = jax.random.split(key, 6)
 
-    count = capacity.astype(jnp.float32) + 1.0  # places of the ring
+    count = capacity.astype(float) + 1.0  # places of the ring
     half_chord = jnp.sin(jnp.pi / count)
     size = jnp.clip(capacity, 0, LARGEST)
-    mean, deviation = jnp.asarray(MEAN)[size], jnp.asarray(DEVIATION)[size]
+    mean, deviation = jnp.asarray(MEAN, float)[size], jnp.asarray(DEVIATION, float)[size]
     tightest = (0.5 * NEIGHBOR / half_chord - mean) / deviation
     lower = jnp.clip(tightest, -1.0, 0.999)
-    radius = mean + deviation * jax.random.truncated_normal(ring_key, lower, 1.0, (groups,), jnp.float32)
+    radius = mean + deviation * jax.random.truncated_normal(ring_key, lower, 1.0, (groups,), float)
 
-    turn = jax.random.uniform(turn_key, (groups,), jnp.float32, 0.0, 2.0 * jnp.pi)
+    turn = jax.random.uniform(turn_key, (groups,), float, 0.0, 2.0 * jnp.pi)
     opening = center + radius[:, None] * jnp.stack([jnp.cos(turn), jnp.sin(turn)], -1)
 
     # Which place of the ring a seat is: seats of a group in random order, counted from the opening.
-    score = jax.random.uniform(order_key, (seats,), jnp.float32)
+    score = jax.random.uniform(order_key, (seats,), float)
     number = jnp.arange(seats)
     tie = (score[None, :] == score[:, None]) & (number[None, :] < number[:, None])
     earlier = ((score[None, :] < score[:, None]) | tie) & (seat_group[None, :] == seat_group[:, None])
-    place = 1.0 + jnp.sum(earlier, axis=1, dtype=jnp.float32)
+    place = 1.0 + jnp.sum(earlier, axis=1, dtype=float)
     angle = turn[seat_group] + place * (2.0 * jnp.pi / count)[seat_group]
 
     # A seat stays within a disc around its place that is small enough to keep neighbours apart.
     room = jnp.clip(radius * half_chord - 0.5 * APART, 0.0, JITTER)[seat_group]
-    off = jax.random.uniform(jitter_key, (seats, 2), jnp.float32, -1.0, 1.0) * (room * 0.7071)[:, None]
+    off = jax.random.uniform(jitter_key, (seats, 2), float, -1.0, 1.0) * (room * 0.7071)[:, None]
     outward = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
     along = jnp.stack([-jnp.sin(angle), jnp.cos(angle)], -1)
     offset = outward * (radius[seat_group] + off[:, 0])[:, None] + along * off[:, 1][:, None]
 
-    share = jax.random.uniform(angle_key, (seats,), jnp.float32)
-    away = jnp.interp(share, jnp.asarray(SHARES, jnp.float32), jnp.asarray(ANGLES, jnp.float32))
+    share = jax.random.uniform(angle_key, (seats,), float)
+    away = jnp.interp(share, jnp.asarray(SHARES, float), jnp.asarray(ANGLES, float))
     away = jnp.where(jax.random.bernoulli(side_key, 0.5, (seats,)), away, -away)
     inward = unit_vectors(-offset, outward)
     cosine, sine = jnp.cos(away), jnp.sin(away)

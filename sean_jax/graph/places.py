@@ -32,14 +32,14 @@ def places(environment: Environment, position: np.ndarray, radius: np.ndarray, s
     generator = np.random.default_rng(seed)
     kept = [np.zeros((0, 2), np.float32) for _ in range(count)]
     radius = np.array(radius, np.float64)
-    center = jnp.asarray(np.repeat(np.asarray(position, np.float32), ROUND, axis=0))
+    center = jnp.asarray(np.repeat(np.asarray(position, np.float32), ROUND, axis=0), float)
     turn = 0
     while min(len(points) for points in kept) < NUMBER:
         distance = np.sqrt(generator.uniform(size=(count, ROUND))) * radius[:, None]
         angle = generator.uniform(0.0, 2.0 * np.pi, (count, ROUND))
         offset = np.stack([distance * np.cos(angle), distance * np.sin(angle)], -1)
         drawn = (np.asarray(position, np.float64)[:, None, :] + offset).astype(np.float32)
-        flat = jnp.asarray(drawn.reshape(-1, 2))
+        flat = jnp.asarray(drawn.reshape(-1, 2), float)
         # Compiled here: outside jit, op by op, it takes seconds the first time.
         seen, (_, to_edge) = jax.jit(in_sight)(environment, center, flat), jax.jit(room)(environment, flat)
         free = (np.asarray(seen) & (np.asarray(to_edge) >= PERSON)).reshape(count, ROUND)

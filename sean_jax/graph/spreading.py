@@ -29,7 +29,7 @@ def crowds(graph: BehaviorGraph, origin: Array, hop: Array, walking: Array) -> A
     """
     node = jnp.arange(graph.radius.shape[0], dtype=jnp.int32)
     left = (origin[:, None] == node[None, :]) & (walking & (origin != hop))[:, None]
-    count = left.astype(jnp.float32).T @ (hop[:, None] == node[None, :]).astype(jnp.float32)
+    count = left.astype(float).T @ (hop[:, None] == node[None, :]).astype(float)
     return (count + count.T) / areas(graph)
 
 

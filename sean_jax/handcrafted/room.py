@@ -106,7 +106,7 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
             place = (*here, "walkers", number, "loop")
             spots += [((*place, k), corner, PERSON, "somebody") for k, corner in enumerate(walkers.loop)]
             legs += [((*place, k), *leg) for k, leg in _legs(walkers.loop, walkers.way == "both")]
-    points = jnp.asarray([spot for _, spot, _, _ in spots], jnp.float32)
+    points = jnp.asarray([spot for _, spot, _, _ in spots], float)
     to_box, to_edge = (np.asarray(distance) for distance in jax.jit(room_around)(environment, points))
     blamed = set()
     for (place, spot, needed, who), box, edge in zip(spots, to_box, to_edge, strict=True):
@@ -121,7 +121,7 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
         elif min(box, edge) < needed:
             yield place, f"{at} has {min(box, edge):.2f} m of room where {who} needs {needed:.2f} m; move it"
     if legs:
-        ends = jnp.asarray([[a, b] for _, a, b, _ in legs], jnp.float32)
+        ends = jnp.asarray([[a, b] for _, a, b, _ in legs], float)
         blocked = np.asarray(jax.jit(_blocked)(environment, ends))
         for (place, _, _, what), hit in zip(legs, blocked, strict=True):
             if hit and place not in blamed:  # a waypoint in an obstacle has been told of

@@ -47,30 +47,30 @@ def build(sets: dict[str, Set]) -> Sets:
 
 
 def _row(each: Set, people: int, groups: int, loops: int, corners: int) -> dict[str, np.ndarray]:
-    waypoint, walked = np.zeros((loops, corners, 2), np.float32), np.full((loops, corners), np.inf, np.float32)
+    waypoint, walked = np.zeros((loops, corners, 2)), np.full((loops, corners), np.inf)
     waypoints = np.ones(loops, np.int32)
     who = {name: np.full(people, -1, np.int32) for name in ("group", "loop")}
-    share, way = np.zeros(people, np.float32), np.ones(people, np.int32)
+    share, way = np.zeros(people), np.ones(people, np.int32)
     first = 0
     for index, group in enumerate(each.groups.values()):
         who["group"][first : first + group.people] = index
         first += group.people
     for index, walkers in enumerate(each.walkers):
-        loop, some = np.array(walkers.loop, np.float32), slice(first, first + walkers.people)
+        loop, some = np.array(walkers.loop), slice(first, first + walkers.people)
         waypoint[index, : len(loop)], waypoints[index] = loop, len(loop)
         walked[index, : len(loop)] = np.cumsum(np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=-1))
         who["loop"][some] = index
         share[some] = np.arange(walkers.people) / walkers.people
         way[some] = 1 - 2 * (np.arange(walkers.people) % 2) if walkers.way == "both" else 1
         first += walkers.people
-    center, capacity = np.zeros((groups, 2), np.float32), np.zeros(groups, np.int32)
+    center, capacity = np.zeros((groups, 2)), np.zeros(groups, np.int32)
     for index, group in enumerate(each.groups.values()):
         center[index], capacity[index] = group.center, group.people
     poses = {}
     for word, given in (("start", each.starts), ("goal", each.goals)):
         poses |= _poses(word, given, list(each.groups), center)
     return poses | who | dict(
-        weight=np.ones((POSES, POSES), np.float32), waypoint=waypoint, waypoints=waypoints, walked=walked,
+        weight=np.ones((POSES, POSES)), waypoint=waypoint, waypoints=waypoints, walked=walked,
         center=center, capacity=capacity, share=share, way=way, present=np.arange(people) < first,
     )  # fmt: skip
 
@@ -81,7 +81,7 @@ def _poses(word: str, poses: list, names: list[str], center: np.ndarray) -> dict
     place = [center[k] if k >= 0 else np.array(pose[:2]) for k, pose in zip(index, poses, strict=True)]
     angle = np.deg2rad([0.0 if isinstance(pose, str) else pose[2] for pose in poses])
     return {
-        word: np.array(place, np.float32),
-        word + "_heading": np.stack([np.cos(angle), np.sin(angle)], -1).astype(np.float32),
+        word: np.array(place),
+        word + "_heading": np.stack([np.cos(angle), np.sin(angle)], -1),
         word + "_group": np.array(index, np.int32),
     }

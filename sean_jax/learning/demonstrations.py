@@ -126,7 +126,7 @@ def _draw(tasks: tuple[Callable, ...], fixed: tuple, number: Array) -> tuple:
     key = jax.random.fold_in(chance.key("collect", seed), number)
     state = reset(dataclasses.replace(scenario, task=task), key)
     last = navigation.bend_to_goal(scenario.navigation, state.task.goal)
-    return parallel.begin(scenario, policy, state), last, jnp.zeros(2, jnp.float32)
+    return parallel.begin(scenario, policy, state), last, jnp.zeros(2, float)
 
 
 def _advance(eye: sensors.Camera, fixed: tuple, carry: tuple) -> tuple:

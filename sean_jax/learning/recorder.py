@@ -68,9 +68,9 @@ class Recorder:
         new = bool(np.isfinite(given).all())
         self._held = np.where(new, given, self._held)
         if int(self.state.tick) % round(1.0 / self.scenario.time_step) == 0 and len(self._rows) < self._most:
-            held = jnp.asarray(self._held, jnp.float32)
+            held = jnp.asarray(self._held, float)
             self._rows.append(jax.tree.map(np.asarray, self._row(self.scenario, self.state, held, self._last)))
-        self.state = self._step(self.scenario, self.state, jnp.asarray(given, jnp.float32))
+        self.state = self._step(self.scenario, self.state, jnp.asarray(given, float))
         return self.state
 
     def commit(self) -> None:

@@ -172,7 +172,7 @@ def _empty_tally(scenario: Scenario, states: State, cells: tuple[int, int]) -> T
         walks=jnp.zeros((nodes, nodes), jnp.int32),
         node=jnp.full((size, scenario.people), crowding.NOWHERE, jnp.int32),
         together=jnp.zeros((2 ** len(scenario.situations),), jnp.int32),
-        penetration=jnp.full((), -1e9, jnp.float32),
+        penetration=jnp.full((), -1e9, float),
         group_size=jnp.zeros(states.groups.radius.shape[-1:], jnp.int32),
         steps=jnp.zeros((size,), jnp.int32),
         faulty=jnp.zeros((size,), bool),

@@ -27,7 +27,7 @@ class Metric(NamedTuple):
 
 def split(moment: Moment) -> Array:
     """(1 + S,) float32 weights by which an amount counts overall and for each situation that occurs now."""
-    return jnp.concatenate([jnp.ones(1, jnp.float32), moment.situations.astype(jnp.float32)])
+    return jnp.concatenate([jnp.ones(1, float), moment.situations.astype(float)])
 
 
 class Duration(NamedTuple):
@@ -59,7 +59,7 @@ def since_second(moment: Moment) -> Array:
     """() s since the last sample before this tick: 1 where seconds are whole steps, else about that."""
     over, under = clock.per_tick(moment.time_step)
     sampled = -((-_seconds(moment, moment.tick - 1) * under) // over)  # the first tick at or after that second
-    return (moment.tick - sampled).astype(jnp.float32) * moment.time_step
+    return (moment.tick - sampled).astype(float) * moment.time_step
 
 
 def _seconds(moment: Moment, tick: Array) -> Array:

@@ -41,7 +41,7 @@ def towards(navigation: Navigation, points: Array) -> Towards:
     wide = round(float(navigation.cell) / CELL)
     best, lengths, leave, onward, ends = _best(navigation, points)
     best = np.repeat(np.repeat(np.asarray(best), wide, 0), wide, 1)  # (X, Y, M)
-    ways = Towards(point=jnp.asarray(points, jnp.float32), first=jnp.asarray(best), onward=onward, leave=leave)
+    ways = Towards(point=jnp.asarray(points, float), first=jnp.asarray(best), onward=onward, leave=leave)
     corners = [np.arange(count + 1, dtype=np.float32) * CELL for count in best.shape[:2]]
     spots = np.stack(np.meshgrid(*corners, indexing="ij"), -1).reshape(-1, 2) + np.asarray(navigation.origin)
     out, near, weight = in_parts(_spots, (navigation.obstacles, navigation.radius), spots)
@@ -151,7 +151,7 @@ def _best(navigation: Navigation, points: Array) -> tuple:
     ends, end_near = jax.vmap(led_out, in_axes=(None, 0, None))(obstacles, points, radius)
 
     def one(cell: Array) -> Array:
-        spot = navigation.origin + (cell.astype(jnp.float32) + 0.5) * navigation.cell
+        spot = navigation.origin + (cell.astype(float) + 0.5) * navigation.cell
         out, near = led_out(obstacles, spot, radius)
         clear = jax.vmap(sees, in_axes=(None, None, 0, 0))(obstacles, out, ends, jnp.minimum(near, end_near))
         far, angle, *_ = tangents(navigation.bends, out, radius, True)

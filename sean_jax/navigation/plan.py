@@ -34,7 +34,7 @@ def plan(
     From the position (2,) to the goal (2,) [m], whose ``to_goal`` (2, V) and ``bend_to_goal`` (V,) are given. The goal
     stands for the points that there is no room for.
     """
-    along = FINE * jnp.arange(1, round(CURVED * points * apart / FINE) + 1, dtype=jnp.float32)
+    along = FINE * jnp.arange(1, round(CURVED * points * apart / FINE) + 1, dtype=float)
     x, y = _places(navigation, position, goal, to_goal, last, along)
     index = jnp.arange(along.shape[0], dtype=jnp.int32)
 

@@ -49,7 +49,7 @@ def led_out(boxes: Obstacles, place: Array, radius: Array | float) -> tuple[Arra
 
 def pairs_see(boxes: Obstacles, radius: float, p: np.ndarray, q: np.ndarray) -> np.ndarray:
     """(K,) ``sees`` for many pairs p and q (K, 2); on the host."""
-    return in_parts(_pair_sees, (boxes, jnp.asarray(radius, jnp.float32)), p.astype(np.float32), q.astype(np.float32))
+    return in_parts(_pair_sees, (boxes, jnp.asarray(radius, float)), p, q)
 
 
 def _pair_sees(shared: tuple, p: Array, q: Array) -> Array:
@@ -62,6 +62,7 @@ def in_parts(function: Callable, shared: Any, *rows: np.ndarray) -> Any:
 
     Compiled once for all numbers of rows; ``function`` is at module level, or it is compiled each time.
     """
+    rows = tuple(each.astype(float) if each.dtype.kind == "f" else each for each in rows)  # which jit makes its own
     parts = []
     for start in range(0, max(len(rows[0]), 1), BATCH):
         part = [each[start : start + BATCH] for each in rows]

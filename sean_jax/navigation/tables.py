@@ -55,7 +55,7 @@ def build(environment: Environment, radius: float, cell: float | None = None) ->
     clear = pairs_see(boxes, max(radius - SLACK, 0.0), begin, end)
     i, j, straight, leave, enter = (part[clear] for part in (i, j, straight, leave, enter))
     tables = _chains(len(exact.side), i, j, straight, leave, enter, radius)
-    bends = jax.tree.map(lambda part: jnp.asarray(part, jnp.float32), exact)
+    bends = jax.tree.map(lambda part: jnp.asarray(part, float), exact)
     floor = np.asarray(environment.floor)
     if cell is None:
         area = float(np.prod(floor[2:] - floor[:2]))
@@ -63,20 +63,20 @@ def build(environment: Environment, radius: float, cell: float | None = None) ->
     count = np.ceil((floor[2:] - floor[:2]) / cell).astype(int)
     middle = [floor[k] + (np.arange(count[k]) + 0.5) * cell for k in (0, 1)]
     spots = np.stack(np.meshgrid(*middle, indexing="ij"), -1).reshape(-1, 2).astype(np.float32)
-    seen = in_parts(_seen, (boxes, bends, jnp.asarray(radius, jnp.float32)), np.concatenate([drawn, spots]))
+    seen = in_parts(_seen, (boxes, bends, jnp.asarray(radius, float)), np.concatenate([drawn, spots]))
     return Navigation(
         bends=bends,
-        distance=jnp.asarray(tables[0], jnp.float32),
-        leave=jnp.asarray(tables[1], jnp.float32),
-        enter=jnp.asarray(tables[2], jnp.float32),
-        turn=jnp.asarray(tables[3], jnp.float32),
+        distance=jnp.asarray(tables[0], float),
+        leave=jnp.asarray(tables[1], float),
+        enter=jnp.asarray(tables[2], float),
+        turn=jnp.asarray(tables[3], float),
         onward=jnp.asarray(tables[4], jnp.int16),
         visible=jnp.asarray(seen[PLACES:].reshape(*count, -1)),
-        origin=jnp.asarray(floor[:2], jnp.float32),
-        cell=jnp.asarray(cell, jnp.float32),
-        places=jnp.asarray(drawn[_connected(seen[:PLACES], i, j)]),
+        origin=jnp.asarray(floor[:2], float),
+        cell=jnp.asarray(cell, float),
+        places=jnp.asarray(drawn[_connected(seen[:PLACES], i, j)], float),
         obstacles=boxes,
-        radius=jnp.asarray(radius, jnp.float32),
+        radius=jnp.asarray(radius, float),
     )
 
 

@@ -46,7 +46,7 @@ def window(middle: Array, cell: Array, count: int) -> Window:
 
 def middles(over: Window, count: int) -> tuple[Array, Array]:
     """(count, count) m and m: x and y of the middles of the cells, x along the first axis."""
-    steps = jnp.arange(count, dtype=jnp.float32) * over.cell
+    steps = jnp.arange(count, dtype=float) * over.cell
     x, y = over.origin[0] + steps, over.origin[1] + steps
     return jnp.broadcast_to(x[:, None], (count, count)), jnp.broadcast_to(y[None, :], (count, count))
 

@@ -44,19 +44,19 @@ def samples(model: RobotModel, scores: Scores, speed: Array, turn: Array, time_s
     change = model.max_turn_acceleration * time_step
     right = jnp.clip(turn - change, -model.max_turn_rate, model.max_turn_rate)
     left = jnp.clip(turn + change, -model.max_turn_rate, model.max_turn_rate)
-    share = jnp.linspace(0.0, 1.0, SPEEDS, dtype=jnp.float32)
-    share_turn = jnp.linspace(0.0, 1.0, TURNS - 1, dtype=jnp.float32)
+    share = jnp.linspace(0.0, 1.0, SPEEDS, dtype=float)
+    share_turn = jnp.linspace(0.0, 1.0, TURNS - 1, dtype=float)
     ahead = jnp.repeat(low + (high - low) * share, TURNS)
-    turns = jnp.concatenate([jnp.zeros(1, jnp.float32), right + (left - right) * share_turn])
+    turns = jnp.concatenate([jnp.zeros(1, float), right + (left - right) * share_turn])
     turns = jnp.tile(turns, SPEEDS)
     spin = jnp.where(turns < 0.0, -1.0, 1.0) * jnp.maximum(jnp.abs(turns), scores.least_spin)
     turns = jnp.where((ahead < 1e-3) & (turns != 0.0), spin, turns)
-    return jnp.append(ahead, jnp.float32(ESCAPE)), jnp.append(turns, jnp.float32(0.0))
+    return jnp.append(ahead, jnp.asarray(ESCAPE, float)), jnp.append(turns, jnp.asarray(0.0, float))
 
 
 def arcs(speed: Array, turn: Array) -> tuple[Array, Array, Array]:
     """x, y [m] and yaw [rad], (POINTS, P), in the robot's frame, of the commands (P,) [m/s] and (P,) [rad/s]."""
-    time = jnp.linspace(SECONDS / POINTS, SECONDS, POINTS, dtype=jnp.float32)[:, None]
+    time = jnp.linspace(SECONDS / POINTS, SECONDS, POINTS, dtype=float)[:, None]
     yaw = time * turn[None, :]
     half = 0.5 * yaw
     flat = jnp.abs(half) < 1e-3

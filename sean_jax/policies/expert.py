@@ -76,8 +76,8 @@ def settings() -> Settings:
 
 def start(scenario: Scenario, data: Settings, state: State) -> Plan:
     """Plans seconds ahead by sampling, politely: people are predicted, and their distances and o-spaces kept."""
-    knots = jnp.zeros((KNOTS, 2), jnp.float32)
-    return Plan(knots, onward(scenario, state), jnp.full((), FIRST, jnp.float32), jnp.zeros((), jnp.int32))
+    knots = jnp.zeros((KNOTS, 2), float)
+    return Plan(knots, onward(scenario, state), jnp.full((), FIRST, float), jnp.zeros((), jnp.int32))
 
 
 def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple[Array, Plan]:
@@ -96,9 +96,9 @@ def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple
     def cost(knots: Array) -> Array:
         return _cost(scenario, data, state, outlook, people, _moved(scenario, state, knots, most))
 
-    noise = jax.random.normal(key, (WIDE + CLOSE, KNOTS, 2), jnp.float32)
+    noise = jax.random.normal(key, (WIDE + CLOSE, KNOTS, 2), float)
     wide = jnp.clip(last[None] + SPREAD[0] * noise[:WIDE], -1.0, 1.0)
-    wide = jnp.concatenate([last[None], wide, jnp.asarray(ARCS)])
+    wide = jnp.concatenate([last[None], wide, jnp.asarray(ARCS, float)])
     best = wide[jnp.argmin(cost(wide))]
     close = jnp.clip(best[None] + SPREAD[1] * noise[WIDE:], -1.0, 1.0)
     close = jnp.concatenate([best[None], close])
@@ -135,12 +135,12 @@ def _arcs() -> np.ndarray:
         first = np.tile([1.0, 0.0], (KNOTS, 1))
         first[:2] = 0.0, turn
         arcs.append(first)
-    return np.stack(arcs).astype(np.float32)
+    return np.stack(arcs)
 
 
 ARCS = _arcs()
 BETWEEN = np.stack([np.interp(np.arange(STEPS) * STEP, np.linspace(0, STEPS * STEP, KNOTS), one)
-                    for one in np.eye(KNOTS)], -1).astype(np.float32)  # fmt: skip
+                    for one in np.eye(KNOTS)], -1)  # fmt: skip
 
 
 def _later(knots: Array, seconds: float) -> Array:

@@ -43,7 +43,7 @@ def go_to_goal(scenario: Scenario, state: State, key: Array) -> Array:
     speed = scenario.robot.max_speed * share * jnp.clip(length(seen.goal[0], seen.goal[1]) / 0.5, 0.0, 1.0)
 
     arrived = length(seen.goal[0], seen.goal[1]) < ARRIVED
-    forward = jnp.asarray([1.0, 0.0], jnp.float32)
+    forward = jnp.asarray([1.0, 0.0], float)
     turn = jnp.where(arrived, angle_between(forward, seen.goal_heading), aim)
     most = scenario.robot.max_turn_rate
     return jnp.stack([jnp.where(arrived, 0.0, speed), jnp.clip(TURN_GAIN * turn, -most, most)])

@@ -41,10 +41,10 @@ def orca(scenario: Scenario, state: State, key: Array) -> Array:
     """
     robot, model = state.robot, scenario.robot
     hx, hy = robot.heading[0], robot.heading[1]
-    lever = jnp.asarray(POINT * model.radius, jnp.float32)
+    lever = jnp.asarray(POINT * model.radius, float)
     seen = observe(scenario, state)
     stuck = 1.0 - jnp.clip(jnp.abs(robot.speed) / model.max_speed, 0.0, 1.0)
-    wish = _wish(scenario, seen, lever, SLIGHTLY * stuck * jax.random.normal(key, (), jnp.float32))
+    wish = _wish(scenario, seen, lever, SLIGHTLY * stuck * jax.random.normal(key, (), float))
 
     people = nearest_people(state, PEOPLE)
     gap, motion = people.position - robot.position[None, :], people.velocity
@@ -100,4 +100,4 @@ def _walls(scenario: Scenario, state: State) -> tuple[Array, Array]:
 
 
 def _ahead() -> Array:
-    return jnp.asarray([1.0, 0.0], jnp.float32)
+    return jnp.asarray([1.0, 0.0], float)

@@ -84,8 +84,8 @@ def settings(top_speed: float = 0.6, covariance: float = 0.1) -> Settings:
 def start(scenario: Scenario, data: Settings, state: State) -> Memory:
     """Plans on a cost map with personal spaces and drives by dynamic windows, as the paper's navigation stack."""
     here = jnp.broadcast_to(state.robot.position[:, None], (2, POINTS))
-    cells = jnp.full((CELLS, CELLS), wavefront.FAR, jnp.float32)
-    over = Window(jnp.zeros(2, jnp.float32), jnp.ones((), jnp.float32))
+    cells = jnp.full((CELLS, CELLS), wavefront.FAR, float)
+    over = Window(jnp.zeros(2, float), jnp.ones((), float))
     waited = jnp.zeros((), jnp.int32)
     return Memory(onward(scenario, state), over, cells, cells, here, jnp.zeros((), bool), waited)
 
@@ -117,18 +117,18 @@ def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple
 
 def _begin(scenario: Scenario, data: Settings, state: State, follows: Array) -> tuple[Window, Array, Array]:
     """The window around the robot now, its resistance, and the wave before the first sweep."""
-    cell = jnp.full((), max(CELL, 0.5 * scenario.robot.radius), jnp.float32)
+    cell = jnp.full((), max(CELL, 0.5 * scenario.robot.radius), float)
     here = state.robot.position
     over = costmap.window(here, cell, CELLS)
     x, y = costmap.middles(over, CELLS)
     costs = costmap.costs(scenario, data.layers, nearest_people(state, PEOPLE), x, y)
     reach = 0.5 * (CELLS - 1) * cell
-    spots = [here[axis] + reach * jnp.asarray(SPOTS[axis]) for axis in (0, 1)]
+    spots = [here[axis] + reach * jnp.asarray(SPOTS[axis], float) for axis in (0, 1)]
     outlook = look(scenario, state, follows, *spots)
     return over, wavefront.resistance(costs), wavefront.begin(scenario, state, outlook, over, costs)
 
 
-SPOTS = np.asarray([(0, 1, 1, 0, -1, -1, -1, 0, 1), (0, 0, 1, 1, 1, 0, -1, -1, -1)], np.float32)
+SPOTS = np.asarray([(0, 1, 1, 0, -1, -1, -1, 0, 1), (0, 0, 1, 1, 1, 0, -1, -1, -1)], float)
 
 
 def _either(first: Array, one: Any, other: Any) -> Any:
@@ -166,7 +166,7 @@ def _recover(scenario: Scenario, data: Settings, waited: Array, command: Array, 
     patience, around = (clock.in_ticks(time, scenario.time_step) for time in (data.patience, 2.0 * jnp.pi / data.spin))
     lost = longer.astype(patience.dtype) > patience
     after = jnp.where(turning, waited + 1, jnp.where(lost, -jnp.ceil(around).astype(jnp.int32), longer))
-    spin = jnp.stack([jnp.zeros((), jnp.float32), jnp.minimum(data.spin, scenario.robot.max_turn_rate)])
+    spin = jnp.stack([jnp.zeros((), float), jnp.minimum(data.spin, scenario.robot.max_turn_rate)])
     return jnp.where(turning, spin, command), after
 
 

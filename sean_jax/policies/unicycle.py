@@ -5,14 +5,15 @@ The closed-form twin without what planners avoid: contact, and wheels that slip.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from sean_jax.base import Array, RobotModel
 from sean_jax.geometry import rotate
 
 
 def constant(value: float) -> Array:
-    """() float32, a setting."""
-    return jnp.asarray(value, jnp.float32)
+    """() a setting, which becomes an array of the default precision where it is used: it is made at import."""
+    return np.asarray(value, float)
 
 
 def backward(model: RobotModel) -> Array:

@@ -49,7 +49,7 @@ def sweep(wave: Array, resisting: Array, cell: Array) -> Array:
         return jnp.minimum(jnp.minimum(moved[0], moved[1]), jnp.minimum(moved[2], moved[3]))
 
     step = cell * resisting
-    return jnp.minimum(wave, jnp.minimum(least(SIDES) + step, least(CORNERS) + jnp.float32(2**0.5) * step))
+    return jnp.minimum(wave, jnp.minimum(least(SIDES) + step, least(CORNERS) + jnp.asarray(2**0.5, float) * step))
 
 
 def descend(wave: Array, over: Window, x: Array, y: Array, points: int) -> tuple[Array, Array]:
@@ -65,4 +65,4 @@ def descend(wave: Array, over: Window, x: Array, y: Array, points: int) -> tuple
         return here, here
 
     _, (i, j) = jax.lax.scan(one, cell_of(over, count, x, y), length=points)
-    return over.origin[0] + over.cell * i.astype(jnp.float32), over.origin[1] + over.cell * j.astype(jnp.float32)
+    return over.origin[0] + over.cell * i.astype(float), over.origin[1] + over.cell * j.astype(float)

@@ -62,7 +62,7 @@ def _families(view: View, rays: Rays) -> Iterator[tuple[int, Array, Law, Array]]
 
     u = boxes[:, 6] * boxes[:, 0] + boxes[:, 7] * boxes[:, 1]
     v = boxes[:, 6] * boxes[:, 1] - boxes[:, 7] * boxes[:, 0]
-    zero = jnp.zeros((), jnp.float32)
+    zero = jnp.zeros((), float)
     away = length(jnp.maximum(jnp.abs(u) - boxes[:, 3], zero), jnp.maximum(jnp.abs(v) - boxes[:, 4], zero))
     yield first_of[0], boxes, _box, _in_sight(rays, boxes, edge_of_box, away, boxes[:, 2] + boxes[:, 5])
 
@@ -101,6 +101,8 @@ def _nearest(law: Law, table: Array, in_sight: Array, beams: Beams, found: Array
     whatever order, and distances, none of which is negative, are in the order of their bits.
     """
     tiles, count = in_sight.shape
+    real = found.dtype
+    whole = jnp.int64 if real == jnp.float64 else jnp.int32  # as many bits
     ends = _ends(in_sight)
     padded = jnp.concatenate([table, table[-1:]])  # a row for tiles that have no more; what it gives is not used
     tasks = (ends[:, -1].astype(jnp.int32) + (CHUNK - 1)) // CHUNK
@@ -115,17 +117,17 @@ def _nearest(law: Law, table: Array, in_sight: Array, beams: Beams, found: Array
         there = jnp.minimum(tile, tiles - 1)
         begin = CHUNK * (task - (last - tasks)[there])
         own, of_tile = ends[there], beams.of_tiles(there)
-        new = jnp.full((many, found.shape[1]), laws.MISS, jnp.float32)
+        new = jnp.full((many, found.shape[1]), laws.MISS, real)
         for more in range(CHUNK):
             chosen = (own <= (begin + more).astype(own.dtype)[:, None]).sum(1, dtype=jnp.int32)
             meets = law(padded[chosen].T[:, :, None], of_tile)
             new = jnp.minimum(new, jnp.where((chosen < count)[:, None], meets, laws.MISS))
-        bits = jax.lax.bitcast_convert_type(new, jnp.int32)
+        bits = jax.lax.bitcast_convert_type(new, whole)
         return turn + 1, found.at[tile].min(bits, mode="drop")
 
-    bits = jax.lax.bitcast_convert_type(found, jnp.int32)
+    bits = jax.lax.bitcast_convert_type(found, whole)
     bits = jax.lax.while_loop(lambda carry: carry[0] < turns, take, (jnp.zeros((), jnp.int32), bits))[1]
-    return jax.lax.bitcast_convert_type(bits, jnp.float32)
+    return jax.lax.bitcast_convert_type(bits, real)
 
 
 def _first(

@@ -83,15 +83,15 @@ def bundle(origin, direction, tile, reach: float, offset=None) -> Rays:
         meets = np.where(highest < 0.0, origin[2] / np.maximum(-highest, 1e-9), np.inf)
     spread = 0.0 if begins is None else float(np.linalg.norm(begins[..., :2], axis=-1).max())
     return Rays(
-        origin=origin.astype(np.float32),
+        origin=origin,
         offset=None if begins is None else _apart(begins),
         direction=_apart(flat),
-        inverse_rise=(1.0 / rise).astype(np.float32),
-        inverse_run=np.where(run > 1e-6, 1.0 / np.maximum(run, 1e-6) ** 2, 0.0).astype(np.float32),
-        left=left.astype(np.float32),
-        right=right.astype(np.float32),
-        lowest=slope.min(1).astype(np.float32),
-        reach=(np.minimum(meets, reach) + spread).astype(np.float32),
+        inverse_rise=(1.0 / rise),
+        inverse_run=np.where(run > 1e-6, 1.0 / np.maximum(run, 1e-6) ** 2, 0.0),
+        left=left,
+        right=right,
+        lowest=slope.min(1),
+        reach=(np.minimum(meets, reach) + spread),
         low=begins is None and float(highest.max()) <= 0.0 and origin[2] < SHOULDER,
         grid=grid,
         shape=(rows, columns),
@@ -107,7 +107,7 @@ def by_rows(rays: Rays, values):
 
 def _apart(vectors: np.ndarray) -> np.ndarray:
     """(3, T, P) of (T, P, 3): XLA shall not have to take them apart, which it does anew at each use."""
-    return np.ascontiguousarray(np.moveaxis(vectors, -1, 0), np.float32)
+    return np.ascontiguousarray(np.moveaxis(vectors, -1, 0))
 
 
 def _tiles(rows: int, columns: int, tile: tuple[int, int]) -> tuple[tuple[int, int, int, int], np.ndarray]:

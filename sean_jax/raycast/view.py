@@ -34,7 +34,7 @@ def look(solids: Solids, people: Array, present: Array, radius: Array, position:
     ``solids`` and ``people`` (N, 2) m, of whom those ``present`` (N,) are seen, are given over the ground.
     """
     cosine, sine = heading[0], heading[1]
-    place = jnp.asarray(origin, jnp.float32)
+    place = jnp.asarray(origin, float)
 
     def seen(x: Array, y: Array) -> tuple[Array, Array]:
         x, y = x - position[0], y - position[1]

@@ -94,7 +94,7 @@ def _arrange(found: Lines) -> Tracks:
             f"{files.shown(path)}:{line}: the person is already there in this frame; keep one of the lines."
         )
     present[row, column] = True
-    position, facing = np.zeros((*shape, 2), np.float32), np.zeros((*shape, 2), np.float32)
+    position, facing = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     position[row, column] = np.stack([table["x"], table["y"]], -1)
     facing[..., 0] = 1.0
     if "facing" in table:

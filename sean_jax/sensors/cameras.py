@@ -114,10 +114,10 @@ def _directions(view: Camera) -> tuple[np.ndarray, np.ndarray | None, np.ndarray
     axes = np.asarray(view.axes).reshape(3, 3)
     spread = across[..., None] * axes[:, 0] + along[..., None] * axes[:, 1]
     if view.orthographic:
-        return np.broadcast_to(-axes[:, 2], spread.shape), spread, np.ones(spread.shape[:2], np.float32)
+        return np.broadcast_to(-axes[:, 2], spread.shape), spread, np.ones(spread.shape[:2])
     direction = spread - axes[:, 2]
     length = np.linalg.norm(direction, axis=-1)
-    return direction / length[..., None], None, (1.0 / length).astype(np.float32)
+    return direction / length[..., None], None, 1.0 / length
 
 
 def _bundle(view: Camera, direction: np.ndarray, offset: np.ndarray | None) -> Rays:

@@ -104,7 +104,7 @@ def _clothes(state: State, view: View, number: Array, x: Array, y: Array, up: Ar
 
 def shirts(count: int) -> Color:
     """A color for each person, (N,) for each of red, green and blue; neighbours in the list differ most."""
-    hue = jnp.mod(jnp.arange(count, dtype=jnp.float32) * 0.618034 + 0.08, 1.0)
+    hue = jnp.mod(jnp.arange(count, dtype=float) * 0.618034 + 0.08, 1.0)
 
     def part(turn: float) -> Array:
         return 0.35 + 0.5 * jnp.clip(jnp.abs(jnp.mod(hue + turn, 1.0) * 6.0 - 3.0) - 1.0, 0.0, 1.0)

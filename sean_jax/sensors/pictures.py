@@ -42,7 +42,7 @@ def render(scenario: Scenario, state: State, camera: Camera) -> Picture:
     kinds = semantic == SKY, semantic == FLOOR, semantic == PERSON
     shell = _shell(scenario, view, camera.sees_robot)[:, number]
     rgb = paint.colors(scenario, state, view, bundle, number, found, (nx, ny, nz), kinds, shell)
-    picture = jnp.zeros((*cosine.shape, 3), jnp.float32)
+    picture = jnp.zeros((*cosine.shape, 3), float)
     for channel, part in enumerate(rgb):  # one by one: in a stack XLA computes for each what they have in common
         picture = picture.at[..., channel].set(by_rows(bundle, part))
     image = by_rows(bundle, found) * cosine
@@ -82,4 +82,4 @@ def _shell(scenario: Scenario, view: View, with_robot: bool) -> Array:
         parts.append(solids.color[theirs[kind] : theirs[kind + 1]])
         if with_robot:
             parts.append(own.color[mine[kind] : mine[kind + 1]])
-    return jnp.concatenate([*parts, jnp.zeros((view.counts[3] + 2, 3), jnp.float32)]).T
+    return jnp.concatenate([*parts, jnp.zeros((view.counts[3] + 2, 3), float)]).T

@@ -20,7 +20,7 @@ def sight(scenario: Scenario, state: State, rays: Rays, with_robot: bool = False
 
 def _with_robot(view: View, solids: Solids, origin) -> View:
     """The bodies of the robot, which are the last of each kind; its frame is that of the view but for the origin."""
-    place = jnp.asarray(origin, jnp.float32)
+    place = jnp.asarray(origin, float)
 
     def moved(table: Array) -> Array:
         return table.at[:, :3].add(-place[None, :])

@@ -25,7 +25,7 @@ def cohesion_forces(
     position, velocity = people.position, people.velocity
     dx = jnp.where(there, position[:, 0][:, None] - position[companions, 0], 0.0)
     dy = jnp.where(there, position[:, 1][:, None] - position[companions, 1], 0.0)
-    number = there.sum(1, dtype=jnp.int32).astype(jnp.float32)
+    number = there.sum(1, dtype=jnp.int32).astype(float)
     share = 1.0 / jnp.maximum(number, 1.0)
     cx, cy = -dx.sum(1) * share, -dy.sum(1) * share  # to the middle of the others
     fx, fy = gaze(cx, cy, velocity[:, 0], velocity[:, 1], look_x, look_y, parameters)

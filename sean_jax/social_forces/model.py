@@ -122,7 +122,7 @@ def pair_forces(
     group = people.group
     if parties:
         group = jnp.where((group < 0) & (people.party >= 0), PARTIES + people.party, group)
-    group = jnp.where(people.present, group, ABSENT).astype(jnp.float32)
+    group = jnp.where(people.present, group, ABSENT).astype(float)
     other = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1], group
     own = *other, look_x, look_y, _side(parameters, people)
     if near is not None:

@@ -27,7 +27,7 @@ NEGLIGIBLE = 1e-4  # m/s2, of a push
 
 @struct.dataclass
 class Parameters:
-    """Constants of the force model; all leaves are () float32 arrays."""
+    """Constants of the force model; all leaves are () arrays."""
 
     radius: Array  # m, of a body; obstacles are kept out of it
     relaxation_time: Array  # s, in which the desired velocity is taken up
@@ -74,7 +74,7 @@ class Parameters:
 
 
 def _leaves(**values: float) -> dict[str, Any]:
-    return {name: np.asarray(value, np.float32) for name, value in values.items()}
+    return {name: np.asarray(value, float) for name, value in values.items()}
 
 
 _HELBING_1995 = dict(
@@ -199,4 +199,4 @@ def preset(name: str) -> Parameters:
         near = difflib.get_close_matches(name, PRESETS, 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         raise ValueError(f"forces: '{name}' is not one of {', '.join(PRESETS)}{hint}")
-    return jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), PRESETS[name])
+    return jax.tree.map(lambda value: jnp.asarray(value, float), PRESETS[name])

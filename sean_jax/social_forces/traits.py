@@ -16,8 +16,8 @@ def draw_traits(parameters: Parameters, key: Array, people: int) -> tuple[Array,
     deviation = jnp.maximum(parameters.speed_deviation, 1e-6)
     lower = jnp.minimum((parameters.speed_least - parameters.speed_mean) / deviation, -1e-3)
     upper = jnp.maximum((parameters.speed_greatest - parameters.speed_mean) / deviation, 1e-3)
-    normal = jax.random.truncated_normal(speed_key, lower, upper, (people,), jnp.float32)
+    normal = jax.random.truncated_normal(speed_key, lower, upper, (people,), float)
     factor = jax.random.uniform(
-        robot_key, (people,), jnp.float32, parameters.robot_factor_least, parameters.robot_factor_greatest
+        robot_key, (people,), float, parameters.robot_factor_least, parameters.robot_factor_greatest
     )
     return parameters.speed_mean + parameters.speed_deviation * normal, parameters.range * jnp.log(factor)

@@ -22,7 +22,7 @@ def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, 
     draw_key, choice_key, turn_key = jax.random.split(key, 3)
     spots = places[jax.random.randint(draw_key, (GOALS + CANDIDATES,), 0, places.shape[0], jnp.int32)]
     goals, starts = spots[:GOALS], spots[GOALS:]
-    nothing = jnp.zeros(GOALS, jnp.float32), jnp.zeros(CANDIDATES, jnp.float32)
+    nothing = jnp.zeros(GOALS, float), jnp.zeros(CANDIDATES, float)
     return _task(choose_pair(scenario, pedestrians, goals, starts, *nothing, choice_key), turn_key)
 
 
@@ -40,7 +40,7 @@ def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
     if pedestrians.present.shape[0]:
         busy = pedestrians.position[busiest(pedestrians.position, pedestrians.present, cluster_key)]
         middle = jnp.where(pedestrians.present.any(), busy, middle)
-    share = jax.random.uniform(ring_key, (2, CANDIDATES), jnp.float32)
+    share = jax.random.uniform(ring_key, (2, CANDIDATES), float)
     angle, off = 2.0 * jnp.pi * share[0], RING + SNAP * (2.0 * share[1] - 1.0)
     around = middle[None, :] + off[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
     spots = jnp.concatenate([around, anywhere])
@@ -48,14 +48,14 @@ def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
     cost = jnp.maximum(jnp.abs(jnp.sqrt((gap * gap).sum(-1)) - RING) - SNAP - 1e-4, 0.0)
     free = clearance(scenario.environment, spots) > navigation.radius + ROOM
     cost = jnp.where(free, cost, jnp.inf)
-    chance = jax.random.uniform(goal_key, cost.shape, jnp.float32)
+    chance = jax.random.uniform(goal_key, cost.shape, float)
     best = jax.lax.top_k(-cost + 0.01 * chance, GOALS)[1]
     return _task(choose_pair(scenario, pedestrians, spots[best], spots, cost[best], cost, choice_key), turn_key)
 
 
 def _task(pair: tuple[Array, Array, Array, Array], key: Array) -> RobotTask:
     start, goal, to_goal, walk = pair
-    angle = jax.random.uniform(key, (2,), jnp.float32, 0.0, 2 * jnp.pi)
+    angle = jax.random.uniform(key, (2,), float, 0.0, 2 * jnp.pi)
     heading = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
     nobody = jnp.full((), -1, jnp.int32)
     return RobotTask(

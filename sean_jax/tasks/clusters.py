@@ -17,7 +17,7 @@ def k_means(points: Array, counted: Array, start: Array, iterations: int = 10) -
 
     def once(centers: Array, _) -> tuple[Array, None]:
         mine = (_labels(points, centers)[:, None] == jnp.arange(number, dtype=jnp.int32)[None, :]) & counted[:, None]
-        size = mine.sum(0, dtype=jnp.float32)
+        size = mine.sum(0, dtype=float)
         total = jnp.where(mine[:, :, None], points[:, None, :], 0.0).sum(0)
         mean = total / jnp.maximum(size, 1.0)[:, None]
         return jnp.where(size[:, None] > 0.0, mean, centers), None
@@ -32,7 +32,7 @@ def busiest(points: Array, counted: Array, key: Array, number: int = 3) -> Array
 
     The first centres are people drawn at random. An index of somebody not counted if nobody is.
     """
-    chance = jnp.where(counted, jax.random.uniform(key, counted.shape, jnp.float32), -1.0)
+    chance = jnp.where(counted, jax.random.uniform(key, counted.shape, float), -1.0)
     # With fewer points than clusters, the last one stands for more of them, which then stay empty.
     order = jnp.argsort(-chance)[jnp.minimum(jnp.arange(number), counted.shape[0] - 1)]
     _, label = k_means(points, counted, points[order])

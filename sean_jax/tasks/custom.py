@@ -31,7 +31,7 @@ class Poses:
         self, scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array
     ) -> RobotTask:
         """The task for ``scenario.task``; the same for every key."""
-        start, goal = jnp.asarray(self.start, jnp.float32), jnp.asarray(self.goal, jnp.float32)
+        start, goal = jnp.asarray(self.start, float), jnp.asarray(self.goal, float)
         to_goal = paths.to_goal(scenario.navigation, goal)
         nobody = jnp.full((), -1, jnp.int32)
         return RobotTask(
@@ -59,7 +59,7 @@ def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...])
             raise ValueError(f"{name}: {pose} must be x and y in metres, and if you like a heading in degrees.")
         for what, number, most in zip(("x", "y", "heading"), pose, (FARTHEST, FARTHEST, 3600.0), strict=False):
             check(f"{name}: {what}", number, -most, most, "degrees" if what == "heading" else "m")
-        spot = jnp.asarray([pose[:2]], jnp.float32)
+        spot = jnp.asarray([pose[:2]], float)
         room, needed = float(jax.jit(clearance)(scenario.environment, spot)[0]), scenario.robot.radius
         if not room >= needed:
             where = f"({pose[0]:g}, {pose[1]:g})"
@@ -75,4 +75,4 @@ def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...])
 
 
 def _heading(angle: float) -> Array:
-    return jnp.asarray([math.cos(angle), math.sin(angle)], jnp.float32)
+    return jnp.asarray([math.cos(angle), math.sin(angle)], float)

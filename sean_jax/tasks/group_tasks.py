@@ -46,10 +46,10 @@ def leave_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
 def _poses(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> tuple:
     """A group's index (), its opening (2,) with the heading into it, and a far place (2,) with a random heading."""
     group_key, place_key, turn_key = jax.random.split(key, 3)
-    chance = jnp.where(groups.present, jax.random.uniform(group_key, groups.radius.shape, jnp.float32), -1.0)
+    chance = jnp.where(groups.present, jax.random.uniform(group_key, groups.radius.shape, float), -1.0)
     group = jnp.argmax(chance).astype(jnp.int32)
     opening = groups.opening[group]
-    inward = unit_vectors(groups.center[group] - opening, jnp.asarray([1.0, 0.0], jnp.float32))
-    angle = jax.random.uniform(turn_key, (), jnp.float32, 0.0, 2 * jnp.pi)
+    inward = unit_vectors(groups.center[group] - opening, jnp.asarray([1.0, 0.0], float))
+    angle = jax.random.uniform(turn_key, (), float, 0.0, 2 * jnp.pi)
     away = far_place(scenario, pedestrians, opening, place_key)
     return group, opening, inward, away, jnp.stack([jnp.cos(angle), jnp.sin(angle)])

@@ -27,7 +27,7 @@ def far_place(scenario: Scenario, pedestrians: Pedestrians, other: Array, key: A
     square = _to_people(pedestrians, spots)
     least, greatest = scenario.task_distance[0], scenario.task_distance[1]
     fits = (walk >= least) & (walk <= greatest) & (square > CLEAR * CLEAR)
-    chance = jax.random.uniform(choice_key, (CANDIDATES,), jnp.float32)
+    chance = jax.random.uniform(choice_key, (CANDIDATES,), float)
     rating = jnp.where(fits, 1.0 + chance, jnp.where(jnp.isfinite(walk), -1.0 / (1.0 + square), -jnp.inf))
     return spots[jnp.argmax(rating)]
 
@@ -56,7 +56,7 @@ def choose_pair(
     goal_cost = goal_cost + jnp.maximum(CLEAR - jnp.sqrt(_to_people(pedestrians, goals)), 0.0)
     start_cost = start_cost + jnp.maximum(CLEAR - jnp.sqrt(_to_people(pedestrians, starts)), 0.0)
     cost = jnp.where(jnp.isfinite(walk), DETOUR * off, jnp.inf) + goal_cost[:, None] + start_cost[None, :]
-    chance = jax.random.uniform(key, cost.shape, jnp.float32)
+    chance = jax.random.uniform(key, cost.shape, float)
     best = jnp.argmax(jnp.where(cost == 0.0, 1.0 + chance, -cost)).astype(jnp.int32)
     goal, start = best // starts.shape[0], best % starts.shape[0]
     length = paths.geodesic(navigation, starts[start], goals[goal], rows[goal])
