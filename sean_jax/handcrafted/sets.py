@@ -56,7 +56,7 @@ def _row(each: Set, people: int, groups: int, loops: int, corners: int) -> dict[
         who["group"][first : first + group.people] = index
         first += group.people
     for index, walkers in enumerate(each.walkers):
-        loop, some = np.array(walkers.loop), slice(first, first + walkers.people)
+        loop, some = np.array(walkers.loop, jnp.result_type(float)), slice(first, first + walkers.people)
         waypoint[index, : len(loop)], waypoints[index] = loop, len(loop)
         walked[index, : len(loop)] = np.cumsum(np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=-1))
         who["loop"][some] = index

@@ -26,7 +26,7 @@ class Metric(NamedTuple):
 
 
 def split(moment: Moment) -> Array:
-    """(1 + S,) float32 weights by which an amount counts overall and for each situation that occurs now."""
+    """(1 + S,) weights by which an amount counts overall and for each situation that occurs now."""
     return jnp.concatenate([jnp.ones(1, float), moment.situations.astype(float)])
 
 

@@ -20,7 +20,7 @@ MOST = 252.0  # beside that
 
 @struct.dataclass
 class Layers:
-    """Numbers of the layers; all leaves are () float32."""
+    """Numbers of the layers; all leaves are () floats."""
 
     amplitude: Array  # A, cost in the middle of a person (77)
     cutoff: Array  # less is none (10)

@@ -23,7 +23,7 @@ LOOK = 0.325  # m ahead, by which turns on the spot are compared
 
 @struct.dataclass
 class Scores:
-    """Limits and weights of the local planner; all leaves are () float32."""
+    """Limits and weights of the local planner; all leaves are () floats."""
 
     top_speed: Array  # 1, of the robot's own: 0.3 of 0.5 m/s
     least_spin: Array  # rad/s, of a turn on the spot

@@ -39,7 +39,7 @@ AROUND = (-1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 1.0)
 
 @struct.dataclass
 class Settings:
-    """What makes the expert the driver that it is; all leaves are () float32."""
+    """What makes the expert the driver that it is; all leaves are () floats."""
 
     weights: manners.Weights
     halfway: Array  # 1, weight of the way that is left in the middle of a plan; at its end it is 1

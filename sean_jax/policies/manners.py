@@ -15,7 +15,7 @@ from sean_jax.nearby import around
 
 @struct.dataclass
 class Weights:
-    """How much the expert minds what; all leaves are () float32."""
+    """How much the expert minds what; all leaves are () floats."""
 
     touch: Array  # 1/s, of an obstacle or of intimacy
     obstacle: Array  # 1/s, where it is as near as can be

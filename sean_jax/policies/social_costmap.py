@@ -36,7 +36,7 @@ PEOPLE = 10  # the nearest that are on the maps
 
 @struct.dataclass
 class Settings:
-    """What SEAN 2.0 configures; leaves are () float32."""
+    """What SEAN 2.0 configures; leaves are () floats."""
 
     layers: costmap.Layers
     scores: dynamic_window.Scores

@@ -1,0 +1,231 @@
+"""Everything works in double precision as in single: nothing mixes them, and results agree."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax import classifiers, pedestrian_models, robots, sensors, social_forces
+from sean_jax.base import Driver
+from sean_jax.parallel import advance, begin
+from sean_jax.policies import POLICIES
+from sean_jax.sensors.cameras import CAMERAS
+
+ACTION = jax.ShapeDtypeStruct((2,), np.float64)
+# What make takes, beside the environment: each behavior, task and option that adds arrays.
+SCENARIOS = {
+    "join_group": dict(people=4),
+    "leave_group": dict(people=4, task="leave_group", paths="edge", spreading=1.0),
+    "parties": dict(people=8, parties=(0.5, 0.2)),
+    "random_ab_nav": dict(people=4, behavior="random", task="random_ab_nav"),
+    "busy_ab_nav": dict(people=4, task="busy_ab_nav"),
+    "custom": dict(people=4, task="custom", start=(0.0, 0.0), goal=(2.0, 2.0)),
+    "handcrafted": dict(behavior="handcrafted", task="handcrafted"),
+    "playback": dict(behavior="playback", task="random_ab_nav", frame_rate=25.0),
+    "alone": dict(people=0, behavior="random", task="random_ab_nav"),
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def double():
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    file = tmp_path_factory.mktemp("recording") / "walk.csv"
+    file.write_text("\n".join(["frame,id,x,y", *(f"{frame},1,{0.02 * frame},0.5" for frame in range(100))]))
+    return file
+
+
+@pytest.fixture(scope="module")
+def make(recording):
+    @functools.cache
+    def made(name, dynamics="twin"):
+        more = {"recording": recording} if name == "playback" else {}
+        return sean_jax.make("lab", dynamics=dynamics, **SCENARIOS[name], **more)
+
+    return made
+
+
+@pytest.fixture(scope="module")
+def small(make):
+    return make("join_group")
+
+
+@pytest.fixture(scope="module")
+def state(small):
+    return jax.eval_shape(functools.partial(sean_jax.reset, small), jax.random.key(0))
+
+
+def all_double(tree) -> bool:
+    floats = [leaf.dtype for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
+    return bool(floats) and set(floats) == {np.dtype(np.float64)}
+
+
+def traced(function, *arguments):
+    """What comes out, which is all in double precision; under the tests' strict promotion, so nothing was mixed."""
+    found = jax.eval_shape(function, *arguments)
+    assert all_double(found)
+    return found
+
+
+def steps(scenario):
+    begun = traced(functools.partial(sean_jax.reset, scenario), jax.random.key(0))
+    after = traced(functools.partial(sean_jax.step, scenario), begun, ACTION)
+    assert jax.tree.map(lambda leaf: leaf.dtype, after) == jax.tree.map(lambda leaf: leaf.dtype, begun)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_scenarios_reset_and_step(make, name):
+    scenario = make(name)
+    assert all_double(scenario)
+    steps(scenario)
+
+
+@pytest.mark.parametrize("dynamics", robots.DYNAMICS)
+@pytest.mark.parametrize("name", robots.ROBOTS)
+def test_robots_step(small, state, name, dynamics):
+    model = robots.load(name, dynamics)
+    placed = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), state.robot)
+    driven = traced(lambda state, action: model.drive(small.replace(robot=model), state, action), state, ACTION)
+    assert jax.tree.map(lambda leaf: leaf.dtype, driven) == jax.tree.map(lambda leaf: leaf.dtype, placed)
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_policies_drive(small, state, name):
+    policy = POLICIES[name]
+    begun = jax.eval_shape(functools.partial(begin, small, policy), state)
+    if isinstance(policy, Driver):
+        assert all_double(begun.driver)
+    traced(functools.partial(advance, small, policy), begun)
+
+
+@pytest.mark.parametrize("name", pedestrian_models.MODELS)
+def test_people_move(small, state, name):
+    traced(lambda state: pedestrian_models.MODELS[name](small, state), state)
+
+
+@pytest.mark.parametrize("name", social_forces.PRESETS)
+def test_forces_push(small, state, name):
+    forceful = small.replace(forces=social_forces.preset(name))
+    traced(lambda state: forceful.move(forceful, state), state)
+
+
+@pytest.mark.parametrize("name", classifiers.SITUATION_SETS)
+def test_situations_are_classified(small, state, name):
+    rules, values = classifiers.SITUATION_SETS[name], classifiers.THRESHOLD_SETS[name]()
+    other = small.replace(situations=tuple(rules.items()), thresholds=values)
+    assert all_double(values)
+    found = jax.eval_shape(lambda state: sean_jax.place(other, state, jnp.zeros(2), jnp.ones(2)), state)
+    assert found.situations.shape == (len(rules),)
+
+
+def test_observations_and_metrics_are_double(small, state):
+    traced(functools.partial(sean_jax.observe, small), state)
+    traced(functools.partial(sean_jax.results, small), state)
+
+
+def test_gradients_are_double(small):
+    """Of a depth image and of a step of the robot, by both of its dynamics."""
+    eye, start = sensors.camera(small, "depth", width=8, height=6), jax.random.key(0)
+
+    def seen(spot):
+        return jnp.mean(sensors.depth(small, sean_jax.place(small, sean_jax.reset(small, start), spot, spot), eye))
+
+    traced(jax.grad(seen), ACTION)
+    for dynamics in robots.DYNAMICS:
+        scenario = small.replace(robot=robots.load("kuri", dynamics))
+
+        def moved(action, scenario=scenario):
+            after = sean_jax.step(scenario, sean_jax.reset(scenario, start), action)
+            return jnp.sum(after.robot.position)
+
+        traced(jax.grad(moved), ACTION)
+
+
+@pytest.mark.parametrize("name", [*CAMERAS, "lidar"])
+def test_sensors_see_the_same(small, name):
+    """Run, not traced: in double precision as in single."""
+    found = {}
+    for precise in (False, True):
+        with jax.enable_x64(precise):
+            scenario = sean_jax.make("lab", people=4, dynamics="twin")
+            state = jax.tree.map(
+                lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
+                jax.eval_shape(functools.partial(_without_key, scenario), jax.random.key(0)),
+            )
+            people = jnp.asarray([[2.0, 0.3], [3.0, -1.0], [-1.0, 1.0], [4.0, 4.0]], float)
+            heading = jnp.asarray([0.8, 0.6], float)
+            state = state.replace(
+                pedestrians=state.pedestrians.replace(position=people, present=jnp.ones(4, bool)),
+                robot=state.robot.replace(heading=heading),
+            )
+            if name == "lidar":
+                scan = sensors.lidar(scenario, count=90)
+                seen = jax.jit(lambda s: sensors.scan(scenario, s, scan))(state)  # noqa: B023
+            else:
+                eye = sensors.camera(scenario, name, width=16, height=12)
+                picture = jax.jit(lambda s: (sensors.depth(scenario, s, eye), sensors.render(scenario, s, eye)))  # noqa: B023
+                seen, rendered = picture(state)
+                assert rendered.rgb.dtype == seen.dtype
+            assert seen.dtype == (np.float64 if precise else np.float32)
+            found[precise] = np.asarray(seen)
+    off = np.abs(found[True] - found[False])
+    assert np.quantile(off, 0.97) < 1e-4 and np.ptp(found[True]) > 0.5  # a ray at an edge may pass it
+
+
+def _without_key(scenario, key):
+    return sean_jax.reset(scenario, key).replace(streams=())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_scenarios_run(make, name):
+    """A second of each, compiled and run; finite, and the robot gets somewhere."""
+    scenario = make(name)
+    last, frames = jax.jit(lambda key: sean_jax.rollout(scenario, POLICIES["go_to_goal"], key, 10))(jax.random.key(0))
+    assert all_double(last) and all_double(frames)
+    assert np.isfinite(frames.position).all() and np.isfinite(frames.people).all()
+    assert np.linalg.norm(frames.position[-1] - frames.position[0]) + np.abs(np.diff(frames.heading, axis=0)).sum() > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dynamics", robots.DYNAMICS)
+@pytest.mark.parametrize("name", robots.ROBOTS)
+def test_robots_run(make, name, dynamics):
+    """One step of each robot, and its gradient."""
+    model = robots.load(name, dynamics)
+    scenario = make("alone").replace(robot=model)
+    state = jax.jit(functools.partial(sean_jax.reset, scenario))(jax.random.key(0))
+
+    @jax.jit
+    @jax.value_and_grad
+    def run(action):
+        return model.drive(scenario, state, action).speed
+
+    speed, slope = run(jnp.asarray([0.3, 0.2]))
+    assert speed.dtype == np.float64 and slope.dtype == np.float64
+    assert float(speed) > 0.0 and np.isfinite(slope).all()
+
+
+def test_single_precision_still_works_beside(small):
+    """What was made in one precision is not handed out in the other, in the same process."""
+    with jax.enable_x64(False):
+        single = sean_jax.make("lab", people=4, dynamics="twin")
+        kinds = {leaf.dtype for leaf in jax.tree.leaves(single) if jnp.issubdtype(leaf.dtype, jnp.inexact)}
+        assert kinds == {np.dtype(np.float32)}
+    assert all_double(sean_jax.make("lab", people=4, dynamics="twin"))
+    for name, policy in POLICIES.items():
+        if isinstance(policy, Driver):
+            with jax.enable_x64(False):
+                jax.eval_shape(functools.partial(begin, single, policy), _single(single))
+            assert all_double(jax.tree.map(jnp.asarray, policy.data)), name
+
+
+def _single(scenario):
+    return jax.eval_shape(functools.partial(sean_jax.reset, scenario), jax.random.key(0))
