@@ -12,7 +12,6 @@ from sean_jax import classifiers, pedestrian_models, robots, sensors, social_for
 from sean_jax.base import Driver
 from sean_jax.parallel import advance, begin
 from sean_jax.policies import POLICIES
-from sean_jax.sensors.cameras import CAMERAS
 
 ACTION = jax.ShapeDtypeStruct((2,), np.float64)
 # What make takes, beside the environment: each behavior, task and option that adds arrays.
@@ -148,7 +147,7 @@ def test_gradients_are_double(small):
         traced(jax.grad(moved), ACTION)
 
 
-@pytest.mark.parametrize("name", [*CAMERAS, "lidar"])
+@pytest.mark.parametrize("name", [*sensors.CAMERAS, "lidar"])
 def test_sensors_see_the_same(small, name):
     """Run, not traced: in double precision as in single."""
     found = {}
