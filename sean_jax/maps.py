@@ -191,7 +191,10 @@ def _without_slivers(found: list[tuple[int, int, int, int]], covered: np.ndarray
         count = int(own.sum())
         if count <= spare:
             part -= 1
-            around = np.pad(covered, 1)[low : high + 2, left : right + 2] > 0
+            around = np.zeros((high - low + 2, right - left + 2), bool)  # no copy of the whole map for each box
+            window = covered[max(low - 1, 0) : high + 1, max(left - 1, 0) : right + 1] > 0
+            y, x = (1 if low == 0 else 0), (1 if left == 0 else 0)
+            around[y : y + window.shape[0], x : x + window.shape[1]] = window
             shifts = [around[a : a + high - low, b : b + right - left] for a in range(3) for b in range(3)]
             if (np.any(shifts, axis=0) | ~own).all():
                 spare -= count
@@ -242,7 +245,7 @@ def rasterised(obstacles, raster: Raster) -> np.ndarray:
     y = raster.origin[1] + (np.arange(rows) + 0.5) * raster.resolution
     inside = np.zeros((rows, columns), bool)
     for (cx, cy), (hx, hy) in zip(np.asarray(obstacles.center), np.asarray(obstacles.half_extent), strict=True):
-        inside |= (np.abs(y - cy) < hy)[:, None] & (np.abs(x - cx) < hx)[None, :]
+        inside[np.ix_(np.abs(y - cy) < hy, np.abs(x - cx) < hx)] = True
     return inside
 
 

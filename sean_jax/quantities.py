@@ -16,7 +16,7 @@ LARGEST = 1e9  # of a constant of the forces or a threshold
 LONGEST = 86_400.0  # s: a day
 STEPS = (0.001, 1.0)  # s, least and greatest step of control or of a robot's physics
 MOST_PEOPLE = 100_000
-MOST_OBSTACLES = 2_000
+MOST_OBSTACLES = 1_500
 
 Coordinate = Annotated[float, pydantic.Field(ge=-FARTHEST, le=FARTHEST)]  # m
 Duration = Annotated[float, pydantic.Field(ge=0, le=LONGEST)]  # s

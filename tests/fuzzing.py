@@ -270,7 +270,7 @@ def mutated(chance: random.Random, name: str, given: bytes) -> bytes | Path | No
         how = chance.choice((in_lines, in_values, in_values, in_values, in_bytes, structured(name), structured(name)))
         try:
             result = how(chance, result)
-        except (ValueError, yaml.YAMLError, ElementTree.ParseError, RecursionError):
+        except Exception:  # what is wrong already may have no structure left
             result = in_values(chance, result)
     return result
 

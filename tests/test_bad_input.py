@@ -10,7 +10,7 @@ import pytest
 from fuzzing import BOMB, MERGES, check_error, hall, image, walks
 
 import sean_jax
-from sean_jax import environment, files, maps, nearby, quantities, recordings, robots
+from sean_jax import environment, files, maps, navigation, nearby, quantities, recordings, robots
 from sean_jax.behaviors import tracks
 from sean_jax.files import mjcf
 from sean_jax.learning.dataset import open_dataset
@@ -261,6 +261,16 @@ def test_a_floor_of_kilometres_has_a_table_of_bounded_size(tmp_path):
     x, y = np.float32(1.5), np.float32(0.9)  # within the box in the middle, whose row must be among those near
     found = np.asarray(nearby.around(table, x, y))
     assert (np.abs(found[:, :2] - [1.0, 0.0]).max(-1) < 1e-6).any()
+
+
+def test_paths_are_not_planned_around_thousands_of_corners(tmp_path):
+    spots = [(2.0 * i - 19.0, 2.0 * j - 19.0) for i in range(20) for j in range(20)]
+    boxes = "".join(f'<geom type="box" size="0.2 0.2 1" pos="{x} {y} 1"/>' for x, y in spots)
+    text = "name: posts\nfloor: [-20, -20, 20, 20]\npeople: 4\n"
+    scene = f"<mujoco><worldbody>{boxes}</worldbody></mujoco>"
+    place = environment.load(write(tmp_path, {"environment.yaml": text, "scene.xml": scene}))
+    with pytest.raises(ValueError, match="environment 'posts' has 3,200 bends around corners"):
+        navigation.build(place, 0.25)
 
 
 @pytest.mark.parametrize(

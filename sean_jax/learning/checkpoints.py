@@ -13,7 +13,7 @@ import jax
 import orbax.checkpoint as ocp
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
-from sean_jax import writing
+from sean_jax import files, writing
 from sean_jax.learning.learned import Weights
 from sean_jax.learning.options import Failed, Refused
 from sean_jax.learning.training import TrainState
@@ -114,9 +114,11 @@ def begun(folder: Path, config: dict[str, Any]) -> bool:
             raise Refused(f"the folder {folder} holds something else already, choose another with --out.")
         return False
     try:
-        had = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise Refused(f"{file} cannot be read ({error}); choose another folder with --out.") from error
+        had = files.read_json(file)
+    except files.FileError as error:
+        raise Refused(f"{str(error).rstrip('.')}; choose another folder with --out.") from None
+    if not isinstance(had, dict):
+        raise Refused(f"{file} is no configuration of a network; choose another folder with --out.")
     for name, value in json.loads(json.dumps(config)).items():
         if name not in ("versions", "command") and had.get(name) != value:
             said = f"{name.replace('_', ' ')} {_shown(had.get(name))}, not {_shown(value)}"

@@ -17,6 +17,7 @@ from sean_jax.navigation.sight import SLACK, in_parts, led_out, pairs_see, sees_
 
 CELL = 0.25  # m
 MOST_CELLS = 100_000  # of a visibility grid; the cells of larger floors are wider
+MOST_BENDS = 2_500  # the tables hold all pairs of them
 PLACES = 1024  # free places kept for drawing starts and goals
 ROOM = 0.1  # m, by which these are farther from obstacles than they must be
 STRAIGHT = 1e-3  # rad, by which an arc may run backwards: rounding
@@ -46,11 +47,14 @@ def build(environment: Environment, radius: float, cell: float | None = None) ->
     ``cell`` [m] is the side of the cells of the visibility grid: 0.25 if None, or a multiple of it on large floors.
 
     Raises:
-        ValueError: there is hardly a free place for such a disc.
+        ValueError: there is hardly a free place for such a disc, or there are too many corners.
     """
     boxes = environment.obstacles
     drawn = environments.free_points(environment, radius + ROOM, PLACES, seed=1)
     exact = arcs.find(environment, radius)
+    if len(exact.side) > MOST_BENDS:
+        what = f"{len(exact.side):,} bends around corners, and paths are planned over {MOST_BENDS:,} at most"
+        raise ValueError(f"environment '{environment.name}' has {what}; describe it by fewer and larger boxes.")
     i, j, straight, leave, enter, begin, end = arcs.common_tangents(exact, radius)
     clear = pairs_see(boxes, max(radius - SLACK, 0.0), begin, end)
     i, j, straight, leave, enter = (part[clear] for part in (i, j, straight, leave, enter))
