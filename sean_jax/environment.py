@@ -5,7 +5,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pydantic
@@ -13,8 +12,9 @@ import pydantic
 from sean_jax import files
 from sean_jax.base import Array, Environment, Obstacles, Scenery
 from sean_jax.files import mjcf
-from sean_jax.geometry import room
+from sean_jax.geometry import room, room_on_host
 from sean_jax.nearby import tabulate
+from sean_jax.platforms import put
 from sean_jax.quantities import FARTHEST, LARGEST_FLOOR, MOST_OBSTACLES, MOST_PEOPLE, Coordinate
 from sean_jax.scenery import appearance
 
@@ -82,11 +82,11 @@ def load(name_or_path: str | Path) -> Environment:
     """
     folder = find(name_or_path)
     settings = _settings(folder)
-    floor = jnp.asarray(settings.floor, float)
     boxes, looks = _boxes(folder / SCENE)
     if not settings.open:
         boxes = np.concatenate([boxes, _edges(boxes, settings.floor)])
-    obstacles = Obstacles(*(jnp.asarray(part, float) for part in (boxes[:, :2], boxes[:, 2:4], *boxes[:, 4:].T)))
+    floor = put(np.array(settings.floor))
+    obstacles = put(Obstacles(boxes[:, :2], boxes[:, 2:4], *boxes[:, 4:].T))
     return Environment(
         floor=floor,
         obstacles=obstacles,
@@ -114,11 +114,10 @@ def free_points(environment: Environment, radius: float, number: int, seed: int 
     generator = np.random.default_rng(seed)
     floor = np.asarray(environment.floor, np.float64)
     found: list[np.ndarray] = []
-    measure = jax.jit(clearance)  # here, for outside jit, op by op, it takes a second the first time
     missing, tried = number, 0
     while missing > 0:
         places = generator.uniform(floor[:2], floor[2:], (BATCH, 2)).astype(np.float32)
-        free = places[np.asarray(measure(environment, jnp.asarray(places, float))) >= radius]
+        free = places[np.minimum(*room_on_host(environment, places)) >= radius]
         found.append(free[:missing])
         missing -= len(found[-1])
         tried += BATCH

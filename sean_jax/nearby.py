@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax.base import Array, Nearby, Obstacles
+from sean_jax.platforms import put
 
 REACH = 3.0  # m: exp(-d / 0.2 m) has fallen to 3e-7 there
 MOST_CELLS = 50_000  # the cells of larger floors are wider
@@ -17,7 +18,7 @@ def tabulate(obstacles: Obstacles, floor: Array, cell: float = 1.0, reach: float
     Runs on the host, once. The number of rows K is that of the fullest cell, at least one. Raises ValueError for more
     obstacles in one place than there is memory for.
     """
-    lower, upper = np.asarray(floor[:2], float), np.asarray(floor[2:], float)
+    lower, upper = np.asarray(floor, float)[:2], np.asarray(floor, float)[2:]
     cell = max(cell, float(np.sqrt(np.prod(upper - lower) / MOST_CELLS)))
     count = np.maximum(1, np.ceil((upper - lower) / cell).astype(int))
     x = lower[0] + (np.arange(count[0]) + 0.5) * cell
@@ -38,7 +39,7 @@ def tabulate(obstacles: Obstacles, floor: Array, cell: float = 1.0, reach: float
     for i, j in np.argwhere(felt.any(-1)):
         near = np.flatnonzero(felt[i, j])
         rows[i, j, : len(near)] = table[near]
-    return Nearby(rows=jnp.asarray(rows, float), origin=jnp.asarray(lower, float), cell=jnp.asarray(cell, float))
+    return put(Nearby(rows, lower, np.asarray(cell)))
 
 
 def around(nearby: Nearby, x: Array, y: Array) -> Array:

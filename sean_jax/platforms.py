@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import numpy as np
 
 
 def by_platform(cpu: Callable, default: Callable) -> Callable:
@@ -21,3 +22,16 @@ def by_platform(cpu: Callable, default: Callable) -> Callable:
         return jax.jvp(cpu, arguments, tangents)
 
     return function
+
+
+def put(tree: Any) -> Any:
+    """The numpy arrays of a pytree as arrays of jax, numbers in the precision that is in force.
+
+    Nothing is compiled, as ``jnp.asarray`` does for each new shape.
+    """
+
+    def one(leaf: Any) -> np.ndarray:
+        array = np.asarray(leaf)
+        return array.astype(float) if np.issubdtype(array.dtype, np.floating) else array
+
+    return jax.device_put(jax.tree.map(one, tree))

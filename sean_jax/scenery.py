@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax.base import Obstacles, Scenery, Solids
+from sean_jax.platforms import put
 
 OBSTACLE = (0.62, 0.64, 0.68)  # color of an obstacle that has none
 FLOOR = ((0.78, 0.78, 0.76), (0.74, 0.74, 0.72))
@@ -65,20 +66,13 @@ def solids(model: Any, data: Any, geoms: list[int]) -> Solids:
 
 def _solids(boxes, cylinders, spheres, color) -> Solids:
     shapes = (("boxes", boxes, 8), ("cylinders", cylinders, 8), ("spheres", spheres, 4), ("color", color, 3))
-    return Solids(
-        **{name: jnp.asarray(np.asarray(rows, float).reshape(-1, width), float) for name, rows, width in shapes}
-    )
+    return Solids(**{name: put(np.asarray(rows, float).reshape(-1, width)) for name, rows, width in shapes})
 
 
 def _scenery(shape: Solids, floor=FLOOR, sky=SKY, sun=SUN) -> Scenery:
     towards = np.asarray(sun, float)
-    return Scenery(
-        solids=shape,
-        floor=jnp.asarray(floor, float),
-        square=jnp.asarray(SQUARE, float),
-        sky=jnp.asarray(sky, float),
-        sun=jnp.asarray(towards / np.linalg.norm(towards), float),
-    )
+    looks = np.asarray(floor), np.asarray(SQUARE), np.asarray(sky)
+    return put(Scenery(shape, *looks, towards / np.linalg.norm(towards)))
 
 
 def _color(model: Any, index: int) -> np.ndarray:

@@ -9,6 +9,7 @@ from pathlib import Path
 _CACHE = Path(tempfile.gettempdir()) / f"sean_jax-tests-{os.getuid() if hasattr(os, 'getuid') else os.getlogin()}"
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
+os.environ.setdefault("XDG_CACHE_HOME", str(_CACHE / "user"))  # the user's own tables are left alone
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 

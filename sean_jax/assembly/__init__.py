@@ -1,7 +1,6 @@
 """make(): from names to a scenario; says what does not exist and what does not go together."""
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -119,9 +118,8 @@ def make(
     scene, vehicle = environments.load(folder), robots.load(robot, dynamics)
     parameters = social_forces.preset(forces) if isinstance(forces, str) else forces
     robots.check_step(vehicle, time_step)
-    precision = jnp.result_type(float)
-    walking = _navigation(folder, PERSON_CLEARANCE, precision)
-    driving = walking if vehicle.radius <= PERSON_CLEARANCE else _navigation(folder, vehicle.radius, precision)
+    walking = navigation.build(scene, PERSON_CLEARANCE)
+    driving = walking if vehicle.radius <= PERSON_CLEARANCE else navigation.build(scene, vehicle.radius)
     options = {
         "paths": paths,
         "spreading": spreading,
@@ -170,12 +168,6 @@ def with_task(scenario: Scenario, task: str) -> Scenario:
     scenario = dataclasses.replace(scenario, task=tasks.TASKS[task], task_name=task)
     _check_groups(scenario)
     return scenario
-
-
-@functools.lru_cache(maxsize=8)
-def _navigation(folder: Path, radius: float, precision: object) -> navigation.Navigation:
-    """Built once per process for each environment and radius; files are read again, tables are not made again."""
-    return navigation.build(environments.load(folder), radius)
 
 
 def _behavior(name, folder, scene, walking, people, time_step, options) -> tuple[Behavior, int]:

@@ -24,6 +24,7 @@ from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph, annotation
 from sean_jax.graph.formation import formation, reach
 from sean_jax.graph.spreading import crowds, spread
+from sean_jax.platforms import put
 from sean_jax.social_forces import draw_traits
 
 SEATED = 0.25  # m from a seat, where the walk ends and the stay begins
@@ -67,7 +68,8 @@ def build(
     if not file.is_file():
         raise ValueError(f"{file}: there is no such file, and behavior 'graph' needs it; write one or choose another.")
     graph = annotation.read(file, environment)
-    avoid = [(graph.position[node], reach(int(graph.capacity[node])) + 0.6) for node in np.asarray(graph.groups)]
+    position, capacity = np.asarray(graph.position), np.asarray(graph.capacity)
+    avoid = [(position[node], reach(int(capacity[node])) + 0.6) for node in np.asarray(graph.groups)]
     start, node = starts.places(environment, navigation, graph.position, graph.radius, graph.spawn, avoid)
     groups = parties.parties(people, shares)
     most = len(start) + min(graph.seat_group.shape[0], people - groups.members)
@@ -78,11 +80,11 @@ def build(
         graph=graph,
         navigation=navigation,
         ways=paths.towards(navigation, graph.position),
-        start=jnp.asarray(start, float),
-        start_node=jnp.asarray(node, jnp.int32),
-        start_weight=jnp.asarray(np.log(weight), float),
-        spreading=jnp.asarray(spreading, float) if spreading else None,
-        clumps=jnp.asarray(parties.clumps(navigation, start, groups)),
+        start=put(start),
+        start_node=put(node.astype(np.int32)),
+        start_weight=put(np.log(weight)),
+        spreading=put(np.asarray(spreading)) if spreading else None,
+        clumps=put(parties.clumps(navigation, start, groups)),
         together=groups,
     )
     return Behavior(data=tables, name="graph", reset=reset, direct=PATHS[choice], companions=groups.companions(people))

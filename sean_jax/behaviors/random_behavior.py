@@ -11,12 +11,15 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
+from sean_jax import cache
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Environment, Groups, Pedestrians, Scenario, State
 from sean_jax.behaviors import parties, starts
 from sean_jax.geometry import length
+from sean_jax.platforms import put
 from sean_jax.social_forces import draw_traits
 
 ARRIVED = 1.0  # m from the goal (SEAN 2.0)
@@ -53,15 +56,21 @@ def build(
     start = starts.uniform(environment, navigation, people, dense=groups.number > 0)
     if people > len(start):
         raise ValueError(f"people: {people} do not fit in {environment.name}; the most that do is {len(start)}.")
-    rows = jax.jit(lambda places: jax.lax.map(lambda p: paths.to_goal(navigation, p), places, batch_size=32))
+    made = cache.kept("goals", paths.CODE, paths.inputs(navigation), lambda: {"to_goal": _ways(navigation)})
     tables = Tables(
         navigation=navigation,
-        start=jnp.asarray(start, float),
-        to_goal=rows(navigation.places),
-        clumps=jnp.asarray(parties.clumps(navigation, start, groups)),
+        start=put(start),
+        to_goal=put(made["to_goal"]),
+        clumps=put(parties.clumps(navigation, start, groups)),
         together=groups,
     )
     return Behavior(data=tables, name="random", reset=reset, direct=direct, companions=groups.companions(people))
+
+
+def _ways(navigation: paths.Navigation) -> np.ndarray:
+    """(P, 2, V) ``to_goal`` of each of the navigation's places."""
+    rows = jax.jit(lambda places: jax.lax.map(lambda p: paths.to_goal(navigation, p), places, batch_size=32))
+    return np.asarray(rows(navigation.places))
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:

@@ -4,9 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sean_jax import cache
 from sean_jax.base import Environment
-from sean_jax.environment import clearance
-from sean_jax.navigation import Navigation, geodesic, to_goal
+from sean_jax.geometry import room_on_host
+from sean_jax.navigation import CODE, Navigation, geodesic, inputs, to_goal
 
 APART = 0.55  # m between two places: bodies of 0.2 m and some room
 TRIES = 40  # candidates for each place that would fit
@@ -28,7 +29,7 @@ def places(
     distance = radius[disc] * np.sqrt(generator.uniform(size=len(disc)))
     angle = generator.uniform(0, 2 * np.pi, len(disc))
     spots = center[disc] + distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
-    free = np.asarray(clearance(environment, jnp.asarray(spots, float))) > float(navigation.radius)
+    free = np.minimum(*room_on_host(environment, spots)) > float(navigation.radius)
     for middle, reach in avoid:
         free &= np.linalg.norm(spots - np.asarray(middle, float), axis=-1) > reach
     spots, disc = spots[free], disc[free]
@@ -51,11 +52,17 @@ def uniform(
     floor = np.asarray(environment.floor, float)
     number = int(FILLING * np.prod(floor[2:] - floor[:2]) / APART**2)
     spots = generator.uniform(floor[:2], floor[2:], (number, 2)).astype(np.float32)
-    spots = spots[np.asarray(jax.jit(clearance)(environment, jnp.asarray(spots))) > float(navigation.radius)]
+    spots = spots[np.minimum(*room_on_host(environment, spots)) > float(navigation.radius)]
+    made = cache.kept("reached", CODE, [*inputs(navigation), spots], lambda: {"there": _reached(navigation, spots)})
+    spots = spots[made["there"]]
+    return spots[apart(spots, generator)]
+
+
+def _reached(navigation: Navigation, spots: np.ndarray) -> np.ndarray:
+    """(P,) bool: from which of the spots (P, 2) [m] one can walk to the navigation's places."""
     aim = navigation.places[0]
     walk = jax.jit(lambda spots, row: jax.lax.map(lambda p: geodesic(navigation, p, aim, row), spots, batch_size=1024))
-    spots = spots[np.isfinite(np.asarray(walk(jnp.asarray(spots), to_goal(navigation, aim))))]
-    return spots[apart(spots, generator)]
+    return np.isfinite(np.asarray(walk(jnp.asarray(spots, float), to_goal(navigation, aim))))
 
 
 def apart(spots: np.ndarray, generator: np.random.Generator) -> list[int]:

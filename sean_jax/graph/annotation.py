@@ -4,18 +4,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pydantic
 
 from sean_jax import files
 from sean_jax.base import Environment
-from sean_jax.geometry import room
+from sean_jax.geometry import room_on_host
 from sean_jax.graph.behavior_graph import BehaviorGraph
 from sean_jax.graph.formation import reach
 from sean_jax.graph.places import PERSON, places
 from sean_jax.graph.routes import routes
+from sean_jax.platforms import put
 from sean_jax.quantities import Coordinate, Duration, Radius, Weight
 
 NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge
@@ -87,23 +86,24 @@ def build(annotation: Annotation, environment: Environment, seed: int = 0) -> Be
     weight = _edge_costs(annotation, position)
     cost, next_hop = routes(weight, is_group)
     groups = np.flatnonzero(is_group)
-    return BehaviorGraph(
-        position=jnp.asarray(position, float),
-        radius=jnp.asarray(radius, float),
-        is_group=jnp.asarray(is_group),
-        capacity=jnp.asarray(capacity, jnp.int32),
-        stay=jnp.asarray([node.stay or (0.0, 0.0) for node in nodes], float),
-        spawn=jnp.asarray([node.spawn for node in nodes], float),
-        weight=jnp.asarray(weight, float),
-        cost=jnp.asarray(cost, float),
-        next_hop=jnp.asarray(next_hop, jnp.int32),
-        waypoints=jnp.asarray(np.flatnonzero(~is_group), jnp.int32),
-        groups=jnp.asarray(groups, jnp.int32),
-        seat_group=jnp.asarray(np.repeat(np.arange(len(groups)), capacity[groups]), jnp.int32),
-        seat_node=jnp.asarray(np.repeat(groups, capacity[groups]), jnp.int32),
-        places=jnp.asarray(places(environment, position, radius, seed), float),
+    graph = BehaviorGraph(
+        position=position,
+        radius=radius,
+        is_group=is_group,
+        capacity=capacity,
+        stay=np.array([node.stay or (0.0, 0.0) for node in nodes], np.float32),
+        spawn=np.array([node.spawn for node in nodes], np.float32),
+        weight=weight,
+        cost=cost,
+        next_hop=next_hop.astype(np.int32),
+        waypoints=np.flatnonzero(~is_group).astype(np.int32),
+        groups=groups.astype(np.int32),
+        seat_group=np.repeat(np.arange(len(groups)), capacity[groups]).astype(np.int32),
+        seat_node=np.repeat(groups, capacity[groups]).astype(np.int32),
+        places=places(environment, position, radius, seed),
         names=tuple(annotation.nodes),
-    )
+    )  # pyright: ignore[reportArgumentType]
+    return put(graph)
 
 
 def _edge_costs(annotation: Annotation, position: np.ndarray) -> np.ndarray:
@@ -191,8 +191,7 @@ def _unreachable(annotation: Annotation) -> Iterator[files.Problem]:
 
 def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
     """What is wrong with where the nodes lie in an environment."""
-    points = jnp.asarray([node.position for node in annotation.nodes.values()], float)
-    to_box, to_edge = (np.asarray(distance) for distance in jax.jit(room)(environment, points))
+    to_box, to_edge = room_on_host(environment, np.array([node.position for node in annotation.nodes.values()]))
     for (name, node), box, edge in zip(annotation.nodes.items(), to_box, to_edge, strict=True):
         here = ("nodes", name, "position")
         ring = reach(node.capacity) + PERSON if node.kind == "group" and node.capacity else 0.0
@@ -204,7 +203,7 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
         elif box <= 0:
             yield here, f"{place} is inside an obstacle; move it by {NODE_CLEARANCE - box:.2f} m or more"
         elif free < NODE_CLEARANCE:
-            what = "obstacle" if box < edge else "edge of the floor"
+            what = "obstacle" if box < edge - 1e-3 else "edge of the floor"
             yield here, f"{place} is {free:.2f} m from an {what}, less than {NODE_CLEARANCE:g} m; move it"
         elif free < ring:
             cure = "move it or lower its capacity"

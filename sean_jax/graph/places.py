@@ -4,9 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sean_jax import cache
 from sean_jax.base import Array, Environment
-from sean_jax.geometry import crosses_box, room
+from sean_jax.geometry import crosses_box, room_on_host
 
+CODE = "graph/places", "geometry"  # that the places depend on
 PERSON = 0.25  # m, kept free around a place: a body of 0.2 m and some room
 NUMBER = 64  # places a node
 ROUND = 256  # candidates a node in one round
@@ -25,9 +27,16 @@ def in_sight(environment: Environment, center: Array, points: Array) -> Array:
 def places(environment: Environment, position: np.ndarray, radius: np.ndarray, seed: int = 0) -> np.ndarray:
     """(M, 64, 2) float32 points [m], uniform over what is free and in sight of the disc (M, 2), (M,) [m] of a node.
 
-    Drawn on the host, outside jit. Where a disc has too little room, the rest are points nearer to its centre,
-    which must be clear of obstacles and of the floor's edge by more than the radius of a person.
+    Drawn on the host, outside jit, once for all processes. Where a disc has too little room, the rest are points nearer
+    to its centre, which must be clear of obstacles and of the floor's edge by more than the radius of a person.
     """
+    boxes = environment.obstacles
+    inputs = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, position, radius, seed
+    return cache.kept("places", CODE, inputs, lambda: {"places": _draw(environment, position, radius, seed)})["places"]
+
+
+def _draw(environment: Environment, position: np.ndarray, radius: np.ndarray, seed: int) -> np.ndarray:
+    """As ``places``."""
     count = len(position)
     generator = np.random.default_rng(seed)
     kept = [np.zeros((0, 2), np.float32) for _ in range(count)]
@@ -39,10 +48,11 @@ def places(environment: Environment, position: np.ndarray, radius: np.ndarray, s
         angle = generator.uniform(0.0, 2.0 * np.pi, (count, ROUND))
         offset = np.stack([distance * np.cos(angle), distance * np.sin(angle)], -1)
         drawn = (np.asarray(position, np.float64)[:, None, :] + offset).astype(np.float32)
-        flat = jnp.asarray(drawn.reshape(-1, 2), float)
-        # Compiled here: outside jit, op by op, it takes seconds the first time.
-        seen, (_, to_edge) = jax.jit(in_sight)(environment, center, flat), jax.jit(room)(environment, flat)
-        free = (np.asarray(seen) & (np.asarray(to_edge) >= PERSON)).reshape(count, ROUND)
+        flat = drawn.reshape(-1, 2)
+        seen = jax.jit(in_sight)(
+            environment, center, jnp.asarray(flat, float)
+        )  # op by op it takes seconds the first time
+        free = (np.asarray(seen) & (room_on_host(environment, flat)[1] >= PERSON)).reshape(count, ROUND)
         kept = [np.concatenate([old, new[ok]])[:NUMBER] for old, new, ok in zip(kept, drawn, free, strict=True)]
         turn += 1
         if turn >= FULL_ROUNDS:

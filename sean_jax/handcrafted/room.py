@@ -7,16 +7,15 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import KDTree
 
-from sean_jax import files
+from sean_jax import cache, files
 from sean_jax.base import Array, Environment
-from sean_jax.geometry import crosses_box
-from sean_jax.geometry import room as room_around
+from sean_jax.geometry import crosses_box, room_on_host
 from sean_jax.graph.formation import reach
 from sean_jax.graph.places import PERSON
+from sean_jax.platforms import put
 
 if TYPE_CHECKING:
     from sean_jax.handcrafted.annotation import Annotation, Set
@@ -106,8 +105,8 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
             place = (*here, "walkers", number, "loop")
             spots += [((*place, k), corner, PERSON, "somebody") for k, corner in enumerate(walkers.loop)]
             legs += [((*place, k), *leg) for k, leg in _legs(walkers.loop, walkers.way == "both")]
-    points = jnp.asarray([spot for _, spot, _, _ in spots], float)
-    to_box, to_edge = (np.asarray(distance) for distance in jax.jit(room_around)(environment, points))
+    points = np.array([spot for _, spot, _, _ in spots], float).reshape(-1, 2)
+    to_box, to_edge = room_on_host(environment, points)
     blamed = set()
     for (place, spot, needed, who), box, edge in zip(spots, to_box, to_edge, strict=True):
         at = f"[{spot[0]:g}, {spot[1]:g}]"
@@ -121,8 +120,11 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
         elif min(box, edge) < needed:
             yield place, f"{at} has {min(box, edge):.2f} m of room where {who} needs {needed:.2f} m; move it"
     if legs:
-        ends = jnp.asarray([[a, b] for _, a, b, _ in legs], float)
-        blocked = np.asarray(jax.jit(_blocked)(environment, ends))
+        ends = np.array([[a, b] for _, a, b, _ in legs], float)
+        boxes = environment.obstacles
+        inputs = boxes.center, boxes.half_extent, boxes.yaw, ends
+        make = lambda: {"blocked": np.asarray(jax.jit(_blocked)(environment, put(ends)))}  # noqa: E731
+        blocked = cache.kept("legs", ("handcrafted/room", "geometry"), inputs, make)["blocked"]
         for (place, _, _, what), hit in zip(legs, blocked, strict=True):
             if hit and place not in blamed:  # a waypoint in an obstacle has been told of
                 yield place, f"{what} goes through an obstacle or closer than {PERSON:g} m past one; move a waypoint"

@@ -3,12 +3,13 @@
 from sean_jax.navigation.people import CLOSE, Towards, ahead, next_point_roughly, towards
 from sean_jax.navigation.plan import bend_to_goal, plan
 from sean_jax.navigation.sight import SLACK, sees
-from sean_jax.navigation.tables import CELL, MOST_CELLS, Navigation, build
+from sean_jax.navigation.tables import CELL, CODE, MOST_CELLS, Navigation, build, inputs
 from sean_jax.navigation.ways import geodesic, geodesic_roughly, next_point, to_goal, turning
 
 __all__ = [
     "CELL",
     "CLOSE",
+    "CODE",
     "MOST_CELLS",
     "SLACK",
     "Navigation",
@@ -18,6 +19,7 @@ __all__ = [
     "build",
     "geodesic",
     "geodesic_roughly",
+    "inputs",
     "next_point",
     "next_point_roughly",
     "plan",

@@ -1,18 +1,18 @@
 """Ways of many people to a few points: which bend to head for from each cell, found once on the host."""
 
-from dataclasses import replace
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from sean_jax import cache
 from sean_jax.base import Array
 from sean_jax.geometry import from_box, length
 from sean_jax.navigation.bends import ANGLE, of_one, tangents
 from sean_jax.navigation.sight import in_parts, led_out, sees, sees_each
-from sean_jax.navigation.tables import CELL, Navigation
+from sean_jax.navigation.tables import CELL, CODE, Navigation, inputs
 from sean_jax.navigation.ways import last_bends
+from sean_jax.platforms import put
 
 CLOSE = 0.8  # of the radius, as near as people come to obstacles: their bodies have 0.2 m, and their paths 0.25 m
 REACH = 0.5  # m, at least, how far ahead they aim
@@ -32,7 +32,13 @@ class Towards:
 
 
 def towards(navigation: Navigation, points: Array) -> Towards:
-    """The tables for the points (M, 2) [m]; runs on the host, once.
+    """The tables for the points (M, 2) [m]; made on the host, once for all processes."""
+    made = cache.kept("towards", CODE, [*inputs(navigation), points], lambda: _make(navigation, points))
+    return put(Towards(point=points, **made))
+
+
+def _make(navigation: Navigation, points: Array) -> dict[str, np.ndarray]:
+    """The fields of ``Towards``.
 
     A cell takes what is best from the middle of its cell of the visibility grid, if from all its own corners the way
     begins clear. Else, of this and of what the cells around take, it takes that for which it does from most; but
@@ -71,7 +77,7 @@ def towards(navigation: Navigation, points: Array) -> Towards:
         better = (more > yes + 1e-3) & (farther < far + LONGER)
         result[tuple(cells[better].T)] = other[better]
         yes = np.where(better, more, yes)
-    return replace(ways, first=jnp.asarray(result))
+    return {"first": result, "onward": np.asarray(onward), "leave": np.asarray(leave)}
 
 
 def ahead(navigation: Navigation, ways: Towards, position: Array, index: Array) -> Array:

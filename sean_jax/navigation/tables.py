@@ -1,6 +1,7 @@
 """The tables of shortest paths for a disc of one radius, built once on the host."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,12 +10,16 @@ from flax import struct
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from sean_jax import cache
 from sean_jax import environment as environments
 from sean_jax.base import Array, Environment, Obstacles
 from sean_jax.navigation import bends as arcs
 from sean_jax.navigation.bends import Bends
 from sean_jax.navigation.sight import SLACK, in_parts, led_out, pairs_see, sees_each
+from sean_jax.platforms import put
 
+CODE = "navigation", "environment", "geometry"  # that the tables depend on
+BENDS = "corner", "middle", "side", "first", "last"
 CELL = 0.25  # m
 MOST_CELLS = 100_000  # of a visibility grid; the cells of larger floors are wider
 MOST_BENDS = 2_500  # the tables hold all pairs of them
@@ -42,13 +47,31 @@ class Navigation:
 
 
 def build(environment: Environment, radius: float, cell: float | None = None) -> Navigation:
-    """The tables for a disc of that radius [m]; runs on the host, once.
+    """The tables for a disc of that radius [m]; made on the host, once for all processes.
 
     ``cell`` [m] is the side of the cells of the visibility grid: 0.25 if None, or a multiple of it on large floors.
 
     Raises:
         ValueError: there is hardly a free place for such a disc, or there are too many corners.
     """
+    boxes = environment.obstacles
+    inputs = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, radius, 0.0 if cell is None else cell
+    made = dict(cache.kept("navigation", CODE, inputs, lambda: _make(environment, radius, cell)))
+    bends = Bends(*(made.pop(name) for name in BENDS))
+    origin = np.asarray(environment.floor)[:2]
+    tables: Any = dict(made, bends=bends, origin=origin, obstacles=boxes, radius=np.asarray(radius))
+    return put(Navigation(**tables))
+
+
+def inputs(navigation: Navigation) -> list:
+    """What tells these tables from others, for what is made of them."""
+    boxes, grid = navigation.obstacles, (navigation.origin, navigation.cell, navigation.visible.shape)
+    shape = boxes.center, boxes.half_extent, boxes.yaw, navigation.radius
+    return [*shape, *jax.tree.leaves(navigation.bends), navigation.distance, navigation.places, *grid]
+
+
+def _make(environment: Environment, radius: float, cell: float | None) -> dict[str, np.ndarray]:
+    """The fields of the tables and of their bends, as numpy arrays."""
     boxes = environment.obstacles
     drawn = environments.free_points(environment, radius + ROOM, PLACES, seed=1)
     exact = arcs.find(environment, radius)
@@ -68,20 +91,14 @@ def build(environment: Environment, radius: float, cell: float | None = None) ->
     middle = [floor[k] + (np.arange(count[k]) + 0.5) * cell for k in (0, 1)]
     spots = np.stack(np.meshgrid(*middle, indexing="ij"), -1).reshape(-1, 2).astype(np.float32)
     seen = in_parts(_seen, (boxes, bends, jnp.asarray(radius, float)), np.concatenate([drawn, spots]))
-    return Navigation(
-        bends=bends,
-        distance=jnp.asarray(tables[0], float),
-        leave=jnp.asarray(tables[1], float),
-        enter=jnp.asarray(tables[2], float),
-        turn=jnp.asarray(tables[3], float),
-        onward=jnp.asarray(tables[4], jnp.int16),
-        visible=jnp.asarray(seen[PLACES:].reshape(*count, -1)),
-        origin=jnp.asarray(floor[:2], float),
-        cell=jnp.asarray(cell, float),
-        places=jnp.asarray(drawn[_connected(seen[:PLACES], i, j)], float),
-        obstacles=boxes,
-        radius=jnp.asarray(radius, float),
-    )
+    return {
+        **{name: getattr(exact, name) for name in BENDS},
+        **dict(zip(("distance", "leave", "enter", "turn"), tables[:4], strict=True)),
+        "onward": tables[4].astype(np.int16),
+        "visible": seen[PLACES:].reshape(*count, -1),
+        "cell": np.asarray(cell),
+        "places": drawn[_connected(seen[:PLACES], i, j)],
+    }
 
 
 def _seen(shared: tuple, spot: Array) -> Array:

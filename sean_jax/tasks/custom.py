@@ -6,10 +6,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from sean_jax import cache
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Groups, Pedestrians, RobotTask, Scenario
-from sean_jax.environment import clearance
+from sean_jax.geometry import room_on_host
 from sean_jax.quantities import FARTHEST, check
 
 
@@ -59,8 +61,8 @@ def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...])
             raise ValueError(f"{name}: {pose} must be x and y in metres, and if you like a heading in degrees.")
         for what, number, most in zip(("x", "y", "heading"), pose, (FARTHEST, FARTHEST, 3600.0), strict=False):
             check(f"{name}: {what}", number, -most, most, "degrees" if what == "heading" else "m")
-        spot = jnp.asarray([pose[:2]], float)
-        room, needed = float(jax.jit(clearance)(scenario.environment, spot)[0]), scenario.robot.radius
+        room = float(min(*room_on_host(scenario.environment, np.array([pose[:2]]))))
+        needed = scenario.robot.radius
         if not room >= needed:
             where = f"({pose[0]:g}, {pose[1]:g})"
             lies = "off the floor or inside an obstacle" if room < 0 else f"{room:.2f} m from an obstacle or the edge"
@@ -68,7 +70,9 @@ def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...])
     ahead = math.atan2(goal[1] - start[1], goal[0] - start[0])
     angle = [math.radians(pose[2]) if len(pose) == 3 else ahead for pose in (start, goal)]
     task = Poses((float(start[0]), float(start[1])), (float(goal[0]), float(goal[1])), *angle)
-    walk = float(jax.jit(lambda scenario: task(scenario, None, None, None, None).geodesic)(scenario))  # pyright: ignore
+    inputs = *paths.inputs(scenario.navigation), task.start, task.goal
+    make = lambda: {"walk": np.asarray(jax.jit(task)(scenario, None, None, None, None).geodesic)}  # noqa: E731
+    walk = float(cache.kept("walk", ("tasks/custom", *paths.CODE), inputs, make)["walk"])
     if not math.isfinite(walk):
         raise ValueError(f"goal: there is no way from {task.start} to {task.goal} in {scenario.environment.name}.")
     return task

@@ -7,11 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import files
+from sean_jax import cache, files
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Groups, Pedestrians, RobotTask, Scenario
-from sean_jax.environment import clearance
-from sean_jax.geometry import unit_vectors
+from sean_jax.geometry import room_on_host, unit_vectors
 from sean_jax.handcrafted import Sets
 
 
@@ -64,11 +63,15 @@ def check_room(scenario: Scenario) -> None:
     """ValueError if the scenario's robot does not fit at a pose of a set, or cannot go from a start to a goal."""
     sets: Sets = scenario.behavior.data
     for word, place in (("starts", sets.start), ("goals", sets.goal)):
-        room = np.asarray(jax.jit(clearance)(scenario.environment, place.reshape(-1, 2))).reshape(place.shape[:2])
+        room = np.minimum(*room_on_host(scenario.environment, np.asarray(place).reshape(-1, 2)))
+        room = room.reshape(place.shape[:2])
         for number, index in np.argwhere(room < scenario.robot.radius):
             where = f"set '{sets.names[number]}' has {room[number, index]:.2f} m of room at {word}[{index}]"
             raise ValueError(f"robot: {where}, too little for {scenario.robot.name}; choose a smaller robot or a set.")
-    walk = np.asarray(jax.jit(jax.vmap(_walks, in_axes=(None, 0, 0)))(scenario.navigation, sets.start, sets.goal))
+    ends = scenario.navigation, sets.start, sets.goal
+    inputs = *paths.inputs(scenario.navigation), sets.start, sets.goal
+    make = lambda: {"walks": np.asarray(jax.jit(jax.vmap(_walks, in_axes=(None, 0, 0)))(*ends))}  # noqa: E731
+    walk = cache.kept("walks", ("tasks/handcrafted_task", *paths.CODE), inputs, make)["walks"]
     for number, start, goal in np.argwhere(~np.isfinite(walk)):
         way = f"from starts[{start}] to goals[{goal}] of set '{sets.names[number]}'"
         raise ValueError(f"robot: there is no way {way} for {scenario.robot.name}; choose a smaller robot or a set.")

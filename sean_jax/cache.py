@@ -1,0 +1,115 @@
+"""Tables in the user's cache folder: what takes seconds to make is made once for all processes.
+
+A table is found by what it was made from, its inputs and the source of the code that makes it, never by a name or a
+time: an edited file cannot leave an old one behind. A folder that cannot be read or written is done without.
+"""
+
+import functools
+import hashlib
+import os
+import tempfile
+import time
+import zipfile
+import zlib
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+PACKAGE = Path(__file__).resolve().parent
+LARGEST, MOST = 1 << 29, 500  # bytes and files in the folder, beyond which the oldest are removed
+REMEMBERED = 16  # tables of this process
+LEFT_OVER = 3600.0  # s, after which an unfinished file belongs to nobody
+
+Tables = Mapping[str, np.ndarray]
+_recent: OrderedDict[str, Tables] = OrderedDict()
+
+
+def folder() -> Path:
+    """The package's folder in the user's cache."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sean_jax"
+
+
+def kept(kind: str, code: tuple[str, ...], inputs: Iterable[Any], make: Callable[[], Tables]) -> Tables:
+    """``make()``, or what it gave before for the same inputs, in this process or in another.
+
+    Args:
+        kind: of table.
+        code: files and folders of the package, such as ``navigation``, on which the result depends.
+        inputs: numbers and arrays. They are compared in single precision, so that tables serve both precisions.
+        make: arrays by name. It runs if nothing is kept, or if it cannot be read.
+    """
+    digest = hashlib.sha256(f"{kind} {_source(code)}".encode())
+    for value in inputs:
+        array = np.ascontiguousarray(value, np.float32)
+        digest.update(f"{array.shape}".encode() + array.tobytes())
+    name = f"{kind}-{digest.hexdigest()[:32]}"
+    if name not in _recent:
+        path = folder() / "tables" / f"{name}.npz"
+        found = _read(path, name)
+        if found is None:
+            found = dict(make())
+            _write(path, name, found)
+        _recent[name] = found
+    _recent.move_to_end(name)
+    while len(_recent) > REMEMBERED:
+        _recent.popitem(last=False)
+    return _recent[name]
+
+
+@functools.cache
+def _source(code: tuple[str, ...]) -> str:
+    """Digest of source files, and those in folders, of the package."""
+    digest = hashlib.sha256()
+    for part in code:
+        path = PACKAGE / part
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]:
+            digest.update(file.read_bytes() if file.is_file() else b"")
+    return digest.hexdigest()
+
+
+def _read(path: Path, name: str) -> Tables | None:
+    """The arrays of a file that was written whole, under that name; None without one."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            found = {key: stored[key] for key in stored.files}
+        if str(found.pop("name")) != name:
+            return None
+        os.utime(path)  # the oldest are removed first
+    except (OSError, ValueError, KeyError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error):
+        return None
+    return found
+
+
+def _write(path: Path, name: str, tables: Tables) -> None:
+    """Whole or not at all."""
+    unfinished = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".", suffix=".unfinished", delete=False) as stream:
+            unfinished = stream.name
+            np.savez_compressed(stream, name=np.array(name), **tables)
+        os.replace(unfinished, path)
+        _remove_oldest(path.parent)
+    except OSError:
+        pass  # a full or read-only disk
+    finally:
+        if unfinished is not None:
+            Path(unfinished).unlink(missing_ok=True)
+
+
+def _remove_oldest(tables: Path) -> None:
+    """Keep within ``MOST`` files and ``LARGEST`` bytes, and none that somebody began and did not finish."""
+    total, files = 0, []
+    for file in tables.iterdir():
+        state = file.stat()
+        if file.suffix == ".npz":
+            files.append((state.st_mtime, state.st_size, file))
+        elif file.suffix == ".unfinished" and time.time() - state.st_mtime > LEFT_OVER:
+            file.unlink(missing_ok=True)
+    for number, (_, size, file) in enumerate(sorted(files, reverse=True)):
+        total += size
+        if number >= MOST or total > LARGEST:
+            file.unlink(missing_ok=True)

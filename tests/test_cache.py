@@ -1,0 +1,208 @@
+"""Tables on disk: found by content in any process, made anew when anything they depend on or their file is wrong."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections import Counter
+
+import jax
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax import cache, environment, navigation
+
+BOX = '<geom type="box" pos="{x} 0 1" size="0.5 2 1"/>'
+GRAPH = """\
+version: 1
+c_min: 0.2
+c_max: 100
+nodes:
+  west: {kind: waypoint, position: [-4, 0], radius: 1, spawn: 1}
+  east: {kind: waypoint, position: [4, 0], radius: 1, spawn: 1}
+edges:
+  - {between: [west, east]}
+"""
+
+
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+    """How often each kind of table was made, with an empty cache folder; ``made.forget()`` is a new process."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(cache, "_recent", type(cache._recent)())
+    counts, kept = Counter(), cache.kept
+
+    def counted(kind, code, inputs, make):
+        def one():
+            counts[kind] += 1
+            return make()
+
+        return kept(kind, code, inputs, one)
+
+    monkeypatch.setattr(cache, "kept", counted)
+    counts.forget = cache._recent.clear
+    return counts
+
+
+@pytest.fixture
+def hall(tmp_path):
+    folder = tmp_path / "hall"
+    folder.mkdir()
+    (folder / "environment.yaml").write_text("name: hall\nfloor: [-6, -5, 6, 5]\npeople: 2\n")
+    (folder / "graph.yaml").write_text(GRAPH)
+    return scene(folder, 0.0)
+
+
+def scene(folder, x):
+    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{BOX.format(x=x)}</worldbody></mujoco>")
+    return folder
+
+
+def numbers(count):
+    """A table of so many numbers, and what makes it."""
+    return lambda: {"numbers": np.arange(count, dtype=np.float32), "flags": np.arange(count) % 3 == 0}
+
+
+def same(one, other):
+    assert sorted(one) == sorted(other)
+    for name, value in one.items():
+        assert other[name].dtype == value.dtype
+        np.testing.assert_array_equal(other[name], value)
+
+
+def test_paths_follow_the_scene_and_a_second_process_makes_nothing(made, hall):
+    """An edited scene.xml changes obstacles and paths together; all that is there twice is made once."""
+    make = lambda: sean_jax.make(hall, behavior="random", task="random_ab_nav", dynamics="twin")  # noqa: E731
+    before = make()
+    first = dict(made)
+    assert set(first) == {"navigation", "goals"} and set(first.values()) == {1}
+    made.forget()
+    again = make()
+    assert dict(made) == first
+    for one, other in zip(jax.tree.leaves(before), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(other, one)
+        assert other.dtype == one.dtype and other.weak_type == one.weak_type
+    scene(hall, 1.0)
+    moved = make()
+    assert all(made[kind] == 2 for kind in first)
+    np.testing.assert_allclose(moved.navigation.obstacles.center[0], [1.0, 0.0])
+    gap = np.asarray(moved.navigation.bends.corner)[:, 0] - np.asarray(before.navigation.bends.corner)[:, 0]
+    np.testing.assert_allclose(gap, 1.0, atol=1e-6)
+    fresh = navigation.tables._make(moved.environment, 0.25, None)
+    np.testing.assert_array_equal(moved.navigation.visible, fresh["visible"])
+    scene(hall, 0.0)
+    make()
+    assert all(made[kind] == 2 for kind in first)
+
+
+def test_everything_that_tables_depend_on_tells_them_apart(made, hall):
+    place = environment.load(hall)
+    wider = place.replace(floor=place.floor + np.asarray([-1, 0, 0, 0], np.float32))
+    for number, arguments in enumerate(((place, 0.25), (place, 0.3), (place, 0.25, 0.5), (wider, 0.25)), 1):
+        for _ in range(2):
+            navigation.build(*arguments)
+            assert made["navigation"] == number
+    cache.kept("navigation", ("navigation",), [1.0], numbers(3))  # other code
+    cache.kept("navigation", ("geometry",), [1.0], numbers(3))
+    assert made["navigation"] == number + 2
+    one, two = np.zeros((2, 1)), np.zeros((1, 2))  # the same bytes in another shape
+    cache.kept("shape", (), [one], numbers(1))
+    cache.kept("shape", (), [two], numbers(2))
+    cache.kept("shape", (), [one.astype(np.float32)], numbers(3))  # the same in single precision
+    assert made["shape"] == 2
+
+
+@pytest.mark.parametrize("damage", ["truncated", "emptied", "flipped", "text", "swapped", "folder", "pickled"])
+def test_a_damaged_file_is_made_anew(made, damage):
+    """Whatever is in its place: truncated at any length, with any byte changed, another table, an object."""
+    told = cache.kept("numbers", (), [0.0], numbers(50))
+    (file,) = (cache.folder() / "tables").iterdir()
+    whole, generator = file.read_bytes(), np.random.default_rng(1)
+    for _ in range(1 if damage in ("emptied", "text", "swapped", "folder", "pickled") else 25):
+        where = int(generator.integers(1, len(whole)))
+        if damage == "swapped":
+            cache.kept("numbers", (), [1.0], numbers(7))
+            other = next(path for path in file.parent.iterdir() if path != file)
+            shutil.copy(other, file)
+        elif damage == "folder":
+            file.unlink()
+            file.mkdir()
+        elif damage == "pickled":
+            with file.open("wb") as stream:
+                np.savez(stream, name=np.array(file.stem), numbers=np.array([object()]))
+        else:
+            flipped = whole[:where] + bytes([whole[where] ^ 0xFF]) + whole[where + 1 :]
+            file.write_bytes({"truncated": whole[:where], "emptied": b"", "text": b"x", "flipped": flipped}[damage])
+        made.forget()
+        same(told, cache.kept("numbers", (), [0.0], numbers(50)))
+        assert not list(file.parent.glob("*.unfinished"))
+    made.forget()
+    if damage != "folder":
+        file.touch()
+        before = made["numbers"]
+        same(told, cache.kept("numbers", (), [0.0], numbers(50)))
+        assert made["numbers"] == before
+
+
+def test_no_folder_and_no_room_are_done_without(made, monkeypatch, tmp_path):
+    """The cache is a file, its folder may not be written, or the disk is full: tables are there all the same."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    same(cache.kept("a", (), [0.0], numbers(5)), numbers(5)())
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "full"))
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    same(cache.kept("b", (), [0.0], numbers(5)), numbers(5)())
+    assert not list((tmp_path / "full").rglob("*.npz")) and not list((tmp_path / "full").rglob("*.unfinished"))
+    same(cache.kept("b", (), [0.0], numbers(6)), numbers(5)())  # remembered in this process
+    assert made["b"] == 1
+
+
+def test_the_oldest_are_removed(made, monkeypatch):
+    """By number and by bytes, least recently used first; what somebody left unfinished long ago as well."""
+    monkeypatch.setattr(cache, "MOST", 3)
+    old = time.time() - 10 * cache.LEFT_OVER
+    for number in range(3):
+        cache.kept("numbers", (), [number], numbers(50))
+        (file,) = [path for path in (cache.folder() / "tables").iterdir() if path.stat().st_mtime > old + 20]
+        os.utime(file, (old + number, old + number))
+    left = file.parent / ".x.unfinished"
+    left.write_text("")
+    os.utime(left, (old, old))
+    made.forget()
+    cache.kept("numbers", (), [0], numbers(50))  # used again, so it is no longer the oldest
+    assert made["numbers"] == 3
+    cache.kept("numbers", (), [3], numbers(50))
+    assert len(list(file.parent.iterdir())) == 3
+    made.forget()
+    for number, count in ((0, 4), (2, 4), (3, 4), (1, 5)):
+        cache.kept("numbers", (), [number], numbers(50))
+        assert made["numbers"] == count
+    monkeypatch.setattr(cache, "LARGEST", 1)
+    cache.kept("numbers", (), [9], numbers(50))
+    assert not list(file.parent.iterdir())
+
+
+@pytest.mark.slow
+def test_another_process_reads_what_this_one_made(made, hall):
+    """And gets the same scenario, in double precision too, where tables keep their own types."""
+    program = """
+import sys
+import jax, sean_jax
+from sean_jax import cache, navigation
+def refuse(*_): raise AssertionError("made again")
+navigation.tables._make = navigation.people._make = refuse
+scenario = sean_jax.make(sys.argv[1], behavior="graph", task="random_ab_nav", dynamics="twin")
+print(int(scenario.navigation.visible.sum()))
+"""
+    scenario = sean_jax.make(hall, behavior="graph", task="random_ab_nav", dynamics="twin")
+    for wide in ("false", "true"):
+        environ = {**os.environ, "JAX_ENABLE_X64": wide}
+        done = subprocess.run([sys.executable, "-c", program, str(hall)], env=environ, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert int(done.stdout.split()[-1]) == int(scenario.navigation.visible.sum())
