@@ -1,4 +1,4 @@
-"""A function in two forms that give the same: what is fast on a CPU is slow on a GPU, and the other way round."""
+"""CPU and GPU: functions in two forms, for what is fast on one is slow on the other; and what is put there."""
 
 from collections.abc import Callable
 from typing import Any
