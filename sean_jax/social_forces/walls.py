@@ -15,6 +15,7 @@ from sean_jax.nearby import around
 from sean_jax.platforms import by_platform
 
 SLACK = 1e-3  # m/s, or rounding would hold whoever walks along a wall: 0.05 mm in a step of 0.05 s
+LEAST = 1e-9  # m/s, a slower approach is none, for the gradient of a share of it would overflow
 
 
 def distances(px: Array, py: Array, nearby: Nearby) -> tuple[Array, Array, Array]:
@@ -72,7 +73,7 @@ def keep_out(
         return -lost * ny, lost * nx
 
     def share(distance, nx, ny, vx, vy, radius, time_step):
-        approach, allowed = -(nx * vx + ny * vy), jnp.maximum((distance - radius) / time_step + SLACK, 0.0)
+        approach, allowed = -(nx * vx + ny * vy), jnp.maximum((distance - radius) / time_step + SLACK, LEAST)
         over = approach > allowed
         return jnp.where(over, allowed / jnp.where(over, approach, 1.0), 1.0)
 

@@ -1,0 +1,413 @@
+"""Gradients over a thousand states each: everything that can be differentiated is finite in degenerate cases too.
+
+Half of the states are random. In the others somebody or something is at a distance that is swept through 0, almost 0,
+touching and every threshold of the code, at rest or hardly moving, exactly aligned, on a wall, a corner or the goal.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax import classifiers, geometry, metrics, navigation, nearby, parallel, sensors, social_forces
+from sean_jax.base import Driver, Moment, Obstacles, Pedestrians
+from sean_jax.classifiers import obstructions, predicates
+from sean_jax.metrics import comfort, proximity
+from sean_jax.pedestrian_models import MODELS
+from sean_jax.pedestrian_models.half_planes import best_velocity
+from sean_jax.pedestrian_models.orca import half_plane
+from sean_jax.policies import POLICIES, costmap, dynamic_window, social_costmap
+from sean_jax.social_forces import PRESETS, cohesion, walls
+
+NUMBER, PEOPLE = 1024, 4
+GOAL = (3.0, 1.0)
+BOX = (0.0, 2.0, 0.5, 0.25)  # middle and half extent
+FILES = {
+    "environment.yaml": "name: room\nfloor: [-5, -4, 5, 4]\npeople: 4\n",
+    "scene.xml": '<mujoco><worldbody><geom type="box" size="0.5 0.25 1" pos="0 2 1"/>'
+    '<geom type="box" size="0.3 0.3 0.5" pos="-2 -2 0.5" euler="0 0 30"/></worldbody></mujoco>',
+    "graph.yaml": """version: 1
+c_min: 0.2
+c_max: 100
+nodes:
+  here: {kind: waypoint, position: [-3, 0], radius: 1, spawn: 1}
+  there: {kind: waypoint, position: [3, 0], radius: 1, spawn: 1}
+  middle: {kind: group, position: [0, -2], radius: 0.8, spawn: 1, capacity: 2, stay: [5, 10]}
+edges:
+  - {between: [here, there], flow: medium}
+  - {between: [here, middle], flow: medium}
+  - {between: [there, middle], flow: medium}
+""",
+}
+THRESHOLDS = np.array(
+    [0.05, 0.1, 0.16, 0.2, 0.25, 0.3, 0.32, 0.35, 0.45, 0.46, 0.5, 0.55, 0.56, 0.6, 0.7, 0.8, 1.0, 1.2, 2.0, 2.4, 3.6]
+)
+TINY = [0.0, 1e-30, 1e-20, 1e-15, 1e-13, 1e-12, 1.1e-12, 1e-11, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2]
+SWEPT = np.unique(
+    np.float32([*TINY, *(part for x in (-1e-3, -2e-7, 0.0, 2e-7, 1e-3) for part in THRESHOLDS * (1 + x))])
+)
+TINY_SPEEDS = np.float32([0.0, 1e-30, 1e-22, 1e-20, 1e-15, 1e-12, 1e-8, 1e-4, 0.1, 0.5])
+
+
+def directions(random, count):
+    """(count, 2) unit vectors; half of them exactly along an axis."""
+    angle = random.uniform(0, 2 * np.pi, count)
+    axis = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])[random.integers(4, size=count)]
+    return np.where((random.random(count) < 0.5)[:, None], axis, np.stack([np.cos(angle), np.sin(angle)], -1))
+
+
+def gaps(random, count=NUMBER):
+    """(count, 2) m, in all directions and of all lengths that matter; the last half at random."""
+    swept = random.permutation(np.resize(SWEPT, count))[:, None] * directions(random, count)
+    anyhow = random.normal(size=(count, 2)) * random.uniform(0.1, 4, (count, 1))
+    return np.where(np.arange(count)[:, None] < count // 2, swept, anyhow).astype(np.float32)
+
+
+def speeds(random, count=NUMBER):
+    """(count, 2) m/s."""
+    slow = TINY_SPEEDS[random.integers(len(TINY_SPEEDS), size=count)][:, None] * directions(random, count)
+    anyhow = random.normal(size=(count, 2)) * 0.8
+    return np.where(np.arange(count)[:, None] < count // 2, slow, anyhow).astype(np.float32)
+
+
+def all_finite(gradients, *at):
+    """Every leaf (NUMBER, ...) is finite; else says of which state not."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(gradients):
+        bad = np.flatnonzero(~np.isfinite(np.asarray(leaf)).reshape(len(leaf), -1).all(1))
+        if len(bad):
+            first = jax.tree.map(lambda part: np.asarray(part)[bad[0]].tolist(), at)  # noqa: B023
+            pytest.fail(f"{jax.tree_util.keystr(path)}: {len(bad)} of {len(leaf)}, the first {bad[0]}: {first}")
+
+
+def check(function, at, shared=(), smooth=0.0, step=2e-3):
+    """Gradients of ``function(at, shared) -> () or arrays`` by the rows of ``at`` and by ``shared``: all are finite.
+
+    In at least the share ``smooth`` of the random states they agree with central differences.
+    """
+
+    def value(at, shared):
+        leaves = jax.tree.leaves(function(at, shared))
+        return sum((0.5 + 0.3 * k) * jnp.sum(jnp.sin(1.0 + leaf)) for k, leaf in enumerate(leaves))
+
+    slope = jax.jit(jax.vmap(jax.value_and_grad(value, (0, 1)), (0, None)))
+    _, (by_state, by_shared) = slope(at, shared)
+    all_finite((by_state, by_shared), at)
+    assert max(np.abs(leaf).max() for leaf in jax.tree.leaves(by_state)) > 1e-3
+    if not smooth:
+        return
+    random = np.random.default_rng(9)
+    some = slice(NUMBER // 2, None)
+    change = jax.tree.map(lambda leaf: np.asarray(random.normal(size=leaf.shape), np.float32), at)
+    ends = [slope(jax.tree.map(lambda x, dx: x + sign * step * dx, at, change), shared)[0] for sign in (1.0, -1.0)]  # noqa: B023
+    measured = (np.asarray(ends[0]) - np.asarray(ends[1]))[some] / (2 * step)
+    products = jax.tree.map(lambda slope, dx: (np.asarray(slope) * dx).reshape(NUMBER, -1).sum(1), by_state, change)
+    computed = sum(jax.tree.leaves(products))[some]
+    agree = np.abs(measured - computed) <= 0.02 + 0.05 * np.abs(computed)
+    assert agree.mean() >= smooth, (agree.mean(), measured[~agree][:5], computed[~agree][:5])
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """A room with two boxes, two people who stand in a group and two who walk, and a robot."""
+    folder = tmp_path_factory.mktemp("room")
+    for name, text in FILES.items():
+        (folder / name).write_text(text)
+    made = sean_jax.make(folder, task="custom", start=(-2.0, 0.0), goal=(*GOAL, 90.0), people=PEOPLE, dynamics="twin")
+    return made, jax.jit(sean_jax.reset)(made, jax.random.key(0))
+
+
+def states(seed=0):
+    """What of a state can be differentiated, (NUMBER, ...) each, by name."""
+    random = np.random.default_rng(seed)
+    near = np.arange(NUMBER) < NUMBER // 2
+    corner, face = np.add(BOX[:2], BOX[2:]), np.array([0.1, BOX[1] - BOX[3]])
+    anchors = np.array([(0, 0), (0, 0), (0, 0), corner, face, face, GOAL, (-3, 0), (3, 0), (-5, -4), (0, -2), (-2, -2)])
+    spot = np.where(near[:, None], anchors[random.integers(len(anchors), size=NUMBER)], 0.0)
+    apart = gaps(random)
+    # The robot on the spot, or the somebody at that distance from the spot; somebody at that distance from the robot.
+    robot = np.where(near[:, None], spot + (random.random(NUMBER) < 0.3)[:, None] * gaps(random), 0.0)
+    robot = np.where(near[:, None], robot, random.uniform((-4.8, -3.8), (4.8, 3.8), (NUMBER, 2)))
+    people = random.uniform((-4.8, -3.8), (4.8, 3.8), (NUMBER, PEOPLE, 2))
+    people[near, 0] = (robot + apart)[near]
+    other = np.where((random.random(NUMBER) < 0.5)[:, None], people[:, 0], robot)
+    people[near, 1] = (other + gaps(random)[random.permutation(NUMBER)])[near]
+    people[: NUMBER // 16] = people[: NUMBER // 16, :1]  # all at one place
+    velocity, desired = (np.stack([speeds(random) for _ in range(PEOPLE)], 1) for _ in range(2))
+    heading = np.stack([directions(random, NUMBER) for _ in range(PEOPLE)], 1)
+    ahead = directions(random, NUMBER)
+    away = np.linalg.norm(apart, axis=1, keepdims=True)
+    along = np.where(away > 0, apart / np.where(away > 0, away, 1.0), ahead)
+    way = random.integers(4, size=NUMBER)[:, None]
+    ahead = np.where(near[:, None] & (way < 2), np.where(way == 0, along, -along), ahead)  # exactly ahead, or behind
+    heading[near, 0] = np.where(way == 1, -ahead, ahead)[near]
+    towards = near & (random.random(NUMBER) < 0.3)
+    velocity[towards, 0] = -along[towards]
+    velocity[towards, 1] = velocity[towards, 0]  # the same velocity
+    velocity[: NUMBER // 32] = 0.0
+    speed = np.where(near, np.resize([0.0, 1e-30, 1e-12, 0.5, -0.5, 0.05], NUMBER), random.uniform(-0.2, 0.5, NUMBER))
+    turn = np.where(near, np.resize([0.0, 1e-12, 3.0, -3.0, 1e-3], NUMBER), random.uniform(-2, 2, NUMBER))
+    preferred = np.where(near[:, None], np.resize([1.0, 0.1, 1.3], (NUMBER, 1)), random.uniform(0.6, 1.4, (NUMBER, 1)))
+    parts = {"robot": robot, "ahead": ahead, "speed": speed, "turn": turn, "people": people, "velocity": velocity,
+             "heading": heading, "desired": desired, "preferred": np.repeat(preferred, PEOPLE, 1)}  # fmt: skip
+    return {name: jnp.asarray(part, jnp.float32) for name, part in parts.items()}
+
+
+def state_of(room, at):
+    """The state of the room with one row of ``states``; every second one has nobody in a group."""
+    scenario, state = room
+    alone = at["turn"] > 0.5
+    people = replace(
+        state.pedestrians,
+        position=at["people"],
+        velocity=at["velocity"],
+        heading=at["heading"],
+        desired_velocity=at["desired"],
+        preferred_speed=at["preferred"],
+        group=jnp.where(alone, -1, state.pedestrians.group),
+    )
+    robot = scenario.robot.place(scenario.robot, at["robot"], at["ahead"])
+    return replace(state, pedestrians=people, robot=robot.replace(speed=at["speed"], turn_rate=at["turn"]))
+
+
+def floats(tree):
+    """The leaves of a pytree that have gradients, and a function that puts others in their place."""
+    leaves, kind = jax.tree.flatten(tree)
+    which = [k for k, leaf in enumerate(leaves) if jnp.issubdtype(jnp.asarray(leaf).dtype, jnp.floating)]
+
+    def put(values):
+        new = list(leaves)
+        for k, value in zip(which, values, strict=True):
+            new[k] = value
+        return kind.unflatten(new)
+
+    return [leaves[k] for k in which], put
+
+
+def limits(scenario):
+    """The constants of the robot that a policy or the step may be differentiated by, and where they go."""
+    names = ("mass", "friction", "servo_gain", "max_speed", "max_turn_rate", "max_acceleration")
+    values = {name: getattr(scenario.robot, name) for name in names}
+    return values, lambda values: scenario.replace(robot=scenario.robot.replace(**values))
+
+
+slow = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in ("go_to_goal", "orca") else [slow]) for name in POLICIES]
+)
+def test_policies(room, name):
+    scenario, state = room
+    policy: Any = POLICIES[name]
+    constants, with_limits = limits(scenario)
+    settings, with_settings = floats(policy.data if isinstance(policy, Driver) else ())
+    begun = parallel.begin(scenario, policy, state)
+
+    def command(at, shared):
+        world, now = with_limits(shared[0]), state_of((scenario, begun), at)
+        if isinstance(policy, Driver):
+            return policy.drive(world, with_settings(shared[1]), now, jax.random.key(1))[0]
+        return policy(world, now, jax.random.key(1))
+
+    check(command, states(), (constants, settings), smooth=0.0 if name == "expert" else 0.8)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name == "helbing2000" else [slow]) for name in PRESETS]
+)
+def test_social_forces(room, name):
+    """Of a step among walls, a group and the robot, two people in a party; by everything, constants too."""
+    scenario = room[0]
+    constants, put = floats(social_forces.preset(name))
+    companions = jnp.asarray([[1, -1], [0, -1], [-1, -1], [-1, -1]], jnp.int32)
+
+    def after(at, shared):
+        now = state_of(room, at)
+        return social_forces.advance(
+            put(shared), now.pedestrians, scenario.environment.nearby, now.groups, now.robot, 0.05, 0.16, companions
+        )
+
+    check(lambda at, shared: _seen(after(at, shared)), states(), constants, smooth=0.8)
+
+
+def _seen(people: Pedestrians):
+    return people.position, people.velocity, people.heading
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if name != "social_forces"])
+def test_pedestrian_models(room, name):
+    constants, put = floats(room[0].forces)
+
+    def after(at, shared):
+        return _seen(MODELS[name](room[0].replace(forces=put(shared)), state_of(room, at)))
+
+    check(after, states(), constants, smooth=0.8)
+
+
+@pytest.mark.parametrize("name", ["depth", "scan", pytest.param("render", marks=slow)])
+def test_sensors(room, name):
+    scenario = room[0]
+    if name == "scan":
+        device = sensors.lidar(scenario, count=24)
+        sense = lambda now: sensors.scan(scenario, now, device)  # noqa: E731
+    else:
+        device = sensors.camera(scenario, "depth" if name == "depth" else "third_person", width=8, height=6)
+        sense = {
+            "depth": lambda now: sensors.depth(scenario, now, device),
+            "render": lambda now: (lambda seen: (seen.rgb, seen.depth))(sensors.render(scenario, now, device)),
+        }[name]
+    check(lambda at, _: sense(state_of(room, at)), states())
+
+
+def test_ways_to_the_goal(room):
+    """Lengths and turning of shortest paths and the points ahead on them."""
+    scenario, state = room
+    task = state.task
+    last = navigation.bend_to_goal(scenario.navigation, task.goal)
+
+    def ways(at, _):
+        given = scenario.navigation, at["robot"], task.goal, task.to_goal
+        far = navigation.geodesic(*given), navigation.geodesic_roughly(*given)
+        turned = navigation.turning(given[0], given[1], at["ahead"], *given[2:])
+        points = navigation.next_point(*given), navigation.next_point_roughly(*given)
+        return jnp.stack([*far, turned]), *points, navigation.plan(*given, last, points=3)
+
+    check(ways, {name: part for name, part in states().items() if name in ("robot", "ahead")}, smooth=0.6)
+
+
+@pytest.mark.parametrize("kind", ["situations", "metrics"])
+def test_distances_that_classifiers_and_metrics_read(room, kind):
+    scenario = room[0]
+    limit = classifiers.thresholds()
+
+    def moment(at) -> Moment:
+        return sean_jax.scenario.moment(scenario, state_of(room, at))
+
+    def read(at, _):
+        now = moment(at)
+        gap = now.people.position[0] - now.position
+        if kind == "situations":
+            first, second, cross = obstructions._meeting(now.position, now.heading, *_pose(now.people, 0))
+            boxes = scenario.environment.obstacles
+            room_left = geometry.room(scenario.environment, now.position[None])
+            return (
+                predicates.cosine(now.heading, gap),
+                predicates.cosine(gap, now.people.velocity[0]),
+                jnp.stack(predicates.ahead_and_aside(now.heading, gap)),
+                jnp.tanh(jnp.stack([first, second, cross])),
+                jnp.tanh(obstructions._to_nearest(boxes, now.position, now.heading)),
+                jnp.stack(room_left),
+                jnp.where(classifiers.classify(now, limit), gap[0], gap[1]),
+            )
+        before = replace(now, position=now.position - 0.1 * now.velocity)
+        values = {name: metric.fold(metric.start(before), before, now) for name, metric in metrics.METRICS.items()}
+        results = {name: metrics.METRICS[name].result(value) for name, value in values.items()}
+        never = jax.tree.map(lambda leaf: jnp.where(jnp.abs(leaf) < 1e3, leaf, 0.0), results)
+        relative = now.people.velocity[0] - now.velocity
+        soonest = comfort.collision_time(gap[0], gap[1], relative[0], relative[1], 0.46)
+        return never, jnp.where(soonest < 100.0, soonest, 0.0), jnp.tanh(proximity._least(now))
+
+    check(read, states())
+
+
+def _pose(people: Pedestrians, index: int):
+    return people.position[index], people.heading[index]
+
+
+def laws():
+    """name -> a law of two plane vectors (2,), (2,), and what it gives; distances [m], velocities [m/s]."""
+    layers = social_costmap.data.layers
+    p = social_forces.preset("helbing2000")
+    gap = Obstacles(
+        *(jnp.asarray(part) for part in ([[0.75, 0.0], [-0.75, 0.0]], [[0.5, 3.0]] * 2, [0.0] * 2, [1.0] * 2))
+    )
+    between = nearby.tabulate(gap, jnp.array([-5.0, -5.0, 5.0, 5.0]))  # half a metre, too narrow for anybody
+    found = {
+        "length": lambda d, v: geometry.length(*d),
+        "unit": lambda d, v: geometry.unit(*d),
+        "unit_vectors": lambda d, v: geometry.unit_vectors(d, v),
+        "angle_between": lambda d, v: geometry.angle_between(d, v),
+        "from_rectangle": lambda d, v: geometry.from_rectangle(*d, 0.0, 0.0, 0.5, 0.25, 1.0, 0.0),
+        "from_turned_rectangle": lambda d, v: geometry.from_rectangle(*d, 0.5, 0.0, 0.5, 0.25, 0.8, 0.6),
+        "keep_out": lambda d, v: walls.keep_out(d[:1], d[1:], v[:1], v[1:], between, 0.3, 0.05, 1e-3),
+        "wall_forces": lambda d, v: walls.wall_forces(d[:1], d[1:], between, p),
+        "contact": lambda d, v: social_forces.repulsion.contact(*d, *v, 0.0, 0.0, 0.6, p),
+        "sidestep": lambda d, v: social_forces.repulsion.sidestep(*d, *v, 0.0, 0.0, 1.0, 0.0, 2.0, p),
+        "gaze": lambda d, v: cohesion.gaze(*d, *v, 1.0, 0.0, p),
+        "attraction": lambda d, v: cohesion.attraction(*d, 2.0, p),
+        "apart": lambda d, v: cohesion.apart(*d, p),
+        "half_plane": lambda d, v: half_plane(*d, *v, 0.6, 3.0, 0.1, True),
+        "proxemic": lambda d, v: costmap.proxemic(layers, *d, *v),
+        "inflated": lambda d, v: costmap.inflated(layers, d[0]),
+        "collision_time": lambda d, v: jnp.tanh(comfort.collision_time(*d, *v, 0.6)),
+        "from_path": lambda d, v: dynamic_window.from_path(d[:1], d[1:], *jnp.array([[0, 0.5, 0.5], [0, 0, 0.0]])),
+        "arcs": lambda d, v: dynamic_window.arcs(v[:1], v[1:]),
+    }
+    for name in PRESETS:
+        one = social_forces.preset(name)
+        found[f"repulsion of {name}"] = lambda d, v, one=one: one.repulsion(*d, *v, 0.3, 0.0, one)
+        found[f"sight of {name}"] = lambda d, v, one=one: one.sight(*v, *d, 0.6, 0.8, one)
+    return found
+
+
+def test_laws():
+    """Of a pair, of an angle, of a box: each by itself, all in one program."""
+    random = np.random.default_rng(4)
+    each, found = (jnp.asarray(gaps(random)), jnp.asarray(speeds(random))), laws()
+    aligned = jnp.asarray(np.resize([1.0, -1.0, 0.0], (NUMBER, 1)), jnp.float32)
+    every = [each, (each[0], each[0] * aligned), (each[1], each[1] * aligned)]
+
+    def slopes(d, v):
+        def value(name):
+            return lambda d, v: sum(
+                jnp.sum(leaf) * (1.0 + k) for k, leaf in enumerate(jax.tree.leaves(found[name](d, v)))
+            )
+
+        return {name: jax.grad(value(name), (0, 1))(d, v) for name in found}
+
+    run = jax.jit(jax.vmap(slopes))
+    for d, v in every:
+        all_finite(run(d, v), d, v)
+
+
+def test_best_velocity_among_half_planes():
+    """Parallel and opposite borders, through zero, at the speed limit, and such that nothing is left."""
+    random = np.random.default_rng(5)
+    normal = np.stack([directions(random, NUMBER) for _ in range(3)], 1)
+    normal[: NUMBER // 4, 1] = -normal[: NUMBER // 4, 0]
+    offset = np.stack([random.permutation(np.resize(SWEPT, NUMBER)) for _ in range(3)], 1) * [1, -1, 1]
+    wish = np.where(random.random((NUMBER, 1)) < 0.3, normal[:, 0] * offset[:, :1], gaps(random))
+    at = tuple(jnp.asarray(part, jnp.float32) for part in (normal, offset, wish))
+    hard = jnp.array([False, False, True])
+
+    def taken(at, limit):
+        normal, offset, wish = at
+        offset = jnp.where(hard, -jnp.abs(offset), offset)
+        return jnp.stack(best_velocity(normal[:, 0], normal[:, 1], offset, hard, wish[0], wish[1], limit))
+
+    check(taken, at, jnp.float32(0.5))
+
+
+@pytest.mark.parametrize("dynamics", ["twin", pytest.param("mjx", marks=slow)])
+def test_the_whole_step(room, dynamics):
+    """By the state, the action, and constants of robot and forces; and forward mode gives what reverse mode does."""
+    scenario, _ = room
+    if dynamics == "mjx":
+        scenario = scenario.replace(robot=sean_jax.robots.load("kuri"))
+    constants, with_limits = limits(scenario)
+    forces, put = floats(scenario.forces)
+    random = np.random.default_rng(6)
+    action = np.where(random.random((NUMBER, 1)) < 0.3, 0.0, random.uniform((-0.7, -4.0), (0.7, 4.0), (NUMBER, 2)))
+    at = {**states(), "action": jnp.asarray(action, jnp.float32)}
+
+    def after(at, shared):
+        world = with_limits(shared[0]).replace(forces=put(shared[1]))
+        end = sean_jax.step(world, state_of((scenario, room[1]), at), at["action"])
+        parts = floats((end.pedestrians, end.robot, end.metrics))[0]
+        return [jnp.where(jnp.abs(part) < 1e3, part, 0.0) for part in parts]
+
+    check(after, at, (constants, forces), smooth=0.8)
