@@ -163,20 +163,6 @@ def test_one_by_one_equals_all_at_once_and_is_traced_once(driven):
     assert traced == [name]
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name == "go_to_goal" else [pytest.mark.slow]) for name in POLICIES]
-)
-def test_gradients_of_the_command_are_finite(name, room, simulated):
-    """Also where the robot stands on somebody's place."""
-    scenario, states = room[0], simulated(name)[0]
-    slope = jax.jit(jax.grad(command_of(scenario, name, []), has_aux=True))
-    for scene in (0, 1, 4):
-        state = jax.tree.map(lambda leaf: leaf[scene], states)  # noqa: B023
-        here, people = state.robot.position, state.pedestrians.position
-        for places in ((here, people), (here, people.at[0].set(here))):
-            assert all(np.isfinite(part).all() for part in slope(places, state)[0])
-
-
 def test_the_expert_is_more_polite_than_go_to_goal(simulated):
     """People who mind nobody: it comes nearer than 0.45 m to none of them, and arrives as well."""
     close = {name: (gaps(simulated(name)[1]) < 0.45).any((1, 2)) for name in ("go_to_goal", "expert")}

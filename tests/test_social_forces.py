@@ -434,7 +434,11 @@ COMPANIONS = {"alone": None, "together": [[1, -1], [0, -1]], "with who is absent
 
 
 @pytest.mark.parametrize(
-    ("preset", "companions"), [*((name, "alone") for name in PRESETS), *(("helbing2000", name) for name in COMPANIONS)]
+    ("preset", "companions"),
+    [
+        *(pytest.param(name, "alone", marks=pytest.mark.slow) for name in PRESETS if name != "helbing2000"),
+        *(("helbing2000", name) for name in COMPANIONS),
+    ],
 )
 def test_gradients_are_finite_in_degenerate_cases(preset, companions):
     """Of two steps, with respect to positions, velocities, wishes and every constant."""
