@@ -61,7 +61,7 @@ def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...])
             raise ValueError(f"{name}: {pose} must be x and y in metres, and if you like a heading in degrees.")
         for what, number, most in zip(("x", "y", "heading"), pose, (FARTHEST, FARTHEST, 3600.0), strict=False):
             check(f"{name}: {what}", number, -most, most, "degrees" if what == "heading" else "m")
-        room = float(min(*room_on_host(scenario.environment, np.array([pose[:2]]))))
+        room = float(np.min(room_on_host(scenario.environment, np.array([pose[:2]]))))
         needed = scenario.robot.radius
         if not room >= needed:
             where = f"({pose[0]:g}, {pose[1]:g})"
