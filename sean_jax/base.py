@@ -194,7 +194,7 @@ class Mount(NamedTuple):
 
     name: str
     origin: tuple[float, ...]  # (3,) m in the robot's frame: x ahead, y to the left, z up from the floor
-    axes: tuple[float, ...]  # (9,) unit vectors of the sensor, right, up and back, as columns row by row
+    axes: tuple[float, ...]  # (9,) unit vectors x, y, z (a camera's right, up and back), as columns row by row
     fovy: float  # degrees, vertical field of view; 0 for what is no camera
 
 

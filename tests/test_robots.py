@@ -3,6 +3,7 @@
 import functools
 import subprocess
 import sys
+import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from importlib import import_module
 from types import SimpleNamespace
@@ -557,6 +558,7 @@ def test_robot_files_open_in_mujoco_and_carry_the_sensor_mounts(path):
 @pytest.mark.parametrize(
     ("wrong", "dynamics", "message"),
     [
+        ("zzz", "mjx", "warthog. The path of an MJCF file works as well as a name.$"),
         ("kurri", "mjx", "did you mean 'kuri'"),
         ("zzz", "mjx", "there are: jackal, kuri"),
         ("nowhere/kuri.xml", "mjx", "no robot file 'nowhere/kuri.xml'"),
@@ -576,7 +578,19 @@ def test_unknown_names(wrong, dynamics, message):
         ("</custom>", '<numeric name="max_deceleration" data="-2"/></custom>', "the numeric max_deceleration is -2"),
         ("</worldbody>", "", r"bad.xml:68:3: is not XML: mismatched tag\.$"),
         ('pos="0 0 0.405"', 'pos="0.1 0 0.405"', "bad.xml: the centre of mass"),
-        ('<joint name="y" type="slide"', '<joint name="y" type="hinge"', "bad.xml: a robot must be a base with"),
+        (
+            '<joint name="y" type="slide"',
+            '<joint name="y" type="hinge"',
+            r"bad.xml: a robot must be a base with .*, but joint 'y' is a hinge and not a slide \(see .*\)\.$",
+        ),
+        ('kv="0.2"', 'kv="0.2" gear="2"', r"but the gear of an actuator is not 1 \(see"),
+        ('<joint name="x" type', '<joint name="x" damping="1" type', r"but joint 'x' has a damping \(see"),
+        ('<body name="base">', '<body name="base" euler="0 0.1 0">', r"but its base is tilted by 5.73 degrees \(see"),
+        (
+            '<joint name="y" type="slide" axis="0 1 0"',
+            '<joint name="y" type="slide" axis="0 0 1"',
+            r"the axis of joint 'y' is \(0 0 1\) and not that of y \(see",
+        ),
     ],
 )
 def test_bad_files_are_refused_in_one_sentence(tmp_path, old, new, message):
@@ -587,6 +601,94 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, old, new, message):
     with pytest.raises(ValueError, match=message) as error:
         robots.load(path)
     assert "\n" not in str(error.value)
+
+
+def test_all_that_is_missing_is_said_at_once(tmp_path):
+    text = robots.ROBOTS["kuri"].read_text()
+    for name in ("friction", "max_speed"):
+        text = text.replace(f'<numeric name="{name}"', f'<numeric name="no_{name}"')
+    text = text.replace('<joint name="y" type="slide"', '<joint name="y" type="hinge"')
+    path = tmp_path / "bad.xml"
+    path.write_text(text.replace('<joint name="x" type="slide"', '<joint name="x" type="hinge"'))
+    with pytest.raises(ValueError) as error:
+        robots.load(path)
+    said = str(error.value)
+    figures = '<numeric name="max_speed" data="..."/> and <numeric name="friction" data="..."/>, which'
+    for words in (figures, "joint 'x' is a hinge", "joint 'y' is a hinge"):
+        assert words in said, said
+    assert "\n" not in said
+
+
+def moved(text, generator, nested):
+    """The robot of an MJCF file with its base body raised, shifted and turned, its sensors on bodies on the base.
+
+    All else is lowered by as much as the base is raised, so it is the same robot.
+    """
+    flat, tree = mujoco.MjModel.from_xml_string(text), ElementTree.fromstring(text)
+    base = next(body for body in tree.iter("body") if body.get("name") == "base")
+    raised, turn = generator.uniform(-0.5, 0.5), generator.uniform(-np.pi, np.pi)
+    for part in base:
+        if part.tag in ("geom", "body", "site", "camera", "inertial"):
+            place = np.array(part.get("pos", "0 0 0").split(), float) - [0.0, 0.0, raised]
+            part.set("pos", " ".join(map(repr, place.tolist())))
+    x, y = generator.uniform(-2.0, 2.0, 2)
+    base.set("pos", f"{x} {y} {raised}")
+    base.set("quat", f"{np.cos(turn / 2)} 0 0 {np.sin(turn / 2)}")
+    if not nested:
+        return ElementTree.tostring(tree, "unicode")
+    for number, part in enumerate([part for part in base if part.tag in ("site", "camera")]):
+        item = flat.site(part.get("name")) if part.tag == "site" else flat.camera(part.get("name"))
+        base.remove(part)
+        at, quat = generator.uniform(-0.3, 0.3, 3), generator.normal(size=4)
+        quat /= np.linalg.norm(quat)
+        place, inverse, turned = np.zeros(3), np.zeros(4), np.zeros(4)
+        mujoco.mju_negQuat(inverse, quat)
+        mujoco.mju_rotVecQuat(place, item.pos - [0.0, 0.0, raised] - at, inverse)
+        mujoco.mju_mulQuat(turned, inverse, item.quat)
+        for key in ("euler", "xyaxes", "zaxis", "axisangle", "quat"):
+            part.attrib.pop(key, None)
+        part.set("pos", " ".join(map(repr, place.tolist())))
+        part.set("quat", " ".join(map(repr, turned.tolist())))
+        words = [" ".join(map(repr, values.tolist())) for values in (at, quat)]
+        mast = ElementTree.SubElement(base, "body", name=f"mast_{number}", pos=words[0], quat=words[1])
+        mast.append(part)
+    return ElementTree.tostring(tree, "unicode")
+
+
+@pytest.mark.parametrize("name", robots.ROBOTS)
+def test_a_raised_base_and_nested_bodies_make_the_same_robot(name, tmp_path):
+    """Sensors, looks and figures are those of the flat file, wherever in it the base body and the mounts stand."""
+    generator, text = np.random.default_rng(5), robots.ROBOTS[name].read_text()
+    flat = robots.load(name, "twin")
+    for turn in range(4):
+        path = tmp_path / f"{name}.xml"
+        path.write_text(moved(text, generator, nested=turn % 2 == 1))
+        other = robots.load(path, "twin")
+        assert {mount.name for mount in other.mounts} == {mount.name for mount in flat.mounts}
+        for mount in other.mounts:
+            same = next(each for each in flat.mounts if each.name == mount.name)
+            np.testing.assert_allclose(mount.origin, same.origin, atol=1e-6)
+            np.testing.assert_allclose(mount.axes, same.axes, atol=1e-6)
+            assert mount.fovy == same.fovy
+        for one, same in zip(jax.tree.leaves(other), jax.tree.leaves(flat), strict=True):
+            np.testing.assert_allclose(one, same, rtol=1e-5, atol=2e-6)
+
+
+def test_a_site_is_where_and_as_it_is_turned_and_never_on_a_wheel(tmp_path):
+    text = robots.ROBOTS["kuri"].read_text()
+    turned = text.replace('<site name="lidar"', '<site name="lidar" euler="0 0.3 0.5"')
+    assert turned != text
+    path = tmp_path / "turned.xml"
+    path.write_text(turned)
+    (mount,) = [mount for mount in robots.load(path, "twin").mounts if mount.name == "lidar"]
+    wanted = mujoco.MjModel.from_xml_string(turned)
+    data = mujoco.MjData(wanted)
+    mujoco.mj_forward(wanted, data)
+    np.testing.assert_allclose(mount.axes, data.site("lidar").xmat, atol=1e-6)
+    np.testing.assert_allclose(mount.origin, data.site("lidar").xpos, atol=1e-6)
+    path.write_text(text.replace("</worldbody>", '<site name="beacon" pos="1 0 1"/></worldbody>'))
+    with pytest.raises(ValueError, match="site 'beacon' must be on the base, not on a wheel or in the world"):
+        robots.load(path)
 
 
 def test_control_step_must_be_a_multiple_of_the_physics_step(twin):

@@ -281,6 +281,26 @@ def test_lidar_in_a_room(scenario, state):
     assert hits.sum() > 10 and wanted.max() < 3.5
 
 
+def test_a_lidar_looks_where_its_site_is_turned(scenario, state):
+    """Yaw shifts the angles of rays; pitch has those ahead meet the floor, and those behind nothing."""
+    lidars, yaw, pitch = import_module("sean_jax.sensors.lidars"), 1.1, 0.4
+    c, s = np.cos(yaw), np.sin(yaw)
+    plain_one = sensors.lidar(scenario, count=30, first=0.3, far=9.0)
+    turned = dataclasses.replace(plain_one, axes=(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0))
+    shifted = dataclasses.replace(plain_one, first=0.3 + yaw)
+    np.testing.assert_allclose(lidars.rays(turned).direction, lidars.rays(shifted).direction, atol=1e-6)
+    assert lidars.rays(turned).low == lidars.rays(plain_one).low
+    c, s = np.cos(pitch), np.sin(pitch)
+    axes = c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c
+    down = dataclasses.replace(plain_one, first=0.0, origin=(0.1, 0.0, 0.5), axes=axes)
+    room, here = put(scenario, state, [(100.0, 0.0, 1.0, 1.0, 1.0)], [])
+    found = np.asarray(jax.jit(lambda state: sensors.scan(room, state, down))(here))
+    fall = s * np.cos(2 * np.pi * np.arange(30) / 30)
+    with np.errstate(divide="ignore"):
+        wanted = np.where(fall > 1e-6, 0.5 / fall, np.inf)
+    np.testing.assert_allclose(found, np.minimum(wanted, 9.0), rtol=1e-5)
+
+
 def test_noise_and_drop_outs():
     """Deviations of a depth camera at 1 and at 3 m, as printed by their source; what is not seen stays unseen."""
     distance = jnp.broadcast_to(jnp.asarray([1.0, 3.0, 20.0], jnp.float32), (20_000, 3))

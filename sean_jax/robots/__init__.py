@@ -33,7 +33,7 @@ def find(robot: str | Path, dynamics: str = "mjx") -> Path:
     path = ROBOTS.get(str(robot), Path(robot))
     if not path.is_file():
         problem = f"no robot file {str(robot)!r}" if path.suffix == ".xml" else f"unknown robot {str(robot)!r}"
-        raise ValueError(f"{problem}{_meant(str(robot), ROBOTS)}")
+        raise ValueError(f"{problem}{_meant(str(robot), ROBOTS)} The path of an MJCF file works as well as a name.")
     return path
 
 

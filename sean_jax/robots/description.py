@@ -10,6 +10,7 @@ import numpy as np
 from sean_jax import quantities, scenery
 from sean_jax.base import Mount, Solids
 from sean_jax.files import FileError, mjcf
+from sean_jax.robots import build
 
 RANGES = {  # least, greatest and unit of a figure: wider than any robot that moves among people
     "max_speed": (0.01, 30.0, "m/s"),
@@ -33,10 +34,6 @@ FARTHEST_MOUNT = 100.0  # m
 LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration", "command_timeout")
 NUMERICS = (*LIMITS, "radius", "friction")
 OPTIONAL = ("max_reverse_speed", "max_deceleration")  # those ahead hold backward as well where these are absent
-BUILD = (
-    "a base with the joints slide x, slide y and hinge z, then a left and a right wheel hinge with a velocity servo "
-    "each, without springs, damping and friction losses in the joints"
-)
 
 
 def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
@@ -50,11 +47,21 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     disable = mujoco.mjtDisableBit
     for unused in (disable.mjDSBL_CONSTRAINT, disable.mjDSBL_SPRING, disable.mjDSBL_DAMPER, disable.mjDSBL_EULERDAMP):
         model.opt.disableflags |= int(unused)
-    numerics = _numerics(path, model)
-    _check_build(path, model)
+    data = mujoco.MjData(model)
+    for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
+        stage(model, data)
+    numerics, faults = _numerics(model), build.faults(model, data)
+    problems = _lacking(numerics)
+    if faults:
+        problems.append(f"a robot must be {build.BUILD}, but {', '.join(faults)} (see envs/robots/kuri.xml)")
+    if problems:
+        raise FileError(f"{path}: {'; '.join(problems)}.")
+    for key, value in numerics.items():
+        _within(path, f"the numeric {key}", value, *RANGES[key])
+    _check_mounts(path, model)
     mass = _mass_matrix(path, model)
-    left, right = model.body_pos[2], model.body_pos[3]
-    wheel = int(np.flatnonzero(model.geom_bodyid == 2)[0])
+    left, right = (build.to_base(model, data, data.xanchor[joint]) for joint in (3, 4))
+    wheel = int(np.flatnonzero(model.geom_bodyid == model.jnt_bodyid[3])[0])
     figures = {
         "mass": mass[0],
         "inertia": mass[2],
@@ -69,70 +76,59 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
         _within(path, f"its {key.replace('_', ' ')}", value, *RANGES[key])
     _within(path, "the timestep of its <option>", model.opt.timestep, *quantities.STEPS, "s")
     fields = {key: jnp.asarray(value, jnp.result_type(float)) for key, value in figures.items()}
-    seen = {"mounts": mounts(model), "solids": _solids(model)}
+    seen = {"mounts": mounts(model, data), "solids": _solids(model, data)}
     for mount in seen["mounts"]:
         far = max(map(abs, mount.origin))
         _within(path, f"the greatest coordinate of its mount '{mount.name}'", far, 0.0, FARTHEST_MOUNT, "m")
     return model, {**fields, **seen, "radius": numerics["radius"], "time_step": float(model.opt.timestep)}, mass
 
 
-def mounts(model: Any) -> tuple[Mount, ...]:
-    """The cameras and sites of a robot's ``mujoco.MjModel``, all of which must sit on its base."""
-    found = []
-    for number in range(model.ncam):
-        axes = np.zeros(9)
-        import_module("mujoco").mju_quat2Mat(axes, model.cam_quat[number])
-        place = tuple(map(float, model.cam_pos[number]))
-        found.append(Mount(model.camera(number).name, place, tuple(map(float, axes)), float(model.cam_fovy[number])))
-    upright = tuple(map(float, np.eye(3).ravel()))
-    for number in range(model.nsite):
-        found.append(Mount(model.site(number).name, tuple(map(float, model.site_pos[number])), upright, 0.0))
+def mounts(model: Any, data: Any) -> tuple[Mount, ...]:
+    """The cameras and sites of a robot's ``mujoco.MjModel`` where ``data`` has them, in the robot's frame."""
+    found, frame = [], build.turned(model, data)
+    places = [
+        *((model.camera(k).name, data.cam_xpos[k], data.cam_xmat[k], model.cam_fovy[k]) for k in range(model.ncam)),
+        *((model.site(k).name, data.site_xpos[k], data.site_xmat[k], 0.0) for k in range(model.nsite)),
+    ]
+    for name, place, axes, fovy in places:
+        origin = build.to_base(model, data, place)
+        axes = np.round(frame.T @ axes.reshape(3, 3), 12) + 0.0  # so that what is level is so to the bit
+        found.append(Mount(name, tuple(origin.tolist()), tuple(axes.ravel().tolist()), float(fovy)))
     return tuple(found)
 
 
-def _solids(model: Any) -> Solids:
-    mujoco: Any = import_module("mujoco")
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+def _check_mounts(path: Path, model: Any) -> None:
+    """Sensors that a wheel carries along, or that stand in the world, would not be where they are looked for."""
+    base = model.jnt_bodyid[0]
+    carried = [("camera", model.camera(k).name, model.cam_bodyid[k]) for k in range(model.ncam)]
+    carried += [("site", model.site(k).name, model.site_bodyid[k]) for k in range(model.nsite)]
+    loose = [f"{kind} '{name}'" for kind, name, body in carried if model.body_weldid[body] != base]
+    if loose:
+        raise FileError(f"{path}: {' and '.join(loose)} must be on the base, not on a wheel or in the world.")
+
+
+def _solids(model: Any, data: Any) -> Solids:
+    frame = build.turned(model, data)
+    data.geom_xpos[:] = build.to_base(model, data, data.geom_xpos)
+    data.geom_xmat[:] = (frame.T @ data.geom_xmat.reshape(-1, 3, 3)).reshape(-1, 9)
     return scenery.solids(model, data, list(range(model.ngeom)))
 
 
-def _numerics(path: Path, model: Any) -> dict[str, float]:
-    there = {model.numeric(i).name: model.numeric_data[model.numeric_adr[i]] for i in range(model.nnumeric)}
-    told = (*NUMERICS, *(key for key in OPTIONAL if key in there))
-    for key in told:
-        if key not in there:
-            raise ValueError(f'{path}: <custom> lacks <numeric name="{key}" data="..."/>, which every robot needs')
-        _within(path, f"the numeric {key}", there[key], *RANGES[key])
-    return {key: float(there[key]) for key in told}
+def _numerics(model: Any) -> dict[str, float]:
+    """Those of the file that are read."""
+    there = {model.numeric(i).name: float(model.numeric_data[model.numeric_adr[i]]) for i in range(model.nnumeric)}
+    return {key: there[key] for key in (*NUMERICS, *OPTIONAL) if key in there}
+
+
+def _lacking(numerics: dict[str, float]) -> list[str]:
+    """The clause about all figures that are missing, if any are."""
+    missing = [f'<numeric name="{key}" data="..."/>' for key in NUMERICS if key not in numerics]
+    return [f"<custom> lacks {' and '.join(missing)}, which every robot needs"] if missing else []
 
 
 def _within(path: Path, what: str, value: float, least: float, most: float, unit: str) -> None:
     if not least <= value <= most:
         raise FileError(f"{path}: {what} is {value:g}, but must be from {least:g} to {most:g}{unit and ' ' + unit}.")
-
-
-def _check_build(path: Path, model: Any) -> None:
-    """The joints, bodies and servos that the equations of motion are written for."""
-    axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 0], [0, 1, 0]]
-    fits = (
-        (model.nbody, model.njnt, model.nu) == (4, 5, 2)
-        and model.jnt_type.tolist() == [2, 2, 3, 3, 3]
-        and model.jnt_bodyid.tolist() == [1, 1, 1, 2, 3]
-        and np.allclose(model.jnt_axis, axes)
-        and model.actuator_trnid[:, 0].tolist() == [3, 4]
-        and np.allclose(model.actuator_gear[:, 0], 1.0)
-        and np.allclose(model.actuator_biasprm[:, :3], np.outer(model.actuator_gainprm[:, 0], [0.0, 0.0, -1.0]))
-        and bool(model.actuator_forcelimited.all())
-        and np.allclose(model.actuator_forcerange[0], model.actuator_forcerange[1] * [[1.0, 1.0]])
-        and np.isclose(model.actuator_forcerange[0].sum(), 0.0)
-        and np.isclose(model.body_pos[2, 1], -model.body_pos[3, 1])
-        and model.body_pos[2, 1] > 0.0
-        and bool((model.geom_bodyid == 2).any())
-        and not (model.dof_damping.any() or model.jnt_stiffness.any() or model.dof_frictionloss.any())
-    )
-    if not fits:
-        raise ValueError(f"{path}: a robot must be {BUILD} (see envs/robots/kuri.xml)")
 
 
 def _mass_matrix(path: Path, model: Any) -> np.ndarray:

@@ -23,10 +23,11 @@ class Lidar:
 
     origin: tuple[float, ...]  # (3,) m in the robot's frame
     count: int  # rays
-    first: float  # rad, of the first ray, counter-clockwise from ahead
+    first: float  # rad, of the first ray, counter-clockwise from x about z of the site
     span: float  # rad, that the rays cover together, beginning with the first
     near: float  # m, nothing nearer is seen
     far: float  # m, nothing farther is seen
+    axes: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # (9,) of ``base.Mount``: level, ahead
 
 
 def lidar(
@@ -51,7 +52,7 @@ def lidar(
         raise ValueError(f"count: {count} rays see nothing; give 1 or more.")
     if not 0.0 <= near < far:
         raise ValueError(f"near, far: {near:g} and {far:g} m must be a lesser and a greater distance.")
-    return Lidar(mount.origin, count, first, span, near, far)
+    return Lidar(mount.origin, count, first, span, near, far, mount.axes)
 
 
 @functools.lru_cache(maxsize=64)
@@ -59,6 +60,7 @@ def rays(sensor: Lidar) -> Rays:
     """The rays of a lidar."""
     angle = sensor.first + sensor.span * np.arange(sensor.count) / sensor.count
     direction = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
+    direction = direction @ np.asarray(sensor.axes).reshape(3, 3).T
     return bundle(sensor.origin, direction[None], (1, SECTOR), sensor.far)
 
 

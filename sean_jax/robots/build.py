@@ -1,0 +1,96 @@
+"""What a robot's file must describe (Fig. 3): joints, bodies and servos of a planar differential-drive base."""
+
+from collections.abc import Iterator
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+BUILD = (
+    "a base with the joints slide x, slide y and hinge z, then a left and a right wheel hinge with a velocity servo "
+    "each, without springs, damping and friction losses in the joints"
+)
+JOINTS = (("slide", "x"), ("slide", "y"), ("hinge", "z"), ("hinge", "y"), ("hinge", "y"))
+AXES = dict(zip("xyz", np.eye(3), strict=True))
+UPRIGHT = 1e-6  # how far from 1 the cosine of the base's tilt may be
+
+
+def faults(model: Any, data: Any) -> list[str]:
+    """What is not as the equations of motion have it, in words that follow ``a robot must be ..., but``.
+
+    ``data`` has the poses of the model's bodies. Where joints or servos are missing, nothing that depends on them is
+    looked at.
+    """
+    found = [*_joints(model), *_servos(model)]
+    return found or [*_bodies(model, data), *_losses(model)]
+
+
+def _joints(model: Any) -> Iterator[str]:
+    mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
+    if model.njnt != len(JOINTS):
+        yield f"it has {model.njnt} joints and not {len(JOINTS)}"
+        return
+    for number, (kind, axis) in enumerate(JOINTS):
+        has = mujoco.mjtJoint(int(model.jnt_type[number])).name.removeprefix("mjJNT_").lower()
+        if has != kind:
+            yield f"joint {_named(model.joint(number), number)} is a {has} and not a {kind}"
+        elif not np.allclose(model.jnt_axis[number], AXES[axis]):
+            along = " ".join(f"{part:g}" for part in model.jnt_axis[number])
+            yield f"the axis of joint {_named(model.joint(number), number)} is ({along}) and not that of {axis}"
+
+
+def _servos(model: Any) -> Iterator[str]:
+    if model.nu != 2:
+        yield f"it has {model.nu} actuators and not 2"
+        return
+    if model.actuator_trnid[:, 0].tolist() != [3, 4] or model.actuator_trntype.any():
+        yield "its actuators do not drive the left and then the right wheel, the fourth and the fifth joint"
+    if not np.allclose(model.actuator_gear[:, 0], 1.0):
+        yield "the gear of an actuator is not 1"
+    gain = model.actuator_gainprm[:, 0]
+    if not np.allclose(model.actuator_biasprm[:, :3], np.outer(gain, [0.0, 0.0, -1.0])) or not np.isclose(*gain):
+        yield "its actuators are no velocity servos of one and the same gain kv"
+    low, high = model.actuator_forcerange.T
+    if not model.actuator_forcelimited.all() or not (np.allclose(low, -high) and np.isclose(*high)):
+        yield "its actuators lack one and the same forcerange, as much backward as ahead"
+
+
+def _bodies(model: Any, data: Any) -> Iterator[str]:
+    base, *others = model.jnt_bodyid[[0, 3, 4]].tolist()
+    if (model.jnt_bodyid[:3] != base).any():
+        yield "its first three joints are not all in one body, the base"
+        return
+    if data.xmat[base, 8] < 1.0 - UPRIGHT:
+        yield f"its base is tilted by {np.degrees(np.arccos(min(data.xmat[base, 8], 1.0))):.3g} degrees"
+    if len({base, *others}) < 3 or any(model.body_weldid[model.body_parentid[wheel]] != base for wheel in others):
+        yield "its wheels are not two bodies on the base"
+        return
+    if not any(model.geom_bodyid == others[0]):
+        yield "its left wheel has no geom, whose size is the wheel's radius"
+    left, right = (to_base(model, data, data.xanchor[joint])[:2] for joint in (3, 4))
+    if not (left[1] > 0.0 and np.isclose(left[1], -right[1])):
+        yield f"its wheels lie {left[1]:g} m and {right[1]:g} m left of the base's hinge, not as far left as right"
+
+
+def _losses(model: Any) -> Iterator[str]:
+    for number in range(model.njnt):
+        for what, loss in (("damping", model.dof_damping), ("stiffness", model.jnt_stiffness),
+                           ("frictionloss", model.dof_frictionloss)):  # fmt: skip
+            if loss[number]:
+                yield f"joint {_named(model.joint(number), number)} has a {what}"
+
+
+def to_base(model: Any, data: Any, points: np.ndarray) -> np.ndarray:
+    """The points (..., 3) [m] of the world in the robot's frame: on the floor below the base's hinge, x ahead."""
+    return (points - data.xanchor[2] * [1.0, 1.0, 0.0]) @ turned(model, data)
+
+
+def turned(model: Any, data: Any) -> np.ndarray:
+    """(3, 3) by which vectors of the robot's frame are turned in the world: about the vertical, as the base is."""
+    matrix = data.xmat[model.jnt_bodyid[2]].reshape(3, 3)
+    yaw = np.arctan2(matrix[1, 0], matrix[0, 0])
+    return np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+
+
+def _named(item: Any, number: int) -> str:
+    return f"'{item.name}'" if item.name else f"number {number + 1}"
