@@ -4,9 +4,11 @@ Single precision still tells millimetres apart at 10 km from the origin, and no 
 """
 
 import math
+from numbers import Integral
 from typing import Annotated, Any
 
-import jax
+import jax.core
+import jax.tree_util
 import numpy as np
 import pydantic
 
@@ -36,9 +38,21 @@ def check(name: str, value: Any, least: float, most: float, unit: str = "") -> A
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not least <= number <= most:
-        said = repr(value) if len(repr(value)) <= 60 else repr(value)[:57] + "..."
-        raise ValueError(f"{name}: {said} must be from {least:,g} to {most:,g}{unit and ' ' + unit}.")
+        raise ValueError(f"{name}: {shown(value)} must be from {least:,g} to {most:,g}{unit and ' ' + unit}.")
     return value
+
+
+def check_whole(name: str, value: Any, least: int, most: int) -> int:
+    """The number as ``check`` gives it, if it is a whole one. Raises ValueError."""
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise ValueError(f"{name}: {shown(value)} must be a whole number from {least:,} to {most:,}.")
+    return check(name, value, least, most)
+
+
+def shown(value: Any) -> str:
+    """A value as messages give it: not too long."""
+    said = repr(value)
+    return said if len(said) <= 60 else said[:57] + "..."
 
 
 def check_leaves(name: str, tree: Any) -> None:

@@ -27,7 +27,7 @@ import yaml
 
 HANG, WAIT = 5.0, 60.0  # s of processor time, and of waiting
 MEMORY = 10**9  # bytes that a mutant may take
-INFINITE = ("walked", "weight", "cost", "distance")  # fields in which inf stands for what is not there
+INFINITE = ("walked", "weight", "cost", "distance", "enter")  # fields in which inf stands for what is not there
 UNSAID = re.compile(  # how Python's and other packages' own words begin
     "Traceback|pydantic|invalid literal|could not convert|cannot convert|not supported between|object is not"
     "|has no attribute|unexpected keyword|out of range|out of bounds|cannot reshape|broadcast|shape mismatch|zero-size"
@@ -229,6 +229,25 @@ def load_policy(folder: Path) -> Any:
     return learned.load(folder, scenario).data
 
 
+OPTIONS = {
+    "time_step": 0.1, "time_limit": 60.0, "goal_radius": 1.2, "hold_time": 5.0, "task_distance": [1.0, 6.0],
+    "people": 4, "parties": [0.5, 0.0], "spreading": 1.0, "substeps": 2,
+}  # fmt: skip
+
+
+def load_options(folder: Path) -> Any:
+    """The numbers that ``make`` is given; words are the command line's to check, and no file is."""
+    from sean_jax import assembly, files
+
+    given = files.read_json(folder / "options.json")
+    if not isinstance(given, dict):
+        raise files.FileError("options: is no mapping.")
+    told: Any = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in given.items() if name in OPTIONS
+    }
+    return assembly.make("lab", task="join_group", dynamics="twin", **told)
+
+
 def kinds(folder: Path) -> dict[str, Kind]:
     """Every kind of input, each with how many of a hundred mutants are of it."""
     from sean_jax.environment import ENVS
@@ -247,6 +266,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "map": Kind(chart, ("map.yaml", "map.yaml", "map.png"), load_map, 10),
         "manifest": Kind(dataset(folder / "dataset"), ("dataset.json",), load_dataset, 9),
         "policy": Kind(trained, ("config.json",), load_policy, 6),
+        "options": Kind({"options.json": json.dumps(OPTIONS, indent=1).encode()}, ("options.json",), load_options, 6),
     }
 
 
@@ -495,7 +515,7 @@ def attempt(kind: Kind, folder: Path, name: str) -> tuple[str, str]:
         found = kind.load(folder)
     except Exception as error:  # whatever it is, it is looked at
         try:
-            check_error(error, "map" if name.startswith("map") else name, "policy")
+            check_error(error, "map" if name.startswith("map") else name, "policy", *OPTIONS)
         except AssertionError as wrong:
             return "wrong", f"{wrong}\n{''.join(traceback.format_exception(error))}"
         return "refused", str(error)

@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from fuzzing import BOMB, MERGES, check_error, hall, image, walks
@@ -258,7 +259,7 @@ def test_a_floor_of_kilometres_has_a_table_of_bounded_size(tmp_path):
     text = "name: field\nfloor: [-2000, -2000, 2000, 2000]\npeople: 4\n"
     table = environment.load(write(tmp_path, {"environment.yaml": text})).nearby
     assert table.rows.size <= 6 * nearby.MOST_ROWS and float(table.cell) > 1.0
-    x, y = np.float32(1.5), np.float32(0.9)  # within the box in the middle, whose row must be among those near
+    x, y = jnp.float32(1.5), jnp.float32(0.9)  # within the box in the middle, whose row must be among those near
     found = np.asarray(nearby.around(table, x, y))
     assert (np.abs(found[:, :2] - [1.0, 0.0]).max(-1) < 1e-6).any()
 
@@ -279,7 +280,8 @@ def test_paths_are_not_planned_around_thousands_of_corners(tmp_path):
         {"time_step": float("nan")}, {"time_step": 5.0}, {"time_step": 1e-9}, {"time_step": "0.1"}, {"time_step": 0.03},
         {"time_limit": float("inf")}, {"time_limit": 1e39}, {"goal_radius": 1e39}, {"goal_radius": float("nan")},
         {"hold_time": float("nan")}, {"hold_time": 1e300}, {"task_distance": (0.0, float("nan"))},
-        {"task_distance": (0.0, 1e39)}, {"task_distance": 4.0}, {"substeps": 10**9}, {"spreading": float("nan")},
+        {"task_distance": (0.0, 1e39)}, {"task_distance": 4.0}, {"substeps": 10**9}, 
+        {"substeps": 2.5}, {"people": 2.5}, {"spreading": float("nan")},
         {"people": 10**9}, {"parties": (float("nan"), 0.0)}, {"forces": "nan"}, {"thresholds": "nan"},
         {"task": "custom", "start": (1e39, 0.0), "goal": (0.0, 1.0)},
         {"task": "custom", "start": (0.0, 1.0), "goal": (0.0, "1")},

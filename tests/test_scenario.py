@@ -157,7 +157,7 @@ def test_observation_is_in_the_robots_frame(scenario):
         (dict(robot="kurri"), "did you mean 'kuri'"),
         (dict(forces="helbing1996"), "did you mean 'helbing1995'"),
         (dict(people=10_000), "the most that do is"),
-        (dict(people=-1), "people: -1 is too few; give 0 or more"),
+        (dict(people=-1), "people: -1 must be from 0 to 100,000"),
         (dict(time_limit=-1.0), "time_limit: -1.0 must be from 0.1 to 86,400 s"),
         (dict(time_step=0.0), "time_step: 0.0 must be from 0.001 to 1 s"),
         (dict(hold_time=-2.0), "hold_time: -2.0 must be from 0 to 86,400 s"),

@@ -49,6 +49,7 @@ def check(
     _check_name("behavior", behavior, behaviors.BEHAVIORS)
     check_task(task, behavior)
     _check_poses(task, start, goal)
+    behaviors.parties.parties(0, parties)
     options = {
         "paths": paths,
         "spreading": spreading,
@@ -60,7 +61,6 @@ def check(
     }
     _check_owners(behavior, options)
     _check_graph_options(paths, spreading)
-    behaviors.parties.parties(0, parties)
     if isinstance(situations, str):
         _check_name("situations", situations, classifiers.SITUATION_SETS)
     _check_name("model", model, pedestrian_models.MODELS)
@@ -92,13 +92,17 @@ def check_numbers(time_step, time_limit, goal_radius, hold_time, task_distance, 
     quantities.check("goal_radius", goal_radius, 0.01, 1_000.0, "m")
     quantities.check("hold_time", hold_time, 0.0, quantities.LONGEST, "s")
     if not isinstance(task_distance, (tuple, list)) or len(task_distance) != 2:
-        raise ValueError(f"task_distance: {task_distance} must be a least and a greater distance in metres.")
+        raise ValueError(
+            f"task_distance: {quantities.shown(task_distance)} must be a least and a greater distance in metres."
+        )
     for value in task_distance:
         quantities.check("task_distance", value, 0.0, quantities.FARTHEST, "m")
     if not task_distance[0] < task_distance[1]:
-        raise ValueError(f"task_distance: {task_distance} must be a least and a greater distance in metres.")
+        raise ValueError(
+            f"task_distance: {quantities.shown(task_distance)} must be a least and a greater distance in metres."
+        )
     if substeps is not None:
-        quantities.check("substeps", substeps, 1, 1_000)
+        quantities.check_whole("substeps", substeps, 1, 1_000)
 
 
 def _check_owners(behavior: str, options: dict) -> None:
@@ -114,8 +118,7 @@ def _check_people(people: int | None, behavior: str, folder: Path, forces: str |
         forces = social_forces.PRESETS[forces]
     if people is None:
         return
-    if people < 0:
-        raise ValueError(f"people: {people} is too few; give 0 or more.")
+    quantities.check_whole("people", people, 0, quantities.MOST_PEOPLE)
     if behavior == "handcrafted":
         raise ValueError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
     x_min, y_min, x_max, y_max = environments.floor(folder)

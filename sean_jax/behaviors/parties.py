@@ -5,6 +5,7 @@ decides where to go, the others follow with the same goal at the same preferred 
 (``social_forces.cohesion``) keeps them side by side.
 """
 
+from numbers import Real
 from typing import NamedTuple
 
 import jax
@@ -16,6 +17,7 @@ from sean_jax import navigation as paths
 from sean_jax.base import Array, Pedestrians, Scenario
 from sean_jax.geometry import length, unit
 from sean_jax.navigation import Navigation
+from sean_jax.quantities import shown
 
 NEAREST = 0.9  # m, at most, between the starts of those who walk together
 TOGETHER = 1.5  # m from the leader, within which people go the leader's way ...
@@ -58,11 +60,10 @@ def parties(people: int, shares: tuple[float, float]) -> Parties:
     Raises:
         ValueError: a share is negative, or they add up to more than 1.
     """
+    two = isinstance(shares, (tuple, list)) and len(shares) == 2 and all(isinstance(share, Real) for share in shares)
+    if not two or not (min(shares) >= 0 and sum(shares) <= 1 + 1e-6):
+        raise ValueError(f"parties: {shown(shares)} must be two shares, each 0 or more, together 1 at most.")
     in_pairs, in_triples = shares
-    if not (in_pairs >= 0 and in_triples >= 0 and in_pairs + in_triples <= 1 + 1e-6):
-        raise ValueError(
-            f"parties: {in_pairs:g} {in_triples:g} must be two shares, each 0 or more, together 1 at most."
-        )
     return Parties(int(people * in_pairs / 2 + 1e-6), int(people * in_triples / 3 + 1e-6))
 
 
