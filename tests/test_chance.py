@@ -151,8 +151,8 @@ def test_policies_use_no_key_twice(scenario, name):
     ("behavior", "task"),
     [
         ("graph", "leave_group"),
-        ("graph", "busy_ab_nav"),
-        ("random", "random_ab_nav"),
+        pytest.param("graph", "busy_ab_nav", marks=pytest.mark.slow),
+        pytest.param("random", "random_ab_nav", marks=pytest.mark.slow),
         ("handcrafted", "handcrafted"),
         ("playback", "random_ab_nav"),
     ],
@@ -192,12 +192,16 @@ def test_uses_of_one_seed_share_no_episode():
 
 def test_run_and_collect_draw_other_episodes(scenario):
     """What the two commands reset with, taken from their own programs."""
-    quiet, numbers, seen = still(scenario), jnp.arange(8, dtype=jnp.uint32), []
+    quiet, numbers = still(scenario), jnp.arange(8, dtype=jnp.uint32)
     policy = jax.tree_util.Partial(noisy)
     draw = simulation._drawing((quiet.task,), (2, 2))
-    states, _ = jax.jit(draw)((quiet, policy), jnp.uint32(0), numbers)
-    seen.append(states)
     fixed = quiet, policy, jnp.uint32(0), jnp.int32(0)
-    seen.append(jax.jit(jax.vmap(lambda number: demonstrations._draw((quiet.task,), fixed, number)[0]))(numbers))
-    keys = [np.asarray(jax.random.key_data(states.streams.people)) for states in seen]
+
+    @jax.jit  # of which nothing but the keys is compiled
+    def drawn(numbers):
+        run = draw((quiet, policy), jnp.uint32(0), numbers)[0]
+        collect = jax.vmap(lambda number: demonstrations._draw((quiet.task,), fixed, number)[0])(numbers)
+        return run.streams.people, collect.streams.people
+
+    keys = [np.asarray(jax.random.key_data(each)) for each in drawn(numbers)]
     assert len(np.unique(np.concatenate(keys), axis=0)) == 16

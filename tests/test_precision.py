@@ -1,6 +1,7 @@
 """Everything works in double precision as in single: nothing mixes them, and results agree."""
 
 import functools
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -129,6 +130,13 @@ def test_observations_and_metrics_are_double(small, state):
     traced(functools.partial(sean_jax.results, small), state)
 
 
+def test_no_float_is_asked_for_by_size():
+    """But for recordings and networks: ``float`` is of the precision that is set."""
+    package = Path(sean_jax.__file__).parent
+    sized = [path for path in package.rglob("*.py") if "jnp.float32" in path.read_text(encoding="utf-8")]
+    assert {path.parent.name for path in sized} == {"learning"}
+
+
 def test_gradients_are_double(small):
     """Of a depth image and of a step of the robot, by both of its dynamics."""
     eye, start = sensors.camera(small, "depth", width=8, height=6), jax.random.key(0)
@@ -147,8 +155,15 @@ def test_gradients_are_double(small):
         traced(jax.grad(moved), ACTION)
 
 
-@pytest.mark.parametrize("name", [*sensors.CAMERAS, "lidar"])
-def test_sensors_see_the_same(small, name):
+@pytest.mark.parametrize("name", sensors.CAMERAS)
+def test_cameras_see(small, state, name):
+    eye = sensors.camera(small, name, width=8, height=6)
+    traced(lambda state: sensors.depth(small, state, eye), state)
+    traced(lambda state: sensors.render(small, state, eye), state)
+
+
+@pytest.mark.parametrize("name", [*(pytest.param(name, marks=pytest.mark.slow) for name in sensors.CAMERAS), "lidar"])
+def test_sensors_see_the_same(name):
     """Run, not traced: in double precision as in single."""
     found = {}
     for precise in (False, True):
