@@ -38,10 +38,13 @@ def kept(kind: str, code: tuple[str, ...], inputs: Iterable[Any], make: Callable
     Args:
         kind: of table.
         code: files and folders of the package, such as ``navigation``, on which the result depends.
-        inputs: numbers and arrays. They are compared in single precision, so that tables serve both precisions.
+        inputs: numbers and arrays, compared in single precision. What is made in one precision is not handed out in the
+            other, or results would depend on which of the two somebody ran first.
         make: arrays by name. It runs if nothing is kept, or if it cannot be read.
     """
-    digest = hashlib.sha256(f"{kind} {_source(code)}".encode())
+    import jax.numpy as jnp  # here, for the command line sets up jax's own cache beside this one before it is imported
+
+    digest = hashlib.sha256(f"{kind} {jnp.result_type(float)} {_source(code)}".encode())
     for value in inputs:
         array = np.ascontiguousarray(value, np.float32)
         digest.update(f"{array.shape}".encode() + array.tobytes())
