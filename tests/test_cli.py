@@ -141,25 +141,6 @@ def test_run_writes_a_whole_folder_and_the_same_bytes_for_the_same_seed(tmp_path
     assert max(summary["checks"]["largest_groups"]) <= 5
 
 
-def test_ctrl_c_between_batches_keeps_the_finished_ones(tmp_path, capsys, monkeypatch):
-    from sean_jax.main_job import simulation
-
-    batches = []
-    run_batch = simulation.run_batch
-
-    def interrupted(programs, seed, base, kept, advanced):
-        batches.append(base)
-        if base >= 2:
-            raise KeyboardInterrupt
-        return run_batch(programs, seed, base, kept, advanced)
-
-    monkeypatch.setattr(simulation, "run_batch", interrupted)
-    out = ["--episodes", "6", "--batch", "2", "--seed", "1", "--out", str(tmp_path / "run")]
-    code, error = run(*SMALL, *out, capsys=capsys)
-    assert code == 130 and "the 2 episodes finished" in error and batches == [0, 2]
-    assert len((tmp_path / "run" / "episodes.csv").read_text().splitlines()) == 3
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["sean2", "more"])
 def test_every_set_of_situations_has_its_table_report_and_animation(name, tmp_path, capsys):

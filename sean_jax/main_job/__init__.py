@@ -58,7 +58,7 @@ def run(options: Options, console: Console) -> tuple[Path, int]:
         complete = len(results.tasks) == options.episodes
         with console.status("drawing the report"), unfinished.results(complete) as place:
             _write(place, scenarios[0], options, results, summary)
-    table.print_table(console, summary, _title(scenarios[0], options, len(results.tasks)))
+        table.print_table(console, summary, _title(scenarios[0], options, len(results.tasks)))
     return folder, len(results.tasks)
 
 

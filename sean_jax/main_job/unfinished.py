@@ -39,7 +39,7 @@ class Unfinished:
     """
 
     def __init__(self, folder: Path, options: Options):
-        self.folder, self.place = folder, folder / PLACE
+        self.folder, self.place, self.complete = folder, folder / PLACE, False
         self.about = _options(options)
         check_place(folder)
         self._compare()
@@ -81,7 +81,9 @@ class Unfinished:
         yield stage
         for file in sorted(stage.iterdir()):
             os.replace(file, self.folder / file.name)
+        self.complete = complete
         if complete:
+            (self.place / ABOUT).unlink(missing_ok=True)  # and so the run is finished
             shutil.rmtree(self.place)
 
     @contextlib.contextmanager
@@ -98,9 +100,12 @@ class Unfinished:
             where = f" ({error.filename})" if error.filename else ""
             raise Failed(f"{writing.reason(error)}{where}; {self._said()}") from error
         finally:
-            shutil.rmtree(self.place / STAGE if self.episodes else self.place, ignore_errors=True)
+            begun = self.episodes and (self.place / ABOUT).is_file()
+            shutil.rmtree(self.place / STAGE if begun else self.place, ignore_errors=True)
 
     def _said(self) -> str:
+        if self.complete:
+            return f"all results are in {self.folder}."
         if not self.episodes:
             return "nothing was written, for no batch of episodes was finished."
         kept = f"the {self.episodes} episodes finished until then are kept"
@@ -120,8 +125,15 @@ class Unfinished:
 
 
 def check_place(folder: Path) -> None:
-    """Raises BadInput if the folder holds something else than an unfinished run."""
+    """Raises BadInput if the folder holds something else than an unfinished run.
+
+    What a finished run did not come to remove, since it was killed, goes.
+    """
     if not (folder / PLACE / ABOUT).is_file():
+        finished = (folder / PLACE).is_dir() and (folder / "summary.json").is_file()
+        if finished and all(map(_is_ours, (folder / PLACE).iterdir())):
+            with writing.held(folder):
+                shutil.rmtree(folder / PLACE)
         check_new_folder(folder)
 
 
@@ -140,6 +152,10 @@ def others(options: Options, beside: Path) -> Iterator[tuple[Path, int]]:
                 had = _read(folder / PLACE / ABOUT) or {}
                 if all(had.get(name) == value for name, value in asked.items()):
                     yield folder, _episodes(folder / PLACE)
+
+
+def _is_ours(item: Path) -> bool:
+    return item.name == STAGE or (item.name.startswith((".batch-", "batch-", f".{ABOUT}")))
 
 
 def _episodes(place: Path) -> int:

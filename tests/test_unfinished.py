@@ -1,0 +1,205 @@
+"""A run that is disturbed in whatever way keeps its finished batches, and the same command comes to the same bytes."""
+
+import dataclasses
+import json
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sean_jax import cli, drawing, main_job, writing
+from sean_jax.main_job import simulation, unfinished
+from sean_jax.main_job.options import Options
+from sean_jax.options import BadInput
+
+SMALL = "--environment lab --behavior random --task random_ab_nav --people 2 --dynamics twin --time-limit 0.5".split()
+RUN = ["run", *SMALL, "--seed", "3", "--episodes", "5", "--batch", "2", "--out", "made"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once():
+    """All runs here are of one scenario: it is made and compiled once."""
+    made: dict = {}
+
+    def once(function):
+        def first(*arguments):
+            return made.setdefault(function, None) or made.update({function: function(*arguments)}) or made[function]
+
+        return first
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(main_job, "_scenarios", once(main_job._scenarios))
+        patched.setattr(simulation, "prepare", once(simulation.prepare))
+        yield
+
+
+@pytest.fixture
+def simulated(monkeypatch, tmp_path):
+    """The numbers of the first episodes of the batches that were simulated; the folder is the test's own."""
+    monkeypatch.chdir(tmp_path)
+    bases, run_batch = [], simulation.run_batch
+
+    def counted(programs, seed, base, kept, advanced):
+        bases.append(base)
+        return run_batch(programs, seed, base, kept, advanced)
+
+    monkeypatch.setattr(simulation, "run_batch", counted)
+    return bases
+
+
+def files(folder: Path) -> dict[str, bytes | dict]:
+    """All but what tells how long it took."""
+    found: dict = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    summary = json.loads(found["summary.json"])
+    del summary["timing"], found["report.html"]
+    return found | {"summary.json": summary}
+
+
+@pytest.fixture(scope="module")
+def whole(compiled_once, tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patched:
+        patched.chdir(tmp_path_factory.mktemp("whole"))
+        assert cli.main(RUN) == 0
+        return files(Path("made"))
+
+
+def at_second_batch(monkeypatch, what):
+    """Do ``what`` with each batch from the second on, as soon as it is simulated."""
+    run_batch = simulation.run_batch
+
+    def disturbed(programs, seed, base, kept, advanced):
+        batch = run_batch(programs, seed, base, kept, advanced)
+        return (what(batch) or batch) if base else batch
+
+    monkeypatch.setattr(simulation, "run_batch", disturbed)
+
+
+def poisoned(batch):
+    batch.metrics["path_length"] = batch.metrics["path_length"].copy()
+    batch.metrics["path_length"].reshape(len(batch.completed), -1)[1, 0] = np.nan
+
+
+def full(*arguments, **others):
+    raise OSError(28, "No space left on device", "somewhere")
+
+
+KEPT = "the 2 episodes finished until then are"
+
+
+def stopped(kind):
+    return lambda patched: at_second_batch(patched, lambda _: signal.raise_signal(kind))
+
+
+def with_nan(patched):
+    at_second_batch(patched, poisoned)
+
+
+def with_a_full_disk(patched):
+    at_second_batch(patched, lambda _: patched.setattr(np, "savez_compressed", full))
+
+
+def with_a_full_disk_at_the_report(patched):
+    patched.setattr(drawing, "animate", full)
+
+
+def stopped_at_the_report(patched):
+    patched.setattr(drawing, "animate", lambda *_, **__: signal.raise_signal(signal.SIGINT))
+
+
+@pytest.mark.parametrize(
+    "disturb, code, said, written",
+    [
+        pytest.param(stopped(signal.SIGINT), 130, f"stopped; {KEPT} in", True, marks=pytest.mark.slow, id="Ctrl-C"),
+        pytest.param(stopped(signal.SIGTERM), 143, f"stopped; {KEPT} in", True, id="SIGTERM"),
+        pytest.param(with_nan, 1, "1 of 2 episodes hold numbers that are not finite: 3. The 2", False, id="NaN"),
+        pytest.param(with_a_full_disk, 1, f"full (somewhere); {KEPT}", False, marks=pytest.mark.slow, id="full"),
+        pytest.param(
+            with_a_full_disk_at_the_report, 1, "the disk is full (somewhere); the 5 episodes", False, id="full report"
+        ),
+        pytest.param(
+            stopped_at_the_report, 130, "stopped; the 5 episodes", False, marks=pytest.mark.slow, id="Ctrl-C, report"
+        ),
+    ],
+)
+def test_a_disturbed_run_goes_on(disturb, code, said, written, whole, simulated, capsys):
+    with pytest.MonkeyPatch.context() as patched:
+        disturb(patched)
+        assert cli.main(RUN) == code
+    error = capsys.readouterr().err
+    assert error.startswith("sean: ") and said in error and len(error.splitlines()) == 1
+    assert "and the same command with --out made goes on" in error
+    assert Path("made/episodes.csv").exists() is written and not Path("made/unfinished/written").exists()
+    if written:
+        rows = Path("made/episodes.csv").read_text().splitlines()
+        assert rows == whole["episodes.csv"].decode().splitlines()[:3]
+    before = list(simulated)
+    assert cli.main(RUN) == 0
+    assert files(Path("made")) == whole
+    kept = 2 if "the 2" in said.lower() else 5
+    assert simulated[len(before) :] == list(range(0, 5, 2))[(kept + 1) // 2 :], "what was finished is not done again"
+    assert [path.name for path in Path().iterdir()] == ["made"]
+
+
+def test_stopped_before_anything_was_finished_leaves_nothing(whole, simulated, monkeypatch, capsys):
+    monkeypatch.setattr(simulation, "run_batch", lambda *_: signal.raise_signal(signal.SIGTERM))
+    assert cli.main(RUN) == 143
+    assert "nothing was written, for no batch of episodes was finished" in capsys.readouterr().err
+    assert not list(Path().iterdir())
+
+
+def test_two_runs_into_one_folder(whole, simulated, monkeypatch, capsys):
+    """The second is refused at its start, and the first does not notice."""
+    codes = []
+    at_second_batch(monkeypatch, lambda _: codes.append(cli.main(RUN)))
+    assert cli.main(RUN) == 0 and codes == [2, 2]
+    error = capsys.readouterr().err
+    assert "made is being written by process" in error and "choose another folder with --out" in error
+    assert files(Path("made")) == whole and simulated == [0, 2, 4]
+    assert cli.main(RUN) == 2 and "is not empty" in capsys.readouterr().err
+
+
+def test_other_options_do_not_go_on_with_it(whole, simulated, monkeypatch, capsys):
+    with monkeypatch.context() as patched:
+        at_second_batch(patched, lambda _: signal.raise_signal(signal.SIGINT))
+        assert cli.main(RUN) == 130
+    capsys.readouterr()
+    before = {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()}
+    for option, value, said in (("--seed", "4", "--seed 3, not 4"), ("--people", "3", "--people 2, not 3")):
+        assert cli.main([*RUN, option, value]) == 2
+        error = capsys.readouterr().err
+        assert "made has an unfinished run with " + said in error and len(error.splitlines()) == 1
+    scenario = main_job._scenarios(Options())[0]
+    changed = dataclasses.replace(scenario, goal_radius=scenario.goal_radius * 2)
+    with monkeypatch.context() as patched:
+        patched.setattr(main_job, "_scenarios", lambda _: [changed])
+        assert cli.main(RUN) == 2
+    assert "with the content of scenario and driver" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()} == before
+
+
+def test_runs_with_the_default_folder_tell_of_one_that_was_not_finished(whole, simulated, monkeypatch, capsys):
+    with monkeypatch.context() as patched:
+        at_second_batch(patched, lambda _: signal.raise_signal(signal.SIGINT))
+        assert cli.main([*RUN[:-2]]) == 130
+    (left,) = Path("runs").iterdir()
+    Path("runs/killed").mkdir()
+    (Path("runs/killed") / writing.LOCK).write_text("process 1 on a machine that is no more")
+    capsys.readouterr()
+    options = Options(out=None, **dict(environment="lab", behavior="random", task="random_ab_nav", people=2, seed=3))
+    asked = dataclasses.replace(options, dynamics="twin", time_limit=0.5, episodes=5, batch=2)
+    assert list(unfinished.others(asked, Path("runs/new"))) == [(left, 2)]
+    assert list(unfinished.others(dataclasses.replace(asked, seed=4), Path("runs/new"))) == []
+    with writing.held(left):
+        assert list(unfinished.others(asked, Path("runs/new"))) == []
+    assert list(Path("runs").iterdir()) == [left]
+    assert cli.main(RUN[:-2]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"{left} has 2 of 5 episodes of such a run; --out {left} goes on with it" in said
+
+
+def test_what_is_damaged_is_named(tmp_path):
+    (tmp_path / "made" / "unfinished").mkdir(parents=True)
+    (tmp_path / "made" / "unfinished" / "run.json").write_text("{")
+    with pytest.raises(BadInput, match="run.json cannot be read .* remove"):
+        unfinished.Unfinished(tmp_path / "made", Options())
