@@ -101,6 +101,57 @@ def test_folder_that_cannot_be_written_is_refused(capsys, tmp_path):
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "full", "old"]
 
 
+REFUSED = [
+    ["run", "--environment", "nope"],
+    ["run", "--policy", "nope"],
+    ["run", "--behavior", "playback", "--recording", "none.csv"],
+    ["run", "--people", "10000"],
+    ["run", "--policy", "kept"],
+    ["run", "--out", "kept"],
+    ["run", "--out", "kept/letter.txt"],
+    ["collect", "--environment", "nope"],
+    ["collect", "--driver", "nope"],
+    ["collect", "--people", "10000"],
+    ["collect", "--width", "2"],
+    ["collect", "--out", "kept"],
+    ["train", "imitation", "kept"],
+    ["train", "imitation", "none", "--out", "new/deep"],
+    ["experiment", "table1", "--environment", "nope"],
+    ["experiment", "table1", "--robot", "nope"],
+    ["experiment", "table1", "--drivers", "nope"],
+    ["experiment", "table1", "--quick", "--people", "10000"],
+    ["experiment", "figure4", "--environment", "nope"],
+    ["experiment", "figure4", "--driver", "nope", "--out", "new"],
+    ["experiment", "figure4", "--quick", "--people", "10000"],
+    ["experiment", "figure4", "--out", "kept"],
+    ["export", "lerobot", "kept", "--out", "new"],
+    ["draw", "--graph", "--environment", "nope"],
+    ["draw", "--graph", "--out", "new/sheet.png"],
+    ["import-map", "none.yaml", "--out", "new"],
+    ["import-map", "kept/letter.txt", "--out", "new/deep"],
+    ["bench", "--environment", "nope"],
+    ["bench", "--only", "nope"],
+    ["bench", "--out", "kept"],
+]
+
+
+def test_a_refused_command_leaves_no_trace(capsys, monkeypatch, tmp_path):
+    """So that it cannot be in the way of the right one."""
+
+    def found() -> dict[str, bytes | None]:
+        return {str(path): path.read_bytes() if path.is_file() else None for path in Path().rglob("*")}
+
+    monkeypatch.chdir(tmp_path)
+    Path("kept").mkdir()
+    (Path("kept") / "letter.txt").write_text("dear")
+    before = found()
+    for command in REFUSED:
+        code = cli.main([*command, *([] if command[0] in ("draw", "import-map") else ["--quiet"])])
+        error = capsys.readouterr().err
+        assert code == 2 and error.startswith("sean: ") and len(error.splitlines()) == 1, (command, code, error)
+        assert found() == before, command
+
+
 @pytest.mark.parametrize(
     ("raised", "code", "said"),
     [
@@ -172,12 +223,12 @@ def test_a_batch_equals_each_episode_alone():
     import jax
 
     import sean_jax
-    from sean_jax.main_job import simulation
+    from sean_jax.main_job import batches, simulation
     from sean_jax.policies import POLICIES
 
     tasks, drive = ("join_group", "leave_group"), POLICIES["go_to_goal"]
     scenarios = [sean_jax.make(task=task, people=8, dynamics="twin", time_limit=2.0) for task in tasks]
-    found = simulation.run_batches(scenarios, drive, 3, 2, 5, simulation.Watch())
+    found = batches.run_batches(scenarios, drive, 3, 2, 5, simulation.Watch())
     for episode, task in enumerate(found.tasks):
         scenario = scenarios[tasks.index(task)]
         key = jax.random.fold_in(jax.random.key(5), episode)

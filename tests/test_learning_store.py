@@ -1,5 +1,6 @@
 """Datasets on disk: whole after any kill, the same to the byte, and one sentence for whatever is wrong with them."""
 
+import importlib.util
 import json
 import os
 import signal
@@ -94,6 +95,49 @@ def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
         before = len(simulated)
         collect_job.collect(learning_data.options(folder))
         assert len(simulated) == before, "nothing is recorded twice"
+
+
+def everything(folder: Path) -> dict[str, tuple]:
+    """Of each file and folder what a writer would change."""
+    paths = [folder, *folder.rglob("*")]
+    return {str(p): (p.stat().st_mtime_ns, p.read_bytes() if p.is_file() else sorted(os.listdir(p))) for p in paths}
+
+
+def test_readers_change_nothing(made, tmp_path, monkeypatch):
+    """Nor need they be allowed to. The path is one as people type it."""
+    monkeypatch.chdir(tmp_path)
+    before = everything(made.folder)
+    paths = [made.folder, *made.folder.rglob("*")]
+    for path in paths:
+        path.chmod(path.stat().st_mode & ~0o222)
+    try:
+        again = open_dataset(os.path.relpath(made.folder))
+        assert ".." in str(again.folder) and again.lost() == [] and again.fingerprint() == made.fingerprint()
+        train, held = split(again, 0.25, 0)
+        assert len(again.recording(held).first) and len(list(Loader(again, train, batch=64).epoch()))
+        if importlib.util.find_spec("pyarrow"):
+            from sean_jax.learning.lerobot import export
+
+            export(made.folder, tmp_path / "out")
+        assert everything(made.folder) == before
+    finally:
+        for path in paths:
+            path.chmod(path.stat().st_mode | 0o200)
+
+
+def test_two_collections_into_one_folder(tmp_path, monkeypatch):
+    """The later one is refused before it simulates anything, and the earlier one's dataset is whole."""
+    folder, refused = tmp_path / "data", []
+
+    def simulate(programs, scenario, seed, turn, numbers, watch):
+        with pytest.raises(writing.Unwritable, match="data is being written by process"):
+            collect_job.collect(learning_data.options(folder))
+        refused.append(int(numbers[0]))
+        return learning_data.batches()[int(numbers[0]) // 8]
+
+    monkeypatch.setattr(collect_job.demonstrations, "simulate", simulate)
+    assert collect_job.collect(learning_data.options(folder)).examples == 180 and refused == [0, 8]
+    assert not (folder / writing.LOCK).exists()
 
 
 def test_a_shard_that_cannot_be_written_ends_the_collection(tmp_path, monkeypatch):

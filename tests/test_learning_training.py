@@ -11,7 +11,7 @@ import learning_data
 import numpy as np
 import pytest
 
-from sean_jax import chance, cli, devices, parallel
+from sean_jax import chance, cli, devices, parallel, writing
 from sean_jax.learning import learned, train_job, training
 from sean_jax.learning.checkpoints import Checkpoints
 from sean_jax.learning.dataset import on_device, split
@@ -245,6 +245,38 @@ def test_checkpoints_of_another_network_are_refused(data, trained, tmp_path, cap
     assert error.startswith("sean: ") and "another network" in error and len(error.splitlines()) == 1
     with pytest.raises(Refused, match="has no trained network"):
         learned.load(tmp_path, learning_data.setting()[0][0].scenario)
+
+
+def test_opening_a_policy_changes_nothing(data, trained, tmp_path):
+    """Above all not what a training that goes on has half written; the training itself removes what a kill left."""
+    import shutil
+
+    folder = tmp_path / "run"
+    shutil.copytree(trained[1], folder)
+    half = folder / "checkpoints" / "13.orbax-checkpoint-tmp"
+    (half / "state").mkdir(parents=True)
+    (half / "state" / "array").write_bytes(b"half of it")
+
+    def everything() -> dict:
+        paths = [folder, *folder.rglob("*")]
+        return {path: (path.stat().st_mtime_ns, path.read_bytes() if path.is_file() else b"") for path in paths}
+
+    before = everything()
+    scenario = learning_data.setting()[0][0].scenario
+    weights, wanted = (learned.load(place, scenario).data.weights for place in (folder, trained[1]))
+    assert everything() == before
+    for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_array_equal(one, other)
+    with writing.held(folder), pytest.raises(writing.Unwritable, match="run is being written by process"):
+        train_job.train(options(data, folder, epochs=13))
+    train_job.train(options(data, folder, epochs=13))
+    assert not half.exists() and (folder / "checkpoints" / "13").is_dir()
+
+
+def test_a_refused_training_leaves_no_folder(data, tmp_path):
+    with pytest.raises(Refused, match="--balance needs the dataset to fit"):
+        train_job.train(options(data, tmp_path / "deep" / "run", balance=True, on_device=0.0))
+    assert not any(tmp_path.iterdir())
 
 
 def test_a_damaged_checkpoint_is_named(data, trained, tmp_path):

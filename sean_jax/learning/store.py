@@ -6,6 +6,7 @@ each episode is a chunk of its own. Every chunk has a checksum (crc32c).
 """
 
 import errno
+import os
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,7 @@ def path(folder: Path, name: str, shard: int, dimensions: int) -> Path:
 def _opened(folder: Path, more: dict[str, Any] | None = None) -> Any:
     import tensorstore
 
-    files = {"driver": "file", "path": str(folder)}
+    files = {"driver": "file", "path": os.path.abspath(folder)}  # it takes no path with ".."
     # Shards of zeros are written as well, so that a missing file is always a lost one.
     spec = {"driver": "zarr3", "kvstore": files, "open": True, "store_data_equal_to_fill_value": True, **(more or {})}
     return tensorstore.open(spec).result()
