@@ -194,6 +194,22 @@ def test_public_names_exist_and_are_documented():
         sean_jax.no_such_name  # noqa: B018
 
 
+def test_files_of_others_are_opened_in_one_place():
+    """``files`` bounds what is read and tells what is wrong with it; these read what the package itself has written."""
+    own = {"writing", "report", "experiments", "main_job", "cache"}
+    opens = re.compile(
+        r"\.read_text\(|\.read_bytes\(|json\.load\(|yaml\.safe_load|yaml\.load|from_xml|np\.load|genfromtxt|loadtxt|ElementTree"
+    )
+    for path in MODULES:
+        module = dotted(path)
+        if room(module) not in {"files", *own} and module not in (
+            "sean_jax.learning.logs",
+            "sean_jax.drawing.gl_scene",
+        ):
+            found = opens.search(path.read_text(encoding="utf-8"))
+            assert not found, f"{module}: {found} belongs to sean_jax.files"
+
+
 def repository_files() -> list[Path]:
     """All files that git tracks or would track."""
     done = subprocess.run(

@@ -92,7 +92,9 @@ def read(path: Path) -> tuple[yaml.Node, Any]:
         context = f"{error.context}{begun}, " if error.context else ""
         raise FileError(f"{shown(path)}:{place}: is not YAML: {context}{_plain(error.problem)}.") from None
     except yaml.reader.ReaderError as error:
-        raise FileError(f"{shown(path)}: character {error.position} is not allowed in YAML; remove it.") from None
+        line = found.count("\n", 0, error.position) + 1
+        what = f"character {error.position} is not allowed in YAML"
+        raise FileError(f"{shown(path)}:{line}: {what}; remove it.") from None
     except (ValueError, OverflowError) as error:  # such as of "\UFFFFFFFF"
         if isinstance(error, FileError):
             raise
