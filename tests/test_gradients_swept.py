@@ -325,7 +325,7 @@ def _pose(people: Pedestrians, index: int):
     return people.position[index], people.heading[index]
 
 
-def laws():
+def laws() -> dict[str, Any]:
     """name -> a law of two plane vectors (2,), (2,), and what it gives; distances [m], velocities [m/s]."""
     layers = social_costmap.data.layers
     p = social_forces.preset("helbing2000")

@@ -99,6 +99,32 @@ def test_forces_and_gradients_are_those_of_all_pairs(preset, on, monkeypatch):
         np.testing.assert_allclose(one, other, rtol=2e-2, atol=2e-2)
 
 
+def pull(strength, own, other):
+    """A law of a pair that is quickly compiled: none beyond 3 m."""
+    dx, dy = own[0] - other[0], own[1] - other[1]
+    size = strength * jnp.maximum(9.0 - dx * dx - dy * dy, 0.0) * other[2]
+    return size * dx, size * dy
+
+
+def test_sums_have_forward_mode_too():
+    """Jacobians of both modes are equal; with respect to what is felt, who feels, and what all share."""
+    people = crowd()
+    near = find(people.position, people.present, jnp.float32(3.0))
+    places = jnp.where(people.present, people.position.T, 0.0)
+    weight = people.present.astype(jnp.float32)
+
+    def sums(shift, strength):
+        own, other = places.at[:, 1].add(shift[0]), jnp.stack([*places.at[:, 2].add(shift[1]), weight])
+        return jnp.stack(neighbors.sum_pairs(pull, near, strength, own, other))
+
+    at = jnp.zeros((2, 2), jnp.float32), jnp.float32(0.5)
+    both = jax.jit(lambda *at: (jax.jacfwd(sums, (0, 1))(*at), jax.jacrev(sums, (0, 1))(*at)))
+    for forward, backward in zip(*both(*at), strict=True):
+        np.testing.assert_allclose(forward, backward, atol=1e-4, rtol=1e-4)
+        assert np.abs(forward).max() > 0.1
+
+
+@pytest.mark.slow
 def test_forward_mode_equals_reverse_mode_also_twice():
     """Among 303 people: the Jacobian of forces by three places and a constant, and second derivatives of all pairs."""
     parameters, people = social_forces.preset("helbing1995"), crowd()
