@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import re
 import signal
 import time
 from collections.abc import Callable
@@ -75,7 +76,8 @@ def killed(
             os.kill(process, kind)
             code = sean.wait(process)
             said = (place / "said.txt").read_text()
-            assert "Traceback" not in said, said
+            # A signal in the midst of a callback of the garbage collector is told and forgotten by Python.
+            assert "Traceback" not in re.sub(r"Exception ignored in.*\nTraceback", "", said), said
             assert code in (0, *CODES[kind]), (code, kind, said)
             now, over = finished(folder / "made"), code == 0 or is_over(folder / "made")
             assert over or before.items() <= now.items()
@@ -148,6 +150,7 @@ def test_collect(sean, tmp_path):
 
 def test_train(sean, tmp_path):
     import jax
+    import orbax.checkpoint as ocp
 
     from sean_jax.learning.checkpoints import Checkpoints
 
@@ -169,7 +172,7 @@ def test_train(sean, tmp_path):
         manager = Checkpoints(folder).manager
         kept = {}
         for step in steps(folder):
-            state = manager.restore(step)["state"]
+            state = manager.restore(step, args=ocp.args.Composite(state=ocp.args.PyTreeRestore()))["state"]
             kept[step] = [(np.asarray(leaf).dtype.str, np.asarray(leaf).tobytes()) for leaf in jax.tree.leaves(state)]
         return {
             "names": sorted(os.listdir(folder)),

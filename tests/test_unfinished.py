@@ -198,6 +198,22 @@ def test_runs_with_the_default_folder_tell_of_one_that_was_not_finished(whole, s
     assert f"{left} has 2 of 5 episodes of such a run; --out {left} goes on with it" in said
 
 
+@pytest.mark.parametrize("left", [[], [".run.json.new"], [".run.json.new", "written"]])
+def test_what_a_kill_leaves_at_the_very_beginning_is_in_nobodys_way(left, tmp_path):
+    place = tmp_path / "made" / "unfinished"
+    place.mkdir(parents=True)
+    (tmp_path / "made" / writing.LOCK).write_text("process 1 on a machine")
+    for name in left:
+        (place / name).write_text("half of it") if name.endswith(".new") else (place / name).mkdir()
+    unfinished.check_place(tmp_path / "made")
+    assert not place.exists()
+    place.mkdir(parents=True)
+    (place / "letter.txt").write_text("dear")
+    with pytest.raises(BadInput, match="is not empty"):
+        unfinished.check_place(tmp_path / "made")
+    assert (place / "letter.txt").exists()
+
+
 def test_what_is_damaged_is_named(tmp_path):
     (tmp_path / "made" / "unfinished").mkdir(parents=True)
     (tmp_path / "made" / "unfinished" / "run.json").write_text("{")

@@ -127,11 +127,11 @@ class Unfinished:
 def check_place(folder: Path) -> None:
     """Raises BadInput if the folder holds something else than an unfinished run.
 
-    What a finished run did not come to remove, since it was killed, goes.
+    What a kill left at the very beginning, or at the very end, goes.
     """
     if not (folder / PLACE / ABOUT).is_file():
-        finished = (folder / PLACE).is_dir() and (folder / "summary.json").is_file()
-        if finished and all(map(_is_ours, (folder / PLACE).iterdir())):
+        of_a_run = writing.contents(folder) == [PLACE] or (folder / "summary.json").is_file()
+        if of_a_run and (folder / PLACE).is_dir() and all(map(_is_ours, (folder / PLACE).iterdir())):
             with writing.held(folder):
                 shutil.rmtree(folder / PLACE)
         check_new_folder(folder)
