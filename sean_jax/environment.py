@@ -86,7 +86,7 @@ def load(name_or_path: str | Path) -> Environment:
     if not settings.open:
         boxes = np.concatenate([boxes, _edges(boxes, settings.floor)])
     floor = put(np.array(settings.floor))
-    obstacles = put(Obstacles(boxes[:, :2], boxes[:, 2:4], *boxes[:, 4:].T))
+    obstacles = Obstacles(*put((boxes[:, :2], boxes[:, 2:4], *boxes[:, 4:].T)))
     return Environment(
         floor=floor,
         obstacles=obstacles,

@@ -39,7 +39,7 @@ def tabulate(obstacles: Obstacles, floor: Array, cell: float = 1.0, reach: float
     for i, j in np.argwhere(felt.any(-1)):
         near = np.flatnonzero(felt[i, j])
         rows[i, j, : len(near)] = table[near]
-    return put(Nearby(rows, lower, np.asarray(cell)))
+    return Nearby(*put((rows, lower, np.asarray(cell))))
 
 
 def around(nearby: Nearby, x: Array, y: Array) -> Array:

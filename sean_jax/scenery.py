@@ -72,7 +72,7 @@ def _solids(boxes, cylinders, spheres, color) -> Solids:
 def _scenery(shape: Solids, floor=FLOOR, sky=SKY, sun=SUN) -> Scenery:
     towards = np.asarray(sun, float)
     looks = np.asarray(floor), np.asarray(SQUARE), np.asarray(sky)
-    return put(Scenery(shape, *looks, towards / np.linalg.norm(towards)))
+    return Scenery(shape, *put((*looks, towards / np.linalg.norm(towards))))
 
 
 def _color(model: Any, index: int) -> np.ndarray:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 import sean_jax
 from sean_jax import cache, environment, navigation
+from sean_jax.navigation import tables
 
 BOX = '<geom type="box" pos="{x} 0 1" size="0.5 2 1"/>'
 GRAPH = """\
@@ -32,7 +34,8 @@ def made(tmp_path, monkeypatch):
     """How often each kind of table was made, with an empty cache folder; ``made.forget()`` is a new process."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(cache, "_recent", type(cache._recent)())
-    counts, kept = Counter(), cache.kept
+    counts: Any = Counter()
+    kept = cache.kept
 
     def counted(kind, code, inputs, make):
         def one():
@@ -90,7 +93,7 @@ def test_paths_follow_the_scene_and_a_second_process_makes_nothing(made, hall):
     np.testing.assert_allclose(moved.navigation.obstacles.center[0], [1.0, 0.0])
     gap = np.asarray(moved.navigation.bends.corner)[:, 0] - np.asarray(before.navigation.bends.corner)[:, 0]
     np.testing.assert_allclose(gap, 1.0, atol=1e-6)
-    fresh = navigation.tables._make(moved.environment, 0.25, None)
+    fresh = tables._make(moved.environment, 0.25, None)
     np.testing.assert_array_equal(moved.navigation.visible, fresh["visible"])
     scene(hall, 0.0)
     make()
@@ -98,9 +101,10 @@ def test_paths_follow_the_scene_and_a_second_process_makes_nothing(made, hall):
 
 
 def test_everything_that_tables_depend_on_tells_them_apart(made, hall):
-    place = environment.load(hall)
+    place: Any = environment.load(hall)
     wider = place.replace(floor=place.floor + np.asarray([-1, 0, 0, 0], np.float32))
-    for number, arguments in enumerate(((place, 0.25), (place, 0.3), (place, 0.25, 0.5), (wider, 0.25)), 1):
+    each: list[Any] = [(place, 0.25), (place, 0.3), (place, 0.25, 0.5), (wider, 0.25)]
+    for number, arguments in enumerate(each, 1):
         for _ in range(2):
             navigation.build(*arguments)
             assert made["navigation"] == number

@@ -2,6 +2,7 @@
 
 import dataclasses
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -121,11 +122,11 @@ def test_the_check_measures_the_edge(scenarios):
     """Of people half a metre off the floor: the truth where it holds them, nothing where they may leave."""
     for scenario, wanted in zip(scenarios, (0.5 + 0.2, -1.0), strict=True):
         spots = jnp.asarray([[[0.0, -4.0], [6.5, 0.0], [-4.0, 4.0]]], jnp.float32)
-        frames = SimpleNamespace(
+        frames: Any = SimpleNamespace(
             people=spots, people_velocity=spots, situations=jnp.zeros((1, 5), bool), position=spots[:, 0],
             velocity=spots[:, 0], group=jnp.full((1, 3), -1, jnp.int32),
         )  # fmt: skip
-        states = SimpleNamespace(tick=jnp.zeros(1), groups=SimpleNamespace(radius=jnp.zeros((1, 0))))
+        states: Any = SimpleNamespace(tick=jnp.zeros(1), groups=SimpleNamespace(radius=jnp.zeros((1, 0))))
         tally = simulation._empty_tally(dataclasses.replace(scenario, people=3), states, (4, 4))
         here, active = jnp.ones((1, 3), bool), jnp.ones(1, bool)
         found = simulation._count(scenario, tally, frames, here, active).penetration

@@ -2,6 +2,7 @@
 
 import dataclasses
 from itertools import product
+from typing import Any
 
 import jax
 import numpy as np
@@ -60,9 +61,9 @@ def yard(tmp_path_factory):
     return write(tmp_path_factory.mktemp("yard"))
 
 
-def make(yard, behavior, **options):
+def make(yard, behavior, **more):
     usual = {"graph": "join_group", "handcrafted": "handcrafted"}
-    options = {"task": usual.get(behavior, "random_ab_nav")} | options
+    options: dict[str, Any] = {"task": usual.get(behavior, "random_ab_nav")} | more
     return sean_jax.make(yard, behavior=behavior, dynamics="twin", time_limit=5.0, **options)
 
 
@@ -111,7 +112,8 @@ def test_everything_else_with_nobody(alone):
         traced(dataclasses.replace(scenario, situations=tuple(some.items()), thresholds=thresholds))
     state = jax.eval_shape(reset, scenario, jax.random.key(0))
     eye, scanner = sensors.camera(scenario, "depth", width=8, height=6), sensors.lidar(scenario, count=8)
-    for look, sensor in ((sensors.depth, eye), (sensors.render, eye), (sensors.scan, scanner)):
+    looks: list[tuple[Any, Any]] = [(sensors.depth, eye), (sensors.render, eye), (sensors.scan, scanner)]
+    for look, sensor in looks:
         jax.eval_shape(lambda scenario, state, look=look, sensor=sensor: look(scenario, state, sensor), scenario, state)
 
 

@@ -86,7 +86,7 @@ def build(annotation: Annotation, environment: Environment, seed: int = 0) -> Be
     weight = _edge_costs(annotation, position)
     cost, next_hop = routes(weight, is_group)
     groups = np.flatnonzero(is_group)
-    graph = BehaviorGraph(
+    arrays = dict(
         position=position,
         radius=radius,
         is_group=is_group,
@@ -101,9 +101,8 @@ def build(annotation: Annotation, environment: Environment, seed: int = 0) -> Be
         seat_group=np.repeat(np.arange(len(groups)), capacity[groups]).astype(np.int32),
         seat_node=np.repeat(groups, capacity[groups]).astype(np.int32),
         places=places(environment, position, radius, seed),
-        names=tuple(annotation.nodes),
-    )  # pyright: ignore[reportArgumentType]
-    return put(graph)
+    )
+    return BehaviorGraph(**put(arrays), names=tuple(annotation.nodes))
 
 
 def _edge_costs(annotation: Annotation, position: np.ndarray) -> np.ndarray:

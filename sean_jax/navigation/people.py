@@ -34,7 +34,7 @@ class Towards:
 def towards(navigation: Navigation, points: Array) -> Towards:
     """The tables for the points (M, 2) [m]; made on the host, once for all processes."""
     made = cache.kept("towards", CODE, [*inputs(navigation), points], lambda: _make(navigation, points))
-    return put(Towards(point=points, **made))
+    return Towards(**put({"point": points, **made}))
 
 
 def _make(navigation: Navigation, points: Array) -> dict[str, np.ndarray]:

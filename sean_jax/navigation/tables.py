@@ -1,7 +1,6 @@
 """The tables of shortest paths for a disc of one radius, built once on the host."""
 
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -56,11 +55,10 @@ def build(environment: Environment, radius: float, cell: float | None = None) ->
     """
     boxes = environment.obstacles
     inputs = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, radius, 0.0 if cell is None else cell
-    made = dict(cache.kept("navigation", CODE, inputs, lambda: _make(environment, radius, cell)))
+    made = put(dict(cache.kept("navigation", CODE, inputs, lambda: _make(environment, radius, cell))))
     bends = Bends(*(made.pop(name) for name in BENDS))
-    origin = np.asarray(environment.floor)[:2]
-    tables: Any = dict(made, bends=bends, origin=origin, obstacles=boxes, radius=np.asarray(radius))
-    return put(Navigation(**tables))
+    origin, size = put((np.asarray(environment.floor)[:2], np.asarray(radius)))
+    return Navigation(**made, bends=bends, origin=origin, obstacles=boxes, radius=size)
 
 
 def inputs(navigation: Navigation) -> list:
