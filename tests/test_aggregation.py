@@ -91,6 +91,7 @@ def test_one_episode_has_an_interval_of_no_width():
     assert found == (3.5, 3.5, 3.5, 1)
 
 
+@pytest.mark.slow
 def test_metrics_of_a_batch_of_episodes(scenario):
     """As a user has them: a dict of what ``results`` gives, vmapped over states."""
     states = jax.jit(jax.vmap(lambda key: sean_jax.reset(scenario, key)))(jax.random.split(jax.random.key(0), 4))

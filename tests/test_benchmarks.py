@@ -104,6 +104,7 @@ def test_spreading():
     assert [row[0] for row in rows] == [0, 10] and all(len(row) == 7 and min(row[1:]) >= 0 for row in rows)
 
 
+@pytest.mark.slow
 def test_causes(tmp_path):
     """The parts of the protocol, of experiments with known numbers."""
     for behavior, parts in (("handcrafted", 5), ("graph", 2)):

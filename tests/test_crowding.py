@@ -75,7 +75,9 @@ def test_batches_equal_their_episodes(scenario):
     together = sean_jax.congestion(scenario, batch)
     for index, frames in enumerate(both):
         alone = sean_jax.congestion(scenario, frames)
-        jax.tree.map(lambda one, all_: np.testing.assert_allclose(one, all_[index], rtol=1e-6), alone, together)  # noqa: B023
+        jax.tree.map(
+            lambda one, all_: np.testing.assert_allclose(one, all_[index], rtol=1e-6, atol=1e-6), alone, together
+        )  # noqa: B023
     assert together.density.shape == (2, 1, *crowding.grid(scenario.environment)) == (2, 1, 80, 80)
 
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shortest_paths as oracle
+from quick import quick
 
 import sean_jax
 from sean_jax import environment as environments
@@ -15,7 +16,7 @@ from sean_jax.graph import annotation
 
 NAMES = environments.available()
 # Whole rollouts take long to compile: the smallest environment stands for all in the quick tests.
-ROLLED_OUT = [name if name == "lab" else pytest.param(name, marks=pytest.mark.slow) for name in NAMES]
+ROLLED_OUT = quick(NAMES, "lab")
 SECONDS = 60
 BODY, RADIUS = 0.2, 0.25  # m
 
@@ -61,7 +62,7 @@ def test_a_minute_of_people(name):
     assert most == capacity.tolist()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", quick(NAMES, "warehouse"))
 def test_ways_between_the_nodes_of_the_graph_are_shortest(name):
     place = environments.load(name)
     tables = navigation.build(place, RADIUS)

@@ -8,6 +8,7 @@ import pytest
 import sean_jax
 from sean_jax.policies import go_to_goal
 
+pytestmark = pytest.mark.slow
 STEPS = 40
 STEP = 1e-5  # of the central differences
 
@@ -23,11 +24,11 @@ def in_double(tree):
     return jax.tree.map(cast, tree)
 
 
-@pytest.fixture(params=["twin", pytest.param("mjx", marks=pytest.mark.slow)])
+@pytest.fixture(params=["twin", "mjx"])
 def double(request):
     """A scenario with eight people and a state in which two of them come towards the robot, in float64."""
     scenario = sean_jax.make(people=8, dynamics=request.param)
-    state = sean_jax.reset(scenario, jax.random.key(3))
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(3))
     robot = state.robot.position
     ahead = state.task.goal - robot
     ahead = ahead / jnp.linalg.norm(ahead)
@@ -82,7 +83,6 @@ def test_with_respect_to_actions(double):
     agree(run, gradient, actions, [jnp.asarray(random.normal(size=actions.shape)) for _ in range(4)])
 
 
-@pytest.mark.slow
 def test_with_respect_to_force_parameters(double):
     scenario, state = double
     names = ("strength", "range", "relaxation_time", "side_preference")

@@ -33,7 +33,7 @@ def graph_of(scenario):
 def test_groups_are_full_at_the_start_and_never_over_capacity(scenario, history):
     graph = graph_of(scenario)
     capacity = graph.capacity[graph.groups]
-    state = sean_jax.reset(scenario, jax.random.key(0))
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
     counts = [(np.asarray(state.pedestrians.group) == g).sum() for g in range(3)]
     assert counts == capacity.tolist() == [5, 3, 3]
     group = history[1].group
@@ -130,7 +130,7 @@ def test_one_way_edges_are_walked_forward_only(scenario, history):
 
 def test_few_people_fill_the_groups_first():
     small = sean_jax.make(people=4, dynamics="twin")
-    state = sean_jax.reset(small, jax.random.key(0))
+    state = jax.jit(sean_jax.reset)(small, jax.random.key(0))
     assert (np.asarray(state.pedestrians.group) >= 0).all()
 
 
@@ -138,7 +138,7 @@ def test_a_seat_goes_over_to_a_much_nearer_walker(scenario):
     graph = scenario.behavior.data.graph
     names = {name: index for index, name in enumerate(graph.names)}
     dock, near, far = names["dock"], names["tables_1"], names["west_aisle_2"]
-    state = sean_jax.reset(scenario, jax.random.key(0))
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
     people = state.pedestrians
     nobody = jnp.full(16, -1, jnp.int32)
     seat = nobody.at[0].set(0)  # person 0 is on the way to a seat at the dock from the far corner

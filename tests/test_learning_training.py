@@ -191,6 +191,7 @@ def test_events_are_what_tensorboard_reads(trained):
                 assert told[line["epoch"], f"{part}/{name}"] == pytest.approx(value, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_training_from_disk_learns_as_well(data, tmp_path):
     state = train_job.train(options(data, tmp_path / "disk", on_device=0.0, epochs=3))
     losses = [line["train"]["loss"] for line in lines(tmp_path / "disk")]
@@ -204,6 +205,7 @@ def test_training_from_disk_learns_as_well(data, tmp_path):
     assert float(found.loss) == pytest.approx(lines(tmp_path / "disk")[-1]["validation"]["loss"], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_training_stops_when_nothing_gets_better(data, tmp_path):
     state = train_job.train(options(data, tmp_path / "run", learning_rate=0.3, patience=2, epochs=30))
     assert int(state.epoch) == int(state.best_epoch) + 2 < 30

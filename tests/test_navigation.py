@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shortest_paths as oracle
+from quick import quick
 
 from sean_jax import environment as environments
 from sean_jax import navigation
@@ -83,7 +84,7 @@ def check_pairs(here: Place, radius: float, pairs: int, arc: int = 24):
     return exact / np.maximum(np.linalg.norm(start - goal, axis=1), 1e-6)
 
 
-@pytest.mark.parametrize("name", ["warehouse", "lab", "outdoor", "yard"])
+@pytest.mark.parametrize("name", quick(["warehouse", "lab", "outdoor", "yard"], "warehouse", "yard"))
 def test_paths_and_who_follows_them(name):
     detour = check_pairs(place(name), RADIUS, PAIRS, arc=12)
     assert (detour > 1.01).sum() > 12  # there was something to go around
@@ -191,7 +192,7 @@ def test_rough_lengths_are_near_the_exact_ones():
     assert near.mean() > 0.97 and np.isfinite(exact).all()
 
 
-@pytest.mark.parametrize("name", ["warehouse", "lab"])
+@pytest.mark.parametrize("name", quick(["warehouse", "lab"], "warehouse"))
 def test_tables_of_people_lead_to_every_node_of_the_graph(name):
     """Around obstacles, by as much as their bodies need, and on ways that are hardly longer than they must be."""
     here = place(name)

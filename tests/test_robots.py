@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
+from quick import quick
 
 import sean_jax
 from sean_jax import environment, robots
@@ -518,7 +519,7 @@ def test_every_robot_stops_at_a_wall_and_does_not_push_through_a_person(every):
     assert gap.min() > -0.001 and abs(gap[-1]) < 0.001 and robot.position[-1, 0] < 1.0
 
 
-OTHERS = [pytest.param(name, marks=() if name == "jackal" else pytest.mark.slow) for name in FIGURES if name != "kuri"]
+OTHERS = quick([name for name in FIGURES if name != "kuri"], "jackal")
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -536,7 +537,7 @@ def test_every_other_twin_equals_its_mjx_robot(name, wild):
             np.testing.assert_allclose(one, two, rtol=0, atol=near, err_msg=field)
 
 
-@pytest.mark.parametrize(("name", "radius"), [("jackal", 0.27), ("warthog", 0.95)])
+@pytest.mark.parametrize(("name", "radius"), quick([("jackal", 0.27), ("warthog", 0.95)], ("jackal", 0.27)))
 def test_robot_wider_than_people_walk_has_its_own_paths(name, radius):
     """They stand off from obstacles by its radius, while people keep theirs."""
     scenario = sean_jax.make("warehouse", robot=name, people=8, dynamics="twin")

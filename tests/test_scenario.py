@@ -88,7 +88,7 @@ def test_a_step_traces_once(scenario):
         traces.append(1)
         return sean_jax.step(scenario, state, action)
 
-    state = sean_jax.reset(scenario, jax.random.key(0))
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
     for _ in range(3):
         state = step(state, jnp.zeros(2, jnp.float32))
     assert len(traces) == 1
@@ -97,7 +97,7 @@ def test_a_step_traces_once(scenario):
 
 def test_a_task_is_completed_after_the_goal_is_held_and_never_timed_out_too(scenario):
     short = scenario.replace(time_limit=1.0, hold_time=jnp.float32(0.3))
-    state = sean_jax.reset(short, jax.random.key(2))
+    state = jax.jit(sean_jax.reset)(short, jax.random.key(2))
     at_goal = state.replace(robot=short.robot.place(short.robot, state.task.goal, state.task.goal_heading))
     step = jax.jit(lambda state: sean_jax.step(short, state, jnp.zeros(2, jnp.float32)))
     ended = {}
@@ -138,7 +138,7 @@ def test_metrics_stand_still_after_the_end(scenario):
 
 
 def test_observation_is_in_the_robots_frame(scenario):
-    state = sean_jax.reset(scenario, jax.random.key(4))
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(4))
     seen = sean_jax.observe(scenario, state)
     heading, position = np.asarray(state.robot.heading), np.asarray(state.robot.position)
     left = np.array([-heading[1], heading[0]])
