@@ -75,9 +75,8 @@ def test_batches_equal_their_episodes(scenario):
     together = sean_jax.congestion(scenario, batch)
     for index, frames in enumerate(both):
         alone = sean_jax.congestion(scenario, frames)
-        jax.tree.map(
-            lambda one, all_: np.testing.assert_allclose(one, all_[index], rtol=1e-6, atol=1e-6), alone, together
-        )  # noqa: B023
+        for one, row in zip(jax.tree.leaves(alone), jax.tree.leaves(together), strict=True):
+            np.testing.assert_allclose(one, row[index], rtol=1e-6, atol=1e-6)
     assert together.density.shape == (2, 1, *crowding.grid(scenario.environment)) == (2, 1, 80, 80)
 
 

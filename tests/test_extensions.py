@@ -298,8 +298,9 @@ def test_sean_list_shows_them(files, added, monkeypatch, capsys):
     assert cli.main(["list"]) == 0
     said = capsys.readouterr().out
     for line in (
-        "yard", "16 x 12 m, 5 people", "puck", "Puck", "magnetic repulsion", "minds nobody", "watched", "turned_angle",
-        "From anywhere to the first of the free places", "Turns on the spot", "People march up and down",
+        "yard", "16 x 12 m and, unless told otherwise, 5 people.", "puck", "Puck", "Magnetic repulsion", "minds nobody",
+        "watched", "turned_angle", "From anywhere to the first of the free places",
+        "Turns on the spot", "People march up and down",
     ):  # fmt: skip
         assert line in said
 

@@ -11,6 +11,7 @@ import pytest
 from test_graph import assert_routes
 
 import sean_jax
+from sean_jax import chance
 from sean_jax import environment as environments
 from sean_jax import scenario as stages
 from sean_jax.behaviors import graph_behavior, graph_goals
@@ -42,7 +43,8 @@ def hall(tmp_path_factory):
 def begun(scenario, key):
     """A state with people at their starts; the robot is far away, and has no task, which would take long to compile."""
     blank = jax.eval_shape(functools.partial(sean_jax.reset, scenario), key)
-    state = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), blank.replace(key=None)).replace(key=key)
+    state = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), blank.replace(streams=None))
+    state = state.replace(streams=chance.streams(key))
     pedestrians, groups, memory = scenario.behavior.reset(scenario, key)
     robot = state.robot.replace(position=jnp.full(2, 1e3, jnp.float32), heading=jnp.asarray([1.0, 0.0], jnp.float32))
     return state.replace(pedestrians=pedestrians, groups=groups, memory=memory, robot=robot)
@@ -216,7 +218,7 @@ def test_choices_of_a_graph_are_refused_elsewhere():
     with pytest.raises(ValueError, match="paths: 'hole' is not one of whole, edge; did you mean 'whole'?"):
         sean_jax.make("lab", paths="hole")
     for value in (-1.0, float("nan"), float("inf")):
-        with pytest.raises(ValueError, match="spreading: .* must be 0 or more."):
+        with pytest.raises(ValueError, match="spreading: .* must be from 0 to "):
             sean_jax.make("lab", spreading=value)
 
 

@@ -274,7 +274,7 @@ def test_one_set_those_of_a_situation_or_all(name, number):
     ("arguments", "words"),
     [
         (dict(people=5), "each handcrafted set has a number of its own; leave people out"),
-        (dict(task="join_group"), "only behavior 'graph' has, not 'handcrafted'; its own task is 'handcrafted'"),
+        (dict(task="join_group"), "only behavior 'graph' has, not 'handcrafted'; choose task 'handcrafted' with it"),
         (dict(behavior="graph"), "task: 'handcrafted' needs poses that belong to handcrafted people, not 'graph'"),
         (dict(behavior="random", task="random_ab_nav", handcrafted="all"), "'random' has no sets; choose behavior"),
         (dict(recording="people.csv"), "recording: behavior 'handcrafted' has none"),
