@@ -8,6 +8,7 @@ import importlib.metadata
 import math
 import os
 import shlex
+import signal
 import sys
 import threading
 from collections.abc import Sequence
@@ -86,9 +87,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     That is 0, 2 for bad input, 1 for what broke midway, 130 for Ctrl-C and 143 for SIGTERM.
     """
-    with stopping.terminated_as_by_ctrl_c() as received:
+    with stopping.stoppable() as received:
         code = _main(arguments)
-        code = TERMINATED if code == STOPPED and received else code
+        code = TERMINATED if code == STOPPED and signal.SIGTERM in received else code
         if code in (STOPPED, TERMINATED) and any(thread.name == "sean-compiler" for thread in threading.enumerate()):
             os._exit(code)  # the compiler cannot be interrupted, and the interpreter would wait for it
     return code
