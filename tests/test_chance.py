@@ -123,7 +123,8 @@ def test_the_writer_sees_keys_that_are_used_twice(written):
     impl, used, derived = written
     before = len(used), len(derived)
     key = jax.random.key(9, impl=impl)
-    jax.random.normal(jax.random.fold_in(key, 1)), jax.random.normal(jax.random.split(key, 2)[1])
+    for same in (jax.random.fold_in(key, 1), jax.random.split(key, 2)[1]):
+        jax.random.normal(same)
     jax.effects_barrier()
     assert len(set(used[before[0] :])) < len(used) - before[0]
     assert len(set(derived[before[1] :])) < len(derived) - before[1]

@@ -76,7 +76,7 @@ def test_commands_wait_for_their_timeout(step):
 
     @jax.jit
     def waits(timeout):
-        slow = model.replace(command_timeout=timeout)
+        slow = dataclasses.replace(model, command_timeout=timeout)
 
         def one(body, _):
             command, age = held(slow, body, none, float(step))

@@ -80,7 +80,7 @@ def drive(scenario: Scenario, data: Brain, state: State, key: Array) -> tuple[Ar
     memory: Memory = state.driver
     seen = jnp.concatenate([_see(scenario, data, state)[None], memory.seen[:-1]])
     each_second = seen[:: round(1.0 / scenario.time_step)][::-1]
-    plan = plan_ahead(scenario, state, memory.last)
+    plan = plan_ahead(scenario, state, memory.last).astype(jnp.float32)  # as networks are, whatever drives people
     weights = data.weights
     inputs = each_second, plan, state.situations
     answer: Any = data.network.apply(weights.parameters, *inputs, method="decide")

@@ -3,6 +3,8 @@
 The closed-form twin without what planners avoid: contact, and wheels that slip.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +13,7 @@ from sean_jax.base import Array, RobotModel
 from sean_jax.geometry import rotate
 
 
-def constant(value: float) -> Array:
+def constant(value: float) -> Any:
     """() a setting, which becomes an array of the default precision where it is used: it is made at import."""
     return np.asarray(value, float)
 

@@ -118,7 +118,8 @@ def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -
     # The heading is turned rather than made from the yaw: it is kept to the bit by a robot that does not turn, and no
     # less exact in single precision after many turns. Whole turns of the wheels are taken off for the same reason.
     turned = position[2] - before[0][2]
-    cosine, sine = _direction(jnp.stack(rotate(*_direction(robot.heading), jnp.cos(turned), jnp.sin(turned))))
+    cosine, sine = _direction(robot.heading)
+    cosine, sine = _direction(jnp.stack(rotate(cosine, sine, jnp.cos(turned), jnp.sin(turned))))
     wheels = position[3:] - 2.0 * jnp.pi * jnp.round(position[3:] / (2.0 * jnp.pi))
     speed, sideways = rotate(velocity[0], velocity[1], cosine, -sine)
     slip = velocity[3:] - _rolling(model, speed, velocity[2])
