@@ -377,6 +377,8 @@ def in_tree(chance: random.Random, given: bytes) -> bytes:
     def visit(value: Any) -> None:
         for key in list(value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()):
             spots.append((value, key))
+            if len(spots) > 20_000:  # aliases of aliases
+                raise ValueError("too much to be visited")
             visit(value[key])
 
     visit(root)

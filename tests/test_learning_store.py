@@ -225,7 +225,7 @@ def test_folders_that_hold_no_dataset(tmp_path, capsys):
     with pytest.raises(Refused, match="cannot be read"):
         open_dataset(tmp_path)
     (tmp_path / "dataset.json").write_text('{"format": 99}')
-    with pytest.raises(Refused, match="has format 99, but this version reads 1"):
+    with pytest.raises(Refused, match="dataset.json has format 99, but this version reads 1"):
         open_dataset(tmp_path)
     assert cli.main(["train", "imitation", str(tmp_path / "none"), "--out", str(tmp_path / "run")]) == 2
     error = capsys.readouterr().err

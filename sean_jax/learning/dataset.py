@@ -215,7 +215,7 @@ def open_dataset(folder: Path | str) -> Dataset:
         manifest = files.read_json(file)
         known = manifest.get("format") if isinstance(manifest, dict) else None
         if isinstance(known, int) and known != FORMAT:
-            raise Refused(f"{folder} has format {known}, but this version reads {FORMAT}; collect anew.")
+            raise Refused(f"{file} has format {known}, but this version reads {FORMAT}; collect anew.")
         check_manifest(file, manifest, tuple(fields(1, 1, 1)))
     except files.FileError as error:
         more = str(error).splitlines()
