@@ -6,6 +6,7 @@ prints a line of JSON before and after each mutant. A mutant that takes more tha
 more than a minute, ends the process, as an abort inside of MuJoCo does; the test sees who it was and goes on.
 """
 
+import copy
 import functools
 import io
 import json
@@ -413,10 +414,10 @@ def in_elements(chance: random.Random, given: bytes) -> bytes:
     elif how == 1:
         above.append(element)
     elif how == 2:
-        chance.choice(pairs)[0].append(element)
+        chance.choice(pairs)[0].append(copy.deepcopy(element))  # itself would close a circle
     elif how == 3:
         many = ElementTree.SubElement(above, "replicate", count=chance.choice(("3", "1000", "100000", "-1", "1e9")))
-        many.append(element)
+        many.append(copy.deepcopy(element))
     elif how == 4:
         extra = [("composite", {"type": "grid", "count": "9999 9999 1"}), ("include", {"file": "scene.xml"}),
                  ("texture", {"name": "x", "type": "2d", "builtin": "flat", "width": "60000", "height": "60000"}),
