@@ -214,6 +214,18 @@ def test_what_a_kill_leaves_at_the_very_beginning_is_in_nobodys_way(left, tmp_pa
     assert (place / "letter.txt").exists()
 
 
+def test_what_a_kill_leaves_at_the_very_end_goes_with_the_next_start(tmp_path):
+    """The results stay, and are not written over."""
+    place = tmp_path / "made" / "unfinished"
+    place.mkdir(parents=True)
+    (tmp_path / "made" / "summary.json").write_text("{}")
+    for _ in range(2):
+        (tmp_path / "made" / writing.LOCK).write_text("process 1 on a machine")
+        with pytest.raises(BadInput, match="is not empty"):
+            unfinished.check_place(tmp_path / "made")
+        assert [path.name for path in (tmp_path / "made").iterdir()] == ["summary.json"]
+
+
 def test_what_is_damaged_is_named(tmp_path):
     (tmp_path / "made" / "unfinished").mkdir(parents=True)
     (tmp_path / "made" / "unfinished" / "run.json").write_text("{")

@@ -131,9 +131,11 @@ def check_place(folder: Path) -> None:
     """
     if not (folder / PLACE / ABOUT).is_file():
         of_a_run = writing.contents(folder) == [PLACE] or (folder / "summary.json").is_file()
-        if of_a_run and (folder / PLACE).is_dir() and all(map(_is_ours, (folder / PLACE).iterdir())):
+        ours = all(map(_is_ours, (folder / PLACE).iterdir())) if (folder / PLACE).is_dir() else False
+        if of_a_run and (ours or (folder / writing.LOCK).is_file()):
             with writing.held(folder):
-                shutil.rmtree(folder / PLACE)
+                if ours:
+                    shutil.rmtree(folder / PLACE)
         check_new_folder(folder)
 
 
@@ -200,7 +202,7 @@ def _arrays(batch: Batch) -> dict[str, Any]:
     """A batch as named arrays: its own, and those that lie in it under ``of:name``."""
     named = {f"metrics:{name}": values for name, values in batch.metrics.items()}
     for place, one in (("tally", batch.tally), *((f"frame{k}", frame) for k, frame in enumerate(batch.frames))):
-        named |= {f"{place}:{field.name}": getattr(one, field.name) for field in dataclasses.fields(one)}
+        named |= {f"{place}:{field.name}": getattr(one, field.name) for field in dataclasses.fields(one)}  # pyright: ignore[reportArgumentType]
     return {"completed": batch.completed, "timed_out": batch.timed_out, "seconds": batch.seconds, **named}
 
 
