@@ -8,4 +8,9 @@ import pytest
 
 def quick(values: Iterable[Any], *chosen: Any) -> list[Any]:
     """All values for ``pytest.mark.parametrize``, those that are not ``chosen`` marked slow."""
-    return [value if value in chosen else pytest.param(value, marks=pytest.mark.slow) for value in values]
+    return [value if value in chosen else _slow(value) for value in values]
+
+
+def _slow(value: Any) -> Any:
+    several = value if isinstance(value, tuple) else (value,)
+    return pytest.param(*several, marks=pytest.mark.slow)
