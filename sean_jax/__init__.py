@@ -1,5 +1,7 @@
 """sean_jax: social robot navigation as pure JAX functions (SEAN 2.0, Tsoi et al. 2022)."""
 
+import os
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -48,6 +50,22 @@ __all__ = [
     "step",
     "view",
 ]
+
+
+def _silence_alarms() -> None:
+    """Keep XLA's alarms off the terminal: a page of text, as an error, for each program that is slow to compile.
+
+    What really fails is raised. Who sets ``TF_CPP_MIN_LOG_LEVEL`` otherwise than JAX does gets what they asked for.
+    """
+    if os.environ.get("TF_CPP_MIN_LOG_LEVEL", "1") != "1":  # "1" is what JAX sets itself
+        return
+    os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
+    if "jaxlib" in sys.modules:  # it has read the variable already
+        utils = import_module("jaxlib.utils")
+        getattr(utils, "absl_set_min_log_level", lambda level: None)(3)
+
+
+_silence_alarms()
 
 
 def __getattr__(name: str):

@@ -225,6 +225,7 @@ def test_a_batch_equals_each_episode_alone():
     import jax
 
     import sean_jax
+    from sean_jax import chance
     from sean_jax.main_job import batches, simulation
     from sean_jax.policies import POLICIES
 
@@ -233,7 +234,7 @@ def test_a_batch_equals_each_episode_alone():
     found = batches.run_batches(scenarios, drive, 3, 2, 5, simulation.Watch())
     for episode, task in enumerate(found.tasks):
         scenario = scenarios[tasks.index(task)]
-        key = jax.random.fold_in(jax.random.key(5), episode)
+        key = jax.random.fold_in(chance.key("run", 5), episode)
         last, frames = jax.jit(sean_jax.rollout, static_argnums=(1, 3))(scenario, drive, key, 20)
         for name, value in sean_jax.results(scenario, last).items():
             np.testing.assert_allclose(found.metrics[name][episode], value, atol=1e-3, err_msg=name)
@@ -257,3 +258,23 @@ def test_list_names_every_choice(capsys):
         "overtaking",
     ):
         assert name in said
+
+
+SLOW_TO_COMPILE = """
+import jax, sys
+if len(sys.argv) > 1:
+    import sean_jax
+ones = jax.numpy.ones((64, 30000))
+jax.jit(lambda: jax.lax.reduce_window(ones, 0.0, jax.lax.add, (1, 500), (1, 1), "SAME").sum())()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("imported", [False, True])
+def test_alarms_of_the_compiler_reach_nobody(imported, monkeypatch):
+    """XLA takes seconds to fold this constant, and says so on the terminal, unless the package is imported."""
+    monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL", raising=False)
+    monkeypatch.setenv("JAX_ENABLE_COMPILATION_CACHE", "false")
+    program = [sys.executable, "-c", SLOW_TO_COMPILE, *["package"] * imported]
+    said = subprocess.run(program, capture_output=True, text=True, check=True).stderr
+    assert ("slow_operation_alarm" in said) != imported

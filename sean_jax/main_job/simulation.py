@@ -24,6 +24,8 @@ from sean_jax.scenario import reset, results
 CHUNK = 100  # control steps between two looks at the progress
 KEPT = 4  # episodes of which the frames are kept
 COMPILER = "sean-compiler"  # name of the thread that compiles
+# What draws starts runs once a batch, so on a CPU it is compiled quickly rather than to be quick.
+ONCE = {"cpu": {"xla_backend_optimization_level": 0}}
 
 
 @struct.dataclass
@@ -76,20 +78,20 @@ class Batch:
 def prepare(scenarios: Sequence[Scenario], policy: Policy, size: int, watch: Watch) -> Programs:
     """Compile everything for batches of ``size`` episodes."""
     began, first, policy = time.perf_counter(), scenarios[0], parallel.as_argument(policy)
-    watch.compiling(f"tracing {size} episodes")
+    watch.compiling(f"tracing the starts of {size} episodes")
     numbers = jnp.zeros((size,), jnp.uint32)
     tasks = tuple(scenario.task for scenario in scenarios)
     draw = jax.jit(_drawing(tasks, crowding.grid(first.environment)))
     fixed = first, policy
-    states, tally = jax.eval_shape(draw, fixed, jnp.uint32(0), numbers)
-    advance = jax.jit(_advance(min(CHUNK, _steps(first)), min(KEPT, size)), donate_argnums=(1, 2))
-    lowered = [
-        draw.lower(fixed, jnp.uint32(0), numbers),
-        advance.lower(fixed, states, tally, jnp.ones((size,), bool)),
-    ]
-    watch.compiling(f"compiling {size} episodes")
-    draw, advance = _compile(lowered)
-    return Programs(scenarios, size, policy, draw, advance, time.perf_counter() - began)
+    traced = draw.trace(fixed, jnp.uint32(0), numbers)
+    states, tally = traced.out_info
+    starting = _Compiling(traced.lower(), ONCE.get(jax.default_backend(), {}))
+    chunk = min(CHUNK, _steps(first))
+    watch.compiling(f"compiling the starts, tracing {chunk} steps of {size} episodes")
+    advance = jax.jit(_advance(chunk, min(KEPT, size)), donate_argnums=(1, 2))
+    stepping = _Compiling(advance.lower(fixed, states, tally, jnp.ones((size,), bool)))
+    watch.compiling(f"compiling {chunk} steps of {size} episodes")
+    return Programs(scenarios, size, policy, starting.done(), stepping.done(), time.perf_counter() - began)
 
 
 def run_batch(programs: Programs, seed: int, base: int, kept: int, advanced: Callable[[float, float], None]) -> Batch:
@@ -122,25 +124,27 @@ def _steps(scenario: Scenario) -> int:
     return clock.ticks(scenario.time_limit, scenario.time_step)
 
 
-def _compile(lowered: Sequence[Any]) -> list[Callable]:
-    """Each program compiled, all at the same time; Ctrl-C is not kept waiting by the compiler."""
-    outcome: dict[int, Any] = {}
+class _Compiling:
+    """A program that is compiled in a thread of its own, so that Ctrl-C is not kept waiting by the compiler."""
 
-    def work(index: int) -> None:
+    def __init__(self, lowered: Any, options: dict[str, Any] | None = None) -> None:
+        self._outcome: Any = None
+        self._thread = threading.Thread(target=self._work, args=(lowered, options), name=COMPILER, daemon=True)
+        self._thread.start()
+
+    def _work(self, lowered: Any, options: dict[str, Any] | None) -> None:
         try:
-            outcome[index] = lowered[index].compile()
+            self._outcome = lowered.compile(compiler_options=options or None)
         except Exception as error:  # carried over to the thread that waits
-            outcome[index] = error
+            self._outcome = error
 
-    threads = [threading.Thread(target=work, args=(i,), name=COMPILER, daemon=True) for i in range(len(lowered))]
-    for thread in threads:
-        thread.start()
-    while any(thread.is_alive() for thread in threads):
-        time.sleep(0.02)
-    for result in outcome.values():
-        if isinstance(result, Exception):
-            raise result
-    return [outcome[index] for index in range(len(lowered))]
+    def done(self) -> Callable:
+        """The program, when it is compiled."""
+        while self._thread.is_alive():
+            time.sleep(0.02)
+        if isinstance(self._outcome, Exception):
+            raise self._outcome
+        return self._outcome
 
 
 def _drawing(tasks: tuple[Callable, ...], cells: tuple[int, int]) -> Callable:
