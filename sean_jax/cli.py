@@ -23,7 +23,7 @@ from sean_jax.experiments.options import Experiment
 from sean_jax.learning.options import Collect, Export, Failed, Train
 from sean_jax.main_job.options import Options
 from sean_jax.options import BadInput, check_file, check_limits, check_new_folder
-from sean_jax.writing import Unwritable
+from sean_jax.writing import Unwritable, whole
 
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # of those that matplotlib writes
 WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, what broke midway, Ctrl-C, SIGTERM
@@ -196,7 +196,8 @@ def _draw(command: Draw) -> int:
             if command.out is None or len(names) > 1:
                 file = file.with_stem(f"{file.stem}-{scenario.environment.name}")
                 check_file(file, PICTURES)
-            sheet.savefig(file, dpi=150)
+            with whole(file) as stream:
+                sheet.savefig(stream, dpi=150, format=file.suffix[1:].lower())
         except ValueError as error:
             return _fail(str(error), WRONG)
         print(file)

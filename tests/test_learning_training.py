@@ -275,6 +275,55 @@ def test_opening_a_policy_changes_nothing(data, trained, tmp_path):
     assert not half.exists() and (folder / "checkpoints" / "13").is_dir()
 
 
+def test_what_a_kill_left_half_deleted_is_no_checkpoint(data, trained, tmp_path):
+    """Readers pass it by, whatever is left of it, and the next start removes it."""
+    import random
+    import shutil
+
+    folder, chance = tmp_path / "run", random.Random(5)
+    shutil.copytree(trained[1], folder)
+    checkpoints, best = folder / "checkpoints", int(trained[0].best_epoch)
+    kept = sorted(path.name for path in checkpoints.iterdir())
+    for number in [number for number in range(1, best) if str(number) not in kept][:8]:
+        half = checkpoints / str(number)
+        shutil.copytree(checkpoints / str(best), half)  # as good as the best, which came after it
+        paths = sorted(half.rglob("*"))
+        for path in chance.sample(paths, chance.randint(1, len(paths))):
+            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    assert len([*checkpoints.iterdir()]) > len(kept) + 3
+    scenario = learning_data.setting()[0][0].scenario
+    weights, wanted = (learned.load(place, scenario).data.weights for place in (folder, trained[1]))
+    for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_array_equal(one, other)
+    again = train_job.train(options(data, folder))
+    for one, other in zip(jax.tree.leaves(trained[0]), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert sorted(path.name for path in checkpoints.iterdir()) == kept
+
+
+def test_a_policy_is_opened_while_its_training_replaces_the_best(trained, tmp_path, monkeypatch):
+    """The best is half deleted between the look at what there is and the reading of it, and a better one is there."""
+    import shutil
+
+    folder = tmp_path / "run"
+    shutil.copytree(trained[1], folder)
+    best, restore = int(trained[0].best_epoch), Checkpoints._restore
+    old, new = (folder / "checkpoints" / str(number) for number in (best, 13))
+
+    def replaced(self, step, like, part=None):
+        if not new.exists():
+            shutil.copytree(old, new)
+            shutil.rmtree(old / "state")
+        return restore(self, step, like, part)
+
+    monkeypatch.setattr(Checkpoints, "_restore", replaced)
+    scenario = learning_data.setting()[0][0].scenario
+    weights, wanted = (learned.load(place, scenario).data.weights for place in (folder, trained[1]))
+    assert new.exists()
+    for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_a_refused_training_leaves_no_folder(data, tmp_path):
     with pytest.raises(Refused, match="--balance needs the dataset to fit"):
         train_job.train(options(data, tmp_path / "deep" / "run", balance=True, on_device=0.0))

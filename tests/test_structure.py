@@ -141,6 +141,19 @@ def test_command_line_starts_without_heavy_imports():
     assert done.stdout.strip() == "[]"
 
 
+def test_no_import_starts_a_backend():
+    """So that who imports can still choose platform and precision, join other hosts, or fork."""
+    program = f"""
+import importlib
+for name in {sorted(NAMES)!r}:
+    importlib.import_module(name)
+from jax._src import xla_bridge
+print(xla_bridge.backends_are_initialized())
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.stdout.split() == ["False"], done.stderr
+
+
 def test_mjx_is_imported_late():
     """Importing mjx costs seconds: no module does so when it is itself imported."""
     assert not [dotted(path) for path in MODULES if any("mjx" in name for name in top_level_imports(path))]

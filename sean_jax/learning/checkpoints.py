@@ -6,8 +6,9 @@ orbax deletes the latest checkpoint where only the best are asked for, and a tra
 import json
 import logging
 import shutil
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import orbax.checkpoint as ocp
@@ -21,6 +22,9 @@ from sean_jax.learning.training import TrainState
 CONFIG = "config.json"  # what the network is, beside the checkpoints
 STATE = "state"
 SPARE = 4_000_000  # bytes, that must be free beside what a checkpoint may take
+AGAIN = 10  # times
+
+Read = TypeVar("Read")
 
 
 def _less_loss(metrics: dict[str, float]) -> float:
@@ -31,7 +35,8 @@ class Checkpoints:
     """The checkpoints in a folder, each named by the number of epochs that were done.
 
     Who writes them holds the folder (``writing.held``), for what is left of a kill is removed; who does not, changes
-    nothing there.
+    nothing there. A kill may leave a checkpoint half deleted, which orbax still counts: only those that are neither the
+    latest nor the best are ever deleted, and no others are read.
     """
 
     def __init__(self, folder: Path, writes: bool = False):
@@ -45,7 +50,10 @@ class Checkpoints:
             create=writes,
             read_only=not writes,
         )
-        self.manager = ocp.CheckpointManager(self.folder / "checkpoints", options=options)
+        self.manager = _steadily(lambda: ocp.CheckpointManager(self.folder / "checkpoints", options=options))
+        if writes:
+            for step in {*self.manager.all_steps()} - {self.manager.latest_step(), self.manager.best_step()}:
+                self.manager.delete(step)
 
     def save(self, state: TrainState, loss: float) -> None:
         """Keep the state after an epoch, in the background. Raises Failed if the last one could not be written."""
@@ -74,18 +82,20 @@ class Checkpoints:
         return None if step is None else self._restore(step, like)
 
     def best_weights(self, like: Weights) -> Weights:
-        """The weights with the least loss in validation. Raises Refused if there are none."""
-        while True:
-            known = {step: self.manager.metrics(step) for step in self.manager.all_steps(read=True)}
-            scored = {step: _less_loss(found) for step, found in known.items() if found}
-            if not scored:
-                raise Refused(f"{self.folder} has no checkpoint; train a network with `sean train imitation`.")
-            best = max(scored, key=lambda step: (scored[step], -step))
+        """The weights with the least loss in validation, the latest of equals. Raises Refused if there are none."""
+        best, before = self._best(), None
+        while best is not None:
             try:
                 return self._restore(best, like, part="weights")
             except Failed:
-                if best in self.manager.all_steps(read=True):
+                best, before = self._best(), best
+                if best == before:
                     raise  # else a training that goes on has a better one by now
+        raise Refused(f"{self.folder} has no checkpoint; train a network with `sean train imitation`.")
+
+    def _best(self) -> int | None:
+        _steadily(self.manager.reload)
+        return self.manager.best_step()
 
     def _restore(self, step: int, like: Any, part: str | None = None) -> Any:
         sharding = jax.sharding.SingleDeviceSharding(jax.devices()[0])
@@ -133,6 +143,16 @@ def begin(folder: Path, config: dict[str, Any]) -> None:
     except OSError as error:
         why = writing.reason(error)
         raise Refused(f"cannot write {folder}: {why}; choose another folder with --out.") from error
+
+
+def _steadily(read: Callable[[], Read]) -> Read:
+    """What is read, again if a training that goes on has removed a checkpoint meanwhile."""
+    for _ in range(AGAIN):
+        try:
+            return read()
+        except FileNotFoundError:
+            continue
+    return read()
 
 
 def _shown(value: Any) -> str:
