@@ -84,7 +84,7 @@ run --time-limit=-3 | --time-limit is -3, but must
 run --spreading nan | --spreading is nan, but must lie between 0
 run --spreading=-1 | --spreading is -1, but must
 run --parties nan 0 | --parties is nan, but must lie between 0 and 1
-run --parties 0.7 0.7 | parties: 0.7 0.7; together 1 at most
+run --parties 0.7 0.7 | parties: (0.7, 0.7); together 1 at most
 run --behavior random --frame-rate 0 | --frame-rate is 0, but must
 run --frame-rate 30 | frame_rate: behavior 'graph' has none; choose behavior 'playback'
 run --task custom --start 1 --goal 2 2 | --start has 1 numbers; x and y

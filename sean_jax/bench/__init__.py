@@ -49,8 +49,11 @@ def run(options: Options, console: Console) -> Path:
                 raise
             _print(console, "stopped; what was measured until then is written.")
         _print(console, *page.notes(rows, about))
-        with writing.whole(folder / "bench.png") as stream:
-            page.picture(rows, about).savefig(stream, dpi=150, format="png")
+        try:
+            with writing.whole(folder / "bench.png") as stream:
+                page.picture(rows, about).savefig(stream, dpi=150, format="png")
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"stopped before the picture was drawn; the table is in {folder}.") from None
     return folder
 
 
