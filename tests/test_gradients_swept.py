@@ -75,9 +75,10 @@ def speeds(random, count=NUMBER):
 
 
 def all_finite(gradients, *at):
-    """Every leaf (NUMBER, ...) is finite; else says of which state not."""
+    """Every leaf (NUMBER, ...) is finite, and so are squares, of which norms are made; else says of which state not."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(gradients):
-        bad = np.flatnonzero(~np.isfinite(np.asarray(leaf)).reshape(len(leaf), -1).all(1))
+        with np.errstate(over="ignore"):
+            bad = np.flatnonzero(~np.isfinite(np.square(np.asarray(leaf))).reshape(len(leaf), -1).all(1))
         if len(bad):
             first = jax.tree.map(lambda part: np.asarray(part)[bad[0]].tolist(), at)  # noqa: B023
             pytest.fail(f"{jax.tree_util.keystr(path)}: {len(bad)} of {len(leaf)}, the first {bad[0]}: {first}")
@@ -96,8 +97,9 @@ def check(function, at, shared=(), smooth=0.0, step=2e-3, parts=1):
 
     slope = jax.jit(jax.vmap(jax.value_and_grad(value, (0, 1)), (0, None)))
     rows = np.split(np.arange(NUMBER), parts)
-    found = [slope(jax.tree.map(lambda leaf: leaf[some], at), shared)[1] for some in rows]  # noqa: B023
-    by_state, by_shared = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
+    found = [slope(jax.tree.map(lambda leaf: leaf[some], at), shared) for some in rows]  # noqa: B023
+    values, (by_state, by_shared) = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
+    all_finite(values, at)
     all_finite((by_state, by_shared), at)
     assert max(np.abs(leaf).max() for leaf in jax.tree.leaves(by_state)) > 1e-3
     if not smooth:
@@ -332,7 +334,8 @@ def laws() -> dict[str, Any]:
     gap = Obstacles(
         *(jnp.asarray(part) for part in ([[0.75, 0.0], [-0.75, 0.0]], [[0.5, 3.0]] * 2, [0.0] * 2, [1.0] * 2))
     )
-    between = nearby.tabulate(gap, jnp.array([-5.0, -5.0, 5.0, 5.0]))  # half a metre, too narrow for anybody
+    floor = jnp.array([-5.0, -5.0, 5.0, 5.0])
+    between = nearby.tabulate(gap, floor)  # half a metre, too narrow for anybody
     found = {
         "length": lambda d, v: geometry.length(*d),
         "unit": lambda d, v: geometry.unit(*d),
@@ -354,8 +357,10 @@ def laws() -> dict[str, Any]:
         "from_path": lambda d, v: dynamic_window.from_path(d[:1], d[1:], *jnp.array([[0, 0.5, 0.5], [0, 0, 0.0]])),
         "arcs": lambda d, v: dynamic_window.arcs(v[:1], v[1:]),
     }
+    wide = nearby.tabulate(Obstacles(jnp.zeros((1, 2)), jnp.full((1, 2), 50.0), jnp.zeros(1), jnp.ones(1)), floor)
     for name in PRESETS:
         one = social_forces.preset(name)
+        found[f"{name}, deep in a wall"] = lambda d, v, one=one: walls.wall_forces(d[:1], d[1:], wide, one)
         found[f"repulsion of {name}"] = lambda d, v, one=one: one.repulsion(*d, *v, 0.3, 0.0, one)
         found[f"sight of {name}"] = lambda d, v, one=one: one.sight(*v, *d, 0.6, 0.8, one)
     return found

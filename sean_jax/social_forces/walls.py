@@ -15,6 +15,7 @@ from sean_jax.nearby import around
 from sean_jax.platforms import by_platform
 
 SLACK = 1e-3  # m/s, or rounding would hold whoever walks along a wall: 0.05 mm in a step of 0.05 s
+DEEPEST = 20.0  # of exponents: a push e^20 times the usual one is as good as any, and its square is still a number
 LEAST = 1e-9  # m/s, a slower approach is none, for the gradient of a share of it would overflow
 
 
@@ -28,7 +29,8 @@ def wall_forces(px: Array, py: Array, nearby: Nearby, parameters: Any) -> tuple[
     """(N,) x and y parts [m/s2] of the push of all obstacles along their normals, on people at (px, py) (N,) [m]."""
 
     def push(distance, nx, ny, parameters):
-        size = parameters.wall_strength * jnp.exp((parameters.wall_reach - distance) * (1.0 / parameters.wall_range))
+        into = (parameters.wall_reach - distance) * (1.0 / parameters.wall_range)  # a hundred and more in a wide wall
+        size = parameters.wall_strength * jnp.exp(jnp.minimum(into, DEEPEST))
         size = size * (1.0 + parameters.wall_lever * (distance - 1.0))
         size = jnp.where(distance < parameters.perception, size, 0.0)
         return size * nx, size * ny
