@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick import quick
 
 import sean_jax
 from sean_jax import clock, robots, sensors
@@ -39,7 +40,7 @@ def at_goal(scenario):
     return dataclasses.replace(state, robot=dataclasses.replace(state.robot, position=state.task.goal))
 
 
-@pytest.mark.parametrize("step", ("0.05", "0.1", "0.15"))
+@pytest.mark.parametrize("step", quick(("0.05", "0.1", "0.15"), "0.1"))
 def test_goals_are_held_for_as_long_as_asked(scenario, at_goal, step):
     """Ticks until ``finish`` completes the task of a robot that stays at its goal; 50, 60 and 100 s are among them."""
     patient = scenario.replace(time_step=float(step), time_limit=1000.0)

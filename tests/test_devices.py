@@ -111,6 +111,7 @@ def test_episodes_follow_one_another(short, starts):
     assert jax.tree.structure(last) == jax.tree.structure(state)
 
 
+@pytest.mark.slow
 def test_a_driver_remembers_its_episode_and_no_other(short):
     """It counts the steps it drove since the episode began, in steps of its parameter."""
     counter = Driver(

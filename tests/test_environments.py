@@ -15,8 +15,8 @@ from sean_jax import navigation, policies
 from sean_jax.graph import annotation
 
 NAMES = environments.available()
-# Whole rollouts take long to compile: the smallest environment stands for all in the quick tests.
-ROLLED_OUT = quick(NAMES, "lab")
+# Whole rollouts take long to compile.
+ROLLED_OUT = quick(NAMES)
 SECONDS = 60
 BODY, RADIUS = 0.2, 0.25  # m
 
@@ -74,6 +74,7 @@ def test_ways_between_the_nodes_of_the_graph_are_shortest(name):
     assert (ours >= np.linalg.norm(nodes[i] - nodes[j], axis=1) - 1e-4).all()
 
 
+@pytest.mark.slow
 def test_large_floors_have_wider_cells():
     """A grid of at most some 100,000 cells, of a multiple of a quarter of a metre."""
     outdoor = navigation.build(environments.load("outdoor"), RADIUS)

@@ -94,6 +94,7 @@ def test_nobody_is_pushed_off_the_floor(plazas):
     assert np.asarray(least[1]).max() < -1.0
 
 
+@pytest.mark.slow
 def test_a_robot_stays_on_the_floor_and_sees_no_edge(scenarios):
     """It drives at an edge from 32 places; nothing but the floor is in its pictures, and metrics know of the edge."""
 
@@ -133,6 +134,7 @@ def test_the_check_measures_the_edge(scenarios):
         assert (found < wanted) if scenario.environment.open else (abs(found - wanted) < 1e-5)
 
 
+@pytest.mark.slow
 def test_a_plaza_has_free_places_and_straight_ways(scenarios):
     for scenario, people in zip(scenarios, (0, 6), strict=True):
         navigation = scenario.navigation

@@ -288,6 +288,7 @@ def test_what_does_not_go_together_is_refused_with_the_reason(arguments, words):
         sean_jax.make("lab", **(common | arguments))
 
 
+@pytest.mark.slow
 def test_other_tasks_go_with_it(lab, reset):
     names = ("random_ab_nav", "busy_ab_nav")
     several = [with_task(lab, name) for name in names]
@@ -407,6 +408,7 @@ def test_both_ways_alternate(tmp_path):
     assert np.sign(turn).tolist() == [1, -1, 1, -1, 1]
 
 
+@pytest.mark.slow
 def test_sheets_show_every_set_and_node(tmp_path, lab, capsys, monkeypatch):
     figure = drawing.handcrafted_sheet(lab)
     titles = [axes.get_title(loc="left").strip() for axes in figure.axes]

@@ -3,10 +3,6 @@
 import importlib.util
 import json
 import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import learning_data
@@ -306,38 +302,3 @@ def test_lerobot_loads_the_export(made, tmp_path):
     for index in (0, 77, len(loaded) - 1):
         np.testing.assert_array_equal(loaded[index]["action"].numpy(), rows.command[index])
         np.testing.assert_array_equal(loaded[index]["observation.images.depth"][0].numpy(), rows.depth[index])
-
-
-@pytest.mark.slow
-def test_a_killed_collection_gives_the_same_bytes(tmp_path):
-    """A real SIGKILL, some times over, at moments that differ, then the same command until it is done."""
-    if not hasattr(signal, "SIGKILL"):
-        pytest.skip("this system has no SIGKILL")
-
-    def begin(folder):
-        options = ["--environment", "lab", "--people", "4", "--dynamics", "twin", "--time-limit", "20", "--quiet"]
-        options += ["--width", "16", "--height", "12", "--batch", "2", "--hours", "0.05", "--out", str(folder)]
-        command = [sys.executable, "-m", "sean_jax.cli", "collect", *options]
-        return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-
-    whole = begin(tmp_path / "whole")
-    assert whole.wait(timeout=600) == 0, whole.stderr.read()
-    shards = len(json.loads((tmp_path / "whole" / "dataset.json").read_text())["shards"])
-    assert shards >= 4
-    seen = 0
-    for wait in (0.0, 0.03, 0.1, 0.0):
-        process, manifest = begin(tmp_path / "killed"), tmp_path / "killed" / "dataset.json"
-        done = 0
-        while process.poll() is None and done <= seen:
-            time.sleep(0.002)
-            done = len(json.loads(manifest.read_text())["shards"]) if manifest.exists() else 0
-        time.sleep(wait)
-        process.kill()
-        process.wait()
-        committed = len(json.loads(manifest.read_text())["shards"])
-        assert committed >= seen
-        seen = committed
-    last = begin(tmp_path / "killed")
-    assert last.wait(timeout=600) == 0, last.stderr.read()
-    found, wanted = files(tmp_path / "killed"), files(tmp_path / "whole")
-    assert found == wanted

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from quick import quick
 
 import sean_jax
 from sean_jax import sensors
@@ -87,10 +88,14 @@ def traced(scenario, policy=POLICIES["go_to_goal"]):
     return jax.eval_shape(run, scenario, jax.random.key(0))[0]
 
 
-@pytest.mark.parametrize(("behavior", "task"), [
+WITH_NOBODY = [
     *product(("graph",), ("join_group", "leave_group", "random_ab_nav", "busy_ab_nav")),
-    *product(("random", "handcrafted"), ("random_ab_nav", "busy_ab_nav")), ("handcrafted", "handcrafted"),
-])  # fmt: skip
+    *product(("random", "handcrafted"), ("random_ab_nav", "busy_ab_nav")),
+    ("handcrafted", "handcrafted"),
+]
+
+
+@pytest.mark.parametrize(("behavior", "task"), quick(WITH_NOBODY, ("graph", "join_group"), ("random", "busy_ab_nav")))
 def test_every_task_with_nobody(alone, behavior, task):
     scenario = alone[behavior]
     assert scenario.people == 0
@@ -130,6 +135,7 @@ def test_a_robot_alone_joins_the_empty_place_of_a_group(alone):
     assert not last.situations[:4].any()
 
 
+@pytest.mark.slow
 def test_one_node_and_no_group(tmp_path):
     """People of a graph of one node stay about it; a task that needs a group is refused in a sentence."""
     folder = write(tmp_path, ONE_NODE)

@@ -215,6 +215,7 @@ def test_3a_all_non_empty_situations_can_hold_with_agents_who_move_and_groups_th
     assert occurring(agents, goal_group=1, start_group=3) == set(NAMES) - {"empty"}
 
 
+@pytest.mark.slow
 def test_3a_without_groups_nothing_is_joined_or_left(closet, at_random):
     random = np.random.default_rng(1)
     for _ in range(40):
@@ -225,6 +226,7 @@ def test_3a_without_groups_nothing_is_joined_or_left(closet, at_random):
         assert not flags[..., [join, leave]].any()
 
 
+@pytest.mark.slow
 def test_3a_empty_cannot_hold_where_nowhere_is_farther_than_d(closet, joining):
     """A robot and a person in a space smaller than D; in the warehouse, which is larger, it does hold at times."""
     assert np.linalg.norm(closet.people - closet.position[:, :, None], axis=-1).max() < D
@@ -317,6 +319,7 @@ def walk(scenario, people, robot, steps):
     )
 
 
+@pytest.mark.slow
 def test_4d_random_people_start_and_go_anywhere_and_form_no_groups(closet, at_random):
     wandering, states = at_random
     assert wandering.behavior.name == "random"
@@ -454,6 +457,7 @@ def tasks(scenario):
     return draw(jax.random.split(jax.random.key(9), 40))
 
 
+@pytest.mark.slow
 def test_4e_random_ab_nav_draws_both_poses_from_the_navigable_plane(scenario, tasks):
     task = tasks[2]["random_ab_nav"]
     floor = np.asarray(scenario.environment.floor)
@@ -464,6 +468,7 @@ def test_4e_random_ab_nav_draws_both_poses_from_the_navigable_plane(scenario, ta
     assert (np.asarray(task.start_group) == -1).all() and (np.asarray(task.goal_group) == -1).all()
 
 
+@pytest.mark.slow
 def test_4e_busy_ab_nav_lies_by_the_largest_cluster(scenario, tasks):
     """Both poses are 5 m, give or take one, from the same person; more people are about than around random poses."""
     people, task = np.asarray(tasks[0].position), tasks[2]["busy_ab_nav"]
@@ -478,6 +483,7 @@ def test_4e_busy_ab_nav_lies_by_the_largest_cluster(scenario, tasks):
 
 
 @pytest.mark.parametrize("name", ["join_group", "leave_group"])
+@pytest.mark.slow
 def test_4e_group_tasks_have_one_pose_in_a_group_of_the_graph_and_one_farther_away(scenario, tasks, name):
     people, groups, task = tasks[0], tasks[1], tasks[2][name]
     graph = jax.tree.map(np.asarray, scenario.behavior.data.graph)
@@ -493,6 +499,7 @@ def test_4e_group_tasks_have_one_pose_in_a_group_of_the_graph_and_one_farther_aw
     assert gap.min() > scenario.robot.radius + 0.2  # the place is not a person's
 
 
+@pytest.mark.slow
 def test_4e_group_tasks_need_the_graph_and_all_others_any_behavior(at_random):
     """The handcrafted pair and every other combination are in test_combinations.py."""
     wandering = at_random[0]

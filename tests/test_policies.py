@@ -164,6 +164,7 @@ def test_one_by_one_equals_all_at_once_and_is_traced_once(driven):
     assert traced == [name]
 
 
+@pytest.mark.slow
 def test_the_expert_is_more_polite_than_go_to_goal(simulated):
     """People who mind nobody: it comes nearer than 0.45 m to none of them, and arrives as well."""
     close = {name: (gaps(simulated(name)[1]) < 0.45).any((1, 2)) for name in ("go_to_goal", "expert")}

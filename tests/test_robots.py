@@ -326,6 +326,7 @@ def test_a_robot_at_rest_keeps_its_heading_and_turning_does_not_wear_it(twin):
     )  # half a unit in the last place
 
 
+@pytest.mark.slow
 def test_gradients_equal_differences_of_the_mjx_robot():
     """The gradient of the twin, against central differences in double precision of what MJX computes."""
     steps, change = 10, 1e-6

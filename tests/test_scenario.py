@@ -170,6 +170,7 @@ def test_what_does_not_fit_is_refused_in_one_sentence(arguments, words):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.slow
 def test_the_largest_number_that_fits_fits():
     with pytest.raises(ValueError) as refused:
         sean_jax.make(people=10_000, dynamics="twin")
