@@ -7,10 +7,11 @@ import learning_data
 import numpy as np
 import pytest
 
-from sean_jax import sensors
+from sean_jax import chance, sensors
 from sean_jax.learning import demonstrations, examples, protocol
 from sean_jax.learning.options import Collect, Refused
 from sean_jax.learning.recorder import Recorder, record
+from sean_jax.scenario import reset
 
 
 @pytest.fixture(scope="module")
@@ -20,13 +21,17 @@ def batch():
 
 @pytest.mark.slow
 def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
-    """Step by step, outside of jit, from another source: the same rows as those of the batch."""
+    """Step by step, outside of jit, from another source: in the same episodes, the same rows as those of the batch."""
     parts, tasks, _ = learning_data.setting()
     scenario = dataclasses.replace(parts[0].scenario, task=tasks[0], task_name="join_group")
     drive = jax.jit(learning_data.DRIVE)
     recorder = Recorder(tmp_path / "one", scenario, seed=learning_data.SEED, width=16, height=12)
-    data = record(recorder, lambda state: drive(scenario, state, state.streams.policy), 2)
-    batch = learning_data.batches()[0]
+    for number in range(2):
+        state = recorder.begin(jax.random.fold_in(chance.key("collect", learning_data.SEED), number))
+        while not bool(state.completed | state.timed_out):
+            state = recorder.step(drive(scenario, state, state.streams.policy))
+        recorder.commit()
+    data, batch = recorder.data, learning_data.batches()[0]
     assert [episode.length for episode in data.episodes] == batch.lengths[:2].tolist()
     assert [episode.completed for episode in data.episodes] == batch.completed[:2].tolist()
     found = data.read(data.episodes)
@@ -39,7 +44,10 @@ def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
             assert np.mean(found[name] != expected) < 0.02
         else:
             np.testing.assert_allclose(found[name], expected, atol=2e-2, err_msg=name)
+    drawn = jax.random.fold_in(chance.key("record", learning_data.SEED), recorder.number)
+    own = jax.jit(reset)(scenario, drawn)
     state, see = recorder.begin(), jax.jit(lambda state: sensors.depth(scenario, state, recorder.eye))
+    np.testing.assert_allclose(state.robot.position, own.robot.position, atol=1e-5)
     image = 1000.0 * np.asarray(see(state))
     recorder.step((0.1, 0.2))
     recorder.step(None)

@@ -54,10 +54,17 @@ class Recorder:
         """Of the next episode."""
         return len(self.data.manifest["shards"])
 
-    def begin(self) -> State:
-        """A new episode; one that was not committed is forgotten."""
+    def begin(self, key: Array | None = None) -> State:
+        """A new episode; one that was not committed is forgotten.
+
+        Args:
+            key: () typed PRNG key that the episode is drawn from, such as one of another program's episodes that shall
+                be driven as well; by default of the recorder's own stream, which has no episode of any other.
+        """
         self.discard()
-        self.state, self._last = self._begin(self.scenario, chance.key("record", self.seed), jnp.uint32(self.number))
+        if key is None:
+            key = jax.random.fold_in(chance.key("record", self.seed), jnp.uint32(self.number))
+        self.state, self._last = self._begin(self.scenario, key)
         return self.state
 
     def step(self, command: Any) -> State:
@@ -155,6 +162,6 @@ def _next(commands: Any, state: State) -> Any:
     return next(commands)
 
 
-def _begin(scenario: Scenario, key: Array, number: Array) -> tuple[State, Array]:
-    state = reset(scenario, jax.random.fold_in(key, number))
+def _begin(scenario: Scenario, key: Array) -> tuple[State, Array]:
+    state = reset(scenario, key)
     return state, navigation.bend_to_goal(scenario.navigation, state.task.goal)
