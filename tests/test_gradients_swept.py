@@ -21,6 +21,7 @@ from sean_jax.pedestrian_models import MODELS
 from sean_jax.pedestrian_models.half_planes import best_velocity
 from sean_jax.pedestrian_models.orca import half_plane
 from sean_jax.policies import POLICIES, costmap, dynamic_window, social_costmap
+from sean_jax.policies.prediction import predict
 from sean_jax.social_forces import PRESETS, cohesion, walls
 
 NUMBER, PEOPLE = 1024, 4
@@ -223,6 +224,26 @@ def test_policies(room, name):
 
     plans = isinstance(policy, Driver)  # and jumps from one of its samples to another
     check(command, states(), (constants, settings), smooth=0.0 if plans else 0.8, parts=8 if plans else 1)
+
+
+@slow
+def test_predictions_of_people_in_one_place(room):
+    """Who stands in another, or all but, does not make each step's derivative thousands of times the last one's."""
+    random = np.random.default_rng(8)
+    near = [random.permutation(np.resize(np.float32([*TINY, 0.1]), NUMBER))[:, None] * directions(random, NUMBER)
+            for _ in range(PEOPLE)]  # fmt: skip
+    walking = [np.where(np.arange(NUMBER) % 2, 0.0, random.normal(size=(PEOPLE, 2, NUMBER))).transpose(2, 0, 1)
+               for _ in range(2)]  # fmt: skip
+    at = {**states(), "people": jnp.asarray(np.stack(near, 1), jnp.float32)}
+    at |= {name: jnp.asarray(part, jnp.float32) for name, part in zip(("velocity", "desired"), walking, strict=True)}
+
+    def end(at):
+        now = state_of(room, at)
+        return sum(jnp.sum(jnp.sin(part[-1])) for part in predict(room[0], now.pedestrians, now.groups, 16, 0.2))
+
+    slopes = jax.jit(jax.vmap(jax.grad(end)))(at)
+    all_finite(slopes, at)
+    assert max(float(jnp.abs(slopes[name]).max()) for name in ("people", "desired")) < 1e8
 
 
 @slow
