@@ -64,7 +64,9 @@ def run_batches(
 def _finished(unfinished: Unfinished | None, parts: list[tuple[int, int]]) -> list[Batch]:
     """The first batches, as far as they are there."""
     batches: list[Batch] = []
-    for base, kept in parts if unfinished is not None else []:
+    if unfinished is None:
+        return batches
+    for base, kept in parts:
         if (found := unfinished.load(base, kept)) is None:
             break
         batches.append(found)
