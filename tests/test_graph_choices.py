@@ -396,20 +396,33 @@ def test_odd_graphs_and_numbers_of_people(kind, hall):
 @pytest.mark.parametrize("paths", graph_behavior.PATHS)
 @pytest.mark.parametrize("name", environments.available())
 def test_five_minutes_of_each_environment(name, paths):
-    """Every edge that a cheapest path can use is walked, none against its one way, and groups are joined and left."""
+    """Every edge that a cheapest path can use is walked, none against its one way, and groups are joined and left.
+
+    The cheapest paths between few pairs of nodes alone lead along some edges: what nobody walked in the first ten
+    minutes must have been walked after some more.
+    """
     scenario = sean_jax.make(name, paths=paths, dynamics="twin")
     run = jax.jit(jax.vmap(lambda key: crowd_alone(scenario, key, 3000)))
-    frames, memory = run(jax.random.split(jax.random.key(1), 2))
-    flow = jax.jit(lambda frames: sean_jax.congestion(scenario, frames, span=300.0, cells=(1, 1)).flow)(frames)
-    walks = 5 * np.asarray(flow).sum((0, 1))
+    flow = jax.jit(lambda frames: sean_jax.congestion(scenario, frames, span=300.0, cells=(1, 1)).flow)
+
+    def simulated(seed: int):
+        frames, memory = run(jax.random.split(jax.random.key(seed), 2))
+        return frames, memory, 5 * np.asarray(flow(frames)).sum((0, 1))
+
+    frames, memory, walks = simulated(1)
     graph = jax.tree.map(np.asarray, scenario.behavior.data.graph)
     used = np.zeros(walks.shape, bool)
     start, goal = np.nonzero(~np.eye(len(used), dtype=bool))
     used[start, graph.next_hop[start, goal]] = True
     against = np.isfinite(graph.weight) & (graph.weight > 10 * graph.weight.T)
     assert (used == np.isfinite(graph.weight) & ~against).all()  # against the one way, there is always another
-    assert (walks[used] > 0).all()
-    assert (walks.T[against] >= 10 * np.maximum(walks[against], 1)).all()
+    every = walks
+    for seed in range(2, 8):
+        if (every[used] > 0).all():
+            break
+        every = every + simulated(seed)[2]
+    assert (every[used] > 0).all(), np.argwhere(used & (every == 0))
+    assert (every.T[against] >= 10 * np.maximum(every[against], 1)).all()
     # What is told from positions is what people had in mind.
     origin, hop = np.asarray(memory.origin), np.asarray(memory.hop)
     done = (origin[:, 1:] != origin[:, :-1]) | (hop[:, 1:] != hop[:, :-1])
