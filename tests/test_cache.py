@@ -194,19 +194,20 @@ def test_the_oldest_are_removed(made, monkeypatch):
 
 @pytest.mark.slow
 def test_another_process_reads_what_this_one_made(made, hall):
-    """And gets the same scenario, in double precision too, where tables keep their own types."""
+    """And gets the same scenario; in double precision as well, whose tables are its own."""
     program = """
 import sys
 import jax, sean_jax
 from sean_jax import cache, navigation
 def refuse(*_): raise AssertionError("made again")
-navigation.tables._make = navigation.people._make = refuse
+if sys.argv[2] == "reads":
+    navigation.tables._make = navigation.people._make = refuse
 scenario = sean_jax.make(sys.argv[1], behavior="graph", task="random_ab_nav", dynamics="twin")
 print(int(scenario.navigation.visible.sum()))
 """
     scenario = sean_jax.make(hall, behavior="graph", task="random_ab_nav", dynamics="twin")
-    for wide in ("false", "true"):
-        environ = {**os.environ, "JAX_ENABLE_X64": wide}
-        done = subprocess.run([sys.executable, "-c", program, str(hall)], env=environ, capture_output=True, text=True)
+    for wide, does in (("false", "reads"), ("true", "makes"), ("true", "reads")):
+        environ, words = {**os.environ, "JAX_ENABLE_X64": wide}, [program, str(hall), does]
+        done = subprocess.run([sys.executable, "-c", *words], env=environ, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         assert int(done.stdout.split()[-1]) == int(scenario.navigation.visible.sum())
