@@ -51,6 +51,7 @@ def sean() -> Iterator[Sean]:
 
 
 def _serve() -> None:
+    import gc
     import importlib
 
     heavy = (
@@ -63,6 +64,8 @@ def _serve() -> None:
     from jax._src import xla_bridge
 
     assert not xla_bridge._backends, "a backend that has begun does not survive a fork"
+    gc.collect()
+    gc.freeze()  # what is imported is not looked through again and again in each command
     for line in sys.stdin:
         words = json.loads(line)
         if len(words) == 1:

@@ -19,9 +19,9 @@ pytestmark = [
 ]
 KILLS = 20
 SMALL = "--environment lab --behavior random --task random_ab_nav --people 2 --dynamics twin --seed 3 --quiet".split()
-RUN = ["run", *SMALL, "--time-limit", "0.5", "--episodes", "12", "--batch", "2", "--out", "made"]
+RUN = ["run", *SMALL, "--time-limit", "0.5", "--episodes", "24", "--batch", "2", "--out", "made"]
 IMAGES = ["--width", "8", "--height", "8", "--driver", "go_to_goal"]
-COLLECT = ["collect", *SMALL, "--time-limit", "2", "--hours", "0.005", "--batch", "2", *IMAGES, "--out", "made"]
+COLLECT = ["collect", *SMALL, "--time-limit", "2", "--hours", "0.008", "--batch", "2", *IMAGES, "--out", "made"]
 TRAIN = ["train", "imitation", "../data/made", "--width", "4", "--batch", "8", "--epochs", "12", "--validation", "0.3"]
 TRAIN += ["--seed", "3", "--quiet", "--out", "made"]
 CODES = {  # of who was killed before it could answer, and of who answered
@@ -102,7 +102,7 @@ def _wait_for_a_moment(sean, process: int, folder: Path, chance: random.Random, 
         return
     changes, seen = chance.randint(1, 12), _names(folder)
     while changes and not sean.is_over(process):
-        time.sleep(0.002)
+        time.sleep(0.004)
         if (now := _names(folder)) != seen:
             seen, changes = now, changes - 1
     time.sleep(chance.uniform(0.0, 0.02))
