@@ -172,8 +172,8 @@ def test_everything_legal_with_every_robot(environment, behavior, robot, recordi
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_every_robot_in_mjx_goes_where_its_twin_does(robot, recording):
+@pytest.mark.parametrize("robot", ["kuri", "warthog"])
+def test_a_robot_in_mjx_goes_where_its_twin_does(robot, recording):
     states = []
     for dynamics in ("mjx", "twin"):
         scenario = make(USUAL, "random", "random_ab_nav", robot, recording, dynamics)
@@ -190,7 +190,7 @@ def test_every_robot_in_mjx_goes_where_its_twin_does(robot, recording):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("behavior", BEHAVIORS)
-@pytest.mark.parametrize("environment", ENVIRONMENTS)
+@pytest.mark.parametrize("environment", [USUAL])
 def test_sean_run_does_everything_legal(environment, behavior, recording, tmp_path, capsys):
     """An episode of 2 s of each task; the custom one needs poses and a run of its own."""
     from sean_jax import cli

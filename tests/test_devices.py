@@ -92,6 +92,7 @@ def starts(short):
     return jax.jit(restarts.pool, static_argnums=2)(short, jax.random.key(0), 5)
 
 
+@pytest.mark.slow
 def test_episodes_follow_one_another(short, starts):
     def record(before, after, action):
         return before.tick, after.timed_out, before.pedestrians.position, jax.random.key_data(before.streams.people)

@@ -62,7 +62,7 @@ def test_a_minute_of_people(name):
     assert most == capacity.tolist()
 
 
-@pytest.mark.parametrize("name", quick(NAMES, "warehouse"))
+@pytest.mark.parametrize("name", quick(NAMES, "lab"))
 def test_ways_between_the_nodes_of_the_graph_are_shortest(name):
     place = environments.load(name)
     tables = navigation.build(place, RADIUS)

@@ -24,10 +24,10 @@ def in_double(tree):
     return jax.tree.map(cast, tree)
 
 
-@pytest.fixture(params=["twin", "mjx"])
-def double(request):
+@pytest.fixture
+def double():
     """A scenario with eight people and a state in which two of them come towards the robot, in float64."""
-    scenario = sean_jax.make(people=8, dynamics=request.param)
+    scenario = sean_jax.make(people=8, dynamics="mjx")
     state = jax.jit(sean_jax.reset)(scenario, jax.random.key(3))
     robot = state.robot.position
     ahead = state.task.goal - robot

@@ -118,6 +118,7 @@ def test_stays_last_as_drawn_and_members_face_inward(scenario, history):
     assert np.quantile(gap, 0.95) < 0.35
 
 
+@pytest.mark.slow
 def test_one_way_edges_are_walked_forward_only(scenario, history):
     graph, memory = graph_of(scenario), history[0]
     length = np.linalg.norm(graph.position[:, None] - graph.position[None], axis=-1)

@@ -111,7 +111,7 @@ def test_discs_that_overlap_or_coincide_part():
         assert float(out) == pytest.approx((0.5 - d[0]) / 0.1, rel=1e-4)
 
 
-@pytest.fixture(scope="module", params=quick(["orca", "constant_velocity"], "orca"))
+@pytest.fixture(scope="module", params=quick(["orca", "constant_velocity"]))
 def walked(request):
     scenario = sean_jax.make(behavior="random", task="random_ab_nav", people=10, model=request.param, dynamics="twin")
     run = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, 300))

@@ -211,8 +211,7 @@ def test_scenarios_run(make, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dynamics", robots.DYNAMICS)
-@pytest.mark.parametrize("name", robots.ROBOTS)
+@pytest.mark.parametrize(("name", "dynamics"), [*((name, "twin") for name in robots.ROBOTS), ("kuri", "mjx")])
 def test_robots_run(make, name, dynamics):
     """One step of each robot, and its gradient, where its task begins: nothing touches a robot of its size there."""
     scenario = make("alone", dynamics, name)
