@@ -47,6 +47,6 @@ def predict(scenario: Scenario, people: Pedestrians, groups: Groups, steps: int,
 def _in_one_place(people: Pedestrians) -> Array:
     """(K,) bool: within ``SAME`` of somebody else who is present."""
     x, y = jax.lax.stop_gradient(people.position).T
-    dx, dy = x[:, None] - x, y[:, None] - y
-    other = people.present & ~jnp.eye(people.present.shape[0], dtype=bool)
+    dx, dy = x[:, None] - x[None, :], y[:, None] - y[None, :]
+    other = people.present[None, :] & ~jnp.eye(people.present.shape[0], dtype=bool)
     return (other & (dx * dx + dy * dy < SAME * SAME)).any(1)
