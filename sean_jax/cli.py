@@ -102,7 +102,9 @@ def _main(arguments: Sequence[str] | None) -> int:
         return 0
     try:
         command = _parse(arguments)
-        cache_compilations()
+        from sean_jax import compiler
+
+        compiler.set_up()
         if isinstance(command, List):
             from sean_jax.main_job import choices
 
@@ -128,15 +130,6 @@ def _main(arguments: Sequence[str] | None) -> int:
         return _fail(str(error), FAILED)
     except KeyboardInterrupt as error:
         return _fail(str(error) or "stopped; nothing was written.", STOPPED)
-
-
-def cache_compilations() -> None:
-    """Let JAX keep what it compiles in the user's cache folder; what the user has set already is respected."""
-    from sean_jax import cache
-
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache.folder() / "xla"))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 
 def _parse(arguments: list[str]) -> Any:

@@ -1,5 +1,7 @@
 """What all tests share: strict array rules, one compilation cache, a small scenario, a folder of recordings."""
 
+import gc
+import importlib.metadata
 import os
 import tempfile
 from pathlib import Path
@@ -12,6 +14,13 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
 os.environ.setdefault("XDG_CACHE_HOME", str(_CACHE / "user"))  # the user's own tables are left alone
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+# Half of what the tests take is compiling, for arrays so small that it does not pay to have loops unrolled.
+_QUICK = "--xla_backend_optimization_level=1 --xla_backend_extra_options=xla_cpu_disable_loop_unrolling"
+if importlib.metadata.version("jaxlib").startswith("0.10."):  # later ones stop at a flag that they do not know
+    _QUICK += " --xla_cpu_use_fusion_emitters=false"
+if os.environ["JAX_PLATFORMS"] == "cpu":
+    os.environ.setdefault("XLA_FLAGS", _QUICK)
+gc.set_threshold(50_000, 20, 20)  # a fifth of tracing went into looking for cycles among what stays
 
 import jax  # noqa: E402
 import pytest  # noqa: E402

@@ -1,5 +1,6 @@
 """The command line: quick help, whole folders or none, one sentence for what is wrong."""
 
+import importlib.metadata
 import json
 import os
 import subprocess
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from sean_jax import cli, main_job
+from sean_jax import cli, compiler, main_job
 
 SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
 
@@ -42,11 +43,22 @@ def test_version_is_printed(capsys):
 def test_compilation_cache_goes_to_the_users_cache_unless_set(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
-    cli.cache_compilations()
+    compiler.set_up()
     assert Path(os.environ["JAX_COMPILATION_CACHE_DIR"]) == tmp_path / "sean_jax" / "xla"
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
-    cli.cache_compilations()
+    compiler.set_up()
     assert os.environ["JAX_COMPILATION_CACHE_DIR"] == "elsewhere"
+
+
+@pytest.mark.parametrize("version", ["0.10.2", "0.11.2", "0.12.0.1"])
+def test_the_users_flags_for_the_compiler_stay_and_new_versions_get_none(monkeypatch, version):
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: version)
+    ours = " --xla_cpu_use_fusion_emitters=false" if version == "0.10.2" else ""
+    for theirs in ("--xla_dump_to=here", "--xla_cpu_use_fusion_emitters=true"):
+        monkeypatch.setenv("XLA_FLAGS", theirs)
+        for _ in range(2):
+            compiler.set_up()
+            assert os.environ["XLA_FLAGS"] == (theirs if "emitters" in theirs else theirs + ours)
 
 
 @pytest.mark.parametrize(
@@ -173,18 +185,25 @@ def test_what_goes_wrong_midway_ends_in_one_sentence(raised, code, said, capsys,
     assert not any(tmp_path.iterdir())
 
 
-def test_run_writes_a_whole_folder_and_the_same_bytes_for_the_same_seed(tmp_path, capsys):
-    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
-        out = ["--episodes", "3", "--batch", "2", "--seed", seed, "--out", str(tmp_path / name)]
-        out += ["--camera", "depth"] if name == "c" else []
-        assert run(*SMALL, *out, capsys=capsys) == (0, "")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b", "c"]
-    written = {"config.yaml", "episodes.csv", "summary.json", "report.html", "episode.gif"}
+def small_run(folder: Path, capsys, seed: int, *options: str) -> bytes:
+    """The episodes of a run of three, as its table has them."""
+    out = ["--episodes", "3", "--batch", "2", "--seed", str(seed), "--out", str(folder), *options]
+    assert run(*SMALL, *out, capsys=capsys) == (0, "")
+    return (folder / "episodes.csv").read_bytes()
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_bytes_and_another_others(tmp_path, capsys):
+    a, b, c = (small_run(tmp_path / name, capsys, seed) for name, seed in (("a", 1), ("b", 1), ("c", 2)))
+    assert a == b != c
+    assert not (tmp_path / "a" / "camera.gif").exists()
+
+
+def test_run_writes_a_whole_folder(tmp_path, capsys):
+    lines = small_run(tmp_path / "a", capsys, 1, "--camera", "depth").decode().splitlines()
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    written = {"config.yaml", "episodes.csv", "summary.json", "report.html", "episode.gif", "camera.gif"}
     assert {path.name for path in (tmp_path / "a").iterdir()} == written
-    assert {path.name for path in (tmp_path / "c").iterdir()} == written | {"camera.gif"}
-    rows = {name: (tmp_path / name / "episodes.csv").read_bytes() for name in "abc"}
-    assert rows["a"] == rows["b"] != rows["c"]
-    lines = rows["a"].decode().splitlines()
     assert [line.split(",")[1] for line in lines[1:]] == ["join_group", "leave_group", "join_group"]
     config = yaml.safe_load((tmp_path / "a" / "config.yaml").read_text())
     assert config["options"]["people"] == 8 and "--seed 1" in config["command"]

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import networkx
 import numpy as np
 import pytest
+from quick import quick
 from test_graph import assert_routes
 
 import sean_jax
@@ -115,6 +116,7 @@ def expected_walks(graph) -> np.ndarray:
     return count / count.sum()
 
 
+@pytest.mark.slow
 def test_more_people_walk_where_the_flow_word_says_so(ring_flows):
     """Low < medium < high on the same edge of the same graph, all else equal, and as many as networkx expects.
 
@@ -131,6 +133,7 @@ def test_more_people_walk_where_the_flow_word_says_so(ring_flows):
     assert share["low"] < 0.1 * share["medium"] and share["medium"] * 1.3 < share["high"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("word", "forth", "back"), [("forward", (0, 1), (1, 0)), ("backward", (1, 0), (0, 1))])
 def test_a_one_way_edge_carries_ten_times_more_forward(ring_flows, word, forth, back):
     walks = ring_flows[word][0]
@@ -295,6 +298,7 @@ edges:
 """
 
 
+@pytest.mark.slow
 def test_spreading_lowers_the_peak_of_congestion(hall):
     """Two ways around a block, the southern a little longer: with spreading people take both, and neither is crowded.
 
@@ -358,7 +362,7 @@ ODD = {  # nodes, edges, and (people, paths, spreading) to try
 }
 
 
-@pytest.mark.parametrize("kind", ODD)
+@pytest.mark.parametrize("kind", quick(ODD, "one node"))
 def test_odd_graphs_and_numbers_of_people(kind, hall):
     """People are put where they aim at, so that they come to a node at every step; seats for all, or too few."""
     nodes, pairs, cases = ODD[kind]

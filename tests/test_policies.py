@@ -101,7 +101,7 @@ def simulated(room):
     return run
 
 
-@pytest.fixture(scope="module", params=quick(POLICIES, "go_to_goal", "social_costmap"))
+@pytest.fixture(scope="module", params=quick(POLICIES, "go_to_goal"))
 def driven(request, room, simulated):
     """The name of a driver, the scenario, first states, and what became of them."""
     return request.param, room[0], *simulated(request.param)

@@ -139,6 +139,7 @@ def test_no_float_is_asked_for_by_size():
     assert {path.parent.name for path in sized} == {"learning"}
 
 
+@pytest.mark.slow
 def test_gradients_are_double(small):
     """Of a depth image and of a step of the robot, by both of its dynamics."""
     eye, start = sensors.camera(small, "depth", width=8, height=6), jax.random.key(0)

@@ -61,6 +61,7 @@ def test_equal_keys_give_equal_episodes_and_others_do_not(episode):
     assert np.abs(np.asarray(frames.people[0]) - np.asarray(frames.people[1])).max() > 1.0
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_episodes(scenario, episode):
     _, last, frames = episode
     key = jax.random.split(jax.random.key(1), 2)[1]

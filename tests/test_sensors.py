@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick import quick
 from test_raycast import mujoco_distances
 
 import sean_jax
@@ -62,7 +63,7 @@ def level(scenario, **changes) -> sensors.Camera:
     return dataclasses.replace(sensors.camera(scenario, "depth", width=16, height=12), axes=LEVEL, **changes)
 
 
-@pytest.mark.parametrize("name", list(robots.ROBOTS))
+@pytest.mark.parametrize("name", quick(robots.ROBOTS, "kuri"))
 def test_every_robot_has_the_same_sensors(name, scenario, state):
     robot = robots.load(name, "twin")
     theirs = dataclasses.replace(scenario, robot=robot)

