@@ -25,9 +25,13 @@ def in_ticks(duration: Array, time_step: float) -> Array:
 def per_tick(time_step: float, rate: float = 1.0) -> tuple[int, int]:
     """How often what happens ``rate`` [1/s] times does so in a time step [s], as a fraction of small whole numbers.
 
-    Their products with ticks are exact, however long it runs. Raises ValueError for less than once in 1000 steps.
+    Their products with ticks are exact, however long it runs. Raises ValueError for less than once in 1000 steps, which
+    such a fraction does not meet.
     """
-    share = Fraction(time_step * rate).limit_denominator(1000)
-    if share <= 0:
-        raise ValueError(f"time_step: {time_step} s must be {0.001 / rate:g} s or more.")
-    return share.numerator, share.denominator
+    share = time_step * rate
+    if not share >= 0.001 * (1.0 - 1e-9):
+        raise ValueError(
+            f"rate: {rate:g} times a second is less than once in 1000 steps of {time_step:g} s; give a greater rate."
+        )
+    fraction = Fraction(share).limit_denominator(1000)
+    return fraction.numerator, fraction.denominator

@@ -117,6 +117,11 @@ def to_edge(environment: Environment, x: Array, y: Array) -> Array:
     return jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
 
 
+def to_border(environment: Environment, x: Array, y: Array) -> Array:
+    """As ``to_edge``, but infinite where the floor is open: distance [m] to what holds people and robots there."""
+    return jnp.full_like(x, jnp.inf) if environment.open else to_edge(environment, x, y)
+
+
 def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radius: Array | float) -> Array:
     """True where a disc of that radius [m], moved straight from p to q, cuts the box; touching is not cutting.
 

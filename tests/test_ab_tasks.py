@@ -108,9 +108,8 @@ def test_custom_task_is_the_one_given():
     np.testing.assert_allclose(np.asarray(state.robot.heading), [0.0, 1.0], atol=1e-6)
     np.testing.assert_allclose(np.asarray(state.task.goal_heading), [0.0, -1.0], atol=1e-6)
     assert 34.0 <= float(state.task.geodesic) < 60.0
-    again = sean_jax.make(
-        behavior="random", task="custom", people=4, dynamics="twin", start=(0.0, 17.0, 90.0), goal=(0.0, -17.0)
-    )
+    poses = dict(start=np.array([0.0, 17.0, 90.0]), goal=jnp.array([0.0, -17.0]))
+    again = sean_jax.make(behavior="random", task="custom", people=4, dynamics="twin", **poses)
     assert again.task == scenario.task and hash(again.task) == hash(scenario.task)
 
 

@@ -226,20 +226,20 @@ def test_numbered_episodes_are_those_of_their_streams():
     from sean_jax.learning.protocol import streams, who_drives
     from sean_jax.scenario import results
 
-    # Six seconds: later on, rounding decides who gives way to whom.
-    asked = Collect(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=6.0)
+    # Three seconds: later on, rounding decides who gives way to whom.
+    asked = Collect(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=3.0)
     kinds, tasks = streams(asked)
     metrics = (("path_length", METRICS["path_length"]),)
     kinds = [dataclasses.replace(k, scenario=dataclasses.replace(k.scenario, metrics=metrics)) for k in kinds]
     driver, told = who_drives("go_to_goal"), []
     found = Numbered(tasks).episodes(driver, kinds, 3, 7, 5, told.append)
-    assert len(found.seconds) == 7 and 0 < found.seconds.min() and found.seconds.max() <= 6.0 + 1e-3
+    assert len(found.seconds) == 7 and 0 < found.seconds.min() and found.seconds.max() <= 3.0 + 1e-3
     assert told == sorted(told) and told[-1] <= 1.0
 
     @jax.jit
     def alone(scenario, number):
         key = jax.random.fold_in(chance.key("figure4", 3), number)
-        state, _ = parallel.rollout(scenario, driver, key, 60)
+        state, _ = parallel.rollout(scenario, driver, key, 30)
         return results(scenario, state), state.completed
 
     for number in range(7):

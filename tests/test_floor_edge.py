@@ -16,6 +16,7 @@ from sean_jax.base import Pedestrians
 from sean_jax.behaviors.starts import uniform
 from sean_jax.geometry import from_box, to_edge
 from sean_jax.main_job import simulation
+from sean_jax.policies import POLICIES, costmap, manners
 from sean_jax.scenario import moment, reset
 
 FLOOR = -6.0, -5.0, 6.0, 5.0
@@ -142,3 +143,15 @@ def test_a_plaza_has_free_places_and_straight_ways(scenarios):
         assert len(uniform(scenario.environment, navigation, 100)) >= 100
         task = jax.jit(reset)(dataclasses.replace(scenario, people=people), jax.random.key(0)).task
         np.testing.assert_allclose(task.geodesic, np.linalg.norm(task.goal - task.start), rtol=1e-6)
+
+
+def test_planners_mind_the_edge_where_it_holds_people_alone(scenarios):
+    x, y = jnp.array([0.0, 5.9, 8.0]), jnp.zeros(3)  # in the middle, at the edge, off the floor
+    layers: Any = POLICIES["social_costmap"]
+    expert: Any = POLICIES["expert"]
+    for scenario in scenarios:
+        state = jax.eval_shape(lambda key, scenario=scenario: reset(scenario, key), jax.random.key(0))
+        nobody = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), state.pedestrians)
+        rates = manners.obstacle_rate(scenario, expert.data.weights, x[None], y[None])[0]
+        for cost in (rates, costmap.costs(scenario, layers.data.layers, nobody, x, y)):
+            assert (np.asarray(cost) > 0).tolist() == [False, *2 * [not scenario.environment.open]]

@@ -346,3 +346,9 @@ def test_gradients_are_finite_where_the_robot_stands_at_its_goal_on_somebody():
         return sum(value.sum() for value in metrics.results(values).values())
 
     assert np.isfinite(jax.grad(loss)(jnp.zeros(2))).all()
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float16, np.int32])
+def test_time_is_counted_in_the_precision_that_is_set_whatever_the_path_is_given_in(kind):
+    whole = metric.no_time(replace(at(), geodesic=np.array(3, kind)))
+    assert whole.step == np.float32(STEP) and whole.step.dtype == jnp.result_type(float)

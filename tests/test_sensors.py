@@ -339,6 +339,18 @@ def test_a_sensor_is_due_at_its_rate(rate, ticks):
     assert due.sum() == min(round(rate * 120), 1200)
 
 
+@pytest.mark.parametrize("rate", [0.0101, 0.015, 0.37])
+def test_a_slow_sensor_is_due_at_its_rate(rate):
+    due = [bool(sensors.due(np.int32(tick), 0.1, rate)) for tick in range(5000)]
+    assert sum(due) == 1 + int(4999 * 0.1 * rate)
+
+
+@pytest.mark.parametrize("rate", [0.006, 0.0, -1.0, float("nan")])
+def test_a_rate_that_ticks_cannot_count_is_refused(rate):
+    with pytest.raises(ValueError, match="^rate: .* a second is less than once in 1000 steps of 0.1 s; give"):
+        sensors.due(np.int32(0), 0.1, rate)
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

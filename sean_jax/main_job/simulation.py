@@ -22,10 +22,10 @@ from sean_jax import chance, clock, crowding, geometry, parallel
 from sean_jax.base import Array, Frame, Policy, RobotTask, Scenario, State
 from sean_jax.graph import graph_of
 from sean_jax.scenario import reset, results
+from sean_jax.stopping import COMPILER
 
 CHUNK = 100  # control steps between two looks at the progress
 KEPT = 4  # episodes of which the frames are kept
-COMPILER = "sean-compiler"  # name of the thread that compiles
 # What draws starts runs once a batch, so on a CPU it is compiled quickly rather than to be quick.
 ONCE = {"cpu": {"xla_backend_optimization_level": 0}}
 
@@ -230,7 +230,7 @@ def _count(scenario: Scenario, tally: Tally, frames: Frame, present: Array, acti
         node, walked = jax.vmap(crowding.follow, (None, 0, 0, 0))(graph, tally.node, frames.people, present)
         walks = walks.at[tally.node, node].add((walked & active[:, None]).astype(jnp.int32))
     distance, _, _ = jax.vmap(geometry.from_box, (None, None, 0))(x, y, scenario.environment.obstacles)
-    edge = jnp.inf if scenario.environment.open else geometry.to_edge(scenario.environment, x, y)
+    edge = geometry.to_border(scenario.environment, x, y)
     nearest = jnp.minimum(jnp.min(distance, 0, initial=jnp.inf), edge)
     inside = jnp.where(here, scenario.forces.radius - nearest, -jnp.inf)
     bits = jnp.asarray(2 ** np.arange(frames.situations.shape[-1]), jnp.int32)

@@ -39,7 +39,7 @@ class Duration(NamedTuple):
 
 def no_time(moment: Moment) -> Duration:
     """None so far."""
-    return Duration(nothing(moment), jnp.full_like(moment.geodesic, moment.time_step))
+    return Duration(nothing(moment), jnp.asarray(moment.time_step, float))
 
 
 def seconds(value: Duration) -> Array:

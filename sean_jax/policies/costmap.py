@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from sean_jax.base import Array, Pedestrians, Scenario
-from sean_jax.geometry import from_rectangle, length, to_edge
+from sean_jax.geometry import from_rectangle, length, to_border
 from sean_jax.nearby import around
 
 TOUCHES = 253.0  # the disc of the robot touches something there
@@ -86,7 +86,7 @@ def costs(scenario: Scenario, layers: Layers, people: Pedestrians, x: Array, y: 
     x, y = x.ravel(), y.ravel()
     rows = around(scenario.environment.nearby, x, y)
     walls = from_rectangle(x[:, None], y[:, None], *(rows[..., part] for part in range(6)))[0]
-    edge = to_edge(scenario.environment, x, y)
+    edge = to_border(scenario.environment, x, y)
     gap = jnp.minimum(jnp.min(walls, 1), edge) - radius
 
     def person(px: Array, py: Array, vx: Array, vy: Array, present: Array) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from sean_jax.base import Array, Nearby, Scenario, State
-from sean_jax.geometry import from_rectangle, length, to_edge
+from sean_jax.geometry import from_rectangle, length, to_border
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
 from sean_jax.nearby import around
 
@@ -41,7 +41,7 @@ def to_obstacles(nearby: Nearby, x: Array, y: Array) -> Array:
 
 def obstacle_rate(scenario: Scenario, weights: Weights, x: Array, y: Array) -> Array:
     """(T, P) 1/s at places x, y (T, P) [m]: beside obstacles and the edge of the floor."""
-    edge = to_edge(scenario.environment, x, y)
+    edge = to_border(scenario.environment, x, y)
     gap = jnp.minimum(to_obstacles(scenario.environment.nearby, x, y), edge) - scenario.robot.radius - SPARE
     near = jnp.clip(1.0 - gap / ROOM, 0.0, 1.0)
     inside = jnp.clip(-gap / SPARE, 0.0, 10.0)

@@ -57,7 +57,7 @@ def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...])
         ValueError: one of them is not free, or there is no way between them.
     """
     for name, pose in (("start", start), ("goal", goal)):
-        if not isinstance(pose, (tuple, list)) or len(pose) not in (2, 3):
+        if np.ndim(pose) != 1 or len(pose) not in (2, 3):
             raise ValueError(f"{name}: {pose} must be x and y in metres, and if you like a heading in degrees.")
         for what, number, most in zip(("x", "y", "heading"), pose, (FARTHEST, FARTHEST, 3600.0), strict=False):
             check(f"{name}: {what}", number, -most, most, "degrees" if what == "heading" else "m")
