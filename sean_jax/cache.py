@@ -9,14 +9,14 @@ import hashlib
 import os
 import tempfile
 import time
-import zipfile
-import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from sean_jax.writing import DAMAGED
 
 PACKAGE = Path(__file__).resolve().parent
 LARGEST, MOST = 1 << 29, 500  # bytes and files in the folder, beyond which the oldest are removed
@@ -28,8 +28,14 @@ _recent: OrderedDict[str, Tables] = OrderedDict()
 
 
 def folder() -> Path:
-    """The package's folder in the user's cache."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sean_jax"
+    """The package's folder in the user's cache; who has no home has one among the temporary files."""
+    place = os.environ.get("XDG_CACHE_HOME")
+    if not place:
+        try:
+            place = Path.home() / ".cache"
+        except RuntimeError:
+            place = Path(tempfile.gettempdir()) / f"cache-{os.getuid() if hasattr(os, 'getuid') else 'own'}"
+    return Path(place) / "sean_jax"
 
 
 def kept(kind: str, code: tuple[str, ...], inputs: Iterable[Any], make: Callable[[], Tables]) -> Tables:
@@ -81,7 +87,7 @@ def _read(path: Path, name: str) -> Tables | None:
         if str(found.pop("name")) != name:
             return None
         os.utime(path)  # the oldest are removed first
-    except (OSError, ValueError, KeyError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error):
+    except DAMAGED:
         return None
     return found
 

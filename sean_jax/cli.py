@@ -23,9 +23,10 @@ from sean_jax.experiments.options import Experiment
 from sean_jax.learning.options import Collect, Export, Failed, Train
 from sean_jax.main_job.options import Options
 from sean_jax.options import BadInput, check_file, check_limits, check_new_folder
-from sean_jax.writing import Unwritable, whole
+from sean_jax.writing import Unwritable, broken, contents, whole
 
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # of those that matplotlib writes
+LEARNING = ("optax", "orbax", "tensorstore")  # what the extra "learning" brings
 WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, what broke midway, Ctrl-C, SIGTERM
 
 
@@ -55,7 +56,7 @@ class ImportMap:
     map: Annotated[Path, tyro.conf.Positional]
     """YAML file of the map."""
     out: Path
-    """Folder to write; it must not exist or be empty. Its path then serves as --environment."""
+    """Folder to write; it must be new or empty. Its path then serves as --environment."""
     people: int | None = None
     """Default number of people; one for each 25 m2 of free floor by default."""
     height: float = 2.0
@@ -90,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with stopping.stoppable() as received:
         code = _main(arguments)
         code = TERMINATED if code == STOPPED and signal.SIGTERM in received else code
-        if code in (STOPPED, TERMINATED) and any(thread.name == "sean-compiler" for thread in threading.enumerate()):
+        if code in (STOPPED, TERMINATED) and any(thread.name == stopping.COMPILER for thread in threading.enumerate()):
             os._exit(code)  # the compiler cannot be interrupted, and the interpreter would wait for it
     return code
 
@@ -124,8 +125,11 @@ def _main(arguments: Sequence[str] | None) -> int:
     except Failed as error:
         return _fail(str(error), FAILED)
     except OSError as error:
-        where = f" ({error.filename})" if error.filename else ""
-        return _fail(f"{(error.strerror or str(error)).lower()}{where}; nothing was written.", WRONG)
+        return _fail(f"{broken(error)}; nothing was written.", WRONG)
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] not in LEARNING:
+            raise
+        return _fail(f'{error.name} is missing; pip install "sean_jax[learning]".', WRONG)
     except FloatingPointError as error:
         return _fail(str(error), FAILED)
     except KeyboardInterrupt as error:
@@ -232,11 +236,12 @@ def _learn(command: Collect | Train | Export | Experiment) -> int:
             _say(console, "written: ", learning.export(command.dataset, command.out))
     except FloatingPointError as error:
         return _fail(str(error), FAILED)
-    except ModuleNotFoundError as error:
-        return _fail(f'{error.name} is missing; pip install "sean_jax[learning]".', WRONG)
-    except KeyboardInterrupt:
+    except (OSError, KeyboardInterrupt) as error:
         kept = f"what was finished until then is in {folder}, and the same command goes on"
-        return _fail(f"stopped; {kept if folder.exists() else 'nothing was written'}.", STOPPED)
+        kept = f"{kept if contents(folder) else 'nothing was written'}."
+        if isinstance(error, KeyboardInterrupt):
+            return _fail(f"stopped; {kept}", STOPPED)
+        return _fail(f"{broken(error)}; {kept}", FAILED)
     return 0
 
 

@@ -29,7 +29,7 @@ MOST_BYTES = 100_000_000  # of an image
 MOST_CELLS = 16_000_000
 SMALLER = "cut it out or lower its resolution"
 FORMATS, NAMED = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF"), "a PGM or PNG file"
-MOST_PEOPLE = 60
+USUAL_MOST = 60  # people, unless told otherwise
 
 
 class MapFile(pydantic.BaseModel):
@@ -207,7 +207,7 @@ def _without_slivers(found: list[tuple[int, int, int, int]], covered: np.ndarray
 def import_map(
     path: Path | str, folder: Path | str, *, people: int | None = None, height: float = 2.0, unknown: str = "obstacle"
 ) -> Imported:
-    """Write the environment of a ROS map to a folder, which must not exist or be empty.
+    """Write the environment of a ROS map to a folder, which must be new or empty.
 
     ``people`` is the default number of people, one for each 25 m2 of free floor if None; ``height`` [m] is that of
     all boxes, for a map has none; ``unknown`` says what unknown cells are, ``obstacle`` or ``free``. What was written
@@ -216,7 +216,7 @@ def import_map(
     folder = Path(folder)
     quantities.check("height", height, 0.1, 100.0, "m")
     if people is not None:
-        quantities.check("people", people, 0, quantities.MOST_PEOPLE)
+        quantities.check_whole("people", people, 0, quantities.MOST_PEOPLE)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ValueError(f"{folder} exists and is not an empty folder; give another one.")
     raster = read(path)
@@ -226,7 +226,7 @@ def import_map(
         raise ValueError(f"{files.shown(Path(path))}: {what} cell is an obstacle; look at negate and the thresholds.")
     boxes = rectangles(solid, int(solid.size * (1 - AGREE) * SPARED))
     free = float((~solid).sum()) * raster.resolution**2
-    count = max(1, min(MOST_PEOPLE, round(free / AREA_OF_ONE))) if people is None else people
+    count = max(1, min(USUAL_MOST, round(free / AREA_OF_ONE))) if people is None else people
     with writing.whole_folder(folder) as made:
         name = folder.resolve().name
         source = f"ROS map {Path(path).name}, {raster.resolution:g} m a cell"

@@ -96,9 +96,7 @@ def _texture(model: Any, kind: str) -> np.ndarray | None:
             pixels = pixels[:, :, :3] if channels >= 3 else np.repeat(pixels[:, :, :1], 3, axis=-1)  # grey
             if kind == "skybox":
                 return pixels[:, pixels.shape[1] // 2] / 255.0
-            code = pixels.astype(np.int32) @ np.array([65536, 256, 1], np.int32)
-            return (
-                np.array([[shade >> 16 & 255, shade >> 8 & 255, shade & 255] for shade in (code.min(), code.max())])
-                / 255
-            )
+            shades = pixels.reshape(-1, 3)
+            light = shades.sum(-1, dtype=np.int32)
+            return shades[[light.argmin(), light.argmax()]] / 255
     return None

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from types import FrameType
 
 AGAIN = 0.02  # s
+COMPILER = "sean-compiler"  # name of the thread that compiles, which nothing stops
 
 
 @contextlib.contextmanager
@@ -15,14 +16,16 @@ def stoppable() -> Iterator[list[int]]:
     """Until the block ends Ctrl-C and SIGTERM raise KeyboardInterrupt in the main thread; the signals received.
 
     In a callback of ``weakref``, of which JAX's caches have many, Python would tell of the exception and forget it:
-    there it is put off.
+    there it is put off. A signal that is ignored, or that somebody handles outside Python, stays so.
     """
     received: list[int] = []
+    put_off: list[int] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
         if number in kinds:
             received.append(number)
-        if hasattr(signal, "setitimer") and _in_a_callback(frame):
+        if again and _in_a_callback(frame):
+            put_off.append(number)
             signal.setitimer(signal.ITIMER_REAL, AGAIN)
         else:
             raise KeyboardInterrupt
@@ -31,11 +34,15 @@ def stoppable() -> Iterator[list[int]]:
         yield received
         return
     kinds = (signal.SIGINT, signal.SIGTERM)
-    again = (signal.SIGALRM,) if hasattr(signal, "setitimer") else ()
-    before = {kind: signal.signal(kind, stop) for kind in (*kinds, *again)}
+    alarmed = hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) is not None
+    again = (signal.SIGALRM,) if alarmed else ()
+    ours = [kind for kind in kinds if signal.getsignal(kind) not in (None, signal.SIG_IGN)]
+    before = {kind: signal.signal(kind, stop) for kind in (*ours, *again)}
     try:
         yield received
     finally:
+        if put_off:  # else an alarm that comes later would end the process
+            signal.setitimer(signal.ITIMER_REAL, 0)
         for kind, handler in before.items():
             signal.signal(kind, handler)
 

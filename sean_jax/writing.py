@@ -1,8 +1,8 @@
 """Writing results: whole or not at all, and by one process at a time.
 
 A file is written under another name and renamed. A folder that is worked in holds a ``.lock`` meanwhile, which says by
-whom; the kernel frees it however its process ends, so it is never stale. Who only reads takes no lock and writes
-nothing.
+whom; the kernel frees it however its process ends, so it is never stale. Readers write nothing, and hold no lock for
+longer than a look.
 """
 
 import contextlib
@@ -11,6 +11,11 @@ import errno
 import os
 import shutil
 import socket
+import struct
+import time
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -21,6 +26,12 @@ except ImportError:  # Windows, where folders are not locked
     fcntl = None
 
 LOCK = ".lock"
+PATIENCE = 0.1  # s, for which one who wants to write waits for those who look
+DAMAGED = (
+    OSError, ValueError, LookupError, TypeError, EOFError, OverflowError, MemoryError, RuntimeError, SyntaxError,
+    struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""what numpy raises for a .npz file that is damaged, whichever of its bytes it is"""
 
 
 class Unwritable(ValueError):
@@ -112,15 +123,13 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         raise Unwritable(f"{folder} is a file, give the name of a folder with --out.")
     try:
         with held(unfinished):
-            if contents(folder):
-                raise Unwritable(f"the folder {folder} is not empty, choose another with --out.")
+            _vacant(folder)
             made = unfinished / "whole"
             shutil.rmtree(made, ignore_errors=True)
             made.mkdir()
             try:
                 yield made
-                if folder.is_dir():
-                    folder.rmdir()
+                _vacant(folder, remove=True)
                 made.rename(folder)
             finally:
                 shutil.rmtree(made, ignore_errors=True)
@@ -138,13 +147,15 @@ def contents(folder: Path) -> list[str]:
 
 def is_held(folder: Path) -> bool:
     """Whether somebody writes in the folder now. This writes nothing."""
-    if fcntl is None or not (folder / LOCK).is_file():
+    if fcntl is None:
         return False
-    with (folder / LOCK).open("rb") as stream:
-        try:
+    try:
+        with (folder / LOCK).open("rb") as stream:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
+    except BlockingIOError:
+        return True
+    except OSError:  # there is none, or it is somebody else's
+        pass
     return False
 
 
@@ -153,11 +164,17 @@ def reason(error: OSError) -> str:
     return "the disk is full" if error.errno == errno.ENOSPC else (error.strerror or str(error)).lower()
 
 
+def broken(error: OSError) -> str:
+    """What went wrong, and with which file."""
+    return reason(error) + (f" ({error.filename})" if error.filename else "")
+
+
 def _alone(file: Path) -> int:
     """A descriptor of the file, made if need be, that nobody else gets until it is closed.
 
-    Raises BlockingIOError if another has it, OSError if it cannot be had.
+    Raises BlockingIOError if another has it for longer than a look, OSError if it cannot be had.
     """
+    until = time.monotonic() + PATIENCE
     while True:
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
         try:
@@ -167,10 +184,26 @@ def _alone(file: Path) -> int:
                 return descriptor
         except FileNotFoundError:
             pass  # who had it renamed or removed it in between
+        except BlockingIOError:
+            if time.monotonic() > until:
+                os.close(descriptor)
+                raise
+            time.sleep(PATIENCE / 20)
         except BaseException:
             os.close(descriptor)
             raise
         os.close(descriptor)
+
+
+def _vacant(folder: Path, remove: bool = False) -> None:
+    """Refuse a folder that holds something, or is being written; what a kill left there may go with the folder."""
+    if not folder.is_dir():
+        return
+    with held(folder):
+        if contents(folder):
+            raise Unwritable(f"the folder {folder} is not empty, choose another with --out.")
+        if remove:
+            shutil.rmtree(folder)
 
 
 def _names(folder: Path) -> list[str]:

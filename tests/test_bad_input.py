@@ -2,6 +2,7 @@
 
 import json
 import os
+import zlib
 from pathlib import Path
 
 import jax
@@ -77,6 +78,8 @@ def test_no_reader_waits_for_a_pipe_or_reads_a_device_or_a_giant(tmp_path, name)
         ("!!timestamp 2001-01-01", "'!!timestamp'"),
         ("!!bool abc", "'!!bool'"),
         ("!thing 1", "'!thing'"),
+        ("!!str {b: c}", "tags such as '!!str' mean nothing here; remove it"),
+        ("!!str [1, 2]", "'!!str'"),
         ("[" * 3000, "nested deeper than 60 levels"),
         ("9" * 5000, "a number has 5000 characters"),
         ('"\\ud800"', "half a character"),
@@ -103,6 +106,7 @@ def test_bombs_are_not_unfolded(tmp_path, bomb):
 
 
 TEXTURE = '<texture name="t" type="2d" builtin="flat" width="60000" height="60000"/>'
+SKY = '<texture type="skybox" builtin="gradient" width="60000"/>'
 BOX = '<geom type="box" size="1 1 1" pos="0 0 1"/>'
 
 
@@ -119,6 +123,8 @@ BOX = '<geom type="box" size="1 1 1" pos="0 0 1"/>'
         ('</worldbody><size memory="900G"/><worldbody>', 'size memory="900G" must be at most 100M'),
         ('</worldbody><size nuser_geom="1000000000"/><worldbody>', "must be at most 10,000"),
         (f"</worldbody><asset>{TEXTURE}</asset><worldbody>", "more than 25 million pixels"),
+        (f"</worldbody><asset>{SKY}</asset><worldbody>", "more than 25 million pixels"),
+        (f"</worldbody><asset>{SKY.replace('skybox', 'cube')}</asset><worldbody>", "more than 25 million pixels"),
         ('</worldbody><include file="scene.xml"/><worldbody>', "scene.xml includes itself"),
         ('</worldbody><include file="pipe"/><worldbody>', "it is a pipe"),
         ("</geom>", "is not XML: mismatched tag"),
@@ -129,6 +135,49 @@ def test_scenes_are_looked_through_before_mujoco_compiles_them(tmp_path, inside,
     os.mkfifo(tmp_path / "pipe")
     said = refusal(tmp_path, "scene.xml")
     assert words in said and "\n" not in said and ("scene.xml:3" in said or "pipe" in said)
+
+
+@pytest.mark.parametrize(
+    ("compiler", "file"),
+    [
+        ('<compiler texturedir="pictures"/>', "large.png"),
+        ('<compiler assetdir="nowhere"/><compiler assetdir="pictures"/>', "large.png"),
+        ('<compiler texturedir="pictures" strippath="true"/>', "elsewhere/large.png"),
+        ('<compiler texturedir="pictures" strippath="true"/>', "C:\\elsewhere\\large.png"),
+    ],
+)
+@pytest.mark.parametrize("after", [False, True])
+def test_pictures_are_measured_wherever_the_compiler_says_they_are(tmp_path, compiler, file, after):
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "large.png").write_bytes(giant(6_000))
+    assets = f'<asset><texture name="t" type="2d" file="{file}"/></asset>'
+    lines = [assets, compiler] if after else [compiler, assets]
+    write(tmp_path, {"scene.xml": "<mujoco>\n" + "\n".join(lines) + "\n</mujoco>\n"})
+    said = refusal(tmp_path, "scene.xml")
+    assert f"scene.xml:{2 if after else 3}: textures have more than 25 million pixels" in said
+
+
+def test_a_picture_without_a_grid_is_on_all_sides_of_a_cube(tmp_path):
+    (tmp_path / "side.png").write_bytes(giant(3_000))
+    for more, refused in (('type="cube"', True), ('type="2d"', False), ('type="cube" gridsize="3 4"', False)):
+        (tmp_path / "scene.xml").write_text(
+            f'<mujoco><asset><texture name="t" file="side.png" {more}/></asset></mujoco>'
+        )
+        with pytest.raises(files.FileError) as caught:
+            mjcf.read(tmp_path / "scene.xml")
+        assert ("25 million pixels" in str(caught.value)) == refused, more  # else MuJoCo finds that it is cut off
+
+
+def test_a_hundred_errors_of_a_file_are_told_and_the_others_counted(tmp_path):
+    keys = "".join(f"key_{k}: 1\n" for k in range(5_000))
+    write(tmp_path, {"environment.yaml": "name: hall\nfloor: [-5, -4, 5, 4]\npeople: 4\n" + keys})
+    said = refusal(tmp_path, "environment.yaml").split("\n")
+    assert len(said) == 101 and "environment.yaml:4:1: key_0: 'key_0' is not a known key" in said[0]
+    assert said[-1].endswith("environment.yaml: there are 4,900 more errors; mend these first.")
+    twins = "".join(f"key_{k % 1_000}: 1\n" for k in range(2_000))
+    write(tmp_path, {"environment.yaml": twins})
+    said = refusal(tmp_path, "environment.yaml").split("\n")
+    assert len(said) == 101 and said[-1].endswith("there are 900 more errors; mend these first.")
 
 
 def test_a_document_type_is_refused(tmp_path):
@@ -243,14 +292,17 @@ def test_a_policy_of_nonsense(tmp_path, key, value, words):
     assert words in refusal(tmp_path, "config.json")
 
 
-def test_an_image_is_measured_before_it_is_unpacked(tmp_path):
-    header = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + (60_000).to_bytes(4, "big") * 2 + b"\x08\x00\x00\x00\x00"
-    import zlib
-
+def giant(side: int) -> bytes:
+    """A PNG that says it has so many rows and columns, and is cut off."""
+    header = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + side.to_bytes(4, "big") * 2 + b"\x08\x00\x00\x00\x00"
     header += zlib.crc32(header[12:]).to_bytes(4, "big")
     data = zlib.compress(b"\x00" * 1000)
     chunk = len(data).to_bytes(4, "big") + b"IDAT" + data + zlib.crc32(b"IDAT" + data).to_bytes(4, "big")
-    write(tmp_path, {"map.png": header + chunk + b"\x00\x00\x00\x00IEND\xaeB`\x82"})
+    return header + chunk + b"\x00\x00\x00\x00IEND\xaeB`\x82"
+
+
+def test_an_image_is_measured_before_it_is_unpacked(tmp_path):
+    write(tmp_path, {"map.png": giant(60_000)})
     assert "has more than 16 million cells; cut it out or lower its resolution" in refusal(tmp_path, "map.png")
     assert mjcf._pixels((tmp_path / "map.png").read_bytes()) == 60_000**2
 
@@ -300,6 +352,14 @@ def test_make_refuses_numbers_that_make_no_world(arguments):
     with pytest.raises(ValueError, match=f"^{name}") as caught:
         sean_jax.make(**{"environment": "lab", "people": 2, "dynamics": "twin", **given})
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("radius", [0.0, -0.2, 11.0])
+def test_bodies_have_a_size(radius):
+    forces = sean_jax.social_forces.preset("sean2").replace(radius=np.float32(radius))
+    for people in (None, 2):
+        with pytest.raises(ValueError, match=r"^forces.radius: .* must be from 0.01 to 10 m"):
+            sean_jax.make("lab", people=people, forces=forces, dynamics="twin")
 
 
 def test_numbers_that_are_checked_are_given_back():

@@ -14,6 +14,9 @@ import pytest
 
 import sean_jax
 from sean_jax import cache, environment, navigation
+from sean_jax.behaviors import random_behavior, starts
+from sean_jax.graph import places
+from sean_jax.handcrafted import annotation, room
 from sean_jax.navigation import tables
 
 BOX = '<geom type="box" pos="{x} 0 1" size="0.5 2 1"/>'
@@ -211,3 +214,29 @@ print(int(scenario.navigation.visible.sum()))
         done = subprocess.run([sys.executable, "-c", *words], env=environ, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         assert int(done.stdout.split()[-1]) == int(scenario.navigation.visible.sum())
+
+
+def test_tables_depend_on_the_code_that_makes_them(made, hall, monkeypatch):
+    """Also on the file that holds the function, which is not always among those that it calls."""
+    codes = {}
+    kept = cache.kept
+
+    def watched(kind, code, inputs, make):
+        codes[kind] = code
+        return kept(kind, code, inputs, make)
+
+    monkeypatch.setattr(cache, "kept", watched)
+    place = environment.load(hall)
+    way = navigation.build(place, 0.25)
+    random_behavior.build(hall, place, way, 2)
+    monkeypatch.setattr(starts, "_reached", lambda _, spots: np.zeros(len(spots), bool))
+    starts.uniform(place, way, 2, dense=True)
+    assert "behaviors/random_behavior" in codes["goals"] and "behaviors/starts" in codes["reached"]
+
+
+def test_ways_of_walkers_depend_on_the_room_that_a_person_needs(made, monkeypatch):
+    """That number is not among the inputs, and stands in another file."""
+    codes = {}
+    monkeypatch.setattr(cache, "kept", lambda kind, code, inputs, make: codes.setdefault(kind, code) and make())
+    annotation.read(environment.ENVS / "lab", environment.load("lab"))
+    assert "graph/places" in codes["legs"] and room.PERSON is places.PERSON

@@ -5,13 +5,15 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
-from sean_jax import cli, compiler, main_job
+from sean_jax import bench, cache, cli, compiler, learning, main_job
+from sean_jax.bench import page, parts
 
 SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
 
@@ -297,3 +299,55 @@ def test_alarms_of_the_compiler_reach_nobody(imported, monkeypatch):
     program = [sys.executable, "-c", SLOW_TO_COMPILE, *["package"] * imported]
     said = subprocess.run(program, capture_output=True, text=True, check=True).stderr
     assert ("slow_operation_alarm" in said) != imported
+
+
+@pytest.mark.parametrize("raised", [OSError(28, "No space left on device", "shard"), KeyboardInterrupt()])
+@pytest.mark.parametrize("kept", [True, False])
+def test_what_is_kept_of_learning_is_told(raised, kept, capsys, monkeypatch, tmp_path):
+    folder = tmp_path / "made"
+    folder.mkdir()
+
+    def fail(*arguments):
+        if kept:
+            (folder / "part").touch()
+        raise raised
+
+    monkeypatch.setattr(learning, "collect", fail)
+    code = cli.main(["collect", "--out", str(folder)])
+    error = capsys.readouterr().err
+    assert code == (130 if isinstance(raised, KeyboardInterrupt) else 1) and len(error.splitlines()) == 1
+    assert ("the disk is full (shard); " if code == 1 else "stopped; ") in error
+    assert (f"finished until then is in {folder}, and the same command goes on" in error) is kept
+    assert ("nothing was written" in error) is not kept
+
+
+def test_a_missing_extra_is_named_by_every_command(capsys, monkeypatch, tmp_path):
+    def fail(*arguments):
+        raise ModuleNotFoundError("No module named 'orbax'", name="orbax.checkpoint")
+
+    monkeypatch.setattr(main_job, "_scenarios", fail)
+    assert cli.main(["run", "--out", str(tmp_path / "run")]) == 2
+    assert 'orbax.checkpoint is missing; pip install "sean_jax[learning]".' in capsys.readouterr().err
+
+
+def test_who_has_no_home_has_a_cache(monkeypatch):
+    def none():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", none)
+    assert cache.folder().is_relative_to(tempfile.gettempdir())
+
+
+def test_a_full_disk_leaves_what_a_benchmark_measured(monkeypatch, capsys, tmp_path):
+    def measures(options, scenario):
+        (tmp_path / "made" / "table.txt").write_text("one row")
+        raise OSError(28, "No space left on device")
+        yield
+
+    monkeypatch.setattr(bench, "_prepare", lambda options: (None, {}))
+    monkeypatch.setattr(page, "title", lambda about: "")
+    monkeypatch.setattr(parts, "MEASURES", dict.fromkeys(parts.MEASURES, measures))
+    assert cli.main(["bench", "--out", str(tmp_path / "made")]) == 1
+    said = f"the disk is full; what was measured until then is in {tmp_path / 'made'}."
+    assert said in capsys.readouterr().err

@@ -6,6 +6,7 @@ import json
 import shutil
 import threading
 import time
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +14,9 @@ import numpy as np
 import pytest
 
 from sean_jax import chance, cli, writing
-from sean_jax.experiments import shares, together
+from sean_jax.experiments import shares, table1, together
 from sean_jax.experiments.options import BEHAVIORS, Experiment
-from sean_jax.learning.options import Refused
+from sean_jax.learning.options import Failed, Refused
 from sean_jax.metrics import METRICS
 
 
@@ -150,13 +151,25 @@ def test_a_folder_of_another_experiment_is_refused(tmp_path):
     assert parts.begun(options)
     with pytest.raises(Refused, match="begun with --seed 0, not 1"):
         parts.begun(Experiment("table1", quick=True, seed=1, out=tmp_path / "here").settled())
+    kept = parts.saved(tmp_path / "here" / parts.OPTIONS)
+    parts.save(tmp_path / "here" / parts.OPTIONS, {**kept, "versions": {**kept["versions"], "jax": "0.1"}})
+    with pytest.raises(Refused, match="begun with jax 0.1, not .*; go on with the same"):
+        parts.begun(options)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("dear")
     with pytest.raises(Refused, match="holds something else"):
         parts.begun(Experiment("table1", out=tmp_path / "full").settled())
-    (tmp_path / "here" / parts.OPTIONS).write_text("{")
-    with pytest.raises(Refused, match="damaged"):
-        parts.begun(options)
+    for content in ("{", '{"options": []}'):
+        (tmp_path / "here" / parts.OPTIONS).write_text(content)
+        with pytest.raises(Refused, match="damaged"):
+            parts.begun(options)
+
+
+def test_a_damaged_cell_is_named(tmp_path):
+    options, unasked = Experiment("table1", quick=True, out=tmp_path).settled(), cast(Any, None)
+    (tmp_path / "random-expert.npz").write_text("half of it")
+    with pytest.raises(Failed, match=r"random-expert.npz is damaged .*; remove it, and the same command"):
+        table1._cell(options, tmp_path, "random", "expert", None, unasked, unasked)
 
 
 def test_parts_wait_for_what_they_need_and_are_the_same_in_threads(monkeypatch):

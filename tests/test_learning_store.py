@@ -1,20 +1,25 @@
 """Datasets on disk: whole after any kill, the same to the byte, and one sentence for whatever is wrong with them."""
 
+import dataclasses
 import importlib.util
 import json
 import os
+import shutil
 from pathlib import Path
 
 import learning_data
 import numpy as np
 import pytest
 
-from sean_jax import cli, writing
-from sean_jax.learning import collect_job, dataset, store
+from sean_jax import cli, environment, writing
+from sean_jax.experiments.options import Experiment
+from sean_jax.learning import collect_job, dataset, lerobot, store
 from sean_jax.learning.dataset import open_dataset, split
 from sean_jax.learning.examples import example
 from sean_jax.learning.loader import Loader, Token
-from sean_jax.learning.options import Failed, Refused
+from sean_jax.learning.manifests import check_manifest, read_trained
+from sean_jax.learning.options import Collect, Failed, Refused, Train
+from sean_jax.learning.recorder import Recorder
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -288,7 +293,7 @@ def test_export_to_lerobot(made, tmp_path):
     stats = json.loads((out / "meta/stats.json").read_text())
     np.testing.assert_allclose(stats["action"]["std"], np.std(rows["action"], 0), atol=1e-5)
     assert parquet.read_table(out / "meta/tasks.parquet").to_pydict()["task"] == ["join group", "leave group"]
-    with pytest.raises(Refused, match="holds something already"):
+    with pytest.raises(Refused, match="is not empty"):
         export(made.folder, out)
 
 
@@ -302,3 +307,91 @@ def test_lerobot_loads_the_export(made, tmp_path):
     for index in (0, 77, len(loaded) - 1):
         np.testing.assert_array_equal(loaded[index]["action"].numpy(), rows.command[index])
         np.testing.assert_array_equal(loaded[index]["observation.images.depth"][0].numpy(), rows.depth[index])
+
+
+def test_what_the_options_stand_for_must_not_have_changed(data):
+    """As when somebody edits an environment between two collections of the same options."""
+    parts, _, eye = learning_data.setting()
+    asked = learning_data.options(data.folder, 0.06)
+    edited = dataclasses.replace(parts[0].scenario, goal_radius=parts[0].scenario.goal_radius * 2)
+    others = [dataclasses.replace(part, scenario=edited) for part in parts]
+    with pytest.raises(Refused, match="was begun with another content of scenario or driver; restore it"):
+        collect_job._begun(asked, others, eye)
+    before = data.manifest
+    for name, value, said in (
+        ("versions", {**before["versions"], "jax": "0.1"}, "begun with jax 0.1, not "),
+        ("people", 3, "begun with another people"),
+        ("robot", {**before["robot"], "max_speed": 9.0}, "begun with another robot"),
+        ("camera", {**before["camera"], "far": 1.0}, "begun with another camera"),
+        ("situations", before["situations"][::-1], "begun with another situations"),
+    ):
+        data.save({**before, name: value})
+        with pytest.raises(Refused, match=said):
+            collect_job._begun(asked, parts, eye)
+    data.save({name: value for name, value in before.items() if name not in ("content", "versions")})
+    assert collect_job._begun(asked, parts, eye).recorded == data.recorded
+
+
+def test_options_allow_no_more_than_datasets_and_networks_may_hold(data, tmp_path):
+    most = dataclasses.replace(Collect(), hours=1e6, batch=100_000, width=4096, height=976, time_limit=86_400.0)
+    most.check()
+    camera = {"width": most.width, "height": most.height}
+    told = {
+        **data.manifest,
+        "hours": most.hours,
+        "batch": most.batch,
+        "camera": camera,
+        "seconds": 86_400,
+        "shards": [],
+    }
+    check_manifest(tmp_path, told, tuple(data.fields))
+    for beyond in ({"hours": 1.1e6}, {"batch": 100_001}, {"width": 4097}, {"height": 4097}, {"height": 977}):
+        with pytest.raises(Refused, match=f"--{next(iter(beyond))}"):
+            dataclasses.replace(most, **beyond).check()
+    Experiment("figure4", hours=1e6).check()
+    with pytest.raises(Refused, match="--hours"):
+        Experiment("figure4", hours=1.1e6).check()
+    train = Train("imitation", data.folder, width=4096)
+    train.check()
+    config = {"width": train.width, "flags": True, "image": [most.height, most.width], "situations": ["joining"]}
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    assert read_trained(tmp_path / "config.json").width == train.width
+    with pytest.raises(Refused, match="--width"):
+        dataclasses.replace(train, width=4097).check()
+
+
+def test_an_export_into_what_a_killed_process_left(made, tmp_path, monkeypatch):
+    pytest.importorskip("pyarrow")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / writing.LOCK).write_text("process 1 on a machine that is no more")
+    monkeypatch.setattr(lerobot, "_export", lambda data, out: (out / "kept").touch())
+    lerobot.export(made.folder, tmp_path / "out")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["kept"]
+
+
+def test_a_recorder_goes_on_where_a_kill_left_no_manifest(tmp_path):
+    parts, _, _ = learning_data.setting()
+    (tmp_path / "data" / "depth").mkdir(parents=True)
+    (tmp_path / "data" / writing.LOCK).write_text("process 1 on a machine that is no more")
+    Recorder(tmp_path / "data", parts[0].scenario, width=16, height=12)
+    assert open_dataset(tmp_path / "data").recorded == [0]
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "letter.txt").write_text("dear")
+    with pytest.raises(Refused, match="holds something else already"):
+        Recorder(tmp_path / "full", parts[0].scenario, width=16, height=12)
+    with pytest.raises(Refused, match="more than 4,000,000 pixels"):
+        Recorder(tmp_path / "new", parts[0].scenario, width=4096, height=4096)
+
+
+@pytest.mark.slow
+def test_an_environment_that_was_edited_ends_a_collection_before_it_is_mixed(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(collect_job, "_due", lambda *_: iter(()))
+    shutil.copytree(environment.find("lab"), tmp_path / "place")
+    words = "--behavior random --people 2 --dynamics twin --width 16 --height 12 --hours 0.01 --quiet".split()
+    command = ["collect", "--environment", str(tmp_path / "place"), *words, "--out", str(tmp_path / "data")]
+    assert cli.main(command) == 0 == cli.main(command)
+    scene = tmp_path / "place" / "scene.xml"
+    box = '<geom type="box" pos="0.5 0.5 0.5" size="0.1 0.1 0.5"/></worldbody>'
+    scene.write_text(scene.read_text().replace("</worldbody>", box))
+    assert cli.main(command) == 2
+    assert "was begun with another content of scenario or driver" in capsys.readouterr().err

@@ -1,12 +1,16 @@
 """ROS maps: read by map_server's rules, described by few boxes, and written as environments that load."""
 
+from importlib import import_module
+from typing import Any
+
 import numpy as np
 import pytest
 from PIL import Image
 
-from sean_jax import cli, files, maps
+from sean_jax import cli, files, maps, scenery
 from sean_jax import environment as environments
 
+mujoco: Any = import_module("mujoco")  # which has no type stubs
 OCCUPIED, FREE, UNKNOWN = 0, 254, 205  # as map_saver writes them
 SETTINGS = {"image": "plan.pgm", "resolution": 0.1, "origin": [-3.0, -2.0, 0.0], "negate": 0}
 SETTINGS |= {"occupied_thresh": 0.65, "free_thresh": 0.196}
@@ -180,3 +184,21 @@ def test_command(tmp_path, capsys):
     assert cli.main(["import-map", str(tmp_path / "plam.yaml"), "--out", str(tmp_path / "b")]) == 2
     assert "did you mean 'plan.yaml'?" in capsys.readouterr().err
     assert not (tmp_path / "b").exists()
+
+
+@pytest.mark.parametrize("people", [2.5, "3", True, -1])
+def test_people_of_a_map_are_a_whole_number(tmp_path, people):
+    with pytest.raises(ValueError, match="^people: .* must be "):
+        maps.import_map(write(tmp_path, plan()), tmp_path / "place", people=people)
+    assert not (tmp_path / "place").exists()
+
+
+def test_a_floor_has_its_darkest_and_lightest_color():
+    """By all three channels together, whatever their order: green is lighter than red when there is more of it."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><asset><texture name="t" type="2d" builtin="checker" width="8" height="8" '
+        'rgb1="0.2 1 1" rgb2="0.4 0 0"/></asset></mujoco>'
+    )
+    found = scenery._texture(model, "2d")
+    assert found is not None
+    np.testing.assert_allclose(found, [[0.4, 0, 0], [0.2, 1, 1]], atol=0.01)

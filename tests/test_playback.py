@@ -1,5 +1,8 @@
 """Playback (section IV-D): recorded people are where they were recorded, enter and leave; an open place works too."""
 
+import time
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -124,6 +127,49 @@ def test_whoever_is_not_seen_for_long_has_left(tmp_path):
     there = np.asarray(table.present)[:, 0]
     assert there.tolist() == [True] * 10 + [False] * 30 + [True] * 14  # a short gap is bridged
     np.testing.assert_allclose(np.asarray(table.position)[50:54, 0, 0], [5.0, 5.1, 5.2, 5.3][:4], atol=0.01)
+
+
+@pytest.mark.parametrize("rate", [2.5, 3.0, 7.0, 10.0, 16.0, 29.97, 30.0])
+def test_a_gap_of_two_seconds_is_bridged_wherever_it_is(tmp_path, rate):
+    """Whatever rounding does to the times of its ends; only rates that have a frame two seconds later are asked."""
+    gap, path = int(2.0 * rate), tmp_path / "gap.csv"
+    for first in (0, 1, 7, 1001, 12345, 999_999):
+        rows = "".join(f"{frame},a,{0.1 * k},0\n" for k, frame in enumerate((first, first + gap, first + gap + 1)))
+        path.write_text("frame,id,x,y\n" + rows)
+        assert np.asarray(tracks.read(path, rate, 0.1).present)[:20].all(), first
+
+
+def test_rows_are_those_of_first_fit():
+    """Each walk is in the first row that has been free for a step, by looking through all of them."""
+    generator = np.random.default_rng(0)
+    for _ in range(50):
+        begins = np.sort(generator.integers(0, 60, 80)).tolist()
+        walks = [(begin, np.zeros((int(generator.integers(2, 25)), 2))) for begin in begins]
+        plain: list = []
+        for begin, places in walks:
+            row = next((row for row in plain if row[-1][0] + len(row[-1][1]) < begin), None)
+            if row is None:
+                plain.append(row := [])
+            row.append((begin, places))
+        found = tracks._rows(walks, Path("people.csv"))
+        assert [[id(places) for _, places in row] for row in found] == [[id(p) for _, p in row] for row in plain]
+
+
+def test_more_people_at_once_than_there_can_be_are_refused(monkeypatch):
+    monkeypatch.setattr(tracks, "MOST_PEOPLE", 3)
+    walks = [(0, np.zeros((5, 2)))] * 4
+    assert len(tracks._rows(walks[:3], Path("people.csv"))) == 3
+    with pytest.raises(ValueError, match="people.csv: more than 3 people are there at once; cut the recording"):
+        tracks._rows(walks, Path("people.csv"))
+
+
+def test_a_recording_of_many_people_is_read_in_seconds(tmp_path):
+    path = tmp_path / "many.csv"
+    lines = [f"{2 * person + k},{person},{0.1 * k:.1f},0" for person in range(20_000) for k in range(5)]
+    path.write_text("frame,id,x,y\n" + "\n".join(lines) + "\n")
+    begun = time.process_time()
+    table = tracks.read(path, 10.0, 0.1)
+    assert time.process_time() - begun < 10.0 and np.asarray(table.present).sum() == 100_000
 
 
 @pytest.mark.parametrize(

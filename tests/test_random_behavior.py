@@ -1,5 +1,8 @@
 """Random behavior (section IV-D): uniform starts and goals that can be reached, ways around obstacles, no groups."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -111,3 +114,25 @@ def test_more_people_than_fit_are_refused_with_the_most_that_do(tmp_path):
     assert full.people == most
     with pytest.raises(ValueError, match=f"is {most}"):
         sean_jax.make(tmp_path, behavior="random", task="random_ab_nav", people=most + 1, dynamics="twin")
+
+
+def test_candidates_are_bounded_before_they_are_drawn(monkeypatch):
+    """A floor of kilometres and hundreds of the widest discs; what needs fewer is drawn as ever."""
+    drawn = []
+
+    def nowhere(_, spots):
+        drawn.append(len(spots))
+        return np.zeros((2, len(spots)))
+
+    monkeypatch.setattr(starts, "room_on_host", nowhere)
+    monkeypatch.setattr(starts, "_reached", lambda _, spots: np.zeros(len(spots), bool))
+    monkeypatch.setattr(starts.cache, "kept", lambda kind, code, inputs, make: make())
+    monkeypatch.setattr(starts, "inputs", lambda _: [])
+    navigation: Any = SimpleNamespace(radius=0.25, places=np.zeros((1, 2), np.float32))
+    field: Any = SimpleNamespace(floor=np.array([-2000.0, -2000.0, 2000.0, 2000.0]))
+    starts.uniform(field, navigation, 10)
+    starts.places(field, navigation, np.zeros((500, 2)), np.full(500, 100.0), np.ones(500), [])
+    starts.places(field, navigation, np.zeros((3, 2)), np.array([1.0, 2.0, 50.0]), np.array([1.0, 0.0, 1.0]), [])
+    starts.places(field, navigation, np.zeros((2, 2)), np.array([1.0, 2.0]), np.ones(2), [])
+    assert drawn[0] == starts.MOST_TRIES and starts.MOST_TRIES <= drawn[1] <= starts.MOST_TRIES + 500
+    assert drawn[2:] == [133 + 330579, 133 + 529]

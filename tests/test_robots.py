@@ -587,6 +587,25 @@ def test_unknown_names(wrong, dynamics, message):
             r"bad.xml: a robot must be a base with .*, but joint 'y' is a hinge and not a slide \(see .*\)\.$",
         ),
         ('kv="0.2"', 'kv="0.2" gear="2"', r"but the gear of an actuator is not 1 \(see"),
+        ('kv="0.2"', 'kv="0.2" ctrlrange="-1 1"', r"but its actuators have a ctrlrange, .*; use the numeric max_speed"),
+        ("<velocity name", '<general biastype="none" dyntype="filter" name', "but its actuators are no"),
+        ("<velocity name", '<general gainprm="0.2" biasprm="0 0 -0.2" biastype="affine" dyntype="filter" '
+         'dynprm="1" name', "but its actuators are not of the kind that <velocity> makes"),
+        ("<velocity name", '<general gainprm="0.2" biasprm="0 0 -0.2" biastype="affine" gaintype="affine" name',
+         "but its actuators are not of the kind that <velocity> makes"),
+        ("<velocity name", '<general gainprm="0.2" biasprm="0 0 -0.2" biastype="none" name',
+         "but its actuators are not of the kind that <velocity> makes"),
+        ('<joint name="x" type', '<joint name="x" actuatorfrcrange="-1 1" type', "joint 'x' has an actuatorfrcrange"),
+        ('<body name="base">', '<body name="base" gravcomp="1">', "but one of its bodies has a gravcomp"),
+        ("<option ", '<option density="1.2" ', "but its <option> has a density"),
+        ("<option ", '<option viscosity="1e-5" ', "but its <option> has a viscosity"),
+        ('type="cylinder" size="0.035 0.01" zaxis="0 1 0" mass="0.1"', 'type="box" size="0.05 0.01 0.05" mass="0.1"',
+         "first geom of its left wheel is a box and not a cylinder or a sphere, the first .* right wheel is a box"),
+        ('<geom name="right_wheel"/>', '<geom name="right_wheel" size="0.04 0.01"/>',
+         "but the radii of its wheels are 0.035 m and 0.04 m, not the same"),
+        ('<geom name="right_wheel"/>', '<inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>',
+         "but its right wheel has no geom"),
+        ('pos="0 0.0875 0.035"', 'pos="0.02 0.0875 0.035"', "its wheels lie 0.02 m and 0 m ahead of the base's hinge"),
         ('<joint name="x" type', '<joint name="x" damping="1" type', r"but joint 'x' has a damping \(see"),
         ('<body name="base">', '<body name="base" euler="0 0.1 0">', r"but its base is tilted by 5.73 degrees \(see"),
         (
@@ -595,7 +614,7 @@ def test_unknown_names(wrong, dynamics, message):
             r"the axis of joint 'y' is \(0 0 1\) and not that of y \(see",
         ),
     ],
-)
+)  # fmt: skip
 def test_bad_files_are_refused_in_one_sentence(tmp_path, old, new, message):
     text = robots.ROBOTS["kuri"].read_text()
     assert old in text

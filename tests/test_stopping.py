@@ -3,6 +3,8 @@
 import signal
 import time
 import weakref
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -34,3 +36,33 @@ def test_a_signal_is_not_lost_in_a_callback(kind):
             signal.raise_signal(kind)
         assert received == [kind, kind]
     assert signal.getsignal(kind) == before
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no alarms")
+def test_an_alarm_does_not_outlive_the_block():
+    with stopping.stoppable() as received:
+        stop: Any = signal.getsignal(signal.SIGINT)
+        frame = SimpleNamespace(f_code=SimpleNamespace(co_filename="/lib/weakref.py"), f_back=None)
+        stop(signal.SIGINT, frame)
+    assert received == [signal.SIGINT] and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+    time.sleep(2 * stopping.AGAIN)
+
+
+def test_an_ignored_signal_stays_ignored():
+    """As nohup, or a shell in the background, starts a program."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with stopping.stoppable() as received:
+            signal.raise_signal(signal.SIGINT)
+        assert received == [] and signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_a_handler_that_is_not_pythons_is_left_alone(monkeypatch):
+    before = signal.getsignal(signal.SIGINT)
+    with monkeypatch.context() as patched:
+        patched.setattr(signal, "getsignal", lambda kind: None)
+        with stopping.stoppable():
+            patched.undo()
+            assert signal.getsignal(signal.SIGINT) is before

@@ -2,14 +2,18 @@
 
 import dataclasses
 import json
+import os
 import signal
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from sean_jax import cli, drawing, main_job, writing
-from sean_jax.main_job import simulation, unfinished
+from sean_jax.learning.options import Failed
+from sean_jax.main_job import batches, simulation, unfinished
 from sean_jax.main_job.options import Options
 from sean_jax.options import BadInput
 
@@ -231,3 +235,82 @@ def test_what_is_damaged_is_named(tmp_path):
     (tmp_path / "made" / "unfinished" / "run.json").write_text("{")
     with pytest.raises(BadInput, match="run.json cannot be read .* remove"):
         unfinished.Unfinished(tmp_path / "made", Options())
+
+
+def test_a_run_does_not_end_by_what_others_have_beside_it(tmp_path, monkeypatch):
+    """Folders of other people, and those that vanish while they are looked at."""
+    for name in ("a", "b", "c"):
+        (tmp_path / name / "unfinished").mkdir(parents=True)
+    (tmp_path / "c" / "unfinished" / "run.json").write_text(json.dumps(unfinished._options(Options())))
+    listdir = os.listdir
+
+    def refused(folder):
+        if Path(folder).name in ("a", "b"):
+            raise PermissionError(13, "Permission denied") if Path(folder).name == "a" else FileNotFoundError(2, "gone")
+        return listdir(folder)
+
+    monkeypatch.setattr(os, "listdir", refused)
+    assert unfinished.others(Options(), tmp_path / "new") == [(tmp_path / "c", 0)]
+    assert unfinished.others(Options(), tmp_path / "none" / "new") == []
+
+
+def test_a_damaged_batch_is_named(tmp_path):
+    kept = unfinished.Unfinished(tmp_path / "made", Options())
+    kept.place.mkdir(parents=True)
+    np.savez_compressed(kept._file(0, 2), completed=np.zeros(2, bool))
+    content = kept._file(0, 2).read_bytes()
+    for broken in (content, b"", content[:-30], content[:40] + b"0" * 40 + content[80:], b"\x93NUMPY" + content[6:]):
+        kept._file(0, 2).write_bytes(broken)
+        with pytest.raises(Failed, match="batch-00000000-2.npz is damaged .* remove it"):
+            kept.load(0, 2)
+    for name in ("batch-x.npz", "batch-0-x.npz", "batch-00000000-2-x.npz"):
+        (kept.place / name).touch()
+    assert kept.episodes == 2
+
+
+def test_a_run_that_does_not_tell_its_options_is_not_gone_on_with(tmp_path):
+    (tmp_path / "unfinished").mkdir()
+    (tmp_path / "unfinished" / "run.json").write_text("{}")
+    with pytest.raises(BadInput, match="run.json does not tell --environment; remove"):
+        unfinished.Unfinished(tmp_path, Options())
+
+
+def test_results_have_nothing_of_one_who_was_killed(tmp_path):
+    kept = unfinished.Unfinished(tmp_path, Options())
+    (kept.place / "written").mkdir(parents=True)
+    (kept.place / "written" / "camera.gif").write_text("half of it")
+    with kept.results(True) as place:
+        (place / "summary.json").write_text("{}")
+    assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
+
+
+def test_a_folder_that_was_filled_meanwhile_is_not_said_to_be_written_by_oneself(tmp_path):
+    with writing.held(tmp_path):
+        (tmp_path / "summary.json").write_text("{}")
+        with pytest.raises(BadInput, match="is not empty"):
+            unfinished.Unfinished(tmp_path, Options())
+
+
+def test_batches_after_a_removed_one_are_not_simulated_again(whole, simulated, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr(drawing, "animate", full)
+        assert cli.main(RUN) == 1
+    (removed,) = Path("made/unfinished").glob("batch-00000000-*")
+    removed.unlink()
+    assert cli.main(RUN) == 0 and simulated == [0, 2, 4, 0]
+    assert files(Path("made")) == whole
+
+
+def test_ever_so_many_batches_are_no_list():
+    """A list of them would fill the memory before the first one."""
+
+    class Stop(Exception):
+        pass
+
+    def load(base, kept):
+        assert (base, kept) == (0, 1)
+        raise Stop
+
+    asked: Any = SimpleNamespace(load=load)
+    with pytest.raises(Stop):
+        batches.run_batches([SimpleNamespace(time_limit=1.0)], None, 2**31 - 1, 1, 0, simulation.Watch(), asked)  # pyright: ignore

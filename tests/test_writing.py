@@ -1,10 +1,14 @@
 """Results are whole or not there, a folder has one writer at a time, and who was killed is not in the way."""
 
+import contextlib
+import io
 import signal
 import subprocess
 import sys
+import threading
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 
 from sean_jax import writing
@@ -125,3 +129,53 @@ def test_a_whole_folder_appears_whole_or_not_at_all(tmp_path):
         (folder / "a").write_text("1")
         raise KeyboardInterrupt
     assert names(tmp_path) == ["deep", "deep/run", "deep/run/a"]
+
+
+def test_what_a_killed_writer_left_in_the_folder_is_in_nobodys_way(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    for name in (writing.LOCK, ".summary.json.new"):
+        (folder / name).write_text("process 1 on a machine that is no more")
+    with writing.whole_folder(folder) as made:
+        (made / "a").write_text("1")
+    assert names(tmp_path) == ["run", "run/a"]
+    (tmp_path / "other").mkdir()
+    with writing.held(tmp_path / "other"):  # told before the work, not after it
+        with pytest.raises(Unwritable, match="other is being written by process"):
+            with writing.whole_folder(tmp_path / "other"):
+                raise AssertionError
+
+
+@pytest.mark.skipif(writing.fcntl is None, reason="this system locks no folders")
+def test_who_looks_disturbs_nobody(tmp_path):
+    lock = tmp_path / writing.LOCK
+    lock.touch()
+    with lock.open("rb") as look:
+        writing.fcntl.flock(look, writing.fcntl.LOCK_SH)
+        timer = threading.Timer(0.02, lambda: writing.fcntl.flock(look, writing.fcntl.LOCK_UN))
+        timer.start()
+        with writing.held(tmp_path):
+            assert writing.is_held(tmp_path)
+        timer.join()
+    assert not writing.is_held(tmp_path)
+
+
+def test_a_lock_that_cannot_be_read_is_nobodys(tmp_path, monkeypatch):
+    def refused(*arguments):
+        raise PermissionError(13, "Permission denied")
+
+    (tmp_path / writing.LOCK).touch()
+    monkeypatch.setattr(type(tmp_path), "open", refused)
+    assert not writing.is_held(tmp_path)
+
+
+def test_whatever_a_damaged_file_raises_is_expected():
+    whole = io.BytesIO()
+    np.savez_compressed(whole, a=np.arange(40), b=np.array("word"))
+    content, random = whole.getvalue(), np.random.default_rng(0)
+    for place in range(len(content)):
+        damaged = bytearray(content)
+        damaged[place] ^= int(random.integers(1, 256))
+        for broken in (bytes(damaged), content[:place]):
+            with contextlib.suppress(*writing.DAMAGED), np.load(io.BytesIO(broken), allow_pickle=False) as found:
+                [found[name] for name in found.files]

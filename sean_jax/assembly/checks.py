@@ -5,6 +5,7 @@ from pathlib import Path
 
 from sean_jax import behaviors, classifiers, files, pedestrian_models, quantities, robots, social_forces, tasks
 from sean_jax import environment as environments
+from sean_jax.recordings.lines import check_clock
 
 # option of make -> the behaviors that it is for, and what the others have instead
 OPTIONS_OF = {
@@ -116,13 +117,14 @@ def _check_people(people: int | None, behavior: str, folder: Path, forces: str |
     if isinstance(forces, str):
         _check_name("forces", forces, social_forces.PRESETS)
         forces = social_forces.PRESETS[forces]
+    radius = quantities.check("forces.radius", float(forces.radius), 0.01, 10.0, "m")
     if people is None:
         return
     quantities.check_whole("people", people, 0, quantities.MOST_PEOPLE)
     if behavior == "handcrafted":
         raise ValueError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
     x_min, y_min, x_max, y_max = environments.floor(folder)
-    area, radius = (x_max - x_min) * (y_max - y_min), float(forces.radius)
+    area = (x_max - x_min) * (y_max - y_min)
     most = int(area / (2 * 3**0.5 * radius**2))  # discs of a body's size, packed in the densest way
     if people > most:
         raise ValueError(f"people: {people} do not fit on a floor of {area:.6g} m2, {most} at most; give fewer.")
@@ -136,10 +138,7 @@ def _check_recording(behavior: str, recording: str | Path | None, frame_rate: fl
     if not Path(recording).is_file():
         what = "is no file" if Path(recording).exists() else "does not exist"
         raise ValueError(f"recording: {recording} {what}; give the path of a CSV file: frame, id, x, y.")
-    if frame_rate is not None:
-        quantities.check("frame_rate", frame_rate, 0.001, 1e4, "frames a second")
-    if kind is not None:
-        _check_name("recording_format", kind, dict.fromkeys(behaviors.playback.FORMATS))
+    check_clock(kind, frame_rate)
 
 
 def _check_graph_options(paths: str | None, spreading: float | None) -> None:

@@ -16,9 +16,7 @@ from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Environment, Groups, Pedestrians, Scenario, State
 from sean_jax.behaviors.random_behavior import no_groups
 from sean_jax.behaviors.tracks import Tracks, read
-from sean_jax.files import suggest
-from sean_jax.quantities import check
-from sean_jax.recordings.lines import FORMATS
+from sean_jax.recordings.lines import check_clock
 from sean_jax.social_forces import draw_traits
 
 
@@ -47,10 +45,7 @@ def build(
     """
     if recording is None:
         raise ValueError("behavior: 'playback' needs a recording; give the path of a CSV file: frame, id, x, y.")
-    if frame_rate is not None:
-        check("frame_rate", frame_rate, 0.001, 1e4, "frames a second")
-    if kind is not None and kind not in FORMATS:
-        raise ValueError(f"recording_format: '{kind}' is not one of {', '.join(FORMATS)}{suggest(kind, FORMATS)}")
+    check_clock(kind, frame_rate)
     tracks = jax.tree.map(jnp.asarray, read(recording, frame_rate, time_step, kind))
     return Behavior(data=tracks, name="playback", reset=reset, direct=direct)
 

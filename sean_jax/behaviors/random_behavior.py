@@ -56,7 +56,8 @@ def build(
     start = starts.uniform(environment, navigation, people, dense=groups.number > 0)
     if people > len(start):
         raise ValueError(f"people: {people} do not fit in {environment.name}; the most that do is {len(start)}.")
-    made = cache.kept("goals", paths.CODE, paths.inputs(navigation), lambda: {"to_goal": _ways(navigation)})
+    code = *paths.CODE, "behaviors/random_behavior"
+    made = cache.kept("goals", code, paths.inputs(navigation), lambda: {"to_goal": _ways(navigation)})
     tables = Tables(
         navigation=navigation,
         start=put(start),

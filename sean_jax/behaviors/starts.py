@@ -12,6 +12,7 @@ from sean_jax.navigation import CODE, Navigation, geodesic, inputs, to_goal
 APART = 0.55  # m between two places: bodies of 0.2 m and some room
 TRIES = 40  # candidates for each place that would fit
 FILLING = 10  # likewise, where a whole floor is filled
+MOST_TRIES = 500_000  # candidates in all
 
 
 def places(
@@ -25,6 +26,8 @@ def places(
     generator = np.random.default_rng(seed)
     center, radius, weight = (np.asarray(part, float) for part in (center, radius, weight))
     number = np.ceil(TRIES * radius**2 / APART**2).astype(int) * (weight > 0)
+    if number.sum() > MOST_TRIES:  # larger discs share these by their areas
+        number = np.ceil(number * (MOST_TRIES / number.sum())).astype(int)
     disc = np.repeat(np.arange(len(radius)), number)
     distance = radius[disc] * np.sqrt(generator.uniform(size=len(disc)))
     angle = generator.uniform(0, 2 * np.pi, len(disc))
@@ -50,10 +53,11 @@ def uniform(
     if len(kept) >= people and not dense:
         return spots[kept]
     floor = np.asarray(environment.floor, float)
-    number = int(FILLING * np.prod(floor[2:] - floor[:2]) / APART**2)
+    number = min(int(FILLING * np.prod(floor[2:] - floor[:2]) / APART**2), MOST_TRIES)
     spots = generator.uniform(floor[:2], floor[2:], (number, 2)).astype(np.float32)
     spots = spots[np.minimum(*room_on_host(environment, spots)) > float(navigation.radius)]
-    made = cache.kept("reached", CODE, [*inputs(navigation), spots], lambda: {"there": _reached(navigation, spots)})
+    code = *CODE, "behaviors/starts"
+    made = cache.kept("reached", code, [*inputs(navigation), spots], lambda: {"there": _reached(navigation, spots)})
     spots = spots[made["there"]]
     return spots[apart(spots, generator)]
 

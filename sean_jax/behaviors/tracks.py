@@ -1,5 +1,6 @@
 """Recorded people as tables at the control step (playback, section IV-D): who is where, when they are there."""
 
+import heapq
 import math
 from pathlib import Path
 
@@ -8,10 +9,12 @@ from flax import struct
 
 from sean_jax.base import Array
 from sean_jax.files import FileError, shown
+from sean_jax.quantities import MOST_PEOPLE
 from sean_jax.recordings import lines
-from sean_jax.recordings.lines import LONGEST_GAP, Lines
+from sean_jax.recordings.lines import LONGEST_GAP, ROUNDING, Lines
 
-MOST_MOMENTS = 10_000_000  # of all people together
+MOST_MOMENTS = 5_000_000  # of all people together
+MOST_STEPS = 1_000_000  # from the first moment to the last
 WALKING = 0.1  # m/s: who is slower keeps the heading
 
 
@@ -35,12 +38,10 @@ def read(path: str | Path, frame_rate: float | None, time_step: float, kind: str
         FileError: the file does not exist or holds something else, with the line.
     """
     found = lines.read(path, kind, frame_rate)
-    walks = [
-        part for person in range(len(found.number)) for part in _walks(found, np.flatnonzero(found.person == person))
-    ]
+    walks = _walks(found)
     first = min(walk[0, 0] for walk in walks)
     moments = sum(walk[-1, 0] - walk[0, 0] for walk in walks) / time_step
-    if moments > MOST_MOMENTS or (max(walk[-1, 0] for walk in walks) - first) / time_step > MOST_MOMENTS / 10:
+    if moments > MOST_MOMENTS or (max(walk[-1, 0] for walk in walks) - first) / time_step > MOST_STEPS:
         raise FileError(
             f"{shown(Path(path))}: is too long to be played in steps of {time_step:g} s; cut the recording."
         )
@@ -51,12 +52,13 @@ def read(path: str | Path, frame_rate: float | None, time_step: float, kind: str
     return _tables(sorted(sampled, key=lambda sample: sample[0]), time_step, Path(path))
 
 
-def _walks(found: Lines, own: np.ndarray) -> list[np.ndarray]:
-    """(K, 3) time [s], x, y [m] for each stretch in which a person, whose lines those are, is there."""
-    frame, x, y = (found.values[name][own] for name in ("frame", "x", "y"))
-    order = np.argsort(frame)
-    walk = np.stack([frame * found.seconds, x, y], -1)[order]
-    return np.split(walk, np.flatnonzero(np.diff(walk[:, 0]) > LONGEST_GAP) + 1)
+def _walks(found: Lines) -> list[np.ndarray]:
+    """(K, 3) time [s], x, y [m] for each stretch in which a person is there, person by person."""
+    order = np.lexsort((found.values["frame"], found.person))
+    frame, x, y = (found.values[name][order] for name in ("frame", "x", "y"))
+    away = np.diff(frame) * found.seconds > LONGEST_GAP + ROUNDING
+    ends = np.flatnonzero(away | (np.diff(found.person[order]) != 0)) + 1
+    return np.split(np.stack([frame * found.seconds, x, y], -1), ends)
 
 
 def _sample(walk: np.ndarray, first: float, time_step: float) -> tuple[int, np.ndarray] | None:
@@ -71,13 +73,7 @@ def _sample(walk: np.ndarray, first: float, time_step: float) -> tuple[int, np.n
 
 def _tables(sampled: list[tuple[int, np.ndarray]], time_step: float, path: Path) -> Tracks:
     """Walks in order of their begin, each in the first row that has been free for a step."""
-    rows: list[list[tuple[int, np.ndarray]]] = []
-    for begin, places in sampled:
-        free = (row for row in rows if row[-1][0] + len(row[-1][1]) < begin)
-        row = next(free, None)
-        if row is None:
-            rows.append(row := [])
-        row.append((begin, places))
+    rows = _rows(sampled, path)
     moments = max(begin + len(places) for begin, places in sampled)
     if moments * len(rows) > MOST_MOMENTS:
         size = f"{moments:,} steps with up to {len(rows):,} people at once"
@@ -89,12 +85,34 @@ def _tables(sampled: list[tuple[int, np.ndarray]], time_step: float, path: Path)
         for begin, places in row:
             end = begin + len(places)
             steps = np.diff(places, axis=0) / time_step
-            position[before:begin, n], position[begin:end, n], position[end:, n] = places[0], places, places[-1]
+            position[before:begin, n], position[begin:end, n] = places[0], places
             velocity[begin:end, n] = np.concatenate([steps[:1], steps])
             present[begin:end, n] = True
             heading[before:end, n] = _headings(velocity[before:end, n])
-            heading[end:, n], before = heading[end - 1, n], end
+            before = end
+        position[before:, n], heading[before:, n] = position[before - 1, n], heading[before - 1, n]
     return Tracks(position, velocity, heading, present)  # pyright: ignore
+
+
+def _rows(sampled: list[tuple[int, np.ndarray]], path: Path) -> list[list[tuple[int, np.ndarray]]]:
+    """The walks of each row, in order."""
+    rows: list[list[tuple[int, np.ndarray]]] = []
+    busy: list[tuple[int, int]] = []  # heap of (the moment after a row's last walk, row)
+    free: list[int] = []  # heap of rows
+    for begin, places in sampled:
+        while busy and busy[0][0] < begin:
+            heapq.heappush(free, heapq.heappop(busy)[1])
+        if not free:
+            if len(rows) == MOST_PEOPLE:
+                raise FileError(
+                    f"{shown(path)}: more than {MOST_PEOPLE:,} people are there at once; cut the recording."
+                )
+            free.append(len(rows))
+            rows.append([])
+        row = heapq.heappop(free)
+        rows[row].append((begin, places))
+        heapq.heappush(busy, (begin + len(places), row))
+    return rows
 
 
 def _headings(velocity: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from sean_jax import writing
 from sean_jax.bench.options import PARTS, Options
+from sean_jax.learning.options import Failed
 from sean_jax.options import BadInput, check_new_folder
 
 if TYPE_CHECKING:
@@ -24,7 +25,8 @@ def run(options: Options, console: Console) -> Path:
     """Measure what the options name; the folder written, which has table.txt, bench.json and bench.png.
 
     After Ctrl-C or a kill what was measured until then is there; KeyboardInterrupt is raised if there is nothing.
-    Raises BadInput for options that cannot be met, Unwritable for a folder that cannot be written.
+    Raises BadInput for options that cannot be met, Unwritable for a folder that cannot be written, Failed for a full
+    disk.
     """
     options.check()
     folder = options.folder()
@@ -48,13 +50,22 @@ def run(options: Options, console: Console) -> Path:
             if not rows:
                 raise
             _print(console, "stopped; what was measured until then is written.")
+        except OSError as error:
+            raise _broken(folder, error) from error
         _print(console, *page.notes(rows, about))
         try:
             with writing.whole(folder / "bench.png") as stream:
                 page.picture(rows, about).savefig(stream, dpi=150, format="png")
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"stopped before the picture was drawn; the table is in {folder}.") from None
+        except OSError as error:
+            raise _broken(folder, error) from error
     return folder
+
+
+def _broken(folder: Path, error: OSError) -> Failed:
+    kept = f"what was measured until then is in {folder}" if writing.contents(folder) else "nothing was written"
+    return Failed(f"{writing.broken(error)}; {kept}.")
 
 
 def _save(folder: Path, rows: list[Any], about: dict[str, Any]) -> None:

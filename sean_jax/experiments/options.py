@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from sean_jax.learning.options import Refused
+from sean_jax.learning.options import MOST_HOURS, Refused
 from sean_jax.options import LIMITS, check_limits, command
 
 BEHAVIORS = ("random", "handcrafted", "graph")  # in the order of Table I
@@ -70,7 +70,7 @@ class Experiment:
         given = {k: v if (now := getattr(self, k)) is None else now for k, v in (quick if self.quick else full).items()}
         settled = dataclasses.replace(self, **given)
         check_limits(settled, {
-            "hours": (0.0166, 1e7), "seeds": (1, 10**6), "speeds": (0.0, 100.0), "crowds": LIMITS["people"],
+            "hours": (0.0166, MOST_HOURS), "seeds": (1, 10**6), "speeds": (0.0, 100.0), "crowds": LIMITS["people"],
             "epochs": (1, 10**9),
         })  # fmt: skip
         if self.which == "table1" and not [name for name in self.drivers.split(",") if name.strip()]:

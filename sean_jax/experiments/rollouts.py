@@ -205,7 +205,7 @@ def _draw(tasks: tuple, fixed: tuple, number: Array) -> State:
 
 
 def _taken_in_turns(drawn: list[State], size: int) -> tuple[State, Array]:
-    """(size, ...) of lists (rows, ...): the first of each, then the second of each, ...; and seconds lived, zeros."""
+    """(size, ...) of lists (rows, ...): the first of each, then the second of each, ...; and steps lived, zeros."""
 
     def taken(*leaves: Array) -> Array:
         whole = jnp.stack(leaves, 1).reshape(len(leaves) * leaves[0].shape[0], *leaves[0].shape[1:])

@@ -24,7 +24,7 @@ from sean_jax.experiments.rollouts import MINUTE, Chains
 from sean_jax.experiments.shares import Shares
 from sean_jax.experiments.together import Once, Part, together
 from sean_jax.learning import protocol
-from sean_jax.learning.options import Collect
+from sean_jax.learning.options import Collect, Failed
 from sean_jax.learning.protocol import Stream, streams, who_drives
 from sean_jax.options import written
 
@@ -119,9 +119,12 @@ def _cell(
     """As saved in the folder, or simulated."""
     file = folder / f"{behavior}-{driver}{'' if people is None else f'-{people}'}.npz"
     if file.is_file():
-        with np.load(file) as kept:
-            flags = np.unpackbits(kept["flags"], axis=-1, count=len(shares.NAMES)).astype(bool)
-            return Cell(behavior, driver, int(kept["people"]), flags, kept["ended"])
+        try:
+            with np.load(file, allow_pickle=False) as kept:
+                flags = np.unpackbits(kept["flags"], axis=-1, count=len(shares.NAMES)).astype(bool)
+                return Cell(behavior, driver, int(kept["people"]), flags, kept["ended"])
+        except writing.DAMAGED as error:
+            raise Failed(f"{file} is damaged ({error}); remove it, and the same command makes it anew.") from error
     kinds, tasks = places(behavior, people)
     seeds, speeds = options.seeds or 1, options.speeds
     wanted = max(1, math.ceil(60.0 * (options.hours or 1.0) / len(kinds) - 1e-6))

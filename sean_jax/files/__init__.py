@@ -48,35 +48,40 @@ def load(path: Path | str, model: type[Model], *checks: Callable[[Model], Iterab
         value = model.model_validate_json(json.dumps(data), strict=True)
     except pydantic.ValidationError as error:
         details = error.errors(include_url=False)
-        unknown = [item["loc"] for item in details if item["type"] == "extra_forbidden"]
-        raise _report(path, root, [(item["loc"], _clause(item, model)) for item in details], unknown) from None
+        told, more = details[: nodes.MOST_ERRORS], len(details[nodes.MOST_ERRORS :])
+        unknown = {item["loc"] for item in told if item["type"] == "extra_forbidden"}
+        raise _report(path, root, [(item["loc"], _clause(item, model)) for item in told], unknown, more) from None
     problems = [problem for check in checks for problem in check(value)]
     if problems:
-        raise _report(path, root, problems)
+        raise _report(path, root, problems[: nodes.MOST_ERRORS], more=len(problems[nodes.MOST_ERRORS :]))
     return value
 
 
 def check_json(path: Path | str, data: Any, model: type[Model], *checks: Callable[[Model], Iterable[Problem]]) -> Model:
     """The values of a JSON file as an instance of ``model``, checked as in ``load``. Raises FileError."""
+    path = Path(path)
     try:
         value = model.model_validate_json(json.dumps(data), strict=True)
     except pydantic.ValidationError as error:
-        problems = [(item["loc"], _clause(item, model)) for item in error.errors(include_url=False)]
+        details = error.errors(include_url=False)
+        more = len(details[nodes.MOST_ERRORS :])
+        problems = [(item["loc"], _clause(item, model)) for item in details[: nodes.MOST_ERRORS]]
     else:
-        problems = [problem for check in checks for problem in check(value)]
+        problems, more = [problem for check in checks for problem in check(value)], 0
         if not problems:
             return value
-    found = [f"{shown(Path(path))}: {_sentence(loc, clause)}" for loc, clause in problems]
-    raise FileError("\n".join(dict.fromkeys(found)))
+    raise FileError(nodes.few(path, [f"{shown(path)}: {_sentence(loc, clause)}" for loc, clause in problems], more))
 
 
-def _report(path: Path, root: yaml.Node, problems: Iterable[Problem], at_key: Collection[Location] = ()) -> FileError:
-    """All problems, in the order of their places in the file; those in ``at_key`` are marked there."""
+def _report(
+    path: Path, root: yaml.Node, problems: Iterable[Problem], at_key: Collection[Location] = (), more: int = 0
+) -> FileError:
+    """The problems, in the order of their places in the file, and how many more; those in ``at_key`` marked there."""
     marked = []
     for loc, clause in problems:
         known, mark = nodes.place(root, loc, loc in at_key)
         marked.append((mark, _sentence(known, clause)))
-    return FileError(nodes.lines(path, marked))
+    return FileError(nodes.lines(path, marked, more))
 
 
 def _sentence(loc: Location, clause: str) -> str:

@@ -4,6 +4,7 @@ What a scene or a robot of this package has no use for, and what is larger than 
 """
 
 import math
+import re
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from sean_jax.files.content import DEEPEST, FileError, content, shown, text
 MOST_ELEMENTS = 10_000  # in all, those of a replicate as often as it makes them
 MOST_JOINTS = 100
 MOST_PIXELS = 25_000_000  # of all textures and height fields together
+MOST_FOLDERS = 30  # that <compiler> names for meshes and textures
 MOST_TEXT = 10_000_000  # bytes
 MOST_ASSET = 50_000_000  # bytes of a mesh or an image
 LARGEST = 1e10  # of a number; MuJoCo's own bound of what a simulation may hold
@@ -29,6 +31,7 @@ COUNTS = {
 MOST_SIZE = 10_000  # of what <size> reserves, memory excepted
 MOST_MEMORY = 100_000_000  # bytes
 REFUSED = ("attach", "composite", "extension", "flex", "flexcomp", "plugin", "skin")
+FOLDERS = ("meshdir", "texturedir", "assetdir")  # attributes of <compiler>
 WORDS = ("name", "class", "childclass", "file", "filename", "model", "prefix")  # attributes that are no numbers
 
 
@@ -38,7 +41,9 @@ def read(path: Path) -> Any:
     Raises:
         FileError: one sentence that names the file, the line where there is one, and the cure.
     """
-    _Scan(path).run(path, text(path, MOST_TEXT))
+    scan = _Scan(path)
+    scan.run(path, text(path, MOST_TEXT))
+    scan.files()
     mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
     warned: list[str] = []
     before = mujoco.get_mju_user_warning()
@@ -68,7 +73,9 @@ class _Scan:
     def __init__(self, path: Path):
         self.folder = path.parent
         self.elements = self.joints = self.pixels = 0
-        self.assets = {"meshdir": "", "texturedir": "", "assetdir": ""}
+        self.folders = {""}  # that <compiler> names, before or after the assets that lie there
+        self.assets: list[tuple[str, list[str], int]] = []  # "file:line", files that make one asset, how often
+        self.place = ""  # "file:line" of the element that is looked at
 
     def run(self, path: Path, found: str, including: tuple[Path, ...] = (), times: int = 1) -> None:
         """Looks through the text ``found`` of a file that is made so many times. Raises FileError."""
@@ -79,6 +86,7 @@ class _Scan:
             raise FileError(f"{shown(path)}:{parser.CurrentLineNumber}: {what}.")
 
         def begin(name: str, attributes: dict[str, str]) -> None:
+            self.place = f"{shown(path)}:{parser.CurrentLineNumber}"
             try:
                 above.append(above[-1] * self.element(name, attributes, above[-1]))
             except (_Wrong, FileError) as wrong:
@@ -126,22 +134,42 @@ class _Scan:
         if self.joints > MOST_JOINTS:
             raise _Wrong(f"makes more than {MOST_JOINTS} joints; obstacles need none, and a robot has five")
         if name == "compiler":
-            self.assets.update({key: attributes[key] for key in self.assets if key in attributes})
+            self.folders.update(attributes[key] for key in FOLDERS if key in attributes)
+            if len(self.folders) > MOST_FOLDERS:
+                raise _Wrong(f"names more than {MOST_FOLDERS} folders of assets; use fewer")
         self.images(name, attributes)
         return max(1, int((_numbers(attributes.get("count", "")) or [1])[0])) if name == "replicate" else 1
 
     def images(self, name: str, attributes: dict[str, str]) -> None:
-        """Counts pixels, and looks at the files that an asset is made of. Raises _Wrong."""
+        """Counts the pixels of what MuJoCo paints, and keeps the names of what it reads. Raises _Wrong."""
+        cube = name == "texture" and attributes.get("type", "cube") in ("cube", "skybox")
         if name in ("texture", "hfield"):
             sides = ("width", "height") if name == "texture" else ("nrow", "ncol")
             sizes = [(_numbers(attributes.get(side, "")) or [1.0])[0] for side in sides]
-            many = 6 if attributes.get("type", "cube") in ("cube", "skybox") else 1
-            self.pixels += math.prod(max(size, 1.0) for size in sizes) * many
-        for key, value in attributes.items():
-            if key.startswith("file") and name != "include":
-                for inner in {self.folder / folder / value for folder in self.assets.values()}:
-                    if inner.exists():
-                        self.pixels += _pixels(content(inner, MOST_ASSET))
+            width, height = (max(size, 1.0) for size in sizes)
+            self.count(6 * width * max(width, height) if cube else width * height)  # a cube's sides are squares
+        if name != "include":
+            found = [value for key, value in attributes.items() if key.startswith("file")]
+            if found:  # without a grid the image is all six sides of a cube
+                self.assets.append((self.place, found, 6 if cube and "gridsize" not in attributes else 1))
+
+    def files(self) -> None:
+        """Looks at the files of all assets, in whichever of the folders they are. Raises FileError."""
+        seen: dict[Path, int] = {}
+        for place, names, many in self.assets:
+            largest = 0
+            parts = {part for name in names for part in (name, re.split(r"[/\\]", name)[-1])}  # as of strippath
+            try:
+                for path in sorted({self.folder / folder / part for folder in self.folders for part in parts}):
+                    if path not in seen:
+                        seen[path] = _pixels(content(path, MOST_ASSET)) if path.exists() else 0
+                    largest = max(largest, seen[path])
+                self.count(largest * max(many, len(names)))
+            except (_Wrong, FileError) as wrong:
+                raise FileError(f"{place}: {str(wrong).rstrip('.')}.") from None
+
+    def count(self, pixels: float) -> None:
+        self.pixels += pixels
         if self.pixels > MOST_PIXELS:
             raise _Wrong(f"textures have more than {MOST_PIXELS // 10**6} million pixels in all; make them smaller")
 

@@ -12,6 +12,7 @@ import yaml
 
 from sean_jax.files.content import DEEPEST, FileError, shown, text
 
+MOST_ERRORS = 100  # of a file that are told
 MOST_VALUES = 50_000  # in a file, aliases unfolded
 LONGEST_NUMBER = 60  # characters
 Location = tuple[str | int, ...]  # keys and list indices that lead to a value
@@ -28,7 +29,7 @@ class _Loader(yaml.SafeLoader):
         """SafeLoader's own, for values without tags, not too deep and not too many."""
         event: Any = self.peek_event()
         tag = getattr(event, "tag", None)
-        if tag not in (None, "tag:yaml.org,2002:str"):
+        if tag is not None and not (tag == "tag:yaml.org,2002:str" and isinstance(event, yaml.ScalarEvent)):
             written = tag.replace("tag:yaml.org,2002:", "!!")
             raise yaml.MarkedYAMLError(problem=f"tags such as '{written}' mean nothing here; remove it",
                                        problem_mark=event.start_mark)  # fmt: skip
@@ -156,11 +157,18 @@ def _refuse_twins(path: Path, root: yaml.Node) -> None:
         raise FileError(lines(path, problems))
 
 
-def lines(path: Path, marked: list[tuple[yaml.Mark, str]]) -> str:
-    """One line for each of the problems, in the order of their places in the file."""
+def lines(path: Path, marked: list[tuple[yaml.Mark, str]], more: int = 0) -> str:
+    """One line for each of the problems, in the order of their places in the file, and of how many more there are."""
     marked = sorted(marked, key=lambda item: (item[0].line, item[0].column))
-    found = [f"{shown(path)}:{mark.line + 1}:{mark.column + 1}: {told}" for mark, told in marked]
-    return "\n".join(dict.fromkeys(found))
+    return few(path, [f"{shown(path)}:{mark.line + 1}:{mark.column + 1}: {told}" for mark, told in marked], more)
+
+
+def few(path: Path, found: list[str], more: int = 0) -> str:
+    """The first of the lines, each once, and how many there are beside these and ``more``."""
+    found = list(dict.fromkeys(found))
+    more += len(found[MOST_ERRORS:])
+    tail = [f"{shown(path)}: there are {more:,} more errors; mend these first."] if more else []
+    return "\n".join([*found[:MOST_ERRORS], *tail])
 
 
 def place(root: yaml.Node, loc: Location, at_key: bool) -> tuple[Location, yaml.Mark]:

@@ -124,7 +124,7 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
         boxes = environment.obstacles
         inputs = boxes.center, boxes.half_extent, boxes.yaw, ends
         make = lambda: {"blocked": np.asarray(jax.jit(_blocked)(environment, put(ends)))}  # noqa: E731
-        blocked = cache.kept("legs", ("handcrafted/room", "geometry"), inputs, make)["blocked"]
+        blocked = cache.kept("legs", ("handcrafted/room", "graph/places", "geometry"), inputs, make)["blocked"]
         for (place, _, _, what), hit in zip(legs, blocked, strict=True):
             if hit and place not in blamed:  # a waypoint in an obstacle has been told of
                 yield place, f"{what} goes through an obstacle or closer than {PERSON:g} m past one; move a waypoint"

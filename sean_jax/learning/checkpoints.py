@@ -16,10 +16,10 @@ from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, L
 
 from sean_jax import files, writing
 from sean_jax.learning.learned import Weights
+from sean_jax.learning.manifests import CONFIG
 from sean_jax.learning.options import Failed, Refused
 from sean_jax.learning.training import TrainState
 
-CONFIG = "config.json"  # what the network is, beside the checkpoints
 STATE = "state"
 SPARE = 4_000_000  # bytes, that must be free beside what a checkpoint may take
 AGAIN = 10  # times

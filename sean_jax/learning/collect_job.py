@@ -26,7 +26,7 @@ from sean_jax.learning.options import Collect, Refused
 from sean_jax.learning.progress import shown
 from sean_jax.learning.protocol import Stream, check, next_stream, share, streams, who_drives
 from sean_jax.options import written
-from sean_jax.versions import versions
+from sean_jax.versions import content, differing, versions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,7 +45,7 @@ def collect(options: Collect, console: Console | Callable[[float], None] | None 
     """
     options.check()
     check(options)
-    _check_place(options.folder)
+    check_place(options.folder)
     with writing.held(options.folder):
         return _collect(options, console)
 
@@ -123,19 +123,20 @@ def _behind(data: Dataset) -> Iterator[Callable[..., None]]:
 
 
 def _begun(options: Collect, parts: list[Stream], eye: sensors.Camera) -> Dataset:
-    """The dataset of the folder, if it was begun with the same options, or an empty one."""
-    folder = options.folder
-    _check_place(folder)
+    """The dataset of the folder, if it was begun with the same options and content, or an empty one."""
+    folder, manifest = options.folder, _manifest(options, parts, eye)
+    check_place(folder)
     if (folder / datasets.MANIFEST).exists():
         data = datasets.open_dataset(folder)
         _check_same(options, data)
+        _check_made_with(data, manifest)
         if options.hours > data.manifest["hours"]:
             data.save({**data.manifest, "command": _command(options, data.batch), "hours": options.hours})
         return data
-    return datasets.create_dataset(folder, _manifest(options, parts, eye))
+    return datasets.create_dataset(folder, manifest)
 
 
-def _check_place(folder: Path) -> None:
+def check_place(folder: Path) -> None:
     """Refuse a folder that holds something else than a dataset, or what a kill at the very beginning left of one."""
     if not any((folder / name).is_file() for name in (datasets.MANIFEST, "zarr.json")):
         if not set(writing.contents(folder)) <= set(datasets.fields(1, 1, 1)):
@@ -156,16 +157,32 @@ def _check_same(options: Collect, data: Dataset) -> None:
         raise Refused(f"{data.folder} was begun with --hours {had_hours}, not {asked_hours}; ask for as much or more.")
 
 
+def _check_made_with(data: Dataset, now: dict[str, Any]) -> None:
+    """Refuse to go on where the options are the same, but not what they stand for: it would be two datasets in one.
+
+    What a dataset of an earlier version does not tell is not asked.
+    """
+    had = data.manifest
+    if (other := differing(had.get("versions"))) is not None:
+        raise Refused(f"{data.folder} was begun with {other}; go on with the same, or choose another --out.")
+    for name in ("environment", "people", "robot", "camera", "situations", "content"):
+        if name in had and had[name] != now[name]:
+            what = "content of scenario or driver" if name == "content" else name
+            raise Refused(f"{data.folder} was begun with another {what}; restore it, or choose another --out.")
+
+
 def _said(value: Any) -> str:
     return " ".join(written(each) for each in (value if isinstance(value, list) else [value]))
 
 
 def _manifest(options: Collect, parts: list[Stream], eye: sensors.Camera) -> dict[str, Any]:
     scenario, size = parts[0].scenario, _size(options, len(parts))
+    driver: Any = who_drives(options.driver)
     return {
         "command": _command(options, size),
         "options": options.fixed(),
         **described(scenario, eye, options.driver),
+        "content": content(scenario, [part.scenario.behavior for part in parts], getattr(driver, "data", None)),
         "hours": options.hours,
         "batch": size,
         "streams": [part.name for part in parts],

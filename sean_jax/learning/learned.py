@@ -18,7 +18,7 @@ from flax import struct
 from sean_jax import files, navigation, sensors
 from sean_jax.base import Array, Driver, Scenario, State
 from sean_jax.learning.examples import SECONDS
-from sean_jax.learning.manifests import read_trained
+from sean_jax.learning.manifests import CONFIG, read_trained
 from sean_jax.learning.network import Decision, Network
 from sean_jax.learning.options import Refused
 from sean_jax.learning.rows import depth_image, plan_ahead
@@ -117,8 +117,6 @@ def trained(folder: Path, situations: list[str]) -> tuple[Network, int]:
 
     Raises Refused if there is none, or if it is told of other situations than these.
     """
-    from sean_jax.learning.checkpoints import CONFIG
-
     if not os.path.lexists(folder / CONFIG):
         raise Refused(f"{folder} has no trained network; make one with `sean train imitation`.")
     try:

@@ -14,6 +14,7 @@ import numpy as np
 from sean_jax import writing
 from sean_jax.learning.dataset import Dataset, Episode, open_dataset
 from sean_jax.learning.options import Refused
+from sean_jax.options import check_new_folder
 
 CHUNK = 1000  # files in a folder
 SHARE = 512  # episodes in a file
@@ -28,7 +29,7 @@ NUMBERS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
 def export(dataset: Path | str, out: Path | str) -> Path:
-    """Write the dataset in ``out``, which must not exist or be empty.
+    """Write the dataset in ``out``, which must be new or empty.
 
     Raises Refused or Unwritable if that cannot be, or if pyarrow is not there; Failed if a file of the dataset is
     damaged.
@@ -38,8 +39,7 @@ def export(dataset: Path | str, out: Path | str) -> Path:
     except ImportError:
         raise Refused('export lerobot: pyarrow is missing; pip install "sean_jax[lerobot]".') from None
     data, out = open_dataset(dataset), Path(out)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise Refused(f"{out} holds something already, choose another with --out.")
+    check_new_folder(out)
     if not data.episodes:
         raise Refused(f"{data.folder} has no episodes; collect some.")
     with writing.whole_folder(out) as made:

@@ -11,13 +11,14 @@ from typing import Annotated, Any
 import pydantic
 
 from sean_jax import files
+from sean_jax.learning.options import MOST_BATCH, MOST_HOURS, MOST_PIXELS, MOST_SIDE
 from sean_jax.quantities import LONGEST
 
 LOOSE = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
-MOST_PIXELS = 4_000_000  # of a depth image
+CONFIG = "config.json"  # what a network is, beside its checkpoints
 Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
-Some = Annotated[int, pydantic.Field(ge=1, le=100_000)]
-Side = Annotated[int, pydantic.Field(ge=1, le=4_096)]  # pixels
+Some = Annotated[int, pydantic.Field(ge=1, le=MOST_BATCH)]
+Side = Annotated[int, pydantic.Field(ge=1, le=MOST_SIDE)]  # pixels
 Words = Annotated[list[str], pydantic.Field(max_length=1_000)]
 
 
@@ -56,7 +57,7 @@ class Manifest(pydantic.BaseModel):
 
     command: str
     options: dict[str, Any]
-    hours: Annotated[float, pydantic.Field(gt=0, le=1e6)]
+    hours: Annotated[float, pydantic.Field(gt=0, le=MOST_HOURS)]
     batch: Some
     seconds: Annotated[int, pydantic.Field(ge=1, le=LONGEST)]  # of an episode, at most
     streams: Annotated[Words, pydantic.Field(min_length=1)]

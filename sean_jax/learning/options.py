@@ -17,7 +17,19 @@ DRIVER = "expert"  # who drives unless told otherwise
 TASKS = {"graph": "join_group,leave_group", "random": "random_ab_nav", "handcrafted": "handcrafted"}
 
 
+# The most that datasets and networks may hold: options go no further, and files that do are refused.
+MOST_HOURS = 1e6
+MOST_BATCH = 100_000  # episodes in a shard
+MOST_SIDE = 4_096  # pixels of a depth image's side, and the width of a network
+MOST_PIXELS = 4_000_000  # of a depth image
+
 Refused = BadInput  # as learning calls it
+
+
+def check_image(width: int, height: int) -> None:
+    """Raises BadInput for a depth image of more pixels than a dataset may have."""
+    if width * height > MOST_PIXELS:
+        raise Refused(f"--width {width} times --height {height} are more than {MOST_PIXELS:,} pixels; ask for fewer.")
 
 
 def tasks_of(behavior: str, task: str | None) -> tuple[str, ...]:
@@ -105,7 +117,9 @@ class Collect:
 
     def check(self) -> None:
         """Raises BadInput for what nothing could be recorded with."""
-        check_limits(self, {"hours": (1e-6, 1e7), "width": (8, 4096), "height": (8, 4096)})
+        sides: dict[str, tuple[float, float]] = {"width": (8, MOST_SIDE), "height": (8, MOST_SIDE)}
+        check_limits(self, {"hours": (1e-6, MOST_HOURS), "batch": (1, MOST_BATCH), **sides})
+        check_image(self.width, self.height)
         if self.behavior == "playback" or "custom" in self.tasks:
             what = "--behavior playback" if self.behavior == "playback" else "--task custom"
             raise Refused(f"{what} is not recorded; choose behavior graph, random or handcrafted and one of its tasks.")
@@ -167,7 +181,7 @@ class Train:
     def check(self) -> None:
         """Raises BadInput for what nothing could be learned with."""
         check_limits(self, {
-            "width": (1, 2**14), "patience": (1, 10**9), "epochs": (1, 10**9), "learning_rate": (1e-12, 1.0),
+            "width": (1, MOST_SIDE), "patience": (1, 10**9), "epochs": (1, 10**9), "learning_rate": (1e-12, 1.0),
             "weight_decay": (0.0, 1.0), "validation": (1e-6, 1 - 1e-6), "on_device": (0.0, 1.0),
         })  # fmt: skip
 
@@ -181,7 +195,7 @@ class Export:
     dataset: Annotated[Path, tyro.conf.Positional]
     """Folder that `sean collect` has written."""
     out: Path
-    """Folder to write; it must not exist or be empty."""
+    """Folder to write; it must be new or empty."""
     quiet: bool = False
     """Say nothing but errors."""
 

@@ -15,10 +15,10 @@ import numpy as np
 from sean_jax import chance, navigation, sensors, writing
 from sean_jax.base import Array, Scenario, State
 from sean_jax.learning import dataset as datasets
-from sean_jax.learning.collect_job import described
+from sean_jax.learning.collect_job import check_place, described
 from sean_jax.learning.dataset import Dataset
 from sean_jax.learning.demonstrations import Batch
-from sean_jax.learning.options import Refused
+from sean_jax.learning.options import Refused, check_image
 from sean_jax.learning.rows import row
 from sean_jax.scenario import reset, step
 
@@ -40,8 +40,9 @@ class Recorder:
             height: likewise.
 
         Raises:
-            Refused: the folder holds something else.
+            Refused: the folder holds something else, or the images are too large.
         """  # noqa: D205
+        check_image(width, height)
         folder = Path(folder)
         self.scenario, self.seed = scenario, seed
         self.eye = sensors.camera(scenario, "depth", width=width, height=height)
@@ -127,8 +128,7 @@ class Recorder:
             "streams": [self.scenario.task_name],
         }
         if not (folder / datasets.MANIFEST).exists():
-            if folder.is_file() or writing.contents(folder):
-                raise Refused(f"{folder} holds something else already, choose another folder.")
+            check_place(folder)
             with writing.held(folder):
                 return datasets.create_dataset(folder, manifest)
         data = datasets.open_dataset(folder)

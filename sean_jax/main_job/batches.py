@@ -33,22 +33,33 @@ def run_batches(
     if there are none. Raises FloatingPointError naming the episodes with a NaN.
     """
     size, limit = min(episodes, batch), scenarios[0].time_limit
-    parts = [(base, min(size, episodes - base)) for base in range(0, episodes, size)]
-    batches = _finished(unfinished, parts)
-    if len(batches) == len(parts):
+    bases = range(0, episodes, size)
+
+    def loaded(base: int) -> Batch | None:
+        return None if unfinished is None else unfinished.load(base, min(size, episodes - base))
+
+    batches: list[Batch] = []
+    for base in bases:
+        if (found := loaded(base)) is None:
+            break
+        batches.append(found)
+    if len(batches) == len(bases):
         return _results(scenarios, batches, episodes, 0.0)
     programs = simulation.prepare(scenarios, policy, size, watch)
-    watch.begun(len(parts) * limit)
+    watch.begun(len(bases) * limit)
     began, before = time.perf_counter(), 0.0
     try:
-        for base, kept in parts[len(batches) :]:
+        for base in bases[len(batches) :]:
+            if (found := loaded(base)) is not None:
+                batches.append(found)
+                continue
 
             def advanced(done: float, simulated: float, base: int = base, before: float = before) -> None:
                 speed = (before + simulated) / (time.perf_counter() - began)
                 watch.advanced(base // size * limit + done, speed)
 
             start = time.perf_counter()
-            done = simulation.run_batch(programs, seed, base, kept, advanced)
+            done = simulation.run_batch(programs, seed, base, min(size, episodes - base), advanced)
             done.seconds = time.perf_counter() - start
             _refuse_nan(done, base)
             if unfinished is not None:
@@ -59,18 +70,6 @@ def run_batches(
         if not batches:
             raise
     return _results(scenarios, batches, episodes, programs.seconds)
-
-
-def _finished(unfinished: Unfinished | None, parts: list[tuple[int, int]]) -> list[Batch]:
-    """The first batches, as far as they are there."""
-    batches: list[Batch] = []
-    if unfinished is None:
-        return batches
-    for base, kept in parts:
-        if (found := unfinished.load(base, kept)) is None:
-            break
-        batches.append(found)
-    return batches
 
 
 def _results(scenarios: Sequence[Scenario], batches: list[Batch], wanted: int, compile_seconds: float) -> Results:

@@ -70,7 +70,8 @@ class Options:
     name: str = ""
     """Name of the run, environment and behavior by default: the end of the folder's name."""
     out: Path | None = None
-    """Folder to write, runs/<date>-<time>-<name> by default; it must not exist or be empty."""
+    """Folder to write, runs/<date>-<time>-<name> by default: a new or an empty one, or one that holds an unfinished run
+    of the same options, which goes on."""
     quiet: bool = False
     """Say nothing but errors."""
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import json
 import os
+import re
 import shutil
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from sean_jax.main_job.simulation import Batch
 
 PLACE, ABOUT, STAGE = "unfinished", "run.json", "written"
+VERSION = "the version of "
 LOOSE = ("name", "out", "quiet", "camera", "renderer")  # options that change nothing about the episodes
 
 
@@ -41,7 +41,7 @@ class Unfinished:
     def __init__(self, folder: Path, options: Options):
         self.folder, self.place, self.complete = folder, folder / PLACE, False
         self.about = _options(options)
-        check_place(folder)
+        check_place(folder, held=True)
         self._compare()
 
     def settle(self, scenario: Scenario, policy: Policy) -> None:
@@ -62,7 +62,7 @@ class Unfinished:
         try:
             with np.load(file, allow_pickle=False) as found:
                 return _batch({name: found[name] for name in found.files})
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        except writing.DAMAGED as error:
             raise Failed(f"{file} is damaged ({error}); remove it, and the same command makes it anew.") from error
 
     def save(self, base: int, batch: Batch) -> None:
@@ -77,7 +77,8 @@ class Unfinished:
     def results(self, complete: bool) -> Iterator[Path]:
         """A folder whose files become the run's when the block ends; the batches go then if it is ``complete``."""
         stage = self.place / STAGE
-        stage.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(stage, ignore_errors=True)  # half-written files of one who was killed
+        stage.mkdir(parents=True)
         yield stage
         for file in sorted(stage.iterdir()):
             os.replace(file, self.folder / file.name)
@@ -97,8 +98,7 @@ class Unfinished:
             said = self._said()
             raise FloatingPointError(f"{error} {said[0].upper()}{said[1:]}") from error
         except OSError as error:
-            where = f" ({error.filename})" if error.filename else ""
-            raise Failed(f"{writing.reason(error)}{where}; {self._said()}") from error
+            raise Failed(f"{writing.broken(error)}; {self._said()}") from error
         finally:
             begun = self.episodes and (self.place / ABOUT).is_file()
             shutil.rmtree(self.place / STAGE if begun else self.place, ignore_errors=True)
@@ -119,13 +119,18 @@ class Unfinished:
         if had is None:
             return
         for name, value in self.about.items():
-            if had.get(name, value) != value:
-                said = f"{self.folder} has an unfinished run with {name} {had.get(name)}, not {value}"
+            if name not in had:
+                if name.startswith(VERSION):
+                    continue  # of a package that was not there
+                file = self.place / ABOUT
+                raise BadInput(f"{file} does not tell {name}; remove {self.place} or choose another --out.")
+            if had[name] != value:
+                said = f"{self.folder} has an unfinished run with {name} {had[name]}, not {value}"
                 raise BadInput(f"{said}; ask for the same or choose another --out.")
 
 
-def check_place(folder: Path) -> None:
-    """Raises BadInput if the folder holds something else than an unfinished run.
+def check_place(folder: Path, held: bool = False) -> None:
+    """Raises BadInput if the folder, which this process has ``held`` or not, holds something else than such a run.
 
     What a kill left at the very beginning, or at the very end, goes.
     """
@@ -133,27 +138,31 @@ def check_place(folder: Path) -> None:
         of_a_run = writing.contents(folder) == [PLACE] or (folder / "summary.json").is_file()
         ours = all(map(_is_ours, (folder / PLACE).iterdir())) if (folder / PLACE).is_dir() else False
         if of_a_run and (ours or (folder / writing.LOCK).is_file()):
-            with writing.held(folder):
+            with contextlib.nullcontext() if held else writing.held(folder):
                 if ours:
                     shutil.rmtree(folder / PLACE)
         check_new_folder(folder)
 
 
-def others(options: Options, beside: Path) -> Iterator[tuple[Path, int]]:
+def others(options: Options, beside: Path) -> list[tuple[Path, int]]:
     """Folders beside that one with an unfinished run of these options that nobody is at, and how many are finished.
 
-    Of runs that were killed before anything was finished, the folders go.
+    Of runs that were killed before anything was finished, the folders go. What cannot be read is left out.
     """
     asked = _options(options)
-    for folder in sorted(each for each in beside.parent.glob("*") if each.is_dir() and each != beside):
-        if os.listdir(folder) == [writing.LOCK]:
-            with contextlib.suppress(writing.Unwritable, OSError), writing.held(folder):
-                pass
-        elif (folder / PLACE / ABOUT).is_file() and not writing.is_held(folder):
-            with contextlib.suppress(BadInput):
-                had = _read(folder / PLACE / ABOUT) or {}
-                if all(had.get(name) == value for name, value in asked.items()):
-                    yield folder, _episodes(folder / PLACE)
+    folders: list[Path] = []
+    found: list[tuple[Path, int]] = []
+    with contextlib.suppress(OSError):
+        folders += sorted(each for each in beside.parent.iterdir() if each != beside)
+    for folder in folders:
+        with contextlib.suppress(OSError, writing.Unwritable, BadInput):  # they are somebody's, and may vanish
+            if os.listdir(folder) == [writing.LOCK]:
+                with writing.held(folder):
+                    continue
+            had = {} if writing.is_held(folder) else _read(folder / PLACE / ABOUT) or {}
+            if all(name in had and had[name] == value for name, value in asked.items()):
+                found.append((folder, _episodes(folder / PLACE)))
+    return found
 
 
 def _is_ours(item: Path) -> bool:
@@ -161,7 +170,8 @@ def _is_ours(item: Path) -> bool:
 
 
 def _episodes(place: Path) -> int:
-    return sum(int(file.stem.split("-")[2]) for file in place.glob("batch-*.npz"))
+    named = (re.fullmatch(r"batch-\d{8,}-(\d+)\.npz", file.name) for file in place.glob("batch-*.npz"))
+    return sum(int(found[1]) for found in named if found)
 
 
 def _options(options: Options) -> dict[str, Any]:
@@ -173,16 +183,12 @@ def _options(options: Options) -> dict[str, Any]:
 def _made_with(scenario: Scenario, policy: Policy) -> dict[str, Any]:
     import jax
 
-    from sean_jax.versions import versions
+    from sean_jax.versions import content, versions
 
-    digest = hashlib.sha256()
-    for leaf in jax.tree.leaves((scenario, getattr(policy, "data", None))):
-        values = np.asarray(leaf)
-        digest.update(f"{values.dtype}{values.shape}".encode() + values.tobytes())
     return {
-        **{f"the version of {name}": version for name, version in versions().items()},
+        **{f"{VERSION}{name}": version for name, version in versions().items()},
         "the device": f"{len(jax.devices())} x {jax.devices()[0].device_kind}",
-        "the content of scenario and driver": digest.hexdigest()[:16],
+        "the content of scenario and driver": content(scenario, getattr(policy, "data", None)),
     }
 
 

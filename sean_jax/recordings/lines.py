@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sean_jax.files import FileError, shown, text
-from sean_jax.quantities import FARTHEST, LONGEST
+from sean_jax.files import FileError, shown, suggest, text
+from sean_jax.quantities import FARTHEST, LONGEST, check
 
 NAMES = {  # what a column may be called; the first that is there counts
     "frame": ("frame",),
@@ -27,7 +27,9 @@ NAMES = {  # what a column may be called; the first that is there counts
 }
 NEEDED = ("frame", "person", "x", "y")
 MOST_BYTES = 60_000_000
+MOST_LINES = 1_000_000
 MOST_FRAME = 2**31 - 1
+ROUNDING = 1e-9  # s, of times that are a frame number times the seconds of a frame
 LONGEST_GAP = 2.0  # s: who is not seen for longer has left and entered again
 WALKING = 2.0  # m/s: people who walk are slower on average; the recordings that we know have 0.5 to 1.4
 FASTEST = 20.0  # m/s: nobody runs as fast
@@ -79,6 +81,15 @@ def read(path: str | Path, kind: str | None = None, frame_rate: float | None = N
     return found
 
 
+def check_clock(kind: str | None, frame_rate: float | None) -> None:
+    """ValueError if there is no such format, or if nobody records with so many frames a second."""
+    if frame_rate is not None:
+        check("frame_rate", frame_rate, 0.001, 1e4, "frames a second")
+    if kind is not None and kind not in FORMATS:
+        cure = suggest(kind, FORMATS) or "."
+        raise ValueError(f"recording_format: '{kind}' is not one of {', '.join(FORMATS)}{cure}")
+
+
 def _table(path: Path) -> tuple[dict[str, np.ndarray], list[str], np.ndarray]:
     """Columns by our names, the person of each row, and the line of the file that it comes from."""
     reader = csv.reader(io.StringIO(text(path, MOST_BYTES), newline=""), strict=True)
@@ -100,9 +111,13 @@ def _table(path: Path) -> tuple[dict[str, np.ndarray], list[str], np.ndarray]:
         for row in reader:
             if not any(cell.strip() for cell in row):
                 continue
+            if len(rows) == MOST_LINES:
+                raise FileError(
+                    f"{shown(path)}:{reader.line_num}: is beyond the {MOST_LINES:,} lines that are read; cut the file."
+                )
             try:
                 rows.append([float(row[place]) for place in places.values()])
-                names.append(row[who].strip())
+                names.append(_plain(row[who].strip()))
             except (ValueError, IndexError):
                 said = ",".join(row)
                 said = said if len(said) <= 80 else said[:77] + "..."
@@ -134,6 +149,11 @@ def _is_number(name: str) -> bool:
         return float(name).is_integer()
     except ValueError:
         return False
+
+
+def _plain(name: str) -> str:
+    """A whole number always in the same digits, so that 1 and 1.0 are one person; other names as they are."""
+    return str(int(float(name))) if _is_number(name) and abs(float(name)) <= MOST_FRAME else name
 
 
 def _rank(name: str) -> tuple[bool, float, str]:
@@ -183,7 +203,7 @@ def _check(found: Lines) -> None:
         what = f"the person is already there in frame {frame[at]:g}"
         raise FileError(f"{shown(path)}:{found.line[at]}: {what}; keep one of the lines.")
     way = np.hypot(*(np.diff(found.values[name][order])[own] for name in ("x", "y")))
-    seen = time <= LONGEST_GAP
+    seen = time <= LONGEST_GAP + ROUNDING
     told = _told(found, order, own)
     rate = 1.0 / found.seconds
     speed = way[seen].sum() / max(time[seen].sum(), 1e-9)

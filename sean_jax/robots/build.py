@@ -13,6 +13,7 @@ BUILD = (
 JOINTS = (("slide", "x"), ("slide", "y"), ("hinge", "z"), ("hinge", "y"), ("hinge", "y"))
 AXES = dict(zip("xyz", np.eye(3), strict=True))
 UPRIGHT = 1e-6  # how far from 1 the cosine of the base's tilt may be
+BESIDE = 1e-4  # m, how far ahead of the base's hinge a wheel may be
 
 
 def faults(model: Any, data: Any) -> list[str]:
@@ -40,6 +41,7 @@ def _joints(model: Any) -> Iterator[str]:
 
 
 def _servos(model: Any) -> Iterator[str]:
+    affine = int(import_module("mujoco").mjtBias.mjBIAS_AFFINE)
     if model.nu != 2:
         yield f"it has {model.nu} actuators and not 2"
         return
@@ -50,6 +52,10 @@ def _servos(model: Any) -> Iterator[str]:
     gain = model.actuator_gainprm[:, 0]
     if not np.allclose(model.actuator_biasprm[:, :3], np.outer(gain, [0.0, 0.0, -1.0])) or not np.isclose(*gain):
         yield "its actuators are no velocity servos of one and the same gain kv"
+    elif model.actuator_dyntype.any() or model.actuator_gaintype.any() or (model.actuator_biastype != affine).any():
+        yield "its actuators are not of the kind that <velocity> makes"
+    if model.actuator_ctrllimited.any():
+        yield "its actuators have a ctrlrange, which limits are not read from; use the numeric max_speed"
     low, high = model.actuator_forcerange.T
     if not model.actuator_forcelimited.all() or not (np.allclose(low, -high) and np.isclose(*high)):
         yield "its actuators lack one and the same forcerange, as much backward as ahead"
@@ -60,24 +66,53 @@ def _bodies(model: Any, data: Any) -> Iterator[str]:
     if (model.jnt_bodyid[:3] != base).any():
         yield "its first three joints are not all in one body, the base"
         return
-    if data.xmat[base, 8] < 1.0 - UPRIGHT:
+    upright = data.xmat[base, 8] >= 1.0 - UPRIGHT
+    if not upright:
         yield f"its base is tilted by {np.degrees(np.arccos(min(data.xmat[base, 8], 1.0))):.3g} degrees"
     if len({base, *others}) < 3 or any(model.body_weldid[model.body_parentid[wheel]] != base for wheel in others):
         yield "its wheels are not two bodies on the base"
         return
-    if not any(model.geom_bodyid == others[0]):
-        yield "its left wheel has no geom, whose size is the wheel's radius"
+    yield from _wheels(model)
     left, right = (to_base(model, data, data.xanchor[joint])[:2] for joint in (3, 4))
     if not (left[1] > 0.0 and np.isclose(left[1], -right[1])):
         yield f"its wheels lie {left[1]:g} m and {right[1]:g} m left of the base's hinge, not as far left as right"
+    if upright and max(abs(left[0]), abs(right[0])) > BESIDE:
+        yield f"its wheels lie {left[0]:g} m and {right[0]:g} m ahead of the base's hinge, not beside it"
+
+
+def _wheels(model: Any) -> Iterator[str]:
+    mujoco: Any = import_module("mujoco")
+    round_kinds = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_SPHERE
+    geoms = wheel_geoms(model)
+    for side, geom in zip(("left", "right"), geoms, strict=True):
+        if geom is None:
+            yield f"its {side} wheel has no geom, whose size is the wheel's radius"
+        elif model.geom_type[geom] not in map(int, round_kinds):
+            kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+            yield f"the first geom of its {side} wheel is a {kind} and not a cylinder or a sphere"
+    if None not in geoms and not np.isclose(*model.geom_size[geoms, 0]):
+        left, right = model.geom_size[geoms, 0]
+        yield f"the radii of its wheels are {left:g} m and {right:g} m, not the same"
+
+
+def wheel_geoms(model: Any) -> list[int | None]:
+    """The first geom of the left and of the right wheel, whose size is the wheel's radius; None without one."""
+    return [next(iter(np.flatnonzero(model.geom_bodyid == model.jnt_bodyid[joint]).tolist()), None) for joint in (3, 4)]
 
 
 def _losses(model: Any) -> Iterator[str]:
+    for what, number in (("density", model.opt.density), ("viscosity", model.opt.viscosity)):
+        if number:
+            yield f"its <option> has a {what}"
+    if model.body_gravcomp.any():
+        yield "one of its bodies has a gravcomp"
     for number in range(model.njnt):
         for what, loss in (("damping", model.dof_damping), ("stiffness", model.jnt_stiffness),
                            ("frictionloss", model.dof_frictionloss)):  # fmt: skip
             if loss[number]:
                 yield f"joint {_named(model.joint(number), number)} has a {what}"
+        if model.jnt_actfrclimited[number]:
+            yield f"joint {_named(model.joint(number), number)} has an actuatorfrcrange"
 
 
 def to_base(model: Any, data: Any, points: np.ndarray) -> np.ndarray:

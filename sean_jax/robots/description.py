@@ -61,11 +61,10 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     _check_mounts(path, model)
     mass = _mass_matrix(path, model)
     left, right = (build.to_base(model, data, data.xanchor[joint]) for joint in (3, 4))
-    wheel = int(np.flatnonzero(model.geom_bodyid == model.jnt_bodyid[3])[0])
     figures = {
         "mass": mass[0],
         "inertia": mass[2],
-        "wheel_radius": model.geom_size[wheel, 0],
+        "wheel_radius": model.geom_size[build.wheel_geoms(model)[0], 0],
         "wheel_inertia": mass[3],
         "track": left[1] - right[1],
         "servo_gain": model.actuator_gainprm[0, 0],
