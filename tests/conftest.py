@@ -3,6 +3,7 @@
 import gc
 import importlib.metadata
 import os
+import signal
 import tempfile
 from pathlib import Path
 
@@ -20,6 +21,9 @@ if importlib.metadata.version("jaxlib").startswith("0.10."):  # later ones stop 
     _QUICK += " --xla_cpu_use_fusion_emitters=false"
 if os.environ["JAX_PLATFORMS"] == "cpu":
     os.environ.setdefault("XLA_FLAGS", _QUICK)
+# A script's background has Ctrl-C ignored, and so would whatever the tests start and interrupt.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 gc.set_threshold(50_000, 20, 20)  # a fifth of tracing went into looking for cycles among what stays
 
 import jax  # noqa: E402
