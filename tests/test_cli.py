@@ -285,8 +285,8 @@ SLOW_TO_COMPILE = """
 import jax, sys
 if len(sys.argv) > 1:
     import sean_jax
-ones = jax.numpy.ones((64, 30000))
-jax.jit(lambda: jax.lax.reduce_window(ones, 0.0, jax.lax.add, (1, 500), (1, 1), "SAME").sum())()
+ones = jax.numpy.ones((2, 30000))
+jax.jit(lambda: jax.lax.reduce_window(ones, 0.0, jax.lax.add, (1, 60), (1, 1), "SAME").sum())()
 """
 
 
