@@ -112,7 +112,7 @@ def _memory() -> float:
     """Bytes of the first device."""
     try:
         return float((jax.devices()[0].memory_stats() or {})["bytes_limit"])
-    except (KeyError, RuntimeError, NotImplementedError):
+    except (KeyError, RuntimeError, NotImplementedError):  # a CPU, or a backend that does not tell
         return FALLBACK
 
 
