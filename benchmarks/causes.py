@@ -1,9 +1,9 @@
-"""Why orderings of Table I and Figure 4 do not hold here (section V): figures of what people and robots do.
+"""Why orderings of Table I and Figure 4 do not hold here (section V): figures of the behavior of people and robots.
 
     python benchmarks/causes.py --table1 runs/table1 --figure4 runs/figure4   # their parts, and all that follows
     python benchmarks/causes.py --only crowds groups stacks facing            # people, groups, the navigation stack
 
-All is of 62 people in the warehouse, unless a set is handcrafted, and of equal keys for what is compared.
+All figures are of 62 people in the warehouse, unless a set is handcrafted. Runs that are compared have equal keys.
 """
 
 import argparse
@@ -18,23 +18,26 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax import environment, parallel
+from sean_jax import environment
 from sean_jax.assembly import with_task
-from sean_jax.base import Policy, Scenario, State
+from sean_jax.base import Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.classifiers import SITUATIONS
+from sean_jax.episodes import init_policy, simulate
 from sean_jax.metrics import METRICS
 from sean_jax.policies import POLICIES, social_costmap
-from sean_jax.policies.social_costmap import settings
+from sean_jax.policies.social_costmap import default_params
 from sean_jax.tasks import TASKS
 
-NEAR, SLOW = 2.4, 0.05  # m, D of the paper; m/s, who is slower stands
-MEASURED = tuple((n, METRICS[n]) for n in ("time_not_moving", "intimate_robot_on_person", "intimate_person_on_robot"))
+NEAR, SLOW = 2.4, 0.05  # m, D of the paper; m/s, below which a robot stands
+METRICS_USED = tuple(
+    (n, METRICS[n]) for n in ("time_not_moving", "intimate_robot_on_person", "intimate_person_on_robot")
+)
 
 
-def seen(scenario: Scenario) -> Callable:
-    """What is kept of each step."""
+def recorder(scenario: Scenario) -> Callable:
+    """The function that records a step."""
 
-    def keep(before: State, after: State, action: jax.Array) -> dict[str, jax.Array]:
+    def record(before: State, after: State, action: jax.Array) -> dict[str, jax.Array]:
         robot, people = after.robot, after.pedestrians
         gap = jnp.where(people.present[:, None], people.position - robot.position, 1e3)
         speed = jnp.sqrt((people.velocity**2).sum(1))
@@ -52,25 +55,25 @@ def seen(scenario: Scenario) -> Callable:
             "to_goal": jnp.sqrt((goal**2).sum()),
         }
 
-    return keep
+    return record
 
 
-def drive(scenario: Scenario, policy: Policy, episodes: int, seconds: float, seed: int) -> tuple[dict, dict]:
-    """(E, T, ...) what was seen in each step, and (E,) results. Tasks and settings share what is compiled."""
-    scenario, policy = replace(scenario, metrics=MEASURED), parallel.as_argument(policy)
+def drive(scenario: Scenario, policy: PolicyLike, episodes: int, seconds: float, seed: int) -> tuple[dict, dict]:
+    """(E, T, ...) records of each step, and (E,) results. Tasks and parameters share the compiled program."""
+    scenario, policy = replace(scenario, metrics=METRICS_USED), as_policy(policy)
     keys = jax.random.split(jax.random.key(seed), episodes)
     starts = jax.jit(jax.vmap(sean_jax.reset, in_axes=(None, 0)))(scenario, keys)
-    same = replace(scenario, task=TASKS["random_ab_nav"], task_name="")  # which no step reads
-    kept, found = _episodes(same, policy, starts, round(seconds / scenario.time_step))
-    return jax.tree.map(np.asarray, (kept, found))
+    same = replace(scenario, task=TASKS["random_ab_nav"], task_name="")  # no step reads them
+    frames, results = _episodes(same, policy, starts, round(seconds / scenario.time_step))
+    return jax.tree.map(np.asarray, (frames, results))
 
 
 @functools.partial(jax.jit, static_argnums=3)
 def _episodes(scenario: Scenario, policy: Policy, starts: State, steps: int) -> tuple:
     def one(state: State) -> tuple:
-        state, keep = parallel.begin(scenario, policy, state), seen(scenario)
-        last, kept = parallel.simulate(scenario, policy, state, steps, keep)
-        return kept, sean_jax.results(scenario, last) | {"completed": last.completed}
+        state, record = init_policy(scenario, policy, state), recorder(scenario)
+        last, frames = simulate(scenario, policy, state, steps, record)
+        return frames, sean_jax.results(scenario, last) | {"completed": last.completed}
 
     return jax.vmap(one)(starts)
 
@@ -86,27 +89,27 @@ def mean(values: np.ndarray, digits: int = 2) -> str:
 
 
 def crowds(options: argparse.Namespace) -> None:
-    """How fast people walk, how many are near the navigation stack, how they come near; the free floor."""
+    """How fast people walk, how many are near the navigation stack, how they approach it, and the free floor."""
     for behavior, task in (("random", "random_ab_nav"), ("graph", "join_group"), ("graph", "leave_group")):
         scenario = sean_jax.make("warehouse", behavior=behavior, task=task, dynamics="twin")
         floor = np.random.default_rng(0).uniform(-20, 20, (20000, 2)).astype(np.float32)
         room = np.asarray(jax.jit(environment.clearance)(scenario.environment, jnp.asarray(floor)))
-        kept, _ = drive(scenario, social_costmap, options.episodes, 120.0, options.seed)
-        lived = kept["active"]
-        speeds, near = kept["speeds"][lived], kept["distance"][lived] < NEAR
+        frames, _ = drive(scenario, social_costmap, options.episodes, 120.0, options.seed)
+        active = frames["active"]
+        speeds, near = frames["speeds"][active], frames["distance"][active] < NEAR
         walk = speeds > 0.4
         print(f"\n{behavior}, {task}: free floor {1600 * (room > 0.2).mean():.0f} m2, {scenario.people} people")
         faster = ", ".join(f"{v} m/s {100 * (speeds > v).mean():.1f} %" for v in (1.4, 1.2, 1.0, 0.4))
         print(f"  walk faster than {faster}")
         print(f"  within 2.4 m of the robot: {near.sum(1).mean():.2f} people, {(near & walk).sum(1).mean():.2f} walk; "
-              f"nobody {100 * (~near.any(1)).mean():.1f} % of {0.1 * lived.sum(1).mean():.1f} s")  # fmt: skip
+              f"nobody {100 * (~near.any(1)).mean():.1f} % of {0.1 * active.sum(1).mean():.1f} s")  # fmt: skip
         for limit in (1.2, 0.45):
-            came = kept["distance"] <= limit
-            entered = came[:, 1:] & ~came[:, :-1] & lived[:, 1:, None]
-            along, walker = kept["along"][:, 1:][entered], kept["speeds"][:, 1:][entered] > 0.4
+            came = frames["distance"] <= limit
+            entered = came[:, 1:] & ~came[:, :-1] & active[:, 1:, None]
+            along, walker = frames["along"][:, 1:][entered], frames["speeds"][:, 1:][entered] > 0.4
             way = [100 * (walker & side).mean() for side in (along < -0.7, abs(along) <= 0.7, along > 0.7)]
-            narrow = 100 * np.broadcast_to(kept["gap"][:, 1:, None] < 0.5, entered.shape)[entered].mean()
-            print(f"  came within {limit} m: {entered.sum() / len(lived):.2f} an episode; walking against the robot "
+            narrow = 100 * np.broadcast_to(frames["gap"][:, 1:, None] < 0.5, entered.shape)[entered].mean()
+            print(f"  came within {limit} m: {entered.sum() / len(active):.2f} an episode; walking against the robot "
                   f"{way[0]:.0f} %, across {way[1]:.0f} %, along {way[2]:.0f} %; obstacle within 0.5 m {narrow:.0f} %",
                   flush=True)  # fmt: skip
 
@@ -120,22 +123,22 @@ def groups(options: argparse.Namespace) -> None:
     for name in ("expert", "go_to_goal", "social_costmap"):
         for task in ("join_group", "leave_group"):
             scenario = with_task(join, task)
-            kept, _ = drive(scenario, POLICIES[name], options.episodes, 120.0, options.seed)
-            lived = kept["active"]
-            held = kept["situations"][..., names.index(task)] & lived
-            seconds = 0.1 * held.sum(1)
-            print(f"{name + ', ' + task:28} {len(held):9d} {100 * (seconds == 0).mean():8.1f} {seconds.mean():8.2f} "
-                  f"{kept['robot'][held].mean():10.2f} {0.1 * lived.sum(1).mean():9.1f} "
-                  f"{100 * (kept['gap'][lived] < 0.1).mean():14.2f}", flush=True)  # fmt: skip
+            frames, _ = drive(scenario, POLICIES[name], options.episodes, 120.0, options.seed)
+            active = frames["active"]
+            near = frames["situations"][..., names.index(task)] & active
+            seconds = 0.1 * near.sum(1)
+            print(f"{name + ', ' + task:28} {len(near):9d} {100 * (seconds == 0).mean():8.1f} {seconds.mean():8.2f} "
+                  f"{frames['robot'][near].mean():10.2f} {0.1 * active.sum(1).mean():9.1f} "
+                  f"{100 * (frames['gap'][active] < 0.1).mean():14.2f}", flush=True)  # fmt: skip
 
 
 def stacks(options: argparse.Namespace) -> None:
-    """The navigation stack among people who give way to it and who do not."""
+    """The navigation stack among people who give way to it, and among people who do not."""
     scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", dynamics="twin")
     tiny = jnp.asarray(1e-3, jnp.float32)
-    forces = replace(scenario.forces, robot_factor_least=tiny, robot_factor_greatest=tiny)
+    forces = scenario.forces.tree_replace({"robot_repulsion.factor_min": tiny, "robot_repulsion.factor_max": tiny})
     blind = replace(scenario, forces=forces)
-    wide = replace(social_costmap, data=settings(covariance=0.25))
+    wide = replace(social_costmap, params=default_params(covariance=0.25))
     print()
     for name, place, policy in (
         ("N", scenario, social_costmap),
@@ -143,31 +146,31 @@ def stacks(options: argparse.Namespace) -> None:
         ("N, covariance 0.25 m2", scenario, wide),
         ("N, both", blind, wide),
     ):
-        _, found = drive(place, policy, options.episodes, 120.0, options.seed)
-        harm = over_all(found["intimate_robot_on_person"] + found["intimate_person_on_robot"])
-        print(f"{name:26} stands {mean(over_all(found['time_not_moving']))} s, completed "
-              f"{100 * found['completed'].mean():.1f} %, violations {mean(harm)}", flush=True)  # fmt: skip
+        _, results = drive(place, policy, options.episodes, 120.0, options.seed)
+        harm = over_all(results["intimate_robot_on_person"] + results["intimate_person_on_robot"])
+        print(f"{name:26} stands {mean(over_all(results['time_not_moving']))} s, completed "
+              f"{100 * results['completed'].mean():.1f} %, violations {mean(harm)}", flush=True)  # fmt: skip
 
 
 def facing(options: argparse.Namespace) -> None:
-    """Violations that are in cross or down path, with down path as printed and as in SEAN's code."""
+    """Violations in cross path and down path, with down path as in the paper and as in SEAN's code."""
     print()
     for situations in ("paper", "sean2"):
         scenario = sean_jax.make(
             "warehouse", behavior="graph", task="join_group", dynamics="twin", situations=situations
         )
-        kept, found = drive(scenario, social_costmap, options.episodes, 120.0, options.seed)
-        harm = (found["intimate_robot_on_person"] + found["intimate_person_on_robot"]).sum(0)
+        frames, results = drive(scenario, social_costmap, options.episodes, 120.0, options.seed)
+        harm = (results["intimate_robot_on_person"] + results["intimate_person_on_robot"]).sum(0)
         shared = " ".join(
             f"{name} {100 * each / harm[0]:.0f} %" for name, each in zip(SITUATIONS, harm[1:], strict=True)
         )
-        none = ~kept["situations"][kept["active"]].any(1)
+        none = ~frames["situations"][frames["active"]].any(1)
         print(f"{situations}: {harm[0]:.0f} violations of N, in {shared}; in no situation {100 * none.mean():.1f} % "
               "of the time", flush=True)  # fmt: skip
 
 
 def standing(options: argparse.Namespace) -> None:
-    """Where learned policies stand, and what they command there."""
+    """Where learned policies stand, and their commands there."""
     from sean_jax import learning
 
     join = sean_jax.make("warehouse", behavior="graph", task="join_group", dynamics="twin")
@@ -175,12 +178,12 @@ def standing(options: argparse.Namespace) -> None:
     for task, name in ((task, name) for task in ("join_group", "leave_group") for name in names):
         scenario = with_task(join, task)
         policy = replace(learning.load(options.figure4 / f"policy-{name}", scenario), name="learned")
-        kept, found = drive(scenario, policy, options.episodes, 120.0, options.seed)
-        done = found["completed"]
-        still = (kept["robot"] < SLOW) & kept["active"]
-        lasting = still & ~done[:, None]  # of those who never arrive
-        near = kept["distance"].min(2)
-        command = np.abs(kept["command"][lasting])
+        frames, results = drive(scenario, policy, options.episodes, 120.0, options.seed)
+        done = results["completed"]
+        still = (frames["robot"] < SLOW) & frames["active"]
+        lasting = still & ~done[:, None]  # of robots that never arrive
+        near = frames["distance"].min(2)
+        command = np.abs(frames["command"][lasting])
         last = lasting[:, -50:].all(1)  # stand at the end for 5 s
         print(
             f"\n{name}, {task}: completed {done.sum()} of {len(done)}; seconds slower than {SLOW} m/s: "
@@ -189,16 +192,16 @@ def standing(options: argparse.Namespace) -> None:
         if not lasting.any():
             continue
         print(
-            f"  others stand: {100 * (kept['gap'][lasting] < 0.1).mean():.0f} % within 0.1 m of an obstacle, "
-            f"{100 * (near[lasting] < 1.2).mean():.0f} % within 1.2 m of somebody, "
-            f"{100 * ((kept['gap'][lasting] >= 0.1) & (near[lasting] >= 1.2)).mean():.0f} % with neither"
+            f"  others stand: {100 * (frames['gap'][lasting] < 0.1).mean():.0f} % within 0.1 m of an obstacle, "
+            f"{100 * (near[lasting] < 1.2).mean():.0f} % within 1.2 m of a person, "
+            f"{100 * ((frames['gap'][lasting] >= 0.1) & (near[lasting] >= 1.2)).mean():.0f} % with neither"
         )
         print(
             f"  command there: {np.median(command[:, 0]):.3f} m/s, {np.median(command[:, 1]):.3f} rad/s in the "
             f"median; {100 * (command[:, 0] > 0.1).mean():.0f} % above 0.1 m/s (it pushes)"
         )
-        side, height = _touched(scenario, kept["pose"][last, -1])
-        print(f"  at the end {last.sum()} stand: goal at {np.round(kept['to_goal'][last, -1], 1)} m, "
+        side, height = _touched(scenario, frames["pose"][last, -1])
+        print(f"  at the end {last.sum()} stand: goal at {np.round(frames['to_goal'][last, -1], 1)} m, "
               f"obstacle at {np.round(side)} degrees from ahead, {height} m high", flush=True)  # fmt: skip
 
 
@@ -216,43 +219,43 @@ def _touched(scenario: Scenario, poses: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _streams(behavior: str) -> list[str]:
-    """The parts of the protocol, in the order in which experiments take them."""
+    """The parts of the protocol, in the order of the experiments."""
     if behavior != "handcrafted":
         return {"random": ["random_ab_nav"], "graph": ["join_group", "leave_group"]}[behavior]
     return list(dict.fromkeys(sean_jax.make("warehouse", behavior=behavior, task=behavior).behavior.data.situations))
 
 
 def fifths(options: argparse.Namespace) -> None:
-    """Table I, part by part of the protocol: the shares in percent, an example in several situations being shared."""
+    """Table I by part of the protocol: shares in percent; an example in several situations counts for each in part."""
     print(f"\n{'Table I':46} {' '.join(f'{name:>11}' for name in SITUATIONS)} {'none':>11}")
     for behavior in ("handcrafted", "graph"):
         names = _streams(behavior)
-        for driver in ("go_to_goal", "social_costmap", "expert"):
-            with np.load(options.table1 / f"{behavior}-{driver}.npz") as kept:
-                flags = np.unpackbits(kept["flags"], axis=-1, count=len(SITUATIONS)).astype(bool)[0]
+        for policy in ("go_to_goal", "social_costmap", "expert"):
+            with np.load(options.table1 / f"{behavior}-{policy}.npz") as arrays:
+                flags = np.unpackbits(arrays["flags"], axis=-1, count=len(SITUATIONS)).astype(bool)[0]
             for name, part in zip(names, np.split(flags, len(names)), strict=True):
-                held = part.sum(-1, keepdims=True)
-                values = [*(part / np.maximum(held, 1)).mean((0, 1)), (held == 0).mean()]
+                number = part.sum(-1, keepdims=True)
+                values = [*(part / np.maximum(number, 1)).mean((0, 1)), (number == 0).mean()]
                 cells = " ".join(f"{100 * value:11.1f}" for value in values)
-                print(f"{f'{behavior}, {driver}, {name}':46} {cells}")
+                print(f"{f'{behavior}, {policy}, {name}':46} {cells}")
 
 
 def episodes(options: argparse.Namespace) -> None:
-    """Figure 4, part by part of the protocol: who did not arrive, and violations a minute."""
+    """Figure 4 by part of the protocol: episodes that were not completed, and violations a minute."""
     print(f"\n{'Figure 4':34} {'not completed':>14} {'their s still':>13} {'violations/min':>15}")
     for file in sorted(options.figure4.glob("episodes-*.json")):
         _, policy, behavior = file.stem.split("-")
-        told = {name: np.array(values) for name, values in json.loads(file.read_text(encoding="utf-8")).items()}
-        harm = told["intimate_robot_on_person"] + told["intimate_person_on_robot"]
-        late, still = told["completed"] == 0, over_all(told["time_not_moving"])
+        figures = {name: np.array(values) for name, values in json.loads(file.read_text(encoding="utf-8")).items()}
+        harm = figures["intimate_robot_on_person"] + figures["intimate_person_on_robot"]
+        late, still = figures["completed"] == 0, over_all(figures["time_not_moving"])
         names = _streams(behavior)
         apart = 100 * still[late].sum() / still.sum()
-        print(f"{policy}, {behavior}: {apart:.0f} % of the time not moving is that of who did not arrive")
+        print(f"{policy}, {behavior}: {apart:.0f} % of the time not moving is in episodes that were not completed")
         for k, name in enumerate(names):
             of = slice(k, None, len(names))
             print(f"{f'  {name}':34} {f'{late[of].sum()} of {late[of].size}':>14} "
                   f"{still[of][late[of]].mean() if late[of].any() else 0:13.1f} "
-                  f"{60 * harm[of, 0].sum() / told['seconds'][of].sum():15.2f}")  # fmt: skip
+                  f"{60 * harm[of, 0].sum() / figures['seconds'][of].sum():15.2f}")  # fmt: skip
 
 
 def main() -> None:

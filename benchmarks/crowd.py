@@ -14,6 +14,7 @@ import numpy as np
 
 from sean_jax import social_forces
 from sean_jax.bench import programs, timing, workload
+from sean_jax.social_forces.terms import term_name
 
 STEP = 0.05  # s
 
@@ -33,25 +34,31 @@ def loop(people: int, walls: int, preset: str, steps: int = 2) -> float:
     return people * steps / (time.perf_counter() - begun)
 
 
+def constants(forces: social_forces.Forces) -> dict[str, dict[str, float | None]]:
+    """The parameters of each term by name, in float64."""
+    return {
+        term_name(term): {k: None if v is None else float(v) for k, v in vars(term).items() if not callable(v)}
+        for term in forces
+    }
+
+
 def exact(people: int, walls: int, preset: str):
     """Constants, sight law, state and boxes of the workload in float64."""
-    parameters = social_forces.preset(preset)
-    laws = ("repulsion", "sight")
-    p = {k: None if v is None else float(v) for k, v in vars(parameters).items() if k not in laws}
+    forces = social_forces.preset(preset)
     e = workload.crowd(people, walls)[2]
     state = e["x"], e["v"], e["heading"], e["desired"], e["preferred"]
-    return p, parameters.sight.__name__, state, (e["center"], e["half"], e["yaw"])
+    return constants(forces), forces.repulsion.sight.__name__, state, (e["center"], e["half"], e["yaw"])
 
 
 def errors(people: int, walls: int, preset: str, steps: int) -> float:
     """Relative error of positions and velocities against the loop after that many steps."""
     p, law, state, boxes = exact(people, walls, preset)
-    crowd, nearby, _ = workload.crowd(people, walls)
+    crowd, grid, _ = workload.crowd(people, walls)
     parameters = social_forces.preset(preset)
-    advance = jax.jit(lambda c: social_forces.advance(parameters, c, nearby, None, None, STEP))
+    integrate = jax.jit(lambda c: social_forces.integrate(parameters, c, grid, None, None, STEP))
     for _ in range(steps):
         state = crowd_loop.step(*state, boxes, p, law, STEP) + state[3:]
-        crowd = advance(crowd)
+        crowd = integrate(crowd)
     ours = np.concatenate([crowd.position, crowd.velocity])
     theirs = np.concatenate(state[:2])
     return float(np.linalg.norm(ours - theirs) / np.linalg.norm(theirs))

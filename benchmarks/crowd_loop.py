@@ -33,34 +33,36 @@ def from_boxes(point, boxes):
 
 def repulsion(d, w, v, p):
     """Pushes (M, 2) of M others at relative positions d (M, 2) with velocities w (M, 2) on one with velocity v."""
-    y = (w - p["own_motion"] * v) * p["anticipation"]
+    r = p["repulsion"]
+    y = (w - r["own_motion"] * v) * r["anticipation"]
     if not y.any():
         size = length(d)
-        return (p["strength"] * np.exp((p["reach"] - size) / p["range"]) / size)[:, None] * d
+        return (r["strength"] * np.exp((r["reach"] - size) / r["range"]) / size)[:, None] * d
     e = d - y
     reach_sum = length(d) + length(e)
     b = 0.5 * np.sqrt(np.maximum(reach_sum**2 - length(y) ** 2, 1e-30))
-    push = p["strength"] * np.exp((p["reach"] - b) / p["range"]) * reach_sum / (4 * b)
+    push = r["strength"] * np.exp((r["reach"] - b) / r["range"]) * reach_sum / (4 * b)
     return push[:, None] * (d / length(d)[:, None] + e / length(e)[:, None])
 
 
 def sight(push, d, look, p, law):
     """Weights (M,) of M pushes (M, 2) from relative positions d (M, 2), for somebody who looks along ``look`` (2,)."""
+    r = p["repulsion"]
     if law == "in_cone":
-        inside = -(push @ look) >= p["sight_cosine"] * length(push)
-        return np.where(inside, 1.0, p["back_weight"])
+        inside = -(push @ look) >= r["sight_cosine"] * length(push)
+        return np.where(inside, 1.0, r["back_weight"])
     cosine = -(d @ look) / length(d)
-    return p["back_weight"] + (1 - p["back_weight"]) * (1 + cosine) / 2
+    return r["back_weight"] + (1 - r["back_weight"]) * (1 + cosine) / 2
 
 
 def contact(d, w, v, p):
     """Push (2,) of a body at relative position d (2,) with velocity w on one with velocity v, as they overlap."""
-    overlap = max(2 * p["radius"] - length(d), 0.0)
+    overlap = max(2 * p["walking"]["radius"] - length(d), 0.0)
     normal = d / length(d)
     tangent = np.array([-normal[1], normal[0]])
-    push = p["body"] * overlap * normal
-    if p["friction"] is not None:
-        push = push + p["friction"] * overlap * ((w - v) @ tangent) * tangent
+    push = p["contact"]["stiffness"] * overlap * normal
+    if p["contact"]["friction"] is not None:
+        push = push + p["contact"]["friction"] * overlap * ((w - v) @ tangent) * tangent
     return push
 
 
@@ -71,33 +73,34 @@ def ramp(share):
 
 def cohesion(i, others, x, v, look, p):
     """Force (2,) on person i of walking with others (a list): gaze, attraction, repulsion, contact."""
+    c = p["cohesion"]
     force = np.zeros(2)
     if not others:
         return force
     middle = np.mean([x[j] for j in others], axis=0) - x[i]
     angle = np.arccos(np.clip(middle @ look / length(middle), -1, 1))
     smooth = length(middle) ** 2 / (length(middle) ** 2 + 0.1**2)
-    force -= p["party_gaze"] * max(angle - p["party_view"], 0.0) * smooth * v[i]
+    force -= c["gaze"] * max(angle - c["view_angle"], 0.0) * smooth * v[i]
     centroid = np.mean([x[j] for j in [i, *others]], axis=0) - x[i]
-    far = length(centroid) - len(others) / 2 * p["party_far"]
-    force += p["party_attraction"] * ramp(far / p["party_ramp"]) * centroid / length(centroid)
+    far = length(centroid) - len(others) / 2 * c["attraction_distance"]
+    force += c["attraction"] * ramp(far / c["ramp"]) * centroid / length(centroid)
     for j in others:
         d = x[i] - x[j]
-        near = p["party_near"] - length(d)
-        force += p["party_repulsion"] * ramp(near / p["party_ramp"]) * d / length(d)
+        near = c["repulsion_distance"] - length(d)
+        force += c["repulsion"] * ramp(near / c["ramp"]) * d / length(d)
         force += contact(d, v[j], v[i], p)
     return force
 
 
-def step(x, v, heading, desired, preferred, boxes, p, law, dt, parties=()):
+def step(x, v, heading, desired, preferred, boxes, p, law, dt, walking_groups=()):
     """One semi-implicit Euler step of N people: positions, velocities, headings, desired velocities (N, 2).
 
-    ``parties`` are lists of the indices of those who walk together.
+    ``walking_groups`` are lists of the indices of those who walk together.
     """
     n = len(x)
     new_x, new_v, new_heading = np.empty_like(x), np.empty_like(v), np.empty_like(heading)
     for i in range(n):
-        companions = [j for party in parties if i in party for j in party if j != i]
+        companions = [j for walking_group in walking_groups if i in walking_group for j in walking_group if j != i]
         others = ~np.isin(np.arange(n), [i, *companions])
         d, w = x[i] - x[others], v[others]
         speed_wanted = length(desired[i])
@@ -105,31 +108,31 @@ def step(x, v, heading, desired, preferred, boxes, p, law, dt, parties=()):
         push = repulsion(d, w, v[i], p)
         force = sight(push, d, look, p, law)[:, None] * push
         bearing = -(d @ look) / length(d)
-        oncoming = ((w - v[i]) @ look < 0) & (bearing >= p["side_cosine"]) & (length(d) < p["side_range"])
+        oncoming = ((w - v[i]) @ look < 0) & (bearing >= p["sidestep"]["cosine"]) & (length(d) < p["sidestep"]["range"])
         right = np.array([look[1], -look[0]])
-        force = force + np.where(oncoming, p["side_preference"] * bearing, 0.0)[:, None] * right
+        force = force + np.where(oncoming, p["sidestep"]["preference"] * bearing, 0.0)[:, None] * right
         force = force + np.array([contact(one, other, v[i], p) for one, other in zip(d, w, strict=True)]).reshape(-1, 2)
-        total = force[length(d) < p["perception"]].sum(0)
+        total = force[length(d) < p["walking"]["perception"]].sum(0)
         if len(boxes[2]):
             distance, normal = from_boxes(x[i], boxes)
-            near = distance < p["perception"]
-            size = p["wall_strength"] * np.exp((p["wall_reach"] - distance) / p["wall_range"])
-            size = size * (1 + p["wall_lever"] * (distance - 1))
+            near = distance < p["walking"]["perception"]
+            size = p["walls"]["strength"] * np.exp((p["walls"]["reach"] - distance) / p["walls"]["range"])
+            size = size * (1 + p["walls"]["distance_factor"] * (distance - 1))
             total = total + (size[:, None] * normal)[near].sum(0)
         ahead = total @ heading[i]
         left = np.array([-heading[i][1], heading[i][0]])
-        across = (total @ left) / p["lateral_damping"]
-        total = (ahead * p["reversing"] if ahead < 0 else ahead) * heading[i] + across * left
+        across = (total @ left) / p["walking"]["lateral_damping"]
+        total = (ahead * p["walking"]["backward_scale"] if ahead < 0 else ahead) * heading[i] + across * left
         total = total + cohesion(i, companions, x, v, look, p)
-        u = v[i] + ((desired[i] - v[i]) / p["relaxation_time"] + total) * dt
-        u = u * min(1.0, p["speed_ratio"] * preferred[i] / length(u)) if length(u) > 0 else u
+        u = v[i] + ((desired[i] - v[i]) / p["walking"]["relaxation_time"] + total) * dt
+        u = u * min(1.0, p["walking"]["speed_ratio"] * preferred[i] / length(u)) if length(u) > 0 else u
         if len(boxes[2]):
-            gap = distance - p["radius"]
+            gap = distance - p["walking"]["radius"]
             excess = np.maximum(-gap / dt - normal @ u, 0.0)
             u = u + (excess[:, None] * normal).sum(0)
-            if p["friction"] is not None:
+            if p["contact"]["friction"] is not None:
                 tangent = np.stack([-normal[:, 1], normal[:, 0]], 1)
-                slowed = (tangent @ u) / (1 + p["friction"] / p["body"] * excess)
+                slowed = (tangent @ u) / (1 + p["contact"]["friction"] / p["contact"]["stiffness"] * excess)
                 u = u - ((tangent @ u - slowed)[:, None] * tangent).sum(0)
             approach, allowed = -normal @ u, np.maximum(gap / dt + 1e-3, 0.0)
             u = u * min([1.0, *(allowed[approach > allowed] / approach[approach > allowed])])
@@ -137,7 +140,7 @@ def step(x, v, heading, desired, preferred, boxes, p, law, dt, parties=()):
         turn = 0.0
         if length(u) > 0.1:
             turn = np.arctan2(heading[i][0] * u[1] - heading[i][1] * u[0], heading[i] @ u)
-            turn = np.clip(turn, -p["turn_rate"] * dt, p["turn_rate"] * dt)
+            turn = np.clip(turn, -p["walking"]["turn_rate"] * dt, p["walking"]["turn_rate"] * dt)
         c, s = np.cos(turn), np.sin(turn)
         new_heading[i] = np.array([[c, -s], [s, c]]) @ heading[i]
     return new_x, new_v, new_heading

@@ -1,12 +1,12 @@
-"""The least that a program must do: its operations, special functions and bytes, counted, and how fast they could go.
+"""Lower bounds of time: the operations, special functions and bytes of a program, counted, and a device's rates.
 
-python benchmarks/floors.py                                 counts, and the floors of one H200
-python benchmarks/floors.py --measured DIR/bench.json       and the share of them that ``sean bench`` reached there
+python benchmarks/floors.py                                 counts, and the bounds of one H200
+python benchmarks/floors.py --measured DIR/bench.json       and the share of them that ``sean bench`` reached
 
 Operations are counted in the program as written (its jaxpr), once for each number computed: additions, products,
 comparisons, choices and integer work alike. Divisions, roots, exponentials and angles are special functions. Bytes are
-those of the state, read once and written once. Turns of loops whose number depends on the data are told by ``--turns``;
-a ray meets four bodies of each family, and somebody in a large crowd has 48 neighbors.
+those of the state, read once and written once. ``--turns`` gives the turns of loops whose number depends on the data; a
+ray meets four bodies of each family, and a person in a large crowd has 48 neighbors.
 """
 
 import argparse
@@ -21,7 +21,7 @@ import jax
 import sean_jax
 from sean_jax import sensors, social_forces
 from sean_jax.bench import programs, workload
-from sean_jax.raycast.meeting import SHARE
+from sean_jax.raycast.intersect import SHARE
 from sean_jax.scenario import reset, step
 
 SPECIAL = {"exp", "exp2", "log", "log1p", "expm1", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sqrt",
@@ -36,7 +36,7 @@ THREEFRY = 40  # operations for each 32 random bits: twenty rounds of three, and
 
 
 def size(variables: Any) -> int:
-    """Numbers in all of them."""
+    """Number of elements of all variables."""
     return sum(math.prod(getattr(v.aval, "shape", ())) for v in variables)
 
 
@@ -77,12 +77,12 @@ def count(jaxpr: Any, turns: int) -> Counter:
 
 
 def bytes_of(tree: Any) -> int:
-    """Of all its arrays; a key has 8."""
+    """Bytes of all arrays of a tree; a key has 8."""
     return sum(leaf.size * getattr(leaf.dtype, "itemsize", 8) for leaf in jax.tree.leaves(tree))
 
 
 def rows(people: int, turns: int) -> dict[str, tuple[str, Counter, float, float]]:
-    """name -> (part of ``sean bench``, counts, bytes, how many of what is counted they make)."""
+    """name -> (part of ``sean bench``, counts, bytes, number of items that these counts make)."""
     scenario = sean_jax.make("warehouse", people=people, dynamics="twin")
     state = jax.eval_shape(lambda key: reset(scenario, key), jax.random.key(0))
     whole = jax.make_jaxpr(lambda s: step(scenario, s, programs.circles(scenario, s, s.streams.policy)))(state)
@@ -90,7 +90,7 @@ def rows(people: int, turns: int) -> dict[str, tuple[str, Counter, float, float]
     image = count(jax.make_jaxpr(lambda s: sensors.depth(scenario, s, eye))(state).jaxpr, SHARE * turns)
     moved = 2.0 * bytes_of(state)
     pixels = 4.0 * 64 * 48
-    found = {
+    programs_by_name = {
         "scenario-steps": ("step", count(whole.jaxpr, turns), moved, 1.0),
         "depth images 64x48": ("images", image, pixels, 1.0),
         "scenario-steps with one": (
@@ -99,11 +99,16 @@ def rows(people: int, turns: int) -> dict[str, tuple[str, Counter, float, float]
     }  # fmt: skip
     parameters = social_forces.preset("helbing1995")
     for number in (62, 1000, 10_000):
-        crowd, nearby, _ = workload.crowd(number, 32)
-        one = jax.make_jaxpr(lambda p: social_forces.advance(parameters, p, nearby, None, None, 0.05))  # noqa: B023
+        crowd, grid, _ = workload.crowd(number, 32)
+        one = jax.make_jaxpr(lambda p: social_forces.integrate(parameters, p, grid, None, None, 0.05))  # noqa: B023
         counted = count(one(jax.eval_shape(lambda: crowd)).jaxpr, 2)  # noqa: B023
-        found[f"agent-steps, N = {number}"] = (f"crowd {number}", counted, 2.0 * bytes_of(crowd), float(number))
-    return found
+        programs_by_name[f"agent-steps, N = {number}"] = (
+            f"crowd {number}",
+            counted,
+            2.0 * bytes_of(crowd),
+            float(number),
+        )
+    return programs_by_name
 
 
 def main() -> None:

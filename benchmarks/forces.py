@@ -1,7 +1,7 @@
 """What the social forces do to people, preset by preset: the tables of docs/social_forces.md.
 
 python benchmarks/forces.py                     all experiments, with every preset
-python benchmarks/forces.py passing robot       some of them: passing, robot, bottleneck, parties
+python benchmarks/forces.py passing robot       some of them: passing, robot, bottleneck, walking_groups
 """
 
 import argparse
@@ -20,13 +20,13 @@ FACTORS = (0.5, 1.0, 2.0, 4.0, 8.0)  # of the repulsion by the robot
 
 def print_passing(presets) -> None:
     """Share of right-hand passes by side preference."""
-    print("passing: share of head-on meetings in which both keep right, by side_preference [m/s2] (1000 each)")
+    print("passing: share of head-on meetings in which both keep right, by sidestep.preference [m/s2] (1000 each)")
     print(f"{'':>14}" + "".join(f"{value:7.1f}" for value in PREFERENCES) + "   own value")
     for name in presets:
         parameters = social_forces.preset(name)
         for sign in (1.0, -1.0):
             share = np.nanmean(right_share(parameters, sign * np.array(PREFERENCES)), axis=1)
-            own = f"   {float(parameters.side_preference):9.2f}" if sign > 0 else ""
+            own = f"   {float(parameters.sidestep.preference):9.2f}" if sign > 0 else ""
             print(f"{name if sign > 0 else '  mirrored':>14}" + "".join(f"{one:7.3f}" for one in share) + own)
 
 
@@ -38,9 +38,8 @@ def print_robot(presets) -> None:
     gaps = jax.jit(robot_gaps, static_argnames="crossings")
     for name in presets:
         parameters = social_forces.preset(name)
-        by_factor = np.asarray(gaps(parameters, parameters.range * jnp.log(jnp.asarray(FACTORS)), crossings=400)).mean(
-            1
-        )
+        distances = parameters.repulsion.range * jnp.log(jnp.asarray(FACTORS))
+        by_factor = np.asarray(gaps(parameters, distances, crossings=400)).mean(1)
         drawn = social_forces.draw_traits(parameters, jax.random.key(9), 400)[1]
         gap = np.asarray(gaps(parameters, drawn[None], crossings=400))[0]
         print(f"{name:>14}" + "".join(f"{one:7.3f}" for one in by_factor)
@@ -64,9 +63,9 @@ def print_bottleneck(presets, seeds: int = 4) -> None:
                   f"{overlap.max():11.1f}{np.quantile(overlap, 0.999):8.1f}{longest:9.3f}")  # fmt: skip
 
 
-def print_parties(presets) -> None:
-    """How parties walk, in the open and in the warehouse."""
-    print("parties: while walking faster than 0.5 m/s, singles / pairs / triples; measured: spacing .71-.92 m, beside")
+def print_walking_groups(presets) -> None:
+    """How walking groups walk, in the open and in the warehouse."""
+    print("walking groups: while faster than 0.5 m/s, singles / pairs / triples; measured: spacing .71-.92 m, beside")
     print(".63-.89, pairs .04-.15 m/s slower than singles, triples slower than pairs")
     print(f"{'':>14}{'':>10}{'speed m/s':>19}{'spacing m':>12}{'beside':>11}{'over 2 m apart':>16}")
     for name in presets:
@@ -74,7 +73,7 @@ def print_parties(presets) -> None:
         rows = {"open": {size: together(*in_the_open(parameters, size)).get(size, {}) for size in (1, 2, 3)}}
         for behavior, task in (("random", "random_ab_nav"), ("graph", "join_group")):
             scenario = sean_jax.make(
-                "warehouse", behavior=behavior, task=task, dynamics="twin", forces=parameters, parties=(0.3, 0.3)
+                "warehouse", behavior=behavior, task=task, dynamics="twin", forces=parameters, walking_groups=(0.3, 0.3)
             )
             rows[behavior] = together(*in_scenario(scenario))
         for place, found in rows.items():
@@ -89,7 +88,7 @@ EXPERIMENTS = {
     "passing": print_passing,
     "robot": print_robot,
     "bottleneck": print_bottleneck,
-    "parties": print_parties,
+    "walking_groups": print_walking_groups,
 }
 
 

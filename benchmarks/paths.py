@@ -1,10 +1,11 @@
-"""Shortest paths: how much too long they are, and how near those who follow them come to obstacles.
+"""Shortest paths: their excess length, and the clearance of discs that follow them.
 
 python benchmarks/paths.py --pairs 1000
 python benchmarks/paths.py --pairs 100 --environments lab --radii 0.25
 
-For random pairs of a free start and goal: the length that the tables give, and that of the ways walked along the next
-points, from point to point and in strides of 0.1 m; against a visibility graph in float64 (tests/shortest_paths.py).
+For random pairs of a free start and goal, the length that the tables give, and that of the paths walked along the next
+points, from point to point and in strides of 0.1 m, are compared with a visibility graph in float64
+(tests/shortest_paths.py).
 """
 
 import argparse
@@ -27,25 +28,25 @@ STRIDE = 0.1  # m
 
 
 def megabytes(tables) -> float:
-    """Of all arrays."""
+    """Megabytes of all arrays."""
     return sum(leaf.nbytes for leaf in jax.tree.leaves(tables)) / 1e6
 
 
 def measure(name: str, radius: float, pairs: int, seed: int) -> str:
-    """A row of the table; raises ValueError where such a disc has no room."""
+    """A row of the table; raises ValueError where such a disc does not fit."""
     place = environments.load(name)
     points = environments.free_points(place, radius, 2 * pairs, seed)
     start, goal = points[:pairs], points[pairs:]
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     tables = jax.block_until_ready(navigation.build(place, radius))
-    seconds = time.perf_counter() - begun
+    seconds = time.perf_counter() - start_time
     boxes = oracle.boxes_of(place)
     truth = oracle.geodesics(boxes, radius, start.astype(float), goal.astype(float))
     found = np.asarray(oracle.lengths(tables, start, goal), float)
     there = np.isfinite(truth)
     if (there != np.isfinite(found)).any():
         raise RuntimeError(
-            f"{name}, {radius} m: {(there != np.isfinite(found)).sum()} ways were not found, or are none"
+            f"{name}, {radius} m: {(there != np.isfinite(found)).sum()} paths were not found, or do not exist"
         )
     start, goal, truth, found = start[there], goal[there], truth[there], found[there]
     excess, nearest = [found / truth - 1], []
@@ -54,7 +55,7 @@ def measure(name: str, radius: float, pairs: int, seed: int) -> str:
         path = np.asarray(oracle.follow(tables, start, goal, jnp.asarray(stride, jnp.float32), count), float)
         path = np.concatenate([start[:, None], path], 1)
         if np.abs(path[:, -1] - goal).max() > 1e-3:
-            raise RuntimeError(f"{name}, {radius} m: somebody did not arrive")
+            raise RuntimeError(f"{name}, {radius} m: a disc did not arrive")
         excess.append(np.linalg.norm(np.diff(path, axis=1), axis=-1).sum(1) / truth - 1)
         nearest.append(oracle.walked_clearance(path, boxes) - radius)
     worst = "".join(f"{100 * part.max():9.3f} {100 * part.mean():7.4f}" for part in excess)

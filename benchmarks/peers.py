@@ -1,12 +1,12 @@
-"""Other crowd simulators beside this one: the same people, walls and steps, in one run; agent-steps per core-second.
+"""Other crowd simulators and this one, with the same people, walls and steps: agent-steps per core-second.
 
 pip install -e ".[peers]"
 python benchmarks/peers.py                                   all that are installed, 62 and 1000 people
-python benchmarks/peers.py --people 62 --driver my_peer.py   one of your own as well (see peer_drivers.py)
+python benchmarks/peers.py --people 62 --simulator my_peer.py   with one of your own (see peer_simulators.py)
 
-A hall as in ``workload.py``, open or with an outer wall and eight shelves; discs of 0.3 m, steps of 0.01 s. A
-core-second is what one core computes in a second: what a program gains by many cores does not count, nor what others on
-the machine take. This project's crowds are ``helbing1995``, B at once; large ones look for neighbors every ten steps.
+The hall is that of ``workload.py``, open or with an outer wall and eight shelves; people are discs of 0.3 m, steps last
+0.01 s. A core-second is one second of one core: many cores bring no gain, and other programs on the machine no loss.
+This project's crowds are ``helbing1995``, B at once; large ones look for neighbors every ten steps.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
-import peer_drivers
+import peer_simulators
 
 from sean_jax import social_forces
 from sean_jax.bench import workload
@@ -32,7 +32,7 @@ SHELVES = 8
 
 @dataclasses.dataclass(frozen=True)
 class Hall:
-    """What every simulator is given."""
+    """The scene that every simulator gets."""
 
     starts: np.ndarray  # (N, 2) m
     goals: np.ndarray  # (N, 2) m
@@ -72,17 +72,17 @@ def hall(people: int, walls: bool) -> Hall:
 
 
 def ours(people: int, walls: bool, batch: int, steps: int) -> Callable[[], Callable[[int], None]]:
-    """This project's crowd; ``advance`` does ``steps`` steps, a multiple of ten."""
-    parameters = dataclasses.replace(social_forces.preset("helbing1995"), radius=jax.numpy.float32(RADIUS))
-    many, nearby, _ = workload.crowd(people, 4 + SHELVES)
+    """This project's crowd; ``advance`` takes ``steps`` steps, a multiple of ten."""
+    parameters = social_forces.preset("helbing1995").tree_replace({"walking.radius": RADIUS})
+    many, grid, _ = workload.crowd(people, 4 + SHELVES)
     many = workload.repeat(many, batch)
 
     def ten(people):
         near = model.neighbors(parameters, people, 10 * STEP)
 
         def one(people, _):
-            walls_near = nearby if walls else None
-            return social_forces.advance(parameters, people, walls_near, None, None, STEP, near=near), None
+            walls_near = grid if walls else None
+            return social_forces.integrate(parameters, people, walls_near, None, None, STEP, near=near), None
 
         return jax.lax.scan(one, people, length=10)[0]
 
@@ -103,7 +103,7 @@ def rate(begin: Callable, agents: int, steps: int, repeats: int) -> float:
 
 
 def enough(begin: Callable, seconds: float) -> int:
-    """How many steps take about that long."""
+    """The number of steps that take about that long."""
     steps = 1
     while True:
         advance = begin()
@@ -116,16 +116,18 @@ def enough(begin: Callable, seconds: float) -> int:
 
 
 def installed(files: list[str]) -> dict[str, Callable]:
-    """Drivers of the packages that can be imported, and those of the files."""
-    found = {name: driver for name, driver in peer_drivers.DRIVERS.items() if importlib.util.find_spec(name)}
+    """The simulators that can be imported, and those of the files."""
+    simulators = {
+        name: simulator for name, simulator in peer_simulators.SIMULATORS.items() if importlib.util.find_spec(name)
+    }
     for file in files:
         spec = importlib.util.spec_from_file_location(Path(file).stem, file)
         if spec is None or spec.loader is None or not Path(file).is_file():
-            raise SystemExit(f"--driver: {file} is no Python file; give one with a function named driver.")
+            raise SystemExit(f"--simulator: {file} is no Python file; give one with a function named simulator.")
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-        found[Path(file).stem] = module.driver
-    return found
+        simulators[Path(file).stem] = module.simulator
+    return simulators
 
 
 def main() -> None:
@@ -133,12 +135,12 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--people", nargs="+", type=int, default=[62, 1000])
     arguments.add_argument("--batches", nargs="+", type=int, default=[1, 256], help="of this project's crowds")
-    arguments.add_argument("--driver", nargs="*", default=[], metavar="FILE", help="a peer of your own")
+    arguments.add_argument("--simulator", nargs="*", default=[], metavar="FILE", help="a peer of your own")
     arguments.add_argument("--repeats", type=int, default=5)
     arguments.add_argument("--seconds", type=float, default=1.0, help="for each repeat")
     arguments.add_argument("--json", type=Path, default=None, help="file to write the figures to")
     chosen = arguments.parse_args()
-    peers, rows = installed(chosen.driver), []
+    peers, rows = installed(chosen.simulator), []
     print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}; peers: {', '.join(peers) or 'none installed'}")
     print(f"{'hall':>6} {'N':>6}  {'simulator':<22} {'agent-steps per core-second':>28} {'ours are faster by':>19}")
     for walls in (False, True):
@@ -152,11 +154,11 @@ def main() -> None:
                     ours(people, walls, batch, steps), batch * people, steps, chosen.repeats
                 )
             best = max(measured.values())
-            for name, driver in peers.items():
+            for name, simulator in peers.items():
                 try:
-                    begin, _ = driver(hall(people, walls))
+                    begin, _ = simulator(hall(people, walls))
                     measured[name] = rate(begin, people, enough(begin, chosen.seconds), chosen.repeats)
-                except Exception as error:  # a peer that breaks shall not hide the others
+                except Exception as error:  # one peer that fails must not hide the others
                     print(f"{scene:>6} {people:6d}  {name:<22} failed: {str(error)[:80]}")
             for name, value in measured.items():
                 share = "" if name.startswith("sean_jax") else f"{best / value:18.1f}x"

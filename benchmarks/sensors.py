@@ -4,7 +4,7 @@ python benchmarks/sensors.py --batches 1 64                     on a CPU
 python benchmarks/sensors.py --batches 1 --sizes 640x480        in full, on a CPU
 python benchmarks/sensors.py --batches 1024 8192 --only depth   on a GPU
 
-Scenarios are reset with keys of their own, so that robots stand in different places with people in different ones.
+Each scenario is reset with its own key, so robots and people stand in different places.
 """
 
 import argparse
@@ -43,12 +43,12 @@ def main() -> None:
     arguments.add_argument("--batches", nargs="+", type=int, default=[1, 64])
     arguments.add_argument("--sizes", nargs="+", default=["64x48", "160x120"], help="of pictures, such as 640x480")
     arguments.add_argument("--people", type=int, default=62)
-    arguments.add_argument("--only", default="", help="of the cases, those that begin so")
+    arguments.add_argument("--only", default="", help="beginning of the names of the cases")
     arguments.add_argument("--repeats", type=int, default=5)
     chosen = arguments.parse_args()
     scenario = sean_jax.make(chosen.environment, people=chosen.people, dynamics="twin")
     device = jax.devices()[0]
-    jax.config.update("jax_enable_compilation_cache", False)  # so that compile times are those of a first run
+    jax.config.update("jax_enable_compilation_cache", False)  # so compile times are those of a first run
     print(f"{device.device_kind}, jax {jax.__version__}, {chosen.environment}, {chosen.people} people")
     print(f"{'case':22}{'B':>7}{'compile s':>11}{'us a call':>12}{'images/s':>12}{'temporary MiB':>15}")
     for batch in chosen.batches:

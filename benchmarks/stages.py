@@ -1,10 +1,10 @@
-"""Where the time of a control step goes, by the names that the stages of the step have in the program.
+"""Time of each stage of a control step, by the names of the stages in the program.
 
 XLA_FLAGS=--xla_gpu_enable_command_buffer= python benchmarks/stages.py --batch 32768    on a GPU
 python benchmarks/stages.py --batch 64                                                  on a CPU
 
-JAX's profiler tells how long each kernel ran, and the compiled program which stage that is of; a kernel
-of two stages counts for that with more of its operations. Command buffers would hide which kernel is which.
+JAX's profiler gives the time of each kernel, and the compiled program the stage that the kernel belongs to. A kernel of
+two stages counts for the stage with more of its operations. Command buffers would hide single kernels.
 """
 
 import argparse
@@ -24,7 +24,7 @@ TURNS = 4
 
 
 def origins(text: str) -> dict[str, str]:
-    """name of an instruction -> stage that it comes from, of a compiled program's text."""
+    """name of an instruction -> its stage, from a compiled program's text."""
     inside: dict[str, Counter] = defaultdict(Counter)
     called: dict[str, tuple[str, str]] = {}
     computation = ""
@@ -36,26 +36,26 @@ def origins(text: str) -> dict[str, str]:
         stage = stage_of(line)
         if stage:
             inside[computation][stage] += 1
-        if name and not re.search(r" (?:while|call|conditional)\(", line):  # they last as long as what is in them
+        if name and not re.search(r" (?:while|call|conditional)\(", line):  # their time is that of their content
             calls = re.search(r"(?:calls|to_apply)=%([\w.\-]+)", line)
             called[name[1]] = stage, calls[1] if calls else ""
-    return {name: most(inside[inner]) or stage for name, (stage, inner) in called.items()}
+    return {name: most_frequent(inside[inner]) or stage for name, (stage, inner) in called.items()}
 
 
 def stage_of(line: str) -> str:
-    """The innermost stage that is named in an instruction's origin, or nothing."""
+    """The innermost stage in an instruction's origin, or nothing."""
     origin = re.search(r'op_name="([^"]*)"', line)
-    found = [part for part in origin[1].split("/") if part in STAGES] if origin else []
-    return found[-1] if found else ""
+    stages = [part for part in origin[1].split("/") if part in STAGES] if origin else []
+    return stages[-1] if stages else ""
 
 
-def most(counts: Counter) -> str:
-    """The most frequent, or nothing."""
+def most_frequent(counts: Counter) -> str:
+    """The most frequent entry, or nothing."""
     return counts.most_common(1)[0][0] if counts else ""
 
 
 def kernels(folder: Path, names: dict[str, str]) -> tuple[dict[str, float], dict[str, int]]:
-    """(seconds, launches) by stage, of what the profiler wrote."""
+    """(seconds, launches) by stage, from the profiler's files."""
     seconds: dict[str, float] = defaultdict(float)
     launches: dict[str, int] = defaultdict(int)
     (file,) = folder.rglob("*.xplane.pb")
@@ -65,8 +65,8 @@ def kernels(folder: Path, names: dict[str, str]) -> tuple[dict[str, float], dict
             if gpu and "Stream" not in line.name:
                 continue
             for event in line.events:
-                told = dict(pair for pair in event.stats if pair and pair[0])
-                name = str(told.get("hlo_op") or (event.name if gpu else ""))
+                stats = dict(pair for pair in event.stats if pair and pair[0])
+                name = str(stats.get("hlo_op") or (event.name if gpu else ""))
                 if name in names or gpu:
                     stage = names.get(name) or "none of these"
                     seconds[stage] += event.duration_ns * 1e-9

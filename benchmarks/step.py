@@ -1,4 +1,4 @@
-"""Speed of a whole control step, and of its parts, in scenario-steps per second.
+"""Speed of a control step and of its stages, in scenario-steps per second.
 
 python benchmarks/step.py --batches 64 256                  on a CPU
 python benchmarks/step.py --batches 1024 8192 32768         on a GPU
@@ -18,13 +18,13 @@ from sean_jax.policies import go_to_goal
 
 
 def parts(scenario) -> dict:
-    """name -> (state -> state), each one stage of the step, the whole, and the whole with the policy."""
+    """name -> (state -> state): each stage of the step, the whole step, and the step with the policy."""
     command = jnp.asarray([0.4, 0.3], jnp.float32)
 
-    def chance(state):
+    def people_key(state):
         return jax.random.fold_in(state.streams.people, state.tick)
 
-    def driven(state):
+    def step_with_policy(state):
         return stages.step(scenario, state, go_to_goal(scenario, state, state.streams.policy))
 
     def policy(state):
@@ -33,8 +33,8 @@ def parts(scenario) -> dict:
 
     def classify(state):
         state = stages.classify(scenario, state)
-        moved = state.robot.position + 1e-6 * state.situations.astype(jnp.float32).sum()
-        return replace(state, robot=replace(state.robot, position=moved))
+        position = state.robot.position + 1e-6 * state.situations.astype(jnp.float32).sum()
+        return replace(state, robot=replace(state.robot, position=position))
 
     def measure(state):
         robot = replace(state.robot, position=state.robot.position + 1e-4)
@@ -42,14 +42,14 @@ def parts(scenario) -> dict:
         return stages.measure(scenario, state, after)
 
     return {
-        "direct_pedestrians": lambda s: replace(stages.direct_pedestrians(scenario, s, chance(s)), tick=s.tick + 1),
+        "direct_pedestrians": lambda s: replace(stages.direct_pedestrians(scenario, s, people_key(s)), tick=s.tick + 1),
         "move_pedestrians": lambda s: stages.move_pedestrians(scenario, s),
         "move_robot": lambda s: stages.move_robot(scenario, s, command),
         "classify": classify,
         "measure": measure,
         "step": lambda s: stages.step(scenario, s, command),
         "policy go_to_goal": policy,
-        "step + policy": driven,
+        "step + policy": step_with_policy,
     }
 
 
@@ -73,18 +73,18 @@ def main() -> None:
                 if chosen.only and name not in chosen.only:
                     continue
                 steps = int(np.clip(4e5 / batch, 4, 200))
-                begun = time.perf_counter()
+                start = time.perf_counter()
                 many = jax.vmap(part)
                 run = jax.jit(lambda s: jax.lax.scan(lambda c, _: (many(c), None), s, length=steps)[0])  # noqa: B023
                 compiled = run.lower(states).compile()
-                compile_seconds = time.perf_counter() - begun
+                compile_seconds = time.perf_counter() - start
                 jax.block_until_ready(compiled(states))
-                spent = []
+                times = []
                 for _ in range(5):
-                    begun = time.perf_counter()
+                    start = time.perf_counter()
                     jax.block_until_ready(compiled(states))
-                    spent.append(time.perf_counter() - begun)
-                each = float(np.median(spent)) / steps
+                    times.append(time.perf_counter() - start)
+                each = float(np.median(times)) / steps
                 memory = getattr(compiled.memory_analysis(), "temp_size_in_bytes", 0) / 2**20
                 print(f"{dynamics:>5} {batch:6d} {name:>20} {1e6 * each:10.1f} {batch / each:12.0f} "
                       f"{compile_seconds:9.1f} {memory:9.1f}", flush=True)  # fmt: skip

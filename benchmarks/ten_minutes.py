@@ -1,9 +1,9 @@
-"""Ten simulated minutes of people in each environment and behavior: who is in an obstacle, in another, or stuck.
+"""Ten simulated minutes of each environment and behavior: people in obstacles, in one another, or stuck.
 
     python benchmarks/ten_minutes.py [--environments warehouse] [--behaviors graph] [--minutes 10] [--seed 0]
 
-Standing members of groups are left out of the last two. "overlaps" is the share of person-steps with somebody's
-centre nearer than 0.3 m, "stuck" the share of person-time that ends 20 s in which somebody moved less than 0.05 m.
+"overlaps" is the share of person-steps with the center of another person nearer than 0.3 m, "stuck" the share of
+person-time that ends 20 s in which the person moved less than 0.05 m. Both leave out standing members of groups.
 """
 
 import argparse
@@ -17,19 +17,19 @@ from sean_jax.behaviors import BEHAVIORS
 from sean_jax.environment import available, clearance
 from sean_jax.policies import go_to_goal
 
-NEAR = 0.3  # m between the centres of two who overlap
-MOVED = 0.05  # m, by less than which somebody is stuck ...
-WINDOW = 20.0  # s, in that time
+OVERLAP_DISTANCE = 0.3  # m between the centers of two people who overlap
+STUCK_DISTANCE = 0.05  # m: people who move less than this in ...
+WINDOW = 20.0  # s, are stuck
 
 
 def record(before: State, after: State, action: Array) -> tuple[Array, Array, Array, Array]:
-    """Positions, groups and presence of people, and where the robot is."""
+    """Positions, groups and presence of people, and the robot's position."""
     people = after.pedestrians
     return people.position, people.group, people.present, after.robot.position
 
 
 def conduct(scenario: Scenario, minutes: float, seed: int = 0) -> dict[str, float]:
-    """The figures of one run of ``scenario`` with the go_to_goal robot: clearance [m], and shares between 0 and 1."""
+    """The figures of one run of a scenario with the go_to_goal robot: clearance [m], and shares between 0 and 1."""
     steps = round(60 * minutes / scenario.time_step)
     run = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, steps, record)[1])
     position, group, present, robot = (np.asarray(part) for part in run(jax.random.key(seed)))
@@ -40,9 +40,9 @@ def conduct(scenario: Scenario, minutes: float, seed: int = 0) -> dict[str, floa
     for places, there, walks in zip(position, present, walking, strict=True):
         gap = np.linalg.norm(places[:, None] - places[None], axis=-1)
         gap[np.eye(len(gap), dtype=bool) | ~there[None, :] | ~there[:, None]] = np.inf
-        overlaps += int((gap.min(1) < NEAR)[walks].sum())
+        overlaps += int((gap.min(1) < OVERLAP_DISTANCE)[walks].sum())
     window = round(WINDOW / scenario.time_step)
-    still = np.linalg.norm(position[window:] - position[:-window], axis=-1) < MOVED
+    still = np.linalg.norm(position[window:] - position[:-window], axis=-1) < STUCK_DISTANCE
     alone = np.cumsum(np.concatenate([np.zeros((1, walking.shape[1]), int), walking]), 0)
     throughout = alone[window + 1 :] - alone[: -window - 1] == window
     throughout &= walking[:-window]
@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    columns = ("environment", "behavior", "people", "least clearance m", "inside %", "overlaps %", "stuck %")
+    columns = ("environment", "behavior", "people", "minimum clearance m", "inside %", "overlaps %", "stuck %")
     columns += ("in groups %", "nearest to robot m")
     print("| " + " | ".join(columns) + " |\n" + "|---" * len(columns) + "|")
     for environment in options.environments:

@@ -1,4 +1,4 @@
-"""Experiments on the social forces (section IV-D): people who pass, a robot, a bottleneck, parties.
+"""Experiments on the social forces (section IV-D): people who pass, a robot, a bottleneck, walking groups.
 
 forces.py prints what they give, tests assert it.
 """
@@ -11,11 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
+from sean_jax import obstacle_grid, social_forces
 from sean_jax import scenario as stages
-from sean_jax import social_forces
-from sean_jax.base import Array, Nearby, Obstacles, Pedestrians, Robot, Scenario
-from sean_jax.behaviors.parties import Parties
-from sean_jax.nearby import tabulate
+from sean_jax.base import Array, ObstacleGrid, Obstacles, Pedestrians, Robot, Scenario
+from sean_jax.behaviors.walking_groups import WalkingGroups
 
 STEP = 0.05  # s
 WALKING = 0.5  # m/s, slower is standing, as for the recordings
@@ -31,15 +30,15 @@ def walkers(position: Array, desired: Array, robot_distance: Array | float = 0.0
         heading=desired / jnp.maximum(speed, 1e-6)[:, None],
         desired_velocity=desired,
         group=jnp.full(number, -1, jnp.int32),
-        party=jnp.full(number, -1, jnp.int32),
+        walking_group=jnp.full(number, -1, jnp.int32),
         present=jnp.ones(number, bool),
         preferred_speed=speed,
         robot_distance=jnp.broadcast_to(jnp.asarray(robot_distance, jnp.float32), (number,)),
     )
 
 
-def right_share(parameters: social_forces.Parameters, preferences, meetings: int = 1000, seed: int = 0) -> np.ndarray:
-    """(P,) share of head-on meetings in which both keep to their right, for each ``side_preference`` [m/s2].
+def right_share(parameters: social_forces.Forces, preferences, meetings: int = 1000, seed: int = 0) -> np.ndarray:
+    """(P,) share of head-on meetings in which both keep to their right, for each ``sidestep.preference`` [m/s2].
 
     Two people walk towards one another from 8 m apart on parallel lines that are up to 0.3 m apart, either way, with
     speeds drawn as for any crowd.
@@ -53,10 +52,10 @@ def right_share(parameters: social_forces.Parameters, preferences, meetings: int
             jnp.stack([jnp.stack([jnp.float32(-4.0), offset]), jnp.stack([jnp.float32(4.0), -offset])]),
             jnp.stack([speed, jnp.zeros(2, jnp.float32)], -1) * jnp.array([[1.0], [-1.0]]),
         )
-        chosen = parameters.replace(side_preference=preference)
+        chosen = parameters.tree_replace({"sidestep.preference": preference})
 
         def step(people, _):
-            after = social_forces.advance(chosen, people, None, None, None, STEP)
+            after = social_forces.integrate(chosen, people, None, None, None, STEP)
             return after, after.position
 
         x, y = jnp.moveaxis(jax.lax.scan(step, people, length=400)[1], -1, 0)
@@ -69,7 +68,7 @@ def right_share(parameters: social_forces.Parameters, preferences, meetings: int
 
 
 def robot_gaps(
-    parameters: social_forces.Parameters,
+    parameters: social_forces.Forces,
     distances,
     crossings: int = 200,
     robot_speed: Array | float = 0.5,
@@ -94,7 +93,7 @@ def robot_gaps(
             people, x = carry
             place = jnp.stack([x, jnp.zeros_like(x)])
             robot = Robot(place, heading, jnp.asarray(robot_speed, jnp.float32), jnp.float32(0.0), ())
-            after = social_forces.advance(parameters, people, None, None, robot, STEP, 0.16)
+            after = social_forces.integrate(parameters, people, None, None, robot, STEP, 0.16)
             gap = jnp.linalg.norm(after.position[0] - place)
             return (after, x - STEP * robot_speed), gap
 
@@ -108,7 +107,7 @@ def robot_gaps(
     )
 
 
-def doorway(width: float, length: float = 1.0, room: float = 6.0, depth: float = 8.0) -> Nearby:
+def doorway(width: float, length: float = 1.0, room: float = 6.0, depth: float = 8.0) -> ObstacleGrid:
     """A room on the left of x = 0 whose only way out is a passage of that width and length [m] along y = 0."""
     side, wall = (room + 0.4 - width) / 4, 0.1
     boxes = [
@@ -120,13 +119,13 @@ def doorway(width: float, length: float = 1.0, room: float = 6.0, depth: float =
     ]
     rows = jnp.asarray(np.array(boxes, np.float32))
     obstacles = Obstacles(rows[:, :2], rows[:, 2:], jnp.zeros(5, jnp.float32), jnp.ones(5, jnp.float32))
-    return tabulate(obstacles, jnp.asarray([-depth, -room / 2, depth, room / 2], jnp.float32))
+    return obstacle_grid.build(obstacles, jnp.asarray([-depth, -room / 2, depth, room / 2], jnp.float32))
 
 
 @functools.partial(jax.jit, static_argnames=("people", "seconds", "time_step"))
 def bottleneck(
-    parameters: social_forces.Parameters,
-    table: Nearby,
+    parameters: social_forces.Forces,
+    table: ObstacleGrid,
     width: Array | float,
     key: Array,
     people: int = 60,
@@ -147,7 +146,7 @@ def bottleneck(
     speed = social_forces.draw_traits(parameters, trait_key, people)[0]
     crowd = walkers(start, jnp.stack([speed, jnp.zeros_like(speed)], -1))
     crowd = replace(crowd, velocity=jnp.zeros_like(start))
-    half = width / 2 - parameters.radius - 0.05
+    half = width / 2 - parameters.walking.radius - 0.05
     itself = jnp.eye(people, dtype=jnp.float32) * 99.0
 
     def step(carry, tick):
@@ -157,11 +156,11 @@ def bottleneck(
         aim_x, aim_y = jnp.where(inside, 1.0, 0.3 - x), jnp.where(inside, 0.0, jnp.clip(y, -half, half) - y)
         scale = crowd.preferred_speed / jnp.sqrt(aim_x * aim_x + aim_y * aim_y)
         crowd = replace(crowd, desired_velocity=jnp.stack([aim_x * scale, aim_y * scale], -1))
-        crowd = social_forces.advance(parameters, crowd, table, None, None, time_step)
+        crowd = social_forces.integrate(parameters, crowd, table, None, None, time_step)
         left = jnp.where((crowd.position[:, 0] > 1.0) & jnp.isinf(left), (tick + 1) * time_step, left)
         dx, dy = (part[:, None] - part[None, :] for part in (crowd.position[:, 0], crowd.position[:, 1]))
         nearest = (jnp.sqrt(dx * dx + dy * dy) + itself).min(1)
-        return (crowd, left), 2.0 * parameters.radius - nearest
+        return (crowd, left), 2.0 * parameters.walking.radius - nearest
 
     ticks = jnp.arange(round(seconds / time_step), dtype=jnp.float32)
     (_, left), overlap = jax.lax.scan(step, (crowd, jnp.full(people, jnp.inf, jnp.float32)), ticks)
@@ -176,23 +175,24 @@ def flow(left) -> float:
 
 
 def in_the_open(
-    parameters: social_forces.Parameters, size: int, number: int = 64, seconds: float = 40.0, seed: int = 0
+    parameters: social_forces.Forces, size: int, number: int = 64, seconds: float = 40.0, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(T, N, 2) places and velocities and (N, 2) companions of so many parties of one size, each alone in the open.
+    """(T, N, 2) places and velocities and (N, 2) companions of walking groups of one size, each alone in the open.
 
     They start anywhere within 1.2 m of one another and all walk along x; the first 10 s are left out.
     """
-    table = Parties(int(size == 2), int(size == 3)).companions(size)
+    table = WalkingGroups(int(size == 2), int(size == 3)).companions(size)
 
     def walk(key):
         place_key, trait_key = jax.random.split(key)
         place = jax.random.uniform(place_key, (size, 2), jnp.float32, -0.6, 0.6)
-        speed = social_forces.draw_traits(parameters, trait_key, 1)[0] - parameters.party_slowness * (size - 1)
+        speed = social_forces.draw_traits(parameters, trait_key, 1)[0]
+        speed = speed - parameters.walking.companion_slowdown * (size - 1)
         people = walkers(place, jnp.stack([jnp.broadcast_to(speed, (size,)), jnp.zeros(size, jnp.float32)], -1))
-        people = replace(people, party=jnp.full(size, -1 if table is None else 0, jnp.int32))
+        people = replace(people, walking_group=jnp.full(size, -1 if table is None else 0, jnp.int32))
 
         def step(people, _):
-            after = social_forces.advance(parameters, people, None, None, None, STEP, companions=table)
+            after = social_forces.integrate(parameters, people, None, None, None, STEP, companions=table)
             return after, (after.position, after.velocity)
 
         return jax.lax.scan(step, people, length=round(seconds / STEP))[1]
@@ -229,10 +229,10 @@ def in_scenario(
 
 
 def together(place: np.ndarray, velocity: np.ndarray, others: np.ndarray) -> dict[int, dict[str, float]]:
-    """What parties of 1, 2 and 3 do while they walk, measured as for the recordings.
+    """What walking groups of 1, 2 and 3 do while they walk, measured as for the recordings.
 
     The mean speed [m/s]; the mean distance [m] to the nearest companion; the share of the time that this one is
-    beside, more than 60 degrees off the direction of motion; and that somebody of the party is farther than 2 m away.
+    beside, more than 60 degrees off the direction of motion; and that somebody of the group is farther than 2 m away.
     """
     speed, found = np.linalg.norm(velocity, axis=-1), {}
     for size in (1, 2, 3):

@@ -98,7 +98,8 @@ def lidar(scenario, state) -> None:
         axes.plot(*zip(place, end, strict=True), color="#ee6677", lw=0.4, alpha=0.5, zorder=20)
     axes.scatter(*ends[scan < device.far].T, s=5, color="#cc1133", lw=0, zorder=23)
     for person in np.asarray(state.pedestrians.position):
-        axes.add_patch(plt.Circle(person, float(scenario.forces.radius), fc="white", ec="#2b3448", lw=1, zorder=22))
+        body = plt.Circle(person, float(scenario.forces.walking.radius), fc="white", ec="#2b3448", lw=1, zorder=22)
+        axes.add_patch(body)
     axes.add_patch(plt.Circle(place, scenario.robot.radius, fc="#f58a07", ec="#5e3200", lw=1, zorder=22))
     axes.plot(*zip(place, place + 0.3 * heading, strict=True), color="#5e3200", lw=1.5, zorder=24)
     axes.set(xlim=(place[0] - 4.2, place[0] + 4.2), ylim=(place[1] - 3.8, place[1] + 3.8), aspect="equal")

@@ -1,6 +1,6 @@
 """Draws docs/situations.svg: one example of each situation beyond the paper's five; python docs/situations.py.
 
-Every example is put to the classifiers first, so that the figure cannot show what the code does not say.
+The classifiers judge every example first, so the figure shows what the code does.
 """
 
 from pathlib import Path
@@ -39,7 +39,7 @@ def moment(heading, people, boxes) -> Moment:
         heading=velocities / np.maximum(speeds, np.float32(1e-6)),
         desired_velocity=velocities,
         group=np.full(number, -1, np.int32),
-        party=np.full(number, -1, np.int32),
+        walking_group=np.full(number, -1, np.int32),
         present=np.ones(number, bool),
         preferred_speed=np.ones(number, np.float32),
         robot_distance=np.zeros(number, np.float32),
@@ -93,9 +93,9 @@ def main() -> None:
     values = classifiers.thresholds()
     for axes, (name, example) in zip(panels.flat, EXAMPLES.items(), strict=True):
         here = moment(*example)
-        held = {other for other, law in classifiers.MORE_SITUATIONS.items() if bool(jax.jit(law)(here, values))}
-        if held != {name}:
-            raise SystemExit(f"{name}: the classifiers say {sorted(held)}")
+        situations = {other for other, law in classifiers.MORE_SITUATIONS.items() if bool(jax.jit(law)(here, values))}
+        if situations != {name}:
+            raise SystemExit(f"{name}: the classifiers give {sorted(situations)}.")
         draw(axes, name, *example)
     figure.savefig(Path(__file__).with_suffix(".svg"), metadata={"Date": None})
 

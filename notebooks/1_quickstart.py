@@ -136,5 +136,5 @@ def nearest(forces):
     return jnp.linalg.norm(last.pedestrians.position - last.robot.position[None], axis=-1).min()
 
 
-sensitivity = jax.jit(jax.grad(nearest))(twin.forces)
+sensitivity = jax.jit(jax.grad(nearest))(twin.forces).repulsion
 print("per m/s2 of strength:", sensitivity.strength, "m; per m of range:", sensitivity.range, "m")

@@ -143,6 +143,6 @@ for one, other in zip(corners, corners[1:] + corners[:1], strict=True):
         print(f"{here} to {there}: {before:4.1f} people a minute before, {now:4.1f} now")
 
 # %% [markdown]
-# Two further choices belong to `make` rather than to the file: `paths="edge"` lets people choose anew at every node, as
-# SEAN 2.0's code does, and `spreading=20` makes edges dearer the more people are on them. Your own folder works the
-# same way in `sean run --environment path/to/hall`.
+# Two further choices belong to `make` rather than to the file: `routing="edge"` lets people choose anew at every node,
+# as SEAN 2.0's code does, and `congestion_cost=20` makes edges dearer the more people are on them. Your folder works
+# the same way in `sean run --environment path/to/hall`.

@@ -106,7 +106,7 @@ def scene(*people, start_group=-1, goal_group=-1, goal=(9.0, 0.0)) -> Moment:
         heading=jnp.asarray(facing),
         desired_velocity=jnp.zeros((number, 2)),
         group=jnp.asarray(groups, jnp.int32),
-        party=jnp.full(number, -1),
+        walking_group=jnp.full(number, -1),
         present=jnp.ones(number, bool),
         preferred_speed=jnp.ones(number),
         robot_distance=jnp.zeros(number),
@@ -277,3 +277,44 @@ spent = jax.vmap(lambda state: sean_jax.results(scenario, state))(last)["time_in
 for k, name in enumerate(NAMES):
     share = metrics.aggregate_ratio(spent[:, 1 + k], spent[:, 0])
     print(f"{name:12} {share.mean:6.1%}, from {share.low:.1%} to {share.high:.1%}")
+
+# %% [markdown]
+# ## Your own
+# A situation of yours is a function of a moment. A metric of yours is a function in the constructor of its kind: the
+# time during which a condition holds, how often it begins to hold, the sum or the mean of an amount, an extreme of a
+# quantity ([docs/metrics.md](../docs/metrics.md)). Both work on the recording and in a scenario alike.
+
+
+# %%
+def watched(moment, thresholds):
+    """A person within 3.6 m looks at the robot, to within the angle A."""
+
+    def looks(person):
+        toward = predicates.cosine(person.heading, moment.position - person.position)
+        near = predicates.near(moment.position, person.position, thresholds.reach)
+        return near & (toward >= jnp.cos(thresholds.angle))
+
+    return predicates.any_person(moment, looks)
+
+
+def watched_now(moment):
+    """A person looks at the robot."""
+    return watched(moment, thresholds)
+
+
+own = (("time_watched", metrics.duration(watched_now)), ("times_watched", metrics.count_onsets(watched_now)))
+
+
+@jax.jit
+def measure(moments):
+    """Our metrics along a recording."""
+    first, before, after = (jax.tree.map(lambda x, part=part: x[part], moments) for part in (0, np.s_[:-1], np.s_[1:]))
+    values = metrics.init(first, own)
+    values, _ = jax.lax.scan(lambda values, pair: (metrics.update(values, *pair, own), None), values, (before, after))
+    return metrics.compute(values, own)
+
+
+found = measure(moments)
+print(f"in the recording: watched {found['times_watched'][0]:.0f} times, for {found['time_watched'][0]:.1f} s")
+mine = scenario.replace(situations=(*scenario.situations, ("watched", watched)), metrics=(*scenario.metrics, *own))
+print("in a scenario:", ", ".join(name for name, _ in mine.situations), "and", len(mine.metrics), "metrics")

@@ -38,8 +38,8 @@ import numpy as np
 
 import sean_jax
 from sean_jax import learning
+from sean_jax.config import CollectConfig, TrainConfig
 from sean_jax.drawing.colors import situation_colors
-from sean_jax.learning.options import Collect, Train
 from sean_jax.policies import POLICIES
 from sean_jax.scenario import frame
 
@@ -57,12 +57,12 @@ folder = Path(mkdtemp())
 # part already is continued, so this can be stopped and run again.
 
 # %%
-asked = Collect(
-    behavior="graph", environment="lab", people=PEOPLE, driver=TEACHER, hours=MINUTES / 60, dynamics="twin",
+asked = CollectConfig(
+    behavior="graph", environment="lab", people=PEOPLE, policy=TEACHER, hours=MINUTES / 60, dynamics="twin",
     time_limit=STEPS / 10, width=32, height=24, batch=8, out=folder / "demonstrations",
 )  # fmt: skip
 data = learning.collect(asked)
-print(f"{data.examples} examples in {len(data.episodes)} episodes")
+print(f"{data.example_count} examples in {len(data.episodes)} episodes")
 
 # %% [markdown]
 # An example: what the depth camera saw in the last five seconds, the next points of the shortest path, where the robot
@@ -70,13 +70,13 @@ print(f"{data.examples} examples in {len(data.episodes)} episodes")
 
 # %%
 recording = data.recording(data.episodes)
-one = learning.example(recording, np.int32(data.examples // 2), np)
+one = learning.example(recording, np.int32(data.example_count // 2), np)
 figure, axes = plt.subplots(1, 6, figsize=(13, 2.2), layout="constrained", width_ratios=[1.3] * 5 + [1.6])
 for age, (panel, image) in enumerate(zip(axes, one.images, strict=False)):
     panel.imshow(image / 1000, cmap="viridis_r", vmin=0, vmax=8)
     panel.set(title=f"{4 - age} s ago" if age < 4 else "now", xticks=[], yticks=[])
 axes[5].plot(*one.plan.T, "o-", ms=3, color="#8d99b3", label="plan")
-axes[5].plot(*one.future[one.known].T, "o-", ms=3, color="#f58a07", label="driven")
+axes[5].plot(*one.future[one.future_valid].T, "o-", ms=3, color="#f58a07", label="driven")
 axes[5].plot(0, 0, ">", color="#1c2333")
 axes[5].set(aspect="equal", title="in the robot's frame, m")
 axes[5].legend(frameon=False, fontsize=7)
@@ -88,7 +88,7 @@ print(dict(zip(data.manifest["situations"], one.situations.tolist(), strict=True
 # As `sean train imitation`. The epochs run as one program each; the best network is kept.
 
 # %%
-trained = Train(
+trained = TrainConfig(
     method="imitation", dataset=asked.folder, batch=128, epochs=EPOCHS, out=folder / "network"
 )  # fmt: skip
 state = learning.train(trained)
@@ -115,7 +115,7 @@ def drive(policy):
     """Final states, and of each step the decision of a network or nothing, for all keys."""
 
     def record(before, after, action):
-        seen = after.driver.decision if hasattr(after.driver, "decision") else ()
+        seen = after.policy_state.decision if hasattr(after.policy_state, "decision") else ()
         return frame(before, after, action), seen
 
     run = jax.jit(jax.vmap(lambda key: sean_jax.rollout(scenario, policy, key, STEPS, record)))
@@ -143,7 +143,7 @@ time = 0.1 * np.arange(len(attention))
 names = [name for name, _ in scenario.situations]
 figure, (above, below) = plt.subplots(2, 1, figsize=(10, 4), sharex=True, layout="constrained")
 colors = ("#2f6fb0", "#f58a07", "#8d99b3")
-above.stackplot(time, attention.T, labels=pupil.data.network.controller_sources, colors=colors)
+above.stackplot(time, attention.T, labels=pupil.params.network.controller_sources, colors=colors)
 above.set(ylabel="attention", ylim=(0, 1))
 above.legend(loc="upper left", fontsize=8)
 for k, color in enumerate(situation_colors(tuple(names))):

@@ -7,48 +7,161 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sean_jax import sensors
-    from sean_jax.assembly import make
-    from sean_jax.classifiers import SITUATIONS
+    from sean_jax.assembly import make, with_task
+    from sean_jax.base import (
+        Behavior,
+        Environment,
+        Groups,
+        Moment,
+        Observation,
+        Pedestrians,
+        Policy,
+        Robot,
+        RobotModel,
+        RobotTask,
+        Scenario,
+        Sensor,
+        State,
+        Trajectory,
+        as_policy,
+    )
+    from sean_jax.behaviors import BEHAVIORS, Place
+    from sean_jax.classifiers import SITUATION_SETS, SITUATIONS, Thresholds
+    from sean_jax.config import (
+        CollectConfig,
+        CustomTask,
+        GraphBehavior,
+        HandcraftedBehavior,
+        PlaybackBehavior,
+        RandomBehavior,
+        RunConfig,
+        ScenarioConfig,
+        TrainConfig,
+    )
     from sean_jax.crowding import congestion
     from sean_jax.drawing import view
-    from sean_jax.metrics import aggregate
-    from sean_jax.parallel import rollout, simulate
+    from sean_jax.episodes import (
+        ResetPool,
+        autoreset,
+        init_policy,
+        policy_step,
+        reset_pool,
+        rollout,
+        rollout_autoreset,
+        simulate,
+    )
+    from sean_jax.errors import FileError, IncompleteError, InputError, SeanError, WriteError
+    from sean_jax.evaluation import Evaluation, evaluate
+    from sean_jax.metrics import METRICS, Metric, aggregate
+    from sean_jax.pedestrian_models import MODELS
+    from sean_jax.policies import POLICIES
+    from sean_jax.robots import ROBOTS
+    from sean_jax.runner import Record, Runner
     from sean_jax.scenario import observe, place, reset, results, step
+    from sean_jax.sensors import SENSORS, sense
+    from sean_jax.social_forces import PRESETS, Forces, preset
+    from sean_jax.tasks import TASKS, build_task
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Where each public name lives; read on first use, so that `sean --help` need not import JAX.
-_HOMES = {
-    "make": "assembly",
-    "SITUATIONS": "classifiers",
-    "congestion": "crowding",
-    "view": "drawing",
-    "aggregate": "metrics",
-    "rollout": "parallel",
-    "simulate": "parallel",
-    "observe": "scenario",
-    "place": "scenario",
-    "reset": "scenario",
-    "results": "scenario",
-    "step": "scenario",
+_PUBLIC = {
+    "assembly": "make with_task",
+    "base": "Behavior Environment Groups Moment Observation Pedestrians Policy Robot RobotModel RobotTask "
+    "Scenario Sensor State Trajectory as_policy",
+    "behaviors": "BEHAVIORS Place",
+    "classifiers": "SITUATIONS SITUATION_SETS Thresholds",
+    "config": "CollectConfig CustomTask GraphBehavior HandcraftedBehavior PlaybackBehavior RandomBehavior RunConfig "
+    "ScenarioConfig TrainConfig",
+    "crowding": "congestion",
+    "drawing": "view",
+    "episodes": "ResetPool autoreset init_policy policy_step reset_pool rollout rollout_autoreset simulate",
+    "errors": "FileError IncompleteError InputError SeanError WriteError",
+    "evaluation": "Evaluation evaluate",
+    "metrics": "METRICS Metric aggregate",
+    "pedestrian_models": "MODELS",
+    "policies": "POLICIES",
+    "robots": "ROBOTS",
+    "runner": "Record Runner",
+    "scenario": "observe place reset results step",
+    "sensors": "SENSORS sense",
+    "social_forces": "Forces PRESETS preset",
+    "tasks": "TASKS build_task",
 }
+_HOMES = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
 _ROOMS = ("sensors",)  # public as a whole
 
 __all__ = [
+    "BEHAVIORS",
+    "Behavior",
+    "CollectConfig",
+    "CustomTask",
+    "Environment",
+    "Evaluation",
+    "FileError",
+    "Forces",
+    "Groups",
+    "GraphBehavior",
+    "HandcraftedBehavior",
+    "IncompleteError",
+    "InputError",
+    "METRICS",
+    "MODELS",
+    "Metric",
+    "Moment",
+    "Observation",
+    "POLICIES",
+    "PRESETS",
+    "Pedestrians",
+    "Place",
+    "PlaybackBehavior",
+    "Policy",
+    "ROBOTS",
+    "RandomBehavior",
+    "Record",
+    "ResetPool",
+    "Robot",
+    "RobotModel",
+    "RobotTask",
+    "RunConfig",
+    "Runner",
+    "SENSORS",
     "SITUATIONS",
+    "SITUATION_SETS",
+    "Scenario",
+    "ScenarioConfig",
+    "SeanError",
+    "Sensor",
+    "State",
+    "TASKS",
+    "Thresholds",
+    "TrainConfig",
+    "Trajectory",
+    "WriteError",
     "aggregate",
+    "as_policy",
+    "autoreset",
+    "build_task",
     "congestion",
+    "evaluate",
+    "init_policy",
     "make",
     "observe",
     "place",
+    "policy_step",
+    "preset",
     "reset",
+    "reset_pool",
     "results",
     "rollout",
+    "rollout_autoreset",
+    "sense",
     "sensors",
     "simulate",
     "step",
     "view",
+    "with_task",
 ]
 
 

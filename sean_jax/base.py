@@ -1,201 +1,224 @@
-"""The shared data of a scenario (section IV-B) and the signatures that a user's own function must have.
+"""The data types that all rooms share (section IV-B), and the signatures that a user's own functions must have.
 
-Units are SI, angles are radians, the ground plane is (x, y) with z up. Headings are unit vectors. Absent
-people are masked by ``present``, never NaN. ``N`` people, ``G`` groups, ``W`` obstacles, ``S`` situations,
-``V`` via points of a navigation table. None of these has a batch axis: ``jax.vmap`` adds it.
+Units are SI, angles are radians, the ground plane is (x, y) with z up. Headings are unit vectors. People who are absent
+are masked by ``present``; NaN never marks anything.
+
+Shapes stand in the annotations, with one letter for each dimension: ``N`` people, ``G`` groups, ``W`` obstacles, ``S``
+situations, ``V`` corner arcs of shortest paths, ``M`` nodes of a behavior graph, ``B`` batch, ``T`` time, ``E``
+episodes, ``P`` places. No type has a batch axis: ``jax.vmap`` adds it. Tests check the shapes (``tests/shapes.py``).
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
+import numpy as np
 from flax import struct
+from jaxtyping import Bool, Float, Int, PyTree
 
-Array = jax.Array
+if TYPE_CHECKING:
+    Array = jax.Array
+else:  # every function takes arrays and scalars of numpy as well, so checks of shapes have to accept them
+    Array = jax.Array | np.ndarray | np.generic
 
 
 @struct.dataclass
 class Pedestrians:
-    position: Array  # (N, 2) m
-    velocity: Array  # (N, 2) m/s
-    heading: Array  # (N, 2) unit vector
-    desired_velocity: Array  # (N, 2) m/s, set by the behavior, followed by the pedestrian model
-    group: Array  # (N,) int32 index of the group that the person stands in, -1 none
-    party: Array  # (N,) int32 index of whoever leads the party that the person walks in, -1 none
-    present: Array  # (N,) bool
-    preferred_speed: Array  # (N,) m/s, drawn per episode
-    robot_distance: Array  # (N,) m, drawn per episode: how much farther from a moving robot than from a person
+    """The people of a scenario, present or not."""
+
+    position: Float[Array, "N 2"]  # m
+    velocity: Float[Array, "N 2"]  # m/s
+    heading: Float[Array, "N 2"]  # unit vector
+    desired_velocity: Float[Array, "N 2"]  # m/s, set by the behavior, followed by the pedestrian model
+    group: Int[Array, "N"]  # index of the conversational group in which the person stands, -1 none
+    walking_group: Int[Array, "N"]  # index of the leader of the person's walking group, -1 none
+    present: Bool[Array, "N"]
+    preferred_speed: Float[Array, "N"]  # m/s, drawn per episode
+    robot_distance: Float[Array, "N"]  # m, drawn per episode: added distance to a moving robot
 
 
 @struct.dataclass
 class Groups:
-    """Conversational groups: each with one place left open, where a robot can join (section IV-E)."""
+    """Conversational groups (section IV-E). Each leaves one place open, where a robot can join."""
 
-    center: Array  # (G, 2) m, centre of the o-space
-    radius: Array  # (G,) m, of the ring on which members stand
-    opening: Array  # (G, 2) m, the open place on that ring
-    present: Array  # (G,) bool
+    center: Float[Array, "G 2"]  # m, centre of the o-space
+    radius: Float[Array, "G"]  # m, of the ring on which members stand
+    opening: Float[Array, "G 2"]  # m, the open place on that ring
+    present: Bool[Array, "G"]
 
 
 @struct.dataclass
 class Robot:
-    """The one place of a robot's pose and speed: the physics go on from what is replaced here."""
+    """A robot's pose and speed, which stand nowhere else: physics continue from values that are replaced here."""
 
-    position: Array  # (2,) m
-    heading: Array  # (2,) unit vector; of another one the direction counts, from the next step on
-    speed: Array  # () m/s, along the heading
-    turn_rate: Array  # () rad/s, counter-clockwise
-    body: Any  # of the robot model: wheels, slip, the last command and its age; nothing that stands above
+    position: Float[Array, "2"]  # m
+    heading: Float[Array, "2"]  # unit vector; the next step scales any other to length one
+    speed: Float[Array, ""]  # m/s, along the heading
+    turn_rate: Float[Array, ""]  # rad/s, counter-clockwise
+    drive_state: PyTree  # what else the robot model needs, such as wheel angles, slip and the last command
 
 
 @struct.dataclass
 class Obstacles:
     """Upright boxes: the one source of geometry for forces, navigation and contact.
 
-    Those of no height are edges of the floor, which hold who comes there and which nobody sees.
+    Boxes of no height are edges of the floor. They stop people and robots, and sensors do not see them.
     """
 
-    center: Array  # (W, 2) m
-    half_extent: Array  # (W, 2) m
-    yaw: Array  # (W,) rad
-    height: Array  # (W,) m
+    center: Float[Array, "W 2"]  # m
+    half_extent: Float[Array, "W 2"]  # m
+    yaw: Float[Array, "W"]  # rad
+    height: Float[Array, "W"]  # m
 
 
 @struct.dataclass
-class Nearby:
-    """For each cell of a grid the obstacles within reach of it: what people and robots feel, without the rest."""
+class ObstacleGrid:
+    """The obstacles near each cell of a grid, so that forces and costs need not look at all obstacles."""
 
-    rows: Array  # (X, Y, K, 6): center x, y and half extent x, y [m], cosine and sine of the yaw; spare rows far away
-    origin: Array  # (2,) m, lower left corner of the grid
-    cell: Array  # () m, side of a cell
+    rows: Float[Array, "X Y K 6"]  # center x, y, half extent x, y [m], cosine, sine of yaw; unused rows lie far away
+    origin: Float[Array, "2"]  # m, lower left corner of the grid
+    cell: Float[Array, ""]  # m, side of a cell
 
 
 @struct.dataclass
 class Solids:
-    """Bodies as rays see them, each with a color (3,): red, green and blue from 0 to 1."""
+    """Bodies as rays see them."""
 
-    boxes: Array  # (B, 8): middle x, y, z, half extent x, y, z [m], cosine and sine of the yaw
-    cylinders: Array  # (C, 8): middle x, y, z [m], axis x, y, z (unit), radius, half length [m]
-    spheres: Array  # (S, 4): middle x, y, z, radius [m]
-    color: Array  # (B + C + S, 3) of the boxes, then the cylinders, then the spheres
+    boxes: Float[Array, "boxes 8"]  # middle x, y, z, half extent x, y, z [m], cosine and sine of the yaw
+    cylinders: Float[Array, "cylinders 8"]  # middle x, y, z [m], axis x, y, z (unit), radius, half length [m]
+    spheres: Float[Array, "spheres 4"]  # middle x, y, z, radius [m]
+    color: Float[Array, "solids 3"]  # red, green, blue from 0 to 1: of boxes, then cylinders, then spheres
 
 
 @struct.dataclass
 class Scenery:
-    """What an environment looks like."""
+    """The looks of an environment."""
 
-    solids: Solids  # the obstacles that have a height first, then what nothing can touch
-    floor: Array  # (2, 3) two colors of its squares
-    square: Array  # () m, side of a square
-    sky: Array  # (2, 3) colors at the zenith and at the horizon
-    sun: Array  # (3,) unit vector towards the light
+    solids: Solids  # first the obstacles that have a height, then decoration
+    floor: Float[Array, "2 3"]  # the two colors of its squares
+    square: Float[Array, ""]  # m, side of a square
+    sky: Float[Array, "2 3"]  # colors at the zenith and at the horizon
+    sun: Float[Array, "3"]  # unit vector towards the light
 
 
 @struct.dataclass
 class Environment:
     """A physical environment (section IV-C)."""
 
-    floor: Array  # (4,) m: x_min, y_min, x_max, y_max
+    floor: Float[Array, "4"]  # m: x_min, y_min, x_max, y_max
     obstacles: Obstacles
-    nearby: Nearby
+    obstacle_grid: ObstacleGrid
     scenery: Scenery
     name: str = struct.field(pytree_node=False)
     open: bool = struct.field(pytree_node=False, default=False)  # whether people and robots may leave the floor
 
 
 @struct.dataclass
-class RobotTask:
-    """Where the robot starts and where it shall go (section IV-E)."""
+class PathsToGoal:
+    """The shortest paths to one goal from each of the V corner arcs of a navigation (``navigation.corner_arcs``)."""
 
-    start: Array  # (2,) m
-    start_heading: Array  # (2,) unit vector
-    goal: Array  # (2,) m
-    goal_heading: Array  # (2,) unit vector
-    start_group: Array  # () int32 index of the group that the start is a member's place of, -1 none
-    goal_group: Array  # () int32 likewise for the goal
-    geodesic: Array  # () m, length of the shortest path from start to goal
-    to_goal: Array  # (2, V) shortest paths to the goal from each bend: m, inf if none leads there; rad, where it leaves
-    turning: Array | None = None  # () rad, rotation along the shortest path from the start's heading; reset fills it in
+    distance: Float[Array, "V"]  # m, from the middle of the arc to the goal; inf if no path leads there
+    departure_angle: Float[Array, "V"]  # rad, from the middle of the arc to where the path leaves it, along the travel
+
+
+@struct.dataclass
+class RobotTask:
+    """Start and goal of the robot (section IV-E)."""
+
+    start: Float[Array, "2"]  # m
+    start_heading: Float[Array, "2"]  # unit vector
+    goal: Float[Array, "2"]  # m
+    goal_heading: Float[Array, "2"]  # unit vector
+    start_group: Int[Array, ""]  # index of the group of which the start is a member's place, -1 none
+    goal_group: Int[Array, ""]  # likewise for the goal
+    geodesic: Float[Array, ""]  # m, length of the shortest path from start to goal
+    paths_to_goal: PathsToGoal
+    path_rotation: Float[Array, ""] | None = None  # rad, of navigation.path_rotation; reset sets it
 
 
 @struct.dataclass
 class Moment:
-    """A robot among people at one moment, as arrays alone: all that situations and metrics read.
+    """A robot among people at one time: everything that situations and metrics read, in arrays alone.
 
-    A simulation fills it from its state (``scenario.moment``); a recording can fill it as well.
+    ``scenario.moment`` makes it from a state; recordings make it as well.
     """
 
     people: Pedestrians
-    position: Array  # (2,) m, of the robot
-    heading: Array  # (2,) unit vector
-    velocity: Array  # (2,) m/s
-    start: Array  # (2,) m
-    goal: Array  # (2,) m
-    start_group: Array  # () int32, -1 none
-    goal_group: Array  # () int32, -1 none
-    geodesic: Array  # () m, shortest path from start to goal
-    situations: Array  # (S,) bool, () of zeros before they are classified
-    tick: Array  # () int32
-    robot_radius: Array  # () m
-    person_radius: Array  # () m
+    position: Float[Array, "2"]  # m, of the robot
+    heading: Float[Array, "2"]  # unit vector
+    velocity: Float[Array, "2"]  # m/s
+    start: Float[Array, "2"]  # m
+    goal: Float[Array, "2"]  # m
+    start_group: Int[Array, ""]  # -1 none
+    goal_group: Int[Array, ""]  # -1 none
+    geodesic: Float[Array, ""]  # m, shortest path from start to goal
+    situations: Bool[Array, "S"]  # all false before they are classified
+    tick: Int[Array, ""]
+    robot_radius: Float[Array, ""]  # m
+    person_radius: Float[Array, ""]  # m
     time_step: float = struct.field(pytree_node=False)  # s
-    obstacles: Obstacles | None = None  # all upright boxes; None where nothing is known of them
-    turning: Array | None = None  # () rad, rotation along the shortest path from the start's heading; None: straight
-    goal_radius: Array | None = None  # () m, inside it the goal is reached; None: SEAN's 1.2
-    robot_top_speed: Array | None = None  # () m/s; None: Kuri's 0.5
+    obstacles: Obstacles | None = None  # None where they are not known
+    path_rotation: Float[Array, ""] | None = None  # rad, of navigation.path_rotation; None: of a straight path
+    goal_radius: Float[Array, ""] | None = None  # m, within which the goal is reached; None: SEAN's 1.2
+    robot_top_speed: Float[Array, ""] | None = None  # m/s; None: Kuri's 0.5
 
 
 @struct.dataclass
 class Streams:
-    """The chance of an episode, () typed PRNG keys: a use at a tick draws from ``fold_in(stream, tick)`` alone."""
+    """The random streams of an episode, () typed PRNG keys. A use at a tick draws from ``fold_in(stream, tick)``."""
 
     people: Array  # of the pedestrian behavior
-    policy: Array  # of who drives
-    sensors: Array  # of the noise that a caller adds; further split by whoever has several sensors
-    restart: Array  # of what follows the episode
+    policy: Array  # of the policy
+    sensors: Array  # of the noise of sensors; ``sensors.sense`` folds in the name of each
+    restart: Array  # of the episode that follows
 
 
 @struct.dataclass
 class State:
-    """Everything that the future depends on: equal states and equal actions give equal futures."""
+    """Everything on which the future depends: equal states and equal actions give equal futures."""
 
-    streams: Streams  # never advanced
-    tick: Array  # () int32, steps taken
+    streams: Streams  # they never change
+    tick: Int[Array, ""]  # steps taken
     pedestrians: Pedestrians
     groups: Groups
     robot: Robot
     task: RobotTask
-    memory: Any  # of the pedestrian behavior
-    situations: Array  # (S,) bool, in the order of scenario.situations
-    metrics: Any  # dict of name -> running value
-    ticks_at_goal: Array  # () int32, steps spent inside the goal radius without a break
-    completed: Array  # () bool, latched
-    timed_out: Array  # () bool, latched; never together with completed
-    driver: Any = ()  # what a Driver remembers; () for a policy that remembers nothing
+    memory: PyTree  # of the pedestrian behavior
+    situations: Bool[Array, "S"]  # in the order of scenario.situations
+    metrics: PyTree  # dict of name -> running value
+    ticks_at_goal: Int[Array, ""]  # steps spent inside the goal radius without a break
+    completed: Bool[Array, ""]  # latched
+    timed_out: Bool[Array, ""]  # latched; never together with completed
+    policy_state: PyTree = ()  # what the policy remembers of the episode
 
 
 @struct.dataclass
 class Behavior:
-    """A pedestrian behavior (section IV-D): who goes where.
+    """A pedestrian behavior (section IV-D): where people start and where they go.
 
     ``reset(scenario, key) -> (Pedestrians, Groups, memory)``
     ``direct(scenario, state, key) -> State`` with new desired velocities, group members and memory.
+    ``move(scenario, state) -> Pedestrians`` replaces the pedestrian model, for people who follow none.
     """
 
-    data: Any  # what the functions look up
+    data: PyTree  # the tables of the functions
     name: str = struct.field(pytree_node=False)
     reset: Callable = struct.field(pytree_node=False)
     direct: Callable = struct.field(pytree_node=False)
-    companions: Array | None = None  # (N, 2) int32, those that each person walks with, -1 none; None: all walk alone
+    companions: Int[Array, "N 2"] | None = None  # with whom each person walks, -1 none; None: all walk alone
+    people: int | None = struct.field(pytree_node=False, default=None)  # N; None: as many as the scenario is made with
+    move: Callable | None = struct.field(pytree_node=False, default=None)  # None: the scenario's pedestrian model
+    offers: tuple[str, ...] = struct.field(pytree_node=False, default=())  # what tasks may need: "groups", ...
 
 
 class Mount(NamedTuple):
-    """Where a sensor sits on a robot."""
+    """The place of a sensor on a robot."""
 
     name: str
     origin: tuple[float, ...]  # (3,) m in the robot's frame: x ahead, y to the left, z up from the floor
     axes: tuple[float, ...]  # (9,) unit vectors x, y, z (a camera's right, up and back), as columns row by row
-    fovy: float  # degrees, vertical field of view; 0 for what is no camera
+    fovy: float  # degrees, vertical field of view; 0 if it is no camera
 
 
 @struct.dataclass
@@ -206,43 +229,56 @@ class RobotModel:
     ``drive(scenario, state, action) -> Robot`` one control step later.
     """
 
-    mass: Array  # () kg, wheels included
-    inertia: Array  # () kg m2 about the vertical axis
-    wheel_radius: Array  # () m
-    wheel_inertia: Array  # () kg m2, about its axle, gears included
-    track: Array  # () m between the wheels, effective for skid steer
-    friction: Array  # () tyre friction coefficient
-    servo_gain: Array  # () N m s/rad, of the wheel speed servo
-    servo_torque: Array  # () N m, at most
-    max_speed: Array  # () m/s
-    max_turn_rate: Array  # () rad/s
-    max_acceleration: Array  # () m/s2
-    max_turn_acceleration: Array  # () rad/s2
-    command_timeout: Array  # () s, for which a command holds when no new one (a NaN) follows it; then the robot stops
-    data: Any  # the MJX model, or ()
-    solids: Solids  # what it looks like, in its own frame
+    mass: Float[Array, ""]  # kg, wheels included
+    inertia: Float[Array, ""]  # kg m2 about the vertical axis
+    wheel_radius: Float[Array, ""]  # m
+    wheel_inertia: Float[Array, ""]  # kg m2, about its axle, gears included
+    track: Float[Array, ""]  # m between the wheels, effective for skid steer
+    friction: Float[Array, ""]  # tyre friction coefficient
+    servo_gain: Float[Array, ""]  # N m s/rad, of the wheel speed servo
+    servo_torque: Float[Array, ""]  # N m, at most
+    max_speed: Float[Array, ""]  # m/s
+    max_turn_rate: Float[Array, ""]  # rad/s
+    max_acceleration: Float[Array, ""]  # m/s2
+    max_turn_acceleration: Float[Array, ""]  # rad/s2
+    command_timeout: Float[Array, ""]  # s, until the robot stops if no finite command follows
+    data: PyTree  # the MJX model, or ()
+    solids: Solids  # its looks, in its own frame
     name: str = struct.field(pytree_node=False)
     mounts: tuple[Mount, ...] = struct.field(pytree_node=False)
-    radius: float = struct.field(pytree_node=False)  # m, of the disc that touches people and obstacles
+    radius: float = struct.field(pytree_node=False)  # m, of the disc that people and obstacles touch
     time_step: float = struct.field(pytree_node=False)  # s, of the physics
     place: Callable = struct.field(pytree_node=False)
     drive: Callable = struct.field(pytree_node=False)
-    max_reverse_speed: Array | None = None  # () m/s, backward; None: max_speed
-    max_deceleration: Array | None = None  # () m/s2, by which the speed ahead may fall; None: max_acceleration
+    max_reverse_speed: Float[Array, ""] | None = None  # m/s, backward; None: max_speed
+    max_deceleration: Float[Array, ""] | None = None  # m/s2, of the forward speed; None: max_acceleration
+
+
+@struct.dataclass
+class Sensor:
+    """A sensor of the robot (section IV-F): a pure function with its parameters.
+
+    ``read(scenario, params, state, key)`` gives the reading, an array or any pytree; the key is all that its noise may
+    depend on. Constructors are in ``sensors``, such as ``sensors.depth_sensor``.
+    """
+
+    params: PyTree  # leaves, such as the deviation of the noise: to be an argument of jit, grad and vmap
+    name: str = struct.field(pytree_node=False)
+    read: Callable = struct.field(pytree_node=False)
 
 
 @struct.dataclass
 class Scenario:
-    """A physical environment, a pedestrian behavior and a robot task (section IV-B), with all that they look up."""
+    """A physical environment, a pedestrian behavior and a robot task (section IV-B), with everything they need."""
 
     environment: Environment
     navigation: Any  # navigation.Navigation for the robot's radius
     behavior: Behavior
-    forces: Any  # social_forces.Parameters
+    forces: Any  # social_forces.Forces
     thresholds: Any  # classifiers.Thresholds
-    goal_radius: Array  # () m, the goal is reached inside it
-    hold_time: Array  # () s, to be spent inside it for the task to be completed
-    task_distance: Array  # (2,) m, least and greatest geodesic distance from start to goal
+    goal_radius: Float[Array, ""]  # m, within which the goal is reached
+    hold_time: Float[Array, ""]  # s, to be spent there to complete the task
+    task_distance: Float[Array, "2"]  # m, minimum and maximum geodesic distance from start to goal
     robot: RobotModel
     task: Callable = struct.field(pytree_node=False)  # (scenario, pedestrians, groups, memory, key) -> RobotTask
     move: Callable = struct.field(pytree_node=False)  # (scenario, state) -> Pedestrians: the pedestrian model
@@ -253,38 +289,90 @@ class Scenario:
     people: int = struct.field(pytree_node=False)
     substeps: int = struct.field(pytree_node=False)  # of the social forces in a step of control
     task_name: str = struct.field(pytree_node=False)
+    sensors: tuple[Sensor, ...] = ()  # of the robot, read by ``sensors.sense``
 
 
 @struct.dataclass
-class Frame:
-    """What a rollout keeps of each step: enough to draw, and to compute anything of section IV-H afterwards."""
+class Observation:
+    """What a policy sees (section IV-F), in the robot's frame: x ahead, y to the left, the robot at the origin."""
 
-    position: Array  # (2,) m, of the robot
-    heading: Array  # (2,) unit vector
-    velocity: Array  # (2,) m/s
-    action: Array  # (2,) m/s and rad/s, the command that led here
-    people: Array  # (N, 2) m
-    people_velocity: Array  # (N, 2) m/s
-    people_heading: Array  # (N, 2) unit vector
-    group: Array  # (N,) int32, -1 none
-    present: Array  # (N,) bool
-    goal: Array  # (2,) m
-    situations: Array  # (S,) bool
-    active: Array  # () bool, the episode had not ended before this step
+    goal: Float[Array, "2"]  # m
+    goal_heading: Float[Array, "2"]  # unit vector
+    path: Float[Array, "2"]  # m, the next corner of the shortest path, or the goal
+    speed: Float[Array, ""]  # m/s
+    turn_rate: Float[Array, ""]  # rad/s
+    people: Float[Array, "N 2"]  # m
+    people_velocity: Float[Array, "N 2"]  # m/s, over the ground
+    people_present: Bool[Array, "N"]
+    situations: Bool[Array, "S"]
 
 
 @struct.dataclass
-class Driver:
-    """A policy that has learned something, or that remembers: who drives when the state alone does not tell how.
+class Trajectory:
+    """What a rollout records of a step, or stacked (T, ...) of T steps: enough to draw, and for all metrics (IV-H)."""
 
-    ``start(scenario, data, state) -> memory`` of an episode that begins in that state;
-    ``drive(scenario, data, state, key) -> (command (2,), memory)``, where ``state.driver`` is the memory until then.
+    position: Float[Array, "2"]  # m, of the robot
+    heading: Float[Array, "2"]  # unit vector
+    velocity: Float[Array, "2"]  # m/s
+    action: Float[Array, "2"]  # m/s and rad/s, the command that led here
+    people: Float[Array, "N 2"]  # m
+    people_velocity: Float[Array, "N 2"]  # m/s
+    people_heading: Float[Array, "N 2"]  # unit vector
+    group: Int[Array, "N"]  # -1 none
+    present: Bool[Array, "N"]
+    goal: Float[Array, "2"]  # m
+    situations: Bool[Array, "S"]
+    active: Bool[Array, ""]  # the episode had not ended before this step
+
+
+@struct.dataclass
+class Policy:
+    """Who drives the robot: a pure function with its parameters and what it remembers of an episode.
+
+    ``init(scenario, params, state)`` gives the memory at the beginning of an episode, any pytree;
+    ``apply(scenario, params, state, key)`` gives the command (2,) [m/s, rad/s] and the new memory, where
+    ``state.policy_state`` is the memory so far. ``as_policy`` makes one of a plain function.
     """
 
-    data: Any  # leaves, such as the parameters of a network
+    params: PyTree  # leaves, such as the weights of a network: to be an argument of jit, grad and vmap
     name: str = struct.field(pytree_node=False)
-    start: Callable = struct.field(pytree_node=False)
-    drive: Callable = struct.field(pytree_node=False)
+    init: Callable = struct.field(pytree_node=False)
+    apply: Callable = struct.field(pytree_node=False)
 
 
-Policy = Callable[[Scenario, State, Array], Array] | Driver  # (scenario, state, key) -> (2,) linear m/s, angular rad/s
+PolicyLike = Policy | Callable[[Scenario, State, Array], Array]
+"""What is accepted wherever a policy is: a ``Policy``, or a function (scenario, state, key) -> (2,) [m/s, rad/s]."""
+
+
+@dataclass(frozen=True)
+class _Stateless:
+    """``Policy.apply`` of a plain function; equal for equal functions, so that what was compiled is found again."""
+
+    function: Callable[[Scenario, State, Array], Array]
+
+    def __call__(self, scenario: Scenario, params: PyTree, state: State, key: Array) -> tuple[Array, tuple]:
+        return self.function(scenario, state, key), ()
+
+
+def _no_memory(scenario: Scenario, params: PyTree, state: State) -> tuple:
+    return ()
+
+
+def as_policy(policy: PolicyLike) -> Policy:
+    """The policy, made of a plain function if it is one.
+
+    Args:
+        policy: a ``Policy``, or a function (scenario, state, key) -> (2,) command [m/s, rad/s].
+
+    Returns:
+        A ``Policy``; that of a function has no parameters and remembers nothing.
+
+    Raises:
+        TypeError: it is neither.
+    """
+    if isinstance(policy, Policy):
+        return policy
+    if not callable(policy):
+        raise TypeError(f"policy: {policy!r:.60} must be a Policy or a function (scenario, state, key) -> (2,).")
+    name = getattr(policy, "__name__", type(policy).__name__)
+    return Policy(params=(), name=name, init=_no_memory, apply=_Stateless(policy))

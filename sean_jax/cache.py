@@ -1,7 +1,7 @@
-"""Tables in the user's cache folder: what takes seconds to make is made once for all processes.
+"""Tables in the user's cache folder: what takes seconds to build is built once for all processes.
 
-A table is found by what it was made from, its inputs and the source of the code that makes it, never by a name or a
-time: an edited file cannot leave an old one behind. A folder that cannot be read or written is done without.
+The key of a table is what it was built from, its inputs and the source of the code that builds it, never a name or a
+time: an edited file cannot leave an old table behind. If the folder cannot be read or written, tables are built anew.
 """
 
 import functools
@@ -19,16 +19,20 @@ import numpy as np
 from sean_jax.writing import DAMAGED
 
 PACKAGE = Path(__file__).resolve().parent
-LARGEST, MOST = 1 << 29, 500  # bytes and files in the folder, beyond which the oldest are removed
-REMEMBERED = 16  # tables of this process
-LEFT_OVER = 3600.0  # s, after which an unfinished file belongs to nobody
+MAX_SIZE, MAX_FILES = 1 << 29, 500  # bytes and files in the folder, beyond which the oldest are removed
+MAX_RECENT = 16  # tables that this process keeps in memory
+ABANDONED_AFTER = 3600.0  # s, after which an unfinished file is removed
 
 Tables = Mapping[str, np.ndarray]
 _recent: OrderedDict[str, Tables] = OrderedDict()
 
 
 def folder() -> Path:
-    """The package's folder in the user's cache; who has no home has one among the temporary files."""
+    """The package's folder in the user's cache.
+
+    Returns:
+        The folder, which need not exist; one among the temporary files for a user without a home.
+    """
     place = os.environ.get("XDG_CACHE_HOME")
     if not place:
         try:
@@ -38,15 +42,18 @@ def folder() -> Path:
     return Path(place) / "sean_jax"
 
 
-def kept(kind: str, code: tuple[str, ...], inputs: Iterable[Any], make: Callable[[], Tables]) -> Tables:
-    """``make()``, or what it gave before for the same inputs, in this process or in another.
+def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build: Callable[[], Tables]) -> Tables:
+    """Build tables, or load what was built before from the same inputs, in this process or in another.
 
     Args:
         kind: of table.
         code: files and folders of the package, such as ``navigation``, on which the result depends.
-        inputs: numbers and arrays, compared in single precision. What is made in one precision is not handed out in the
-            other, or results would depend on which of the two somebody ran first.
-        make: arrays by name. It runs if nothing is kept, or if it cannot be read.
+        inputs: numbers and arrays, compared in single precision. Tables that were built in one precision are not used
+            in the other, or results would depend on which of the two ran first.
+        build: gives arrays by name. It runs if there is no table, or if it cannot be read.
+
+    Returns:
+        Arrays by name.
     """
     import jax.numpy as jnp  # here, for the command line sets up jax's own cache beside this one before it is imported
 
@@ -59,11 +66,11 @@ def kept(kind: str, code: tuple[str, ...], inputs: Iterable[Any], make: Callable
         path = folder() / "tables" / f"{name}.npz"
         found = _read(path, name)
         if found is None:
-            found = dict(make())
+            found = dict(build())
             _write(path, name, found)
         _recent[name] = found
     _recent.move_to_end(name)
-    while len(_recent) > REMEMBERED:
+    while len(_recent) > MAX_RECENT:
         _recent.popitem(last=False)
     return _recent[name]
 
@@ -80,7 +87,7 @@ def _source(code: tuple[str, ...]) -> str:
 
 
 def _read(path: Path, name: str) -> Tables | None:
-    """The arrays of a file that was written whole, under that name; None without one."""
+    """The arrays of a file that was written completely, under that name; None without one."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             found = {key: stored[key] for key in stored.files}
@@ -93,7 +100,7 @@ def _read(path: Path, name: str) -> Tables | None:
 
 
 def _write(path: Path, name: str, tables: Tables) -> None:
-    """Whole or not at all."""
+    """Write the tables atomically, if the folder can be written."""
     unfinished = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -111,15 +118,15 @@ def _write(path: Path, name: str, tables: Tables) -> None:
 
 
 def _remove_oldest(tables: Path) -> None:
-    """Keep within ``MOST`` files and ``LARGEST`` bytes, and none that somebody began and did not finish."""
+    """Keep to ``MAX_FILES`` files and ``MAX_SIZE`` bytes, and remove unfinished files that nobody writes any more."""
     total, files = 0, []
     for file in tables.iterdir():
         state = file.stat()
         if file.suffix == ".npz":
             files.append((state.st_mtime, state.st_size, file))
-        elif file.suffix == ".unfinished" and time.time() - state.st_mtime > LEFT_OVER:
+        elif file.suffix == ".unfinished" and time.time() - state.st_mtime > ABANDONED_AFTER:
             file.unlink(missing_ok=True)
     for number, (_, size, file) in enumerate(sorted(files, reverse=True)):
         total += size
-        if number >= MOST or total > LARGEST:
+        if number >= MAX_FILES or total > MAX_SIZE:
             file.unlink(missing_ok=True)

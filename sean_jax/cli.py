@@ -3,8 +3,8 @@
 Nothing heavy is imported before a command is chosen, so that ``sean --help`` answers at once.
 """
 
-import dataclasses
 import importlib.metadata
+import json
 import math
 import os
 import shlex
@@ -13,116 +13,60 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-import tyro
+from sean_jax import config, interrupts
+from sean_jax.config import COMMANDS, Config
+from sean_jax.errors import IncompleteError, InputError
+from sean_jax.writing import atomic_file, broken, check_file, check_new_folder, contents
 
-from sean_jax import stopping
-from sean_jax.bench import Options as Bench
-from sean_jax.experiments.options import Experiment
-from sean_jax.learning.options import Collect, Export, Failed, Train
-from sean_jax.main_job.options import Options
-from sean_jax.options import BadInput, check_file, check_limits, check_new_folder
-from sean_jax.writing import Unwritable, broken, contents, whole
+if TYPE_CHECKING:
+    from rich.console import Console
 
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # of those that matplotlib writes
 LEARNING = ("optax", "orbax", "tensorstore")  # what the extra "learning" brings
 WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, what broke midway, Ctrl-C, SIGTERM
 
 
-@dataclasses.dataclass(frozen=True)
-class List:
-    """What there is to choose from for each option."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Draw:
-    """Draw what people do in the environments: their behavior graphs, or all handcrafted sets."""
-
-    graph: bool = False
-    """The behavior graph, with its groups seated."""
-    handcrafted: bool = False
-    """The handcrafted sets, one panel each."""
-    environment: str | None = None
-    """Environment: a name, or the folder of your own; all that come with the package by default."""
-    out: Path | None = None
-    """File to write, such as sheet.png or sheet.svg; of several environments, each adds its name."""
-
-
-@dataclasses.dataclass(frozen=True)
-class ImportMap:
-    """Make an environment of a ROS map, the YAML file of a map_server with its image."""
-
-    map: Annotated[Path, tyro.conf.Positional]
-    """YAML file of the map."""
-    out: Path
-    """Folder to write; it must be new or empty. Its path then serves as --environment."""
-    people: int | None = None
-    """Default number of people; one for each 25 m2 of free floor by default."""
-    height: float = 2.0
-    """Height of all obstacles in metres, for a map has none."""
-    unknown: Literal["obstacle", "free"] = "obstacle"
-    """What cells are that the map does not know."""
-
-    def check(self) -> None:
-        """Raises BadInput for numbers and folders that cannot be."""
-        check_limits(self, {"height": (0.06, 100.0)})
-        check_new_folder(self.out)
-
-
-COMMANDS: dict[str, Any] = {
-    "run": Options,
-    "collect": Collect,
-    "train": Train,
-    "experiment": Experiment,
-    "export": Export,
-    "draw": Draw,
-    "import-map": ImportMap,
-    "bench": Bench,
-    "list": List,
-}
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code.
+    """Run the command line.
 
-    That is 0, 2 for bad input, 1 for what broke midway, 130 for Ctrl-C and 143 for SIGTERM.
+    Args:
+        arguments: the words after ``sean``; those of the process if None.
+
+    Returns:
+        The exit code: 0, 2 for bad input, 1 for what broke midway, 130 for Ctrl-C and 143 for SIGTERM.
     """
-    with stopping.stoppable() as received:
-        code = _main(arguments)
+    with interrupts.interruptible() as received:
+        code = _main(list(sys.argv[1:] if arguments is None else arguments))
         code = TERMINATED if code == STOPPED and signal.SIGTERM in received else code
-        if code in (STOPPED, TERMINATED) and any(thread.name == stopping.COMPILER for thread in threading.enumerate()):
+        if code in (STOPPED, TERMINATED) and any(
+            thread.name == interrupts.COMPILER_THREAD for thread in threading.enumerate()
+        ):
             os._exit(code)  # the compiler cannot be interrupted, and the interpreter would wait for it
     return code
 
 
-def _main(arguments: Sequence[str] | None) -> int:
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
+def _main(arguments: list[str]) -> int:
     if arguments in (["--version"], ["-V"]):
         print(f"sean_jax {_version()}")
         return 0
+    if not arguments or arguments[0] in ("--help", "-h"):
+        print(_help())
+        return 0 if arguments else WRONG
     try:
-        command = _parse(arguments)
+        word = arguments[0]
+        if word not in COMMANDS:
+            raise InputError(_unknown(word))
+        _refuse_empty(arguments)
+        options = _read(word, arguments[1:])
         from sean_jax import compiler
 
-        compiler.set_up()
-        if isinstance(command, List):
-            from sean_jax.main_job import choices
-
-            choices.print_choices()
-            return 0
-        if isinstance(command, ImportMap):
-            return _import_map(command)
-        if isinstance(command, Draw):
-            return _draw(command)
-        if isinstance(command, Bench):
-            return _bench(command)
-        if isinstance(command, Collect | Train | Export | Experiment):
-            return _learn(command)
-        return _run(command)
-    except (BadInput, Unwritable) as error:
+        compiler.configure()
+        return _DO[word](options)
+    except InputError as error:
         return _fail(str(error), WRONG)
-    except Failed as error:
+    except (IncompleteError, FloatingPointError) as error:
         return _fail(str(error), FAILED)
     except OSError as error:
         return _fail(f"{broken(error)}; nothing was written.", WRONG)
@@ -130,26 +74,47 @@ def _main(arguments: Sequence[str] | None) -> int:
         if (error.name or "").split(".")[0] not in LEARNING:
             raise
         return _fail(f'{error.name} is missing; pip install "sean_jax[learning]".', WRONG)
-    except FloatingPointError as error:
-        return _fail(str(error), FAILED)
     except KeyboardInterrupt as error:
         return _fail(str(error) or "stopped; nothing was written.", STOPPED)
 
 
-def _parse(arguments: list[str]) -> Any:
-    """An instance of one of ``COMMANDS``. A command's own parser tells of its own help alone, where words are wrong."""
-    _refuse_empty(arguments)
-    config = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
-    if arguments and arguments[0] in COMMANDS:
-        word = arguments[0]
-        return tyro.cli(COMMANDS[word], prog=f"sean {word}", args=arguments[1:], config=config)
-    return tyro.extras.subcommand_cli_from_dict(
-        COMMANDS,
-        prog="sean",
-        description="Social robot navigation in JAX: simulate, measure, report. `sean --version` names this version.",
-        args=arguments,
-        config=config,
-    )
+def _help() -> str:
+    """The commands, a line each."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {word:<{width}}  {_summary(model)}" for word, model in COMMANDS.items()]
+    head = "usage: sean COMMAND [OPTIONS]\n\nSocial robot navigation in JAX: simulate, measure, report.\n\ncommands:"
+    return "\n".join([head, *lines, "", "`sean COMMAND --help` tells its options, `sean --version` this version."])
+
+
+def _summary(model: type[Config]) -> str:
+    """The first sentence of a description."""
+    text = " ".join((model.__doc__ or "").split())
+    return text.partition(". ")[0].rstrip(".") + "."
+
+
+def _unknown(word: str) -> str:
+    from sean_jax.files.reading import suggest
+
+    known = ", ".join(COMMANDS)
+    return f"'{word}' is not one of {known}{suggest(word, COMMANDS) or '; `sean --help` tells what they do.'}"
+
+
+def _read(word: str, arguments: list[str]) -> Any:
+    """The description that the words ask for."""
+    from sean_jax import flags
+
+    model, configurable = COMMANDS[word], word == "run"
+    given = flags.parse(word, model, arguments, configurable)
+    base = None
+    if configurable and given.config is not None:
+        from sean_jax.evaluation.output import read_config
+
+        base = read_config(given.config)
+        try:
+            config.validate(model, base)
+        except InputError as error:
+            raise InputError(f"{given.config}: {error}") from None
+    return flags.read(model, given, base)
 
 
 def _refuse_empty(arguments: list[str]) -> None:
@@ -157,111 +122,118 @@ def _refuse_empty(arguments: list[str]) -> None:
     for before, word in zip(["", *arguments], arguments, strict=False):
         option, equals, value = word.partition("=")
         if not word.strip() or (option.startswith("--") and equals and not value.strip()):
-            named = option if equals else before if before.startswith("--") else "an argument"
-            raise BadInput(f"{named} is an empty text; give a value, or leave the option out for its default.")
+            name = option if equals else before if before.startswith("--") else "an argument"
+            raise InputError(f"{name} is an empty text; give a value, or leave the option out for its default.")
 
 
-def _run(options: Options) -> int:
-    from rich.console import Console
-
-    from sean_jax import main_job
-
-    console = Console(quiet=options.quiet)
-    folder, episodes = main_job.run(options, console)
+def _run(options: config.RunConfig) -> int:
+    console = _console(options.quiet)
+    with console.status("importing JAX"):
+        from sean_jax import evaluation
+    folder, found = evaluation.run(options, console)
     _say(console, "report: ", folder / "report.html")
-    if episodes < options.episodes:
-        said = f"stopped; the {episodes} episodes finished until then are in {folder}"
-        return _fail(f"{said}, and the same command with --out {folder} goes on.", STOPPED)
+    if len(found.tasks) < options.episodes:
+        text = f"stopped; the {len(found.tasks)} episodes finished until then are in {folder}"
+        return _fail(f"{text}, and the same command with --out {folder} goes on.", STOPPED)
     return 0
 
 
-def _draw(command: Draw) -> int:
-    if command.graph == command.handcrafted:
-        return _fail("draw: give either --graph or --handcrafted.", WRONG)
-    what = "graph" if command.graph else "handcrafted"
-    check_file(command.out or Path(f"{what}.png"), PICTURES)
-    from sean_jax import assembly, drawing, environment
+def _collect(options: config.CollectConfig) -> int:
+    def work(console: "Console") -> None:
+        from sean_jax import learning
 
-    names = environment.available() if command.environment is None else [command.environment]
-    for name in names:
-        task = "handcrafted" if command.handcrafted else "random_ab_nav"
-        try:
-            scenario = assembly.make(name, behavior=what, task=task, dynamics="twin")
-            graph = drawing.graph_of(scenario)
-            sheet = drawing.graph_sheet(scenario.environment, graph) if graph else drawing.handcrafted_sheet(scenario)
-            file = command.out or Path(f"{what}.png")
-            if command.out is None or len(names) > 1:
-                file = file.with_stem(f"{file.stem}-{scenario.environment.name}")
-                check_file(file, PICTURES)
-            with whole(file) as stream:
-                sheet.savefig(stream, dpi=150, format=file.suffix[1:].lower())
-        except ValueError as error:
-            return _fail(str(error), WRONG)
-        print(file)
-    return 0
+        data = learning.collect(options, console)
+        _say(console, f"{data.example_count} examples in {len(data.episodes)} episodes: ", options.folder)
+
+    return _keeping(options, work)
 
 
-def _bench(options: Bench) -> int:
-    from rich.console import Console
+def _train(options: config.TrainConfig) -> int:
+    def work(console: "Console") -> None:
+        from sean_jax import learning
 
-    from sean_jax import bench
+        state = learning.train(options, console)
+        best = f"smallest loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
+        _say(console, f"{int(state.epoch)} epochs, {best}: ", options.folder)
+        _say(console, "next: ", shlex.join(["sean", "run", "--policy", str(options.folder)]))
 
-    console = Console(quiet=options.quiet)
-    folder = bench.run(options, console)
-    _say(console, "picture: ", folder / "bench.png")
-    return 0
+    return _keeping(options, work)
 
 
-def _learn(command: Collect | Train | Export | Experiment) -> int:
-    """Collect, train, export or experiment; what is done when something goes wrong, or at Ctrl-C, is kept."""
-    command.check()
-    from rich.console import Console
+def _experiment(options: config.ExperimentConfig) -> int:
+    def work(console: "Console") -> None:
+        from importlib import import_module
 
-    from sean_jax import learning
+        experiment = import_module(f"sean_jax.experiments.{options.which}")
+        _say(console, "report: ", experiment.run(options, console) / "report.html")
 
-    console = Console(quiet=command.quiet)
-    folder = command.folder
+    return _keeping(options, work)
+
+
+def _export(options: config.ExportConfig) -> int:
+    check_new_folder(options.out)
+
+    def work(console: "Console") -> None:
+        from sean_jax import learning
+
+        _say(console, "written: ", learning.export(options.dataset, options.out))
+
+    return _keeping(options, work)
+
+
+def _keeping(options: Any, work: Any) -> int:
+    """Work that keeps what is done when something goes wrong, or at Ctrl-C."""
     try:
-        if isinstance(command, Collect):
-            data = learning.collect(command, console)
-            _say(console, f"{data.examples} examples in {len(data.episodes)} episodes: ", folder)
-        elif isinstance(command, Train):
-            state = learning.train(command, console)
-            best = f"least loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
-            _say(console, f"{int(state.epoch)} epochs, {best}: ", folder)
-            _say(console, "next: ", shlex.join(["sean", "run", "--policy", str(folder)]))
-        elif isinstance(command, Experiment):
-            _say(console, "report: ", _experiment(command, console) / "report.html")
-        else:
-            _say(console, "written: ", learning.export(command.dataset, command.out))
-    except FloatingPointError as error:
-        return _fail(str(error), FAILED)
+        work(_console(options.quiet))
     except (OSError, KeyboardInterrupt) as error:
-        kept = f"what was finished until then is in {folder}, and the same command goes on"
-        kept = f"{kept if contents(folder) else 'nothing was written'}."
+        kept = f"what was finished until then is in {options.folder}, and the same command goes on"
+        kept = f"{kept if contents(options.folder) else 'nothing was written'}."
         if isinstance(error, KeyboardInterrupt):
             return _fail(f"stopped; {kept}", STOPPED)
         return _fail(f"{broken(error)}; {kept}", FAILED)
     return 0
 
 
-def _experiment(command: Experiment, console: Any) -> Path:
-    if command.which == "table1":
-        from sean_jax.experiments import table1
+def _draw(options: config.DrawConfig) -> int:
+    if options.graph == options.handcrafted:
+        return _fail("draw: give either --graph or --handcrafted.", WRONG)
+    what = "graph" if options.graph else "handcrafted"
+    check_file(options.out or Path(f"{what}.png"), PICTURES)
+    from sean_jax import assembly, drawing, environment
 
-        return table1.run(command, console)
-    from sean_jax.experiments import figure4
+    names = environment.available() if options.environment is None else [options.environment]
+    for name in names:
+        task = "handcrafted" if options.handcrafted else "random_ab_nav"
+        scenario = assembly.make(name, behavior=what, task=task, dynamics="twin")
+        graph = drawing.graph_of(scenario)
+        sheet = drawing.graph_sheet(scenario.environment, graph) if graph else drawing.handcrafted_sheet(scenario)
+        file = options.out or Path(f"{what}.png")
+        if options.out is None or len(names) > 1:
+            file = file.with_stem(f"{file.stem}-{scenario.environment.name}")
+            check_file(file, PICTURES)
+        with atomic_file(file) as stream:
+            sheet.savefig(stream, dpi=150, format=file.suffix[1:].lower())
+        print(file)
+    return 0
 
-    return figure4.run(command, console)
+
+def _bench(options: config.BenchConfig) -> int:
+    from sean_jax import bench
+
+    console = _console(options.quiet)
+    folder = bench.run(options, console)
+    _say(console, "picture: ", folder / "bench.png")
+    return 0
 
 
-def _import_map(command: ImportMap) -> int:
-    command.check()
+def _import_map(options: config.ImportMapConfig) -> int:
+    check_new_folder(options.out)
     from sean_jax import maps
 
-    options = dataclasses.asdict(command)
     try:
-        made = maps.import_map(options.pop("map"), options.pop("out"), **options)
+        made = maps.import_map(
+            options.map, options.out, people=options.people, height=options.height, unknown=options.unknown
+        )
     except ValueError as error:
         return _fail(str(error), WRONG)
     share = math.floor(made.agreement * 1e4) / 1e2  # rounded up, 99.999 % would read as all
@@ -269,6 +241,38 @@ def _import_map(command: ImportMap) -> int:
     again = shlex.join(["sean", "run", "--environment", str(made.folder), "--behavior", "random"])
     print(f"next: {again}, or write a graph.yaml.")
     return 0
+
+
+def _list(options: config.ListConfig) -> int:
+    from sean_jax.evaluation import choices
+
+    choices.print_choices()
+    return 0
+
+
+def _schema(options: config.SchemaConfig) -> int:
+    print(json.dumps(config.RunConfig.model_json_schema(), indent=2))
+    return 0
+
+
+_DO: dict[str, Any] = {
+    "run": _run,
+    "collect": _collect,
+    "train": _train,
+    "experiment": _experiment,
+    "export": _export,
+    "draw": _draw,
+    "import-map": _import_map,
+    "bench": _bench,
+    "list": _list,
+    "schema": _schema,
+}
+
+
+def _console(quiet: bool) -> "Console":
+    from rich.console import Console
+
+    return Console(quiet=quiet)
 
 
 def _say(console: Any, what: str, where: Path | str) -> None:

@@ -1,32 +1,56 @@
-"""Time is counted in ticks: a sum of steps is rounded at each of them, and would end a hold a step late or early."""
+"""Time in ticks, whole numbers of steps. A sum of seconds is rounded at each step, and may end a step early or late."""
 
 import math
 from fractions import Fraction
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from sean_jax.base import Array
 
-ROUNDED = 4.0  # units in the last place by which a quotient of two rounded times may be off a whole number
+ROUNDING = 4.0  # units in the last place by which a quotient of two rounded times may miss a whole number
 
 
-def ticks(duration: float, time_step: float) -> int:
-    """The least number of time steps [s] that last for a duration [s]; both are known when a program is traced."""
+def ceil_ticks(duration: float, time_step: float) -> int:
+    """The smallest number of time steps that last for a duration; both are known when a program is traced.
+
+    Args:
+        duration: s.
+        time_step: s.
+
+    Returns:
+        The number of steps.
+    """
     return math.ceil(duration / time_step * (1.0 - 1e-12))
 
 
-def in_ticks(duration: Array, time_step: float) -> Array:
-    """Durations [s] of any shape in time steps [s]: whole numbers where they are that but for rounding."""
+def to_ticks(duration: Float[Array, "*shape"], time_step: float) -> Float[Array, "*shape"]:
+    """Durations in time steps, rounded to a whole number where they differ from one by rounding only.
+
+    Args:
+        duration: (...) s.
+        time_step: s.
+
+    Returns:
+        (...) steps.
+    """
     exact = duration / time_step
     whole = jnp.round(exact)
-    return jnp.where(jnp.abs(exact - whole) <= ROUNDED * jnp.finfo(exact.dtype).eps * whole, whole, exact)
+    return jnp.where(jnp.abs(exact - whole) <= ROUNDING * jnp.finfo(exact.dtype).eps * whole, whole, exact)
 
 
-def per_tick(time_step: float, rate: float = 1.0) -> tuple[int, int]:
-    """How often what happens ``rate`` [1/s] times does so in a time step [s], as a fraction of small whole numbers.
+def events_per_tick(time_step: float, rate: float = 1.0) -> tuple[int, int]:
+    """Events in one time step as a fraction of small whole numbers, whose products with ticks are exact.
 
-    Their products with ticks are exact, however long it runs. Raises ValueError for less than once in 1000 steps, which
-    such a fraction does not meet.
+    Args:
+        time_step: s.
+        rate: 1/s, of the events.
+
+    Returns:
+        Numerator and denominator.
+
+    Raises:
+        ValueError: there is less than one event in 1000 steps, which such a fraction cannot represent.
     """
     share = time_step * rate
     if not share >= 0.001 * (1.0 - 1e-9):

@@ -1,17 +1,18 @@
-"""XLA as the command line sets it up, before JAX is imported; what the user has set already is respected."""
+"""Configuration of XLA by the command line, before JAX is imported. Settings of the user's stay as they are."""
 
 import importlib.metadata
 import os
 
 from sean_jax import cache
 
-LOOPS = "--xla_cpu_use_fusion_emitters"  # a flag of jaxlib 0.10; later ones have one way, and stop at the flag
+LOOPS = "--xla_cpu_use_fusion_emitters"  # a flag of jaxlib 0.10; later versions refuse it
 
 
-def set_up() -> None:
-    """Keep what is compiled in the user's cache folder, and have loops for a CPU emitted in the older of two ways.
+def configure() -> None:
+    """Set the environment variables of JAX's compilation cache, and a flag of XLA.
 
-    That compiles the step in two thirds of the time, to a program that is as fast.
+    Programs are cached in the user's cache folder. Loops for a CPU are emitted by the older of two emitters, which
+    compiles the step in two thirds of the time, to a program that is as fast.
     """
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache.folder() / "xla"))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")

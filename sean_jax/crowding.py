@@ -1,59 +1,64 @@
-"""Where people crowd (section IV-D): density over the floor, and flow along the edges of the Behavior Graph.
+"""Density of people over the floor, and their flow along the edges of the Behavior Graph (section IV-D).
 
-Both are read from positions alone, so whoever moved the people, they are measured alike: a person has walked the edge
-from u to v who comes to node v and was last at node u.
+Both are computed from positions alone, so they are the same measure whatever moves the people: a person who arrives at
+node v and was last at node u has walked the edge from u to v.
 """
 
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from jaxtyping import Bool, Float, Int
 
-from sean_jax.base import Array, Environment, Frame, Scenario
+from sean_jax.base import Array, Environment, Scenario, Trajectory
+from sean_jax.errors import InputError
 from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph, graph_of
 
 CELL = 0.5  # m, side of the cells in which people are counted
-AT_NODE = 1.0  # m from a node's disc: people aim at any of its points and have arrived 1 m from there (SEAN 2.0)
-NOWHERE = -1  # in place of a node, for who was at none yet
+ARRIVAL_DISTANCE = 1.0  # m from a node's disc: people aim at any of its points and arrive 1 m from there (SEAN 2.0)
+NO_NODE = -1  # in place of a node, for people who were at none yet
 
 
 @struct.dataclass
 class Congestion:
     """People's density and flow in each of K spans of time; M nodes of the graph, 0 without one."""
 
-    time: Array  # (K,) s, end of each span
-    density: Array  # (K, rows, columns) people per m2, mean over the span; row 0 at the lowest y
-    flow: Array  # (K, M, M) people per minute who came from the row's node to the column's, by the edge between them
+    time: Float[Array, "K"]  # s, end of each span
+    density: Float[Array, "K rows columns"]  # people per m2, mean over the span; row 0 at the lowest y
+    flow: Float[Array, "K M M"]  # people per minute who came from the row's node to the column's by the edge between
 
 
 def congestion(
-    scenario: Scenario, frames: Frame, span: float = 10.0, cells: tuple[int, int] | None = None
+    scenario: Scenario, frames: Trajectory, span: float = 10.0, cells: tuple[int, int] | None = None
 ) -> Congestion:
     """Density and flow of the people in the frames of a rollout.
 
+    The densities times the area of a cell add up to the number of people who are present: people off the floor count
+    for the nearest cell. Under ``jit`` give ``cells``, or close over the scenario.
+
     Args:
+        scenario: the one that the frames come from.
         frames: (T, ...), or with batch axes before T, which the result has as well. All frames count, those after
             the end of an episode too.
-        span: s, over which is averaged; the last span may be shorter.
+        span: s, of the average; the last span may be shorter.
         cells: rows and columns of the grid over the floor; cells of about half a metre if None, which a traced
             scenario does not allow.
 
-    The densities times the area of a cell add up to the number of people who are present: who is off the floor counts
-    for the nearest cell. Under ``jit`` give ``cells``, or close over the scenario.
+    Returns:
+        Density and flow in each span.
 
     Raises:
-        ValueError: the span is shorter than a control step, or cells are missing under jit.
+        InputError: the span is shorter than a control step, or cells are missing under jit.
     """
     if frames.active.ndim > 1:
         return jax.vmap(lambda each: congestion(scenario, each, span, cells))(frames)
     stride = round(span / scenario.time_step)
     if stride < 1:
-        raise ValueError(f"span: {span:g} s is shorter than the control step of {scenario.time_step:g} s.")
-    rows, columns = grid(scenario.environment) if cells is None else cells
+        raise InputError(f"span: {span:g} s is shorter than the control step of {scenario.time_step:g} s.")
+    rows, columns = grid_shape(scenario.environment) if cells is None else cells
     steps = frames.active.shape[0]
     number = -(-steps // stride)
     index = jnp.arange(steps, dtype=jnp.int32) // stride
@@ -69,24 +74,40 @@ def congestion(
 
     graph = graph_of(scenario)
     minutes = jnp.asarray(lasts * scenario.time_step / 60.0, float)[:, None, None]
-    flow = _walks(graph, frames, index, number) / minutes
+    flow = _walks_by_edge(graph, frames, index, number) / minutes
     return Congestion(time=jnp.asarray(ends * scenario.time_step, float), density=density, flow=flow)
 
 
-def grid(environment: Environment) -> tuple[int, int]:
-    """Rows and columns of cells of about half a metre that cover the floor."""
+def grid_shape(environment: Environment) -> tuple[int, int]:
+    """The grid of cells of about half a metre that covers the floor.
+
+    Args:
+        environment: with the floor, which must not be traced.
+
+    Returns:
+        Rows and columns.
+
+    Raises:
+        InputError: the environment is traced.
+    """
     try:
         x0, y0, x1, y1 = np.asarray(environment.floor, float)
     except jax.errors.TracerArrayConversionError as error:
         message = "cells: are needed where the scenario is traced; give (rows, columns), or close over the scenario."
-        raise ValueError(message) from error
+        raise InputError(message) from error
     return math.ceil((y1 - y0) / CELL - 1e-6), math.ceil((x1 - x0) / CELL - 1e-6)
 
 
-def cell_of(environment: Environment, cells: tuple[int, int], points: Array) -> Array:
-    """(...) int32 number of the cell of a grid over the floor, row by row from the lowest, that each point is in.
+def cell_of(environment: Environment, cells: tuple[int, int], points: Float[Array, "*shape 2"]) -> Int[Array, "*shape"]:
+    """The cell of a grid over the floor that each point is in.
 
-    ``points`` (..., 2) m; those off the floor are taken to the nearest cell.
+    Args:
+        environment: with the floor.
+        cells: rows and columns of the grid.
+        points: (..., 2) m; those off the floor count for the nearest cell.
+
+    Returns:
+        (...) number of the cell, row by row from the lowest y.
     """
     rows, columns = cells
     floor = environment.floor
@@ -96,31 +117,40 @@ def cell_of(environment: Environment, cells: tuple[int, int], points: Array) -> 
     return jnp.clip(y.astype(jnp.int32), 0, rows - 1) * columns + column
 
 
-def follow(graph: BehaviorGraph, last: Array, people: Array, present: Array) -> tuple[Array, Array]:
-    """(N,) int32 node that each of the people (N, 2) [m] was at last, and (N,) bool who walked an edge to it just now.
+def track_nodes(
+    graph: BehaviorGraph, last: Int[Array, "N"], people: Float[Array, "N 2"], present: Bool[Array, "N"]
+) -> tuple[Int[Array, "N"], Bool[Array, "N"]]:
+    """Update the node that each person was at last.
 
-    ``last`` (N,) int32 is the node that they were at last until now, ``NOWHERE`` if they were at none yet.
+    Args:
+        graph: with the nodes.
+        last: (N,) node that they were at last until now, ``NO_NODE`` if they were at none yet.
+        people: (N, 2) m, where they are.
+        present: (N,) whether they are there.
+
+    Returns:
+        (N,) node that they were at last, and (N,) whether they have just walked an edge to it.
     """
     gap = people[:, None] - graph.position[None, :]
     beyond = length(gap[..., 0], gap[..., 1]) - graph.radius[None, :]  # (N, M) m
     nearest = jnp.argmin(beyond, axis=1).astype(jnp.int32)
-    here = present & (jnp.min(beyond, axis=1) < AT_NODE)
-    walked = here & (last != NOWHERE) & (last != nearest) & jnp.isfinite(graph.weight[last, nearest])
-    return jnp.where(here, nearest, jnp.where(present, last, NOWHERE)), walked
+    here = present & (jnp.min(beyond, axis=1) < ARRIVAL_DISTANCE)
+    walked = here & (last != NO_NODE) & (last != nearest) & jnp.isfinite(graph.edge_cost[last, nearest])
+    return jnp.where(here, nearest, jnp.where(present, last, NO_NODE)), walked
 
 
-def _walks(graph: Any, frames: Frame, index: Array, number: int) -> Array:
-    """(number, M, M) people who walked each edge in the spans whose ``index`` (T,) the frames have."""
+def _walks_by_edge(graph: BehaviorGraph | None, frames: Trajectory, index: Array, number: int) -> Array:
+    """(number, M, M) people who walked each edge, in the span whose ``index`` (T,) each frame has."""
     if graph is None:
         return jnp.zeros((number, 0, 0), float)
     nodes = graph.radius.shape[0]
 
-    def one(carry, frame):
+    def step(carry, frame):
         last, count = carry
         people, present, span = frame
-        now, walked = follow(graph, last, people, present)
+        now, walked = track_nodes(graph, last, people, present)
         return (now, count.at[span, last, now].add(walked.astype(float))), None
 
-    nowhere = jnp.full(frames.present.shape[1:], NOWHERE, jnp.int32)
+    nowhere = jnp.full(frames.present.shape[1:], NO_NODE, jnp.int32)
     start = nowhere, jnp.zeros((number, nodes, nodes), float)
-    return jax.lax.scan(one, start, (frames.people, frames.present, index))[0][1]
+    return jax.lax.scan(step, start, (frames.people, frames.present, index))[0][1]

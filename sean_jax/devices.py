@@ -12,20 +12,36 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
+from jaxtyping import PyTree
 
 from sean_jax.base import Array
 
 AXIS = "scenarios"
 
 
-def mesh(devices: Sequence[Any] | None = None) -> Mesh:
-    """All devices of all hosts, or those given, in a row."""
+def mesh(devices: Sequence[object] | None = None) -> Mesh:
+    """A mesh with one axis, ``scenarios``.
+
+    Args:
+        devices: in a row; all devices of all hosts if None.
+
+    Returns:
+        The mesh.
+    """
     chosen = jax.devices() if devices is None else list(devices)
     return jax.make_mesh((len(chosen),), (AXIS,), axis_types=(AxisType.Auto,), devices=chosen)
 
 
 def keys(over: Mesh, key: Array, number: int) -> Array:
-    """(number,) typed keys on the devices, the i-th ``fold_in(key, i)``.
+    """Keys on the devices, one for each scenario.
+
+    Args:
+        over: the mesh.
+        key: () typed PRNG key.
+        number: how many.
+
+    Returns:
+        (number,) typed keys, the i-th ``fold_in(key, i)``.
 
     Raises:
         ValueError: the number is no multiple of that of the devices.
@@ -38,29 +54,50 @@ def keys(over: Mesh, key: Array, number: int) -> Array:
     return draw(key)
 
 
-def everywhere(over: Mesh, tree: Any) -> Any:
-    """A scenario, or any other arrays, on every device of the mesh: what ``spread`` wants as the fixed argument."""
+def replicate(over: Mesh, tree: PyTree) -> PyTree:
+    """A scenario, or any other arrays, on every device of the mesh: what ``shard`` wants as the fixed argument.
+
+    Args:
+        over: the mesh.
+        tree: any arrays.
+
+    Returns:
+        The same arrays, on all devices.
+    """
     return jax.device_put(tree, NamedSharding(over, PartitionSpec()))
 
 
-def spread(over: Mesh, function: Callable, donate: bool = False) -> Callable:
+def shard(over: Mesh, function: Callable, donate: bool = False) -> Callable:
     """``jit(vmap(function))`` over all arguments but the first, whose leading axis is split over the devices.
 
     Args:
+        over: the mesh.
         function: ``(fixed, ...)``, such as ``lambda scenario, key: rollout(scenario, policy, key, 100)``. The fixed
-            argument is one that was put ``everywhere``; the others are those of one scenario, as are the results.
+            argument is one that ``replicate`` gave; the others are those of one scenario, as are the results.
         donate: the memory of all but the first is used for the results, as in ``states = step(scenario, states)``.
+
+    Returns:
+        The function of whole batches.
     """
 
-    run = jitted(over, function, donate)
+    run = shard_jit(over, function, donate)
     return lambda fixed, *others: run(fixed, others)
 
 
-def jitted(over: Mesh, function: Callable, donate: bool = False) -> Any:
-    """As ``spread``, but called with all but the first argument in a tuple: what can be lowered and compiled ahead."""
+def shard_jit(over: Mesh, function: Callable, donate: bool = False) -> Any:
+    """As ``shard``, but called with all but the first argument in a tuple: what can be lowered and compiled ahead.
+
+    Args:
+        over: the mesh.
+        function: as of ``shard``.
+        donate: as of ``shard``.
+
+    Returns:
+        A jitted ``(fixed, (...))``.
+    """
     split, whole = NamedSharding(over, PartitionSpec(AXIS)), NamedSharding(over, PartitionSpec())
 
-    def on_all(fixed: Any, others: tuple) -> Any:
+    def on_all(fixed: PyTree, others: tuple) -> PyTree:
         return jax.vmap(function, (None, *(0 for _ in others)))(fixed, *others)
 
     given = (1,) if donate else ()

@@ -1,28 +1,45 @@
 """Plane geometry in components, with finite gradients everywhere: lengths, angles, upright boxes.
 
-Functions take scalars (or arrays that broadcast) rather than vectors with a trailing axis of two: on a GPU
-the layout decides the speed of a pairwise law.
+Most functions take scalars, or arrays that broadcast, and not vectors with a trailing axis of two: on a GPU the layout
+decides the speed of a pairwise law.
 """
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from sean_jax.base import Array, Environment, Obstacles
 
-PART = 8192  # places that are measured at once on the host
-TINY = 1e-24  # a smaller square counts as zero, for 1 / sqrt(square) ** 3, in gradients, would overflow
+HOST_BATCH = 8192  # points measured at once on the host
+TINY = 1e-24  # a smaller square counts as zero: 1 / sqrt(square) ** 3, in gradients, would overflow
 
 
 def length(x: Array, y: Array) -> Array:
-    """Euclidean length of (x, y) [m]; zero, with zero gradient, below 1e-12 m."""
+    """Euclidean length of (x, y).
+
+    Args:
+        x: (...) m.
+        y: (...) m, broadcasts with x.
+
+    Returns:
+        (...) m; zero, with zero gradient, below 1e-12 m.
+    """
     square = x * x + y * y
     zero = square < TINY
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
 
 
 def unit(x: Array, y: Array) -> tuple[Array, Array]:
-    """(x, y) divided by its length; (0, 0), with zero gradient, where that is below 1e-12."""
+    """(x, y) divided by its length.
+
+    Args:
+        x: (...) of any unit.
+        y: (...) of the same unit, broadcasts with x.
+
+    Returns:
+        (...) each; (0, 0), with zero gradient, where the length is below 1e-12.
+    """
     square = x * x + y * y
     zero = square < TINY
     scale = jnp.where(zero, 0.0, 1.0 / jnp.sqrt(jnp.where(zero, 1.0, square)))
@@ -30,30 +47,64 @@ def unit(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def rotate(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
-    """(x, y) turned counter-clockwise by the angle with that cosine and sine."""
+    """Rotate (x, y) counter-clockwise.
+
+    Args:
+        x: (...) of any unit.
+        y: (...) of the same unit.
+        cosine: (...) of the angle.
+        sine: (...) of the angle.
+
+    Returns:
+        The rotated x and y, of the broadcast shape.
+    """
     return cosine * x - sine * y, sine * x + cosine * y
 
 
 def sum_vectors(x: Array, y: Array, axis: int) -> tuple[Array, Array]:
-    """(x, y) summed along an axis as complex numbers.
+    """Sum (x, y) along an axis, as complex numbers.
 
-    One reduction, into which XLA fuses what makes x and y; two of them would write both to memory first, which
-    makes a pairwise law 1.7 times slower on a GPU.
+    XLA fuses this one reduction with the computation of x and y. Two reductions would write x and y to memory first,
+    which makes a pairwise law 1.7 times slower on a GPU.
+
+    Args:
+        x: (...) of any unit.
+        y: of the shape of x.
+        axis: along which to sum.
+
+    Returns:
+        The sums of x and of y.
     """
     total = jax.lax.complex(x, y).sum(axis)
     return total.real, total.imag
 
 
-def unit_vectors(vectors: Array, otherwise: Array) -> Array:
-    """(..., 2) vectors scaled to length one; ``otherwise`` (..., 2) where one is shorter than 1e-12."""
+def unit_vectors(vectors: Float[Array, "*batch 2"], default: Float[Array, "*default 2"]) -> Float[Array, "*batch 2"]:
+    """Scale vectors to length one.
+
+    Args:
+        vectors: (..., 2) of any unit.
+        default: (..., 2) for vectors shorter than 1e-12; broadcasts.
+
+    Returns:
+        (..., 2) unit vectors.
+    """
     x, y = vectors[..., 0], vectors[..., 1]
     ux, uy = unit(x, y)
     zero = x * x + y * y < TINY
-    return jnp.where(zero[..., None], otherwise, jnp.stack([ux, uy], -1))
+    return jnp.where(zero[..., None], default, jnp.stack([ux, uy], -1))
 
 
-def angle_between(heading: Array, target: Array) -> Array:
-    """Signed angle [rad] in (-pi, pi] from one (..., 2) direction to another, counter-clockwise; 0 if one is zero."""
+def angle_between(heading: Float[Array, "*batch 2"], target: Float[Array, "*other 2"]) -> Float[Array, "..."]:
+    """Signed angle from one direction to another, counter-clockwise.
+
+    Args:
+        heading: (..., 2) of any length.
+        target: (..., 2) of any length, broadcasts with heading.
+
+    Returns:
+        (...) rad, in (-pi, pi]; 0 where one of the two is zero.
+    """
     cross = heading[..., 0] * target[..., 1] - heading[..., 1] * target[..., 0]
     dot = heading[..., 0] * target[..., 0] + heading[..., 1] * target[..., 1]
     zero = cross * cross + dot * dot < TINY
@@ -61,10 +112,16 @@ def angle_between(heading: Array, target: Array) -> Array:
 
 
 def from_box(x: Array, y: Array, box: Obstacles) -> tuple[Array, Array, Array]:
-    """Signed distance [m] from an upright box to a point, and the unit normal (nx, ny) that leads away from it.
+    """Signed distance from an upright box to a point, and the normal of the box there.
 
-    Outside, the normal points from the nearest point of the box; inside, where the distance is negative, out of
-    the nearest side. ``box`` has fields without a trailing obstacle axis that broadcast with ``x`` and ``y``.
+    Args:
+        x: (...) m, of the point.
+        y: (...) m, of the point.
+        box: whose fields broadcast with x and y, for instance one box.
+
+    Returns:
+        (...) m, negative inside; and (...) each, x and y of the unit normal. Outside, it points from the nearest point
+        of the box to the point; inside, out of the nearest side.
     """
     center, half = box.center, box.half_extent
     return from_rectangle(
@@ -72,8 +129,24 @@ def from_box(x: Array, y: Array, box: Obstacles) -> tuple[Array, Array, Array]:
     )
 
 
-def from_rectangle(x, y, cx, cy, hx, hy, cosine, sine) -> tuple[Array, Array, Array]:
-    """``from_box`` of the box with that centre, half extent, and cosine and sine of its yaw."""
+def from_rectangle(
+    x: Array, y: Array, cx: Array, cy: Array, hx: Array, hy: Array, cosine: Array, sine: Array
+) -> tuple[Array, Array, Array]:
+    """Signed distance from an upright box in components, and the normal of the box there.
+
+    Args:
+        x: (...) m, of the point.
+        y: (...) m, of the point.
+        cx: (...) m, of the centre of the box.
+        cy: (...) m, of the centre.
+        hx: (...) m, half extent along the first side.
+        hy: (...) m, half extent along the second side.
+        cosine: (...) of the yaw.
+        sine: (...) of the yaw.
+
+    Returns:
+        Distance and normal as in ``from_box``.
+    """
     u, v = rotate(x - cx, y - cy, cosine, -sine)
     side_u, side_v = jnp.where(u < 0, -1.0, 1.0), jnp.where(v < 0, -1.0, 1.0)
     over_u, over_v = jnp.abs(u) - hx, jnp.abs(v) - hy
@@ -88,45 +161,95 @@ def from_rectangle(x, y, cx, cy, hx, hy, cosine, sine) -> tuple[Array, Array, Ar
     return distance, *rotate(nu, nv, cosine, sine)
 
 
-def room(environment: Environment, points: Array) -> tuple[Array, Array]:
-    """(P,) signed distance [m] from each of the points (P, 2) [m] to the nearest obstacle, and to the floor's edge."""
+def signed_distances(
+    environment: Environment, points: Float[Array, "P 2"]
+) -> tuple[Float[Array, "P"], Float[Array, "P"]]:
+    """Signed distances from points to the nearest obstacle and to the edge of the floor.
+
+    Args:
+        environment: with W obstacles.
+        points: (P, 2) m.
+
+    Returns:
+        (P,) m to the nearest obstacle, negative inside, inf if there is none; and (P,) m to the edge of the floor,
+        negative beyond it.
+    """
     x, y = points[:, 0], points[:, 1]
     each_box = jax.vmap(lambda px, py, box: from_box(px, py, box)[0], in_axes=(None, None, 0))
     to_boxes = jax.vmap(each_box, in_axes=(0, 0, None))(x, y, environment.obstacles)  # (P, W) m
     return jnp.min(to_boxes, axis=1, initial=jnp.inf), to_edge(environment, x, y)
 
 
-def room_on_host(environment: Environment, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As ``room``, in double precision and by numpy: nothing is compiled for what is asked once."""
+def signed_distances_on_host(
+    environment: Environment, points: np.ndarray
+) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P"]]:
+    """``signed_distances`` by numpy in double precision. Nothing is compiled for a question that is asked once.
+
+    Args:
+        environment: with W obstacles.
+        points: (P, 2) m.
+
+    Returns:
+        As ``signed_distances``.
+    """
     points, floor = np.asarray(points, float), np.asarray(environment.floor, float)
     boxes = environment.obstacles
     center, half, yaw = (np.asarray(part, float) for part in (boxes.center, boxes.half_extent, boxes.yaw))
     cosine, sine = np.cos(yaw), np.sin(yaw)
-    to_box = []
-    for part in np.array_split(points, max(1, len(points) // PART)):
+    to_boxes = []
+    for part in np.array_split(points, max(1, len(points) // HOST_BATCH)):
         x, y = part[:, None, 0] - center[:, 0], part[:, None, 1] - center[:, 1]
         u, v = np.abs(cosine * x + sine * y) - half[:, 0], np.abs(cosine * y - sine * x) - half[:, 1]
-        away = np.hypot(np.maximum(u, 0.0), np.maximum(v, 0.0)) + np.minimum(np.maximum(u, v), 0.0)
-        to_box.append(away.min(1, initial=np.inf))
-    return np.concatenate(to_box), np.minimum(points - floor[:2], floor[2:] - points).min(1)
+        distance = np.hypot(np.maximum(u, 0.0), np.maximum(v, 0.0)) + np.minimum(np.maximum(u, v), 0.0)
+        to_boxes.append(distance.min(1, initial=np.inf))
+    return np.concatenate(to_boxes), np.minimum(points - floor[:2], floor[2:] - points).min(1)
 
 
 def to_edge(environment: Environment, x: Array, y: Array) -> Array:
-    """Signed distance [m] from places (x, y) [m] to the nearest edge of the floor, of their shape; negative off it."""
+    """Signed distance to the nearest edge of the floor.
+
+    Args:
+        environment: with the floor.
+        x: (...) m.
+        y: (...) m.
+
+    Returns:
+        (...) m, negative beyond the edge.
+    """
     x_min, y_min, x_max, y_max = environment.floor
     return jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
 
 
 def to_border(environment: Environment, x: Array, y: Array) -> Array:
-    """As ``to_edge``, but infinite where the floor is open: distance [m] to what holds people and robots there."""
+    """Signed distance to the nearest edge of the floor, if the edge stops people and robots.
+
+    Args:
+        environment: with the floor.
+        x: (...) m.
+        y: (...) m.
+
+    Returns:
+        (...) m; inf where the floor is open.
+    """
     return jnp.full_like(x, jnp.inf) if environment.open else to_edge(environment, x, y)
 
 
 def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radius: Array | float) -> Array:
-    """True where a disc of that radius [m], moved straight from p to q, cuts the box; touching is not cutting.
+    """Whether a disc that moves straight from p to q cuts a box. Touching does not count.
 
-    Exact, by separating axes: what is nearest to each other is an end of the way and a point of the box, or a corner
-    of the box and a point between the ends, so that one of three directions tells the distance.
+    The test is exact, by separating axes: the nearest pair of points is an end of the segment with a point of the box,
+    or a corner of the box with a point between the ends. So three directions decide.
+
+    Args:
+        px: (...) m, of the start.
+        py: (...) m, of the start.
+        qx: (...) m, of the end.
+        qy: (...) m, of the end.
+        box: whose fields broadcast with the components, for instance one box.
+        radius: (...) m, of the disc.
+
+    Returns:
+        (...) bool.
     """
     cosine, sine = jnp.cos(box.yaw), jnp.sin(box.yaw)
     hu, hv = box.half_extent[..., 0], box.half_extent[..., 1]
@@ -136,13 +259,13 @@ def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radi
     square = du * du + dv * dv
     over = jnp.abs(qu * dv - qv * du) - hu * jnp.abs(dv) - hv * jnp.abs(du)
     beside = (square > 0.0) & (over >= radius * jnp.sqrt(square))
-    return ~(beside | _ahead_of(pu, pv, qu, qv, hu, hv, radius) | _ahead_of(qu, qv, pu, pv, hu, hv, radius))
+    return ~(beside | _separated(pu, pv, qu, qv, hu, hv, radius) | _separated(qu, qv, pu, pv, hu, hv, radius))
 
 
-def _ahead_of(pu, pv, qu, qv, hu, hv, radius) -> Array:
-    """Whether p and q are both that far from the rectangle |u| < hu, |v| < hv in the direction from it to p."""
+def _separated(pu, pv, qu, qv, hu, hv, radius) -> Array:
+    """Whether p and q are both ``radius`` away from the rectangle |u| < hu, |v| < hv, in the direction from it to p."""
     nu, nv = jnp.clip(pu, -hu, hu), jnp.clip(pv, -hv, hv)
     ou, ov = pu - nu, pv - nv
     square = ou * ou + ov * ov
-    enough = radius * jnp.sqrt(square)
-    return (square > 0.0) & (square >= enough) & ((qu - nu) * ou + (qv - nv) * ov >= enough)
+    limit = radius * jnp.sqrt(square)
+    return (square > 0.0) & (square >= limit) & ((qu - nu) * ou + (qv - nv) * ov >= limit)

@@ -1,4 +1,4 @@
-"""ROS maps become environments (section IV-C): an occupancy image is described by few upright boxes.
+"""Import of ROS maps as environments (section IV-C): an occupancy image becomes few upright boxes.
 
 Conventions of map_server: the origin is the lower left corner of the image, whose rows run from top to bottom;
 p = (255 - x) / 255 is how occupied a pixel of value x is, or x / 255 with ``negate``.
@@ -18,22 +18,24 @@ from PIL import Image, UnidentifiedImageError
 
 from sean_jax import environment as environments
 from sean_jax import files, quantities, writing
-from sean_jax.quantities import LARGEST_FLOOR, MOST_OBSTACLES, Coordinate
+from sean_jax.base import Obstacles
+from sean_jax.errors import FileError, InputError
+from sean_jax.quantities import MAX_FLOOR_SIDE, MAX_OBSTACLES, Coordinate
 
-AGREE = 0.995  # least share of cells that are the same in the map and in the boxes
-SPARED = 0.2  # of the cells that may differ: slivers along larger boxes are left out that many at most
-OCCUPIED = 65  # occupancy [%] from which a cell of a "scale" or "raw" map is an obstacle; map_saver's default
-AREA_OF_ONE = 25.0  # m2 of free floor for each of the people, as in the warehouse
-MOST_BOXES = MOST_OBSTACLES  # more are noise, and no path could be planned among them
-MOST_BYTES = 100_000_000  # of an image
-MOST_CELLS = 16_000_000
-SMALLER = "cut it out or lower its resolution"
-FORMATS, NAMED = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF"), "a PGM or PNG file"
-USUAL_MOST = 60  # people, unless told otherwise
+MIN_AGREEMENT = 0.995  # share of cells that are equal in the map and in the boxes
+SLIVER_SHARE = 0.2  # of the cells that may differ: so many slivers along larger boxes are left out at most
+OCCUPIED_PERCENT = 65  # occupancy [%] from which a cell of a "scale" or "raw" map is an obstacle; map_saver's default
+AREA_PER_PERSON = 25.0  # m2 of free floor, as in the warehouse
+MAX_BOXES = MAX_OBSTACLES  # more are noise, and no path could be planned among them
+MAX_BYTES = 100_000_000  # of an image
+MAX_CELLS = 16_000_000
+SIZE_CURE = "cut it out or lower its resolution"
+FORMATS, FORMAT_NAMES = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF"), "a PGM or PNG file"
+MAX_DEFAULT_PEOPLE = 60  # the default number of people of a map, at most
 
 
 class MapFile(pydantic.BaseModel):
-    """What the YAML file of a ROS map holds; other keys are for other programs."""
+    """The keys of a ROS map's YAML file; other keys are for other programs."""
 
     model_config = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
 
@@ -57,75 +59,84 @@ class Raster:
 
 
 @dataclasses.dataclass(frozen=True)
-class Imported:
-    """What an import made."""
+class ImportSummary:
+    """What an import has written."""
 
-    folder: Path
-    boxes: int
-    people: int
-    cells: int
+    folder: Path  # of the environment
+    boxes: int  # in its scene
+    people: int  # default number of people
+    cells: int  # of the map
     agreement: float  # share of cells that are equal in the map and in the boxes
 
 
 def read(path: Path | str) -> Raster:
-    """The map of a map_server YAML file and its PGM or PNG image.
+    """Read a map: a map_server YAML file and its PGM or PNG image.
 
-    Raises FileError, with a sentence, for files that cannot be used.
+    Args:
+        path: of the YAML file.
+
+    Returns:
+        The cells of the map.
+
+    Raises:
+        FileError: a file cannot be used.
     """
     path = Path(path)
-    found = files.load(path, MapFile, _problems)
-    image = path.parent / found.image
+    settings = files.load(path, MapFile, _problems)
+    image = path.parent / settings.image
     if not os.path.lexists(image):
-        raise files.FileError(f"{files.shown(path)}: image: there is no file {image}.")
+        raise FileError(f"{files.short_name(path)}: image: there is no file {image}.")
     shades, opaque = _image(image)
-    size = found.resolution * max(shades.shape)
-    if size > LARGEST_FLOOR:
+    size = settings.resolution * max(shades.shape)
+    if size > MAX_FLOOR_SIDE:
         cure = "look at resolution and at the image"
-        raise files.FileError(f"{files.shown(path)}: the map is {size:g} m long, of {shades.shape} cells; {cure}.")
-    if found.mode == "raw":
+        raise FileError(f"{files.short_name(path)}: the map is {size:g} m long, of {shades.shape} cells; {cure}.")
+    if settings.mode == "raw":
         value = np.where(shades <= 100, shades, -1.0)
     else:
-        share = shades / 255 if found.negate else (255 - shades) / 255
-        low, high = found.free_thresh, found.occupied_thresh
-        between = 99 * (share - low) / max(high - low, 1e-9) if found.mode == "scale" else -1.0
+        share = shades / 255 if settings.negate else (255 - shades) / 255
+        low, high = settings.free_thresh, settings.occupied_thresh
+        between = 99 * (share - low) / max(high - low, 1e-9) if settings.mode == "scale" else -1.0
         value = np.where(share > high, 100.0, np.where(share < low, 0.0, between))
     value = np.where(opaque, value, -1.0)[::-1]
-    return Raster(value >= OCCUPIED, value < 0, found.resolution, found.origin[:2])
+    return Raster(value >= OCCUPIED_PERCENT, value < 0, settings.resolution, settings.origin[:2])
 
 
-def _problems(found: MapFile) -> list[files.Problem]:
+def _problems(settings: MapFile) -> list[files.Problem]:
     problems: list[files.Problem] = []
-    if found.origin[2] != 0:
-        problems.append((("origin", 2), f"the map is turned by {found.origin[2]:g} rad; turn its image and give 0"))
-    if found.free_thresh > found.occupied_thresh:
-        problems.append((("free_thresh",), f"{found.free_thresh:g} is more than occupied_thresh; exchange them"))
+    if settings.origin[2] != 0:
+        problems.append((("origin", 2), f"the map is turned by {settings.origin[2]:g} rad; turn its image and give 0"))
+    if settings.free_thresh > settings.occupied_thresh:
+        problems.append((("free_thresh",), f"{settings.free_thresh:g} is more than occupied_thresh; exchange them"))
     return problems
 
 
 def _image(image: Path) -> tuple[np.ndarray, np.ndarray]:
-    """What ``_shades`` makes of an image file. Raises FileError."""
-    content = files.content(image, MOST_BYTES)
+    """The shades of an image file, as of ``_shades``. Raises FileError."""
+    content = files.read_bytes(image, MAX_BYTES)
     try:
         with warnings.catch_warnings(), Image.open(io.BytesIO(content), formats=FORMATS) as opened:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             width, height = opened.size
-            if width * height > MOST_CELLS:
+            if width * height > MAX_CELLS:
                 raise Image.DecompressionBombError
             return _shades(opened)
-    except files.FileError:
+    except FileError:
         raise
     except Image.DecompressionBombError:
-        raise files.FileError(
-            f"{files.shown(image)}: has more than {MOST_CELLS // 10**6} million cells; {SMALLER}."
+        raise FileError(
+            f"{files.short_name(image)}: has more than {MAX_CELLS // 10**6} million cells; {SIZE_CURE}."
         ) from None
     except UnidentifiedImageError:
-        raise files.FileError(f"{files.shown(image)}: is no image that can be read; give {NAMED}.") from None
+        raise FileError(f"{files.short_name(image)}: is no image that can be read; give {FORMAT_NAMES}.") from None
     except Exception as error:  # Pillow's decoders raise whatever a damaged file makes them stumble over
-        raise files.FileError(f"{files.shown(image)}: is no image that can be read ({error}); give {NAMED}.") from None
+        raise FileError(
+            f"{files.short_name(image)}: is no image that can be read ({error}); give {FORMAT_NAMES}."
+        ) from None
 
 
 def _shades(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:
-    """(rows, columns) mean of the colours, 0 to 255, and whether the pixel is opaque at all."""
+    """(rows, columns) mean of the colors, 0 to 255, and whether the pixel is opaque at all."""
     if image.mode.startswith("I") or image.mode == "F":  # 16 bits
         values = np.asarray(image, np.float32)
         values = np.where(np.isfinite(values), values, 0.0)
@@ -135,30 +146,40 @@ def _shades(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rectangles(occupied: np.ndarray, spare: int = 0) -> np.ndarray:
-    """(B, 4) int: few rectangles [column, row, column end, row end) that cover the occupied cells (rows, columns).
+    """Cover cells by few rectangles, which may overlap.
 
-    From the first cell that is not covered yet, in the order of the rows, the rectangle that covers most new cells;
-    rectangles may overlap. Of slivers, whose own cells all touch a kept rectangle, ``spare`` cells may stay uncovered.
+    From the first cell that is not covered yet, in the order of the rows, it takes the rectangle that covers most new
+    cells. A sliver is a rectangle whose own cells all touch another rectangle.
+
+    Args:
+        occupied: (rows, columns) bool.
+        spare: number of cells of slivers that may stay uncovered.
+
+    Returns:
+        (B, 4) int rectangles [column, row, column end, row end).
+
+    Raises:
+        InputError: more than ``MAX_BOXES`` rectangles are needed.
     """
     rows, columns = occupied.shape
-    run = np.zeros((rows, columns + 1), int)  # occupied cells from here to the right
+    run = np.zeros((rows, columns + 1), int)  # number of occupied cells from each cell to the right
     for column in range(columns - 1, -1, -1):
         run[:, column] = np.where(occupied[:, column], run[:, column + 1] + 1, 0)
     covered = np.zeros((rows, columns), int)
-    found: list[tuple[int, int, int, int]] = []
+    boxes: list[tuple[int, int, int, int]] = []
     for row in range(rows):
         while True:
             free = occupied[row] & (covered[row] == 0)
             if not free.any():
                 break
             box = _widen(occupied, _best(run, covered, row, int(free.argmax())))
-            found.append(box)
+            boxes.append(box)
             covered[box[1] : box[3], box[0] : box[2]] += 1
-            if len(found) > MOST_BOXES:
-                raise ValueError(
-                    f"the map needs more than {MOST_BOXES} boxes; smooth its image, or lower its resolution."
+            if len(boxes) > MAX_BOXES:
+                raise InputError(
+                    f"the map needs more than {MAX_BOXES} boxes; smooth its image, or lower its resolution."
                 )
-    return np.array(_without_slivers(found, covered, spare), int).reshape(-1, 4)
+    return np.array(_without_slivers(boxes, covered, spare), int).reshape(-1, 4)
 
 
 def _best(run: np.ndarray, covered: np.ndarray, row: int, column: int) -> tuple[int, int, int, int]:
@@ -182,10 +203,10 @@ def _widen(occupied: np.ndarray, box: tuple[int, int, int, int]) -> tuple[int, i
     return left, low, right, high
 
 
-def _without_slivers(found: list[tuple[int, int, int, int]], covered: np.ndarray, spare: int) -> list:
-    """The boxes without those that add few cells along others; obstacles that stand alone are kept."""
-    kept = []
-    for left, low, right, high in sorted(found, key=lambda box: (box[2] - box[0]) * (box[3] - box[1])):
+def _without_slivers(boxes: list[tuple[int, int, int, int]], covered: np.ndarray, spare: int) -> list:
+    """The boxes without slivers, until these have ``spare`` cells; obstacles that stand alone stay."""
+    rest = []
+    for left, low, right, high in sorted(boxes, key=lambda box: (box[2] - box[0]) * (box[3] - box[1])):
         part = covered[low:high, left:right]
         own = part == 1
         count = int(own.sum())
@@ -200,46 +221,68 @@ def _without_slivers(found: list[tuple[int, int, int, int]], covered: np.ndarray
                 spare -= count
                 continue
             part += 1
-        kept.append((left, low, right, high))
-    return sorted(kept, key=lambda box: (box[1], box[0]))
+        rest.append((left, low, right, high))
+    return sorted(rest, key=lambda box: (box[1], box[0]))
 
 
 def import_map(
     path: Path | str, folder: Path | str, *, people: int | None = None, height: float = 2.0, unknown: str = "obstacle"
-) -> Imported:
-    """Write the environment of a ROS map to a folder, which must be new or empty.
+) -> ImportSummary:
+    """Write the environment of a ROS map to a folder.
 
-    ``people`` is the default number of people, one for each 25 m2 of free floor if None; ``height`` [m] is that of
-    all boxes, for a map has none; ``unknown`` says what unknown cells are, ``obstacle`` or ``free``. What was written
-    is read again and compared with the map, cell by cell. Raises ValueError, with a sentence.
+    The result is read again and compared with the map, cell by cell.
+
+    Args:
+        path: of the map's YAML file.
+        folder: of the environment; must be new or empty.
+        people: default number of people; one for each 25 m2 of free floor if None.
+        height: m, of all boxes, since a map has none.
+        unknown: what unknown cells are, ``obstacle`` or ``free``.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: a number is out of range, or the map cannot be described by boxes.
+        FileError: a file cannot be used.
+        WriteError: the folder cannot be written.
     """
     folder = Path(folder)
-    quantities.check("height", height, 0.1, 100.0, "m")
+    quantities.check_number("height", height, 0.1, 100.0, "m")
     if people is not None:
-        quantities.check_whole("people", people, 0, quantities.MOST_PEOPLE)
+        quantities.check_integer("people", people, 0, quantities.MAX_PEOPLE)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ValueError(f"{folder} exists and is not an empty folder; give another one.")
+        raise InputError(f"{folder} exists and is not an empty folder; give another one.")
     raster = read(path)
     solid = raster.occupied | raster.unknown if unknown == "obstacle" else raster.occupied
     if not solid.any() or solid.all():
         what = "every" if solid.any() else "no"
-        raise ValueError(f"{files.shown(Path(path))}: {what} cell is an obstacle; look at negate and the thresholds.")
-    boxes = rectangles(solid, int(solid.size * (1 - AGREE) * SPARED))
+        cure = "look at negate and the thresholds"
+        raise InputError(f"{files.short_name(Path(path))}: {what} cell is an obstacle; {cure}.")
+    boxes = rectangles(solid, int(solid.size * (1 - MIN_AGREEMENT) * SLIVER_SHARE))
     free = float((~solid).sum()) * raster.resolution**2
-    count = max(1, min(USUAL_MOST, round(free / AREA_OF_ONE))) if people is None else people
-    with writing.whole_folder(folder) as made:
+    count = max(1, min(MAX_DEFAULT_PEOPLE, round(free / AREA_PER_PERSON))) if people is None else people
+    with writing.atomic_folder(folder) as new_folder:
         name = folder.resolve().name
         source = f"ROS map {Path(path).name}, {raster.resolution:g} m a cell"
-        (made / environments.SETTINGS).write_text(_settings(raster, name, count, source), encoding="utf-8")
-        (made / environments.SCENE).write_text(_scene(raster, boxes, height), encoding="utf-8")
-        agreement = float(np.mean(rasterised(environments.load(made).obstacles, raster) == solid))
-        if agreement < AGREE:
-            raise ValueError(f"the boxes describe only {agreement:.2%} of the map's cells; nothing was written.")
-    return Imported(folder, len(boxes), count, solid.size, agreement)
+        (new_folder / environments.SETTINGS).write_text(_settings(raster, name, count, source), encoding="utf-8")
+        (new_folder / environments.SCENE).write_text(_scene(raster, boxes, height), encoding="utf-8")
+        agreement = float(np.mean(rasterize(environments.load(new_folder).obstacles, raster) == solid))
+        if agreement < MIN_AGREEMENT:
+            raise InputError(f"the boxes describe only {agreement:.2%} of the map's cells; nothing was written.")
+    return ImportSummary(folder, len(boxes), count, solid.size, agreement)
 
 
-def rasterised(obstacles, raster: Raster) -> np.ndarray:
-    """(rows, columns) bool: the cells of the raster whose middle lies in one of the boxes, none of them turned."""
+def rasterize(obstacles: Obstacles, raster: Raster) -> np.ndarray:
+    """The cells of a map that boxes cover.
+
+    Args:
+        obstacles: boxes without yaw.
+        raster: the map.
+
+    Returns:
+        (rows, columns) bool, whether a cell's middle lies in one of the boxes.
+    """
     rows, columns = raster.occupied.shape
     x = raster.origin[0] + (np.arange(columns) + 0.5) * raster.resolution
     y = raster.origin[1] + (np.arange(rows) + 0.5) * raster.resolution
@@ -260,7 +303,7 @@ def _settings(raster: Raster, name: str, people: int, source: str) -> str:
     floor = ", ".join(f"{value:.9g}" for value in _floor(raster))
     return (
         f"name: {json.dumps(name)}\nfloor: [{floor}]  # m: x_min, y_min, x_max, y_max\n"
-        f"people: {people}  # unless told otherwise\nsource: {json.dumps(source)}\n"
+        f"people: {people}  # default number\nsource: {json.dumps(source)}\n"
     )
 
 

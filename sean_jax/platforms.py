@@ -1,20 +1,28 @@
-"""CPU and GPU: functions in two forms, for what is fast on one is slow on the other; and what is put there."""
+"""CPU and GPU: functions in two forms, since what is fast on one is slow on the other; and arrays put on a device."""
 
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import PyTree
 
 
 def by_platform(cpu: Callable, default: Callable) -> Callable:
-    """The function ``cpu`` where it is compiled for a CPU, and ``default`` elsewhere.
+    """One function with two forms, of which the platform that it is compiled for chooses one.
 
     Where derivatives are taken it is ``cpu`` on all platforms: tracing those of both takes seconds.
+
+    Args:
+        cpu: the form for CPUs.
+        default: the form for all other platforms, with the same arguments and results.
+
+    Returns:
+        A function with the arguments and results of both.
     """
 
     @jax.custom_jvp
-    def function(*arguments: Any) -> Any:
+    def function(*arguments: PyTree) -> PyTree:
         return jax.lax.platform_dependent(*arguments, cpu=cpu, default=default)
 
     @function.defjvp
@@ -24,14 +32,32 @@ def by_platform(cpu: Callable, default: Callable) -> Callable:
     return function
 
 
-def put(tree: Any) -> Any:
-    """The numpy arrays of a pytree as arrays of jax, numbers in the precision that is in force.
+def to_device(tree: PyTree) -> PyTree:
+    """Place the numpy arrays of a pytree on the default device, numbers in the current precision.
 
-    Nothing is compiled, as ``jnp.asarray`` does for each new shape.
+    Nothing is compiled, while ``jnp.asarray`` compiles a copy for each new shape.
+
+    Args:
+        tree: of numpy arrays.
+
+    Returns:
+        The same tree of arrays of jax.
     """
 
-    def one(leaf: Any) -> np.ndarray:
+    def convert(leaf: Any) -> np.ndarray:
         array = np.asarray(leaf)
         return array.astype(float) if np.issubdtype(array.dtype, np.floating) else array
 
-    return jax.device_put(jax.tree.map(one, tree))
+    return jax.device_put(jax.tree.map(convert, tree))
+
+
+def scalar(value: float) -> Any:  # a numpy array, for the fields of dataclasses whose arrays are those of jax
+    """A parameter made at import, before the precision is known.
+
+    Args:
+        value: the number.
+
+    Returns:
+        () float; becomes an array of the default precision where a program uses it.
+    """
+    return np.asarray(value, float)

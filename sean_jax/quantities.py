@@ -1,6 +1,6 @@
-"""What numbers can be in a world of people on foot: finite, physical, and the same in single precision.
+"""Bounds of physical quantities in a world of people on foot, and checks of numbers against them.
 
-Single precision still tells millimetres apart at 10 km from the origin, and no farther.
+All numbers are finite and the same in single precision, which resolves a millimetre up to 10 km from the origin.
 """
 
 import math
@@ -12,51 +12,92 @@ import jax.tree_util
 import numpy as np
 import pydantic
 
-FARTHEST = 10_000.0  # m from the origin, in x and in y
-LARGEST_FLOOR = 4_000.0  # m, of a side
-LARGEST = 1e9  # of a constant of the forces or a threshold
-LONGEST = 86_400.0  # s: a day
-STEPS = (0.001, 1.0)  # s, least and greatest step of control or of a robot's physics
-MOST_PEOPLE = 100_000
-MOST_OBSTACLES = 1_500
+from sean_jax.errors import InputError
 
-Coordinate = Annotated[float, pydantic.Field(ge=-FARTHEST, le=FARTHEST)]  # m
-Duration = Annotated[float, pydantic.Field(ge=0, le=LONGEST)]  # s
-Weight = Annotated[float, pydantic.Field(ge=0, le=1e6)]  # 1, beside others of its kind
+MAX_COORDINATE = 10_000.0  # m from the origin, in x and in y
+MAX_FLOOR_SIDE = 4_000.0  # m
+MAX_MAGNITUDE = 1e9  # of a constant of the forces or a threshold
+MAX_DURATION = 86_400.0  # s: a day
+TIME_STEP_RANGE = (0.001, 1.0)  # s, of control or of a robot's physics
+MAX_PEOPLE = 100_000
+MAX_OBSTACLES = 1_500
+
+Coordinate = Annotated[float, pydantic.Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]  # m
+Duration = Annotated[float, pydantic.Field(ge=0, le=MAX_DURATION)]  # s
+RelativeChance = Annotated[float, pydantic.Field(ge=0, le=1e6)]  # beside others of its kind
 Radius = Annotated[float, pydantic.Field(ge=1e-3, le=100)]  # m
 Degrees = Annotated[float, pydantic.Field(ge=-3600, le=3600)]
 
 
-def check(name: str, value: Any, least: float, most: float, unit: str = "") -> Any:
-    """The number ``value`` as it is, if it is one from ``least`` to ``most``.
+def check_number(name: str, value: Any, minimum: float, maximum: float, unit: str = "") -> Any:
+    """Check that a value is a number in a range.
+
+    Args:
+        name: of the value, with which the message begins.
+        value: to be checked.
+        minimum: of the range.
+        maximum: of the range.
+        unit: for the message.
+
+    Returns:
+        The value as it is.
 
     Raises:
-        ValueError: it is not, in a sentence that begins with the name.
+        InputError: it is no number, or out of range.
     """
     try:
         number = math.nan if isinstance(value, (bool, str)) else float(value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
-    if not least <= number <= most:
-        raise ValueError(f"{name}: {shown(value)} must be from {least:,g} to {most:,g}{unit and ' ' + unit}.")
+    if not minimum <= number <= maximum:
+        raise InputError(f"{name}: {short_repr(value)} must be from {minimum:,g} to {maximum:,g}{unit and ' ' + unit}.")
     return value
 
 
-def check_whole(name: str, value: Any, least: int, most: int) -> int:
-    """The number as ``check`` gives it, if it is a whole one. Raises ValueError."""
+def check_integer(name: str, value: Any, minimum: int, maximum: int) -> int:
+    """Check that a value is a whole number in a range.
+
+    Args:
+        name: of the value, with which the message begins.
+        value: to be checked.
+        minimum: of the range.
+        maximum: of the range.
+
+    Returns:
+        The value as it is.
+
+    Raises:
+        InputError: it is no whole number, or out of range.
+    """
     if isinstance(value, bool) or not isinstance(value, Integral):
-        raise ValueError(f"{name}: {shown(value)} must be a whole number from {least:,} to {most:,}.")
-    return check(name, value, least, most)
-
-
-def shown(value: Any) -> str:
-    """A value as messages give it: not too long."""
-    said = repr(value)
-    return said if len(said) <= 60 else said[:57] + "..."
+        raise InputError(f"{name}: {short_repr(value)} must be a whole number from {minimum:,} to {maximum:,}.")
+    return check_number(name, value, minimum, maximum)
 
 
 def check_leaves(name: str, tree: Any) -> None:
-    """Raises ValueError, which names the leaf, if a number in a tree of arrays is not finite or too large."""
+    """Check that all numbers of a pytree are finite and not too large; tracers are not checked.
+
+    Args:
+        name: of the tree, with which the message begins.
+        tree: of arrays.
+
+    Raises:
+        InputError: a number is not, in a sentence that names the leaf.
+    """
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
-        if not isinstance(leaf, jax.core.Tracer) and not (np.abs(np.asarray(leaf)) <= LARGEST).all():
-            raise ValueError(f"{name}{jax.tree_util.keystr(path)}: {leaf} must be finite, and at most {LARGEST:g}.")
+        if not isinstance(leaf, jax.core.Tracer) and not (np.abs(np.asarray(leaf)) <= MAX_MAGNITUDE).all():
+            where = f"{name}{jax.tree_util.keystr(path)}"
+            raise InputError(f"{where}: {leaf} must be finite, and at most {MAX_MAGNITUDE:g}.")
+
+
+def short_repr(value: Any) -> str:
+    """A value as messages name it.
+
+    Args:
+        value: anything.
+
+    Returns:
+        Its ``repr``, cut to 60 letters.
+    """
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

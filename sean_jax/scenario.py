@@ -5,26 +5,31 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from sean_jax import chance, clock
+from sean_jax import clock, prng
 from sean_jax import navigation as paths
-from sean_jax.base import Array, Frame, Moment, Scenario, State
+from sean_jax.base import Array, Moment, Observation, Scenario, State, Trajectory
 from sean_jax.geometry import length, rotate
-from sean_jax.observation import Observation
 
 
 def reset(scenario: Scenario, key: Array) -> State:
     """The state before the first step: people at their starts, then a task for the robot among them.
 
     Args:
-        key: () typed PRNG key, all that the episode's chance comes from.
+        scenario: what is simulated.
+        key: () typed PRNG key, from which all chance of the episode comes.
+
+    Returns:
+        The first state; its situations and metrics are those of this moment.
+
+    Source: section IV-B.
     """
     people_key, task_key, streams_key = jax.random.split(key, 3)
     pedestrians, groups, memory = scenario.behavior.reset(scenario, people_key)
     task = scenario.task(scenario, pedestrians, groups, memory, task_key)
-    path = task.start, task.start_heading, task.goal, task.to_goal
-    task = replace(task, turning=paths.turning(scenario.navigation, *path))
+    path = task.start, task.start_heading, task.goal, task.paths_to_goal
+    task = replace(task, path_rotation=paths.path_rotation(scenario.navigation, *path))
     state = State(
-        streams=chance.streams(streams_key),
+        streams=prng.streams(streams_key),
         tick=jnp.zeros((), jnp.int32),
         pedestrians=pedestrians,
         groups=groups,
@@ -39,14 +44,22 @@ def reset(scenario: Scenario, key: Array) -> State:
     )
     state = classify(scenario, state)
     now = moment(scenario, state)
-    return replace(state, metrics={name: metric.start(now) for name, metric in scenario.metrics})
+    return replace(state, metrics={name: metric.init(now) for name, metric in scenario.metrics})
 
 
 def step(scenario: Scenario, state: State, action: Array) -> State:
     """The state one control step later.
 
     Args:
-        action: (2,) linear [m/s] and angular [rad/s] velocity that the robot is told to take.
+        scenario: what is simulated.
+        state: before the step.
+        action: (2,) linear [m/s] and angular [rad/s] velocity that the robot is told to take; a command that is not
+            finite is no new one.
+
+    Returns:
+        The state after ``scenario.time_step``.
+
+    Source: sections III-A, IV-D, IV-E and IV-H.
     """
     key = jax.random.fold_in(state.streams.people, state.tick)
     after = direct_pedestrians(scenario, state, key)
@@ -63,11 +76,16 @@ def place(scenario: Scenario, state: State, position: Array, heading: Array) -> 
 
     The task stays as it was, with its start, its goal and how far that was, and so do metrics, for which this is a
     step of the path. Shortest paths are found from wherever the robot is. Nobody makes room: what the robot overlaps
-    with pushes it out. A policy that remembers (``base.Driver``) is begun again by ``parallel.begin``.
+    with pushes it out. A policy that remembers is begun again by ``episodes.init_policy``.
 
     Args:
+        scenario: what is simulated.
+        state: any of an episode.
         position: (2,) m.
         heading: (2,) where it looks, of any length; along x if it is zero.
+
+    Returns:
+        The state with the robot there.
     """
     there, looking = (jnp.asarray(part, state.robot.position.dtype) for part in (position, heading))
     robot = scenario.robot.place(scenario.robot, there, looking)
@@ -76,53 +94,125 @@ def place(scenario: Scenario, state: State, position: Array, heading: Array) -> 
 
 @jax.named_scope("direct_pedestrians")
 def direct_pedestrians(scenario: Scenario, state: State, key: Array) -> State:
-    """Section IV-D, high level: who goes where."""
+    """Who goes where: the pedestrian behavior.
+
+    Args:
+        scenario: what is simulated.
+        state: before the step.
+        key: () typed PRNG key of this tick.
+
+    Returns:
+        The state with new desired velocities, members of groups and memory of the behavior.
+
+    Source: section IV-D, high level.
+    """
     return scenario.behavior.direct(scenario, state, key)
 
 
 @jax.named_scope("move_pedestrians")
 def move_pedestrians(scenario: Scenario, state: State) -> State:
-    """Section IV-D, low level: how they get there."""
+    """How people get there: the pedestrian model.
+
+    Args:
+        scenario: what is simulated.
+        state: with desired velocities.
+
+    Returns:
+        The state with people one control step later.
+
+    Source: section IV-D, low level.
+    """
     return replace(state, pedestrians=scenario.move(scenario, state))
 
 
 @jax.named_scope("move_robot")
 def move_robot(scenario: Scenario, state: State, action: Array) -> State:
-    """Fig. 3: the robot's dynamics, with people where they are after their step."""
+    """The robot's dynamics, with people where they are after their step.
+
+    Args:
+        scenario: what is simulated.
+        state: with people one control step later.
+        action: (2,) m/s and rad/s, the command.
+
+    Returns:
+        The state with the robot one control step later.
+
+    Source: Fig. 3.
+    """
     return replace(state, robot=scenario.robot.drive(scenario, state, action))
 
 
 @jax.named_scope("classify")
 def classify(scenario: Scenario, state: State) -> State:
-    """Section III-A: the social situations that occur now."""
+    """The social situations that occur now.
+
+    Args:
+        scenario: what is simulated.
+        state: any.
+
+    Returns:
+        The state with its situations (S,).
+
+    Source: section III-A.
+    """
     now = moment(scenario, state)
     return replace(state, situations=jnp.stack([holds(now, scenario.thresholds) for _, holds in scenario.situations]))
 
 
 @jax.named_scope("measure")
 def measure(scenario: Scenario, before: State, after: State) -> State:
-    """Section IV-H: metrics, which stand still once the episode has ended."""
+    """Metrics one step later; they stand still once the episode has ended.
+
+    Args:
+        scenario: what is simulated.
+        before: the state before the step.
+        after: the state after it.
+
+    Returns:
+        ``after`` with new metrics.
+
+    Source: section IV-H.
+    """
     then, now = moment(scenario, before), moment(scenario, after)
     over = before.completed | before.timed_out
-    folded = {name: metric.fold(before.metrics[name], then, now) for name, metric in scenario.metrics}
-    kept = jax.tree.map(lambda old, new: jnp.where(over, old, new), before.metrics, folded)
-    return replace(after, metrics=kept)
+    values = {name: metric.update(before.metrics[name], then, now) for name, metric in scenario.metrics}
+    values = jax.tree.map(lambda old, new: jnp.where(over, old, new), before.metrics, values)
+    return replace(after, metrics=values)
 
 
 def finish(scenario: Scenario, before: State, after: State) -> State:
-    """Whether the task is completed, the goal having been held, or the time is over; both stay once they are."""
+    """Whether the task is completed, the goal having been held, or the time is over; both stay once they are.
+
+    Args:
+        scenario: what is simulated.
+        before: the state before the step.
+        after: the state after it.
+
+    Returns:
+        ``after`` with ``completed``, ``timed_out`` and ``ticks_at_goal``.
+
+    Source: section IV-E.
+    """
     gap = after.robot.position - after.task.goal
     inside = length(gap[0], gap[1]) <= scenario.goal_radius
     held = jnp.where(inside, before.ticks_at_goal + 1, 0)
-    wanted = clock.in_ticks(scenario.hold_time, scenario.time_step)
-    last = clock.ticks(scenario.time_limit, scenario.time_step)
+    wanted = clock.to_ticks(scenario.hold_time, scenario.time_step)
+    last = clock.ceil_ticks(scenario.time_limit, scenario.time_step)
     completed = before.completed | (~before.timed_out & inside & (held.astype(wanted.dtype) >= wanted))
     timed_out = before.timed_out | (~completed & (after.tick >= last))
     return replace(after, ticks_at_goal=held, completed=completed, timed_out=timed_out)
 
 
 def moment(scenario: Scenario, state: State) -> Moment:
-    """What situations and metrics read of a state."""
+    """What situations and metrics read of a state.
+
+    Args:
+        scenario: what is simulated.
+        state: any.
+
+    Returns:
+        Arrays alone, as a recording has them as well.
+    """
     robot, task = state.robot, state.task
     return Moment(
         people=state.pedestrians,
@@ -137,29 +227,49 @@ def moment(scenario: Scenario, state: State) -> Moment:
         situations=state.situations,
         tick=state.tick,
         robot_radius=jnp.asarray(scenario.robot.radius, float),
-        person_radius=scenario.forces.radius,
+        person_radius=scenario.forces.walking.radius,
         time_step=scenario.time_step,
         obstacles=scenario.environment.obstacles,
-        turning=task.turning,
+        path_rotation=task.path_rotation,
         goal_radius=scenario.goal_radius,
         robot_top_speed=scenario.robot.max_speed,
     )
 
 
 def results(scenario: Scenario, state: State) -> dict[str, Array]:
-    """The metrics of the episode so far: () each, or (1 + S,) with the overall figure before those by situation."""
-    return {name: metric.result(state.metrics[name]) for name, metric in scenario.metrics}
+    """The metrics of the episode so far.
+
+    Args:
+        scenario: what is simulated.
+        state: at the end of an episode, or before.
+
+    Returns:
+        name -> () or (1 + S,), the overall figure before those by situation.
+
+    Source: section IV-H.
+    """
+    return {name: metric.compute(state.metrics[name]) for name, metric in scenario.metrics}
 
 
 def observe(scenario: Scenario, state: State) -> Observation:
-    """What the robot perceives and plans with, in its own frame; kept apart from the step, so that it can be unused."""
+    """What the robot perceives and plans with, in its own frame.
+
+    It is apart from the step, so that nobody pays for an observation that is not used.
+
+    Args:
+        scenario: what is simulated.
+        state: any.
+
+    Returns:
+        The observation.
+    """
     robot, people = state.robot, state.pedestrians
     hx, hy = robot.heading[0], robot.heading[1]
 
     def in_frame(vectors: Array) -> Array:
         return jnp.stack(rotate(vectors[..., 0], vectors[..., 1], hx, -hy), -1)
 
-    ahead = paths.next_point(scenario.navigation, robot.position, state.task.goal, state.task.to_goal)
+    ahead = paths.next_point(scenario.navigation, robot.position, state.task.goal, state.task.paths_to_goal)
     return Observation(
         goal=in_frame(state.task.goal - robot.position),
         goal_heading=in_frame(state.task.goal_heading),
@@ -173,10 +283,19 @@ def observe(scenario: Scenario, state: State) -> Observation:
     )
 
 
-def frame(before: State, after: State, action: Array) -> Frame:
-    """What a rollout keeps of a step."""
+def frame(before: State, after: State, action: Array) -> Trajectory:
+    """What a rollout keeps of a step.
+
+    Args:
+        before: the state before the step.
+        after: the state after it.
+        action: (2,) m/s and rad/s, the command that led there.
+
+    Returns:
+        Enough to draw, and to compute any metric afterwards.
+    """
     robot, people = after.robot, after.pedestrians
-    return Frame(
+    return Trajectory(
         position=robot.position,
         heading=robot.heading,
         velocity=robot.speed * robot.heading,

@@ -1,13 +1,14 @@
-"""What an MJCF file looks like: its boxes, cylinders and balls, in the colors of their materials."""
+"""The appearance of an MJCF file: its boxes, cylinders and spheres, in the colors of their materials."""
 
 from importlib import import_module
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sean_jax.base import Obstacles, Scenery, Solids
-from sean_jax.platforms import put
+from sean_jax.platforms import to_device
 
 OBSTACLE = (0.62, 0.64, 0.68)  # color of an obstacle that has none
 FLOOR = ((0.78, 0.78, 0.76), (0.74, 0.74, 0.72))
@@ -16,8 +17,15 @@ SUN = (0.35, -0.25, 0.9)
 SQUARE = 1.0  # m
 
 
-def plain(obstacles: Obstacles) -> Scenery:
-    """The scenery of obstacles of which nothing but the boxes is known."""
+def plain_scenery(obstacles: Obstacles) -> Scenery:
+    """The scenery of obstacles of which nothing but the boxes is known.
+
+    Args:
+        obstacles: the boxes.
+
+    Returns:
+        Grey boxes on the default floor, under the default sky.
+    """
     number = obstacles.height.shape[0]
     half = jnp.concatenate([obstacles.half_extent, 0.5 * obstacles.height[:, None]], 1)
     middle = jnp.concatenate([obstacles.center, 0.5 * obstacles.height[:, None]], 1)
@@ -26,10 +34,19 @@ def plain(obstacles: Obstacles) -> Scenery:
     return _scenery(_solids(jnp.concatenate([middle, half, turn], 1), np.zeros((0, 8)), np.zeros((0, 4)), color))
 
 
-def appearance(model: Any, data: Any, obstacles: list[int]) -> Scenery:
-    """The scenery of a MuJoCo model; ``obstacles`` are its geoms that can be touched, which come first."""
+def scenery_from_mjcf(model: Any, data: Any, obstacles: list[int]) -> Scenery:
+    """The scenery of a MuJoCo model.
+
+    Args:
+        model: a ``mujoco.MjModel``.
+        data: a ``mujoco.MjData`` with the positions of its geoms.
+        obstacles: indices of the geoms that can be touched; they come first.
+
+    Returns:
+        Its solids, floor, sky and sun.
+    """
     rest = [index for index in range(model.ngeom) if index not in set(obstacles)]
-    shape = solids(model, data, [*obstacles, *rest])
+    shape = solids_from_mjcf(model, data, [*obstacles, *rest])
     floor, sky = _texture(model, "2d"), _texture(model, "skybox")
     sun = -model.light_dir[0] if model.nlight else np.array(SUN)
     return _scenery(
@@ -37,10 +54,18 @@ def appearance(model: Any, data: Any, obstacles: list[int]) -> Scenery:
     )
 
 
-def solids(model: Any, data: Any, geoms: list[int]) -> Solids:
-    """The bodies of the given geoms of a MuJoCo model, in the places of ``data``.
+def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
+    """The bodies of geoms of a MuJoCo model.
 
-    A capsule becomes a cylinder of the same extent; other kinds, and clear ones, are left out.
+    A capsule becomes a cylinder of the same extent. Geoms of other kinds and transparent geoms are left out.
+
+    Args:
+        model: a ``mujoco.MjModel``.
+        data: a ``mujoco.MjData`` with the positions of its geoms.
+        geoms: indices of geoms.
+
+    Returns:
+        The bodies in the frame of the world.
     """
     kind = import_module("mujoco").mjtGeom
     boxes, cylinders, spheres = [], [], []
@@ -50,29 +75,29 @@ def solids(model: Any, data: Any, geoms: list[int]) -> Solids:
         turn, shade = data.geom_xmat[index].reshape(3, 3), _color(model, index)
         if shade[3] < 0.5:
             continue
-        what = kind(int(model.geom_type[index]))
-        if what == kind.mjGEOM_BOX:
+        geom_type = kind(int(model.geom_type[index]))
+        if geom_type == kind.mjGEOM_BOX:
             boxes.append([*place, *size, turn[0, 0], turn[1, 0]])
             colors[0].append(shade[:3])
-        elif what in (kind.mjGEOM_CYLINDER, kind.mjGEOM_CAPSULE):
-            longer = size[0] if what == kind.mjGEOM_CAPSULE else 0.0
+        elif geom_type in (kind.mjGEOM_CYLINDER, kind.mjGEOM_CAPSULE):
+            longer = size[0] if geom_type == kind.mjGEOM_CAPSULE else 0.0
             cylinders.append([*place, *turn[:, 2], size[0], size[1] + longer])
             colors[1].append(shade[:3])
-        elif what == kind.mjGEOM_SPHERE:
+        elif geom_type == kind.mjGEOM_SPHERE:
             spheres.append([*place, size[0]])
             colors[2].append(shade[:3])
     return _solids(boxes, cylinders, spheres, [*colors[0], *colors[1], *colors[2]])
 
 
-def _solids(boxes, cylinders, spheres, color) -> Solids:
+def _solids(boxes: ArrayLike, cylinders: ArrayLike, spheres: ArrayLike, color: ArrayLike) -> Solids:
     shapes = (("boxes", boxes, 8), ("cylinders", cylinders, 8), ("spheres", spheres, 4), ("color", color, 3))
-    return Solids(**{name: put(np.asarray(rows, float).reshape(-1, width)) for name, rows, width in shapes})
+    return Solids(**{name: to_device(np.asarray(rows, float).reshape(-1, width)) for name, rows, width in shapes})
 
 
-def _scenery(shape: Solids, floor=FLOOR, sky=SKY, sun=SUN) -> Scenery:
+def _scenery(shape: Solids, floor: ArrayLike = FLOOR, sky: ArrayLike = SKY, sun: ArrayLike = SUN) -> Scenery:
     towards = np.asarray(sun, float)
     looks = np.asarray(floor), np.asarray(SQUARE), np.asarray(sky)
-    return Scenery(shape, *put((*looks, towards / np.linalg.norm(towards))))
+    return Scenery(shape, *to_device((*looks, towards / np.linalg.norm(towards))))
 
 
 def _color(model: Any, index: int) -> np.ndarray:

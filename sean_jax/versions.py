@@ -1,4 +1,4 @@
-"""What a run, a dataset or a network was made with."""
+"""Versions and fingerprints: what a run, a dataset or a network was made with."""
 
 import contextlib
 import hashlib
@@ -11,7 +11,11 @@ PACKAGES = ("sean-jax", "jax", "jaxlib", "flax", "optax", "mujoco", "mujoco-mjx"
 
 
 def versions() -> dict[str, str]:
-    """Name to version."""
+    """Versions of Python and of the packages that results depend on.
+
+    Returns:
+        Name to version, without packages that are not installed.
+    """
     found = {"python": platform.python_version()}
     for package in PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -19,16 +23,30 @@ def versions() -> dict[str, str]:
     return found
 
 
-def differing(had: Any) -> str | None:
-    """A package that has another version now than in ``had``, in words; None if there is none that both know."""
-    for name, version in versions().items() if isinstance(had, Mapping) else ():
-        if had.get(name, version) != version:
-            return f"{name} {had[name]}, not {version}"
+def version_mismatch(saved: Any) -> str | None:
+    """Compare saved versions with the current ones.
+
+    Args:
+        saved: a mapping as of ``versions``, from a file; anything else mismatches in nothing.
+
+    Returns:
+        The first difference in words, such as "jax 0.9.0, not 0.10.0"; None if all that both know are equal.
+    """
+    for name, version in versions().items() if isinstance(saved, Mapping) else ():
+        if saved.get(name, version) != version:
+            return f"{name} {saved[name]}, not {version}"
     return None
 
 
-def content(*trees: Any) -> str:
-    """Of all numbers in scenarios and drivers: whoever has the same ones has the same 16 letters."""
+def fingerprint(*trees: Any) -> str:
+    """A digest of all numbers in pytrees, such as scenarios and the parameters of policies.
+
+    Args:
+        *trees: of arrays.
+
+    Returns:
+        16 letters, equal for equal shapes, types and numbers.
+    """
     import jax
     import numpy as np
 

@@ -16,9 +16,11 @@ import time
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import BinaryIO
+
+from sean_jax.errors import InputError, WriteError
 
 try:
     import fcntl
@@ -26,6 +28,7 @@ except ImportError:  # Windows, where folders are not locked
     fcntl = None
 
 LOCK = ".lock"
+DISK_FULL = "the disk is full"
 PATIENCE = 0.1  # s, for which one who wants to write waits for those who look
 DAMAGED = (
     OSError, ValueError, LookupError, TypeError, EOFError, OverflowError, MemoryError, RuntimeError, SyntaxError,
@@ -34,21 +37,26 @@ DAMAGED = (
 """what numpy raises for a .npz file that is damaged, whichever of its bytes it is"""
 
 
-class Unwritable(ValueError):
-    """A place cannot be written; the message is one sentence that says why and what to do."""
-
-
 @contextlib.contextmanager
-def whole(file: Path) -> Iterator[BinaryIO]:
-    """A stream; when the block ends, what was written there is the file, for good.
+def atomic_file(file: Path) -> Iterator[BinaryIO]:
+    """A stream whose content becomes the file when the block ends, for good.
 
-    If anything is raised or this is killed, the file is as it was. Raises Unwritable if another process writes it.
+    If anything is raised or this is killed, the file is as it was.
+
+    Args:
+        file: to be written.
+
+    Yields:
+        A binary stream.
+
+    Raises:
+        WriteError: another process writes the file.
     """
     temporary = file.with_name(f".{file.name}.new")
     try:
-        stream = os.fdopen(_alone(temporary), "r+b")
+        stream = os.fdopen(_lock(temporary), "r+b")
     except BlockingIOError:
-        raise Unwritable(f"{file} is being written by another process; try again when it is done.") from None
+        raise WriteError(f"{file} is being written by another process; try again when it is done.") from None
     with stream:
         try:
             stream.truncate()
@@ -66,21 +74,37 @@ def whole(file: Path) -> Iterator[BinaryIO]:
 
 
 def write(file: Path, content: str | bytes) -> None:
-    """The file is as it was or new, whenever this is interrupted, and new for good when it returns."""
-    with whole(file) as stream:
+    """Write a file: it is as it was or new, whenever this is interrupted, and new for good when it returns.
+
+    Args:
+        file: to be written.
+        content: text, as UTF-8, or bytes.
+
+    Raises:
+        WriteError: another process writes the file.
+    """
+    with atomic_file(file) as stream:
         stream.write(content.encode("utf-8") if isinstance(content, str) else content)
 
 
 @contextlib.contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """Until the block ends the folder, which is made if need be, is written by nobody else.
+def folder_lock(folder: Path) -> Iterator[None]:
+    """A lock on a folder, which is made if need be: until the block ends nobody else writes there.
 
-    If it is empty then, what was made for it vanishes again. Raises Unwritable, which says who holds it or why it
-    cannot be written.
+    If the folder is empty at the end, what was made for it vanishes again.
+
+    Args:
+        folder: to be written.
+
+    Yields:
+        None.
+
+    Raises:
+        WriteError: another process holds the folder, or it cannot be written.
     """
     folder = Path(os.path.abspath(folder))
     if os.path.exists(folder) and not os.path.isdir(folder):
-        raise Unwritable(f"{folder} is a file, give the name of a folder with --out.")
+        raise WriteError(f"{folder} is a file, give the name of a folder with --out.")
     made = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
     if os.path.isdir(folder) and _names(folder) == [LOCK]:
         made = [folder]  # all that is left of one who was killed
@@ -90,14 +114,14 @@ def held(folder: Path) -> Iterator[None]:
         while descriptor is None:
             folder.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileNotFoundError):  # the folder vanished with who held it
-                descriptor = _alone(lock)
+                descriptor = _lock(lock)
     except BlockingIOError:
-        raise Unwritable(
+        raise WriteError(
             f"{folder} is being written by {_holder(lock)}; wait until it is done, or choose another folder with --out."
         ) from None
     except OSError as error:
         _remove_empty(made)
-        raise Unwritable(f"cannot write {folder}: {reason(error)}; choose another folder with --out.") from error
+        raise WriteError(f"cannot write {folder}: {reason(error)}; choose another folder with --out.") from error
     try:
         since = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M:%S %z")
         os.ftruncate(descriptor, 0)
@@ -111,25 +135,33 @@ def held(folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def whole_folder(folder: Path) -> Iterator[Path]:
+def atomic_folder(folder: Path) -> Iterator[Path]:
     """A new folder that becomes ``folder`` when the block ends, or vanishes if anything is raised.
 
-    After a kill it lies in ``.NAME.unfinished`` until the next who writes ``folder``. Raises Unwritable if ``folder``
-    holds something already or cannot be written.
+    After a kill it lies in ``.NAME.unfinished`` until the next process that writes ``folder``.
+
+    Args:
+        folder: to be written.
+
+    Yields:
+        The new folder.
+
+    Raises:
+        WriteError: ``folder`` holds something already, or cannot be written.
     """
     folder = Path(os.path.abspath(folder))
     unfinished = folder.with_name(f".{folder.name}.unfinished")
     if os.path.exists(folder) and not os.path.isdir(folder):
-        raise Unwritable(f"{folder} is a file, give the name of a folder with --out.")
+        raise WriteError(f"{folder} is a file, give the name of a folder with --out.")
     try:
-        with held(unfinished):
-            _vacant(folder)
+        with folder_lock(unfinished):
+            _check_vacant(folder)
             made = unfinished / "whole"
             shutil.rmtree(made, ignore_errors=True)
             made.mkdir()
             try:
                 yield made
-                _vacant(folder, remove=True)
+                _check_vacant(folder, remove=True)
                 made.rename(folder)
             finally:
                 shutil.rmtree(made, ignore_errors=True)
@@ -139,14 +171,28 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 
 
 def contents(folder: Path) -> list[str]:
-    """Names in a folder, in order, but for a lock and half-written files; none if there is no such folder."""
+    """Names in a folder, in order, but for a lock and half-written files.
+
+    Args:
+        folder: that may not be there.
+
+    Returns:
+        The names; none if there is no such folder.
+    """
     return sorted(
         name for name in _names(folder) if name != LOCK and not (name.startswith(".") and name.endswith(".new"))
     )
 
 
-def is_held(folder: Path) -> bool:
-    """Whether somebody writes in the folder now. This writes nothing."""
+def is_locked(folder: Path) -> bool:
+    """Whether a process writes in the folder now. This writes nothing.
+
+    Args:
+        folder: that may not be there.
+
+    Returns:
+        True or False.
+    """
     if fcntl is None:
         return False
     try:
@@ -159,17 +205,34 @@ def is_held(folder: Path) -> bool:
     return False
 
 
-def reason(error: OSError) -> str:
-    """What went wrong, in a few words."""
-    return "the disk is full" if error.errno == errno.ENOSPC else (error.strerror or str(error)).lower()
+def reason(error: Exception) -> str:
+    """The cause of an error, in a few words.
+
+    Args:
+        error: of the system, or of a package that wraps one in its own.
+
+    Returns:
+        ``DISK_FULL`` if that is the cause, else the error's own words in one line.
+    """
+    text = str(error).strip().split("\n")[0].rstrip(".")
+    if getattr(error, "errno", None) == errno.ENOSPC or "No space left" in str(error):
+        return DISK_FULL
+    return (error.strerror or text).lower() if isinstance(error, OSError) else text[:200]
 
 
 def broken(error: OSError) -> str:
-    """What went wrong, and with which file."""
+    """The cause of an error, with the name of its file.
+
+    Args:
+        error: of the system.
+
+    Returns:
+        The cause in a few words, and the file in brackets if there is one.
+    """
     return reason(error) + (f" ({error.filename})" if error.filename else "")
 
 
-def _alone(file: Path) -> int:
+def _lock(file: Path) -> int:
     """A descriptor of the file, made if need be, that nobody else gets until it is closed.
 
     Raises BlockingIOError if another has it for longer than a look, OSError if it cannot be had.
@@ -195,13 +258,13 @@ def _alone(file: Path) -> int:
         os.close(descriptor)
 
 
-def _vacant(folder: Path, remove: bool = False) -> None:
+def _check_vacant(folder: Path, remove: bool = False) -> None:
     """Refuse a folder that holds something, or is being written; what a kill left there may go with the folder."""
     if not folder.is_dir():
         return
-    with held(folder):
+    with folder_lock(folder):
         if contents(folder):
-            raise Unwritable(f"the folder {folder} is not empty, choose another with --out.")
+            raise WriteError(f"the folder {folder} is not empty, choose another with --out.")
         if remove:
             shutil.rmtree(folder)
 
@@ -224,3 +287,45 @@ def _remove_empty(folders: list[Path]) -> None:
     for folder in folders:  # the innermost first
         with contextlib.suppress(OSError):
             folder.rmdir()
+
+
+def check_new_folder(folder: Path, option: str = "--out") -> None:
+    """Refuse a folder that cannot be made: one that holds something, or is no folder.
+
+    Args:
+        folder: to be written.
+        option: what asks for it, for messages.
+
+    Raises:
+        InputError: the sentence names the option, the folder and the cure.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{option}: {folder} is a file or a device; give the name of a new folder.")
+    if contents(folder):
+        raise InputError(f"{option}: the folder {folder} is not empty; give the name of a new folder.")
+    if folder.exists() and os.path.samefile(folder, "."):
+        raise InputError(f"{option}: {folder} is the folder that you are in; give the name of a new folder.")
+
+
+def check_file(path: Path, suffixes: Collection[str], option: str = "--out") -> None:
+    """Refuse a file that cannot be written, or whose name ends in no known way; one that is there is written anew.
+
+    Args:
+        path: of the file.
+        suffixes: that are known, such as .png.
+        option: what asks for it, for messages.
+
+    Raises:
+        InputError: the sentence names the option, the file and the cure.
+    """
+    if path.is_dir():
+        raise InputError(f"{option}: {path} is a folder; give the name of a file, such as {path / 'picture.png'}.")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{option}: {path} is a device or a pipe; give the name of a file, such as picture.png.")
+    if path.suffix.lower() not in suffixes:
+        ending = f"ends in {path.suffix}" if path.suffix else "has no ending"
+        raise InputError(f"{option}: {path} {ending}, but must end in one of {', '.join(suffixes)}.")
+    if not path.parent.is_dir():
+        raise InputError(f"{option}: there is no folder {path.parent} to write {path.name} to; make it first.")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise InputError(f"{option}: {path} cannot be written: permission denied; choose another place.")

@@ -28,6 +28,9 @@ gc.set_threshold(50_000, 20, 20)  # a fifth of tracing went into looking for cyc
 
 import jax  # noqa: E402
 import pytest  # noqa: E402
+import shapes  # noqa: E402
+
+shapes.install("sean_jax")  # before anything of it is imported
 
 # Silent broadcasting of (N,) against (N, N), and silent changes of type, are errors here.
 jax.config.update("jax_numpy_rank_promotion", "raise")

@@ -26,9 +26,11 @@ from xml.etree import ElementTree
 
 import yaml
 
+from sean_jax.errors import FileError
+
 HANG, WAIT = 5.0, 60.0  # s of processor time, and of waiting
 MEMORY = 10**9  # bytes that a mutant may take
-INFINITE = ("walked", "weight", "cost", "distance", "enter")  # fields in which inf stands for what is not there
+INFINITE = ("walked", "cost", "distance", "arrival_angle")  # fields in which inf stands for what is not there
 UNSAID = re.compile(  # how Python's and other packages' own words begin
     "Traceback|pydantic|invalid literal|could not convert|cannot convert|not supported between|object is not"
     "|has no attribute|unexpected keyword|out of range|out of bounds|cannot reshape|broadcast|shape mismatch|zero-size"
@@ -125,18 +127,17 @@ def policy(folder: Path) -> dict[str, bytes]:
     import optax
 
     from sean_jax.learning.checkpoints import Checkpoints
-    from sean_jax.learning.learned import initial
-    from sean_jax.learning.network import Network
+    from sean_jax.learning.network import Network, init_weights
     from sean_jax.learning.training import TrainState
 
     config = {"width": 8, "flags": True, "image": [12, 16], "situations": list(names()), "seed": 0, "epochs": 2}
     folder.mkdir(parents=True)
     (folder / "config.json").write_text(json.dumps(config, indent=1))
-    weights = initial(Network(8, True, (12, 16)), len(names()), jax.random.key(0))
+    weights = init_weights(Network(8, True, (12, 16)), len(names()), jax.random.key(0))
     optimizer = optax.sgd(0.1).init(weights.parameters)
     state = TrainState(weights, optimizer, jnp.ones((), jnp.int32), jnp.ones(()), jnp.ones((), jnp.int32))
     keeper = Checkpoints(folder)
-    keeper.save(state, 1.0)
+    keeper.save(state, 1, 1.0)
     keeper.wait()
     keeper.manager.close()
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
@@ -162,9 +163,9 @@ def load_graph(folder: Path) -> Any:
 
 
 def load_handcrafted(folder: Path) -> Any:
-    from sean_jax.handcrafted import annotation, sets
+    from sean_jax.handcrafted import sets, validation
 
-    return sets.build(annotation.read(folder, lab()).sets)
+    return sets.build(validation.read(folder, lab()).sets)
 
 
 def load_environment(folder: Path) -> Any:
@@ -182,10 +183,9 @@ def load_robot(folder: Path) -> Any:
 
 def load_recording(folder: Path) -> Any:
     from sean_jax import recordings
-    from sean_jax.behaviors import tracks
 
     path, found = folder / "people.csv", []
-    readers: list = [*recordings.READERS.values(), lambda path: tracks.read(path, None, 0.1)]
+    readers: list = [*recordings.READERS.values(), lambda path: recordings.read(path, time_step=0.1)]
     refused = None
     for reader in readers:  # who needs a column more may refuse, and the others read
         try:
@@ -214,8 +214,8 @@ def load_dataset(folder: Path) -> Any:
 
     data = datasets.open_dataset(folder)
     data.fingerprint()
-    lost = data.lost()
-    return data.recording(data.episodes) if not lost else (data.examples, data.recorded, data.row_bytes)
+    lost = data.damaged_shards()
+    return data.recording(data.episodes) if not lost else (data.example_count, data.stream_seconds, data.row_bytes)
 
 
 def load_policy(folder: Path) -> Any:
@@ -228,12 +228,12 @@ def load_policy(folder: Path) -> Any:
     told = tuple((name, None) for name in names())
     nothing: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Scenario))
     scenario = Scenario(**nothing | {"situations": told, "robot": robots.load("kuri", "twin")})  # all that is looked at
-    return learned.load(folder, scenario).data
+    return learned.load(folder, scenario).params
 
 
 OPTIONS = {
     "time_step": 0.1, "time_limit": 60.0, "goal_radius": 1.2, "hold_time": 5.0, "task_distance": [1.0, 6.0],
-    "people": 4, "parties": [0.5, 0.0], "spreading": 1.0, "substeps": 2,
+    "people": 4, "walking_groups": [0.5, 0.0], "congestion_cost": 1.0, "substeps": 2,
 }  # fmt: skip
 
 
@@ -243,11 +243,28 @@ def load_options(folder: Path) -> Any:
 
     given = files.read_json(folder / "options.json")
     if not isinstance(given, dict):
-        raise files.FileError("options: is no mapping.")
+        raise FileError("options: is no mapping.")
     told: Any = {
         name: tuple(value) if isinstance(value, list) else value for name, value in given.items() if name in OPTIONS
     }
     return assembly.make("lab", task="join_group", dynamics="twin", **told)
+
+
+def described() -> bytes:
+    """The config.yaml of a run."""
+    from sean_jax.config import GraphBehavior, RunConfig
+
+    behavior = GraphBehavior(routing="edge", walking_groups=(0.5, 0.0), congestion_cost=1.0)
+    run = RunConfig(environment="lab", behavior=behavior, people=4, time_limit=60.0, thresholds={"walking": 0.5})
+    content = {"command": "sean run", "config": json.loads(json.dumps(run.decisive())), "sha256": {}}
+    return yaml.safe_dump(content, sort_keys=False).encode()
+
+
+def load_config(folder: Path) -> Any:
+    """What `sean run --config` understands; parts are not made, for a file may name a program."""
+    from sean_jax import cli
+
+    return cli._read("run", ["--config", str(folder / "config.yaml")]).decisive()
 
 
 def kinds(folder: Path) -> dict[str, Kind]:
@@ -268,6 +285,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "map": Kind(chart, ("map.yaml", "map.yaml", "map.png"), load_map, 10),
         "manifest": Kind(dataset(folder / "dataset"), ("dataset.json",), load_dataset, 9),
         "policy": Kind(trained, ("config.json",), load_policy, 6),
+        "config": Kind({"config.yaml": described()}, ("config.yaml",), load_config, 6),
         "options": Kind({"options.json": json.dumps(OPTIONS, indent=1).encode()}, ("options.json",), load_options, 6),
     }
 
@@ -485,12 +503,10 @@ def place(target: Path, content: bytes | Path | None) -> None:
 
 def check_error(error: BaseException, *names: str) -> None:
     """AssertionError unless it is one of the package's own, raised there, in sentences that name one of the files."""
-    from sean_jax.files import FileError
-    from sean_jax.learning.options import Failed, Refused
-    from sean_jax.options import BadInput
+    from sean_jax.errors import SeanError
 
     where = traceback.extract_tb(error.__traceback__)[-1].filename
-    own = type(error) in (FileError, Failed, Refused, BadInput) or type(error) is ValueError
+    own = isinstance(error, SeanError) or type(error) is ValueError
     assert own and "sean_jax" in where, f"{type(error).__name__} from {where}"
     lines = str(error).split("\n")
     assert all(line.strip() for line in lines), "an empty line"

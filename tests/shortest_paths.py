@@ -158,7 +158,7 @@ def lengths(tables: Navigation, starts, goals):
     """(K,) m what the program says of the ways from starts to goals (K, 2)."""
 
     def one(start, goal):
-        return navigation.geodesic(tables, start, goal, navigation.to_goal(tables, goal))
+        return navigation.geodesic(tables, start, goal, navigation.build_paths_to_goal(tables, goal))
 
     return jax.vmap(one)(starts, goals)
 
@@ -168,10 +168,10 @@ def follow(tables: Navigation, starts, goals, stride, count: int):
     """Positions (K, count, 2) of points that go straight to the next point, not farther than a stride [m] at a time."""
 
     def one(start, goal):
-        to_goal = navigation.to_goal(tables, goal)
+        paths_to_goal = navigation.build_paths_to_goal(tables, goal)
 
         def step(position, _):
-            gap = navigation.next_point(tables, position, goal, to_goal) - position
+            gap = navigation.next_point(tables, position, goal, paths_to_goal) - position
             far = jnp.sqrt((gap * gap).sum())
             position = position + gap * (jnp.minimum(far, stride) / jnp.maximum(far, 1e-6))
             return position, position

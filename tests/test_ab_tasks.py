@@ -119,9 +119,9 @@ def test_custom_task_is_the_one_given():
         (dict(behavior="random", task="join_group"), "needs groups, which only behavior 'graph' has"),
         (dict(task="custom"), "needs a start and a goal"),
         (dict(task="custom", start=(0.0, 0.0)), "needs a start and a goal"),
-        (dict(task="random_ab_nav", goal=(0.0, 0.0)), "draws its own; choose task 'custom'"),
+        (dict(task="random_ab_nav", goal=(0.0, 0.0)), "has no such option; choose task 'custom'"),
         (dict(task="custom", start=(0.0, 90.0), goal=(0.0, 17.0)), "start: .0, 90. lies off the floor"),
-        (dict(task="custom", start=(0.0, 17.0), goal=(0.0,)), "must be x and y in metres"),
+        (dict(task="custom", start=(0.0, 17.0), goal=(0.0,)), "goal: has 1 numbers; give x and y"),
     ],
 )
 def test_what_does_not_go_together_is_refused_with_the_reason(arguments, words):

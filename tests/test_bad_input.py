@@ -12,12 +12,11 @@ import pytest
 from fuzzing import BOMB, MERGES, check_error, hall, image, walks
 
 import sean_jax
-from sean_jax import environment, files, maps, navigation, nearby, quantities, recordings, robots
-from sean_jax.behaviors import tracks
+from sean_jax import cli, environment, maps, navigation, obstacle_grid, quantities, recordings, robots
+from sean_jax.errors import FileError, InputError
 from sean_jax.files import mjcf
 from sean_jax.learning.dataset import open_dataset
-from sean_jax.learning.manifests import read_trained
-from sean_jax.learning.options import Refused
+from sean_jax.learning.manifests import read_network_config
 
 MAP = "image: map.png\nresolution: 0.1\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
 
@@ -40,7 +39,7 @@ READERS = {
     "map.yaml": lambda folder: maps.read(folder / "map.yaml"),
     "map.png": lambda folder: maps.read(folder / "map.yaml"),
     "dataset.json": open_dataset,
-    "config.json": lambda folder: read_trained(folder / "config.json"),
+    "config.json": lambda folder: read_network_config(folder / "config.json"),
 }
 
 
@@ -163,7 +162,7 @@ def test_a_picture_without_a_grid_is_on_all_sides_of_a_cube(tmp_path):
         (tmp_path / "scene.xml").write_text(
             f'<mujoco><asset><texture name="t" file="side.png" {more}/></asset></mujoco>'
         )
-        with pytest.raises(files.FileError) as caught:
+        with pytest.raises(FileError) as caught:
             mjcf.read(tmp_path / "scene.xml")
         assert ("25 million pixels" in str(caught.value)) == refused, more  # else MuJoCo finds that it is cut off
 
@@ -196,7 +195,7 @@ def test_a_document_type_is_refused(tmp_path):
         ('data="0.5"', 'data="1e9"', "the numeric max_speed is 1e+09, but must be from 0.01 to 30 m/s"),
         ('data="0.8"', 'data="nan"', 'robot.xml:15: data="nan" holds a number that is not finite'),
         ('pos="0.05 0 0.264"', 'pos="nan 0 0.264"', 'robot.xml:48: pos="nan 0 0.264" holds a number that is not'),
-        ('pos="0 0 0.214"', 'pos="0 0 1e5"', "the greatest coordinate of its mount 'lidar' is 100000"),
+        ('pos="0 0 0.214"', 'pos="0 0 1e5"', "the largest coordinate of its mount 'lidar' is 100000"),
         ('forcerange="-1.25 1.25"', 'forcerange="-1e9 1e9"', "its servo torque is 1e+09"),
     ],
 )
@@ -229,8 +228,11 @@ HEAD = "frame,id,x,y\n"
 def test_recordings_of_impossible_numbers(tmp_path, text, words):
     (tmp_path / "people.csv").write_text(text)
     said = []
-    for read in (lambda path: recordings.read_csv(path, 0.1), lambda path: tracks.read(path, 10.0, 0.1)):
-        with pytest.raises(files.FileError) as caught:
+    for read in (
+        lambda path: recordings.read_csv(path, 0.1),
+        lambda path: recordings.read(path, frame_rate=10.0, time_step=0.1),
+    ):
+        with pytest.raises(FileError) as caught:
             read(tmp_path / "people.csv")
         check_error(caught.value, "people")
         said.append(str(caught.value))
@@ -247,12 +249,15 @@ def test_both_readers_take_marks_cases_and_any_order(tmp_path):
     for name, (header, line) in forms.items():
         text = "\n".join([header, *(line.format(*row) for row in rows)]) + "\n"
         (tmp_path / name).write_text(text, encoding="utf-8")
-        read[name] = recordings.read_csv(tmp_path / name, 0.1), tracks.read(tmp_path / name, 10.0, 0.1)
+        sampled = recordings.read(tmp_path / name, frame_rate=10.0, time_step=0.1)
+        read[name] = recordings.read_csv(tmp_path / name, 0.1), sampled
     for one, other in zip(*map(jax.tree.leaves, read.values()), strict=True):
         np.testing.assert_array_equal(one, other)
-    assert read["plain.csv"][0].person.tolist() == [7, 12]
+    assert read["plain.csv"][0].person.tolist() == [[7, 12]] * 30
     played, seen = read["plain.csv"][1], read["plain.csv"][0]
     np.testing.assert_allclose(played.position, seen.position, atol=1e-5)
+    for field in ("present", "person", "frame"):
+        np.testing.assert_array_equal(getattr(played, field), getattr(seen, field))
 
 
 @pytest.mark.parametrize(
@@ -268,7 +273,7 @@ def test_both_readers_take_marks_cases_and_any_order(tmp_path):
 )
 def test_manifests_and_configurations(tmp_path, content, words):
     write(tmp_path, {"dataset.json": content, "config.json": content})
-    with pytest.raises(Refused, match="restore it or collect anew"):
+    with pytest.raises(InputError, match="restore it or collect anew"):
         open_dataset(tmp_path)
     assert words in refusal(tmp_path, "dataset.json")
     refusal(tmp_path, "config.json")
@@ -287,7 +292,7 @@ def test_manifests_and_configurations(tmp_path, content, words):
 def test_a_policy_of_nonsense(tmp_path, key, value, words):
     good = {"width": 8, "flags": False, "image": [12, 16], "situations": ["empty"]}
     (tmp_path / "config.json").write_text(json.dumps(good))
-    assert read_trained(tmp_path / "config.json").width == 8
+    assert read_network_config(tmp_path / "config.json").width == 8
     (tmp_path / "config.json").write_text(json.dumps({**good, key: value}))
     assert words in refusal(tmp_path, "config.json")
 
@@ -309,10 +314,10 @@ def test_an_image_is_measured_before_it_is_unpacked(tmp_path):
 
 def test_a_floor_of_kilometres_has_a_table_of_bounded_size(tmp_path):
     text = "name: field\nfloor: [-2000, -2000, 2000, 2000]\npeople: 4\n"
-    table = environment.load(write(tmp_path, {"environment.yaml": text})).nearby
-    assert table.rows.size <= 6 * nearby.MOST_ROWS and float(table.cell) > 1.0
+    table = environment.load(write(tmp_path, {"environment.yaml": text})).obstacle_grid
+    assert table.rows.size <= 6 * obstacle_grid.MAX_ROWS and float(table.cell) > 1.0
     x, y = jnp.float32(1.5), jnp.float32(0.9)  # within the box in the middle, whose row must be among those near
-    found = np.asarray(nearby.around(table, x, y))
+    found = np.asarray(obstacle_grid.lookup(table, x, y))
     assert (np.abs(found[:, :2] - [1.0, 0.0]).max(-1) < 1e-6).any()
 
 
@@ -322,7 +327,7 @@ def test_paths_are_not_planned_around_thousands_of_corners(tmp_path):
     text = "name: posts\nfloor: [-20, -20, 20, 20]\npeople: 4\n"
     scene = f"<mujoco><worldbody>{boxes}</worldbody></mujoco>"
     place = environment.load(write(tmp_path, {"environment.yaml": text, "scene.xml": scene}))
-    with pytest.raises(ValueError, match="environment 'posts' has 3,200 bends around corners"):
+    with pytest.raises(ValueError, match="environment 'posts' has 3,200 arcs around corners"):
         navigation.build(place, 0.25)
 
 
@@ -333,8 +338,8 @@ def test_paths_are_not_planned_around_thousands_of_corners(tmp_path):
         {"time_limit": float("inf")}, {"time_limit": 1e39}, {"goal_radius": 1e39}, {"goal_radius": float("nan")},
         {"hold_time": float("nan")}, {"hold_time": 1e300}, {"task_distance": (0.0, float("nan"))},
         {"task_distance": (0.0, 1e39)}, {"task_distance": 4.0}, {"substeps": 10**9}, 
-        {"substeps": 2.5}, {"people": 2.5}, {"spreading": float("nan")},
-        {"people": 10**9}, {"parties": (float("nan"), 0.0)}, {"forces": "nan"}, {"thresholds": "nan"},
+        {"substeps": 2.5}, {"people": 2.5}, {"congestion_cost": float("nan")},
+        {"people": 10**9}, {"walking_groups": (float("nan"), 0.0)}, {"forces": "nan"}, {"thresholds": "nan"},
         {"task": "custom", "start": (1e39, 0.0), "goal": (0.0, 1.0)},
         {"task": "custom", "start": (0.0, 1.0), "goal": (0.0, "1")},
     ],
@@ -345,25 +350,47 @@ def test_make_refuses_numbers_that_make_no_world(arguments):
     name = [*arguments][-1] if "task" not in arguments else ("start" if arguments["start"][0] > 1 else "goal")
     given = dict(arguments)
     if name == "forces":
-        given["forces"] = sean_jax.social_forces.preset("sean2").replace(radius=np.float32("nan"))
+        given["forces"] = sean_jax.social_forces.preset("sean2").tree_replace({"walking.radius": np.float32("nan")})
     if name == "thresholds":
         usual = sean_jax.classifiers.thresholds()
         given["thresholds"] = jax.tree.map(lambda leaf: leaf * np.float32("inf"), usual)
-    with pytest.raises(ValueError, match=f"^{name}") as caught:
+    with pytest.raises(ValueError, match=rf"^((behavior|task)\.)?{name}") as caught:
         sean_jax.make(**{"environment": "lab", "people": 2, "dynamics": "twin", **given})
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("1: 2", "the key 1 is not a text; put it in quotes"),
+        ("behavior: {kind: graph, 3: 4}", "behavior: the key 3 is not a text; put it in quotes"),
+        ("thresholds: near", "thresholds: 'near' is not a mapping"),
+        ("task_distance: [1, 2, 3]", "task_distance: [1, 2, 3] is too long; 2 are the most"),
+        ("behavior: {kind: graph, walking_groups: 3}", "behavior.walking_groups: 3 is not a list"),
+        ("name: 3", "name: 3 is not a text"),
+        ("out: [3]", "out: [3] is not a path"),
+        ("quiet: 3", "quiet: 3 is not true or false"),
+        ("robot: {kind: value}", "robot: was a value of a Python program, which no file holds"),
+        (f"{'x' * 900}: 3", "is not a known key; there are environment"),
+    ],
+)
+def test_a_configuration_of_nonsense(tmp_path, capsys, text, words):
+    (tmp_path / "config.yaml").write_text(f"config:\n  {text}\n")
+    assert cli.main(["run", "--config", str(tmp_path / "config.yaml")]) == 2
+    said = capsys.readouterr().err
+    assert "config.yaml: " in said and words in said and len(said.splitlines()) == 1 and len(said) < 500
+
+
 @pytest.mark.parametrize("radius", [0.0, -0.2, 11.0])
 def test_bodies_have_a_size(radius):
-    forces = sean_jax.social_forces.preset("sean2").replace(radius=np.float32(radius))
+    forces = sean_jax.social_forces.preset("sean2").tree_replace({"walking.radius": np.float32(radius)})
     for people in (None, 2):
-        with pytest.raises(ValueError, match=r"^forces.radius: .* must be from 0.01 to 10 m"):
+        with pytest.raises(ValueError, match=r"^forces.walking.radius: .* must be from 0.01 to 10 m"):
             sean_jax.make("lab", people=people, forces=forces, dynamics="twin")
 
 
 def test_numbers_that_are_checked_are_given_back():
-    assert quantities.check("time_step", 0.1, *quantities.STEPS) == 0.1
+    assert quantities.check_number("time_step", 0.1, *quantities.TIME_STEP_RANGE) == 0.1
     for value in (True, None, "1", [1], float("nan"), np.float32("inf"), 10**400):
         with pytest.raises(ValueError, match="^time_step: .* must be from 0.001 to 1 s.$"):
-            quantities.check("time_step", value, *quantities.STEPS, "s")
+            quantities.check_number("time_step", value, *quantities.TIME_STEP_RANGE, "s")

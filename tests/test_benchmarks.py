@@ -37,11 +37,11 @@ def test_peers(tmp_path):
     """The project's rows, and those of a peer that a path names; ratios are of the two."""
     peer = tmp_path / "slowpoke.py"
     peer.write_text(
-        "def driver(hall):\n"
+        "def simulator(hall):\n"
         "    assert len(hall.starts) == len(hall.goals) == 12 and len(hall.segments) in (0, 36)\n"
         "    return lambda: lambda steps: sum(range(20000 * steps)), 'counts'\n"
     )
-    arguments = "--people", "12", "--batches", "1", "2", "--repeats", "1", "--seconds", "0.05", "--driver", str(peer)
+    arguments = "--people", "12", "--batches", "1", "2", "--repeats", "1", "--seconds", "0.05", "--simulator", str(peer)
     rows = [line.split() for line in run("benchmarks/peers.py", *arguments)[2:]]
     assert [row[0] for row in rows if "slowpoke" in row] == ["open", "walls"]
     best = {hall: max(float(r[6]) for r in rows if r[0] == hall and r[2] == "sean_jax,") for hall in ("open", "walls")}
@@ -79,7 +79,7 @@ def test_causes(tmp_path):
     rows = {line[:46].strip(): line[46:].split() for line in lines}
     assert rows["handcrafted, expert, cross_path"] == ["37.5", "12.5", "0.0", "0.0", "0.0", "50.0"]
     assert rows["graph, go_to_goal, join_group"] == ["0.0"] * 5 + ["100.0"]
-    assert "G, graph: 97 % of the time not moving is that of who did not arrive" in lines
+    assert "G, graph: 97 % of the time not moving is in episodes that were not completed" in lines
     join, leave = (line.split() for line in lines[-2:])
     assert join == ["join_group", "0", "of", "2", "0.0", "0.00"]
     assert leave == ["leave_group", "1", "of", "2", "97.0", "1.00"]

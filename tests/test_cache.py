@@ -14,9 +14,9 @@ import pytest
 
 import sean_jax
 from sean_jax import cache, environment, navigation
-from sean_jax.behaviors import random_behavior, starts
+from sean_jax.behaviors import Place, random_behavior, starts
 from sean_jax.graph import places
-from sean_jax.handcrafted import annotation, room
+from sean_jax.handcrafted import validation
 from sean_jax.navigation import tables
 
 BOX = '<geom type="box" pos="{x} 0 1" size="0.5 2 1"/>'
@@ -38,7 +38,7 @@ def made(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(cache, "_recent", type(cache._recent)())
     counts: Any = Counter()
-    kept = cache.kept
+    kept = cache.load_or_build
 
     def counted(kind, code, inputs, make):
         def one():
@@ -47,7 +47,7 @@ def made(tmp_path, monkeypatch):
 
         return kept(kind, code, inputs, one)
 
-    monkeypatch.setattr(cache, "kept", counted)
+    monkeypatch.setattr(cache, "load_or_build", counted)
     counts.forget = cache._recent.clear
     return counts
 
@@ -94,7 +94,7 @@ def test_paths_follow_the_scene_and_a_second_process_makes_nothing(made, hall):
     moved = make()
     assert all(made[kind] == 2 for kind in first)
     np.testing.assert_allclose(moved.navigation.obstacles.center[0], [1.0, 0.0])
-    gap = np.asarray(moved.navigation.bends.corner)[:, 0] - np.asarray(before.navigation.bends.corner)[:, 0]
+    gap = np.asarray(moved.navigation.arcs.corner)[:, 0] - np.asarray(before.navigation.arcs.corner)[:, 0]
     np.testing.assert_allclose(gap, 1.0, atol=1e-6)
     fresh = tables._make(moved.environment, 0.25, None)
     np.testing.assert_array_equal(moved.navigation.visible, fresh["visible"])
@@ -111,26 +111,26 @@ def test_everything_that_tables_depend_on_tells_them_apart(made, hall):
         for _ in range(2):
             navigation.build(*arguments)
             assert made["navigation"] == number
-    cache.kept("navigation", ("navigation",), [1.0], numbers(3))  # other code
-    cache.kept("navigation", ("geometry",), [1.0], numbers(3))
+    cache.load_or_build("navigation", ("navigation",), [1.0], numbers(3))  # other code
+    cache.load_or_build("navigation", ("geometry",), [1.0], numbers(3))
     assert made["navigation"] == number + 2
     one, two = np.zeros((2, 1)), np.zeros((1, 2))  # the same bytes in another shape
-    cache.kept("shape", (), [one], numbers(1))
-    cache.kept("shape", (), [two], numbers(2))
-    cache.kept("shape", (), [one.astype(np.float32)], numbers(3))  # the same in single precision
+    cache.load_or_build("shape", (), [one], numbers(1))
+    cache.load_or_build("shape", (), [two], numbers(2))
+    cache.load_or_build("shape", (), [one.astype(np.float32)], numbers(3))  # the same in single precision
     assert made["shape"] == 2
 
 
 @pytest.mark.parametrize("damage", ["truncated", "emptied", "flipped", "text", "swapped", "folder", "pickled"])
 def test_a_damaged_file_is_made_anew(made, damage):
     """Whatever is in its place: truncated at any length, with any byte changed, another table, an object."""
-    told = cache.kept("numbers", (), [0.0], numbers(50))
+    told = cache.load_or_build("numbers", (), [0.0], numbers(50))
     (file,) = (cache.folder() / "tables").iterdir()
     whole, generator = file.read_bytes(), np.random.default_rng(1)
     for _ in range(1 if damage in ("emptied", "text", "swapped", "folder", "pickled") else 25):
         where = int(generator.integers(1, len(whole)))
         if damage == "swapped":
-            cache.kept("numbers", (), [1.0], numbers(7))
+            cache.load_or_build("numbers", (), [1.0], numbers(7))
             other = next(path for path in file.parent.iterdir() if path != file)
             shutil.copy(other, file)
         elif damage == "folder":
@@ -143,13 +143,13 @@ def test_a_damaged_file_is_made_anew(made, damage):
             flipped = whole[:where] + bytes([whole[where] ^ 0xFF]) + whole[where + 1 :]
             file.write_bytes({"truncated": whole[:where], "emptied": b"", "text": b"x", "flipped": flipped}[damage])
         made.forget()
-        same(told, cache.kept("numbers", (), [0.0], numbers(50)))
+        same(told, cache.load_or_build("numbers", (), [0.0], numbers(50)))
         assert not list(file.parent.glob("*.unfinished"))
     made.forget()
     if damage != "folder":
         file.touch()
         before = made["numbers"]
-        same(told, cache.kept("numbers", (), [0.0], numbers(50)))
+        same(told, cache.load_or_build("numbers", (), [0.0], numbers(50)))
         assert made["numbers"] == before
 
 
@@ -157,41 +157,41 @@ def test_no_folder_and_no_room_are_done_without(made, monkeypatch, tmp_path):
     """The cache is a file, its folder may not be written, or the disk is full: tables are there all the same."""
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    same(cache.kept("a", (), [0.0], numbers(5)), numbers(5)())
+    same(cache.load_or_build("a", (), [0.0], numbers(5)), numbers(5)())
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "full"))
 
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez_compressed", full)
-    same(cache.kept("b", (), [0.0], numbers(5)), numbers(5)())
+    same(cache.load_or_build("b", (), [0.0], numbers(5)), numbers(5)())
     assert not list((tmp_path / "full").rglob("*.npz")) and not list((tmp_path / "full").rglob("*.unfinished"))
-    same(cache.kept("b", (), [0.0], numbers(6)), numbers(5)())  # remembered in this process
+    same(cache.load_or_build("b", (), [0.0], numbers(6)), numbers(5)())  # remembered in this process
     assert made["b"] == 1
 
 
 def test_the_oldest_are_removed(made, monkeypatch):
     """By number and by bytes, least recently used first; what somebody left unfinished long ago as well."""
-    monkeypatch.setattr(cache, "MOST", 3)
-    old = time.time() - 10 * cache.LEFT_OVER
+    monkeypatch.setattr(cache, "MAX_FILES", 3)
+    old = time.time() - 10 * cache.ABANDONED_AFTER
     for number in range(3):
-        cache.kept("numbers", (), [number], numbers(50))
+        cache.load_or_build("numbers", (), [number], numbers(50))
         (file,) = [path for path in (cache.folder() / "tables").iterdir() if path.stat().st_mtime > old + 20]
         os.utime(file, (old + number, old + number))
     left = file.parent / ".x.unfinished"
     left.write_text("")
     os.utime(left, (old, old))
     made.forget()
-    cache.kept("numbers", (), [0], numbers(50))  # used again, so it is no longer the oldest
+    cache.load_or_build("numbers", (), [0], numbers(50))  # used again, so it is no longer the oldest
     assert made["numbers"] == 3
-    cache.kept("numbers", (), [3], numbers(50))
+    cache.load_or_build("numbers", (), [3], numbers(50))
     assert len(list(file.parent.iterdir())) == 3
     made.forget()
     for number, count in ((0, 4), (2, 4), (3, 4), (1, 5)):
-        cache.kept("numbers", (), [number], numbers(50))
+        cache.load_or_build("numbers", (), [number], numbers(50))
         assert made["numbers"] == count
-    monkeypatch.setattr(cache, "LARGEST", 1)
-    cache.kept("numbers", (), [9], numbers(50))
+    monkeypatch.setattr(cache, "MAX_SIZE", 1)
+    cache.load_or_build("numbers", (), [9], numbers(50))
     assert not list(file.parent.iterdir())
 
 
@@ -204,7 +204,7 @@ import jax, sean_jax
 from sean_jax import cache, navigation
 def refuse(*_): raise AssertionError("made again")
 if sys.argv[2] == "reads":
-    navigation.tables._make = navigation.people._make = refuse
+    navigation.tables._make = navigation.next_corner_table._make = refuse
 scenario = sean_jax.make(sys.argv[1], behavior="graph", task="random_ab_nav", dynamics="twin")
 print(int(scenario.navigation.visible.sum()))
 """
@@ -219,24 +219,29 @@ print(int(scenario.navigation.visible.sum()))
 def test_tables_depend_on_the_code_that_makes_them(made, hall, monkeypatch):
     """Also on the file that holds the function, which is not always among those that it calls."""
     codes = {}
-    kept = cache.kept
+    kept = cache.load_or_build
 
     def watched(kind, code, inputs, make):
         codes[kind] = code
         return kept(kind, code, inputs, make)
 
-    monkeypatch.setattr(cache, "kept", watched)
+    monkeypatch.setattr(cache, "load_or_build", watched)
     place = environment.load(hall)
     way = navigation.build(place, 0.25)
-    random_behavior.build(hall, place, way, 2)
+    random_behavior.build(Place(hall, place, way), 2)
     monkeypatch.setattr(starts, "_reached", lambda _, spots: np.zeros(len(spots), bool))
-    starts.uniform(place, way, 2, dense=True)
+    starts.anywhere(place, way, 2, dense=True)
     assert "behaviors/random_behavior" in codes["goals"] and "behaviors/starts" in codes["reached"]
 
 
 def test_ways_of_walkers_depend_on_the_room_that_a_person_needs(made, monkeypatch):
     """That number is not among the inputs, and stands in another file."""
     codes = {}
-    monkeypatch.setattr(cache, "kept", lambda kind, code, inputs, make: codes.setdefault(kind, code) and make())
-    annotation.read(environment.ENVS / "lab", environment.load("lab"))
-    assert "graph/places" in codes["legs"] and room.PERSON is places.PERSON
+
+    def build(kind, code, inputs, make):
+        codes.setdefault(kind, code)
+        return make()
+
+    monkeypatch.setattr(cache, "load_or_build", build)
+    validation.read(environment.ENVS / "lab", environment.load("lab"))
+    assert "graph/places" in codes["legs"] and validation.PERSON is places.PERSON

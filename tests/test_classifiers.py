@@ -32,7 +32,7 @@ def moment(agents=(), position=(0.0, 0.0), goal=(9.0, 0.0), start_group=-1, goal
         heading=jnp.asarray(headings, number),
         desired_velocity=jnp.zeros((slots, 2), number),
         group=jnp.asarray(groups, jnp.int32),
-        party=jnp.full(slots, -1, jnp.int32),
+        walking_group=jnp.full(slots, -1, jnp.int32),
         present=jnp.arange(slots) < len(agents),
         preferred_speed=jnp.ones(slots, number),
         robot_distance=jnp.zeros(slots, number),

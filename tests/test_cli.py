@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-from sean_jax import bench, cache, cli, compiler, learning, main_job
+from sean_jax import assembly, bench, cache, cli, compiler, learning
 from sean_jax.bench import page, parts
 
 SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
@@ -45,10 +45,10 @@ def test_version_is_printed(capsys):
 def test_compilation_cache_goes_to_the_users_cache_unless_set(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
-    compiler.set_up()
+    compiler.configure()
     assert Path(os.environ["JAX_COMPILATION_CACHE_DIR"]) == tmp_path / "sean_jax" / "xla"
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
-    compiler.set_up()
+    compiler.configure()
     assert os.environ["JAX_COMPILATION_CACHE_DIR"] == "elsewhere"
 
 
@@ -59,19 +59,19 @@ def test_the_users_flags_for_the_compiler_stay_and_new_versions_get_none(monkeyp
     for theirs in ("--xla_dump_to=here", "--xla_cpu_use_fusion_emitters=true"):
         monkeypatch.setenv("XLA_FLAGS", theirs)
         for _ in range(2):
-            compiler.set_up()
+            compiler.configure()
             assert os.environ["XLA_FLAGS"] == (theirs if "emitters" in theirs else theirs + ours)
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--time-limit", "-3"], "--time-limit is -3, but"),
-        (["--time-limit", "nan"], "--time-limit is nan, but"),
-        (["--episodes", "0"], "--episodes is 0"),
-        (["--people", "-4"], "--people is -4"),
-        (["--seed", "-1"], "--seed is -1"),
-        (["--task", ","], "--task names no task"),
+        (["--time-limit", "-3"], "--time-limit: -3.0 must"),
+        (["--time-limit", "nan"], "--time-limit: nan must"),
+        (["--episodes", "0"], "--episodes: 0 must"),
+        (["--people", "-4"], "--people: -4 must"),
+        (["--seed", "-1"], "--seed: -1 must"),
+        (["--task", ","], "--task: names nothing"),
     ],
 )
 def test_options_that_cannot_be_met_are_refused_in_one_sentence(arguments, said, capsys, tmp_path):
@@ -123,16 +123,16 @@ REFUSED = [
     ["run", "--out", "kept"],
     ["run", "--out", "kept/letter.txt"],
     ["collect", "--environment", "nope"],
-    ["collect", "--driver", "nope"],
+    ["collect", "--policy", "nope"],
     ["collect", "--width", "2"],
     ["collect", "--out", "kept"],
     ["train", "imitation", "kept"],
     ["train", "imitation", "none", "--out", "new/deep"],
     ["experiment", "table1", "--environment", "nope"],
     ["experiment", "table1", "--robot", "nope"],
-    ["experiment", "table1", "--drivers", "nope"],
+    ["experiment", "table1", "--policies", "nope"],
     ["experiment", "figure4", "--environment", "nope"],
-    ["experiment", "figure4", "--driver", "nope", "--out", "new"],
+    ["experiment", "figure4", "--demonstrator", "nope", "--out", "new"],
     ["experiment", "figure4", "--out", "kept"],
     ["export", "lerobot", "kept", "--out", "new"],
     ["draw", "--graph", "--environment", "nope"],
@@ -180,7 +180,7 @@ def test_what_goes_wrong_midway_ends_in_one_sentence(raised, code, said, capsys,
     def fail(*arguments):
         raise raised
 
-    monkeypatch.setattr(main_job, "_scenarios", fail)
+    monkeypatch.setattr(assembly, "build", fail)
     assert run("--out", str(tmp_path / "run"), capsys=capsys)[0] == code
     assert cli.main(["run", "--out", str(tmp_path / "run")]) == code
     assert said in capsys.readouterr().err
@@ -208,7 +208,7 @@ def test_run_writes_a_whole_folder(tmp_path, capsys):
     assert {path.name for path in (tmp_path / "a").iterdir()} == written
     assert [line.split(",")[1] for line in lines[1:]] == ["join_group", "leave_group", "join_group"]
     config = yaml.safe_load((tmp_path / "a" / "config.yaml").read_text())
-    assert config["options"]["people"] == 8 and "--seed 1" in config["command"]
+    assert config["config"]["people"] == 8 and config["people"] == 8 and "--seed 1" in config["command"]
     summary = json.loads((tmp_path / "a" / "summary.json").read_text())
     assert summary["episodes"] == 3 and 0 < summary["simulated_seconds"] <= 9.0
     assert summary["checks"]["largest_penetration_mm"] <= 1.0
@@ -246,16 +246,15 @@ def test_a_batch_equals_each_episode_alone():
     import jax
 
     import sean_jax
-    from sean_jax import chance
-    from sean_jax.main_job import batches, simulation
+    from sean_jax import prng
     from sean_jax.policies import POLICIES
 
     tasks, drive = ("join_group", "leave_group"), POLICIES["go_to_goal"]
     scenarios = [sean_jax.make(task=task, people=8, dynamics="twin", time_limit=2.0) for task in tasks]
-    found = batches.run_batches(scenarios, drive, 3, 2, 5, simulation.Watch())
+    found = sean_jax.evaluate(scenarios, drive, episodes=3, batch=2, seed=5)
     for episode, task in enumerate(found.tasks):
         scenario = scenarios[tasks.index(task)]
-        key = jax.random.fold_in(chance.key("run", 5), episode)
+        key = jax.random.fold_in(prng.key("run", 5), episode)
         last, frames = jax.jit(sean_jax.rollout, static_argnums=(1, 3))(scenario, drive, key, 20)
         for name, value in sean_jax.results(scenario, last).items():
             np.testing.assert_allclose(found.metrics[name][episode], value, atol=1e-3, err_msg=name)
@@ -325,7 +324,7 @@ def test_a_missing_extra_is_named_by_every_command(capsys, monkeypatch, tmp_path
     def fail(*arguments):
         raise ModuleNotFoundError("No module named 'orbax'", name="orbax.checkpoint")
 
-    monkeypatch.setattr(main_job, "_scenarios", fail)
+    monkeypatch.setattr(assembly, "build", fail)
     assert cli.main(["run", "--out", str(tmp_path / "run")]) == 2
     assert 'orbax.checkpoint is missing; pip install "sean_jax[learning]".' in capsys.readouterr().err
 

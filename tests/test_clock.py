@@ -14,7 +14,7 @@ from quick import quick
 import sean_jax
 from sean_jax import clock, robots, sensors
 from sean_jax.behaviors import graph_behavior
-from sean_jax.robots.drive import held
+from sean_jax.robots.drive import active_command
 from sean_jax.scenario import finish
 
 STEPS = ("0.01", "0.02", "0.03", "0.05", "0.07", "0.1", "0.125", "0.15", "0.2", "0.25")
@@ -27,11 +27,11 @@ def exact(step: str) -> list[Fraction]:
 
 @pytest.mark.parametrize("step", STEPS)
 def test_durations_are_as_many_ticks_as_exact_arithmetic_says(step):
-    found = np.asarray(clock.in_ticks(jnp.asarray([float(time) for time in TIMES], jnp.float32), float(step)))
+    found = np.asarray(clock.to_ticks(jnp.asarray([float(time) for time in TIMES], jnp.float32), float(step)))
     wanted = exact(step)
     np.testing.assert_array_equal(np.ceil(found), [math.ceil(ticks) for ticks in wanted])
     np.testing.assert_array_equal(np.floor(found), [math.floor(ticks) for ticks in wanted])
-    assert [clock.ticks(float(time), float(step)) for time in TIMES] == [math.ceil(ticks) for ticks in wanted]
+    assert [clock.ceil_ticks(float(time), float(step)) for time in TIMES] == [math.ceil(ticks) for ticks in wanted]
 
 
 @pytest.fixture(scope="module")
@@ -73,14 +73,14 @@ def test_episodes_last_for_their_time_limit(scenario, at_goal, limit):
 def test_commands_wait_for_their_timeout(step):
     model, whole = robots.load("kuri", "twin"), Fraction(step)
     none, start = jnp.full(2, jnp.nan), robots.place(model, jnp.zeros(2), jnp.asarray([1.0, 0.0]))
-    body = start.body._replace(command=jnp.ones(2))
+    body = start.drive_state._replace(command=jnp.ones(2))
 
     @jax.jit
     def waits(timeout):
         slow = dataclasses.replace(model, command_timeout=timeout)
 
         def one(body, _):
-            command, age = held(slow, body, none, float(step))
+            command, age = active_command(slow, body, none, float(step))
             return body._replace(age=age), command[0] > 0
 
         return jax.lax.scan(one, body, length=700)[1].sum()

@@ -107,9 +107,10 @@ def after_two_steps(made: list):
 def check(made: list) -> None:
     scenario = made[0]
     before, after = after_two_steps(made)
-    ways = np.asarray(after.task.to_goal)  # of bends from which no way leads to the goal, the lengths are infinite
-    assert np.isfinite(ways[:, 1]).all() and (ways[:, 0] >= 0).all() and np.isfinite(ways[:, 0]).any()
-    numbers = dataclasses.replace(after, streams=None, task=dataclasses.replace(after.task, to_goal=None))
+    distance, angle = (np.asarray(part) for part in jax.tree.leaves(after.task.paths_to_goal))
+    assert np.isfinite(angle).all()
+    assert (distance >= 0).all() and np.isfinite(distance).any()  # infinite for arcs from which no path leads there
+    numbers = dataclasses.replace(after, streams=None, task=dataclasses.replace(after.task, paths_to_goal=None))
     for leaf in jax.tree.leaves(jax.tree.map(jnp.isfinite, numbers)):
         assert np.asarray(leaf).all()
     assert (np.asarray(after.tick) == 2).all() and after.situations.shape == (len(made), 5)

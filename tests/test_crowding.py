@@ -10,7 +10,7 @@ import test_drawing as drawn
 
 import sean_jax
 from sean_jax import crowding, drawing
-from sean_jax.base import Frame
+from sean_jax.base import Trajectory
 
 STEPS, PEOPLE = 57, 9
 
@@ -18,9 +18,9 @@ STEPS, PEOPLE = 57, 9
 def frames_of(people: np.ndarray, present: np.ndarray) -> Any:
     """Frames (T, N, 2), (T, N) in which nothing but people is of interest."""
     none: Any = jnp.zeros(people.shape[:1])
-    fields = dict.fromkeys(Frame.__dataclass_fields__, none)
+    fields = dict.fromkeys(Trajectory.__dataclass_fields__, none)
     fields |= {"people": jnp.asarray(people, jnp.float32), "present": jnp.asarray(present), "active": none > 0}
-    return Frame(**fields)
+    return Trajectory(**fields)
 
 
 def wandering(scenario, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -77,7 +77,7 @@ def test_batches_equal_their_episodes(scenario):
         alone = sean_jax.congestion(scenario, frames)
         for one, row in zip(jax.tree.leaves(alone), jax.tree.leaves(together), strict=True):
             np.testing.assert_allclose(one, row[index], rtol=1e-6, atol=1e-6)
-    assert together.density.shape == (2, 1, *crowding.grid(scenario.environment)) == (2, 1, 80, 80)
+    assert together.density.shape == (2, 1, *crowding.grid_shape(scenario.environment)) == (2, 1, 80, 80)
 
 
 def test_what_cannot_be_counted_is_said(scenario):

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import chance, devices, restarts
-from sean_jax.base import Driver
+from sean_jax import devices, episodes, prng
+from sean_jax.base import Policy
 from sean_jax.policies import go_to_goal
 
 PROGRAM = """
@@ -28,8 +28,8 @@ from sean_jax import devices
 from sean_jax.policies import go_to_goal
 scenario = sean_jax.make("lab", people=4, dynamics="twin")
 over = devices.mesh()
-run = devices.spread(over, lambda fixed, key: sean_jax.rollout(fixed, go_to_goal, key, 20)[0].pedestrians.position)
-found = run(devices.everywhere(over, scenario), devices.keys(over, jax.random.key(3), 8))
+run = devices.shard(over, lambda fixed, key: sean_jax.rollout(fixed, go_to_goal, key, 20)[0].pedestrians.position)
+found = run(devices.replicate(over, scenario), devices.keys(over, jax.random.key(3), 8))
 mine = {str(part.index[0].start or 0): np.asarray(part.data).tolist() for part in found.addressable_shards}
 print(json.dumps({"devices": over.size, "shards": mine}))
 """
@@ -89,7 +89,7 @@ def short():
 
 @pytest.fixture(scope="module")
 def starts(short):
-    return jax.jit(restarts.pool, static_argnums=2)(short, jax.random.key(0), 5)
+    return jax.jit(episodes.reset_pool, static_argnums=2)(short, jax.random.key(0), 5)
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_episodes_follow_one_another(short, starts):
         return before.tick, after.timed_out, before.pedestrians.position, jax.random.key_data(before.streams.people)
 
     def run(state):
-        return restarts.endless(short, go_to_goal, starts, state, 35, record)
+        return episodes.rollout_autoreset(short, go_to_goal, starts, state, 35, record)
 
     state = jax.tree.map(lambda leaf: leaf[0], starts.starts)
     last, (tick, timed_out, people, key) = jax.jit(run)(state)
@@ -115,17 +115,19 @@ def test_episodes_follow_one_another(short, starts):
 @pytest.mark.slow
 def test_a_driver_remembers_its_episode_and_no_other(short):
     """It counts the steps it drove since the episode began, in steps of its parameter."""
-    counter = Driver(
-        data=jnp.asarray(2.0, jnp.float32),
+    counter = Policy(
+        params=jnp.asarray(2.0, jnp.float32),
         name="counter",
-        start=lambda scenario, data, state: jnp.zeros((), jnp.float32),
-        drive=lambda scenario, data, state, key: (jnp.zeros(2, jnp.float32), state.driver + data),
+        init=lambda scenario, params, state: jnp.zeros((), jnp.float32),
+        apply=lambda scenario, params, state, key: (jnp.zeros(2, jnp.float32), state.policy_state + params),
     )
 
     def run(policy):
-        starts = restarts.pool(short, jax.random.key(0), 2, policy)
+        starts = episodes.reset_pool(short, jax.random.key(0), 2, policy)
         state = jax.tree.map(lambda leaf: leaf[0], starts.starts)
-        return restarts.endless(short, policy, starts, state, 12, lambda before, after, action: after.driver)[1]
+        return episodes.rollout_autoreset(
+            short, policy, starts, state, 12, lambda before, after, action: after.policy_state
+        )[1]
 
     counted = jax.jit(run)(counter)
     np.testing.assert_array_equal(counted, [*np.arange(2.0, 22.0, 2.0), 2.0, 4.0])
@@ -133,9 +135,9 @@ def test_a_driver_remembers_its_episode_and_no_other(short):
 
 def test_a_running_episode_is_left_alone(starts):
     state = dataclasses.replace(
-        jax.tree.map(lambda leaf: leaf[1], starts.starts), streams=chance.streams(jax.random.key(9))
+        jax.tree.map(lambda leaf: leaf[1], starts.starts), streams=prng.streams(jax.random.key(9))
     )
-    after = jax.jit(restarts.restart)(starts, state)
+    after = jax.jit(episodes.autoreset)(starts, state)
     same = jax.tree.map(lambda old, new: jnp.array_equal(jax_data(old), jax_data(new)), state, after)
     assert all(jax.tree.leaves(same))
 

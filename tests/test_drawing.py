@@ -1,4 +1,4 @@
-"""Pictures show what happened: every mark stands where the frame says, in the colour of its situation."""
+"""Pictures show what happened: every mark stands where the frame says, in the color of its situation."""
 
 import io
 import sys
@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from sean_jax import drawing
-from sean_jax.base import Environment, Frame, Obstacles
+from sean_jax.base import Environment, Obstacles, Trajectory
 from sean_jax.drawing import colors, parts
-from sean_jax.scenery import plain
+from sean_jax.errors import InputError
+from sean_jax.scenery import plain_scenery
 
 STEPS, PEOPLE = 41, 3
 
@@ -27,7 +28,7 @@ def environment() -> Environment:
         height=np.array([4.0, 0.8], np.float32),
     )
     floor: Any = np.array([-6.0, -5.0, 6.0, 5.0], np.float32)
-    return Environment(floor=floor, obstacles=boxes, nearby=nothing, scenery=plain(boxes), name="yard")
+    return Environment(floor=floor, obstacles=boxes, obstacle_grid=nothing, scenery=plain_scenery(boxes), name="yard")
 
 
 def frames() -> Any:
@@ -38,7 +39,7 @@ def frames() -> Any:
     situations[:20, 4] = True
     situations[20:30, 0] = True
     situations[25:30, 2] = True
-    return Frame(
+    return Trajectory(
         position=robot,
         heading=np.tile([1.0, 0.0], (STEPS, 1)),
         velocity=np.zeros((STEPS, 2)),
@@ -58,7 +59,7 @@ class Graph:
     position = np.array([[-3.0, 0.0], [3.0, 0.0], [0.0, -3.0]])
     radius = np.array([1.0, 0.8, 0.6])
     is_group = np.array([False, False, True])
-    weight = np.array([[np.inf, 1.0, 1.0], [100.0, np.inf, np.inf], [1.0, np.inf, np.inf]])
+    flow = np.array([[-1, 3, 0], [4, -1, -1], [0, -1, -1]])  # forward from the first to the second, else medium
     names = ("west", "east", "talk")
 
 
@@ -84,6 +85,36 @@ def test_step_colors_take_the_first_situation_that_holds():
 def test_situation_colors_differ_for_the_users_own_situations():
     names = (*colors.SITUATION_COLORS, "queue", "doorway")
     assert len(set(drawing.situation_colors(names))) == len(names)
+
+
+@pytest.mark.parametrize("choose", [drawing.situation_colors, drawing.policy_colors])
+def test_any_number_of_the_users_names_has_colors_of_its_own(choose):
+    names = [*colors.SITUATION_COLORS, *colors.POLICY_COLORS, *(f"mine_{index}" for index in range(40))]
+    shades = choose(names)
+    assert len(set(shades)) == len(names)
+    assert all(to_hex(shade) == shade for shade in shades)
+    assert choose(["mine", "mine"])[0] == choose(["mine", "mine"])[1]
+
+
+def test_frames_of_the_users_situations_are_drawn_with_their_names(tmp_path):
+    """Seven situations, of which the paper has none; and a scenario that has none at all."""
+    names = tuple(f"mine {index}" for index in range(7))
+    flags = np.zeros((STEPS, 7), bool)
+    flags[10:20, 6] = True
+    mine = frames().replace(situations=flags)
+    figure = drawing.top_down(environment(), frames=mine, situations=names)
+    legend: Any = figure.axes[0].get_legend()
+    assert [text.get_text() for text in legend.get_texts()][5:] == ["mine 6", "none"]
+    assert shade_at(figure, *mine.position[15]) == drawing.situation_colors(names)[6]
+    drawing.animate(environment(), mine, tmp_path / "mine.gif", situations=names, every=20, size=100)
+    unnamed = drawing.top_down(environment(), frames=mine).axes[0].get_legend()
+    assert unnamed is not None and "situation 7" in [text.get_text() for text in unnamed.get_texts()]
+    for number in (5, 8):
+        with pytest.raises(InputError, match=rf"situations: {number} names for frames with 7 situations; give one"):
+            drawing.top_down(environment(), frames=mine, situations=["x"] * number)
+    none = frames().replace(situations=np.zeros((STEPS, 0), bool))
+    assert parts.step_colors(none, ()) == [colors.NO_SITUATION] * STEPS
+    drawing.animate(environment(), none, tmp_path / "none.gif", every=20, size=100)
 
 
 def test_episode_is_cut_after_its_last_active_step():

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from sean_jax import environment, files
+from sean_jax import environment
+from sean_jax.errors import FileError
 
 FLOOR = '<geom name="floor" type="plane" size="5 5 0.1"/>'
 BOX = '<geom name="box" type="box" pos="1 0 0.5" size="0.5 0.5 0.5"/>'
@@ -75,7 +76,7 @@ def test_turned_box_and_boxes_in_bodies(tmp_path):
     ],
 )
 def test_unusable_scenes(tmp_path, geoms, message):
-    with pytest.raises(files.FileError) as caught:
+    with pytest.raises(FileError) as caught:
         environment.load(folder(tmp_path, FLOOR + geoms))
     text = str(caught.value)
     assert text.startswith(f"{tmp_path.name}/scene.xml: ") and message in text and "\n" not in text
@@ -89,15 +90,15 @@ def test_unusable_settings_and_names(tmp_path):
     with pytest.raises(ValueError, match="holds no environment.yaml"):
         environment.find(tmp_path)
     folder(tmp_path, FLOOR + BOX, "name: yard\nfloor: [5, -5, -5, 5]\npeople: -3\n")
-    with pytest.raises(files.FileError, match=r"environment.yaml:3:9: people: -3 is less than 0, the least allowed\.$"):
+    with pytest.raises(FileError, match=r"environment.yaml:3:9: people: -3 is less than 0, the least allowed\.$"):
         environment.load(tmp_path)
     folder(tmp_path, FLOOR + BOX, "name: yard\nfloor: [5, -5, -5, 5]\npeople: 3\n")
-    with pytest.raises(files.FileError, match=r"environment.yaml:2:8: floor: .* is empty"):
+    with pytest.raises(FileError, match=r"environment.yaml:2:8: floor: .* is empty"):
         environment.load(tmp_path)
     folder(tmp_path, FLOOR + BOX)
     assert environment.load(tmp_path).name == "yard"
     (tmp_path / "scene.xml").unlink()
-    with pytest.raises(files.FileError, match="there is no such file"):
+    with pytest.raises(FileError, match="there is no such file"):
         environment.load(str(tmp_path))
 
 

@@ -13,11 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax import chance, cli, writing
-from sean_jax.experiments import shares, table1, together
-from sean_jax.experiments.options import BEHAVIORS, Experiment
-from sean_jax.learning.options import Failed, Refused
+from sean_jax import cli, episodes, prng, writing
+from sean_jax.base import as_policy
+from sean_jax.config import CollectConfig, ExperimentConfig, validate
+from sean_jax.errors import IncompleteError, InputError
+from sean_jax.experiments import figure4, rollouts, shares, table1, together
+from sean_jax.experiments.shares import BEHAVIORS
+from sean_jax.learning.protocol import streams
 from sean_jax.metrics import METRICS
+from sean_jax.policies import go_to_goal
+from sean_jax.runner import Runner
+from sean_jax.scenario import results
 
 
 def test_entropy_is_that_of_the_papers_rows():
@@ -71,7 +77,7 @@ def test_other_tables_have_not():
 
 
 def test_claims_of_figure_4():
-    from sean_jax.experiments.claims import Found, claims
+    from sean_jax.experiments.claims import Results, claims
 
     def cell(wait: float, harm: float, done: float) -> dict:
         names = ("time_not_moving", wait), ("violations", harm), ("completed", done), ("collisions", 0.0)
@@ -82,7 +88,7 @@ def test_claims_of_figure_4():
     values = {p: {b: cell(waits[p], harms[b], 0.9) for b in BEHAVIORS} for p in waits}
     by = {p: {b: np.tile([1.0, 1.0, 0.2, 0.2, 0.1], (10, 1)) for b in BEHAVIORS} for p in waits}
     by["B"] = {b: np.full((10, 5), 0.1) for b in BEHAVIORS}
-    found = Found(tuple(waits), 10, values, by, {})
+    found = Results(tuple(waits), 10, values, by, {})
     told = claims(found)
     assert all(each["holds"] and each["share"] == 1.0 for each in told)
     values["G"] = {b: cell(30.0, harms[b], 0.5) for b in BEHAVIORS}
@@ -96,79 +102,79 @@ def test_claims_of_figure_4():
     some = {name: each.copy() for name, each in values["G"]["graph"].items()}
     some["completed"], some["time_not_moving"] = np.repeat([1.0, 0.0], 5), np.repeat([2.0, 90.0], 5)
     values["G"] = {b: some for b in BEHAVIORS}
-    found = Found(tuple(waits), 10, values, by, {})
+    found = Results(tuple(waits), 10, values, by, {})
     assert found.cells["G"]["graph"]["time_not_moving"].mean == pytest.approx(46.0)
     assert found.waiting["G"]["graph"].mean == pytest.approx(2.0), "of the completed alone"
     some["completed"][:] = 0.0
-    assert Found(tuple(waits), 10, values, by, {}).waiting["G"]["graph"].episodes == 0
+    assert Results(tuple(waits), 10, values, by, {}).waiting["G"]["graph"].episodes == 0
 
 
 def test_balanced_odds_make_situations_equally_frequent():
-    from sean_jax.learning.balance import odds
+    from sean_jax.learning.loader import balanced_probabilities
 
     random = np.random.default_rng(0)
     flags = random.random((2000, 5)) < [0.15, 0.25, 0.08, 0.1, 0.0]
     flags[~flags.any(1) & (random.random(2000) < 0.6), 4] = True  # empty, and nothing else
-    p = odds(flags)
+    p = balanced_probabilities(flags)
     assert p.min() >= 0 and p.sum() == pytest.approx(1.0, abs=1e-5)
     shared = p @ (flags / np.maximum(flags.sum(1, keepdims=True), 1))
     assert shares.normalised_entropy(shared) >= 0.98 > shares.normalised_entropy(flags.mean(0))
     none = ~flags.any(1)
     assert p[none].sum() == pytest.approx(none.mean(), abs=1e-5)
-    without = odds(flags & np.array([True, True, True, True, False]))
+    without = balanced_probabilities(flags & np.array([True, True, True, True, False]))
     np.testing.assert_allclose(without.sum(), 1.0, atol=1e-5)
-    np.testing.assert_allclose(odds(np.zeros((4, 5), bool)), 0.25)
+    np.testing.assert_allclose(balanced_probabilities(np.zeros((4, 5), bool)), 0.25)
 
 
 @pytest.mark.parametrize(
     "given, words",
     [
-        ({"drivers": "nobody"}, "--drivers: 'nobody' is not one of"),
-        ({"drivers": ","}, "--drivers names nobody"),
-        ({"seeds": 0}, "--seeds is 0"),
-        ({"hours": 0.001}, "--hours is 0.001, but must lie between 0.0166"),
-        ({"speeds": ()}, "--speeds"),
-        ({"crowds": (-1,)}, "--crowds is -1"),
-        ({"speeds": (1.4, float("nan"))}, "--speeds is nan"),
-        ({"time_limit": 0.0}, "--time-limit"),
+        ({"policies": "nobody"}, "--policies: 'nobody' is not one of"),
+        ({"policies": ","}, "--policies names no policy"),
+        ({"seeds": 0}, "seeds: 0 must be from 1"),
+        ({"hours": 0.001}, "hours: 0.001 must be from 0.0166"),
+        ({"speeds": ()}, "speeds"),
+        ({"crowds": (-1,)}, "crowds: -1 must be"),
+        ({"speeds": (1.4, float("nan"))}, "speeds: nan must be"),
+        ({"time_limit": 0.0}, "time_limit: 0.0 must be from 0.1"),
     ],
 )
 def test_what_cannot_be_asked_is_refused(given, words, tmp_path):
     from sean_jax.experiments import table1
 
-    with pytest.raises(Refused, match=words):
-        table1.run(Experiment("table1", out=tmp_path / "out", **given))
+    with pytest.raises(InputError, match=words):
+        table1.run(validate(ExperimentConfig, {"which": "table1", "out": tmp_path / "out", **given}))
     assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_of_another_experiment_is_refused(tmp_path):
     from sean_jax.experiments import parts
 
-    options = Experiment("table1", quick=True, out=tmp_path / "here").settled()
-    assert not parts.begun(options)
-    with writing.held(options.folder):
-        parts.begin(options)
-    assert parts.begun(options)
-    with pytest.raises(Refused, match="begun with --seed 0, not 1"):
-        parts.begun(Experiment("table1", quick=True, seed=1, out=tmp_path / "here").settled())
-    kept = parts.saved(tmp_path / "here" / parts.OPTIONS)
+    options = ExperimentConfig(which="table1", quick=True, out=tmp_path / "here").complete()
+    assert not parts.has_started(options)
+    with writing.folder_lock(options.folder):
+        parts.start(options)
+    assert parts.has_started(options)
+    with pytest.raises(InputError, match="begun with --seed 0, not 1"):
+        parts.has_started(ExperimentConfig(which="table1", quick=True, seed=1, out=tmp_path / "here").complete())
+    kept = parts.load(tmp_path / "here" / parts.OPTIONS)
     parts.save(tmp_path / "here" / parts.OPTIONS, {**kept, "versions": {**kept["versions"], "jax": "0.1"}})
-    with pytest.raises(Refused, match="begun with jax 0.1, not .*; go on with the same"):
-        parts.begun(options)
+    with pytest.raises(InputError, match="begun with jax 0.1, not .*; go on with the same"):
+        parts.has_started(options)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("dear")
-    with pytest.raises(Refused, match="holds something else"):
-        parts.begun(Experiment("table1", out=tmp_path / "full").settled())
+    with pytest.raises(InputError, match="holds something else"):
+        parts.has_started(ExperimentConfig(which="table1", out=tmp_path / "full").complete())
     for content in ("{", '{"options": []}'):
         (tmp_path / "here" / parts.OPTIONS).write_text(content)
-        with pytest.raises(Refused, match="damaged"):
-            parts.begun(options)
+        with pytest.raises(InputError, match="damaged"):
+            parts.has_started(options)
 
 
 def test_a_damaged_cell_is_named(tmp_path):
-    options, unasked = Experiment("table1", quick=True, out=tmp_path).settled(), cast(Any, None)
+    options, unasked = ExperimentConfig(which="table1", quick=True, out=tmp_path).complete(), cast(Any, None)
     (tmp_path / "random-expert.npz").write_text("half of it")
-    with pytest.raises(Failed, match=r"random-expert.npz is damaged .*; remove it, and the same command"):
+    with pytest.raises(IncompleteError, match=r"random-expert.npz is damaged .*; remove it, and the same command"):
         table1._cell(options, tmp_path, "random", "expert", None, unasked, unasked)
 
 
@@ -233,44 +239,34 @@ def test_several_devices_or_few_cores_work_one_by_one(monkeypatch):
 @pytest.mark.slow
 def test_numbered_episodes_are_those_of_their_streams():
     """Of five streams in one batch: as rolled out alone, from the key of the number, with the stream's scenario."""
-    from sean_jax import parallel
-    from sean_jax.experiments.rollouts import Numbered
-    from sean_jax.learning.options import Collect
-    from sean_jax.learning.protocol import streams, who_drives
-    from sean_jax.scenario import results
-
     # Three seconds: later on, rounding decides who gives way to whom.
-    asked = Collect(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=3.0)
-    kinds, tasks = streams(asked)
+    asked = CollectConfig(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=3.0)
     metrics = (("path_length", METRICS["path_length"]),)
-    kinds = [dataclasses.replace(k, scenario=dataclasses.replace(k.scenario, metrics=metrics)) for k in kinds]
-    driver, told = who_drives("go_to_goal"), []
-    found = Numbered(tasks).episodes(driver, kinds, 3, 7, 5, told.append)
-    assert len(found.seconds) == 7 and 0 < found.seconds.min() and found.seconds.max() <= 3.0 + 1e-3
+    kinds = [dataclasses.replace(kind, metrics=metrics) for kind in streams(asked).values()]
+    told = []
+    runner = Runner(kinds, go_to_goal, figure4._even(7, 5), "figure4")
+    found = figure4._measure(runner, 3, 7, told.append)
+    assert len(found["seconds"]) == 7 and 0 < found["seconds"].min() and found["seconds"].max() <= 3.0 + 1e-3
     assert told == sorted(told) and told[-1] <= 1.0
 
     @jax.jit
     def alone(scenario, number):
-        key = jax.random.fold_in(chance.key("figure4", 3), number)
-        state, _ = parallel.rollout(scenario, driver, key, 30)
+        key = jax.random.fold_in(prng.key("figure4", 3), number)
+        state, _ = episodes.rollout(scenario, go_to_goal, key, 30)
         return results(scenario, state), state.completed
 
     for number in range(7):
-        measured, completed = alone(kinds[number % 5].scenario, jnp.uint32(number))
-        assert bool(completed) == found.completed[number]
-        assert found.metrics["path_length"][number][0] == pytest.approx(float(measured["path_length"][0]), abs=0.05)
+        measured, completed = alone(kinds[number % 5], jnp.uint32(number))
+        assert bool(completed) == found["completed"][number]
+        assert found["path_length"][number][0] == pytest.approx(float(measured["path_length"][0]), abs=0.05)
 
 
 @pytest.mark.slow
 def test_chains_restart_from_their_own_stream():
-    from sean_jax.experiments import rollouts
-    from sean_jax.learning.options import Collect
-    from sean_jax.learning.protocol import streams, who_drives
-
-    kinds, tasks = streams(Collect(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=20.0))
-    chains, driver = rollouts.Chains(tasks, who_drives("go_to_goal")), who_drives("go_to_goal")
-    turn, policy = jnp.int32(0), jax.tree_util.Partial(driver)
-    pools = [chains.pool(k.scenario, policy, turn, jax.random.key(i), 3) for i, k in enumerate(kinds)]
+    asked = CollectConfig(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=20.0)
+    kinds, policy = list(streams(asked).values()), as_policy(go_to_goal)
+    chains = rollouts.Chains(policy)
+    pools = [chains.pool(kind, jax.random.key(i), 3, policy).starts for i, kind in enumerate(kinds)]
     starts = jax.vmap(rollouts._start, (None, 0, 0))
     stream = jnp.repeat(jnp.arange(5, dtype=jnp.int32), 8)
     drawn = starts(rollouts._stacked(pools), stream, jax.random.split(jax.random.key(1), 40))
@@ -287,7 +283,7 @@ def test_table1(tmp_path, monkeypatch):
     """With three parts at once, and what is missing one by one, to the same bytes."""
     monkeypatch.setattr(together, "workers", lambda: 3)
     out = tmp_path / "table1"
-    given = [*SMALL, "--hours", "0.0167", "--seeds", "1", "--drivers", "go_to_goal", "--out", str(out)]
+    given = [*SMALL, "--hours", "0.0167", "--seeds", "1", "--policies", "go_to_goal", "--out", str(out)]
     assert cli.main(["experiment", "table1", *given]) == 0
     text = (out / "report.html").read_text(encoding="utf-8")
     assert "66.44" in text and "src=" not in text and "http" not in text.replace("http://www.w3.org", "")
@@ -314,7 +310,7 @@ def test_figure4(tmp_path, monkeypatch):
     """With four parts at once, and some of it anew one by one, to the same bytes."""
     monkeypatch.setattr(together, "workers", lambda: 4)
     out = tmp_path / "figure4"
-    given = [*SMALL, "--hours", "0.0167", "--episodes", "5", "--epochs", "2", "--driver", "go_to_goal"]
+    given = [*SMALL, "--hours", "0.0167", "--episodes", "5", "--epochs", "2", "--demonstrator", "go_to_goal"]
     assert cli.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
     rows = [line.split(",") for line in (out / "figure4.csv").read_text(encoding="utf-8").splitlines()[1:]]
     assert {r[0] for r in rows} == {*"GRHBNE", "B-G", "GRHN"} and {r[1] for r in rows} == {*BEHAVIORS, "mean"}

@@ -17,11 +17,9 @@ import pytest
 import sean_jax
 from sean_jax import behaviors, classifiers, cli, metrics, pedestrian_models, policies, robots, social_forces, tasks
 from sean_jax import environment as environments
-from sean_jax import navigation as paths
-from sean_jax.base import Behavior, Pedestrians, RobotTask
+from sean_jax.base import Behavior, Pedestrians
 from sean_jax.behaviors.random_behavior import no_groups
 from sean_jax.classifiers.predicates import any_person, cosine, near
-from sean_jax.metrics.metric import Metric, nothing, split, value_itself
 from sean_jax.social_forces import draw_traits
 from sean_jax.tasks.places import far_place
 
@@ -32,11 +30,11 @@ CONTRIBUTING = (Path(__file__).resolve().parent.parent / "CONTRIBUTING.md").read
 # --- a force ---
 
 
-def magnetic(dx, dy, wx, wy, vx, vy, parameters):
+def magnetic(parameters, pair):
     """Repulsion that falls with the square of the distance: accelerations [m/s2]."""
-    square = dx * dx + dy * dy + 1e-4
+    square = pair.dx * pair.dx + pair.dy * pair.dy + 1e-4
     size = parameters.strength * parameters.range * parameters.range / (square * jnp.sqrt(square))
-    return size * dx, size * dy
+    return size * pair.dx, size * pair.dy
 
 
 # --- a pedestrian model ---
@@ -65,14 +63,13 @@ def watched(moment, thresholds):
 # --- a metric ---
 
 
-def fold_turning(value, before, after):
-    """Adds the angle [rad] by which the robot's heading has turned."""
+def turn(before, after):
+    """Angle [rad] by which the robot's heading turns in a step."""
     cross = before.heading[0] * after.heading[1] - before.heading[1] * after.heading[0]
-    return value + jnp.abs(jnp.arctan2(cross, (before.heading * after.heading).sum())) * split(after)
+    return jnp.abs(jnp.arctan2(cross, (before.heading * after.heading).sum()))
 
 
-turned_angle = Metric(nothing, fold_turning, value_itself, "rad")
-"""Sum of the robot's turns."""
+turned_angle = metrics.total(turn, unit="rad", title="angle turned", definition="Sum of all turns of the robot.")
 
 
 # --- a task ---
@@ -82,19 +79,7 @@ def to_first_place(scenario, pedestrians, groups, *memory_and_key):
     """From anywhere to the first of the free places."""
     key, goal = memory_and_key[-1], scenario.navigation.places[0]
     start = far_place(scenario, pedestrians, goal, key)
-    ahead = (goal - start) / jnp.sqrt(((goal - start) ** 2).sum() + 1e-9)
-    to_goal = paths.to_goal(scenario.navigation, goal)
-    nobody = jnp.full((), -1, jnp.int32)
-    return RobotTask(
-        start=start,
-        start_heading=ahead,
-        goal=goal,
-        goal_heading=ahead,
-        start_group=nobody,
-        goal_group=nobody,
-        geodesic=paths.geodesic(scenario.navigation, start, goal, to_goal),
-        to_goal=to_goal,
-    )
+    return tasks.build_task(scenario, start, goal)
 
 
 # --- a policy ---
@@ -109,9 +94,9 @@ def dance(scenario, state, key):
 # --- a behavior ---
 
 
-def parade(folder, environment, navigation, people):
+def parade(place, people=None):
     """People march up and down, 10 s each way."""
-    return Behavior(data=navigation.places, name="parade", reset=line_up, direct=march)
+    return Behavior(data=place.navigation.places, name="parade", reset=line_up, direct=march)
 
 
 def line_up(scenario, key):
@@ -206,7 +191,7 @@ def added(monkeypatch):
         (
             social_forces.PRESETS,
             "magnetic",
-            dataclasses.replace(social_forces.preset("helbing1995"), repulsion=magnetic),
+            social_forces.preset("helbing1995").tree_replace({"repulsion.law": magnetic}),
         ),
         (pedestrian_models.MODELS, "glide", glide),
         (classifiers.SITUATIONS, "watched", watched),
@@ -220,7 +205,7 @@ def added(monkeypatch):
 
 def test_additions_are_short():
     for name, parts in {
-        "force": [magnetic], "model": [glide], "situation": [watched], "metric": [fold_turning],
+        "force": [magnetic], "model": [glide], "situation": [watched], "metric": [turn],
         "task": [to_first_place], "policy": [dance], "behavior": [parade, line_up, march],
     }.items():  # fmt: skip
         assert sum(len(inspect.getsource(part).splitlines()) for part in parts) <= MOST, name
@@ -231,8 +216,8 @@ def test_contributing_names_what_is_added_here_and_no_other_way():
     """Sections 'Add a ...', signatures and dicts are those used in this file; no call that registers anything."""
     titles = set(re.findall(r"^## Add an? (.+)$", CONTRIBUTING, re.M))
     assert {"force", "situation", "task", "metric", "robot", "environment", "behavior or a policy"} <= titles
-    calls = ("law(dx, dy, wx, wy, vx, vy, parameters)", "name(moment, thresholds)", "policy(scenario, state, key)",
-             "move(scenario, state)", "build(folder, environment, navigation, people)", "reset(scenario, key)",
+    calls = ("pair(self, pair)", "person(self, crowd)", "name(moment, thresholds)", "policy(scenario, state, key)",
+             "move(scenario, state)", "build(place, people)", "reset(scenario, key)",
              "direct(scenario, state, key)")  # fmt: skip
     families = ("PRESETS", "SITUATIONS", "METRICS", "TASKS", "BEHAVIORS", "POLICIES", "MODELS")
     for said in (*calls, *(f"`{family}`" for family in families)):
@@ -243,7 +228,7 @@ def test_contributing_names_what_is_added_here_and_no_other_way():
 def test_all_are_handed_over_without_touching_the_package(scenario):
     """Force, situation, metric and task as values of one scenario, and the policy to rollout."""
     mine = scenario.replace(
-        forces=scenario.forces.replace(repulsion=magnetic),
+        forces=scenario.forces.tree_replace({"repulsion.law": magnetic}),
         situations=(*scenario.situations, ("watched", watched)),
         metrics=(*scenario.metrics[:2], ("turned_angle", turned_angle)),
         task=to_first_place,
@@ -269,9 +254,10 @@ def test_a_force_pushes(scenario):
     alone = jnp.full(2, -1, jnp.int32)
     people = Pedestrians(jnp.array([[0.0, 0.0], [1.0, 0.0]], jnp.float32), still, facing, still,
                          alone, alone, jnp.ones(2, bool), both, both)  # fmt: skip
-    forces = scenario.forces.replace(repulsion=magnetic, side_preference=jnp.zeros(()), reversing=jnp.ones(()))
-    after = jax.jit(lambda people: social_forces.advance(forces, people, None, None, None, 0.01))(people)
-    push = float(forces.strength * forces.range**2)
+    changes = {"repulsion.law": magnetic, "sidestep.preference": 0.0, "walking.backward_scale": 1.0}
+    forces = scenario.forces.tree_replace(changes)
+    after = jax.jit(lambda people: social_forces.integrate(forces, people, None, None, None, 0.01))(people)
+    push = float(forces.repulsion.strength * forces.repulsion.range**2)
     np.testing.assert_allclose(after.velocity, [[-0.01 * push, 0.0], [0.01 * push, 0.0]], rtol=1e-3, atol=1e-6)
 
 
@@ -323,4 +309,4 @@ def test_sean_run_measures_and_reports_them(files, added, tmp_path, capsys):
         header = (tmp_path / name / "episodes.csv").read_text().splitlines()[0]
         assert "turned_angle__watched" in header
         page = (tmp_path / name / "report.html").read_text(encoding="utf-8")
-        assert "turned angle" in page and "watched" in page
+        assert "angle turned" in page and "Sum of all turns of the robot." in page and "watched" in page

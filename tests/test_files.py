@@ -7,6 +7,7 @@ import pydantic
 import pytest
 
 from sean_jax import files
+from sean_jax.errors import FileError
 
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -38,7 +39,7 @@ def write(folder: Path, text: str) -> Path:
 
 
 def errors(folder: Path, text: str, *checks) -> list[str]:
-    with pytest.raises(files.FileError) as caught:
+    with pytest.raises(FileError) as caught:
         files.load(write(folder, text), Sample, *checks)
     return str(caught.value).splitlines()
 
@@ -105,12 +106,12 @@ def test_unusable_files(tmp_path, text, message):
 
 def test_missing_and_binary_files(tmp_path):
     write(tmp_path, "things: {}")
-    with pytest.raises(files.FileError, match=r"sampel.yaml: there is no such file; did you mean 'sample.yaml'\?$"):
+    with pytest.raises(FileError, match=r"sampel.yaml: there is no such file; did you mean 'sample.yaml'\?$"):
         files.load(tmp_path / "place" / "sampel.yaml", Sample)
-    with pytest.raises(files.FileError, match="cannot be read: Is a directory"):
+    with pytest.raises(FileError, match="cannot be read: Is a directory"):
         files.load(tmp_path, Sample)
     (tmp_path / "binary.yaml").write_bytes(b"name: \xff")
-    with pytest.raises(files.FileError, match="byte 6 is not UTF-8 text"):
+    with pytest.raises(FileError, match="byte 6 is not UTF-8 text"):
         files.load(tmp_path / "binary.yaml", Sample)
 
 

@@ -1,7 +1,6 @@
 """The floor's edge holds people and robots unless the environment is open, and the report's check measures it."""
 
 import dataclasses
-from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -13,10 +12,12 @@ import sean_jax
 from sean_jax import environment as environments
 from sean_jax import sensors, social_forces
 from sean_jax.base import Pedestrians
-from sean_jax.behaviors.starts import uniform
+from sean_jax.behaviors.starts import anywhere
+from sean_jax.evaluation import tally
 from sean_jax.geometry import from_box, to_edge
-from sean_jax.main_job import simulation
-from sean_jax.policies import POLICIES, costmap, manners
+from sean_jax.policies import POLICIES
+from sean_jax.policies.expert import obstacle_rate
+from sean_jax.policies.social_costmap import cell_costs
 from sean_jax.scenario import moment, reset
 
 FLOOR = -6.0, -5.0, 6.0, 5.0
@@ -78,11 +79,12 @@ def walk(place, key):
     nobody = jnp.full(PEOPLE, -1, jnp.int32)
     people = Pedestrians(
         position=position, velocity=heading * speed, heading=heading, desired_velocity=heading * speed, group=nobody,
-        party=nobody, present=jnp.ones(PEOPLE, bool), preferred_speed=speed[:, 0], robot_distance=jnp.zeros(PEOPLE),
+        walking_group=nobody, present=jnp.ones(PEOPLE, bool), preferred_speed=speed[:, 0],
+        robot_distance=jnp.zeros(PEOPLE),
     )  # fmt: skip
 
     def step(people, _):
-        people = social_forces.advance(parameters, people, place.nearby, None, None, 0.05)
+        people = social_forces.integrate(parameters, people, place.obstacle_grid, None, None, 0.05)
         return people, to_edge(place, *people.position.T).min()
 
     return jax.lax.scan(step, people, length=STEPS)[1].min()
@@ -103,7 +105,7 @@ def test_a_robot_stays_on_the_floor_and_sees_no_edge(scenarios):
         state = reset(scenario, key)
         drive = jnp.asarray([2.0, 0.0], jnp.float32)
         last = jax.lax.fori_loop(0, 300, lambda _, state: sean_jax.scenario.move_robot(scenario, state, drive), state)
-        return last, dict(scenario.metrics)["min_distance_to_obstacles"].start(moment(scenario, last))
+        return last, dict(scenario.metrics)["min_distance_to_obstacles"].init(moment(scenario, last))
 
     found = []
     for scenario in scenarios:
@@ -124,14 +126,15 @@ def test_the_check_measures_the_edge(scenarios):
     """Of people half a metre off the floor: the truth where it holds them, nothing where they may leave."""
     for scenario, wanted in zip(scenarios, (0.5 + 0.2, -1.0), strict=True):
         spots = jnp.asarray([[[0.0, -4.0], [6.5, 0.0], [-4.0, 4.0]]], jnp.float32)
-        frames: Any = SimpleNamespace(
-            people=spots, people_velocity=spots, situations=jnp.zeros((1, 5), bool), position=spots[:, 0],
-            velocity=spots[:, 0], group=jnp.full((1, 3), -1, jnp.int32),
-        )  # fmt: skip
-        states: Any = SimpleNamespace(tick=jnp.zeros(1), groups=SimpleNamespace(radius=jnp.zeros((1, 0))))
-        tally = simulation._empty_tally(dataclasses.replace(scenario, people=3), states, (4, 4))
-        here, active = jnp.ones((1, 3), bool), jnp.ones(1, bool)
-        found = simulation._count(scenario, tally, frames, here, active).penetration
+        three = dataclasses.replace(scenario, people=3)
+        shapes = jax.eval_shape(lambda key, three=three: reset(three, key), jax.random.key(0))
+        shapes = dataclasses.replace(shapes, streams=())  # keys have no zeros
+        states = jax.tree.map(lambda leaf: jnp.zeros((1, *leaf.shape), leaf.dtype), shapes)
+        people = dataclasses.replace(states.pedestrians, position=spots, present=jnp.ones((1, 3), bool))
+        states, actions = dataclasses.replace(states, pedestrians=people), jnp.zeros((1, 1, 2))
+        empty = tally._init((4, 4), three, states)
+        found, _ = tally._update(1, three, states, states, actions, jnp.ones(1, bool), empty)
+        found = found.penetration
         assert (found < wanted) if scenario.environment.open else (abs(found - wanted) < 1e-5)
 
 
@@ -140,7 +143,7 @@ def test_a_plaza_has_free_places_and_straight_ways(scenarios):
     for scenario, people in zip(scenarios, (0, 6), strict=True):
         navigation = scenario.navigation
         assert np.asarray(to_edge(scenario.environment, *navigation.places.T)).min() >= scenario.robot.radius
-        assert len(uniform(scenario.environment, navigation, 100)) >= 100
+        assert len(anywhere(scenario.environment, navigation, 100)) >= 100
         task = jax.jit(reset)(dataclasses.replace(scenario, people=people), jax.random.key(0)).task
         np.testing.assert_allclose(task.geodesic, np.linalg.norm(task.goal - task.start), rtol=1e-6)
 
@@ -152,6 +155,6 @@ def test_planners_mind_the_edge_where_it_holds_people_alone(scenarios):
     for scenario in scenarios:
         state = jax.eval_shape(lambda key, scenario=scenario: reset(scenario, key), jax.random.key(0))
         nobody = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), state.pedestrians)
-        rates = manners.obstacle_rate(scenario, expert.data.weights, x[None], y[None])[0]
-        for cost in (rates, costmap.costs(scenario, layers.data.layers, nobody, x, y)):
+        rates = obstacle_rate(scenario, expert.params.weights, x[None], y[None])[0]
+        for cost in (rates, cell_costs(scenario, layers.params.costmap, nobody, x, y)):
             assert (np.asarray(cost) > 0).tolist() == [False, *2 * [not scenario.environment.open]]

@@ -1,5 +1,7 @@
 """Gradients of whole rollouts: finite, and equal to central differences in float64, through MJX as well."""
 
+import operator
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -85,11 +87,11 @@ def test_with_respect_to_actions(double):
 
 def test_with_respect_to_force_parameters(double):
     scenario, state = double
-    names = ("strength", "range", "relaxation_time", "side_preference")
-    at = jnp.stack([getattr(scenario.forces, name) for name in names])
+    names = ("repulsion.strength", "repulsion.range", "walking.relaxation_time", "sidestep.preference")
+    at = jnp.stack([operator.attrgetter(name)(scenario.forces) for name in names])
 
     def value(constants):
-        forces = scenario.forces.replace(**dict(zip(names, constants, strict=True)))
+        forces = scenario.forces.tree_replace(dict(zip(names, constants, strict=True)))
         return distance_left(scenario.replace(forces=forces), state, go_to_goal)
 
     gradient = jax.jit(jax.grad(value))(at)

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import classifiers, geometry, metrics, navigation, nearby, parallel, sensors, social_forces
-from sean_jax.base import Driver, Moment, Obstacles, Pedestrians
-from sean_jax.classifiers import obstructions, predicates
+from sean_jax import classifiers, episodes, geometry, metrics, navigation, obstacle_grid, sensors, social_forces
+from sean_jax.base import Moment, Obstacles, Pedestrians, Policy
+from sean_jax.classifiers import more_situations, predicates
 from sean_jax.metrics import comfort, proximity
 from sean_jax.pedestrian_models import MODELS
-from sean_jax.pedestrian_models.half_planes import best_velocity
-from sean_jax.pedestrian_models.orca import half_plane
-from sean_jax.policies import POLICIES, costmap, dynamic_window, social_costmap
-from sean_jax.policies.prediction import predict
-from sean_jax.social_forces import PRESETS, cohesion, walls
+from sean_jax.pedestrian_models.orca import best_velocity, half_plane
+from sean_jax.policies import POLICIES, social_costmap
+from sean_jax.policies.prediction import predict_people
+from sean_jax.policies.social_costmap import arc_trajectories, distance_to_path, inflation_cost, proxemic_cost
+from sean_jax.social_forces import PRESETS, Pair, cohesion, walls
 
 NUMBER, PEOPLE = 1024, 4
 GOAL = (3.0, 1.0)
@@ -210,19 +210,19 @@ def test_policies(room, name):
     scenario, state = room
     policy: Any = POLICIES[name]
     constants, with_limits = limits(scenario)
-    settings, with_settings = floats(policy.data if isinstance(policy, Driver) else ())
-    begun = parallel.begin(scenario, policy, state)
+    settings, with_settings = floats(policy.params if isinstance(policy, Policy) else ())
+    begun = episodes.init_policy(scenario, policy, state)
     if name == "social_costmap":  # it has made a plan
-        line = jnp.linspace(state.robot.position, state.task.goal, begun.driver.path.shape[1]).T
-        begun = replace(begun, driver=begun.driver._replace(path=line, planned=jnp.ones((), bool)))
+        line = jnp.linspace(state.robot.position, state.task.goal, begun.policy_state.path.shape[1]).T
+        begun = replace(begun, policy_state=begun.policy_state._replace(path=line, path_complete=jnp.ones((), bool)))
 
     def command(at, shared):
         world, now = with_limits(shared[0]), state_of((scenario, begun), at)
-        if isinstance(policy, Driver):
-            return policy.drive(world, with_settings(shared[1]), now, jax.random.key(1))[0]
+        if isinstance(policy, Policy):
+            return policy.apply(world, with_settings(shared[1]), now, jax.random.key(1))[0]
         return policy(world, now, jax.random.key(1))
 
-    plans = isinstance(policy, Driver)  # and jumps from one of its samples to another
+    plans = isinstance(policy, Policy)  # and jumps from one of its samples to another
     check(command, states(), (constants, settings), smooth=0.0 if plans else 0.8, parts=8 if plans else 1)
 
 
@@ -239,7 +239,7 @@ def test_predictions_of_people_in_one_place(room):
 
     def end(at):
         now = state_of(room, at)
-        return sum(jnp.sum(jnp.sin(part[-1])) for part in predict(room[0], now.pedestrians, now.groups, 16, 0.2))
+        return sum(jnp.sum(jnp.sin(part[-1])) for part in predict_people(room[0], now.pedestrians, now.groups, 16, 0.2))
 
     slopes = jax.jit(jax.vmap(jax.grad(end)))(at)
     all_finite(slopes, at)
@@ -249,15 +249,22 @@ def test_predictions_of_people_in_one_place(room):
 @slow
 @pytest.mark.parametrize("name", PRESETS)
 def test_social_forces(room, name):
-    """Of a step among walls, a group and the robot, two people in a party; by everything, constants too."""
+    """Of a step among walls, a group and the robot, two people in a walking group; by everything, constants too."""
     scenario = room[0]
     constants, put = floats(social_forces.preset(name))
     companions = jnp.asarray([[1, -1], [0, -1], [-1, -1], [-1, -1]], jnp.int32)
 
     def after(at, shared):
         now = state_of(room, at)
-        return social_forces.advance(
-            put(shared), now.pedestrians, scenario.environment.nearby, now.groups, now.robot, 0.05, 0.16, companions
+        return social_forces.integrate(
+            put(shared),
+            now.pedestrians,
+            scenario.environment.obstacle_grid,
+            now.groups,
+            now.robot,
+            0.05,
+            0.16,
+            companions,
         )
 
     check(lambda at, shared: _seen(after(at, shared)), states(), constants, smooth=0.8)
@@ -297,13 +304,13 @@ def test_ways_to_the_goal(room):
     """Lengths and turning of shortest paths and the points ahead on them."""
     scenario, state = room
     task = state.task
-    last = navigation.bend_to_goal(scenario.navigation, task.goal)
+    last = navigation.last_arc_to_goal(scenario.navigation, task.goal)
 
     def ways(at, _):
-        given = scenario.navigation, at["robot"], task.goal, task.to_goal
-        far = navigation.geodesic(*given), navigation.geodesic_roughly(*given)
-        turned = navigation.turning(given[0], given[1], at["ahead"], *given[2:])
-        points = navigation.next_point(*given), navigation.next_point_roughly(*given)
+        given = scenario.navigation, at["robot"], task.goal, task.paths_to_goal
+        far = navigation.geodesic(*given), navigation.geodesic_approx(*given)
+        turned = navigation.path_rotation(given[0], given[1], at["ahead"], *given[2:])
+        points = navigation.next_point(*given), navigation.next_point_approx(*given)
         return jnp.stack([*far, turned]), *points, navigation.plan(*given, last, points=3)
 
     check(ways, {name: part for name, part in states().items() if name in ("robot", "ahead")}, smooth=0.6)
@@ -321,25 +328,25 @@ def test_distances_that_classifiers_and_metrics_read(room, kind):
         now = moment(at)
         gap = now.people.position[0] - now.position
         if kind == "situations":
-            first, second, cross = obstructions._meeting(now.position, now.heading, *_pose(now.people, 0))
+            first, second, cross = more_situations._crossing(now.position, now.heading, *_pose(now.people, 0))
             boxes = scenario.environment.obstacles
-            room_left = geometry.room(scenario.environment, now.position[None])
+            room_left = geometry.signed_distances(scenario.environment, now.position[None])
             return (
                 predicates.cosine(now.heading, gap),
                 predicates.cosine(gap, now.people.velocity[0]),
                 jnp.stack(predicates.ahead_and_aside(now.heading, gap)),
                 jnp.tanh(jnp.stack([first, second, cross])),
-                jnp.tanh(obstructions._to_nearest(boxes, now.position, now.heading)),
+                jnp.tanh(more_situations._ray_length(boxes, now.position, now.heading)),
                 jnp.stack(room_left),
                 jnp.where(classifiers.classify(now, limit), gap[0], gap[1]),
             )
         before = replace(now, position=now.position - 0.1 * now.velocity)
-        values = {name: metric.fold(metric.start(before), before, now) for name, metric in metrics.METRICS.items()}
-        results = {name: metrics.METRICS[name].result(value) for name, value in values.items()}
+        values = {name: metric.update(metric.init(before), before, now) for name, metric in metrics.METRICS.items()}
+        results = {name: metrics.METRICS[name].compute(value) for name, value in values.items()}
         never = jax.tree.map(lambda leaf: jnp.where(jnp.abs(leaf) < 1e3, leaf, 0.0), results)
         relative = now.people.velocity[0] - now.velocity
         soonest = comfort.collision_time(gap[0], gap[1], relative[0], relative[1], 0.46)
-        return never, jnp.where(soonest < 100.0, soonest, 0.0), jnp.tanh(proximity._least(now))
+        return never, jnp.where(soonest < 100.0, soonest, 0.0), jnp.tanh(proximity._distance_to_people(now))
 
     check(read, states())
 
@@ -350,13 +357,17 @@ def _pose(people: Pedestrians, index: int):
 
 def laws() -> dict[str, Any]:
     """name -> a law of two plane vectors (2,), (2,), and what it gives; distances [m], velocities [m/s]."""
-    layers = social_costmap.data.layers
-    p = social_forces.preset("helbing2000")
+    layers = social_costmap.params.costmap
+    p = social_forces.preset("helbing2000").tree_replace({"sidestep.preference": 2.0})
+
+    def pair(dx, dy, wx, wy, vx=0.0, vy=0.0, look_x=1.0, look_y=0.0):
+        return Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, 0.6)
+
     gap = Obstacles(
         *(jnp.asarray(part) for part in ([[0.75, 0.0], [-0.75, 0.0]], [[0.5, 3.0]] * 2, [0.0] * 2, [1.0] * 2))
     )
     floor = jnp.array([-5.0, -5.0, 5.0, 5.0])
-    between = nearby.tabulate(gap, floor)  # half a metre, too narrow for anybody
+    between = obstacle_grid.build(gap, floor)  # half a metre, too narrow for anybody
     found = {
         "length": lambda d, v: geometry.length(*d),
         "unit": lambda d, v: geometry.unit(*d),
@@ -364,26 +375,27 @@ def laws() -> dict[str, Any]:
         "angle_between": lambda d, v: geometry.angle_between(d, v),
         "from_rectangle": lambda d, v: geometry.from_rectangle(*d, 0.0, 0.0, 0.5, 0.25, 1.0, 0.0),
         "from_turned_rectangle": lambda d, v: geometry.from_rectangle(*d, 0.5, 0.0, 0.5, 0.25, 0.8, 0.6),
-        "keep_out": lambda d, v: walls.keep_out(d[:1], d[1:], v[:1], v[1:], between, 0.3, 0.05, 1e-3),
-        "wall_forces": lambda d, v: walls.wall_forces(d[:1], d[1:], between, p),
-        "contact": lambda d, v: social_forces.repulsion.contact(*d, *v, 0.0, 0.0, 0.6, p),
-        "sidestep": lambda d, v: social_forces.repulsion.sidestep(*d, *v, 0.0, 0.0, 1.0, 0.0, 2.0, p),
-        "gaze": lambda d, v: cohesion.gaze(*d, *v, 1.0, 0.0, p),
-        "attraction": lambda d, v: cohesion.attraction(*d, 2.0, p),
-        "apart": lambda d, v: cohesion.apart(*d, p),
+        "project_velocity": lambda d, v: walls.project_velocity(d[:1], d[1:], v[:1], v[1:], between, 0.3, 0.05, 1e-3),
+        "wall_forces": lambda d, v: walls.wall_forces(p.walls, d[:1], d[1:], between, 1e6),
+        "contact": lambda d, v: p.contact.pair(pair(*d, *v)),
+        "sidestep": lambda d, v: p.sidestep.pair(pair(*d, *v)),
+        "gaze": lambda d, v: cohesion.gaze(p.cohesion, *d, *v, jnp.float32(1.0), jnp.float32(0.0)),
+        "attraction": lambda d, v: cohesion.attraction(p.cohesion, *d, 2.0),
+        "apart": lambda d, v: cohesion.apart(p.cohesion, *d),
         "half_plane": lambda d, v: half_plane(*d, *v, 0.6, 3.0, 0.1, True),
-        "proxemic": lambda d, v: costmap.proxemic(layers, *d, *v),
-        "inflated": lambda d, v: costmap.inflated(layers, d[0]),
+        "proxemic": lambda d, v: proxemic_cost(layers, *d, *v),
+        "inflated": lambda d, v: inflation_cost(layers, d[0]),
         "collision_time": lambda d, v: jnp.tanh(comfort.collision_time(*d, *v, 0.6)),
-        "from_path": lambda d, v: dynamic_window.from_path(d[:1], d[1:], *jnp.array([[0, 0.5, 0.5], [0, 0, 0.0]])),
-        "arcs": lambda d, v: dynamic_window.arcs(v[:1], v[1:]),
+        "from_path": lambda d, v: distance_to_path(d[:1], d[1:], *jnp.array([[0, 0.5, 0.5], [0, 0, 0.0]])),
+        "arcs": lambda d, v: arc_trajectories(v[:1], v[1:]),
     }
-    wide = nearby.tabulate(Obstacles(jnp.zeros((1, 2)), jnp.full((1, 2), 50.0), jnp.zeros(1), jnp.ones(1)), floor)
+    wide = obstacle_grid.build(Obstacles(jnp.zeros((1, 2)), jnp.full((1, 2), 50.0), jnp.zeros(1), jnp.ones(1)), floor)
     for name in PRESETS:
         one = social_forces.preset(name)
-        found[f"{name}, deep in a wall"] = lambda d, v, one=one: walls.wall_forces(d[:1], d[1:], wide, one)
-        found[f"repulsion of {name}"] = lambda d, v, one=one: one.repulsion(*d, *v, 0.3, 0.0, one)
-        found[f"sight of {name}"] = lambda d, v, one=one: one.sight(*v, *d, 0.6, 0.8, one)
+        law, push = one.repulsion, one.walls
+        found[f"{name}, deep in a wall"] = lambda d, v, push=push: walls.wall_forces(push, d[:1], d[1:], wide, 1e6)
+        found[f"repulsion of {name}"] = lambda d, v, law=law: law.law(law, pair(*d, *v, 0.3, 0.0))
+        found[f"sight of {name}"] = lambda d, v, law=law: law.sight(law, pair(*d, 0.0, 0.0, 0.0, 0.0, 0.6, 0.8), *v)
     return found
 
 

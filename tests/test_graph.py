@@ -11,7 +11,8 @@ import pytest
 import yaml
 
 from sean_jax import environment, files
-from sean_jax.graph import BehaviorGraph, annotation
+from sean_jax.errors import FileError
+from sean_jax.graph import FLOWS, BehaviorGraph, annotation
 from sean_jax.graph.formation import MEASURED, formation, reach
 from sean_jax.graph.routes import routes
 
@@ -67,7 +68,7 @@ def test_warehouse_is_the_graph_of_the_paper(graph):
     assert len(names) == 15 and graph.waypoints.shape == (12,) and graph.groups.shape == (3,)
     assert np.asarray(graph.capacity)[np.asarray(graph.groups)].tolist() == [5, 3, 3]
     assert np.asarray(graph.seat_group).tolist() == [0] * 5 + [1] * 3 + [2] * 3
-    weight = np.asarray(graph.weight)
+    weight = np.asarray(graph.edge_cost)
     assert np.isfinite(weight).sum() == 42 and np.array_equal(np.isfinite(weight), np.isfinite(weight).T)
     position = np.asarray(graph.position)
     ratio = weight / np.linalg.norm(position[:, None] - position, axis=-1).clip(1e-9)
@@ -75,6 +76,11 @@ def test_warehouse_is_the_graph_of_the_paper(graph):
     against = [("east_aisle_2", "east_aisle_1"), ("east_aisle_1", "tables_1"), ("tables_1", "tables_2")]
     assert one_way == {*against, ("east_aisle_1", "middle_aisle_1")}
     assert np.allclose(ratio[np.isfinite(ratio) & (ratio < 99)], 1, rtol=1e-4)
+    flow = np.asarray(graph.flow)
+    assert ((flow >= 0) == np.isfinite(weight)).all()
+    assert {(names[u], names[v]) for u, v in np.argwhere(flow == FLOWS.index("backward"))} == one_way
+    assert (flow.T[flow == FLOWS.index("backward")] == FLOWS.index("forward")).all()
+    assert set(np.unique(flow)) == {-1, *(FLOWS.index(word) for word in ("medium", "forward", "backward"))}
     ids = {node["id"]: name for name, node in yaml.safe_load(FILE.read_text(encoding="utf-8"))["nodes"].items()}
     assert sorted(ids) == list(range(1, 16)) and ids[13] == "dock"
     assert np.all(np.asarray(graph.spawn) >= 0) and float(graph.spawn.sum()) == 55
@@ -86,7 +92,7 @@ def test_warehouse_is_the_graph_of_the_paper(graph):
 
 def test_warehouse_routes_equal_networkx(graph):
     is_group = np.asarray(graph.is_group)
-    assert_routes(np.asarray(graph.weight), is_group, np.asarray(graph.cost), np.asarray(graph.next_hop))
+    assert_routes(np.asarray(graph.edge_cost), is_group, np.asarray(graph.cost), np.asarray(graph.next_hop))
 
 
 def test_one_way_edges_are_walked_around(graph):
@@ -176,11 +182,21 @@ def test_flows_and_weights_mean_the_papers_pairs(tmp_path):
     length = np.sqrt(18)
     infinite = np.inf
     wanted = [[infinite, 3, infinite], [300, infinite, 0.2 * length], [infinite, 0.2 * length, infinite]]
-    np.testing.assert_allclose(found.weight, wanted, rtol=1e-6)
+    np.testing.assert_allclose(found.edge_cost, wanted, rtol=1e-6)
+    assert [[FLOWS[flow] if flow >= 0 else None for flow in row] for row in np.asarray(found.flow)] == [
+        [None, "forward", None],
+        ["backward", None, "high"],
+        [None, "high", None],
+    ]
     words = {"medium": [1, 1], "high": [0.2, 0.2], "low": [100, 100], "forward": [1, 100], "backward": [100, 1]}
     edges = [annotation.Edge(between=("gate", "hall"), flow=word) for word in words]
     whole = files.load(tmp_path / "graph.yaml", annotation.Annotation)
-    assert [list(whole.weights(edge)) for edge in edges] == list(words.values())
+    assert [whole.flow_of(edge) for edge in edges] == list(words)
+    by_weights = [annotation.Edge(between=("gate", "hall"), weights=tuple(pair)) for pair in words.values()]
+    assert [whole.flow_of(edge) for edge in by_weights] == list(words)
+    with pytest.raises(ValueError, match="belong to no flow"):
+        whole.flow_of(annotation.Edge(between=("gate", "hall"), weights=(3.0, 4.0)))
+    assert [list(whole.flow_factors()[whole.flow_of(edge)]) for edge in edges] == list(words.values())
 
 
 @pytest.mark.parametrize(
@@ -192,7 +208,7 @@ def test_flows_and_weights_mean_the_papers_pairs(tmp_path):
         ("[gate, hall]", "[gate, gate]", "[gate, gate]", "edges[0].between: the edge leads from 'gate' to itself"),
         ("capacity: 3, ", "", "dock: {", "nodes.dock.capacity: is missing; a group needs one, such as 'capacity: 4'."),
         (", stay: [5, 10]", "", "dock: {", "nodes.dock.stay: is missing; a group needs one in seconds, such as"),
-        ("[5, 10]", "[10, 5]", "[10, 5]", "nodes.dock.stay: [10, 5] is not ordered; give the least time first."),
+        ("[5, 10]", "[10, 5]", "[10, 5]", "nodes.dock.stay: [10, 5] is not ordered; give the shorter time first."),
         ("radius: 1}", "radius: 1, capacity: 29}", "29}", "nodes.hall.capacity: only a group has one and this is a"),
         ("[0.2, 0.2]", "[1, 0.5]", "[1, 0.5]", "edges[1].weights: [1, 0.5] is not one of medium [1, 1], high [0.2"),
         ("flow: forward", "flow: low, weights: [1, 1]", "[1, 1]", "edges[0].weights: flow is given as well; remove"),
@@ -220,7 +236,7 @@ def test_mistakes_are_named_with_place_and_cure(tmp_path, old, new, at, message)
     assert old in GOOD
     text = GOOD.replace(old, new, 1)
     (tmp_path / "graph.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(files.FileError) as caught:
+    with pytest.raises(FileError) as caught:
         annotation.read(tmp_path / "graph.yaml", yard(tmp_path))
     before = text[: text.index(at)]
     place = f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
@@ -231,14 +247,14 @@ def test_mistakes_are_named_with_place_and_cure(tmp_path, old, new, at, message)
 def test_graphs_without_waypoints_are_refused(tmp_path):
     text = GOOD.replace("kind: waypoint", "kind: group, capacity: 2, stay: [1, 2]")
     (tmp_path / "graph.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(files.FileError, match="4:1: nodes: none is a waypoint"):
+    with pytest.raises(FileError, match="4:1: nodes: none is a waypoint"):
         annotation.read(tmp_path / "graph.yaml", yard(tmp_path))
 
 
 def test_group_between_two_parts_joins_them_for_nobody(tmp_path):
     text = GOOD.replace("[gate, hall]", "[gate, dock]")
     (tmp_path / "graph.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(files.FileError, match="no path over waypoints leads here"):
+    with pytest.raises(FileError, match="no path over waypoints leads here"):
         annotation.read(tmp_path / "graph.yaml", yard(tmp_path))
 
 

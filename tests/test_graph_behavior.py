@@ -122,7 +122,9 @@ def test_stays_last_as_drawn_and_members_face_inward(scenario, history):
 def test_one_way_edges_are_walked_forward_only(scenario, history):
     graph, memory = graph_of(scenario), history[0]
     length = np.linalg.norm(graph.position[:, None] - graph.position[None], axis=-1)
-    against = np.argwhere(np.isfinite(graph.weight) & (graph.weight > 50 * np.maximum(length, 1e-6)) & (length > 0))
+    against = np.argwhere(
+        np.isfinite(graph.edge_cost) & (graph.edge_cost > 50 * np.maximum(length, 1e-6)) & (length > 0)
+    )
     assert len(against) == 4
     hop, following = memory.hop[:, :-1], memory.hop[:, 1:]
     for u, v in against:

@@ -12,12 +12,12 @@ from quick import quick
 from test_graph import assert_routes
 
 import sean_jax
-from sean_jax import chance
 from sean_jax import environment as environments
+from sean_jax import prng
 from sean_jax import scenario as stages
-from sean_jax.behaviors import graph_behavior, graph_goals
+from sean_jax.behaviors import Place, graph_behavior, graph_goals
+from sean_jax.graph.congestion import add_congestion_cost, edge_areas, edge_densities
 from sean_jax.graph.routes import routes
-from sean_jax.graph.spreading import areas, crowds, spread
 
 HEAD = "version: 1\nc_min: 0.2\nc_max: 100\n"
 BLOCK = "<mujoco><worldbody><geom type='box' pos='0 0 1' size='5 1.5 1'/></worldbody></mujoco>"
@@ -25,17 +25,17 @@ BLOCK = "<mujoco><worldbody><geom type='box' pos='0 0 1' size='5 1.5 1'/></world
 
 @pytest.fixture(scope="module")
 def hall(tmp_path_factory):
-    """``hall(graph, people, paths, spreading)``: a scenario with that graph.yaml on one floor around a block."""
+    """``hall(graph, people, routing, congestion_cost)``: a scenario of that graph.yaml on one floor around a block."""
     folder = tmp_path_factory.mktemp("choices") / "hall"
     folder.mkdir()
     (folder / "environment.yaml").write_text("name: hall\nfloor: [-11, -9, 11, 9]\npeople: 4\n")
     (folder / "scene.xml").write_text(BLOCK)
     made = sean_jax.make(folder, behavior="random", task="random_ab_nav", dynamics="twin")
 
-    def scenario(graph: str, people: int, paths: str = "whole", spreading: float = 0.0):
+    def scenario(graph: str, people: int, routing: str = "whole", congestion_cost: float = 0.0):
         (folder / "graph.yaml").write_text(HEAD + graph)
-        place, ways = made.environment, made.behavior.data.navigation
-        behavior = graph_behavior.build(folder, place, ways, people, paths, spreading)
+        place = Place(folder, made.environment, made.behavior.data.navigation)
+        behavior = graph_behavior.build(place, people, routing=routing, congestion_cost=congestion_cost)
         return dataclasses.replace(made, behavior=behavior, people=people)
 
     return scenario
@@ -45,7 +45,7 @@ def begun(scenario, key):
     """A state with people at their starts; the robot is far away, and has no task, which would take long to compile."""
     blank = jax.eval_shape(functools.partial(sean_jax.reset, scenario), key)
     state = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), blank.replace(streams=None))
-    state = state.replace(streams=chance.streams(key))
+    state = state.replace(streams=prng.streams(key))
     pedestrians, groups, memory = scenario.behavior.reset(scenario, key)
     robot = state.robot.replace(position=jnp.full(2, 1e3, jnp.float32), heading=jnp.asarray([1.0, 0.0], jnp.float32))
     return state.replace(pedestrians=pedestrians, groups=groups, memory=memory, robot=robot)
@@ -106,9 +106,9 @@ def ring_flows(hall):
 def expected_walks(graph) -> np.ndarray:
     """(M, M) share of all walks along each edge, if each goal is drawn uniformly from all other nodes, by networkx."""
     directed = networkx.DiGraph()
-    weight = np.asarray(graph.weight)
-    directed.add_weighted_edges_from((u, v, weight[u, v]) for u, v in np.argwhere(np.isfinite(weight)))
-    count = np.zeros(weight.shape)
+    cost = np.asarray(graph.edge_cost)
+    directed.add_weighted_edges_from((u, v, cost[u, v]) for u, v in np.argwhere(np.isfinite(cost)))
+    count = np.zeros(cost.shape)
     for u in directed:
         for v in set(directed) - {u}:
             way = networkx.dijkstra_path(directed, u, v)
@@ -149,7 +149,7 @@ def choosers(scenario):
     graph = scenario.behavior.data.graph
     nobody = jax.eval_shape(functools.partial(sean_jax.reset, scenario), jax.random.key(0)).pedestrians
     nobody = jax.tree.map(lambda leaf: jnp.zeros((12, *leaf.shape[1:]), leaf.dtype), nobody)
-    nobody = dataclasses.replace(nobody, party=jnp.full(12, -1, jnp.int32))
+    nobody = dataclasses.replace(nobody, walking_group=jnp.full(12, -1, jnp.int32))
 
     def at(hop, seat) -> graph_goals.Memory:
         hop, seat = jnp.asarray(hop, jnp.int32), jnp.asarray(seat, jnp.int32)
@@ -215,14 +215,14 @@ def test_whoever_finds_the_group_full_goes_on_to_a_waypoint(choosers):
 
 
 def test_choices_of_a_graph_are_refused_elsewhere():
-    for option, value in (("paths", "edge"), ("spreading", 2.0)):
-        with pytest.raises(ValueError, match=f"{option}: behavior 'random' has no graph; choose behavior 'graph'."):
+    for option, value in (("routing", "edge"), ("congestion_cost", 2.0)):
+        with pytest.raises(ValueError, match=f"{option}: behavior 'random' has no such option; choose .*'graph'"):
             sean_jax.make("lab", behavior="random", task="random_ab_nav", **{option: value})
-    with pytest.raises(ValueError, match="paths: 'hole' is not one of whole, edge; did you mean 'whole'?"):
-        sean_jax.make("lab", paths="hole")
+    with pytest.raises(ValueError, match="routing: 'hole' is not one of whole, edge; did you mean 'whole'?"):
+        sean_jax.make("lab", routing="hole")
     for value in (-1.0, float("nan"), float("inf")):
-        with pytest.raises(ValueError, match="spreading: .* must be from 0 to "):
-            sean_jax.make("lab", spreading=value)
+        with pytest.raises(ValueError, match="congestion_cost: .* must be from 0 to "):
+            sean_jax.make("lab", congestion_cost=value)
 
 
 # --- Around crowds ---
@@ -236,26 +236,26 @@ def random_graph(scenario):
     def graph_of(seed: int):
         draw = np.random.default_rng(seed)
         is_group, joined = draw.random(10) < 0.3, np.triu(draw.random((10, 10)) < 0.35, 1)
-        weight = np.full((10, 10), np.inf, np.float32)
+        cost = np.full((10, 10), np.inf, np.float32)
         for u, v in np.argwhere(joined):
-            weight[u, v], weight[v, u] = draw.uniform(1, 9, 2)
+            cost[u, v], cost[v, u] = draw.uniform(1, 9, 2)
         return shipped.replace(
             position=jnp.asarray(draw.uniform(-9, 9, (10, 2)), jnp.float32),
             radius=jnp.asarray(draw.uniform(0.5, 2, 10), jnp.float32),
             is_group=jnp.asarray(is_group),
-            weight=jnp.asarray(weight),
+            edge_cost=jnp.asarray(cost),
         )
 
     return graph_of
 
 
 def test_ways_around_crowds_equal_dijkstra_on_the_dearer_edges(random_graph):
-    table = jax.jit(spread)
+    table = jax.jit(add_congestion_cost)
     draw = np.random.default_rng(1)
     for seed in range(8):
         graph, density = random_graph(seed), draw.uniform(0, 0.5, (10, 10)).astype(np.float32)
         found = table(graph, density, jnp.float32(10.0))
-        dearer, is_group = np.asarray(graph.weight) * (1 + 10 * density), np.asarray(graph.is_group)
+        dearer, is_group = np.asarray(graph.edge_cost) * (1 + 10 * density), np.asarray(graph.is_group)
         np.testing.assert_allclose(found.cost, routes(dearer, is_group)[0], rtol=1e-5)  # scipy
         assert_routes(dearer, is_group, np.asarray(found.cost), np.asarray(found.next_hop))  # networkx
     assert table._cache_size() == 1
@@ -263,7 +263,7 @@ def test_ways_around_crowds_equal_dijkstra_on_the_dearer_edges(random_graph):
 
 def test_empty_edges_cost_what_they_did(scenario):
     graph = scenario.behavior.data.graph
-    found = jax.jit(spread)(graph, jnp.zeros((15, 15)), jnp.float32(50.0))
+    found = jax.jit(add_congestion_cost)(graph, jnp.zeros((15, 15)), jnp.float32(50.0))
     np.testing.assert_allclose(found.cost, graph.cost, rtol=1e-5)
     assert (np.asarray(found.next_hop) == np.asarray(graph.next_hop)).all()
 
@@ -271,7 +271,7 @@ def test_empty_edges_cost_what_they_did(scenario):
 def test_crowds_are_counted_both_ways_over_the_area_of_an_edge(random_graph):
     graph, draw = random_graph(3), np.random.default_rng(0)
     origin, hop, walking = draw.integers(0, 10, 40), draw.integers(0, 10, 40), draw.random(40) < 0.8
-    found = crowds(graph, jnp.asarray(origin, jnp.int32), jnp.asarray(hop, jnp.int32), jnp.asarray(walking))
+    found = edge_densities(graph, jnp.asarray(origin, jnp.int32), jnp.asarray(hop, jnp.int32), jnp.asarray(walking))
     count = np.zeros((10, 10))
     for u, v, walks in zip(origin, hop, walking, strict=True):
         if walks and u != v:
@@ -280,7 +280,7 @@ def test_crowds_are_counted_both_ways_over_the_area_of_an_edge(random_graph):
     gap = np.asarray(graph.position)[:, None] - np.asarray(graph.position)
     wide = np.add.outer(np.asarray(graph.radius), np.asarray(graph.radius))
     area = np.maximum(np.hypot(*np.moveaxis(gap, -1, 0)) * wide, 1.0)
-    np.testing.assert_allclose(areas(graph), area, rtol=1e-5)
+    np.testing.assert_allclose(edge_areas(graph), area, rtol=1e-5)
     np.testing.assert_allclose(found, count / area, rtol=1e-5)
 
 
@@ -299,22 +299,22 @@ edges:
 
 
 @pytest.mark.slow
-def test_spreading_lowers_the_peak_of_congestion(hall):
-    """Two ways around a block, the southern a little longer: with spreading people take both, and neither is crowded.
+def test_congestion_cost_lowers_the_peak_of_congestion(hall):
+    """Two ways around a block, the southern a little longer: with a congestion cost people take both of them.
 
     Some walk south anyway, whose goal is the southern node.
     """
-    made = hall(FORK, 16, spreading=20.0)
+    made = hall(FORK, 16, congestion_cost=20.0)
 
     @jax.jit
-    def measured(spreading):
-        data = made.behavior.data.replace(spreading=spreading)
+    def measured(congestion_cost):
+        data = made.behavior.data.replace(congestion_cost=congestion_cost)
         scenario = made.replace(behavior=made.behavior.replace(data=data))
 
         def one(key):
             frames, memory = crowd_alone(scenario, key, 1200)
             walking = jnp.ones(16, bool)
-            crowd = jax.vmap(lambda origin, hop: crowds(data.graph, origin, hop, walking).max())
+            crowd = jax.vmap(lambda origin, hop: edge_densities(data.graph, origin, hop, walking).max())
             halves = sean_jax.congestion(scenario, frames, span=20.0, cells=(2, 11)).density[1:, :, 3:8]
             return halves.mean(-1), crowd(memory.origin, memory.hop)[200:].max()
 
@@ -327,8 +327,8 @@ def test_spreading_lowers_the_peak_of_congestion(hall):
     assert even.max(-1).mean() < 0.95 * halves.max(-1).mean()
 
 
-def test_gradients_with_spreading_are_finite(scenario):
-    data = scenario.behavior.data.replace(spreading=jnp.asarray(10.0, jnp.float32))
+def test_gradients_with_congestion_cost_are_finite(scenario):
+    data = scenario.behavior.data.replace(congestion_cost=jnp.asarray(10.0, jnp.float32))
     crowded = scenario.replace(behavior=scenario.behavior.replace(data=data))
     state = jax.jit(functools.partial(begun, crowded))(jax.random.key(0))
 
@@ -347,7 +347,7 @@ def test_gradients_with_spreading_are_finite(scenario):
 
 WAY = "{kind: waypoint, radius: 1, spawn: 1, position: "
 TALK = "{kind: group, radius: 1, spawn: 1, stay: [0.2, 0.6], capacity: 2, position: "
-ODD = {  # nodes, edges, and (people, paths, spreading) to try
+ODD = {  # nodes, edges, and (people, routing, congestion_cost) to try
     "neighbouring groups": (
         f"  a: {WAY}[-4, 4]}}\n  b: {WAY}[4, 4]}}\n  g: {TALK}[-2, 7]}}\n  h: {TALK}[2, 7]}}\n",
         ("[a, b]", "[a, g]", "[b, h]", "[g, h]"),
@@ -367,8 +367,8 @@ def test_odd_graphs_and_numbers_of_people(kind, hall):
     """People are put where they aim at, so that they come to a node at every step; seats for all, or too few."""
     nodes, pairs, cases = ODD[kind]
     edges = "edges: []\n" if not pairs else "edges:\n" + "".join(f"  - {{between: {pair}}}\n" for pair in pairs)
-    for people, paths, spreading in cases:
-        scenario = hall(f"nodes:\n{nodes}{edges}", people, paths, spreading)
+    for people, routing, congestion_cost in cases:
+        scenario = hall(f"nodes:\n{nodes}{edges}", people, routing, congestion_cost)
 
         def one(state, _, scenario=scenario):
             after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
@@ -383,7 +383,7 @@ def test_odd_graphs_and_numbers_of_people(kind, hall):
         assert not ((seat[:, 1:] == seat[:, :-1]) & (seat[:, 1:] >= 0)).any()
         before, after = memory.hop[:-1], memory.hop[1:]
         moved = before != after
-        assert np.isfinite(graph.weight[before[moved], after[moved]]).all()
+        assert np.isfinite(graph.edge_cost[before[moved], after[moved]]).all()
         assert not (graph.is_group[memory.hop] & (memory.hop != memory.goal)).any()  # nobody passes through a group
         if len(graph.groups):
             joined = (crowd.group[1:] >= 0) & (crowd.group[:-1] < 0)
@@ -397,15 +397,15 @@ def test_odd_graphs_and_numbers_of_people(kind, hall):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("paths", graph_behavior.PATHS)
+@pytest.mark.parametrize("routing", graph_behavior.ROUTINGS)
 @pytest.mark.parametrize("name", environments.available())
-def test_five_minutes_of_each_environment(name, paths):
+def test_five_minutes_of_each_environment(name, routing):
     """Every edge that a cheapest path can use is walked, none against its one way, and groups are joined and left.
 
     The cheapest paths between few pairs of nodes alone lead along some edges: what nobody walked in the first ten
     minutes must have been walked after some more.
     """
-    scenario = sean_jax.make(name, paths=paths, dynamics="twin")
+    scenario = sean_jax.make(name, routing=routing, dynamics="twin")
     run = jax.jit(jax.vmap(lambda key: crowd_alone(scenario, key, 3000)))
     flow = jax.jit(lambda frames: sean_jax.congestion(scenario, frames, span=300.0, cells=(1, 1)).flow)
 
@@ -418,8 +418,8 @@ def test_five_minutes_of_each_environment(name, paths):
     used = np.zeros(walks.shape, bool)
     start, goal = np.nonzero(~np.eye(len(used), dtype=bool))
     used[start, graph.next_hop[start, goal]] = True
-    against = np.isfinite(graph.weight) & (graph.weight > 10 * graph.weight.T)
-    assert (used == np.isfinite(graph.weight) & ~against).all()  # against the one way, there is always another
+    against = np.isfinite(graph.edge_cost) & (graph.edge_cost > 10 * graph.edge_cost.T)
+    assert (used == np.isfinite(graph.edge_cost) & ~against).all()  # against the one way, there is always another
     every = walks
     for seed in range(2, 8):
         if (every[used] > 0).all():

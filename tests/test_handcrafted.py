@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import cli, drawing, environment, files, main_job, tasks
+from sean_jax import assembly, cli, drawing, environment, flags, tasks
 from sean_jax.assembly import with_task
+from sean_jax.config import RunConfig
 from sean_jax.environment import clearance
-from sean_jax.handcrafted import annotation
+from sean_jax.errors import FileError
+from sean_jax.handcrafted import validation
 from sean_jax.policies import go_to_goal
 
 ENVIRONMENTS = ("warehouse", "lab", "outdoor")
@@ -29,7 +31,7 @@ BODY = 0.2  # m, radius of a person
 def shipped(request):
     """Name of an environment, and its sets."""
     folder = environment.find(request.param)
-    return request.param, annotation.read(folder, environment.load(folder)).sets
+    return request.param, validation.read(folder, environment.load(folder)).sets
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +42,7 @@ def lab():
 @pytest.fixture(scope="module")
 def sets():
     folder = environment.find("lab")
-    return annotation.read(folder, environment.load(folder)).sets
+    return validation.read(folder, environment.load(folder)).sets
 
 
 @pytest.fixture(scope="module")
@@ -267,7 +269,7 @@ def test_who_is_absent_is_felt_by_nobody(walked):
 @pytest.mark.parametrize(("name", "number"), [("down_path", 6), ("down_path_2_density_1", 1), ("all", 13)])
 def test_one_set_those_of_a_situation_or_all(name, number):
     folder = environment.find("lab")
-    assert len(annotation.read(folder, environment.load(folder)).chosen(name)) == number
+    assert len(validation.read(folder, environment.load(folder)).chosen(name)) == number
 
 
 @pytest.mark.parametrize(
@@ -276,9 +278,15 @@ def test_one_set_those_of_a_situation_or_all(name, number):
         (dict(people=5), "each handcrafted set has a number of its own; leave people out"),
         (dict(task="join_group"), "only behavior 'graph' has, not 'handcrafted'; choose task 'handcrafted' with it"),
         (dict(behavior="graph"), "task: 'handcrafted' needs poses that belong to handcrafted people, not 'graph'"),
-        (dict(behavior="random", task="random_ab_nav", handcrafted="all"), "'random' has no sets; choose behavior"),
-        (dict(recording="people.csv"), "recording: behavior 'handcrafted' has none"),
-        (dict(handcrafted="down_pth"), "handcrafted: 'down_pth' is not one of all, empty, .* did you mean 'down_path'"),
+        (
+            dict(behavior="random", task="random_ab_nav", sets="all"),
+            "sets: behavior 'random' has no such option; choose behavior 'handcrafted'",
+        ),
+        (
+            dict(recording="people.csv"),
+            "recording: behavior 'handcrafted' has no such option; choose behavior 'playback'",
+        ),
+        (dict(sets="down_pth"), "sets: 'down_pth' is not one of all, empty, .* did you mean 'down_path'"),
         (dict(robot="warthog"), "robot: set 'empty_1' has .* m of room at starts.*, too little for warthog"),
     ],
 )
@@ -304,14 +312,12 @@ def test_other_tasks_go_with_it(lab, reset):
 
 
 def test_the_command_line_passes_the_set_on():
-    options = main_job.Options(
-        environment="lab", behavior="handcrafted", task="handcrafted,random_ab_nav", handcrafted="join_group",
-        dynamics="twin",
-    )  # fmt: skip
-    both = main_job._scenarios(options)
+    words = "--environment lab --behavior handcrafted --sets join_group --task handcrafted,random_ab_nav"
+    config = flags.read(RunConfig, flags.parse("run", RunConfig, [*words.split(), "--dynamics", "twin"], True))
+    both = assembly.build(config)
     assert [each.task_name for each in both] == ["handcrafted", "random_ab_nav"]
     assert both[0].behavior.data.names == ("join_group_1", "join_group_2") and both[0].people == 6
-    assert "--handcrafted join_group" in options.command
+    assert words in flags.command("run", config)
 
 
 GOOD = """\
@@ -375,8 +381,8 @@ def test_mistakes_are_named_with_place_and_cure(tmp_path, old, new, place, messa
     assert GOOD.count(old) >= 1
     yard(tmp_path)
     (tmp_path / "handcrafted.yaml").write_text(GOOD.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(files.FileError) as caught:
-        annotation.read(tmp_path, environment.load(tmp_path))
+    with pytest.raises(FileError) as caught:
+        validation.read(tmp_path, environment.load(tmp_path))
     lines = [line for line in str(caught.value).splitlines() if message in line]
     assert lines and lines[0].startswith(f"{tmp_path.name}/handcrafted.yaml:{place}: "), str(caught.value)
     assert all(line.endswith((".", "?")) for line in str(caught.value).splitlines())
@@ -388,8 +394,8 @@ def test_all_mistakes_are_told_at_once_and_a_missing_file_by_its_name(tmp_path):
         sean_jax.make(tmp_path, behavior="handcrafted", task="handcrafted", dynamics="twin")
     text = GOOD.replace("goals: [[3, 0, 0]", "goals: [[3, -1.8, 0]").replace("center: [3, 0]", "center: [-2, 0]")
     (tmp_path / "handcrafted.yaml").write_text(text.replace("people: 5", "people: 32"), encoding="utf-8")
-    with pytest.raises(files.FileError) as caught:
-        annotation.read(tmp_path, environment.load(tmp_path))
+    with pytest.raises(FileError) as caught:
+        validation.read(tmp_path, environment.load(tmp_path))
     assert {"8:18", "6:13", "11:14"} <= {
         line.split("yaml:")[1].split(": ")[0] for line in str(caught.value).split("\n")
     }
@@ -428,23 +434,23 @@ def test_each_set_makes_its_situation_occur(name):
     sets = scenario.behavior.data
     assert sets.names == tuple(NAMES)
     picked = [(s, a, b) for s in range(13) for a in range(5) for b in range(5)]
-    weight = np.zeros((len(picked), *sets.weight.shape), np.float32)
+    odds = np.zeros((len(picked), *sets.odds.shape), np.float32)
     for row, (s, a, b) in enumerate(picked):
-        weight[row, s, a, b] = 1.0
+        odds[row, s, a, b] = 1.0
 
     def keep(before, after, action):
         return after.situations, ~(before.completed | before.timed_out)
 
     @jax.jit
     @jax.vmap
-    def run(weight, key):
-        directed = dataclasses.replace(scenario.behavior, data=dataclasses.replace(sets, weight=weight))
+    def run(odds, key):
+        directed = dataclasses.replace(scenario.behavior, data=dataclasses.replace(sets, odds=odds))
         one = dataclasses.replace(scenario, behavior=directed)
         last, kept = sean_jax.rollout(one, go_to_goal, key, 900, record=keep)
         return last.completed, kept
 
     completed, (flags, active) = jax.tree.map(
-        np.asarray, run(jnp.asarray(weight), jax.random.split(jax.random.key(0), len(picked)))
+        np.asarray, run(jnp.asarray(odds), jax.random.split(jax.random.key(0), len(picked)))
     )
     order = [situation for situation, _ in scenario.situations]
     print(f"\n{name}: share of pairs in which it occurs, then shares of time of {', '.join(order)}; completed")

@@ -1,15 +1,17 @@
 """Demonstrations of section V-B: rows against single steps, examples against numpy, the shares of the protocol."""
 
-import dataclasses
+from types import SimpleNamespace
+from typing import Any, cast
 
 import jax
 import learning_data
 import numpy as np
 import pytest
 
-from sean_jax import chance, sensors
+from sean_jax import flags, prng, runner, sensors
+from sean_jax.config import CollectConfig, GraphBehavior, gather, validate
+from sean_jax.errors import InputError
 from sean_jax.learning import demonstrations, examples, protocol
-from sean_jax.learning.options import Collect, Refused
 from sean_jax.learning.recorder import Recorder, record
 from sean_jax.scenario import reset
 
@@ -22,12 +24,12 @@ def batch():
 @pytest.mark.slow
 def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
     """Step by step, outside of jit, from another source: in the same episodes, the same rows as those of the batch."""
-    parts, tasks, _ = learning_data.setting()
-    scenario = dataclasses.replace(parts[0].scenario, task=tasks[0], task_name="join_group")
+    parts, _ = learning_data.setting()
+    scenario = parts["join_group"]
     drive = jax.jit(learning_data.DRIVE)
     recorder = Recorder(tmp_path / "one", scenario, seed=learning_data.SEED, width=16, height=12)
     for number in range(2):
-        state = recorder.begin(jax.random.fold_in(chance.key("collect", learning_data.SEED), number))
+        state = recorder.begin(jax.random.fold_in(prng.key("collect", learning_data.SEED), number))
         while not bool(state.completed | state.timed_out):
             state = recorder.step(drive(scenario, state, state.streams.policy))
         recorder.commit()
@@ -44,7 +46,7 @@ def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
             assert np.mean(found[name] != expected) < 0.02
         else:
             np.testing.assert_allclose(found[name], expected, atol=2e-2, err_msg=name)
-    drawn = jax.random.fold_in(chance.key("record", learning_data.SEED), recorder.number)
+    drawn = jax.random.fold_in(prng.key("record", learning_data.SEED), recorder.number)
     own = jax.jit(reset)(scenario, drawn)
     state, see = recorder.begin(), jax.jit(lambda state: sensors.depth(scenario, state, recorder.eye))
     np.testing.assert_allclose(state.robot.position, own.robot.position, atol=1e-5)
@@ -55,11 +57,11 @@ def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
     last = recorder.data.read(recorder.data.episodes[-1:])
     np.testing.assert_allclose(last["depth"][0], image, atol=1.0)
     np.testing.assert_allclose(last["command"], [[0.1, 0.2]], atol=1e-6)
-    with pytest.raises(Refused, match="nothing to commit"):
+    with pytest.raises(InputError, match="nothing to commit"):
         recorder.commit()
     data = record(Recorder(tmp_path / "two", scenario, width=16, height=12), [(0.3, 0.0)] * 12, 5)
     assert [episode.length for episode in data.episodes] == [2], "what was driven until the commands ended"
-    with pytest.raises(Refused, match="another scenario, driver or seed"):
+    with pytest.raises(InputError, match="another scenario, driver or seed"):
         Recorder(tmp_path / "two", scenario, seed=1, width=16, height=12)
 
 
@@ -97,7 +99,7 @@ def test_examples_equal_a_loop_in_numpy(batch):
             past = np.array([*flat["pose"][max(row - 1 - age, first), :2], 1.0])
             np.testing.assert_allclose(made.past[row, 4 - age], (inverse @ past)[:2], atol=1e-4)
             ahead = row + 1 + age
-            assert bool(made.known[row, age]) == (ahead < end)
+            assert bool(made.future_valid[row, age]) == (ahead < end)
             future = np.array([*flat["pose"][min(ahead, end - 1), :2], 1.0])
             np.testing.assert_allclose(made.future[row, age], (inverse @ future)[:2], atol=1e-4)
 
@@ -120,49 +122,54 @@ def test_streams_get_equal_time_in_any_order_of_asking():
     (short, some), (long, many) = order(400), order(1000)
     assert long[: len(short)] == short
     assert min(some) >= 400 and min(many) >= 1000 and max(many) < 1060
-    assert protocol.share(1.0, 5) == 720, "12 minutes of each of five"
+    assert protocol.seconds_of_each(1.0, 5) == 720, "12 minutes of each of five"
 
 
 def test_the_papers_protocol():
-    handcrafted = Collect(environment="lab", behavior="handcrafted", dynamics="twin")
-    parts, tasks = protocol.streams(handcrafted)
-    assert {part.name for part in parts} == {"cross_path", "down_path", "join_group", "leave_group", "empty"}
-    assert len(tasks) == 1
-    for part in parts:
-        sets = part.scenario.behavior.data
-        drawn = {of for of, weight in zip(sets.situations, np.asarray(sets.weight), strict=True) if weight.any()}
-        assert drawn == {part.name}
-        assert jax.tree.structure(part.scenario) == jax.tree.structure(parts[0].scenario), "one program serves all"
-    assert Collect().tasks == ("join_group", "leave_group") and Collect(behavior="random").tasks == ("random_ab_nav",)
+    parts = protocol.streams(CollectConfig(environment="lab", behavior="handcrafted", dynamics="twin"))
+    assert set(parts) == {"cross_path", "down_path", "join_group", "leave_group", "empty"}
+    assert len({part.task for part in parts.values()}) == 1
+    first = parts["cross_path"]
+    for name, part in parts.items():
+        sets = part.behavior.data
+        drawn = {of for of, odds in zip(sets.situations, np.asarray(sets.odds), strict=True) if odds.any()}
+        assert drawn == {name}
+        assert jax.tree.structure(part) == jax.tree.structure(first), "one program serves all"
+    chosen = [[task.kind for task in CollectConfig(behavior=behavior).tasks] for behavior in ("graph", "random")]
+    assert chosen == [["join_group", "leave_group"], ["random_ab_nav"]]
 
 
 def test_people_of_demonstrations_are_those_asked_for():
-    """Parties, and choices on the graph, as `sean run` has them; and the command says so."""
-    given = {"parties": (0.5, 0.0), "paths": "edge", "spreading": 10.0}
-    asked = Collect(environment="lab", dynamics="twin", people=4, **given)
-    (join, _), _ = protocol.streams(asked)
-    behavior = join.scenario.behavior
-    assert (np.asarray(behavior.companions) >= 0).sum() == 2 and float(behavior.data.spreading) == 10.0
-    assert (
-        behavior.direct is not protocol.streams(dataclasses.replace(asked, paths=None))[0][0].scenario.behavior.direct
-    )
-    words = asked.command
-    assert "--parties 0.5 0 " in words and "--paths edge" in words and "--spreading 10" in words
-    with pytest.raises(Refused, match="parties"):
-        protocol.streams(Collect(environment="lab", behavior="handcrafted", parties=(0.5, 0.0)))
+    """Walking groups, and choices on the graph, as `sean run` has them; and the command says so."""
+    given = GraphBehavior(walking_groups=(0.5, 0.0), routing="edge", congestion_cost=10.0)
+    asked = CollectConfig(environment="lab", dynamics="twin", people=4, behavior=given)
+    behavior = protocol.streams(asked)["join_group"].behavior
+    assert (np.asarray(behavior.companions) >= 0).sum() == 2 and float(behavior.data.congestion_cost) == 10.0
+    usual = asked.replace(behavior=given.replace(routing="whole"))
+    assert behavior.direct is not protocol.streams(usual)["join_group"].behavior.direct
+    words = flags.command("collect", asked)
+    assert "--walking-groups 0.5 0 " in words and "--routing edge" in words and "--congestion-cost 10" in words
+    fields = {"environment": "lab", "behavior": "handcrafted", "walking_groups": (0.5, 0.0)}
+    with pytest.raises(InputError, match="walking_groups"):
+        gather(CollectConfig, fields)
 
 
 def test_wrong_names_are_answered_in_a_sentence():
-    with pytest.raises(Refused, match="--driver: 'go_to_gaol' is not one of .*; did you mean 'go_to_goal'"):
-        protocol.who_drives("go_to_gaol")
-    with pytest.raises(Refused, match="'join_grup' is not one of"):
-        protocol.streams(Collect(environment="lab", task="join_grup"))
-    with pytest.raises(Refused, match="--hours is 0, but must lie between"):
-        Collect(hours=0.0).check()
+    with pytest.raises(InputError, match="policy: 'go_to_gaol' is not one of .*; did you mean 'go_to_goal'"):
+        protocol.check(CollectConfig(policy="go_to_gaol"))
+    with pytest.raises(InputError, match="'join_grup' is not one of"):
+        protocol.streams(CollectConfig(environment="lab", task="join_grup"))
+    with pytest.raises(InputError, match="hours: 0.0 must be from 1e-06 to 1e\\+06 h"):
+        validate(CollectConfig, {"hours": 0.0})
 
 
 def test_a_nan_is_refused_with_the_episodes_number(batch):
-    rows = {name: values.copy() for name, values in batch.rows.items()}
-    rows["pose"][1, 0, 2] = np.nan
-    with pytest.raises(FloatingPointError, match="not finite: 5"):
-        demonstrations._refuse_nan(rows, np.arange(4, 12))
+    """In a row, in whatever a policy or a sensor gave; the runner itself looks at people and robots."""
+    rows = examples.Row(**{name: np.swapaxes(values, 0, 1).copy() for name, values in batch.rows.items()})
+    rows.pose[0, 1, 2] = np.nan
+    states = SimpleNamespace(completed=batch.completed)
+    ended = runner.Batch(cast(Any, states), batch.lengths, (), [(rows, np.ones(rows.pose.shape[:2], bool))])
+    scenarios = list(learning_data.setting()[0].values())
+    running: Any = SimpleNamespace(size=8, scenarios=scenarios, run=lambda *_, **__: ended)
+    with pytest.raises(FloatingPointError, match="1 of 8 episodes hold numbers that are not finite: 9"):
+        demonstrations.simulate(running, 3, 1, 1)

@@ -4,13 +4,14 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import learning_data
 import numpy as np
 import pytest
 
-from sean_jax import cli, learning, parallel
+from sean_jax import cli, episodes, learning
 from sean_jax.learning.dataset import open_dataset
 
 pytestmark = pytest.mark.slow
@@ -26,12 +27,12 @@ def test_a_learned_driver_completes_most_of_what_its_teacher_does(tmp_path):
     asked = ["--task", "join_group", "--episodes", "4", "--out", str(tmp_path / "report"), "--policy", run]
     assert cli.main(["run", *small, *asked]) == 0
     summary = json.loads((tmp_path / "report" / "summary.json").read_text())
-    assert summary["scenario"]["policy"] == run and summary["episodes"] == 4
-    scenario = learning_data.protocol.streams(learning_data.options(time_limit=40.0))[0][0].scenario
+    assert summary["scenario"]["policy"] == Path(run).name and summary["episodes"] == 4
+    scenario = learning_data.protocol.streams(learning_data.options(time_limit=40.0))["join_group"]
     keys = jax.random.split(jax.random.key(77), 64)  # episodes that nobody has seen
 
     def share(policy):
-        run = jax.jit(jax.vmap(lambda key: parallel.rollout(scenario, policy, key, 400)[0].completed))
+        run = jax.jit(jax.vmap(lambda key: episodes.rollout(scenario, policy, key, 400)[0].completed))
         completed = np.asarray(run(keys))
         return float(np.mean(completed))
 
@@ -43,7 +44,7 @@ def test_two_devices_collect_and_learn_what_one_does(tmp_path):
     """Equal to rounding: what is recorded, and the losses."""
     options = ["--environment", "lab", "--people", "4", "--dynamics", "twin", "--time-limit", "10", "--quiet"]
     options += ["--width", "16", "--height", "12", "--batch", "8", "--hours", "0.02"]
-    found = []
+    runs = []
     for count in (1, 2):
         flags = f"--xla_force_host_platform_device_count={count}"
         variables = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
@@ -53,10 +54,10 @@ def test_two_devices_collect_and_learn_what_one_does(tmp_path):
             command = [sys.executable, "-m", "sean_jax.cli", *command]
             done = subprocess.run(command, env=variables, capture_output=True, text=True, check=False, timeout=600)
             assert done.returncode == 0, done.stderr
-        held = open_dataset(data)
+        dataset = open_dataset(data)
         lines = (tmp_path / f"run{count}" / "metrics.jsonl").read_text().splitlines()
-        found.append((held.read(held.episodes)["pose"], [json.loads(line)["train"]["loss"] for line in lines]))
-    (pose, loss), (other_pose, other_loss) = found
+        runs.append((dataset.read(dataset.episodes)["pose"], [json.loads(line)["train"]["loss"] for line in lines]))
+    (pose, loss), (other_pose, other_loss) = runs
     assert pose.shape == other_pose.shape
     assert np.median(np.abs(pose - other_pose)) < 1e-4
     np.testing.assert_allclose(loss, other_loss, rtol=0.02)

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from sean_jax import cli, environment, writing
-from sean_jax.experiments.options import Experiment
-from sean_jax.learning import collect_job, dataset, lerobot, store
+from sean_jax.config import CollectConfig, ExperimentConfig, TrainConfig, validate
+from sean_jax.errors import IncompleteError, InputError
+from sean_jax.learning import collection, dataset, lerobot, store
 from sean_jax.learning.dataset import open_dataset, split
 from sean_jax.learning.examples import example
 from sean_jax.learning.loader import Loader, Token
-from sean_jax.learning.manifests import check_manifest, read_trained
-from sean_jax.learning.options import Collect, Failed, Refused, Train
+from sean_jax.learning.manifests import check_manifest, read_network_config
 from sean_jax.learning.recorder import Recorder
 
 
@@ -39,7 +39,7 @@ def data(tmp_path):
 def test_what_was_written_is_read(made):
     again = open_dataset(made.folder)
     whole = [dataset.Episode(e.number, e.stream, e.length, e.completed) for e in again.episodes]
-    assert again.examples == 2 * 90, "3 minutes, half of them each"
+    assert again.example_count == 2 * 90, "3 minutes, half of them each"
     found = again.read(whole)
     lengths = {e.number: e.length for e in whole}
     for name, values in found.items():
@@ -51,9 +51,9 @@ def test_what_was_written_is_read(made):
 
 def test_other_readers_of_zarr_find_what_the_format_prescribes(made):
     """The metadata as zarr 3 has it, and the file's end: an index of (offset, size) pairs and its crc32c."""
-    told = json.loads((made.folder / "depth" / "zarr.json").read_text())
-    assert told["zarr_format"] == 3 and told["node_type"] == "array" and told["data_type"] == "uint16"
-    assert told["shape"] == [16, 20, 12, 16] and told["codecs"][0]["name"] == "sharding_indexed"
+    metadata = json.loads((made.folder / "depth" / "zarr.json").read_text())
+    assert metadata["zarr_format"] == 3 and metadata["node_type"] == "array" and metadata["data_type"] == "uint16"
+    assert metadata["shape"] == [16, 20, 12, 16] and metadata["codecs"][0]["name"] == "sharding_indexed"
     raw = (made.folder / "depth/c/1/0/0/0").read_bytes()
     index = np.frombuffer(raw[-4 - 16 * 8 : -4], "<u8").reshape(8, 2)
     from sean_jax.learning.logs import crc32c
@@ -67,11 +67,12 @@ def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
     whole = files(data.folder)
     simulated = []
 
-    def simulate(programs, scenario, seed, turn, numbers, watch):
-        simulated.append(int(numbers[0]))
-        return learning_data.batches()[int(numbers[0]) // 8]
+    def simulate(runner, seed, shard, stream, watch):
+        assert stream == shard
+        simulated.append(shard)
+        return learning_data.batches()[shard]
 
-    monkeypatch.setattr(collect_job.demonstrations, "simulate", simulate)
+    monkeypatch.setattr(collection.demonstrations, "simulate", simulate)
     for number in range(6):
         folder, steps = tmp_path / f"killed{number}", [number]
 
@@ -88,13 +89,13 @@ def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
             patched.setattr(writing.os, "replace", step(os.replace))
             patched.setattr(store, "path", step(store.path))
             try:
-                collect_job.collect(learning_data.options(folder))
+                collection.collect(learning_data.options(folder))
             except KeyboardInterrupt:
                 assert number > 0
-        collect_job.collect(learning_data.options(folder))
+        collection.collect(learning_data.options(folder))
         assert files(folder) == whole, number
         before = len(simulated)
-        collect_job.collect(learning_data.options(folder))
+        collection.collect(learning_data.options(folder))
         assert len(simulated) == before, "nothing is recorded twice"
 
 
@@ -113,9 +114,9 @@ def test_readers_change_nothing(made, tmp_path, monkeypatch):
         path.chmod(path.stat().st_mode & ~0o222)
     try:
         again = open_dataset(os.path.relpath(made.folder))
-        assert ".." in str(again.folder) and again.lost() == [] and again.fingerprint() == made.fingerprint()
-        train, held = split(again, 0.25, 0)
-        assert len(again.recording(held).first) and len(list(Loader(again, train, batch=64).epoch()))
+        assert ".." in str(again.folder) and again.damaged_shards() == [] and again.fingerprint() == made.fingerprint()
+        train, validation = split(again, 0.25, 0)
+        assert len(again.recording(validation).first) and len(list(Loader(again, train, batch=64).epoch()))
         if importlib.util.find_spec("pyarrow"):
             from sean_jax.learning.lerobot import export
 
@@ -130,33 +131,34 @@ def test_two_collections_into_one_folder(tmp_path, monkeypatch):
     """The later one is refused before it simulates anything, and the earlier one's dataset is whole."""
     folder, refused = tmp_path / "data", []
 
-    def simulate(programs, scenario, seed, turn, numbers, watch):
-        with pytest.raises(writing.Unwritable, match="data is being written by process"):
-            collect_job.collect(learning_data.options(folder))
-        refused.append(int(numbers[0]))
-        return learning_data.batches()[int(numbers[0]) // 8]
+    def simulate(runner, seed, shard, stream, watch):
+        with pytest.raises(writing.WriteError, match="data is being written by process"):
+            collection.collect(learning_data.options(folder))
+        refused.append(shard)
+        return learning_data.batches()[shard]
 
-    monkeypatch.setattr(collect_job.demonstrations, "simulate", simulate)
-    assert collect_job.collect(learning_data.options(folder)).examples == 180 and refused == [0, 8]
+    monkeypatch.setattr(collection.demonstrations, "simulate", simulate)
+    assert collection.collect(learning_data.options(folder)).example_count == 180 and refused == [0, 1]
     assert not (folder / writing.LOCK).exists()
 
 
 def test_a_shard_that_cannot_be_written_ends_the_collection(tmp_path, monkeypatch):
     """The next one, which was simulated meanwhile, is not written, and the same command goes on."""
-    simulate = lambda *others: learning_data.batches()[int(others[4][0]) // 8]  # noqa: E731
-    monkeypatch.setattr(collect_job.demonstrations, "simulate", simulate)
+    monkeypatch.setattr(
+        collection.demonstrations, "simulate", lambda runner, seed, shard, *others: learning_data.batches()[shard]
+    )
     folder, asked = tmp_path / "data", []
 
     def full(folder, shard, fields):
         asked.append(shard)
-        raise Failed("the disk is full")
+        raise IncompleteError("the disk is full")
 
     with monkeypatch.context() as patched:
         patched.setattr(store, "write", full)
-        with pytest.raises(Failed, match="the disk is full"):
-            collect_job.collect(learning_data.options(folder))
-    assert asked == [0] and open_dataset(folder).recorded == [0, 0]
-    assert collect_job.collect(learning_data.options(folder)).examples == 180
+        with pytest.raises(IncompleteError, match="the disk is full"):
+            collection.collect(learning_data.options(folder))
+    assert asked == [0] and open_dataset(folder).stream_seconds == [0, 0]
+    assert collection.collect(learning_data.options(folder)).example_count == 180
 
 
 def test_lost_and_damaged_files(data, monkeypatch):
@@ -164,15 +166,17 @@ def test_lost_and_damaged_files(data, monkeypatch):
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
     file.write_bytes(bytes(content))
-    with pytest.raises(Failed, match=r"depth/c/0/0/0/0 is damaged; remove the damaged file, and `sean collect`"):
+    with pytest.raises(
+        IncompleteError, match=r"depth/c/0/0/0/0 is damaged; remove the damaged file, and `sean collect`"
+    ):
         data.recording(data.episodes)
     second = [episode for episode in data.episodes if episode.number >= 8]
     assert len(data.recording(second).first), "other shards are intact"
     file.unlink()
-    with pytest.raises(Failed, match="is missing or damaged; remove the damaged file"):
+    with pytest.raises(IncompleteError, match="is missing or damaged; remove the damaged file"):
         data.recording(data.episodes)
-    monkeypatch.setattr(collect_job.demonstrations, "simulate", lambda *others: learning_data.batches()[0])
-    collect_job.collect(learning_data.options(data.folder))
+    monkeypatch.setattr(collection.demonstrations, "simulate", lambda *others: learning_data.batches()[0])
+    collection.collect(learning_data.options(data.folder))
     assert files(data.folder) == whole
 
 
@@ -183,61 +187,56 @@ def test_a_full_disk_leaves_what_was_committed(data, monkeypatch):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr(store, "_opened", full)
-        with pytest.raises(Failed, match="the disk is full; what was committed before is as it was"):
+        patched.setattr(store, "_open_array", full)
+        with pytest.raises(IncompleteError, match="the disk is full; what was committed before is as it was"):
             data.commit(0, learning_data.batches()[0])
     with monkeypatch.context() as patched:
         patched.setattr(writing.os, "replace", full)
-        with pytest.raises(Failed, match="the disk is full; what was committed before is as it was"):
+        with pytest.raises(IncompleteError, match="the disk is full; what was committed before is as it was"):
             data.save({**data.manifest, "hours": 2.0})
     again = open_dataset(data.folder)
     assert again.manifest == data.manifest and {name: files(data.folder)[name] for name in whole} == whole
 
 
 def test_other_options_are_refused(data):
-    for others, said in (
+    for others, message in (
         ({"people": 5}, "was begun with --people 4, not 5"),
         ({"seed": 4}, "was begun with --seed 3, not 4"),
-        ({"parties": (0.5, 0.0)}, "was begun with --parties 0 0, not 0.5 0"),
-        ({"paths": "edge"}, "was begun with --paths None, not edge"),
+        ({"walking_groups": (0.5, 0.0)}, "--walking-groups 0 0, not graph .* --walking-groups 0.5 0;"),
+        ({"routing": "edge"}, "was begun with --behavior graph --routing whole .*, not graph --routing edge "),
         ({"batch": 4}, "was begun with --batch 8, not 4"),
         ({"hours": 0.01}, "was begun with --hours 0.05, not 0.01"),
     ):
-        parts, _, eye = learning_data.setting()
-        with pytest.raises(Refused, match=said):
-            collect_job._begun(learning_data.options(data.folder, **others), parts, eye)
+        with pytest.raises(InputError, match=message):
+            learning_data.begin(learning_data.options(data.folder, **others))
     assert open_dataset(data.folder).manifest == data.manifest
-    for name in ("parties", "paths", "spreading"):  # as in a dataset made before these could be chosen
-        del data.manifest["options"][name]
-    data.save(data.manifest)
-    assert collect_job._begun(learning_data.options(data.folder), parts, eye).recorded == data.recorded
+    assert learning_data.begin(learning_data.options(data.folder)).stream_seconds == data.stream_seconds
 
 
 def test_more_hours_continue_a_dataset(data):
-    parts, _, eye = learning_data.setting()
-    longer = collect_job._begun(learning_data.options(data.folder, 0.06), parts, eye)
-    assert longer.examples > 180 and longer.manifest["shards"] == data.manifest["shards"]
+    longer = learning_data.begin(learning_data.options(data.folder, 0.06))
+    assert longer.example_count > 180 and longer.manifest["shards"] == data.manifest["shards"]
 
 
 def test_folders_that_hold_no_dataset(tmp_path, capsys):
-    with pytest.raises(Refused, match="has no dataset.json; make a dataset with `sean collect"):
+    with pytest.raises(InputError, match="has no dataset.json; make a dataset with `sean collect"):
         open_dataset(tmp_path)
     (tmp_path / "dataset.json").write_text("{")
-    with pytest.raises(Refused, match="cannot be read"):
+    with pytest.raises(InputError, match="cannot be read"):
         open_dataset(tmp_path)
     (tmp_path / "dataset.json").write_text('{"format": 99}')
-    with pytest.raises(Refused, match="dataset.json has format 99, but this version reads 1"):
+    with pytest.raises(InputError, match="dataset.json has format 99, but this version reads 1"):
         open_dataset(tmp_path)
     assert cli.main(["train", "imitation", str(tmp_path / "none"), "--out", str(tmp_path / "run")]) == 2
     error = capsys.readouterr().err
     assert error.startswith("sean: ") and "has no dataset.json" in error and len(error.splitlines()) == 1
-    assert cli.main(["collect", "--hours", "-1"]) == 2 and "--hours is -1" in capsys.readouterr().err
+    assert cli.main(["collect", "--hours", "-1"]) == 2 and "--hours: -1" in capsys.readouterr().err
 
 
 def test_the_loader_shuffles_everything_once_and_goes_on_from_a_token(made):
-    train, held = split(made, 0.25, 0)
-    assert {one.number for one in train} & {one.number for one in held} == set()
-    assert len(held) == round(0.25 * (len(train) + len(held)))
+    train, validation = split(made, 0.25, 0)
+    assert {one.number for one in train} & {one.number for one in validation} == set()
+    assert len(validation) == round(0.25 * (len(train) + len(validation)))
     recording = made.recording(train)
     every = example(recording, np.arange(len(recording.first)), np)
     loader = Loader(made, train, batch=32, seed=1, window=4)
@@ -293,7 +292,7 @@ def test_export_to_lerobot(made, tmp_path):
     stats = json.loads((out / "meta/stats.json").read_text())
     np.testing.assert_allclose(stats["action"]["std"], np.std(rows["action"], 0), atol=1e-5)
     assert parquet.read_table(out / "meta/tasks.parquet").to_pydict()["task"] == ["join group", "leave group"]
-    with pytest.raises(Refused, match="is not empty"):
+    with pytest.raises(InputError, match="is not empty"):
         export(made.folder, out)
 
 
@@ -311,14 +310,13 @@ def test_lerobot_loads_the_export(made, tmp_path):
 
 def test_what_the_options_stand_for_must_not_have_changed(data):
     """As when somebody edits an environment between two collections of the same options."""
-    parts, _, eye = learning_data.setting()
+    parts, _ = learning_data.setting()
     asked = learning_data.options(data.folder, 0.06)
-    edited = dataclasses.replace(parts[0].scenario, goal_radius=parts[0].scenario.goal_radius * 2)
-    others = [dataclasses.replace(part, scenario=edited) for part in parts]
-    with pytest.raises(Refused, match="was begun with another content of scenario or driver; restore it"):
-        collect_job._begun(asked, others, eye)
+    others = {name: dataclasses.replace(part, goal_radius=part.goal_radius * 2) for name, part in parts.items()}
+    with pytest.raises(InputError, match="was begun with another content of scenario or policy; restore it"):
+        learning_data.begin(asked, others)
     before = data.manifest
-    for name, value, said in (
+    for name, value, message in (
         ("versions", {**before["versions"], "jax": "0.1"}, "begun with jax 0.1, not "),
         ("people", 3, "begun with another people"),
         ("robot", {**before["robot"], "max_speed": 9.0}, "begun with another robot"),
@@ -326,17 +324,16 @@ def test_what_the_options_stand_for_must_not_have_changed(data):
         ("situations", before["situations"][::-1], "begun with another situations"),
     ):
         data.save({**before, name: value})
-        with pytest.raises(Refused, match=said):
-            collect_job._begun(asked, parts, eye)
+        with pytest.raises(InputError, match=message):
+            learning_data.begin(asked)
     data.save({name: value for name, value in before.items() if name not in ("content", "versions")})
-    assert collect_job._begun(asked, parts, eye).recorded == data.recorded
+    assert learning_data.begin(asked).stream_seconds == data.stream_seconds
 
 
 def test_options_allow_no_more_than_datasets_and_networks_may_hold(data, tmp_path):
-    most = dataclasses.replace(Collect(), hours=1e6, batch=100_000, width=4096, height=976, time_limit=86_400.0)
-    most.check()
+    most = CollectConfig(hours=1e6, batch=100_000, width=4096, height=976, time_limit=86_400.0)
     camera = {"width": most.width, "height": most.height}
-    told = {
+    manifest = {
         **data.manifest,
         "hours": most.hours,
         "batch": most.batch,
@@ -344,20 +341,21 @@ def test_options_allow_no_more_than_datasets_and_networks_may_hold(data, tmp_pat
         "seconds": 86_400,
         "shards": [],
     }
-    check_manifest(tmp_path, told, tuple(data.fields))
+    check_manifest(tmp_path, manifest, tuple(data.fields))
     for beyond in ({"hours": 1.1e6}, {"batch": 100_001}, {"width": 4097}, {"height": 4097}, {"height": 977}):
-        with pytest.raises(Refused, match=f"--{next(iter(beyond))}"):
-            dataclasses.replace(most, **beyond).check()
-    Experiment("figure4", hours=1e6).check()
-    with pytest.raises(Refused, match="--hours"):
-        Experiment("figure4", hours=1.1e6).check()
-    train = Train("imitation", data.folder, width=4096)
-    train.check()
+        (name,) = beyond
+        name = "width" if beyond == {"height": 977} else name  # of both together
+        with pytest.raises(InputError, match=f"^{name}: "):
+            validate(CollectConfig, {**dict(most), **beyond})
+    ExperimentConfig(which="figure4", hours=1e6)
+    with pytest.raises(InputError, match="^hours: "):
+        validate(ExperimentConfig, {"which": "figure4", "hours": 1.1e6})
+    train = TrainConfig(method="imitation", dataset=data.folder, width=4096)
     config = {"width": train.width, "flags": True, "image": [most.height, most.width], "situations": ["joining"]}
     (tmp_path / "config.json").write_text(json.dumps(config))
-    assert read_trained(tmp_path / "config.json").width == train.width
-    with pytest.raises(Refused, match="--width"):
-        dataclasses.replace(train, width=4097).check()
+    assert read_network_config(tmp_path / "config.json").width == train.width
+    with pytest.raises(InputError, match="^width: "):
+        validate(TrainConfig, {**dict(train), "width": 4097})
 
 
 def test_an_export_into_what_a_killed_process_left(made, tmp_path, monkeypatch):
@@ -370,22 +368,22 @@ def test_an_export_into_what_a_killed_process_left(made, tmp_path, monkeypatch):
 
 
 def test_a_recorder_goes_on_where_a_kill_left_no_manifest(tmp_path):
-    parts, _, _ = learning_data.setting()
+    parts, _ = learning_data.setting()
     (tmp_path / "data" / "depth").mkdir(parents=True)
     (tmp_path / "data" / writing.LOCK).write_text("process 1 on a machine that is no more")
-    Recorder(tmp_path / "data", parts[0].scenario, width=16, height=12)
-    assert open_dataset(tmp_path / "data").recorded == [0]
+    Recorder(tmp_path / "data", parts["join_group"], width=16, height=12)
+    assert open_dataset(tmp_path / "data").stream_seconds == [0]
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("dear")
-    with pytest.raises(Refused, match="holds something else already"):
-        Recorder(tmp_path / "full", parts[0].scenario, width=16, height=12)
-    with pytest.raises(Refused, match="more than 4,000,000 pixels"):
-        Recorder(tmp_path / "new", parts[0].scenario, width=4096, height=4096)
+    with pytest.raises(InputError, match="holds something else already"):
+        Recorder(tmp_path / "full", parts["join_group"], width=16, height=12)
+    with pytest.raises(InputError, match="more than 4,000,000 pixels"):
+        Recorder(tmp_path / "new", parts["join_group"], width=4096, height=4096)
 
 
 @pytest.mark.slow
 def test_an_environment_that_was_edited_ends_a_collection_before_it_is_mixed(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(collect_job, "_due", lambda *_: iter(()))
+    monkeypatch.setattr(collection, "_due", lambda *_: iter(()))
     shutil.copytree(environment.find("lab"), tmp_path / "place")
     words = "--behavior random --people 2 --dynamics twin --width 16 --height 12 --hours 0.01 --quiet".split()
     command = ["collect", "--environment", str(tmp_path / "place"), *words, "--out", str(tmp_path / "data")]
@@ -394,4 +392,4 @@ def test_an_environment_that_was_edited_ends_a_collection_before_it_is_mixed(tmp
     box = '<geom type="box" pos="0.5 0.5 0.5" size="0.1 0.1 0.5"/></worldbody>'
     scene.write_text(scene.read_text().replace("</worldbody>", box))
     assert cli.main(command) == 2
-    assert "was begun with another content of scenario or driver" in capsys.readouterr().err
+    assert "was begun with another content of scenario or policy" in capsys.readouterr().err

@@ -1,9 +1,9 @@
 """The network and its imitation (section V-C): it learns, resumes to the bit, drives, and fails in sentences."""
 
-import dataclasses
 import functools
 import json
 import struct
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,14 +11,16 @@ import learning_data
 import numpy as np
 import pytest
 
-from sean_jax import chance, cli, devices, parallel, writing
-from sean_jax.learning import learned, train_job, training
+from sean_jax import cli, devices, episodes, prng, writing
+from sean_jax.config import TrainConfig
+from sean_jax.errors import IncompleteError, InputError
+from sean_jax.learning import demonstrations, learned, training
 from sean_jax.learning.checkpoints import Checkpoints
 from sean_jax.learning.dataset import on_device, split
 from sean_jax.learning.examples import example
 from sean_jax.learning.logs import Log, crc32c
 from sean_jax.learning.network import Network
-from sean_jax.learning.options import Failed, Refused, Train
+from sean_jax.runner import Runner
 
 
 @pytest.fixture(scope="module")
@@ -26,9 +28,14 @@ def data(tmp_path_factory):
     return learning_data.write(tmp_path_factory.mktemp("data") / "made")
 
 
-def options(data, out, **others) -> Train:
+def options(data, out, **others) -> TrainConfig:
     small = {"width": 16, "batch": 32, "validation": 0.2, "epochs": 12}
-    return Train("imitation", data.folder, out=out, **{**small, **others})
+    return TrainConfig(method="imitation", dataset=data.folder, out=out, **{**small, **others})
+
+
+def unread(**others) -> TrainConfig:
+    """Options of a training whose dataset nobody opens."""
+    return TrainConfig(method="imitation", dataset=Path("none"), **others)
 
 
 @pytest.fixture(scope="module")
@@ -40,10 +47,10 @@ def recording(data):
 def trained(data, tmp_path_factory):
     """A training of 12 epochs and its folder."""
     folder = tmp_path_factory.mktemp("run") / "whole"
-    return train_job.train(options(data, folder)), folder
+    return training.train(options(data, folder)), folder
 
 
-begin = jax.jit(training.begin, static_argnums=(0, 1, 2))
+begin = jax.jit(training.init_state, static_argnums=(0, 1, 2))
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -57,7 +64,7 @@ def test_documented_sizes():
     from sean_jax.learning import network
 
     for flags, shares in ((False, (2, 3)), (True, (3, 4))):
-        weights = jax.eval_shape(lambda flags=flags: learned.initial(Network(flags=flags), 5, jax.random.key(0)))
+        weights = jax.eval_shape(lambda flags=flags: network.init_weights(Network(flags=flags), 5, jax.random.key(0)))
         count = sum(leaf.size for leaf in jax.tree.leaves(weights.parameters))
         assert f"{count:,} parameters" in network.__doc__.replace("\n", " ") or f"{count:,} with" in network.__doc__
         one = Network(flags=flags)
@@ -66,7 +73,7 @@ def test_documented_sizes():
 
 @pytest.mark.slow
 def test_it_learns_two_hundred_examples_by_heart(recording):
-    chosen = Train("imitation", None, width=32, batch=64, learning_rate=3e-3, weight_decay=0.0)
+    chosen = unread(width=32, batch=64, learning_rate=3e-3, weight_decay=0.0)
     network = Network(32, True, (12, 16))
     state = begin(network, 5, chosen, recording.rows.command)
     programs = training.programs(network, chosen, devices.mesh())
@@ -84,7 +91,7 @@ def test_it_learns_two_hundred_examples_by_heart(recording):
 
 def test_losses_equal_a_loop_in_numpy(recording, data):
     """Equal weights; only what is known of the future counts; the filling of the last batch does not."""
-    network, chosen = Network(16, False, (12, 16)), Train("imitation", None, width=16, batch=32)
+    network, chosen = Network(16, False, (12, 16)), unread(width=16, batch=32)
     state = begin(network, 5, chosen, recording.rows.command)
     np.testing.assert_allclose(state.weights.scale, np.std(recording.rows.command, 0), rtol=1e-5)
     programs = training.programs(network, chosen, devices.mesh())
@@ -94,7 +101,7 @@ def test_losses_equal_a_loop_in_numpy(recording, data):
     far, known, off = 0.0, 0, 0.0
     for k in range(len(rows)):
         for second in range(5):
-            if examples.known[k, second]:
+            if examples.future_valid[k, second]:
                 known += 1
                 far += float(np.sum((np.asarray(answer.local_plan[k, second]) - examples.future[k, second]) ** 2))
         command = np.asarray(examples.command[k]) / np.asarray(state.weights.scale)
@@ -116,25 +123,25 @@ def test_an_interrupted_training_comes_to_the_same_bits(data, trained, tmp_path,
     saves = []
     save = Checkpoints.save
 
-    def stopping(self, state, loss):
-        save(self, state, loss)
+    def stopping(self, state, epoch, loss):
+        save(self, state, epoch, loss)
         saves.append(int(state.epoch))
         if len(saves) == 4:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(Checkpoints, "save", stopping)
     with pytest.raises(KeyboardInterrupt):
-        train_job.train(options(data, tmp_path / "run"))
+        training.train(options(data, tmp_path / "run"))
     with (tmp_path / "run" / "metrics.jsonl").open("a") as stream:  # as a kill leaves it: beyond the checkpoint, cut
         stream.write('{"epoch": 99, "time": 0.0}\n{"epo')
-    again = train_job.train(options(data, tmp_path / "run"))
+    again = training.train(options(data, tmp_path / "run"))
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(one, other)
-    told = [
+    logs = [
         [{name: line[name] for name in ("epoch", "train", "validation")} for line in lines(place)]
         for place in (folder, tmp_path / "run")
     ]
-    assert told[0] == told[1] and [line["epoch"] for line in told[0]] == list(range(1, 13))
+    assert logs[0] == logs[1] and [line["epoch"] for line in logs[0]] == list(range(1, 13))
 
 
 def lines(folder) -> list[dict]:
@@ -145,8 +152,8 @@ def test_the_latest_and_the_best_checkpoint_are_kept(trained):
     state, folder = trained
     losses = {line["epoch"]: line["validation"]["loss"] for line in lines(folder)}
     best = min(losses, key=losses.get)
-    kept = sorted(int(path.name) for path in (folder / "checkpoints").iterdir())
-    assert kept == sorted({best, 12}) and int(state.best_epoch) == best
+    steps = sorted(int(path.name) for path in (folder / "checkpoints").iterdir())
+    assert steps == sorted({best, 12}) and int(state.best_epoch) == best
     assert float(state.best) == pytest.approx(losses[best])
 
 
@@ -184,20 +191,20 @@ def test_events_are_what_tensorboard_reads(trained):
         found.append(event.FromString(raw[at + 12 : at + 12 + length]))
         at += 16 + length
     assert found[0].file_version == "brain.Event:2"
-    told = {(one.step, value.tag): value.simple_value for one in found for value in one.summary.value}
+    values = {(one.step, value.tag): value.simple_value for one in found for value in one.summary.value}
     for line in lines(trained[1]):
         for part in ("train", "validation"):
             for name, value in line[part].items():
-                assert told[line["epoch"], f"{part}/{name}"] == pytest.approx(value, rel=1e-6)
+                assert values[line["epoch"], f"{part}/{name}"] == pytest.approx(value, rel=1e-6)
 
 
 @pytest.mark.slow
 def test_training_from_disk_learns_as_well(data, tmp_path):
-    state = train_job.train(options(data, tmp_path / "disk", on_device=0.0, epochs=3))
+    state = training.train(options(data, tmp_path / "disk", on_device=0.0, epochs=3))
     losses = [line["train"]["loss"] for line in lines(tmp_path / "disk")]
     assert int(state.epoch) == 3 and losses[-1] < losses[0]
-    held = split(data, 0.2, 0)[1]
-    recording = on_device(data.recording(held))
+    validation = split(data, 0.2, 0)[1]
+    recording = on_device(data.recording(validation))
     network = Network(16, False, (12, 16))
     programs = training.programs(network, options(data, None), devices.mesh())
     rows = jnp.arange(len(recording.first), dtype=jnp.int32)
@@ -207,7 +214,7 @@ def test_training_from_disk_learns_as_well(data, tmp_path):
 
 @pytest.mark.slow
 def test_training_stops_when_nothing_gets_better(data, tmp_path):
-    state = train_job.train(options(data, tmp_path / "run", learning_rate=0.3, patience=2, epochs=30))
+    state = training.train(options(data, tmp_path / "run", learning_rate=0.3, patience=2, epochs=30))
     assert int(state.epoch) == int(state.best_epoch) + 2 < 30
 
 
@@ -226,27 +233,27 @@ def test_a_loss_that_is_not_finite_ends_it_and_keeps_what_there_was(data, tmp_pa
 
     monkeypatch.setattr(training, "programs", poisoned)
     with pytest.raises(FloatingPointError, match="the loss is not finite in epoch 4; .* keeps the checkpoints"):
-        train_job.train(options(data, tmp_path / "run"))
+        training.train(options(data, tmp_path / "run"))
     assert max(int(path.name) for path in (tmp_path / "run" / "checkpoints").iterdir()) <= 3
-    scenario = learning_data.setting()[0][0].scenario
+    scenario = learning_data.setting()[0]["join_group"]
     assert learned.load(tmp_path / "run", scenario).name == "run"
 
 
 def test_checkpoints_of_another_network_are_refused(data, trained, tmp_path, capsys):
     folder = trained[1]
-    for others, said in (
+    for others, message in (
         ({"width": 24}, "width 16, not 24"),
         ({"flags": True}, "flags off, not on"),
         ({"seed": 1}, "seed 0, not 1"),
     ):
-        with pytest.raises(Refused, match=f"has checkpoints of another network, with {said}"):
-            train_job.train(options(data, folder, **others))
+        with pytest.raises(InputError, match=f"has checkpoints of another network, with {message}"):
+            training.train(options(data, folder, **others))
     command = ["train", "imitation", str(data.folder), "--width", "24", "--out", str(folder)]
     assert cli.main(command) == 2
     error = capsys.readouterr().err
     assert error.startswith("sean: ") and "another network" in error and len(error.splitlines()) == 1
-    with pytest.raises(Refused, match="has no trained network"):
-        learned.load(tmp_path, learning_data.setting()[0][0].scenario)
+    with pytest.raises(InputError, match="has no trained network"):
+        learned.load(tmp_path, learning_data.setting()[0]["join_group"])
 
 
 def test_opening_a_policy_changes_nothing(data, trained, tmp_path):
@@ -264,14 +271,14 @@ def test_opening_a_policy_changes_nothing(data, trained, tmp_path):
         return {path: (path.stat().st_mtime_ns, path.read_bytes() if path.is_file() else b"") for path in paths}
 
     before = everything()
-    scenario = learning_data.setting()[0][0].scenario
-    weights, wanted = (learned.load(place, scenario).data.weights for place in (folder, trained[1]))
+    scenario = learning_data.setting()[0]["join_group"]
+    weights, expected = (learned.load(place, scenario).params.weights for place in (folder, trained[1]))
     assert everything() == before
-    for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(wanted), strict=True):
+    for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)
-    with writing.held(folder), pytest.raises(writing.Unwritable, match="run is being written by process"):
-        train_job.train(options(data, folder, epochs=13))
-    train_job.train(options(data, folder, epochs=13))
+    with writing.folder_lock(folder), pytest.raises(writing.WriteError, match="run is being written by process"):
+        training.train(options(data, folder, epochs=13))
+    training.train(options(data, folder, epochs=13))
     assert not half.exists() and (folder / "checkpoints" / "13").is_dir()
 
 
@@ -283,22 +290,22 @@ def test_what_a_kill_left_half_deleted_is_no_checkpoint(data, trained, tmp_path)
     folder, chance = tmp_path / "run", random.Random(5)
     shutil.copytree(trained[1], folder)
     checkpoints, best = folder / "checkpoints", int(trained[0].best_epoch)
-    kept = sorted(path.name for path in checkpoints.iterdir())
-    for number in [number for number in range(1, best) if str(number) not in kept][:8]:
+    steps = sorted(path.name for path in checkpoints.iterdir())
+    for number in [number for number in range(1, best) if str(number) not in steps][:8]:
         half = checkpoints / str(number)
         shutil.copytree(checkpoints / str(best), half)  # as good as the best, which came after it
         paths = sorted(half.rglob("*"))
         for path in chance.sample(paths, chance.randint(1, len(paths))):
             shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-    assert len([*checkpoints.iterdir()]) > len(kept) + 3
-    scenario = learning_data.setting()[0][0].scenario
-    weights, wanted = (learned.load(place, scenario).data.weights for place in (folder, trained[1]))
-    for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(wanted), strict=True):
+    assert len([*checkpoints.iterdir()]) > len(steps) + 3
+    scenario = learning_data.setting()[0]["join_group"]
+    weights, expected = (learned.load(place, scenario).params.weights for place in (folder, trained[1]))
+    for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)
-    again = train_job.train(options(data, folder))
+    again = training.train(options(data, folder))
     for one, other in zip(jax.tree.leaves(trained[0]), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(one, other)
-    assert sorted(path.name for path in checkpoints.iterdir()) == kept
+    assert sorted(path.name for path in checkpoints.iterdir()) == steps
 
 
 def test_a_policy_is_opened_while_its_training_replaces_the_best(trained, tmp_path, monkeypatch):
@@ -317,16 +324,16 @@ def test_a_policy_is_opened_while_its_training_replaces_the_best(trained, tmp_pa
         return restore(self, step, like, part)
 
     monkeypatch.setattr(Checkpoints, "_restore", replaced)
-    scenario = learning_data.setting()[0][0].scenario
-    weights, wanted = (learned.load(place, scenario).data.weights for place in (folder, trained[1]))
+    scenario = learning_data.setting()[0]["join_group"]
+    weights, expected = (learned.load(place, scenario).params.weights for place in (folder, trained[1]))
     assert new.exists()
-    for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(wanted), strict=True):
+    for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def test_a_refused_training_leaves_no_folder(data, tmp_path):
-    with pytest.raises(Refused, match="--balance needs the dataset to fit"):
-        train_job.train(options(data, tmp_path / "deep" / "run", balance=True, on_device=0.0))
+    with pytest.raises(InputError, match="--balance needs the dataset to fit"):
+        training.train(options(data, tmp_path / "deep" / "run", balance=True, on_device=0.0))
     assert not any(tmp_path.iterdir())
 
 
@@ -339,8 +346,8 @@ def test_a_damaged_checkpoint_is_named(data, trained, tmp_path):
     for path in (folder / "checkpoints" / str(latest) / "state").rglob("*"):
         if path.is_file():
             path.write_bytes(b"broken")
-    with pytest.raises(Failed, match=f"checkpoints/{latest} cannot be read .* remove it to go on"):
-        train_job.train(options(data, folder, epochs=14))
+    with pytest.raises(IncompleteError, match=f"checkpoints/{latest} cannot be read .* remove it to go on"):
+        training.train(options(data, folder, epochs=14))
 
 
 def test_a_full_disk_keeps_the_checkpoints(data, trained, tmp_path, monkeypatch):
@@ -351,8 +358,8 @@ def test_a_full_disk_keeps_the_checkpoints(data, trained, tmp_path, monkeypatch)
     before = sorted(path.name for path in (folder / "checkpoints").iterdir())
     usage = shutil.disk_usage(folder)._replace(free=1000)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
-    with pytest.raises(Failed, match="the disk is full; earlier checkpoints are as they were"):
-        train_job.train(options(data, folder, epochs=14))
+    with pytest.raises(IncompleteError, match="the disk is full; earlier checkpoints are as they were"):
+        training.train(options(data, folder, epochs=14))
     assert sorted(path.name for path in (folder / "checkpoints").iterdir()) == before
 
 
@@ -369,20 +376,18 @@ def test_a_log_goes_on_where_the_training_does(tmp_path):
 @pytest.mark.slow
 def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
     """Driven step by step, in a batch, its decisions each second are those for the examples of the recording."""
-    parts, tasks, eye = learning_data.setting()
-    scenario = dataclasses.replace(parts[0].scenario, task=tasks[0])
+    parts, camera = learning_data.setting()
+    scenario = parts["join_group"]
     policy = learned.load(trained[1], scenario)
-    keys = jax.vmap(jax.random.fold_in, (None, 0))(chance.key("collect", learning_data.SEED), jnp.arange(3))
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(prng.key("collect", learning_data.SEED), jnp.arange(3))
 
     def follow(before, after, action):
-        return after.driver.decision, action
+        return after.policy_state.decision, action
 
-    drive = jax.vmap(lambda policy, key: parallel.rollout(scenario, policy, key, 61, follow), (None, 0))
+    drive = jax.vmap(lambda policy, key: episodes.rollout(scenario, policy, key, 61, follow), (None, 0))
     _, (decisions, actions) = jax.jit(drive)(policy, keys)
-    from sean_jax.learning import demonstrations
-
-    programs = demonstrations.prepare(parts[0].scenario, tasks, policy, eye)
-    batch = demonstrations.simulate(programs, parts[0].scenario, learning_data.SEED, 0, np.arange(3))
+    running = Runner(scenario, policy, 3, "collect", demonstrations.record(scenario, camera))
+    batch = demonstrations.simulate(running, learning_data.SEED, 0, 0)
     np.testing.assert_allclose(batch.rows["command"][:, :7], actions[:, ::10], atol=1e-3)
     lengths = np.minimum(batch.lengths, 7)
     assert (lengths == 7).all()
@@ -391,11 +396,11 @@ def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
     from sean_jax.learning.examples import Recording, Row
 
     recording = on_device(Recording(Row(**rows), first, first + 7))
-    brain = policy.data
+    params = policy.params
     rows = jnp.arange(21, dtype=jnp.int32)
-    said = answers(brain.network, brain.weights, jax.jit(jax.vmap(example, (None, 0)))(recording, rows))
+    answer = answers(params.network, params.weights, jax.jit(jax.vmap(example, (None, 0)))(recording, rows))
     for name in ("local_plan", "planner_attention", "controller_attention"):
-        expected = getattr(said, name).reshape(3, 7, *getattr(said, name).shape[1:])
+        expected = getattr(answer, name).reshape(3, 7, *getattr(answer, name).shape[1:])
         np.testing.assert_allclose(getattr(decisions, name)[:, ::10], expected, atol=2e-3)
-    scale = np.asarray(brain.weights.scale)
-    np.testing.assert_allclose(actions[:, ::10].reshape(21, 2), np.asarray(said.command) * scale, atol=2e-3)
+    scale = np.asarray(params.weights.scale)
+    np.testing.assert_allclose(actions[:, ::10].reshape(21, 2), np.asarray(answer.command) * scale, atol=2e-3)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sean_jax import cli, files, maps, scenery
+from sean_jax import cli, maps, scenery
 from sean_jax import environment as environments
+from sean_jax.errors import FileError
 
 mujoco: Any = import_module("mujoco")  # which has no type stubs
 OCCUPIED, FREE, UNKNOWN = 0, 254, 205  # as map_saver writes them
@@ -164,10 +165,10 @@ def test_maps_that_cannot_be_used(tmp_path, settings, message):
 def test_images_that_cannot_be_read(tmp_path):
     path = write(tmp_path, plan())
     (tmp_path / "plan.pgm").write_bytes(b"P5 4 4 255\n")
-    with pytest.raises(files.FileError, match="plan.pgm: is no image that can be read"):
+    with pytest.raises(FileError, match="plan.pgm: is no image that can be read"):
         maps.read(path)
     (tmp_path / "plan.pgm").unlink()
-    with pytest.raises(files.FileError, match="plan.yaml: image: there is no file .*plan.pgm"):
+    with pytest.raises(FileError, match="plan.yaml: image: there is no file .*plan.pgm"):
         maps.read(path)
 
 

@@ -1,4 +1,4 @@
-"""Metrics of section IV-H, folded over paths made by hand and over random ones that a plain loop measures too."""
+"""Metrics of section IV-H, updated along paths made by hand and over random ones that a plain loop measures too."""
 
 import math
 from dataclasses import replace
@@ -16,8 +16,8 @@ from sean_jax.metrics import metric
 PEOPLE, SITUATIONS, STEP = 3, 5, 0.1
 FAR = (50.0, 50.0)
 ROBOT_RADIUS, PERSON_RADIUS = 0.16, 0.2
-fold = jax.jit(metrics.fold)
-results = jax.jit(metrics.results)
+update = jax.jit(metrics.update)
+compute = jax.jit(metrics.compute)
 EVENTS = [f"{limit}_{who}" for limit in ("intimate", "personal", "collision")
           for who in ("robot_on_person", "person_on_robot")]  # fmt: skip
 
@@ -32,7 +32,7 @@ def at(tick=0, position=(0, 0), velocity=(0, 0), people=(), situations=(), goal=
         heading=np.ones((PEOPLE, 2), np.float32),
         desired_velocity=np.zeros((PEOPLE, 2), np.float32),
         group=np.full(PEOPLE, -1, np.int32),
-        party=np.full(PEOPLE, -1, np.int32),
+        walking_group=np.full(PEOPLE, -1, np.int32),
         present=np.arange(PEOPLE) < len(people),
         preferred_speed=np.ones(PEOPLE, np.float32),
         robot_distance=np.zeros(PEOPLE, np.float32),
@@ -58,10 +58,10 @@ def at(tick=0, position=(0, 0), velocity=(0, 0), people=(), situations=(), goal=
 
 def measure(moments: list[Moment]) -> dict[str, np.ndarray]:
     """The metrics over a sequence of moments, by the package."""
-    values = metrics.start(moments[0])
+    values = metrics.init(moments[0])
     for before, after in zip(moments[:-1], moments[1:], strict=True):
-        values = fold(values, before, after)
-    return {name: np.asarray(value) for name, value in results(values).items()}
+        values = update(values, before, after)
+    return {name: np.asarray(value) for name, value in compute(values).items()}
 
 
 def drive(positions, **others) -> dict[str, np.ndarray]:
@@ -135,9 +135,9 @@ def test_time_not_moving_adds_up_at_any_time_step(step):
             for part in (0, slice(None, -1), slice(1, None))
         )
         chosen = tuple((name, metrics.METRICS[name]) for name in ("time_not_moving", "path_length"))
-        values = metrics.start(first, chosen)
-        values = jax.lax.scan(lambda v, pair: (metrics.fold(v, *pair, chosen), None), values, (before, after))[0]
-        return metrics.results(values, chosen)
+        values = metrics.init(first, chosen)
+        values = jax.lax.scan(lambda v, pair: (metrics.update(v, *pair, chosen), None), values, (before, after))[0]
+        return metrics.compute(values, chosen)
 
     found = whole(sequence)
     # The second in which it starts belongs to neither or to one: 0.05 m of it may be standing.
@@ -151,7 +151,7 @@ def test_time_not_moving_adds_up_at_any_time_step(step):
 def test_samples_are_the_first_ticks_at_or_after_whole_seconds(step):
     decimal = Fraction(str(step))
     passed = [math.floor(decimal * tick) - math.floor(decimal * (tick - 1)) > 0 for tick in range(1, 201)]
-    look = jax.jit(jax.vmap(lambda moment: (metric.by_second(moment), metric.since_second(moment))))
+    look = jax.jit(jax.vmap(lambda moment: (metric.second_has_passed(moment), metric.time_since_sample(moment))))
     by, since = look(timed(np.arange(1, 201), step))
     assert np.asarray(by).tolist() == passed
     ticks = np.flatnonzero(passed) + 1
@@ -319,8 +319,8 @@ def test_random_paths_equal_a_plain_loop_and_vmap_equals_a_loop():
             jax.tree.map(lambda leaf: leaf[part], sequence)  # noqa: B023
             for part in (0, slice(None, -1), slice(1, None))
         )
-        values = jax.lax.scan(lambda v, pair: (metrics.fold(v, *pair), None), metrics.start(first), (before, after))[0]
-        return metrics.results(values)
+        values = jax.lax.scan(lambda v, pair: (metrics.update(v, *pair), None), metrics.init(first), (before, after))[0]
+        return metrics.compute(values)
 
     for name, value in jax.jit(jax.vmap(run))(together).items():
         np.testing.assert_allclose(value, np.stack([one[name] for one in found]), rtol=1e-5, atol=1e-6, err_msg=name)
@@ -329,26 +329,26 @@ def test_random_paths_equal_a_plain_loop_and_vmap_equals_a_loop():
 def test_units_shapes_and_types():
     """Values keep their types from step to step, or a rollout would be traced again; each metric names its unit."""
     here = at(0, people=[(1, 0)])
-    values = metrics.start(here)
-    after = fold(values, here, here)
+    values = metrics.init(here)
+    after = update(values, here, here)
     for one, other in zip(jax.tree.leaves(values), jax.tree.leaves(after), strict=True):
         assert one.dtype == other.dtype == jnp.float32 and one.shape == other.shape and not one.weak_type
-    units = {"m", "s", "1", "rad", "count", "m/s", "m/s2", "m/s3"}
+    units = {"m", "s", "1", "rad", "m/s", "m/s2", "m/s3"}
     assert {metric.unit for metric in metrics.METRICS.values()} <= units
-    for name, value in results(after).items():
+    for name, value in compute(after).items():
         assert value.shape in ((), (1 + SITUATIONS,)), name
 
 
 def test_gradients_are_finite_where_the_robot_stands_at_its_goal_on_somebody():
     def loss(position):
         here = [replace(at(k, people=[(0, 0)]), position=position) for k in (0, 10)]
-        values = metrics.fold(metrics.start(here[0]), *here)
-        return sum(value.sum() for value in metrics.results(values).values())
+        values = metrics.update(metrics.init(here[0]), *here)
+        return sum(value.sum() for value in metrics.compute(values).values())
 
     assert np.isfinite(jax.grad(loss)(jnp.zeros(2))).all()
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float16, np.int32])
 def test_time_is_counted_in_the_precision_that_is_set_whatever_the_path_is_given_in(kind):
-    whole = metric.no_time(replace(at(), geodesic=np.array(3, kind)))
+    whole = metric.zero_duration(replace(at(), geodesic=np.array(3, kind)))
     assert whole.step == np.float32(STEP) and whole.step.dtype == jnp.result_type(float)

@@ -9,8 +9,8 @@ from scipy.optimize import linprog, minimize
 
 import sean_jax
 from sean_jax.environment import clearance
-from sean_jax.pedestrian_models import MODELS, half_planes
-from sean_jax.pedestrian_models.orca import half_plane
+from sean_jax.pedestrian_models import MODELS
+from sean_jax.pedestrian_models.orca import best_velocity, half_plane
 from sean_jax.policies import go_to_goal
 
 LIMIT = 1.7
@@ -29,7 +29,7 @@ def configurations(number, planes, seed, spread):
 
 def solve(normal, c, wanted):
     hard = np.arange(c.shape[1]) >= c.shape[1] - 2
-    run = jax.jit(jax.vmap(half_planes.best_velocity, in_axes=(0, 0, 0, None, 0, 0, None)))
+    run = jax.jit(jax.vmap(best_velocity, in_axes=(0, 0, 0, None, 0, 0, None)))
     given = (jnp.asarray(part, jnp.float32) for part in (normal[..., 0], normal[..., 1], c))
     wanted = jnp.asarray(wanted, jnp.float32)
     return np.stack(run(*given, jnp.asarray(hard), wanted[:, 0], wanted[:, 1], jnp.float32(LIMIT)), -1)

@@ -62,7 +62,7 @@ def moment(people=(), heading=AHEAD, speed=0.5, obstacles=FAR_AWAY, start=(9, 9)
         heading=jnp.asarray(headings),
         desired_velocity=jnp.zeros((SLOTS, 2), number),
         group=jnp.full(SLOTS, -1, jnp.int32),
-        party=jnp.full(SLOTS, -1, jnp.int32),
+        walking_group=jnp.full(SLOTS, -1, jnp.int32),
         present=jnp.arange(SLOTS) < len(people),
         preferred_speed=jnp.ones(SLOTS, number),
         robot_distance=jnp.zeros(SLOTS, number),
@@ -265,6 +265,48 @@ def test_make_takes_sets_of_situations(scenario):
             sean_jax.make(situations=wrong)
 
 
+def close(moment):
+    """Somebody is within 1 m: a situation that needs no thresholds."""
+    gap = moment.people.position - moment.position[None, :]
+    return (((gap * gap).sum(1) < 1.0) & moment.people.present).any()
+
+
+def test_a_function_is_a_situation():
+    """With thresholds or without; what it gives is checked when the program is traced."""
+    mine = classifiers.as_situation(close, "close")
+    rules = (("empty", SITUATIONS["empty"]), ("close", mine))
+    look = jax.jit(lambda here: classifiers.classify(here, classifiers.thresholds(), rules))
+    assert look(moment([((0.9, 0), LEFT, 0.0)])).tolist() == [False, True]
+    assert look(moment([((1.1, 0), LEFT, 0.0)])).tolist() == [False, False]
+    assert classifiers.as_situation(close, "close") == mine, "or a scenario made again would be compiled again"
+    assert hash(classifiers.as_situation(close, "close")) == hash(mine) and classifiers.as_situation(mine) is mine
+    near = classifiers.as_situation(lambda moment, thresholds: close(moment) & (thresholds.near > 1.0), "near")
+    assert near(moment([((0.9, 0), LEFT, 0.0)]), classifiers.thresholds())
+    assert classifiers.as_situation(SITUATIONS["empty"], "empty") is SITUATIONS["empty"]
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: classifiers.as_situation(close, "overall"), "'overall' means something else"),
+        (lambda: classifiers.as_situation(7, "seven"), "seven is 7; give a function"),
+        (lambda: classifiers.as_situation(lambda: True, "nothing"), "give a function"),
+        (
+            lambda: classifiers.as_situation(lambda here: here.people.present, "all")(moment(), None),
+            r"all gives bool \(7,\), not a \(\) bool",
+        ),
+        (
+            lambda: classifiers.as_situation(lambda here: here.position[0], "x")(moment(), None),
+            r"x gives float32 \(\), not a \(\) bool",
+        ),
+    ],
+)
+def test_what_is_no_situation_is_refused_in_one_sentence(call, words):
+    with pytest.raises(ValueError, match=words) as refused:
+        call()
+    assert "\n" not in str(refused.value)
+
+
 def groups_of(labels) -> set[frozenset]:
     labels = np.asarray(labels)
     return {frozenset(np.flatnonzero(labels == label).tolist()) for label in set(labels.tolist()) - {-1}}
@@ -313,12 +355,12 @@ def test_partition_equals_double_precision_and_vmap():
     assert max(len(groups_of(labels)) for labels in np.asarray(together)) >= 2
 
 
-def test_found_groups_by_hand():
+def test_match_groups_by_hand():
     present = jnp.ones(6, bool)
 
     def count(estimated, annotated, tolerance=2 / 3):
         arrays = (jnp.array(labels, jnp.int32) for labels in (estimated, annotated))
-        return np.asarray(classifiers.found_groups(*arrays, present, tolerance)).tolist()
+        return np.asarray(classifiers.match_groups(*arrays, present, tolerance)).tolist()
 
     assert count([0, 0, 0, 3, 3, -1], [1, 1, 1, 2, 2, -1]) == [2, 2, 2]
     assert count([0, 0, -1, -1, -1, -1], [1, 1, 1, -1, -1, -1]) == [1, 1, 1]  # two of three

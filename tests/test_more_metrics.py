@@ -1,6 +1,7 @@
 """Metrics beyond the paper's own (section IV-H), on cases with a closed form."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from sean_jax import environment, metrics, navigation
 from sean_jax import scenario as scenario_module
 from sean_jax.base import Obstacles
 from sean_jax.metrics.comfort import collision_time
-from sean_jax.metrics.obstacles import obstacle_distance
+from sean_jax.metrics.proximity import obstacle_distance
 
 REACH = 0.36  # m, of a robot and a person who touch
 
@@ -56,7 +57,7 @@ def test_detour_along_three_sides_of_a_square():
     assert found["success_by_path_length"] == pytest.approx(1 / 3, rel=1e-5)
     assert found["success_by_time"] == pytest.approx(1 / 3, rel=1e-5)
     moments = [
-        replace(at(k, p, **others), turning=jnp.float32(0.5), robot_top_speed=jnp.float32(1.0))
+        replace(at(k, p, **others), path_rotation=jnp.float32(0.5), robot_top_speed=jnp.float32(1.0))
         for k, p in enumerate(way)
     ]
     turned = [replace(here, heading=jnp.asarray((np.cos(0.1 * k), np.sin(0.1 * k)), jnp.float32)) for k, here
@@ -222,8 +223,8 @@ def test_random_moments_vmap_equals_a_loop_and_nothing_depends_on_the_number_of_
             jax.tree.map(lambda leaf: leaf[part], sequence)  # noqa: B023
             for part in (0, slice(None, -1), slice(1, None))
         )
-        values = jax.lax.scan(lambda v, pair: (metrics.fold(v, *pair), None), metrics.start(first), (before, after))[0]
-        return metrics.results(values), values
+        values = jax.lax.scan(lambda v, pair: (metrics.update(v, *pair), None), metrics.init(first), (before, after))[0]
+        return metrics.compute(values), values
 
     together, values = jax.jit(jax.vmap(run))(stacked)
     for name, value in together.items():
@@ -238,7 +239,7 @@ def test_rotation_of_the_shortest_path_equals_that_of_a_graph_search(scenario):
     places, heading = tables.places[:80].reshape(40, 2, 2), jnp.asarray([0.6, 0.8], jnp.float32)
 
     def by_tables(start, goal):
-        return navigation.turning(tables, start, heading, goal, navigation.to_goal(tables, goal))
+        return navigation.path_rotation(tables, start, heading, goal, navigation.build_paths_to_goal(tables, goal))
 
     ours = np.asarray(jax.jit(jax.vmap(by_tables))(places[:, 0], places[:, 1]))
     starts, goals = np.moveaxis(np.asarray(places, float), 1, 0)
@@ -254,7 +255,7 @@ def test_an_episode_fills_a_moment_with_all_that_metrics_read(scenario):
     """The rotation of the path, the goal radius, the top speed and the obstacles are those of the scenario."""
     state = jax.jit(lambda key: sean_jax.reset(scenario, key))(jax.random.key(0))
     here = scenario_module.moment(scenario, state)
-    assert float(here.turning) == float(state.task.turning) >= 0.0
+    assert float(here.path_rotation) == float(state.task.path_rotation) >= 0.0
     assert float(here.goal_radius) == pytest.approx(1.2) and float(here.robot_top_speed) == pytest.approx(0.5)
     nearest = float(environment.clearance(scenario.environment, here.position[None, :])[0])
     assert float(obstacle_distance(here)) == pytest.approx(nearest, abs=1e-4)
@@ -270,9 +271,33 @@ def test_every_metric_of_seans_documentation_is_there():
         "collision_person_on_robot", "collision_with_obstacle",
     }  # fmt: skip
     assert len(seans) == 14 and seans <= set(metrics.METRICS)
-    from sean_jax.main_job.table import DEFINITIONS
 
-    assert set(metrics.METRICS) - {"time_in_situation"} <= set(DEFINITIONS)
+
+def test_documentation_lists_every_metric_as_it_is():
+    text = (Path(__file__).resolve().parent.parent / "docs" / "metrics.md").read_text(encoding="utf-8")
+    listed = [line for line in text.splitlines() if line.startswith("| `") and line.count("|") == 4]
+    expected = [f"| `{name}` | {metric.unit} | {metric.definition} |" for name, metric in metrics.METRICS.items()]
+    assert [line for line in listed if line.split("`")[1] in metrics.METRICS] == expected
+    assert all(metric.title and metric.definition.endswith(".") for metric in metrics.METRICS.values())
+
+
+def test_example_of_the_documentation_runs():
+    """Its own metrics, of the second block of code, along a path past somebody."""
+    text = (Path(__file__).resolve().parent.parent / "docs" / "metrics.md").read_text(encoding="utf-8")
+    block = text.split("```python\n")[2].split("```")[0]
+    space: dict = {}
+    exec(block.split("scenario = ")[0], space)
+    own = tuple((name, metrics.as_metric(metric, name)) for name, metric in space["own"].items())
+    turned = [(np.cos(0.1 * k), np.sin(0.1 * k)) for k in range(31)]
+    moments = [at(k, (0.1 * k, 0.0), people=[(1.5, 0.2)]) for k in range(31)]
+    moments = [replace(one, heading=jnp.asarray(ahead, jnp.float32))
+               for one, ahead in zip(moments, turned, strict=True)]  # fmt: skip
+    values = metrics.init(moments[0], own)
+    for before, after in zip(moments[:-1], moments[1:], strict=True):
+        values = metrics.update(values, before, after, own)
+    found = metrics.compute(values, own)
+    assert found["rotation"][0] == pytest.approx(3.0, rel=1e-4) and found["times_too_close"][0] == 1.0
+    assert found["too_close"][0] == pytest.approx(STEP * sum(abs(0.1 * k - 1.5) < 0.5656 for k in range(31)))
 
 
 def test_means_and_extremes_are_unknown_only_where_a_situation_never_occurred():

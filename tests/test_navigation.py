@@ -11,12 +11,11 @@ import shortest_paths as oracle
 from quick import quick
 
 from sean_jax import environment as environments
-from sean_jax import navigation
+from sean_jax import navigation, obstacle_grid
 from sean_jax.base import Environment, Obstacles
 from sean_jax.graph import annotation
 from sean_jax.navigation import Navigation
-from sean_jax.nearby import tabulate
-from sean_jax.scenery import plain
+from sean_jax.scenery import plain_scenery
 
 RADIUS = 0.25  # m
 KURI, WARTHOG = 0.16, 0.95  # m
@@ -37,7 +36,11 @@ def yard(rows, floor=(-8.0, -8.0, 8.0, 8.0)) -> Environment:
     parts = (rows[:, :2], rows[:, 2:4], rows[:, 4], np.ones(len(rows), np.float32))
     obstacles, edges = Obstacles(*(jnp.asarray(part) for part in parts)), jnp.asarray(floor, jnp.float32)
     return Environment(
-        floor=edges, obstacles=obstacles, nearby=tabulate(obstacles, edges), scenery=plain(obstacles), name="yard"
+        floor=edges,
+        obstacles=obstacles,
+        obstacle_grid=obstacle_grid.build(obstacles, edges),
+        scenery=plain_scenery(obstacles),
+        name="yard",
     )
 
 
@@ -136,10 +139,10 @@ def test_a_disc_goes_through_a_gap_that_is_a_little_wider(room):
 def test_tables_of_bends():
     """A way back is the way there, with left and right, and enter and leave, exchanged."""
     tables = place("warehouse").tables
-    count = tables.bends.side.shape[0]
+    count = tables.arcs.side.shape[0]
     back = (np.arange(count) + count // 2) % count
-    np.testing.assert_array_equal(np.asarray(tables.bends.side)[back], -np.asarray(tables.bends.side))
-    distance, turn = np.asarray(tables.distance), np.asarray(tables.turn)
+    np.testing.assert_array_equal(np.asarray(tables.arcs.side)[back], -np.asarray(tables.arcs.side))
+    distance, turn = np.asarray(tables.distance), np.asarray(tables.rotation)
     # Not quite everywhere: for loops that are on no shortest path, one of the two may be missed.
     assert np.isclose(distance.T[back][:, back], distance, atol=1e-4).mean() > 0.99
     there = np.isfinite(distance) & np.isfinite(distance.T[back][:, back])
@@ -155,16 +158,16 @@ def test_gradients_point_along_the_way():
     here = place("yard")
     points = jnp.asarray(environments.free_points(here.environment, RADIUS, 240, seed=5))
     start, goal = points[:120], points[120:]
-    corner = np.asarray(here.tables.bends.corner)[:20]
+    corner = np.asarray(here.tables.arcs.corner)[:20]
     odd = jnp.concatenate([goal[:20], jnp.asarray(corner), here.environment.obstacles.center[:20]])
 
     @jax.jit
     @functools.partial(jax.vmap, in_axes=(0, 0))
     def slope(start, goal):
         def far(start):
-            return navigation.geodesic(here.tables, start, goal, navigation.to_goal(here.tables, goal))
+            return navigation.geodesic(here.tables, start, goal, navigation.build_paths_to_goal(here.tables, goal))
 
-        ahead = navigation.next_point(here.tables, start, goal, navigation.to_goal(here.tables, goal))
+        ahead = navigation.next_point(here.tables, start, goal, navigation.build_paths_to_goal(here.tables, goal))
         return jax.grad(far)(start), ahead - start
 
     by_start, ahead = map(np.asarray, slope(start, goal))
@@ -182,9 +185,9 @@ def test_rough_lengths_are_near_the_exact_ones():
     @jax.jit
     @jax.vmap
     def both(start, goal):
-        to_goal = navigation.to_goal(tables, goal)
-        exact = navigation.geodesic(tables, start, goal, to_goal)
-        return navigation.geodesic_roughly(tables, start, goal, to_goal), exact
+        paths_to_goal = navigation.build_paths_to_goal(tables, goal)
+        exact = navigation.geodesic(tables, start, goal, paths_to_goal)
+        return navigation.geodesic_approx(tables, start, goal, paths_to_goal), exact
 
     rough, exact = map(np.asarray, both(start, goal))
     near = np.abs(rough - exact) < 0.5
@@ -196,14 +199,14 @@ def test_tables_of_people_lead_to_every_node_of_the_graph(name):
     """Around obstacles, by as much as their bodies need, and on ways that are hardly longer than they must be."""
     here = place(name)
     goals = annotation.read(environments.find(name) / "graph.yaml", here.environment).position
-    ways = navigation.towards(here.tables, goals)
+    ways = navigation.build_next_corner_table(here.tables, goals)
     starts = environments.free_points(here.environment, RADIUS + 0.01, 20, seed=5)
 
     @jax.jit
     def walk(starts):
         def one(start, node):
             def stride(position, _):
-                gap = navigation.ahead(here.tables, ways, position, node) - position
+                gap = navigation.next_corner(here.tables, ways, position, node) - position
                 far = jnp.sqrt((gap * gap).sum())
                 position = position + gap * (jnp.minimum(far, STRIDE) / jnp.maximum(far, 1e-6))
                 return position, position
@@ -226,7 +229,7 @@ def test_sees_is_exact():
     p = random.uniform(-8, 8, (800, 2)).astype(np.float32)
     q = p + random.normal(0, 2, p.shape).astype(np.float32)
     exact = oracle.ways_clearance(p.astype(float), q.astype(float), here.boxes)
-    ours = jax.jit(jax.vmap(navigation.sees, (None, 0, 0, None)))(here.environment.obstacles, p, q, RADIUS)
+    ours = jax.jit(jax.vmap(navigation.segment_is_free, (None, 0, 0, None)))(here.environment.obstacles, p, q, RADIUS)
     told = np.abs(exact - RADIUS) > 1e-5
     np.testing.assert_array_equal(np.asarray(ours)[told], exact[told] >= RADIUS)
     assert 0.1 < ours.mean() < 0.9
@@ -245,13 +248,13 @@ def test_a_place_without_a_way_is_infinitely_far():
     assert 6.5 < found[2] < 9.0
 
     def onward(position, goal):
-        return navigation.next_point(tables, position, goal, navigation.to_goal(tables, goal))
+        return navigation.next_point(tables, position, goal, navigation.build_paths_to_goal(tables, goal))
 
     following = np.asarray(jax.jit(jax.vmap(onward))(start, goal))
     np.testing.assert_array_equal(following[:2], goal[:2])  # straight on, for want of a way
     assert np.isfinite(following).all()
-    ways, count = navigation.towards(tables, goal), tables.bends.side.shape[0]
-    for table in (ways.first, ways.onward):
+    ways, count = navigation.build_next_corner_table(tables, goal), tables.arcs.side.shape[0]
+    for table in (ways.first_arc, ways.next_arc):
         assert (np.asarray(table) >= 0).all() and (np.asarray(table) <= count).all()
 
 
@@ -261,8 +264,8 @@ def test_a_room_without_corners_to_go_around():
     tables = navigation.build(yard(walls, (-4.0, -4.0, 4.0, 4.0)), RADIUS)
     start, goal = jnp.array([[3.0, 0.5], [-2.0, -3.0]]), jnp.array([[-3.0, 0.5], [1.0, 1.0]])
     np.testing.assert_allclose(oracle.lengths(tables, start, goal), [6.0, 5.0], rtol=1e-5)
-    first = np.asarray(navigation.towards(tables, goal).first)
-    assert (first[4:-4, 4:-4] == tables.bends.side.shape[0]).all()
+    first = np.asarray(navigation.build_next_corner_table(tables, goal).first_arc)
+    assert (first[4:-4, 4:-4] == tables.arcs.side.shape[0]).all()
     assert len(tables.places) > 500
 
 

@@ -9,11 +9,17 @@ import pytest
 
 from sean_jax import social_forces
 from sean_jax.bench import workload
-from sean_jax.social_forces import model, neighbors
-from sean_jax.social_forces.parameters import felt_within
+from sean_jax.social_forces import Crowd, Pair, model, neighbors
+from sean_jax.social_forces.walking import look_direction
 
 NUMBER = 303  # enough that neighbors are looked for, and no multiple of the blocks
 find = jax.jit(neighbors.find)
+
+
+def pair_forces(forces, people, near=None):
+    """What people feel from one another."""
+    crowd = Crowd(forces, people, *look_direction(people), None, None, None, 0.0, None)
+    return model.pair_forces(crowd, near)
 
 
 def places(kind: str) -> np.ndarray:
@@ -46,17 +52,17 @@ def test_nobody_near_is_missed(kind, within):
     present = np.arange(NUMBER) % 5 != 0
     near = find(jnp.asarray(np.where(present[:, None], position, 1e8)), jnp.asarray(present), jnp.float32(within))
     order, first, last = np.asarray(near.order), np.asarray(near.first), np.asarray(near.last)
-    fullest = np.asarray(near.fullest)
+    by_parts = np.asarray(near.by_parts)
     np.testing.assert_array_equal(np.sort(order), np.arange(NUMBER))
-    np.testing.assert_array_equal(fullest[np.asarray(near.rank)], np.arange(NUMBER))
+    np.testing.assert_array_equal(by_parts[np.asarray(near.rank)], np.arange(NUMBER))
     longest = -(-(last - first).max(1) // neighbors.PART)
     assert (longest[1:] <= longest[:-1]).all()
     index = np.arange(NUMBER)[None, None, :]
     found = ((index >= first[:, :, None]) & (index < last[:, :, None])).sum(1)
-    assert found[present[fullest]].max() == 1, "somebody is in two runs"
-    feel, felt = position[fullest].astype(np.float64), position[order].astype(np.float64)
+    assert found[present[by_parts]].max() == 1, "somebody is in two runs"
+    feel, felt = position[by_parts].astype(np.float64), position[order].astype(np.float64)
     apart = np.linalg.norm(feel[:, None] - felt[None], axis=-1)
-    wanted = (apart <= within) & present[fullest][:, None] & present[order][None]
+    wanted = (apart <= within) & present[by_parts][:, None] & present[order][None]
     assert (found[wanted] == 1).all()
     if kind == "anywhere" and within == 7.0:
         assert found.sum() < 0.4 * NUMBER**2
@@ -79,7 +85,7 @@ def test_forces_and_gradients_are_those_of_all_pairs(preset, on, monkeypatch):
     def forces(parameters, people, few: bool):
         near = model.neighbors(parameters, people, 0.1) if few else None
         assert (near is not None) == few
-        x, y = model.pair_forces(parameters, people, *model._look(people), near=near)
+        x, y = pair_forces(parameters, people, near)
         return jnp.where(people.present, x, 0.0), jnp.where(people.present, y, 0.0)
 
     def loss(parameters, position, velocity, few: bool):
@@ -128,12 +134,12 @@ def test_sums_have_forward_mode_too():
 def test_forward_mode_equals_reverse_mode_also_twice():
     """Among 303 people: the Jacobian of forces by three places and a constant, and second derivatives of all pairs."""
     parameters, people = social_forces.preset("helbing1995"), crowd()
-    at = people.position[1:4], parameters.strength
+    at = people.position[1:4], parameters.repulsion.strength
 
     def forces(places, strength, few=True):
         moved = replace(people, position=people.position.at[1:4].set(places))
         near = model.neighbors(parameters, moved, 0.1) if few else None
-        x, y = model.pair_forces(replace(parameters, strength=strength), moved, *model._look(moved), near=near)
+        x, y = pair_forces(parameters.tree_replace({"repulsion.strength": strength}), moved, near)
         return jnp.where(people.present, jnp.stack([x, y]), 0.0)[:, :8]
 
     both = jax.jit(lambda *at: (jax.jacfwd(forces, (0, 1))(*at), jax.jacrev(forces, (0, 1))(*at)))
@@ -142,7 +148,7 @@ def test_forward_mode_equals_reverse_mode_also_twice():
         assert np.abs(forward).max() > 0.1
 
     def bend(places, few):
-        slope = jax.grad(lambda places: jnp.sin(forces(places, parameters.strength, few)).sum())
+        slope = jax.grad(lambda places: jnp.sin(forces(places, parameters.repulsion.strength, few)).sum())
         return jax.jvp(slope, (places,), (jnp.ones_like(places),))[1]
 
     ours, exact = jax.jit(lambda places: (bend(places, True), bend(places, False)))(at[0])
@@ -152,14 +158,13 @@ def test_forward_mode_equals_reverse_mode_also_twice():
 def test_who_is_farther_than_felt_pushes_by_less_than_said():
     for name in social_forces.PRESETS:
         parameters = social_forces.preset(name)
-        reach = float(felt_within(parameters))
+        reach = float(model.cutoff(parameters))
         angle = np.linspace(0.0, 2 * np.pi, 73, dtype=np.float32)
-        top = float(parameters.speed_ratio * parameters.speed_greatest)
+        top = float(parameters.walking.speed_ratio * parameters.walking.speed_max)
         dx = jnp.full(73, min(reach, 1e3) * 1.001, jnp.float32)
         wx, wy = jnp.asarray(top * np.cos(angle)), jnp.asarray(top * np.sin(angle))
-        push = jax.vmap(parameters.repulsion, (0, 0, 0, 0, 0, 0, None))
-        x, y = push(dx, jnp.zeros_like(dx), wx, wy, -wx, -wy, parameters)
-        assert float(jnp.max(jnp.hypot(x, y))) < 1.5e-4 or reach == float(parameters.perception)
+        x, y = parameters.repulsion.law(parameters.repulsion, Pair(dx, 0.0 * dx, wx, wy, -wx, -wy, 1.0, 0.0, 0.4))
+        assert float(jnp.max(jnp.hypot(x, y))) < 1.5e-4 or reach == float(parameters.walking.perception)
 
 
 def test_neighbors_hold_for_all_steps_between_two_looks():
@@ -168,11 +173,11 @@ def test_neighbors_hold_for_all_steps_between_two_looks():
     time = 1.0
     near = model.neighbors(parameters, people, time)
     heading = -people.position / jnp.linalg.norm(people.position, axis=1, keepdims=True)
-    step = parameters.speed_ratio * people.preferred_speed[:, None] * time
+    step = parameters.walking.speed_ratio * people.preferred_speed[:, None] * time
     moved = replace(people, position=people.position + heading * step)
     here = np.asarray(people.present)
-    old = model.pair_forces(parameters, moved, *model._look(moved), near=near)
-    exact = model.pair_forces(parameters, moved, *model._look(moved))
+    old = pair_forces(parameters, moved, near)
+    exact = pair_forces(parameters, moved)
     for one, other in zip(old, exact, strict=True):
         np.testing.assert_allclose(np.asarray(one)[here], np.asarray(other)[here], rtol=1e-4, atol=1e-3)
 
@@ -180,10 +185,10 @@ def test_neighbors_hold_for_all_steps_between_two_looks():
 def test_a_batch_is_its_crowds_and_a_law_of_ones_own_sees_all():
     parameters, people = social_forces.preset("helbing1995"), crowd()
     two = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf[::-1]]), people)
-    advance = jax.jit(jax.vmap(lambda people: social_forces.advance(parameters, people, None, None, None, 0.05)))
-    after = advance(two)
+    integrate = jax.jit(jax.vmap(lambda people: social_forces.integrate(parameters, people, None, None, None, 0.05)))
+    after = integrate(two)
     here = np.asarray(people.present)
     np.testing.assert_allclose(after.velocity[0][here], after.velocity[1][::-1][here], atol=1e-4)
-    own = replace(parameters, repulsion=lambda *arguments: parameters.repulsion(*arguments))
+    own = parameters.tree_replace({"repulsion.law": lambda *arguments: parameters.repulsion.law(*arguments)})
     assert model.neighbors(own, people, 0.1) is None
     assert model.neighbors(parameters, jax.tree.map(lambda leaf: leaf[:62], people), 0.1) is None

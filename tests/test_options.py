@@ -10,12 +10,18 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from sean_jax import cli, drawing, options
+from sean_jax import cli, config, drawing, flags, writing
 from sean_jax import environment as environments
-from sean_jax.bench import Options as Bench
-from sean_jax.experiments.options import OTHERS, Experiment
-from sean_jax.learning.options import Collect, Train
-from sean_jax.main_job.options import Options
+from sean_jax.config import (
+    COMMANDS,
+    CollectConfig,
+    Config,
+    Number,
+    RunConfig,
+    ScenarioConfig,
+    family_of,
+)  # fmt: skip
+from sean_jax.errors import InputError
 
 WORDS = ("warehouse", "-minus", "two words", "a'b", "[bold]x", ":smile:", "ümlaut", "--flag", "$HOME", "x=y", "7")
 
@@ -24,76 +30,124 @@ def drawn(random: np.random.Generator, kind: typing.Any) -> typing.Any:
     """A value of that type: floats of all sizes, short and long ones; words that a shell could misread."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if origin is typing.Annotated:
-        return drawn(random, inner[0])
+        limits = [each for each in inner[1:] if isinstance(each, Number)]
+        return number(random, inner[0], limits[0]) if limits else drawn(random, inner[0])
     if origin is typing.Literal:
         return inner[random.integers(len(inner))]
     if origin is tuple:
-        kinds = [inner[0]] * int(random.integers(4)) if Ellipsis in inner else inner
+        kinds = [inner[0]] * int(random.integers(1, 4)) if Ellipsis in inner else inner
         return tuple(drawn(random, each) for each in kinds)
     if type(None) in inner:
         return None if random.random() < 0.3 else drawn(random, inner[0])
     if kind is bool:
         return bool(random.random() < 0.5)
-    if kind is int:
-        return int(random.integers(-(2**31), 2**31))
-    if kind is float:
-        value = float(random.choice([-1, 1]) * 10.0 ** random.uniform(-12, 12))
-        return random.choice([value, float(np.float32(value)), round(value, 2), float(round(value)), value / 3]).item()
     word = str(random.choice(WORDS))
     return Path(word) if kind is Path else word
 
 
+def number(random: np.random.Generator, kind: type, limits: Number) -> typing.Any:
+    """A number within the limits, of any size."""
+    if kind is int:
+        return int(random.integers(int(limits.low), int(limits.high) + 1))
+    value = float(random.uniform(limits.low, limits.high)) * float(10.0 ** random.uniform(-12, 0))
+    value = random.choice([value, float(np.float32(value)), round(value, 2), value / 3]).item()
+    return min(max(value, limits.low), limits.high)
+
+
+def described(random: np.random.Generator, model: type[Config]) -> dict[str, typing.Any]:
+    """Fields of a description, drawn; components are one of their family, with options of their own."""
+    values: dict[str, typing.Any] = {}
+    for name, hint in typing.get_type_hints(model, include_extras=True).items():
+        if name not in model.model_fields:
+            continue
+        family = family_of(model.model_fields[name])
+        if family is None:
+            values[name] = drawn(random, hint)
+            continue
+        variant = family.variants[random.integers(len(family.variants))]
+        if variant is config.CustomTask:
+            values[name] = config.CustomTask(start=(1.0, 2.0), goal=(0.1, 1 / 3, 90.0))
+            continue
+        options = typing.get_type_hints(variant, include_extras=True)
+        chosen = {key: drawn(random, options[key]) for key in variant.model_fields if key != "kind"}
+        default = variant.model_fields["kind"].default
+        kind = default if isinstance(default, str) else str(random.choice(["kuri", "my.py:f"]))
+        values[name] = variant(kind=kind, **chosen)
+    return values
+
+
+FITTING = {"thresholds": None, "task_distance": (1.0, 2.0), "time_step": 0.1, "time_limit": 3.5, "metrics": "all"}
+
+
 @pytest.mark.parametrize(
-    ("kind", "fixed", "loose"),
+    ("word", "fixed"),
     [
-        (Options, {}, ("name", "out", "quiet")),
-        (Collect, {}, ("out", "quiet")),
-        (Train, {"dataset": Path("runs/a b")}, ("out", "quiet")),
-        (Experiment, {"which": "table1"}, ("out", "quiet", *OTHERS["table1"])),
-        (Experiment, {"which": "figure4"}, ("out", "quiet", *OTHERS["figure4"])),
-        (Bench, {}, ("out", "quiet")),
+        ("run", {**FITTING, "camera": None, "renderer": None}),
+        ("collect", {**FITTING, "behavior": "random", "task": None, "width": 30, "height": 20, "metrics": ()}),
+        ("train", {"dataset": Path("runs/a b")}),
+        ("experiment", {"which": "table1"}),
+        ("experiment", {"which": "figure4"}),
+        ("bench", {"only": "step,crowd"}),
     ],
 )
-def test_the_command_gives_the_same_options_to_the_bit(kind, fixed, loose):
-    random = np.random.default_rng(0)
-    hints = typing.get_type_hints(kind, include_extras=True)
+def test_the_command_gives_the_same_description_to_the_bit(word, fixed):
+    random, model = np.random.default_rng(0), COMMANDS[word]
     for _ in range(60):
-        drawn_ones = {name: drawn(random, hint) for name, hint in hints.items() if name not in loose}
-        asked = kind(**{**drawn_ones, **fixed})
-        words = shlex.split(asked.command)
-        assert words[0] == "sean"
-        assert cli._parse(words[1:]) == asked, asked.command
+        values = {**described(random, model), **fixed}
+        asked = model(**values)
+        words = shlex.split(flags.command(word, asked))
+        assert words[:2] == ["sean", word]
+        read = flags.read(model, flags.parse(word, model, words[2:], word == "run"))
+        assert decisive(read) == decisive(asked), flags.command(word, asked)
+
+
+def decisive(description: Config) -> dict[str, typing.Any]:
+    """All that has a place in the command."""
+    fields = type(description).model_fields
+    names = {name for name, field in fields.items() if config.Incidental() not in field.metadata}
+    return description.model_dump(include=names)
+
+
+def test_an_option_stands_in_one_place():
+    """Every option of every command has a flag, a default or is required, and a sentence that explains it."""
+    for model in COMMANDS.values():
+        for name, field in model.model_fields.items():
+            assert field.description and field.description.strip().endswith("."), (model, name)
+            for variant in (family_of(field) or config.Family(())).variants:
+                for option, about in variant.model_fields.items():
+                    assert option == "kind" or (about.description or "").endswith("."), (variant, option)
+    assert set(RunConfig.model_fields) > set(ScenarioConfig.model_fields) < set(CollectConfig.model_fields)
 
 
 FOLDERS = {"file": "kept", "full/old": "kept", "map.yaml": "image: none.pgm\n"}
 BAD = """
 run --episodes x | --episodes; sean run --help
 run --episode 3 | --episode; sean run --help
-run --episodes 0 | --episodes is 0, but must lie between 1
-run --episodes 99999999999 | --episodes is 99999999999, but must lie between
-run --people -1 | --people is -1, but must lie between 0
-run --people 1000000000 | --people is 1000000000, but must lie between
+run --episodes 0 | --episodes: 0 must be from 1
+run --episodes 99999999999 | --episodes: 99999999999 must be from
+run --people -1 | --people: -1 must be from 0 to 100,000
+run --people 1000000000 | --people: 1000000000 must be from
 run --people 90000 | people: 90000 do not fit on a floor of 1600 m2; at most; fewer
-run --batch 0 | --batch is 0, but must lie between 1
-run --seed -1 | --seed is -1, but must lie between 0
-run --seed 4294967296 | --seed is 4294967296, but must
-run --time-limit inf | --time-limit is inf, but must lie between 0.1 and 1000000 (120 is the default)
-run --time-limit nan | --time-limit is nan, but must
-run --time-limit 0 | --time-limit is 0, but must
-run --time-limit=-3 | --time-limit is -3, but must
-run --spreading nan | --spreading is nan, but must lie between 0
-run --spreading=-1 | --spreading is -1, but must
-run --parties nan 0 | --parties is nan, but must lie between 0 and 1
-run --parties 0.7 0.7 | parties: (0.7, 0.7); together 1 at most
-run --behavior random --frame-rate 0 | --frame-rate is 0, but must
-run --frame-rate 30 | frame_rate: behavior 'graph' has none; choose behavior 'playback'
-run --task custom --start 1 --goal 2 2 | --start has 1 numbers; x and y
-run --task custom --start nan 1 --goal 2 2 | --start is nan, but must
+run --batch 0 | --batch: 0 must be from 1
+run --seed -1 | --seed: -1 must be from 0
+run --seed 4294967296 | --seed: 4294967296 must be
+run --time-limit inf | --time-limit: inf must be from 0.1 to 86,400 s
+run --time-limit nan | --time-limit: nan must be
+run --time-limit 0 | --time-limit: 0.0 must be
+run --time-limit=-3 | --time-limit: -3.0 must be
+run --congestion-cost nan | --congestion-cost: nan must be from 0
+run --congestion-cost=-1 | --congestion-cost: -1.0 must be
+run --walking-groups nan 0 | --walking-groups: nan must be from 0 to 1
+run --walking-groups 0.7 0.7 | walking_groups: (0.7, 0.7); together 1 at most
+run --behavior playback --frame-rate 0 | --frame-rate: 0.0 must be
+run --frame-rate 30 | --frame-rate: behavior 'graph' has no such option; choose behavior 'playback'
+run --task custom --start 1 --goal 2 2 | --start: has 1 numbers; x and y
+run --task custom --start nan 1 --goal 2 2 | --start: nan must be
 run --task custom | task: 'custom' needs a start and a goal
-run --start 1 1 | start: task 'join_group' draws its own; choose task 'custom'
+run --start 1 1 | --start: the default task has no such option; choose task 'custom'
 run --task join_group,custom | task: 'custom' needs a start and a goal
 run --task join_group,join_grup | 'join_grup' is not one of; did you mean 'join_group'
-run --task , | --task names no task; try
+run --task , | --task: names nothing; sean list
 run --task join_group --behavior random | 'join_group' needs groups; choose task 'random_ab_nav'
 run --environment warehose | environment 'warehose'; did you mean 'warehouse'
 run --environment full/ | is no environment; environment.yaml
@@ -101,56 +155,56 @@ run --behavior playback | 'playback' needs a recording; give the path of a CSV f
 run --behavior playback --recording nope.csv | recording: nope.csv does not exist; give the path
 run --behavior playback --recording full | recording: full is no file; give the path
 run --behavior playback --recording file --model orca | model: 'orca' moves nobody
-run --handcrafted all | handcrafted: behavior 'graph' has no sets; choose behavior 'handcrafted'
+run --sets all | --sets: behavior 'graph' has no such option; choose behavior 'handcrafted'
 run --behavior handcrafted --people 4 | people: 4; leave people out
-run --behavior random --paths edge | paths: behavior 'random' has no graph; choose behavior 'graph'
-run --paths egde | paths: 'egde' is not one of; did you mean 'edge'
+run --behavior random --routing edge | --routing: behavior 'random' has no such option; choose behavior 'graph'
+run --routing egde | --routing: 'egde' is not one of; did you mean 'edge'
 run --model orka | model: 'orka' is not one of; did you mean 'orca'
 run --forces helbing95 | forces: 'helbing95'; did you mean 'helbing1995'
 run --situations papr | situations: 'papr'; did you mean 'paper'
-run --dynamics twinn | dynamics 'twinn'; did you mean 'twin'
+run --dynamics twinn | --dynamics: 'twinn'; did you mean 'twin'
 run --robot kurri | robot 'kurri'; did you mean 'kuri'
 run --robot nope.xml | no robot file 'nope.xml'
 run --policy go_to_gaol | policy: 'go_to_gaol'; did you mean 'go_to_goal'
 run --policy runs/nope | policy: 'runs/nope'; sean train
 run --policy full | full has no trained network; sean train imitation
 run --camera first_persn | camera: robot 'kuri' has no 'first_persn'; did you mean 'first_person'
-run --camera depth --renderer unity | renderer: 'unity' is not one of rays, mujoco
+run --camera depth --renderer unity | --renderer: 'unity' is not one of rays, mujoco
 run --renderer mujoco | --renderer; add --camera first_person
 run --out file | --out; file is a file; new folder
 run --out full | --out; the folder full is not empty; new folder
 run --out . | --out
 run --out "" | --out is an empty text; leave the option out
 run --environment= | --environment is an empty text
-collect --driver nobody | --driver: 'nobody' is not one of
-collect --hours 0 | --hours is 0, but must
-collect --hours nan | --hours is nan, but must
-collect --width 4 | --width is 4, but must lie between 8
+collect --policy nobody | policy: 'nobody' is not one of
+collect --hours 0 | --hours: 0.0 must be
+collect --hours nan | --hours: nan must be
+collect --width 4 | --width: 4 must be from 8
 collect --environment nope | environment 'nope' is not one of; give one of them
 collect --task join_grup | 'join_grup' is not one of; did you mean
-collect --behavior playback | --behavior playback is not recorded; choose behavior graph
-collect --task custom | --task custom is not recorded; choose
+collect --behavior playback | --behavior: playback is not recorded; choose behavior graph
+collect --task custom | --task: custom is not recorded; choose
 collect --out file | file is a file
 collect --out full | full; --out
 train imitation nope | nope; sean collect
-train imitation full --learning-rate nan | --learning-rate is nan, but must; 0.001 is the default
-train imitation full --epochs 0 | --epochs is 0, but must
-train imitation full --validation 1 | --validation is 1, but must
+train imitation full --learning-rate nan | --learning-rate: nan must be
+train imitation full --epochs 0 | --epochs: 0 must be
+train imitation full --validation 1 | --validation: 1.0 must be
 train reinforce full | reinforce; sean train --help
-experiment table1 --speeds nan | --speeds is nan, but must lie between 0 and 100
-experiment table1 --speeds 1.4 -1 | --speeds is -1, but must
-experiment table1 --crowds -1 | --crowds is -1, but must
-experiment table1 --hours 0 | --hours is 0, but must
+experiment table1 --speeds nan | --speeds: nan must be from 0 to 100
+experiment table1 --speeds 1.4 -1 | --speeds: -1.0 must be
+experiment table1 --crowds -1 | --crowds: -1 must be
+experiment table1 --hours 0 | --hours: 0.0 must be
 experiment table1 --environment nope | environment 'nope' is not one of; give one of them
-experiment table1 --drivers nobody | --drivers: 'nobody' is not one of
-experiment table1 --drivers , | --drivers names nobody
-experiment figure4 --driver nobody | --driver: 'nobody' is not one of
+experiment table1 --policies nobody | --policies: 'nobody' is not one of
+experiment table1 --policies , | --policies names no policy
+experiment figure4 --demonstrator nobody | policy: 'nobody' is not one of
 experiment figure4 --people 90000 | people: 90000 do not fit; fewer
 experiment figure4 --out full | full; --out
 experiment table3 | table3; sean experiment --help
 bench --only stepp | --only: 'stepp' is not one of step
-bench --batches 0 | --batches is 0, but must
-bench --seconds inf | --seconds is inf, but must
+bench --batches 0 | --batches: 0 must be
+bench --seconds inf | --seconds: inf must be
 bench --environment moon --only step | environment 'moon'; give one of them
 bench --out full | --out; the folder full is not empty; new folder
 draw | draw: give either --graph or --handcrafted
@@ -164,11 +218,11 @@ draw --graph --out file/sheet.png | there is no folder file; make it first
 draw --graph --environment nope | environment 'nope'; give one of them
 import-map map.yaml --out full | --out; the folder full is not empty
 import-map map.yaml --out file | --out; file is a file
-import-map map.yaml --out new --height nan | --height is nan, but must
+import-map map.yaml --out new --height nan | --height: nan must be
 import-map nope.yaml --out new | nope.yaml; there is no such file
 export lerobot nope --out full | --out; the folder full is not empty
 export lerobot nope --out file | --out; file is a file
-rn | rn; run, collect; sean --help
+rn | 'rn' is not one of run, collect; did you mean 'run'
 """.strip().splitlines()
 
 
@@ -228,20 +282,54 @@ def test_a_message_comes_out_as_it_is(text, width, capsys, monkeypatch):
 def test_numbers_are_written_as_short_as_they_are_read_the_same():
     random = np.random.default_rng(1)
     for value in [*10.0 ** random.uniform(-300, 300, 2000), 0.1 + 0.2, 1 / 3, 120.0, 1e22, 5e-324]:
-        assert float(options.written(float(value))) == value
-    assert options.written(120.0) == "120" and options.written(0.1) == "0.1" and options.written(3) == "3"
+        assert float(flags.number(float(value))) == value
+    assert flags.number(120.0) == "120" and flags.number(0.1) == "0.1" and flags.number(3) == "3"
 
 
 def test_the_default_task_fits_the_behavior_and_the_poses():
-    assert Options().tasks == ("join_group", "leave_group")
-    assert Options(behavior="playback").tasks == Options(behavior="random").tasks == ("random_ab_nav",)
-    assert Options(behavior="handcrafted").tasks == ("handcrafted",)
-    assert Options(start=(1.0, 1.0), goal=(2.0, 2.0)).tasks == ("custom",)
-    assert Options(task="join_group", behavior="random").tasks == ("join_group",)
+    def tasks(**values):
+        return tuple(task.kind for task in config.validate(RunConfig, config.gather(RunConfig, values)).tasks)
+
+    assert tasks() == ("join_group", "leave_group")
+    assert tasks(behavior="playback") == tasks(behavior="random") == ("random_ab_nav",)
+    assert tasks(behavior="handcrafted") == ("handcrafted",)
+    assert tasks(start=(1.0, 1.0), goal=(2.0, 2.0)) == ("custom",)
+    assert tasks(task="join_group", behavior="random") == ("join_group",)
+    assert tasks(task="join_group, leave_group") == tasks(task=["join_group", {"kind": "leave_group"}])
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"people": True}, "people: True is not a whole number."),
+        ({"people": 1.5}, "people: 1.5 is not a whole number."),
+        ({"time_step": "x"}, "time_step: 'x' is not a number."),
+        ({"episods": 3}, "'episods' is not a known key; did you mean 'episodes'?"),
+        (
+            {"behavior": {"kind": "graph", "rooting": "edge"}},
+            "behavior: 'rooting' is not a known key; did you mean 'routing'?",
+        ),
+        ({"behavior": {"routing": "edge"}}, "behavior: {'routing': 'edge'} has no kind; there are graph, random"),
+        ({"task_distance": (4.0, 2.0)}, "task_distance: (4.0, 2.0) must be a shorter and a longer distance"),
+        ({"policy": 3}, ""),
+    ],
+)
+def test_a_mistake_in_a_description_is_told_in_a_sentence(values, text):
+    if not text:
+        assert isinstance(RunConfig(**values).policy, config.Value)
+        return
+    with pytest.raises(InputError) as caught:
+        config.validate(RunConfig, values)
+    assert str(caught.value).startswith(text)
+
+
+def test_numbers_of_numpy_are_numbers():
+    asked = ScenarioConfig(people=np.int64(5), time_limit=np.float32(2.5), task_distance=(np.float64(1), 2))
+    assert asked.people == 5 and asked.time_limit == 2.5 and type(asked.people) is int
 
 
 def test_every_choice_is_explained_by_a_whole_sentence():
-    from sean_jax.main_job import choices
+    from sean_jax.evaluation import choices
 
     for option, offered in choices.offered():
         for name, line in offered.items():
@@ -254,10 +342,10 @@ def test_the_endings_of_pictures_are_those_that_matplotlib_writes(tmp_path):
     from matplotlib.figure import Figure
 
     for suffix in cli.PICTURES:
-        options.check_file(tmp_path / f"sheet{suffix}", cli.PICTURES)
+        writing.check_file(tmp_path / f"sheet{suffix}", cli.PICTURES)
         Figure(figsize=(0.5, 0.5)).savefig(tmp_path / f"sheet{suffix}")
         assert (tmp_path / f"sheet{suffix}").stat().st_size > 0
-        options.check_file(tmp_path / f"sheet{suffix.upper()}", cli.PICTURES)
+        writing.check_file(tmp_path / f"sheet{suffix.upper()}", cli.PICTURES)
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from sean_jax.environment import clearance
 from sean_jax.graph import annotation, routes
 from sean_jax.policies import go_to_goal
 from sean_jax.scenario import frame
-from sean_jax.social_forces import advance
+from sean_jax.social_forces import integrate
 from sean_jax.tasks import TASKS
 
 D, V, A = 2.4, 1.4, math.radians(15)
@@ -251,7 +251,7 @@ def test_4c_each_environment_has_a_behavior_graph_with_two_directed_edges_per_pa
     told = files.load(folder / "graph.yaml", annotation.Annotation, annotation.check)
     assert 0 < told.c_min < 1 < told.c_max
     graph = annotation.build(told, environments.load(folder))
-    weight, position = np.asarray(graph.weight, float), np.asarray(graph.position, float)
+    weight, position = np.asarray(graph.edge_cost, float), np.asarray(graph.position, float)
     joined = np.isfinite(weight)
     assert joined.any() and (joined == joined.T).all()
     ratio = weight / np.linalg.norm(position[:, None] - position, axis=-1).clip(1e-9)
@@ -280,7 +280,7 @@ def test_4d_people_keep_individual_distances_from_the_robot(joining, scenario):
     drawn = np.asarray(joining[0].pedestrians.robot_distance)
     assert len(np.unique(drawn)) == drawn.size and drawn.std() > 0.02
     people = one_walker(scenario, [(0.0, 0.0), (0.0, 50.0)])
-    robot = dataclasses.replace(joining[0].robot, body=())
+    robot = dataclasses.replace(joining[0].robot, drive_state=())
     robot = jax.tree.map(lambda leaf: leaf[0], robot)
     robot = dataclasses.replace(
         robot, position=jnp.array([1.2, -0.3]), speed=jnp.float32(0.5), heading=-people.heading[0]
@@ -315,7 +315,7 @@ def one_walker(scenario, places):
 def walk(scenario, people, robot, steps):
     """People after so many steps of the social forces in the open."""
     return jax.lax.fori_loop(
-        0, 2 * steps, lambda _, people: advance(scenario.forces, people, None, None, robot, 0.05, 0.16), people
+        0, 2 * steps, lambda _, people: integrate(scenario.forces, people, None, None, robot, 0.05, 0.16), people
     )
 
 
@@ -395,7 +395,7 @@ def test_4d_people_go_from_walking_to_a_group_and_back(joining):
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_4d_ways_are_those_of_dijkstra_over_waypoints_only(name):
     graph = annotation.read(environments.find(name) / "graph.yaml", environments.load(name))
-    weight, is_group = np.asarray(graph.weight, float), np.asarray(graph.is_group)
+    weight, is_group = np.asarray(graph.edge_cost, float), np.asarray(graph.is_group)
     step, cost = np.asarray(graph.next_hop), np.asarray(graph.cost, float)
     for goal in range(len(weight)):
         for start in range(len(weight)):
@@ -427,7 +427,7 @@ def test_4d_edge_costs_direct_the_flow():
 
 def test_4d_nobody_walks_against_a_uni_directional_edge_that_can_be_walked_around(scenario, joining):
     graph, memory = jax.tree.map(np.asarray, scenario.behavior.data.graph), joining[3]
-    against = np.isfinite(graph.weight) & (graph.weight > 50 * graph.weight.T)
+    against = np.isfinite(graph.edge_cost) & (graph.edge_cost > 50 * graph.edge_cost.T)
     assert against.sum() == 4
     hop, following = memory.hop[:, :-1], memory.hop[:, 1:]
     assert not against[hop, following].any() and against.T[hop, following].any()

@@ -16,8 +16,8 @@ def tables(scenario):
 @jax.jit
 def plans(tables, starts, goals):
     def one(start, goal):
-        rows = navigation.to_goal(tables, goal)
-        found = navigation.plan(tables, start, goal, rows, navigation.bend_to_goal(tables, goal))
+        rows = navigation.build_paths_to_goal(tables, goal)
+        found = navigation.plan(tables, start, goal, rows, navigation.last_arc_to_goal(tables, goal))
         rest = jax.vmap(lambda point: navigation.geodesic(tables, point, goal, rows))(found)
         return found, navigation.geodesic(tables, start, goal, rows), rest
 

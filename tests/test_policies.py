@@ -1,4 +1,4 @@
-"""Drivers: each alone in a room, with somebody in its way and among walkers; parts against independent oracles."""
+"""Policies: each alone in a room, with a person in its way and among walkers; parts against independent oracles."""
 
 import dataclasses
 import functools
@@ -15,12 +15,20 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 import sean_jax
-from sean_jax import cli, navigation, parallel, robots
-from sean_jax.base import Driver
-from sean_jax.main_job.choices import offered
+from sean_jax import cli, episodes, navigation, robots
+from sean_jax.base import Policy
+from sean_jax.evaluation.choices import offered
 from sean_jax.pedestrian_models.constant_velocity import walk
-from sean_jax.policies import POLICIES, costmap, dynamic_window, outlook, social_costmap, unicycle, wavefront
-from sean_jax.policies.expert import limits
+from sean_jax.policies import POLICIES, cost_to_go, prediction, social_costmap
+from sean_jax.policies.expert import plan_limits
+from sean_jax.policies.social_costmap import (
+    arc_trajectories,
+    cell_costs,
+    proxemic_cost,
+    sample_commands,
+    sweep_wave,
+    traversal_resistance,
+)
 
 STEPS = 200
 START, GOAL = (-2.5, 0.3), (2.5, 0.3)
@@ -87,14 +95,14 @@ def staged(state, scene):
 
 @pytest.fixture(scope="module")
 def simulated(room):
-    """A function: name of a driver -> first states and what became of all scenes; each is simulated once."""
+    """A function: name of a policy -> first states and the frames of all scenes; each is simulated once."""
     scenario, states = room
 
     @functools.cache
     def run(name):
         def one(state):
-            state = parallel.begin(scenario, POLICIES[name], state)
-            return state, parallel.simulate(scenario, POLICIES[name], state, STEPS)[1]
+            state = episodes.init_policy(scenario, POLICIES[name], state)
+            return state, episodes.simulate(scenario, POLICIES[name], state, STEPS)[1]
 
         return jax.jit(jax.vmap(one))(states)
 
@@ -103,7 +111,7 @@ def simulated(room):
 
 @pytest.fixture(scope="module", params=quick(POLICIES, "go_to_goal"))
 def driven(request, room, simulated):
-    """The name of a driver, the scenario, first states, and what became of them."""
+    """The name of a policy, the scenario, first states, and their frames."""
     return request.param, room[0], *simulated(request.param)
 
 
@@ -118,8 +126,8 @@ def command_of(scenario, name, traced):
             robot=state.robot.replace(position=here), pedestrians=state.pedestrians.replace(position=people)
         )
         key = jax.random.fold_in(state.streams.policy, state.tick)
-        if isinstance(policy, Driver):
-            action = policy.drive(scenario, policy.data, state, key)[0]
+        if isinstance(policy, Policy):
+            action = policy.apply(scenario, policy.params, state, key)[0]
         else:
             action = policy(scenario, state, key)
         return action.sum(), action
@@ -142,7 +150,7 @@ def test_reaches_its_goal_and_stays(driven):
 
 def test_touches_nobody_who_stands_in_its_way(driven):
     _, scenario, _, frames = driven
-    assert gaps(frames)[1:3].min() > scenario.robot.radius + float(scenario.forces.radius) + 0.02
+    assert gaps(frames)[1:3].min() > scenario.robot.radius + float(scenario.forces.walking.radius) + 0.02
 
 
 def test_commands_are_finite_and_within_the_limits(driven):
@@ -174,11 +182,11 @@ def test_the_expert_is_more_polite_than_go_to_goal(simulated):
 
 
 def test_the_proxemic_layer_is_the_printed_formula():
-    layers = social_costmap.data.layers
+    layers = social_costmap.params.costmap
     random = np.random.default_rng(0)
     d, v = random.uniform(-1.5, 1.5, (400, 2)), random.uniform(-1.5, 1.5, (400, 2))
     v[:40] = 0.0
-    run = jax.jit(jax.vmap(costmap.proxemic, in_axes=(None, 0, 0, 0, 0)))
+    run = jax.jit(jax.vmap(proxemic_cost, in_axes=(None, 0, 0, 0, 0)))
     mine = np.asarray(run(layers, *(jnp.asarray(part, jnp.float32) for part in (*d.T, *v.T))))
     costly = 0
     for (dx, dy), (vx, vy), cost in zip(d, v, mine, strict=True):
@@ -198,10 +206,10 @@ def test_the_proxemic_layer_is_the_printed_formula():
 
 def test_inflation_and_people_on_the_map(room):
     scenario, states = room
-    layers, state = social_costmap.data.layers, jax.tree.map(lambda leaf: leaf[1], states)
+    layers, state = social_costmap.params.costmap, jax.tree.map(lambda leaf: leaf[1], states)
     x = jnp.asarray([0.0, 0.0, 0.0, 3.0, 4.9, 0.0], jnp.float32)
     y = jnp.asarray([2.95, 2.7, 2.0, -2.0, 0.0, 0.65], jnp.float32)
-    cost = np.asarray(jax.jit(lambda x, y: costmap.costs(scenario, layers, state.pedestrians, x, y))(x, y))
+    cost = np.asarray(jax.jit(lambda x, y: cell_costs(scenario, layers, state.pedestrians, x, y))(x, y))
     radius = scenario.robot.radius
     assert cost[0] == cost[4] == 253  # touches the pillar; the edge of the floor
     assert cost[1] == pytest.approx(252 * np.exp(-10 * (3.1 - 2.7 - radius)), rel=1e-3)
@@ -215,13 +223,13 @@ def test_the_wave_is_that_of_dijkstra():
     random = np.random.default_rng(1)
     costs = random.uniform(0, 120, (count, count))
     costs[3:11, 6] = 253
-    worth = wavefront.resistance(jnp.asarray(costs, jnp.float32))
+    worth = traversal_resistance(jnp.asarray(costs, jnp.float32))
     resisting = np.asarray(worth, float)
     start = np.full((count, count), 1e6, np.float32)
     start[5, 2], start[0, 13] = 0.0, 4.0
 
     def many(wave):
-        return jax.lax.scan(lambda w, _: (wavefront.sweep(w, worth, jnp.float32(cell)), None),
+        return jax.lax.scan(lambda w, _: (sweep_wave(w, worth, jnp.float32(cell)), None),
                             wave, length=80)[0]  # fmt: skip
 
     mine = np.asarray(jax.jit(many)(jnp.asarray(start)))
@@ -242,8 +250,8 @@ def test_the_wave_is_that_of_dijkstra():
 
 def test_the_dynamic_window_is_sampled_as_ros_does():
     model = robots.load("kuri", "twin")
-    speed, turn = dynamic_window.samples(
-        model, social_costmap.data.scores, jnp.float32(0.0), jnp.float32(0.5), time_step=0.1
+    speed, turn = sample_commands(
+        model, social_costmap.params.local_planner, jnp.float32(0.0), jnp.float32(0.5), time_step=0.1
     )
     speed, turn = np.asarray(speed), np.asarray(turn)
     assert len(speed) == 20 * 40 + 1 and speed[-1] == pytest.approx(-0.1) and turn[-1] == 0
@@ -272,11 +280,12 @@ def test_arcs_and_rolls_are_where_the_twin_goes(room):
     exact = np.asarray(jax.jit(jax.vmap(physics, in_axes=(None, 0)))(state, commands))
     zero = jnp.zeros((), jnp.float32)
     steps = jnp.broadcast_to(commands, (15, 4, 2))
-    x, y, *_ = jax.jit(lambda a, b: unicycle.roll(model, zero, zero, (a, b), 0.2))(steps[..., 0], steps[..., 1])
-    x, y = unicycle.over_ground(state.robot.position, state.robot.heading, x, y)
+    predict = jax.jit(lambda a, b: prediction.predict_robot(model, zero, zero, (a, b), 0.2))
+    x, y, *_ = predict(steps[..., 0], steps[..., 1])
+    x, y = prediction.to_world(state.robot.position, state.robot.heading, x, y)
     assert np.hypot(np.asarray(x).T - exact[..., 0], np.asarray(y).T - exact[..., 1]).max() < 0.06
-    x, y, _ = dynamic_window.arcs(commands[:, 0], commands[:, 1])  # these are at their speed at once
-    x, y = unicycle.over_ground(state.robot.position, state.robot.heading, x, y)
+    x, y, _ = arc_trajectories(commands[:, 0], commands[:, 1])  # these are at their speed at once
+    x, y = prediction.to_world(state.robot.position, state.robot.heading, x, y)
     assert np.hypot(np.asarray(x).T - exact[:, :10, 0], np.asarray(y).T - exact[:, :10, 1]).max() < 0.1
 
 
@@ -288,12 +297,13 @@ def test_the_way_that_is_left_is_that_of_the_tables(scenario):
 
     def one(each):
         here, goal, place = each
-        task = types.SimpleNamespace(goal=goal, to_goal=navigation.to_goal(table, goal))
+        task = types.SimpleNamespace(goal=goal, paths_to_goal=navigation.build_paths_to_goal(table, goal))
         state: Any = types.SimpleNamespace(task=task)
-        chosen = outlook.look(scenario, state, outlook.onward(scenario, state), *here[:, None])
-        left = outlook.remaining(scenario, state, chosen, *place.T)
-        exact = jax.lax.map(lambda spot: navigation.geodesic(table, spot, goal, task.to_goal), place)
-        near = jax.vmap(lambda spot: navigation.sees(table.obstacles, here, spot, table.radius))(place)
+        successors = cost_to_go.corner_successors(scenario, state)
+        chosen = cost_to_go.build_cost_to_go(scenario, state, successors, *here[:, None])
+        left = cost_to_go.distance_to_goal(scenario, state, chosen, *place.T)
+        exact = jax.lax.map(lambda spot: navigation.geodesic(table, spot, goal, task.paths_to_goal), place)
+        near = jax.vmap(lambda spot: navigation.segment_is_free(table.obstacles, here, spot, table.radius))(place)
         return left, exact, near
 
     given = jnp.asarray(here), jnp.asarray(goals), jnp.asarray(places)
@@ -309,7 +319,7 @@ def test_plans_keep_to_the_limits_of_every_robot():
     for name in robots.ROBOTS:
         model = robots.load(name, "twin")
         mocked: Any = types.SimpleNamespace(robot=model)
-        ahead, back, turn = limits(mocked)
+        ahead, back, turn = plan_limits(mocked)
         assert 0 < float(back) <= float(ahead) <= float(model.max_speed) and 0 < float(turn) <= model.max_turn_rate
 
 
@@ -318,7 +328,7 @@ def test_each_is_documented_and_on_the_list():
     assert set(lines) == set(POLICIES) and {"go_to_goal", "social_costmap", "orca", "expert"} <= set(lines)
     assert all(line for line in lines.values())
     for policy in POLICIES.values():
-        for function in (policy.start, policy.drive) if isinstance(policy, Driver) else (policy,):
+        for function in (policy.init, policy.apply) if isinstance(policy, Policy) else (policy,):
             assert inspect.getdoc(function)
 
 

@@ -12,16 +12,16 @@ from quick import quick
 
 import sean_jax
 from sean_jax import classifiers, pedestrian_models, robots, sensors, social_forces
-from sean_jax.base import Driver
-from sean_jax.parallel import advance, begin
+from sean_jax.base import Policy
+from sean_jax.episodes import init_policy, policy_step
 from sean_jax.policies import POLICIES
 
 ACTION = jax.ShapeDtypeStruct((2,), np.float64)
 # What make takes, beside the environment: each behavior, task and option that adds arrays.
 SCENARIOS = {
     "join_group": dict(people=4),
-    "leave_group": dict(people=4, task="leave_group", paths="edge", spreading=1.0),
-    "parties": dict(people=8, parties=(0.5, 0.2)),
+    "leave_group": dict(people=4, task="leave_group", routing="edge", congestion_cost=1.0),
+    "walking_groups": dict(people=8, walking_groups=(0.5, 0.2)),
     "random_ab_nav": dict(people=4, behavior="random", task="random_ab_nav"),
     "busy_ab_nav": dict(people=4, task="busy_ab_nav"),
     "custom": dict(people=4, task="custom", start=(0.0, 0.0), goal=(2.0, 2.0)),
@@ -101,10 +101,10 @@ def test_robots_step(small, state, name, dynamics):
 @pytest.mark.parametrize("name", quick(POLICIES, "go_to_goal"))
 def test_policies_drive(small, state, name):
     policy = POLICIES[name]
-    begun = jax.eval_shape(functools.partial(begin, small, policy), state)
-    if isinstance(policy, Driver):
-        assert all_double(begun.driver)
-    traced(functools.partial(advance, small, policy), begun)
+    begun = jax.eval_shape(functools.partial(init_policy, small, policy), state)
+    if isinstance(policy, Policy):
+        assert all_double(begun.policy_state)
+    traced(functools.partial(policy_step, small, policy), begun)
 
 
 @pytest.mark.parametrize("name", quick(pedestrian_models.MODELS, "social_forces"))
@@ -236,10 +236,10 @@ def test_single_precision_still_works_beside(small):
         assert kinds == {np.dtype(np.float32)}
     assert all_double(sean_jax.make("lab", people=4, dynamics="twin"))
     for name, policy in POLICIES.items():
-        if isinstance(policy, Driver):
+        if isinstance(policy, Policy):
             with jax.enable_x64(False):
-                jax.eval_shape(functools.partial(begin, single, policy), _single(single))
-            assert all_double(jax.tree.map(jnp.asarray, policy.data)), name
+                jax.eval_shape(functools.partial(init_policy, single, policy), _single(single))
+            assert all_double(jax.tree.map(jnp.asarray, policy.params)), name
 
 
 def _single(scenario):

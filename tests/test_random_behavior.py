@@ -67,13 +67,16 @@ def test_next_points_lead_along_shortest_paths(random_scenario):
     spots, goals = navigation.places[:60], jnp.arange(100, 160, dtype=jnp.int32)
 
     def both(spot, goal):
-        place, row = navigation.places[goal], tables.to_goal[goal]
-        ahead = paths.next_point_roughly(navigation, spot, place, row)
+        place, row = navigation.places[goal], jax.tree.map(lambda leaf: leaf[goal], tables.paths_to_goal)
+        ahead = paths.next_point_approx(navigation, spot, place, row)
         through = jnp.sqrt(((ahead - spot) ** 2).sum()) + paths.geodesic(navigation, ahead, place, row)
-        return through, paths.geodesic(navigation, spot, place, row), paths.to_goal(navigation, place)
+        return through, paths.geodesic(navigation, spot, place, row), paths.build_paths_to_goal(navigation, place)
 
     through, shortest, rows = jax.jit(jax.vmap(both))(spots, goals)
-    (length, angle), (kept, kept_angle) = np.moveaxis(np.stack([rows, tables.to_goal[goals]]), 2, 1)
+    (length, angle), (kept, kept_angle) = (
+        (np.asarray(each.distance), np.asarray(each.departure_angle))
+        for each in (rows, jax.tree.map(lambda leaf: leaf[goals], tables.paths_to_goal))
+    )
     np.testing.assert_allclose(length, kept, rtol=1e-5, atol=1e-4)
     turned = np.angle(np.exp(1j * (angle - kept_angle).astype(float)))  # angles near zero have no relative error
     np.testing.assert_allclose(turned[np.isfinite(kept)], 0.0, atol=1e-3)
@@ -87,7 +90,7 @@ def test_starts_and_goals_are_uniform_and_apart(random_scenario):
     people, _, memory = jax.jit(jax.vmap(lambda key: random_scenario.behavior.reset(random_scenario, key)))(keys)
     position = np.asarray(people.position)
     gap = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1) + 9 * np.eye(PEOPLE)
-    assert gap.min() >= starts.APART - 1e-5
+    assert gap.min() >= starts.MIN_DISTANCE - 1e-5
     places = np.asarray(random_scenario.behavior.data.navigation.places)
     expected = quarters(places, random_scenario)
     for drawn in (position.reshape(-1, 2), places[np.asarray(memory.goal).ravel()]):
@@ -124,15 +127,15 @@ def test_candidates_are_bounded_before_they_are_drawn(monkeypatch):
         drawn.append(len(spots))
         return np.zeros((2, len(spots)))
 
-    monkeypatch.setattr(starts, "room_on_host", nowhere)
+    monkeypatch.setattr(starts, "signed_distances_on_host", nowhere)
     monkeypatch.setattr(starts, "_reached", lambda _, spots: np.zeros(len(spots), bool))
-    monkeypatch.setattr(starts.cache, "kept", lambda kind, code, inputs, make: make())
+    monkeypatch.setattr(starts.cache, "load_or_build", lambda kind, code, inputs, make: make())
     monkeypatch.setattr(starts, "inputs", lambda _: [])
     navigation: Any = SimpleNamespace(radius=0.25, places=np.zeros((1, 2), np.float32))
     field: Any = SimpleNamespace(floor=np.array([-2000.0, -2000.0, 2000.0, 2000.0]))
-    starts.uniform(field, navigation, 10)
-    starts.places(field, navigation, np.zeros((500, 2)), np.full(500, 100.0), np.ones(500), [])
-    starts.places(field, navigation, np.zeros((3, 2)), np.array([1.0, 2.0, 50.0]), np.array([1.0, 0.0, 1.0]), [])
-    starts.places(field, navigation, np.zeros((2, 2)), np.array([1.0, 2.0]), np.ones(2), [])
-    assert drawn[0] == starts.MOST_TRIES and starts.MOST_TRIES <= drawn[1] <= starts.MOST_TRIES + 500
+    starts.anywhere(field, navigation, 10)
+    starts.in_discs(field, navigation, np.zeros((500, 2)), np.full(500, 100.0), np.ones(500), [])
+    starts.in_discs(field, navigation, np.zeros((3, 2)), np.array([1.0, 2.0, 50.0]), np.array([1.0, 0.0, 1.0]), [])
+    starts.in_discs(field, navigation, np.zeros((2, 2)), np.array([1.0, 2.0]), np.ones(2), [])
+    assert drawn[0] == starts.MAX_TRIES and starts.MAX_TRIES <= drawn[1] <= starts.MAX_TRIES + 500
     assert drawn[2:] == [133 + 330579, 133 + 529]

@@ -53,7 +53,9 @@ def test_equal_to_mujoco(name):
     def measured(rays, position, heading):
         present = jnp.ones(number, bool)
         seen = jnp.asarray(people, jnp.float32)
-        view = raycast.look(scene.scenery.solids, seen, present, jnp.float32(RADIUS), position, heading, rays.origin)
+        view = raycast.make_view(
+            scene.scenery.solids, seen, present, jnp.float32(RADIUS), position, heading, rays.origin
+        )
         return raycast.by_rows(rays, raycast.distance(view, rays)).reshape(-1)
 
     checked = 0
@@ -92,7 +94,7 @@ def fan(origin, *ways, tile=(1, 1)):
 def seen_from(rays, solids, people=((900.0, 0.0),), position=(0.0, 0.0), heading=(1.0, 0.0)):
     crowd = jnp.asarray(people, jnp.float32)
     place, way = jnp.asarray(position, jnp.float32), jnp.asarray(heading, jnp.float32)
-    return raycast.look(solids, crowd, jnp.ones(len(people), bool), jnp.float32(RADIUS), place, way, rays.origin)
+    return raycast.make_view(solids, crowd, jnp.ones(len(people), bool), jnp.float32(RADIUS), place, way, rays.origin)
 
 
 def test_closed_forms():
@@ -115,7 +117,7 @@ def test_who_is_absent_is_not_seen():
     rays = fan([0, 0, 0.5], [1, 0, 0])
     crowd = jnp.asarray([[2.0, 0.0], [1.0, 0.0]], jnp.float32)
     zero, ahead = jnp.zeros(2, jnp.float32), jnp.asarray([1.0, 0.0], jnp.float32)
-    view = raycast.look(yard(), crowd, jnp.asarray([True, False]), jnp.float32(RADIUS), zero, ahead, rays.origin)
+    view = raycast.make_view(yard(), crowd, jnp.asarray([True, False]), jnp.float32(RADIUS), zero, ahead, rays.origin)
     assert np.allclose(raycast.distance(view, rays), 1.8, atol=1e-6)
 
 
@@ -153,7 +155,7 @@ def test_gradients_equal_central_differences():
         way = jnp.stack([jnp.cos(pose[2]), jnp.sin(pose[2])])
         people = jnp.stack([person, jnp.asarray([900.0, 0.0], person.dtype)])
         present = jnp.ones(2, bool)
-        view = raycast.look(solids, people, present, jnp.float32(RADIUS), pose[:2], way, rays.origin)
+        view = raycast.make_view(solids, people, present, jnp.float32(RADIUS), pose[:2], way, rays.origin)
         return raycast.by_rows(rays, raycast.distance(view, rays))[0]
 
     pose, person = jnp.asarray([0.05, -0.1, 0.02], jnp.float32), jnp.asarray([2.5, 2.0], jnp.float32)
@@ -188,7 +190,7 @@ def test_gradients_are_finite_on_edges():
     def total(position):
         crowd = jnp.asarray([[-2.0, RADIUS], [0.0, 0.0]], jnp.float32)
         heading = jnp.asarray([1.0, 0.0], jnp.float32)
-        view = raycast.look(solids, crowd, jnp.ones(2, bool), jnp.float32(RADIUS), position, heading, rays.origin)
+        view = raycast.make_view(solids, crowd, jnp.ones(2, bool), jnp.float32(RADIUS), position, heading, rays.origin)
         found = raycast.distance(view, rays)
         return jnp.where(found < 90.0, found, 0.0).sum()
 

@@ -7,7 +7,7 @@ import pytest
 
 from sean_jax import classifiers, recordings
 from sean_jax.base import Obstacles
-from sean_jax.files import FileError
+from sean_jax.errors import FileError
 from sean_jax.recordings import lines
 
 fit = jax.jit(recordings.fit_motion, static_argnums=(2, 3))
@@ -22,7 +22,8 @@ def test_columns_frames_and_people(tmp_path):
     """Rows are two frames apart, as most lines of a person are; a missing one is a gap; order is of no matter."""
     file = write(tmp_path / "a.csv", "frame,id,x,y\n14,7,3,0\n10,7,1,0.5\n12,7,2,0\n\n18,7,5,0\n12,3,-1,4\n")
     tracks = recordings.read_csv(file, seconds=0.5)
-    assert tracks.time_step == 1.0 and tracks.person.tolist() == [3, 7]
+    assert tracks.time_step == 1.0 and tracks.person.max(0).tolist() == [3, 7]
+    assert tracks.person.tolist() == [[-1, 7], [3, 7], [-1, 7], [-1, -1], [-1, 7]]
     assert tracks.frame.tolist() == [10, 12, 14, 16, 18]
     assert tracks.present.tolist() == [[False, True], [True, True], [False, True], [False, False], [False, True]]
     np.testing.assert_array_equal(tracks.position[:, 1], [[1, 0.5], [2, 0], [3, 0], [0, 0], [5, 0]])
@@ -206,7 +207,7 @@ def count_groups(tracks, stride, price):
     votes = classifiers.o_space_votes(tracks.position, tracks.facing, stride)
     votes = recordings.windowed_mean(votes, tracks.present, window=1)
     groups = jax.vmap(classifiers.o_space_groups, (0, 0, None))(votes, tracks.present, price)
-    return jax.vmap(classifiers.found_groups)(groups, tracks.group, tracks.present)
+    return jax.vmap(classifiers.match_groups)(groups, tracks.group, tracks.present)
 
 
 # Strides are those of Setti et al. (2015), and three rows are the least that can be averaged. The price is the best on
@@ -232,7 +233,7 @@ def test_fitted_velocities_agree_with_the_published_ones(request):
     tracks = recordings.read_eth_ucy(file)
     table = np.loadtxt(file, delimiter=",", skiprows=1)
     row = np.round((table[:, 0] - table[0, 0]) / 10).astype(int)
-    column = np.searchsorted(np.asarray(tracks.person), table[:, 1])
+    column = np.searchsorted(np.asarray(tracks.person).max(0), table[:, 1])
     assert tracks.present.sum() == len(table) and tracks.time_step == pytest.approx(0.4)
     _, velocity = fit(tracks.position, tracks.present, tracks.time_step, 1)
     gap = np.linalg.norm(np.asarray(velocity)[row, column] - table[:, 4:6], axis=-1)
@@ -254,9 +255,9 @@ def test_a_person_is_one_whatever_digits_their_number_has(tmp_path):
 def test_so_many_lines_are_read_and_no_more(tmp_path, monkeypatch):
     text = "frame,id,x,y\n" + "".join(f"{k},1,0,0\n" for k in range(6))
     path = write(tmp_path / "a.csv", text)
-    monkeypatch.setattr(lines, "MOST_LINES", 6)
+    monkeypatch.setattr(lines, "MAX_LINES", 6)
     assert len(lines.read(path, frame_rate=10.0).line) == 6
-    monkeypatch.setattr(lines, "MOST_LINES", 5)
+    monkeypatch.setattr(lines, "MAX_LINES", 5)
     with pytest.raises(FileError, match="a.csv:7: is beyond the 5 lines that are read; cut the file"):
         lines.read(path, frame_rate=10.0)
 

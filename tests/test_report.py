@@ -11,14 +11,15 @@ from rich.console import Console
 from test_drawing import Graph, environment, frames
 
 from sean_jax import report
-from sean_jax.main_job import output, statistics, table
-from sean_jax.main_job.results import Results
+from sean_jax.evaluation import Evaluation, output, statistics, table
+from sean_jax.metrics import METRICS
 
 NAMES = ("cross_path", "down_path", "join_group", "leave_group", "empty")
 EPISODES = 12
+MEASURED = ("path_efficiency", "time_in_situation", "intimate_robot_on_person", "min_distance_to_people")
 
 
-def results() -> Results:
+def results() -> Evaluation:
     draw = np.random.default_rng(3)
     spent = draw.uniform(0, 5, (EPISODES, 5)).astype(np.float32)
     spent[:, 1] = 0.0  # nobody walked down the robot's path
@@ -27,7 +28,9 @@ def results() -> Results:
     completed = np.arange(EPISODES) % 3 != 0
     counts = draw.poisson(0.7, (EPISODES, 5)).astype(np.float32)
     efficiency = draw.uniform(1, 1.5, EPISODES).astype(np.float32)
-    return Results(
+    return Evaluation(
+        scenario=None,  # pyright: ignore[reportArgumentType] # not needed here
+        policy="go_to_goal",
         situations=NAMES,
         tasks=["join_group", "leave_group"] * (EPISODES // 2),
         completed=completed,
@@ -39,7 +42,7 @@ def results() -> Results:
             "intimate_robot_on_person": np.concatenate([counts.sum(1, keepdims=True), counts], 1),
             "min_distance_to_people": np.where(np.arange(EPISODES) == 4, np.inf, 0.8).astype(np.float32),
         },
-        counts=("intimate_robot_on_person",),
+        definitions={name: METRICS[name] for name in MEASURED},
         heat=np.ones((20, 24)),
         walks=np.array([[0, 30, 9], [0, 0, 0], [9, 0, 0]]),
         together=np.array([1.0, 2.0, 0.0, 4.0] + [0.0] * 28),
@@ -84,7 +87,7 @@ def test_terminal_table_holds_every_situation_at_any_width(width):
     names = [*NAMES, "frontal_approach", "a_situation_of_mine", *(f"situation_{k}" for k in range(7))]
     for k, name in enumerate(names):
         found["situations"][name] = {"mean": 0.01 * (k + 30) + 1e-4, "interval": [0.0, 1.0]}
-    table.print_table(console, found, "runs")
+    table.print_table(console, found, results().definitions, "runs")
     said = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
     assert max(len(line) for line in said.splitlines()[:-1]) <= width and "…" not in said
     shares = [cell for line in said.splitlines() if "share of robot time" in line for cell in line.split()[5:]]
@@ -129,19 +132,18 @@ class Reader(html.parser.HTMLParser):
         self.text += data
 
 
-def test_report_is_whole_and_refers_to_nothing_outside():
-    given = results()
+def page(given: Evaluation) -> str:
+    """The report of those results."""
     found = statistics.aggregate(given)
-    rows = table.rows(found, complete=True)
-    page = report.html(
+    return report.html(
         report.Report(
             title="yard <1>",
             command="sean run --environment yard",
             versions={"jax": "1.2.3"},
             environment=environment(),
             graph=Graph,
-            situations=NAMES,
-            rows=[dataclasses.asdict(row) for row in rows],
+            situations=given.situations,
+            rows=[dataclasses.asdict(row) for row in table.rows(found, given.definitions, complete=True)],
             shares=statistics.exclusive_shares(given),
             heat=given.heat,
             walks=given.walks,
@@ -155,14 +157,20 @@ def test_report_is_whole_and_refers_to_nothing_outside():
             timing={"compile_seconds": 1.0, "run_seconds": 2.0, "simulated_seconds_per_second": 5.0, "device": "cpu"},
         )
     )
+
+
+def test_report_is_whole_and_refers_to_nothing_outside():
+    given = results()
+    rows = table.rows(statistics.aggregate(given), given.definitions, complete=True)
+    text = page(given)
     reader = Reader()
-    reader.feed(page)
+    reader.feed(text)
     assert not reader.open
     assert reader.links and all(link.startswith(("#", "data:")) for link in reader.links)
-    assert "://" not in page and "@import" not in page
+    assert "://" not in text and "@import" not in text
     for row in rows:
         assert row.title in reader.text and row.definition in reader.text
     for said in ("yard <1>", "sean run --environment yard", "1.2.3", "Episode 0 · join group · not completed"):
         assert said in reader.text
-    ids = [part.split('"')[0] for part in page.split(' id="')[1:]]
+    ids = [part.split('"')[0] for part in text.split(' id="')[1:]]
     assert len(set(ids)) == len(ids)

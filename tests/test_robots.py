@@ -54,7 +54,7 @@ def advance(model, place, robot, people, action):
         environment=SimpleNamespace(obstacles=obstacles),
         robot=model,
         time_step=TIME_STEP,
-        forces=SimpleNamespace(radius=radius),
+        forces=SimpleNamespace(walking=SimpleNamespace(radius=radius)),
     )
     pedestrians = SimpleNamespace(position=people, velocity=velocity, present=present)
     return model.drive(scenario, SimpleNamespace(robot=robot, pedestrians=pedestrians), action)
@@ -230,7 +230,7 @@ def test_command_holds_until_its_timeout_and_then_the_robot_stops(kuri):
     np.testing.assert_array_equal(held.position, told.position)
     np.testing.assert_allclose(held.speed[5:7], 0.5, rtol=0.01)
     assert abs(held.speed[-1]) < 1e-3 and abs(held.turn_rate[-1]) < 1e-3
-    np.testing.assert_array_equal(held.body.age[4:9], range(5))
+    np.testing.assert_array_equal(held.drive_state.age[4:9], range(5))
     often, _ = run(kuri, [[0.5, 0.5], [np.nan, np.inf], [0.1, np.nan]] * 5)
     always, _ = run(kuri, [[0.5, 0.5]] * 15)
     np.testing.assert_array_equal(often.position, always.position)
@@ -293,11 +293,11 @@ def test_a_pose_is_stored_once(twin):
     """What is beside the pose is not the pose once more."""
     robot, action = twin.place(twin, jnp.zeros(2), jnp.asarray([1.0, 0.0])), jnp.asarray([0.3, 0.5])
     after = jax.tree.map(np.asarray, advance(twin, leaves(world()), robot, world().people, action))
-    lengths = {name: np.size(getattr(after.body, name)) for name in after.body._fields}
+    lengths = {name: np.size(getattr(after.drive_state, name)) for name in after.drive_state._fields}
     assert lengths == {"wheels": 2, "slip": 2, "sideways": 1, "command": 2, "age": 1}
     for name in ("position", "heading", "speed", "turn_rate"):
         value = getattr(after, name)
-        assert not any(np.array_equal(value, leaf) for leaf in jax.tree.leaves(after.body)), name
+        assert not any(np.array_equal(value, leaf) for leaf in jax.tree.leaves(after.drive_state)), name
 
 
 def test_a_robot_at_rest_keeps_its_heading_and_turning_does_not_wear_it(twin):

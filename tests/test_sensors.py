@@ -15,9 +15,10 @@ from test_raycast import mujoco_distances
 
 import sean_jax
 from sean_jax import robots, sensors
-from sean_jax.base import Obstacles
+from sean_jax.base import Obstacles, Sensor
 from sean_jax.environment import ENVS
-from sean_jax.scenery import plain
+from sean_jax.errors import InputError
+from sean_jax.scenery import plain_scenery
 from sean_jax.sensors import cameras, paint
 
 LEVEL = (0.0, 0.0, -1.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # axes of a camera that looks straight ahead
@@ -55,7 +56,7 @@ def put(scenario, state, boxes, people, absent=()):
     present[len(people) : len(people) + len(absent)] = False
     crowd = dataclasses.replace(state.pedestrians, position=jnp.asarray(places), present=jnp.asarray(present))
     robot = dataclasses.replace(state.robot, position=jnp.asarray(PLACE), heading=jnp.asarray(AHEAD))
-    scene = dataclasses.replace(scenario.environment, scenery=plain(obstacles))
+    scene = dataclasses.replace(scenario.environment, scenery=plain_scenery(obstacles))
     return dataclasses.replace(scenario, environment=scene), dataclasses.replace(state, pedestrians=crowd, robot=robot)
 
 
@@ -309,7 +310,7 @@ def test_noise_and_drop_outs():
     wanted = 0.0012 + 0.0019 * np.square(np.array([1.0, 3.0]) - 0.4)
     assert np.allclose(noisy[:, :2].std(0), wanted, rtol=0.03) and (noisy[:, 2] == 20.0).all()
     assert np.allclose(noisy[:, :2].mean(0), [1.0, 3.0], atol=4 * wanted / np.sqrt(20_000))
-    lidar = np.asarray(sensors.noise(jax.random.key(1), distance, far=3.5, least=0.01, growth=0.0), float)
+    lidar = np.asarray(sensors.noise(jax.random.key(1), distance, far=3.5, min_deviation=0.01, growth=0.0), float)
     assert np.allclose(lidar[:, :2].std(0), 0.01, rtol=0.03)
     gone = np.asarray(sensors.drop_outs(jax.random.key(2), distance, 0.1, 20.0))[:, 0] == 20.0
     assert gone.mean() == pytest.approx(0.1, abs=0.01)
@@ -383,3 +384,116 @@ def test_a_lidar_that_measures_nothing_is_refused(scenario, tmp_path):
         sensors.camera(robot)
     with pytest.raises(ValueError, match="future"):
         sensors.delay(jnp.zeros(1), -1)
+
+
+# --- sensors as values ---
+
+
+def small_suite(scenario, **errors) -> tuple:
+    camera = sensors.camera(scenario, "depth", width=16, height=12)
+    lidar = sensors.lidar(scenario, count=24)
+    noisy = sensors.distance_errors(**errors) if errors else None
+    color = sensors.color_sensor(sensors.camera(scenario, "first_person", width=8, height=6))
+    return sensors.depth_sensor(camera, noisy), sensors.lidar_sensor(lidar, noisy), color
+
+
+def test_sense_reads_every_sensor_by_its_name(scenario, state):
+    equipped = scenario.replace(sensors=small_suite(scenario))
+    readings = jax.jit(sensors.sense)(equipped, state)
+    assert {name: reading.shape for name, reading in readings.items()} == {
+        "depth": (12, 16), "lidar": (24,), "first_person": (6, 8, 3)
+    }  # fmt: skip
+    camera = sensors.camera(scenario, "depth", width=16, height=12)
+    np.testing.assert_array_equal(readings["depth"], jax.jit(lambda s: sensors.depth(scenario, s, camera))(state))
+    assert sensors.sense(scenario, state) == {}
+
+
+def test_noise_depends_on_episode_tick_and_name_alone(scenario, state):
+    """A further sensor changes nothing; the next tick and another name change the noise; equal states agree."""
+    depth, lidar, _ = small_suite(scenario, min_deviation=0.1, growth=0.0)
+    sense = jax.jit(lambda suite, state: sensors.sense(scenario.replace(sensors=suite), state))
+    alone, both = sense((lidar,), state)["lidar"], sense((depth, lidar), state)["lidar"]
+    np.testing.assert_array_equal(alone, both)
+    later = sense((lidar,), dataclasses.replace(state, tick=state.tick + 1))["lidar"]
+    other = sense((dataclasses.replace(lidar, name="second"),), state)["second"]
+    assert not np.array_equal(alone, later) and not np.array_equal(alone, other)
+    episode = dataclasses.replace(state.streams, sensors=jax.random.key(99))
+    assert not np.array_equal(alone, sense((lidar,), dataclasses.replace(state, streams=episode))["lidar"])
+
+
+def test_errors_of_a_sensor_are_leaves(scenario, state):
+    """Sweeping the deviation needs one program, and a derivative of a reading by it exists."""
+    _, lidar, _ = small_suite(scenario, min_deviation=0.1, growth=0.0)
+
+    def reading(deviation):
+        sensor = dataclasses.replace(lidar, params=dataclasses.replace(lidar.params, min_deviation=deviation))
+        return sensors.sense(scenario.replace(sensors=(sensor,)), state)["lidar"]
+
+    exact, noisy = jax.jit(jax.vmap(reading))(jnp.asarray([0.0, 0.2], jnp.float32))
+    assert np.abs(noisy - exact).max() > 0.05
+    slope = jax.jit(jax.jacfwd(reading))(jnp.float32(0.01))
+    assert np.isfinite(slope).all() and np.abs(slope).max() > 0.1
+    _, gone, _ = small_suite(scenario, min_deviation=0.0, growth=0.0, drop_out=1.0)
+    assert (np.asarray(sensors.sense(scenario.replace(sensors=(gone,)), state)["lidar"]) == 3.5).all()
+
+
+def test_equal_sensors_are_equal_values(scenario):
+    """So that a scenario made again finds its compiled programs."""
+    one, again = (jax.tree.structure(small_suite(scenario)) for _ in range(2))
+    assert one == again and hash(one) == hash(again)
+
+
+@pytest.mark.parametrize("name", sensors.SENSORS)
+def test_every_robot_has_the_named_sensors(name, scenario):
+    assert sensors.as_sensor(name, scenario.robot).name == name
+
+
+def test_a_function_of_ones_own_is_a_sensor(scenario, state):
+    gps = Sensor(jnp.float32(2.0), "gps", lambda scenario, params, state, key: state.robot.position + params)
+    suite = sensors.as_sensors([gps, "lidar"], scenario.robot)
+    assert suite[0] is gps and [sensor.name for sensor in suite] == ["gps", "lidar"]
+    reading = sensors.sense(scenario.replace(sensors=suite[:1]), state)["gps"]
+    np.testing.assert_allclose(reading, np.asarray(state.robot.position) + 2.0, rtol=1e-6)
+
+
+def test_sensors_from_files(scenario, tmp_path):
+    file = tmp_path / "eye.yaml"
+    file.write_text("kind: depth\nname: eye\nwidth: 32\nheight: 24\nfar: 8\nerrors: {drop_out: 0.1}\n")
+    eye = sensors.as_sensor(file, scenario.robot)
+    camera = sensors.camera(scenario, "depth", width=32, height=24, far=8.0)
+    same = sensors.depth_sensor(camera, sensors.distance_errors(drop_out=0.1), "eye")
+    assert jax.tree.structure(eye) == jax.tree.structure(same)
+    assert float(eye.params.drop_out) == pytest.approx(0.1)
+    file.write_text("kind: lidar\ncount: 90\nspan: 180\nfirst: -90\n")
+    fan = sensors.as_sensor(str(file), scenario.robot)
+    device = sensors.lidar(scenario, count=90, span=np.pi, first=-np.pi / 2)
+    assert jax.tree.structure(fan) == jax.tree.structure(sensors.lidar_sensor(device))
+    file.write_text("kind: color\nmount: overhead\nwidth: 8\nheight: 8\n")
+    assert sensors.as_sensor(file, scenario.robot).name == "overhead"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("kind: dept\n", "'dept' is not one of depth, color, lidar"),
+        ("kind: lidar\nwidth: 8\n", "width: is no key of the kind 'lidar'; remove it"),
+        ("kind: depth\ncount: 8\n", "count: is no key of the kind 'depth'; remove it"),
+        ("kind: color\nerrors: {}\n", "errors of distances, which the kind 'color' does not measure"),
+        ("kind: depth\nerrors: {drop_out: 2}\n", "errors.drop_out: 2"),
+    ],
+)
+def test_a_wrong_sensor_file_is_refused(text, message, scenario, tmp_path):
+    file = tmp_path / "wrong.yaml"
+    file.write_text(text)
+    with pytest.raises(InputError) as error:
+        sensors.as_sensor(file, scenario.robot)
+    assert message in str(error.value)
+
+
+def test_wrong_names_of_sensors_are_refused(scenario):
+    with pytest.raises(InputError, match="sensors: 'lidr' is no sensor; did you mean 'lidar'?"):
+        sensors.as_sensor("lidr", scenario.robot)
+    with pytest.raises(InputError, match="sensors: 2 have the name 'lidar'; give each a name of its own"):
+        sensors.as_sensors(["lidar", "lidar"], scenario.robot)
+    with pytest.raises(InputError, match="nowhere.yaml"):
+        sensors.as_sensor("nowhere.yaml", scenario.robot)

@@ -1,7 +1,10 @@
 """Social forces: against a float64 loop, potentials and closed forms; walls that hold; gradients that are finite."""
 
 import functools
+import pickle
+import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,20 +13,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from crowd import constants as as_numbers
 from crowd import exact
+from flax import struct
 from scipy import stats
 
-from sean_jax import social_forces
-from sean_jax.base import Groups, Nearby, Obstacles, Pedestrians, Robot
+import sean_jax
+from sean_jax import obstacle_grid, social_forces
+from sean_jax.base import Groups, ObstacleGrid, Obstacles, Pedestrians, Robot
 from sean_jax.bench import workload
-from sean_jax.nearby import tabulate
-from sean_jax.social_forces import repulsion
-from sean_jax.social_forces.model import group_forces, move, pair_forces, robot_force
+from sean_jax.policies import go_to_goal
+from sean_jax.social_forces import Contact, Crowd, Pair, model, repulsion
+from sean_jax.social_forces.model import move, pair_forces
 
 STEP = 0.05
 PRESETS = list(social_forces.PRESETS)
 FLOOR = (-12.0, -12.0, 12.0, 12.0)
-pairs = jax.jit(pair_forces)
+
+
+@jax.jit
+def pairs(forces, people):
+    """(N, 2) what people feel from one another who look along their headings."""
+    return jnp.stack(pair_forces(around(forces, people)), -1)
 
 
 @functools.partial(jax.jit, static_argnames="steps")
@@ -31,7 +42,7 @@ def walk(parameters, people, table=None, groups=None, robot=None, companions=Non
     """People after each of so many steps."""
 
     def one(carry, _):
-        after = social_forces.advance(parameters, carry, table, groups, robot, STEP, 0.16, companions=companions)
+        after = social_forces.integrate(parameters, carry, table, groups, robot, STEP, 0.16, companions=companions)
         return after, after
 
     return jax.lax.scan(one, people, length=steps)[1]
@@ -48,7 +59,7 @@ def crowd(position, desired, velocity=None, preferred=None, **others) -> Pedestr
         heading=heading.astype(np.float32),
         desired_velocity=desired,
         group=np.full(len(position), -1, np.int32),
-        party=np.full(len(position), -1, np.int32),
+        walking_group=np.full(len(position), -1, np.int32),
         present=np.ones(len(position), bool),
         preferred_speed=np.array(speed if preferred is None else preferred, np.float32),
         robot_distance=np.zeros(len(position), np.float32),
@@ -56,12 +67,12 @@ def crowd(position, desired, velocity=None, preferred=None, **others) -> Pedestr
     return jax.device_put(replace(people, **others))
 
 
-def scene(*boxes) -> tuple[Nearby, tuple[np.ndarray, ...]]:
+def scene(*boxes) -> tuple[ObstacleGrid, tuple[np.ndarray, ...]]:
     """Table and float64 arrays of boxes (center x, y, half extent x, y, yaw in degrees)."""
     rows = np.array(boxes, np.float32)
     center, half, yaw = rows[:, :2], rows[:, 2:4], np.deg2rad(rows[:, 4]).astype(np.float32)
     obstacles = Obstacles(*(jnp.asarray(part) for part in (center, half, yaw, np.ones(len(rows), np.float32))))
-    return tabulate(obstacles, jnp.asarray(FLOOR)), tuple(part.astype(float) for part in (center, half, yaw))
+    return obstacle_grid.build(obstacles, jnp.asarray(FLOOR)), tuple(part.astype(float) for part in (center, half, yaw))
 
 
 def clearance(position, boxes) -> np.ndarray:
@@ -76,9 +87,17 @@ def clearance(position, boxes) -> np.ndarray:
     return np.where((over < 0).all(-1), over.max(-1), outside).min(-1)
 
 
-def constants(name: str, **changes: Any) -> social_forces.Parameters:
-    changes = {key: jnp.asarray(value, jnp.float32) for key, value in changes.items()}
-    return replace(social_forces.preset(name), **changes)
+def constants(name: str, changes: dict[str, Any]) -> social_forces.Forces:
+    return social_forces.build(social_forces.preset(name).tree_replace(changes))
+
+
+def around(forces, people, groups=None, robot=None, robot_radius=0.0, companions=None, grid=None) -> Crowd:
+    """What terms see of the people, who look along their headings."""
+    return Crowd(forces, people, *people.heading.T, grid, groups, robot, robot_radius, companions)
+
+
+def between(dx, dy, wx, wy, vx, vy, radii=0.4, **more) -> Pair:
+    return Pair(dx, dy, wx, wy, vx, vy, 1.0, 0.0, radii, **more)
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -109,7 +128,7 @@ def test_the_form_for_a_gpu_gives_the_same(preset, monkeypatch):
     people = replace(people, position=people.position.at[0].set(center + 0.1))
 
     def after():
-        return jax.jit(lambda people: social_forces.advance(parameters, people, table, None, None, STEP))(people)
+        return jax.jit(lambda people: social_forces.integrate(parameters, people, table, None, None, STEP))(people)
 
     cpu = after()
     forms = []
@@ -125,31 +144,31 @@ def test_the_form_for_a_gpu_gives_the_same(preset, monkeypatch):
 
 
 @pytest.mark.parametrize("preset", ["helbing1995", "helbing2000"])
-def test_parties_in_a_crush_at_a_wall_equal_the_float64_loop(preset):
+def test_walking_groups_in_a_crush_at_a_wall_equal_the_float64_loop(preset):
     """Eleven people who overlap, two of them in the wall as well: cohesion, contact, friction of bodies and walls."""
     parameters = social_forces.preset(preset)
-    parties = [[0, 1], [3, 6, 7], [10, 4]]
+    walking_groups = [[0, 1], [3, 6, 7], [10, 4]]
     companions = np.full((11, 2), -1, np.int32)
-    for party in parties:
-        for one in party:
-            others = [other for other in party if other != one]
+    for walking_group in walking_groups:
+        for one in walking_group:
+            others = [other for other in walking_group if other != one]
             companions[one, : len(others)] = others
     random = np.random.default_rng(4)
     x = np.stack(np.meshgrid(np.arange(4), np.arange(3)), -1).reshape(-1, 2)[:11] * 0.37
     x = x + random.uniform(-0.02, 0.02, x.shape)
     desired = np.array([0.6, -1.0]) + random.normal(size=x.shape) * 0.3
-    party = np.array([next((min(one) for one in parties if k in one), -1) for k in range(11)], np.int32)
-    people = crowd(x, desired, random.normal(size=x.shape), np.full(11, 1.3), party=party)
+    walking_group = np.array([next((min(one) for one in walking_groups if k in one), -1) for k in range(11)], np.int32)
+    people = crowd(x, desired, random.normal(size=x.shape), np.full(11, 1.3), walking_group=walking_group)
     table, boxes = scene((0.5, -0.68, 2.0, 0.5, 3.0))
     state = tuple(np.asarray(part, float) for part in vars(people).values())[:4]
     state = state[0], state[1], state[2], state[3], np.full(11, 1.3)
-    p = {k: None if v is None else float(v) for k, v in vars(parameters).items() if not callable(v)}
+    p = as_numbers(parameters)
     one = jax.jit(
-        lambda people: social_forces.advance(parameters, people, table, None, None, 0.01, companions=companions)
+        lambda people: social_forces.integrate(parameters, people, table, None, None, 0.01, companions=companions)
     )
     for step in range(10):
         people = one(people)
-        state = crowd_loop.step(*state, boxes, p, parameters.sight.__name__, 0.01, parties) + state[3:]
+        state = crowd_loop.step(*state, boxes, p, parameters.repulsion.sight.__name__, 0.01, walking_groups) + state[3:]
         limit = 1e-5 if step == 0 else 2e-4
         for name, theirs in zip(("position", "velocity", "heading"), state[:3], strict=True):
             ours = np.asarray(getattr(people, name))
@@ -176,25 +195,25 @@ def test_elliptical_repulsion_is_the_gradient_of_its_potential(own_motion):
     with jax.enable_x64(True):
         p = SimpleNamespace(strength=strength, range=reach_of, reach=0.0, anticipation=ahead, own_motion=own_motion)
         parts = [jnp.asarray(part) for vectors in (d, w, v) for part in vectors.T]
-        ours = np.stack(jax.jit(functools.partial(repulsion.elliptical, parameters=p))(*parts), -1)
-    between = np.abs(d[:, 0] * y[:, 1] - d[:, 1] * y[:, 0]) < 1e-2 * np.linalg.norm(
-        y, axis=1
-    )  # on the other's way b has a kink
-    np.testing.assert_allclose(ours[~between], numeric[~between], rtol=1e-4, atol=1e-6)
-    assert (~between).sum() > 150 and np.abs(numeric).max() > 1.0
+        ours = np.stack(jax.jit(lambda *parts: repulsion.elliptical(p, between(*parts)))(*parts), -1)
+    cross = np.abs(d[:, 0] * y[:, 1] - d[:, 1] * y[:, 0])
+    smooth = cross >= 1e-2 * np.linalg.norm(y, axis=1)  # on the other's way b has a kink
+    np.testing.assert_allclose(ours[smooth], numeric[smooth], rtol=1e-4, atol=1e-6)
+    assert smooth.sum() > 150 and np.abs(numeric).max() > 1.0
 
 
 def test_circular_repulsion_and_contact_are_as_printed():
     d = np.array([[0.3, 0.4], [-1.2, 0.5], [0.1, 0.0]])
     size = np.linalg.norm(d, axis=1)
-    p = SimpleNamespace(strength=6.25, range=0.16, reach=0.9, body=200.0, friction=None)
-    ours = np.stack(repulsion.circular(*jnp.asarray(d.T, jnp.float32), 0, 0, 0, 0, p), -1)
+    p = SimpleNamespace(strength=6.25, range=0.16, reach=0.9)
+    ours = np.stack(repulsion.circular(p, between(*jnp.asarray(d.T, jnp.float32), 0, 0, 0, 0)), -1)
     np.testing.assert_allclose(ours, (6.25 * np.exp((0.9 - size) / 0.16) / size)[:, None] * d, rtol=2e-5)
     motion = jnp.array([0.3, -0.2, 0.5]), jnp.array([1.0, 1.0, 0.6]), jnp.zeros(3), jnp.array([0.0, 0.0, 0.4])
-    ours = np.stack(repulsion.contact(*jnp.asarray(d.T, jnp.float32), *motion, 0.4, p), -1)
+    pair = between(*jnp.asarray(d.T, jnp.float32), *motion)
+    ours = np.stack(Contact(jnp.float32(200.0)).pair(pair), -1)
     np.testing.assert_allclose(ours, [[0, 0], [0, 0], [60.0, 0]], rtol=1e-4)
-    p.friction = 100.0  # drags along with the other: 100 * 0.3 m * (0.6 - 0.4) m/s
-    ours = np.stack(repulsion.contact(*jnp.asarray(d.T, jnp.float32), *motion, 0.4, p), -1)
+    # Friction drags along with the other: 100 * 0.3 m * (0.6 - 0.4) m/s
+    ours = np.stack(Contact(jnp.float32(200.0), jnp.float32(100.0)).pair(pair), -1)
     np.testing.assert_allclose(ours, [[0, 0], [0, 0], [60.0, 6.0]], rtol=1e-4)
 
 
@@ -202,37 +221,34 @@ def test_robot_pushes_like_a_person_but_farther_when_it_moves():
     parameters = social_forces.preset("johansson2007")
     extra = np.array([0.3, -0.2, 0.0], np.float32)
     people = crowd([(0.9, 0.2), (-0.5, 1.0), (0.0, -0.7)], [(-1.0, 0.0), (0.5, 0.5), (0.0, 1.2)], robot_distance=extra)
-    look = people.heading[:, 0], people.heading[:, 1]
 
     def robot(speed, at=(0.1, 0.1)):
         heading = jnp.array([0.6, 0.8])
         return Robot(jnp.asarray(at, jnp.float32), heading, jnp.asarray(speed, jnp.float32), jnp.zeros(()), ())
 
     def push(speed):
-        return np.stack(jax.jit(robot_force)(parameters, people, *look, robot(speed), 0.2), -1)
+        act = jax.jit(lambda robot: parameters.robot_repulsion.person(around(parameters, people, None, robot, 0.2)))
+        return np.stack(act(robot(speed)), -1)
 
     def person(speed):
         """What a person at the robot's place adds to the forces between the three."""
         x = jnp.concatenate([people.position, jnp.array([[0.1, 0.1]])])
         v = jnp.concatenate([people.velocity, speed * jnp.array([[0.6, 0.8]])])
-        four = crowd(x, np.ones((4, 2)), v)
-        look4 = [jnp.concatenate([part, jnp.ones(1)]) for part in look]
-        alone = np.stack(pairs(parameters, people, *look), -1)
-        return np.stack(pairs(parameters, four, *look4), -1)[:3] - alone
+        heading = jnp.concatenate([people.heading, jnp.ones((1, 2))])
+        four = crowd(x, np.ones((4, 2)), v, heading=heading)
+        return np.asarray(pairs(parameters, four))[:3] - np.asarray(pairs(parameters, people))
 
     np.testing.assert_allclose(push(0.05), person(0.05), rtol=1e-3, atol=1e-5)
     motion = jnp.full((3,), 0.3), jnp.full((3,), 0.4)
     apart = (people.position - 0.1).T
-    side = np.stack(
-        jax.jit(repulsion.sidestep)(*apart, *motion, *people.velocity.T, *look, parameters.side_preference, parameters),
-        -1,
-    )
+    pair = Pair(*apart, *motion, *people.velocity.T, *people.heading.T, jnp.float32(0.4))
+    side = np.stack(jax.jit(lambda pair: parameters.sidestep.pair(pair))(pair), -1)
     farther = (person(0.5) - side) * np.exp(extra / 3.22)[:, None] + side
     np.testing.assert_allclose(push(0.5), farther, rtol=1e-3, atol=1e-5)
 
 
 def test_group_keeps_others_out_but_not_its_members():
-    parameters = constants("helbing1995", group_strength=2.0, group_range=0.4)
+    parameters = constants("helbing1995", {"group_space.strength": 2.0, "group_space.range": 0.4})
     x = np.array([(0.9, 0.0), (0.0, 2.0), (-0.3, -0.4)])
     people = crowd(x, np.zeros((3, 2)), group=np.array([-1, -1, 0], np.int32))
     center = jnp.array([[0.0, 0.0], [5.0, 5.0], [0.0, 1.0]])
@@ -244,20 +260,19 @@ def test_group_keeps_others_out_but_not_its_members():
                 d = x[k] - np.asarray(center[g])
                 size = np.linalg.norm(d)
                 exact_force[k] += 2.0 * np.exp((float(groups.radius[g]) - size) / 0.4) * d / size
-    np.testing.assert_allclose(
-        np.stack(jax.jit(group_forces)(parameters, people, groups), -1), exact_force, rtol=1e-4, atol=1e-5
-    )
+    ours = jax.jit(lambda groups: parameters.group_space.person(around(parameters, people, groups)))(groups)
+    np.testing.assert_allclose(np.stack(ours, -1), exact_force, rtol=1e-4, atol=1e-5)
 
 
 def test_members_of_one_group_do_not_push_one_another():
     people = crowd([(0, 0), (0.6, 0), (0, 0.7)], np.zeros((3, 2)), group=np.array([1, 1, 2], np.int32))
-    forces = np.stack(pairs(social_forces.preset("helbing1995"), people, *people.heading.T), -1)
+    forces = np.asarray(pairs(social_forces.preset("helbing1995"), people))
     only_third = crowd([(0, 0), (0, 0.7)], np.zeros((2, 2)))
-    pair = np.stack(pairs(social_forces.preset("helbing1995"), only_third, *only_third.heading.T), -1)
+    pair = np.asarray(pairs(social_forces.preset("helbing1995"), only_third))
     np.testing.assert_allclose(forces[0], pair[0], rtol=1e-5, atol=1e-6)
     assert forces[2, 1] > 0.5
     strangers = replace(people, group=jnp.full(3, -1, jnp.int32))
-    assert pairs(social_forces.preset("helbing1995"), strangers, *people.heading.T)[0][0] < -0.5
+    assert pairs(social_forces.preset("helbing1995"), strangers)[0, 0] < -0.5
 
 
 def test_one_walker_takes_up_the_preferred_speed():
@@ -293,11 +308,11 @@ L_CORRIDOR = [  # 2 m wide: from (-9, 0) to (0, 0), and on to (0, 9)
 
 
 @pytest.mark.parametrize(("preset", "changes"), [
-    ("helbing1995", {}), ("helbing1995", {"wall_strength": 0.0}), ("sean2", {})
+    ("helbing1995", {}), ("helbing1995", {"walls.strength": 0.0}), ("sean2", {})
 ])  # fmt: skip
 def test_twenty_people_round_a_corner_stay_in_the_corridor(preset, changes):
     """RiMEA test 6 and NIST verification 2.3, also where nothing but the guarantee keeps people off the walls."""
-    parameters = constants(preset, **changes)
+    parameters = constants(preset, changes)
     table, boxes = scene(*L_CORRIDOR)
     random = np.random.default_rng(1)
     x = np.stack(np.meshgrid(np.linspace(-8.5, -1.5, 10), [-0.4, 0.4]), -1).reshape(-1, 2)
@@ -311,7 +326,7 @@ def test_twenty_people_round_a_corner_stay_in_the_corridor(preset, changes):
             aim = jnp.where(turned[:, None], jnp.array([[0.0, 8.0]]), jnp.array([[0.0, 0.0]])) - people.position
             way = aim / jnp.linalg.norm(aim, axis=1, keepdims=True)
             people = replace(people, desired_velocity=way * people.preferred_speed[:, None])
-            people = social_forces.advance(parameters, people, table, None, None, STEP)
+            people = social_forces.integrate(parameters, people, table, None, None, STEP)
             return people, people.position
 
         return jax.lax.scan(one, people, length=400)[1]
@@ -327,7 +342,7 @@ def test_twenty_people_round_a_corner_stay_in_the_corridor(preset, changes):
 @pytest.mark.parametrize("wall_strength", [50.0, 0.0])
 def test_fast_walkers_stop_at_walls_and_in_corners(wall_strength):
     """2.8 m/s straight into 0.2 m of wall, into an inner corner, and into wedges of 60 and 30 degrees."""
-    parameters = constants("helbing1995", wall_strength=wall_strength)
+    parameters = constants("helbing1995", {"walls.strength": wall_strength})
     cases = [
         ([(2, 0, 0.1, 3, 0)], (0, 0), (2.8, 0)),
         ([(2, 0, 0.1, 3, 0), (0, 2, 3, 0.1, 0)], (0, 0), (1.98, 1.98)),
@@ -348,7 +363,7 @@ def test_fast_walkers_stop_at_walls_and_in_corners(wall_strength):
 
 def test_a_wall_lets_people_walk_along_it():
     """Pressed against it at a slant, on one box and across the joint of two, without a wall force."""
-    parameters = constants("helbing1995", wall_strength=0.0)
+    parameters = constants("helbing1995", {"walls.strength": 0.0})
     table, boxes = scene((-4, 1, 4, 0.5, 0), (4, 1, 4, 0.5, 0))
     after = walk(parameters, crowd([(-6.0, 0.3)], [(1.0, 0.4)]), table, steps=200)
     assert clearance(after.position, boxes).min() > 0.2 - 0.001
@@ -366,7 +381,7 @@ def test_who_starts_inside_an_obstacle_is_led_out():
 def test_head_on_people_pass_on_the_preferred_side(preset):
     people = crowd([(-3.0, 0.0), (3.0, 0.0)], [(1.2, 0.0), (-1.2, 0.0)])
     for preference in (0.6, -0.6):
-        parameters = constants(preset, side_preference=preference, perception=10.0)
+        parameters = constants(preset, {"sidestep.preference": preference, "walking.perception": 10.0})
         after = walk(parameters, people, steps=200)
         x, y = np.asarray(after.position[..., 0]), np.asarray(after.position[..., 1])
         met = np.argmax(x[:, 0] > x[:, 1])
@@ -374,7 +389,7 @@ def test_head_on_people_pass_on_the_preferred_side(preset):
         right = y[met, 0] < y[met, 1]  # the one who walks along +x has the right hand at -y
         assert right == (preference > 0)
         assert np.linalg.norm(after.position[:, 0] - after.position[:, 1], axis=1).min() > 0.3
-    assert (float(social_forces.preset(preset).side_preference) < 0) == (preset == "sean2")
+    assert (float(social_forces.preset(preset).sidestep.preference) < 0) == (preset == "sean2")
 
 
 def test_absent_people_push_nobody_and_stay():
@@ -396,7 +411,7 @@ def test_jit_traces_once_and_types_are_strong():
     @jax.jit
     def once(people, table, groups, robot):
         traces.append(1)
-        return social_forces.advance(social_forces.preset("sean2"), people, table, groups, robot, STEP, 0.16)
+        return social_forces.integrate(social_forces.preset("sean2"), people, table, groups, robot, STEP, 0.16)
 
     table, _ = scene((0, 3, 1, 1, 0))
     groups = Groups(jnp.zeros((1, 2)), jnp.ones(1), jnp.zeros((1, 2)), jnp.ones(1, bool))
@@ -459,7 +474,7 @@ def test_gradients_are_finite_in_degenerate_cases(preset, companions):
         )
         people = replace(people, position=position, velocity=velocity, desired_velocity=desired, heading=heading)
         if walks_with is not None:
-            people = replace(people, party=jnp.zeros(2 + absent, jnp.int32))
+            people = replace(people, walking_group=jnp.zeros(2 + absent, jnp.int32))
         people = jax.tree.map(
             lambda leaf: leaf[-1], walk(parameters, people, table, groups, robot, walks_with, steps=2)
         )
@@ -492,11 +507,11 @@ def test_move_takes_substeps_of_at_most_a_twentieth_of_a_second():
     robot = Robot(jnp.array([0.5, -1.0]), jnp.array([1.0, 0.0]), jnp.asarray(0.3), jnp.zeros(()), ())
     parameters = social_forces.preset("helbing1995")
     state: Any = SimpleNamespace(pedestrians=people, groups=None, robot=robot)
-    one = jax.jit(lambda people, length: social_forces.advance(parameters, people, table, None, robot, length, 0.16))
+    one = jax.jit(lambda people, length: social_forces.integrate(parameters, people, table, None, robot, length, 0.16))
     for time_step, substeps in ((0.1, 2), (0.05, 1), (0.02, 1), (0.07, 2)):
         assert social_forces.substeps(parameters, time_step) == substeps
         scenario: Any = SimpleNamespace(
-            time_step=time_step, forces=parameters, environment=SimpleNamespace(nearby=table), substeps=substeps,
+            time_step=time_step, forces=parameters, environment=SimpleNamespace(obstacle_grid=table), substeps=substeps,
             robot=SimpleNamespace(radius=0.16), behavior=SimpleNamespace(companions=None),
         )  # fmt: skip
         by_hand = people
@@ -520,7 +535,7 @@ def test_traits_are_drawn_as_told():
     assert factor.min() >= 0.999 and factor.max() <= 8.001
     assert stats.kstest(factor, stats.uniform(1, 7).cdf).pvalue > 1e-3
     assert abs(np.corrcoef(speed, extra)[0, 1]) < 0.02
-    narrow = constants("helbing1995", speed_least=1.2, speed_greatest=1.4)
+    narrow = constants("helbing1995", {"walking.speed_min": 1.2, "walking.speed_max": 1.4})
     speed = np.asarray(draw(narrow, jax.random.key(1), number))
     assert 1.2 <= speed[0].min() < 1.201 and 1.399 < speed[0].max() <= 1.4
 
@@ -534,9 +549,9 @@ def test_sean2_draws_one_speed_and_shorter_robot_distances():
 
 def test_presets_have_their_published_constants():
     helbing, sean = social_forces.preset("helbing1995"), social_forces.preset("sean2")
-    assert float(helbing.strength * helbing.range) == pytest.approx(2.1)  # V0 m2/s2
-    assert float(helbing.wall_strength * helbing.wall_range) == pytest.approx(10.0)  # U0 m2/s2
-    assert float(sean.strength) == pytest.approx(6.25) and float(sean.wall_strength) == pytest.approx(100.0)
+    assert float(helbing.repulsion.strength * helbing.repulsion.range) == pytest.approx(2.1)  # V0 m2/s2
+    assert float(helbing.walls.strength * helbing.walls.range) == pytest.approx(10.0)  # U0 m2/s2
+    assert float(sean.repulsion.strength) == pytest.approx(6.25) and float(sean.walls.strength) == pytest.approx(100.0)
     with pytest.raises(ValueError, match="did you mean 'helbing1995'"):
         social_forces.preset("helbing1996")
     for name in PRESETS:
@@ -556,14 +571,16 @@ def packed(overlap: float) -> tuple[Pedestrians, int]:
 @pytest.mark.parametrize(("preset", "overlap"), [("helbing1995", 1e-4), ("helbing2000", 1e-4), ("helbing2000", 0.01)])
 def test_touching_bodies_are_stable_up_to_the_longest_step(preset, overlap):
     """Eigenvalues of one step, linearised: an error that changes sign and grows at each step has one below -1."""
-    parameters = constants(preset, strength=0.0, side_preference=0.0, speed_ratio=100.0, relaxation_time=100.0)
+    changes = {"repulsion.strength": 0.0, "sidestep.preference": 0.0}
+    changes |= {"walking.speed_ratio": 100.0, "walking.relaxation_time": 100.0}
+    parameters = constants(preset, changes)
     people, number = packed(overlap)
 
     @jax.jit
     @jax.jacfwd
     def step(state, length):
         moved = replace(people, position=state[0], velocity=state[1])
-        after = social_forces.advance(parameters, moved, None, None, None, length)
+        after = social_forces.integrate(parameters, moved, None, None, None, length)
         return jnp.stack([after.position, after.velocity])
 
     def least(length):
@@ -573,7 +590,7 @@ def test_touching_bodies_are_stable_up_to_the_longest_step(preset, overlap):
 
     longest = social_forces.longest_step(parameters)
     assert least(longest) > -1.0
-    assert least(2.0 * (2.0 / np.sqrt(6 * float(parameters.body)))) < -1.0
+    assert least(2.0 * (2.0 / np.sqrt(6 * float(parameters.contact.stiffness)))) < -1.0
 
 
 def test_friction_of_a_wall_takes_its_share_of_the_speed_along_it():
@@ -582,9 +599,7 @@ def test_friction_of_a_wall_takes_its_share_of_the_speed_along_it():
     people = crowd([(0.0, 0.3)], [(1.0, 0.1)], velocity=[(1.0, 0.0)], preferred=[1.0])
     people = replace(people, desired_velocity=jnp.array([[1.0, 0.5]]))
     for friction, left in ((None, 1.0), (0.0, 1.0), (400.0, 1 / (1 + 2.0 * 0.05))):
-        parameters = constants("helbing1995", wall_strength=0.0)
-        if friction is not None:
-            parameters = replace(parameters, friction=jnp.float32(friction))
+        parameters = constants("helbing1995", {"walls.strength": 0.0, "contact.friction": friction})
         after = walk(parameters, people, table)
         np.testing.assert_allclose(after.velocity[0, 0], [left, 0.0], atol=1e-5)
 
@@ -593,12 +608,209 @@ def test_what_is_off_is_not_computed():
     people = crowd([(0, 0), (1, 1), (2, 0)], np.ones((3, 2)))
 
     def size(parameters, companions):
-        program = jax.make_jaxpr(lambda p: social_forces.advance(p, people, None, None, None, STEP, 0.0, companions))
+        program = jax.make_jaxpr(lambda p: social_forces.integrate(p, people, None, None, None, STEP, 0.0, companions))
         return str(program(parameters)).count("\n")
 
     plain = social_forces.preset("helbing1995")
-    rubbing = replace(plain, friction=jnp.float32(0.0))
+    rubbing = plain.tree_replace({"contact.friction": 0.0})
     together = jnp.array([[1, -1], [0, -1], [-1, -1]], jnp.int32)
     assert size(plain, None) < size(rubbing, None) and size(plain, None) < size(plain, together)
     after = [walk(parameters, people, steps=3) for parameters in (plain, rubbing)]
     np.testing.assert_allclose(after[0].position, after[1].position, atol=1e-6)
+
+
+# --- terms of one's own ---
+
+
+@struct.dataclass
+class Wind:
+    """The same acceleration of everybody."""
+
+    x: jax.Array  # m/s2
+    y: jax.Array
+
+    def person(self, crowd):
+        return jnp.broadcast_to(self.x, crowd.look_x.shape), jnp.broadcast_to(self.y, crowd.look_y.shape)
+
+
+@struct.dataclass
+class Magnet:
+    """A pull between people that ends linearly at a distance; not between people and the robot."""
+
+    strength: jax.Array  # m/s2
+    distance: jax.Array  # m
+
+    def pair(self, pair):
+        if pair.is_robot:
+            return jnp.zeros_like(pair.dx), jnp.zeros_like(pair.dx)
+        apart = jnp.sqrt(pair.dx * pair.dx + pair.dy * pair.dy + 1e-6)
+        size = -self.strength * jnp.maximum(1.0 - apart / self.distance, 0.0) / apart
+        return size * pair.dx, size * pair.dy
+
+
+@struct.dataclass
+class NearMagnet(Magnet):
+    """The same, which says how far it reaches."""
+
+    def cutoff(self, walking):
+        return self.distance
+
+
+def alone(*terms) -> social_forces.Forces:
+    """People whom nothing but these terms accelerates."""
+    walking = social_forces.preset("helbing1995").walking
+    return social_forces.build([walking.replace(relaxation_time=1e9), *terms])
+
+
+def test_a_persons_term_of_ones_own_adds_its_acceleration():
+    people = crowd([(0.0, 0.0), (1.0, 0.5)], [(0.5, 0.0), (0.0, -0.4)], preferred=[2.0, 2.0])
+    after = social_forces.integrate(alone(Wind(0.3, -0.2)), people, None, None, None, STEP)
+    np.testing.assert_allclose(after.velocity - people.velocity, [[0.3 * STEP, -0.2 * STEP]] * 2, rtol=1e-4)
+    usual = social_forces.preset("helbing1995")
+    both = social_forces.build([*usual, Wind(0.3, -0.2)])
+    change = walk(both, people).velocity[0] - walk(usual, people).velocity[0]
+    np.testing.assert_allclose(change, [[0.3 * STEP, -0.2 * STEP]] * 2, rtol=1e-3)
+    assert both.wind.x == jnp.float32(0.3) and len(both) == len(usual) + 1
+
+
+def test_a_pair_term_of_ones_own_acts_between_people_and_may_leave_the_robot_out():
+    people = crowd([(0.0, 0.0), (1.0, 0.0), (9.0, 0.0)], np.zeros((3, 2)), preferred=np.ones(3))
+    forces, push = alone(Magnet(0.8, 2.0)), 0.8 * (1 - 1.0 / 2.0) * STEP
+    after = social_forces.integrate(forces, people, None, None, None, STEP)
+    np.testing.assert_allclose(after.velocity, [[push, 0.0], [-push, 0.0], [0.0, 0.0]], rtol=1e-4, atol=1e-7)
+    robot = Robot(jnp.array([0.0, 0.7]), jnp.array([1.0, 0.0]), jnp.zeros(()), jnp.zeros(()), ())
+    minds = social_forces.preset("helbing1995")
+    there, without = (
+        social_forces.integrate(social_forces.build(terms), people, None, None, robot, STEP).velocity
+        for terms in ([*forces, minds.robot_repulsion], forces)
+    )
+    np.testing.assert_array_equal(there, without)
+    push = social_forces.build([*forces, minds.contact, minds.repulsion, minds.robot_repulsion])
+    assert social_forces.integrate(push, people, None, None, robot, STEP).velocity[0, 1] < -0.01
+
+
+def test_terms_of_ones_own_differentiate_and_batch():
+    """Gradients by every parameter equal central differences; a batch over parameters is the runs one by one."""
+    random = np.random.default_rng(5)
+    people = crowd(random.uniform(-2, 2, (6, 2)), random.normal(size=(6, 2)))
+    forces = social_forces.build([*social_forces.preset("johansson2007"), Wind(0.1, 0.2), Magnet(0.5, 3.0)])
+
+    def far(values):
+        changed = forces.tree_replace(dict(zip(("wind.x", "magnet.strength", "magnet.distance"), values, strict=True)))
+        return jnp.sum(walk(changed, people, steps=10).position[-1] * jnp.arange(12.0).reshape(6, 2))
+
+    at, run = jnp.array([0.1, 0.5, 3.0]), jax.jit(far)
+    slope = jax.jit(jax.grad(far))(at)
+    for k in range(3):
+        e = 1e-2 * jnp.eye(3)[k]
+        assert float(slope[k]) == pytest.approx(float(run(at + e) - run(at - e)) / 2e-2, rel=3e-2), k
+    assert np.abs(slope).min() > 1e-2
+    many = jnp.stack([at, 2.0 * at, 0.5 * at])
+    np.testing.assert_allclose(jax.jit(jax.vmap(far))(many), [run(one) for one in many], rtol=1e-5)
+    whole = jax.grad(lambda forces: walk(forces, people, steps=3).position.sum())(forces)
+    assert float(whole.wind.x) > 0.1 and all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(whole))
+
+
+def test_large_crowds_sum_a_term_of_ones_own_over_all_pairs_unless_it_has_a_cutoff():
+    people, _, _ = workload.crowd(300, 0)
+    usual = social_forces.preset("helbing1995")
+    every, near = (social_forces.build([*usual, kind(0.5, 3.0)]) for kind in (Magnet, NearMagnet))
+    assert model.cutoff(every) is None and model.cutoff(usual) == model.cutoff(near)
+    wide = near.tree_replace({"near_magnet.distance": 50.0})
+    assert float(model.cutoff(wide)) == 50.0
+    ours, exact = (walk(forces, people).velocity[0] for forces in (near, every))
+    np.testing.assert_allclose(ours, exact, atol=2e-3)
+    slopes = [jax.grad(lambda f: jnp.sin(walk(f, people).velocity).sum())(f) for f in (near, every)]
+    strength = [float(slopes[0].near_magnet.strength), float(slopes[1].magnet.strength)]
+    assert strength[0] == pytest.approx(strength[1], rel=1e-2) and abs(strength[0]) > 1e-4
+
+
+def test_a_term_that_is_left_out_is_not_felt():
+    """Without the term of the robot, of walls, of groups: as if they were not there, but nobody enters a wall."""
+    people = crowd([(0.0, 1.0), (0.6, 0.0)], [(0.3, 0.0), (-0.3, 0.0)])
+    table, boxes = scene(BOX)
+    groups = Groups(jnp.array([[0.3, 0.8]]), jnp.ones(1), jnp.zeros((1, 2)), jnp.ones(1, bool))
+    robot = Robot(jnp.array([0.5, 0.7]), jnp.array([1.0, 0.0]), jnp.asarray(0.3), jnp.zeros(()), ())
+    usual = social_forces.preset("helbing1995")
+
+    def after(left_out, table, groups, robot):
+        forces = social_forces.build([term for term in usual if not isinstance(term, left_out)])
+        return walk(forces, people, table, groups, robot).velocity
+
+    for kind, given in {
+        social_forces.RobotRepulsion: (table, groups, None),
+        social_forces.GroupSpace: (table, None, robot),
+        social_forces.Walls: (None, groups, robot),
+    }.items():
+        np.testing.assert_allclose(after(kind, table, groups, robot), after((), *given), atol=1e-6)
+        assert np.abs(after(kind, table, groups, robot) - after((), table, groups, robot)).max() > 1e-3
+    wild = crowd([(0.0, 1.0)], [(0.0, 2.0)])
+    path = walk(alone(), wild, table, steps=40).position
+    assert clearance(path, boxes).min() > 0.2 - 0.001
+
+
+@pytest.mark.parametrize(("terms", "message"), [
+    ([], "no Walking term"),
+    ([Wind(0.1, 0.2)], "no Walking term"),
+    (Wind(0.1, 0.2), "a list of terms"),
+    (7.0, "a list of terms"),
+    (["helbing1995"], "'helbing1995' is no term"),
+    ([*social_forces.PRESETS["sean2"], Wind], "is no term"),
+    ([*social_forces.PRESETS["sean2"], lambda crowd: None], "is no term"),
+    ([*social_forces.PRESETS["sean2"], *social_forces.PRESETS["helbing1995"]], "'walking' stands twice"),
+    ([*social_forces.PRESETS["sean2"], Wind(0.1, float("nan"))], r"forces.wind.y: nan must be finite"),
+    ([*social_forces.PRESETS["sean2"], SimpleNamespace(person=lambda crowd: None)], "flax.struct.dataclass"),
+])  # fmt: skip
+def test_what_makes_no_forces_is_refused_in_one_sentence(terms, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        social_forces.build(terms)
+    assert str(caught.value).startswith("forces") and "\n" not in str(caught.value)
+
+
+def test_parameters_are_replaced_by_name():
+    forces = social_forces.preset("helbing2000")
+    changed = forces.tree_replace(
+        {"repulsion.strength": 3, "repulsion.range": jnp.float32(0.1), "contact.friction": None}
+    )
+    assert float(changed.repulsion.strength) == 3.0 and float(changed.repulsion.range) == pytest.approx(0.1)
+    assert changed.contact.friction is None and changed.walking is forces.walking
+    assert float(changed.replace(walls=forces.walls.replace(strength=1.0)).walls.strength) == 1.0
+    with pytest.raises(ValueError, match=r"forces.repulsion.strenght: .* did you mean 'strength'"):
+        forces.tree_replace({"repulsion.strenght": 1.0})
+    with pytest.raises(AttributeError, match="did you mean 'walls'"):
+        forces.wall  # noqa: B018
+    with pytest.raises(AttributeError, match="no term 'wind'"):
+        forces.replace(wind=Wind(0.0, 0.0))
+    names = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(forces)]
+    assert ".walls.strength" in names and len(names) == len(set(names))
+    assert [type(term) for term in pickle.loads(pickle.dumps(jax.device_get(forces)))] == [
+        type(term) for term in forces
+    ]
+
+
+@pytest.mark.slow
+def test_terms_of_ones_own_move_people_in_a_rollout():
+    terms = [*social_forces.preset("helbing1995"), Wind(0.0, 0.6), Magnet(0.2, 3.0)]
+    make = functools.partial(sean_jax.make, "lab", people=4, dynamics="twin")
+    calm, windy = make(forces=terms[:-2]), make(forces=terms)
+
+    def people(scenario, forces):
+        _, frames = sean_jax.rollout(scenario.replace(forces=forces), go_to_goal, jax.random.key(1), 10)
+        return frames.people[-1]
+
+    drift = np.asarray(jax.jit(people)(windy, windy.forces) - jax.jit(people)(calm, calm.forces))[:, 1]
+    assert drift.mean() > 0.05
+    slope = jax.jit(jax.grad(lambda forces: people(windy, forces)[:, 1].sum()))(windy.forces)
+    assert float(slope.wind.y) > 0.1 and np.isfinite(float(slope.magnet.strength)) and float(slope.magnet.strength)
+
+
+def test_the_terms_in_the_documents_work(scenario):
+    """Each block of docs/social_forces.md, with a small scenario."""
+    text = (Path(__file__).resolve().parent.parent / "docs" / "social_forces.md").read_text(encoding="utf-8")
+    names = {"scenario": scenario, "sean_jax": sean_jax}
+    for block in re.findall(r"```python\n(.*?)```", text, re.S):
+        exec(block.replace("sean_jax.make(", "sean_jax.make('lab', people=2, dynamics='twin', "), names)
+    assert float(names["scenario"].forces.distancing.strength) == 2.0
+    drawn = social_forces.build([*social_forces.preset("sean2"), names["Exit"](x=5.0, y=0.0, strength=0.1)])
+    people = crowd([(0.0, 0.0)], [(0.0, 0.3)], preferred=[0.6])
+    assert float(walk(drawn, people, steps=5).position[-1, 0, 0]) > 0.001

@@ -8,14 +8,16 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
-from sean_jax import cli, drawing, main_job, writing
-from sean_jax.learning.options import Failed
-from sean_jax.main_job import batches, simulation, unfinished
-from sean_jax.main_job.options import Options
-from sean_jax.options import BadInput
+from sean_jax import assembly, cli, drawing, evaluation, writing
+from sean_jax.config import RunConfig, gather, validate
+from sean_jax.errors import IncompleteError, InputError
+from sean_jax.evaluation import unfinished
+from sean_jax.progress import Progress
+from sean_jax.runner import Runner, Watch
 
 SMALL = "--environment lab --behavior random --task random_ab_nav --people 2 --dynamics twin --time-limit 0.5".split()
 RUN = ["run", *SMALL, "--seed", "3", "--episodes", "5", "--batch", "2", "--out", "made"]
@@ -32,9 +34,15 @@ def compiled_once():
 
         return first
 
+    def compiled(*arguments):
+        runner = Runner(*arguments)
+        runner.compile(Watch())
+        runner.compile = lambda watch: None
+        return runner
+
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(main_job, "_scenarios", once(main_job._scenarios))
-        patched.setattr(simulation, "prepare", once(simulation.prepare))
+        patched.setattr(assembly, "build", once(assembly.build))
+        patched.setattr(evaluation, "Runner", once(compiled))
         yield
 
 
@@ -42,13 +50,13 @@ def compiled_once():
 def simulated(monkeypatch, tmp_path):
     """The numbers of the first episodes of the batches that were simulated; the folder is the test's own."""
     monkeypatch.chdir(tmp_path)
-    bases, run_batch = [], simulation.run_batch
+    bases, run = [], Runner.run
 
-    def counted(programs, seed, base, kept, advanced):
-        bases.append(base)
-        return run_batch(programs, seed, base, kept, advanced)
+    def counted(runner, seed, first, *others, **named):
+        bases.append(first)
+        return run(runner, seed, first, *others, **named)
 
-    monkeypatch.setattr(simulation, "run_batch", counted)
+    monkeypatch.setattr(Runner, "run", counted)
     return bases
 
 
@@ -70,18 +78,21 @@ def whole(compiled_once, tmp_path_factory):
 
 def at_second_batch(monkeypatch, what):
     """Do ``what`` with each batch from the second on, as soon as it is simulated."""
-    run_batch = simulation.run_batch
+    run = Runner.run
 
-    def disturbed(programs, seed, base, kept, advanced):
-        batch = run_batch(programs, seed, base, kept, advanced)
-        return (what(batch) or batch) if base else batch
+    def disturbed(runner, seed, first, *others, **named):
+        batch = run(runner, seed, first, *others, **named)
+        return (what(batch) or batch) if first else batch
 
-    monkeypatch.setattr(simulation, "run_batch", disturbed)
+    monkeypatch.setattr(Runner, "run", disturbed)
 
 
 def poisoned(batch):
-    batch.metrics["path_length"] = batch.metrics["path_length"].copy()
-    batch.metrics["path_length"].reshape(len(batch.completed), -1)[1, 0] = np.nan
+    def one(leaf):
+        return leaf.at[1].set(np.nan) if np.issubdtype(leaf.dtype, np.floating) else leaf
+
+    metrics = {**batch.states.metrics, "path_length": jax.tree.map(one, batch.states.metrics["path_length"])}
+    return batch._replace(states=dataclasses.replace(batch.states, metrics=metrics))
 
 
 def full(*arguments, **others):
@@ -146,7 +157,7 @@ def test_a_disturbed_run_goes_on(disturb, code, said, written, whole, simulated,
 
 
 def test_stopped_before_anything_was_finished_leaves_nothing(whole, simulated, monkeypatch, capsys):
-    monkeypatch.setattr(simulation, "run_batch", lambda *_: signal.raise_signal(signal.SIGTERM))
+    monkeypatch.setattr(Runner, "run", lambda *_, **__: signal.raise_signal(signal.SIGTERM))
     assert cli.main(RUN) == 143
     assert "nothing was written, for no batch of episodes was finished" in capsys.readouterr().err
     assert not list(Path().iterdir())
@@ -173,12 +184,12 @@ def test_other_options_do_not_go_on_with_it(whole, simulated, monkeypatch, capsy
         assert cli.main([*RUN, option, value]) == 2
         error = capsys.readouterr().err
         assert "made has an unfinished run with " + said in error and len(error.splitlines()) == 1
-    scenario = main_job._scenarios(Options())[0]
+    scenario = assembly.build(RunConfig())[0]  # the one of all runs here
     changed = dataclasses.replace(scenario, goal_radius=scenario.goal_radius * 2)
     with monkeypatch.context() as patched:
-        patched.setattr(main_job, "_scenarios", lambda _: [changed])
+        patched.setattr(assembly, "build", lambda _: [changed])
         assert cli.main(RUN) == 2
-    assert "with the content of scenario and driver" in capsys.readouterr().err
+    assert "with the content of scenario and policy" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()} == before
 
 
@@ -190,12 +201,13 @@ def test_runs_with_the_default_folder_tell_of_one_that_was_not_finished(whole, s
     Path("runs/killed").mkdir()
     (Path("runs/killed") / writing.LOCK).write_text("process 1 on a machine that is no more")
     capsys.readouterr()
-    options = Options(out=None, **dict(environment="lab", behavior="random", task="random_ab_nav", people=2, seed=3))
-    asked = dataclasses.replace(options, dynamics="twin", time_limit=0.5, episodes=5, batch=2)
-    assert list(unfinished.others(asked, Path("runs/new"))) == [(left, 2)]
-    assert list(unfinished.others(dataclasses.replace(asked, seed=4), Path("runs/new"))) == []
-    with writing.held(left):
-        assert list(unfinished.others(asked, Path("runs/new"))) == []
+    scenario = {"environment": "lab", "behavior": "random", "task": "random_ab_nav", "people": 2, "dynamics": "twin"}
+    run = {"time_limit": 0.5, "seed": 3, "episodes": 5, "batch": 2}
+    asked = validate(RunConfig, gather(RunConfig, scenario | run))
+    assert list(unfinished.unfinished_runs(asked, Path("runs/new"))) == [(left, 2)]
+    assert list(unfinished.unfinished_runs(asked.replace(seed=4), Path("runs/new"))) == []
+    with writing.folder_lock(left):
+        assert list(unfinished.unfinished_runs(asked, Path("runs/new"))) == []
     assert list(Path("runs").iterdir()) == [left]
     assert cli.main(RUN[:-2]) == 0
     said = " ".join(capsys.readouterr().out.split())
@@ -213,7 +225,7 @@ def test_what_a_kill_leaves_at_the_very_beginning_is_in_nobodys_way(left, tmp_pa
     assert not place.exists()
     place.mkdir(parents=True)
     (place / "letter.txt").write_text("dear")
-    with pytest.raises(BadInput, match="is not empty"):
+    with pytest.raises(InputError, match="is not empty"):
         unfinished.check_place(tmp_path / "made")
     assert (place / "letter.txt").exists()
 
@@ -225,7 +237,7 @@ def test_what_a_kill_leaves_at_the_very_end_goes_with_the_next_start(tmp_path):
     (tmp_path / "made" / "summary.json").write_text("{}")
     for _ in range(2):
         (tmp_path / "made" / writing.LOCK).write_text("process 1 on a machine")
-        with pytest.raises(BadInput, match="is not empty"):
+        with pytest.raises(InputError, match="is not empty"):
             unfinished.check_place(tmp_path / "made")
         assert [path.name for path in (tmp_path / "made").iterdir()] == ["summary.json"]
 
@@ -233,15 +245,15 @@ def test_what_a_kill_leaves_at_the_very_end_goes_with_the_next_start(tmp_path):
 def test_what_is_damaged_is_named(tmp_path):
     (tmp_path / "made" / "unfinished").mkdir(parents=True)
     (tmp_path / "made" / "unfinished" / "run.json").write_text("{")
-    with pytest.raises(BadInput, match="run.json cannot be read .* remove"):
-        unfinished.Unfinished(tmp_path / "made", Options())
+    with pytest.raises(InputError, match="run.json cannot be read .* remove"):
+        unfinished.Unfinished(tmp_path / "made", RunConfig())
 
 
 def test_a_run_does_not_end_by_what_others_have_beside_it(tmp_path, monkeypatch):
     """Folders of other people, and those that vanish while they are looked at."""
     for name in ("a", "b", "c"):
         (tmp_path / name / "unfinished").mkdir(parents=True)
-    (tmp_path / "c" / "unfinished" / "run.json").write_text(json.dumps(unfinished._options(Options())))
+    (tmp_path / "c" / "unfinished" / "run.json").write_text(json.dumps(unfinished._about(RunConfig())))
     listdir = os.listdir
 
     def refused(folder):
@@ -250,18 +262,18 @@ def test_a_run_does_not_end_by_what_others_have_beside_it(tmp_path, monkeypatch)
         return listdir(folder)
 
     monkeypatch.setattr(os, "listdir", refused)
-    assert unfinished.others(Options(), tmp_path / "new") == [(tmp_path / "c", 0)]
-    assert unfinished.others(Options(), tmp_path / "none" / "new") == []
+    assert unfinished.unfinished_runs(RunConfig(), tmp_path / "new") == [(tmp_path / "c", 0)]
+    assert unfinished.unfinished_runs(RunConfig(), tmp_path / "none" / "new") == []
 
 
 def test_a_damaged_batch_is_named(tmp_path):
-    kept = unfinished.Unfinished(tmp_path / "made", Options())
+    kept = unfinished.Unfinished(tmp_path / "made", RunConfig())
     kept.place.mkdir(parents=True)
     np.savez_compressed(kept._file(0, 2), completed=np.zeros(2, bool))
     content = kept._file(0, 2).read_bytes()
     for broken in (content, b"", content[:-30], content[:40] + b"0" * 40 + content[80:], b"\x93NUMPY" + content[6:]):
         kept._file(0, 2).write_bytes(broken)
-        with pytest.raises(Failed, match="batch-00000000-2.npz is damaged .* remove it"):
+        with pytest.raises(IncompleteError, match="batch-00000000-2.npz is damaged .* remove it"):
             kept.load(0, 2)
     for name in ("batch-x.npz", "batch-0-x.npz", "batch-00000000-2-x.npz"):
         (kept.place / name).touch()
@@ -271,12 +283,12 @@ def test_a_damaged_batch_is_named(tmp_path):
 def test_a_run_that_does_not_tell_its_options_is_not_gone_on_with(tmp_path):
     (tmp_path / "unfinished").mkdir()
     (tmp_path / "unfinished" / "run.json").write_text("{}")
-    with pytest.raises(BadInput, match="run.json does not tell --environment; remove"):
-        unfinished.Unfinished(tmp_path, Options())
+    with pytest.raises(InputError, match="run.json does not tell --environment; remove"):
+        unfinished.Unfinished(tmp_path, RunConfig())
 
 
 def test_results_have_nothing_of_one_who_was_killed(tmp_path):
-    kept = unfinished.Unfinished(tmp_path, Options())
+    kept = unfinished.Unfinished(tmp_path, RunConfig())
     (kept.place / "written").mkdir(parents=True)
     (kept.place / "written" / "camera.gif").write_text("half of it")
     with kept.results(True) as place:
@@ -285,10 +297,10 @@ def test_results_have_nothing_of_one_who_was_killed(tmp_path):
 
 
 def test_a_folder_that_was_filled_meanwhile_is_not_said_to_be_written_by_oneself(tmp_path):
-    with writing.held(tmp_path):
+    with writing.folder_lock(tmp_path):
         (tmp_path / "summary.json").write_text("{}")
-        with pytest.raises(BadInput, match="is not empty"):
-            unfinished.Unfinished(tmp_path, Options())
+        with pytest.raises(InputError, match="is not empty"):
+            unfinished.Unfinished(tmp_path, RunConfig())
 
 
 def test_batches_after_a_removed_one_are_not_simulated_again(whole, simulated, monkeypatch):
@@ -313,4 +325,6 @@ def test_ever_so_many_batches_are_no_list():
 
     asked: Any = SimpleNamespace(load=load)
     with pytest.raises(Stop):
-        batches.run_batches([SimpleNamespace(time_limit=1.0)], None, 2**31 - 1, 1, 0, simulation.Watch(), asked)  # pyright: ignore
+        scenario: Any = SimpleNamespace(time_limit=1.0)
+        config = RunConfig(episodes=2**31 - 1, batch=1)
+        evaluation._episodes([scenario], asked, config, Progress(), asked, None)

@@ -18,7 +18,7 @@ from sean_jax import drawing, sensors
 from sean_jax.base import Array
 from sean_jax.drawing import gifs, gl_scene, videos
 from sean_jax.scenario import frame
-from sean_jax.scenery import plain
+from sean_jax.scenery import plain_scenery
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -42,7 +42,7 @@ def frames(scenario):
 
 def test_pictures_are_those_of_the_frames(scenario, frames, tmp_path):
     """At 4 times the pace and 5 pictures a second every 8th frame of 0.1 s is shown, and the last."""
-    scene = dataclasses.replace(scenario.environment, scenery=plain(scenario.environment.obstacles))
+    scene = dataclasses.replace(scenario.environment, scenery=plain_scenery(scenario.environment.obstacles))
     grey = dataclasses.replace(scenario, environment=scene)
     eye = sensors.camera(scenario, "overhead", width=64, height=48)  # 8 pixels to the metre, ahead is up
     drawing.video(frames, grey, tmp_path / "camera.gif", view=eye)

@@ -44,7 +44,7 @@ def test_share_of_right_hand_passes_follows_the_side_preference(preset):
 @pytest.mark.parametrize("preset", quick(PRESETS, "helbing1995"))
 def test_people_keep_farther_from_a_moving_robot_the_greater_their_robot_distance(preset):
     parameters = social_forces.preset(preset)
-    distances = parameters.range * jnp.log(jnp.array([0.5, 1.0, 2.0, 4.0, 8.0]))
+    distances = parameters.repulsion.range * jnp.log(jnp.array([0.5, 1.0, 2.0, 4.0, 8.0]))
     gap, slope = (np.asarray(part) for part in robot_gaps(parameters, distances, 0.5))
     assert (np.diff(gap.mean(axis=1)) > 0).all()
     assert np.isfinite(slope).all() and (slope > 1e-4).all()
@@ -54,7 +54,7 @@ def test_people_keep_farther_from_a_moving_robot_the_greater_their_robot_distanc
 
 def test_a_standing_robot_is_passed_like_a_person():
     parameters = social_forces.preset("helbing1995")
-    distances = parameters.range * jnp.log(jnp.array([0.5, 1.0, 2.0, 4.0, 8.0]))
+    distances = parameters.repulsion.range * jnp.log(jnp.array([0.5, 1.0, 2.0, 4.0, 8.0]))
     gap, slope = robot_gaps(parameters, distances, 0.0)
     np.testing.assert_allclose(gap, np.broadcast_to(gap[1], gap.shape), atol=1e-5)
     np.testing.assert_array_equal(slope, 0.0)
@@ -79,12 +79,11 @@ def test_friction_slows_who_slides_past_another():
     still = functools.partial(walkers.walkers, jnp.array([[-0.3, 0.0], [0.3, 0.0]]))
     speed = []
     for friction in (None, 3000.0):
-        parameters = social_forces.preset("helbing2000").replace(
-            friction=None if friction is None else jnp.float32(friction), side_preference=jnp.float32(0.0)
-        )
+        changes = {"contact.friction": friction, "sidestep.preference": 0.0}
+        parameters = social_forces.preset("helbing2000").tree_replace(changes)
         people = still(jnp.array([[1.0, 0.0], [-1.0, 0.0]]))
         people = people.replace(position=jnp.array([[0.0, 0.19], [0.0, -0.19]]))
-        after = social_forces.advance(parameters, people, None, None, None, 0.001)
+        after = social_forces.integrate(parameters, people, None, None, None, 0.001)
         speed.append(float(after.velocity[0, 0]))
     assert speed[0] == pytest.approx(1.0, abs=1e-5)
     assert speed[1] == pytest.approx(1.0 - 0.001 * 3000 * 0.02 * 2.0, abs=1e-4)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sean_jax import writing
-from sean_jax.writing import Unwritable
+from sean_jax.errors import WriteError
 
 
 def names(folder) -> list[str]:
@@ -23,7 +23,7 @@ def names(folder) -> list[str]:
 def test_a_file_is_as_it_was_or_new(tmp_path, error):
     file = tmp_path / "results.json"
     writing.write(file, "old")
-    with pytest.raises(type(error)), writing.whole(file) as stream:
+    with pytest.raises(type(error)), writing.atomic_file(file) as stream:
         stream.write(b"half of it")
         stream.flush()
         raise error
@@ -34,22 +34,22 @@ def test_a_file_is_as_it_was_or_new(tmp_path, error):
 
 
 def test_two_cannot_write_one_file_at_once(tmp_path):
-    with writing.whole(tmp_path / "a") as stream:
+    with writing.atomic_file(tmp_path / "a") as stream:
         stream.write(b"first")
-        with pytest.raises(Unwritable, match="is being written by another process"):
+        with pytest.raises(WriteError, match="is being written by another process"):
             writing.write(tmp_path / "a", "second")
     assert (tmp_path / "a").read_text() == "first" and names(tmp_path) == ["a"]
 
 
 def test_a_held_folder_says_by_whom_and_vanishes_if_nothing_was_written(tmp_path):
     folder = tmp_path / "deep" / "run"
-    with writing.held(folder):
-        for refused in (writing.held(folder), writing.held(tmp_path / "deep" / ".." / "deep" / "run")):
-            with pytest.raises(Unwritable, match=r"run is being written by process \d+ on \S+ since 20\d\d-"), refused:
+    with writing.folder_lock(folder):
+        for refused in (writing.folder_lock(folder), writing.folder_lock(tmp_path / "deep" / ".." / "deep" / "run")):
+            with pytest.raises(WriteError, match=r"run is being written by process \d+ on \S+ since 20\d\d-"), refused:
                 pass
         assert names(tmp_path) == ["deep", "deep/run", "deep/run/.lock"] and writing.contents(folder) == []
     assert names(tmp_path) == []
-    with pytest.raises(KeyboardInterrupt), writing.held(folder):
+    with pytest.raises(KeyboardInterrupt), writing.folder_lock(folder):
         (folder / "kept").write_text("1")
         raise KeyboardInterrupt
     assert names(folder) == ["kept"]
@@ -58,7 +58,7 @@ def test_a_held_folder_says_by_whom_and_vanishes_if_nothing_was_written(tmp_path
 def test_what_cannot_be_a_folder_is_refused(tmp_path):
     (tmp_path / "file").write_text("kept")
     for place, said in (("file", "is a file"), ("file/run", "cannot write"), ("a" * 300, "cannot write")):
-        with pytest.raises(Unwritable, match=said), writing.held(tmp_path / place):
+        with pytest.raises(WriteError, match=said), writing.folder_lock(tmp_path / place):
             pass
     assert names(tmp_path) == ["file"]
 
@@ -67,7 +67,8 @@ HOLD = """
 import sys, time
 from pathlib import Path
 from sean_jax import writing
-with writing.held(Path(sys.argv[1])) if sys.argv[2] == "held" else writing.whole_folder(Path(sys.argv[1])) as made:
+folder = Path(sys.argv[1])
+with getattr(writing, sys.argv[2])(folder) as made:
     if made:
         (made / "half").write_text("of it")
     print("held", flush=True)
@@ -76,13 +77,13 @@ with writing.held(Path(sys.argv[1])) if sys.argv[2] == "held" else writing.whole
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
-@pytest.mark.parametrize("way", ["held", "whole_folder"])
+@pytest.mark.parametrize("way", ["folder_lock", "atomic_folder"])
 def test_a_killed_process_holds_nothing_and_leaves_nothing_after_the_next_start(tmp_path, way):
     folder = tmp_path / "run"
     process = subprocess.Popen([sys.executable, "-c", HOLD, str(folder), way], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None and process.stdout.readline() == "held\n"
     with (
-        pytest.raises(Unwritable, match=f"is being written by process {process.pid} on "),
+        pytest.raises(WriteError, match=f"is being written by process {process.pid} on "),
         getattr(writing, way)(folder),
     ):
         pass
@@ -91,7 +92,7 @@ def test_a_killed_process_holds_nothing_and_leaves_nothing_after_the_next_start(
     assert names(tmp_path), "a kill leaves something"
     with getattr(writing, way)(folder) as made:
         assert made is None or names(made) == []
-    assert names(tmp_path) == ([] if way == "held" else ["run"])
+    assert names(tmp_path) == ([] if way == "folder_lock" else ["run"])
 
 
 def test_never_two_at_once_although_the_lock_comes_and_goes(tmp_path):
@@ -101,12 +102,12 @@ def test_never_two_at_once_although_the_lock_comes_and_goes(tmp_path):
     def work() -> None:
         for _ in range(150):
             try:
-                with writing.held(folder):
+                with writing.folder_lock(folder):
                     inside.append(1)
                     most.append(len(inside))
                     inside.pop()
                 turns.append(1)
-            except Unwritable:
+            except WriteError:
                 pass
 
     with ThreadPoolExecutor(6) as pool:
@@ -116,16 +117,16 @@ def test_never_two_at_once_although_the_lock_comes_and_goes(tmp_path):
 
 
 def test_a_whole_folder_appears_whole_or_not_at_all(tmp_path):
-    with writing.whole_folder(tmp_path / "deep" / "run") as folder:
+    with writing.atomic_folder(tmp_path / "deep" / "run") as folder:
         (folder / "a").write_text("1")
         assert not (tmp_path / "deep" / "run").exists()
-        with pytest.raises(Unwritable, match="is being written by process"):
-            with writing.whole_folder(tmp_path / "deep" / "run"):
+        with pytest.raises(WriteError, match="is being written by process"):
+            with writing.atomic_folder(tmp_path / "deep" / "run"):
                 pass
     assert names(tmp_path) == ["deep", "deep/run", "deep/run/a"]
-    with pytest.raises(Unwritable, match="is not empty"), writing.whole_folder(tmp_path / "deep" / "run"):
+    with pytest.raises(WriteError, match="is not empty"), writing.atomic_folder(tmp_path / "deep" / "run"):
         pass
-    with pytest.raises(KeyboardInterrupt), writing.whole_folder(tmp_path / "other" / "run") as folder:
+    with pytest.raises(KeyboardInterrupt), writing.atomic_folder(tmp_path / "other" / "run") as folder:
         (folder / "a").write_text("1")
         raise KeyboardInterrupt
     assert names(tmp_path) == ["deep", "deep/run", "deep/run/a"]
@@ -136,13 +137,13 @@ def test_what_a_killed_writer_left_in_the_folder_is_in_nobodys_way(tmp_path):
     folder.mkdir()
     for name in (writing.LOCK, ".summary.json.new"):
         (folder / name).write_text("process 1 on a machine that is no more")
-    with writing.whole_folder(folder) as made:
+    with writing.atomic_folder(folder) as made:
         (made / "a").write_text("1")
     assert names(tmp_path) == ["run", "run/a"]
     (tmp_path / "other").mkdir()
-    with writing.held(tmp_path / "other"):  # told before the work, not after it
-        with pytest.raises(Unwritable, match="other is being written by process"):
-            with writing.whole_folder(tmp_path / "other"):
+    with writing.folder_lock(tmp_path / "other"):  # told before the work, not after it
+        with pytest.raises(WriteError, match="other is being written by process"):
+            with writing.atomic_folder(tmp_path / "other"):
                 raise AssertionError
 
 
@@ -154,10 +155,10 @@ def test_who_looks_disturbs_nobody(tmp_path):
         writing.fcntl.flock(look, writing.fcntl.LOCK_SH)
         timer = threading.Timer(0.02, lambda: writing.fcntl.flock(look, writing.fcntl.LOCK_UN))
         timer.start()
-        with writing.held(tmp_path):
-            assert writing.is_held(tmp_path)
+        with writing.folder_lock(tmp_path):
+            assert writing.is_locked(tmp_path)
         timer.join()
-    assert not writing.is_held(tmp_path)
+    assert not writing.is_locked(tmp_path)
 
 
 def test_a_lock_that_cannot_be_read_is_nobodys(tmp_path, monkeypatch):
@@ -166,7 +167,7 @@ def test_a_lock_that_cannot_be_read_is_nobodys(tmp_path, monkeypatch):
 
     (tmp_path / writing.LOCK).touch()
     monkeypatch.setattr(type(tmp_path), "open", refused)
-    assert not writing.is_held(tmp_path)
+    assert not writing.is_locked(tmp_path)
 
 
 def test_whatever_a_damaged_file_raises_is_expected():

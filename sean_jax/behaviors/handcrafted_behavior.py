@@ -1,22 +1,23 @@
 """Handcrafted pedestrian behavior (section IV-D): people walk loops and stand in groups that a designer has placed.
 
-An episode has one of the chosen sets, drawn by its key. Walkers start spread along their loop and walk it for ever;
+An episode has one of the chosen sets, drawn by its key. Walkers start spread along their loop and walk it without end;
 members of a group stand in a conversational formation, with a place left open.
 """
 
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float, Int
 
-from sean_jax.base import Array, Behavior, Environment, Groups, Pedestrians, Scenario, State
+from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
+from sean_jax.behaviors.place import Place
+from sean_jax.errors import InputError
 from sean_jax.geometry import length
 from sean_jax.graph.formation import formation
-from sean_jax.handcrafted import Sets, annotation, sets
-from sean_jax.handcrafted.room import ARRIVED
-from sean_jax.navigation import Navigation
+from sean_jax.handcrafted import ALL, ARRIVED, Sets, validation
+from sean_jax.handcrafted.sets import build as build_sets
 from sean_jax.social_forces import draw_traits
 
 SETTLING = 0.5  # s, in which somebody who was pushed from a seat steps back
@@ -25,37 +26,53 @@ SETTLING = 0.5  # s, in which somebody who was pushed from a seat steps back
 class Memory(NamedTuple):
     """Which set it is, and where each person goes in it."""
 
-    set: Array  # () int32 row of the sets
-    target: Array  # (N,) int32 waypoint of the loop that a walker goes to
-    seat_position: Array  # (N, 2) m, of who stands in a group
-    seat_heading: Array  # (N, 2) unit vector
+    set: Int[Array, ""]  # row of the sets
+    target: Int[Array, "N"]  # waypoint of the loop that a walker goes to
+    seat_position: Float[Array, "N 2"]  # m, of who stands in a group
+    seat_heading: Float[Array, "N 2"]  # unit vector
 
 
-def build(
-    folder: Path, environment: Environment, navigation: Navigation, people: int, handcrafted: str = annotation.ALL
-) -> Behavior:
+def build(place: Place, people: int | None = None, *, sets: str = ALL) -> Behavior:
     """People walk loops and stand in groups that were placed by hand for a situation.
 
-    The sets are those of handcrafted.yaml in the folder: the one that is called ``handcrafted``, those of the
-    situation of that name, or all. ``people`` is not read: there are as many as a set says.
+    Args:
+        place: its folder holds ``handcrafted.yaml``.
+        people: None, because each set has a number of its own.
+        sets: the name of a set, a situation, from whose sets is drawn, or ``all``.
+
+    Returns:
+        The behavior, which offers "handcrafted_sets" to tasks; its ``people`` are those of the largest set.
 
     Raises:
-        ValueError: there is no such file or no such set, or the file has a mistake.
+        InputError: there is no such file or no such set, the file has a mistake, or a number of people is given.
     """
-    chosen = annotation.read(folder, environment).chosen(handcrafted)
-    return Behavior(data=sets.build(chosen), name="handcrafted", reset=reset, direct=direct)
-
-
-def most_people(behavior: Behavior) -> int:
-    """How many people are in the largest of the sets."""
-    return behavior.data.present.shape[1]
+    chosen = validation.read(place.folder, place.environment).chosen(sets)
+    if people is not None:
+        raise InputError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
+    tables = build_sets(chosen)
+    return Behavior(
+        data=tables,
+        name="handcrafted",
+        reset=reset,
+        direct=direct,
+        people=tables.present.shape[1],
+        offers=("handcrafted_sets",),
+    )
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
-    """People of a set drawn by its weight: spread along their loops from a random place on, and in formations."""
+    """People of a set drawn by its odds: spread along their loops from a random place on, and in formations.
+
+    Args:
+        scenario: of this behavior.
+        key: of the draws.
+
+    Returns:
+        N people, G groups, and which set it is.
+    """
     tables: Sets = scenario.behavior.data
     set_key, form_key, phase_key, trait_key = jax.random.split(key, 4)
-    number = jax.random.categorical(set_key, jnp.log(tables.weight.sum((1, 2)))).astype(jnp.int32)
+    number = jax.random.categorical(set_key, jnp.log(tables.odds.sum((1, 2)))).astype(jnp.int32)
     one: Sets = jax.tree.map(lambda leaf: leaf[number], tables)
 
     # Whoever walks or is absent takes a seat of one group more, which nobody sees.
@@ -79,7 +96,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         heading=heading,
         desired_velocity=velocity,
         group=jnp.where(stands, one.group, -1),
-        party=jnp.full(people, -1, jnp.int32),
+        walking_group=jnp.full(people, -1, jnp.int32),
         present=one.present,
         preferred_speed=preferred_speed,
         robot_distance=robot_distance,
@@ -90,7 +107,16 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
-    """The next waypoint for who has arrived; desired velocities to waypoints and, of who stands, back to the seat."""
+    """The next waypoint for who has arrived; desired velocities to waypoints and, of who stands, back to the seat.
+
+    Args:
+        scenario: of this behavior.
+        state: before the step.
+        key: not used.
+
+    Returns:
+        The state with new desired velocities and waypoints.
+    """
     tables: Sets = scenario.behavior.data
     people, memory = state.pedestrians, state.memory
     row, loop = memory.set, jnp.maximum(tables.loop[memory.set], 0)
@@ -113,7 +139,9 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     return replace(state, pedestrians=people, memory=memory._replace(target=target))
 
 
-def _on_loop(one: Sets, loop: Array, share: Array, way: Array, phase: Array) -> tuple[Array, Array, Array]:
+def _on_loop(
+    one: Sets, loop: Int[Array, ""], share: Float[Array, ""], way: Int[Array, ""], phase: Float[Array, "L"]
+) -> tuple[Float[Array, "2"], Float[Array, "2"], Int[Array, ""]]:
     """Place (2,) m and heading (2,) of who is at that share of a loop's length, and the waypoint () ahead."""
     loop = jnp.maximum(loop, 0)
     waypoint, count, walked = one.waypoint[loop], one.waypoints[loop], one.walked[loop]

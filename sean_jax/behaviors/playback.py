@@ -10,67 +10,95 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Bool, Float, Int
 
 from sean_jax import clock
-from sean_jax import navigation as paths
-from sean_jax.base import Array, Behavior, Environment, Groups, Pedestrians, Scenario, State
+from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
+from sean_jax.behaviors.place import Place
 from sean_jax.behaviors.random_behavior import no_groups
-from sean_jax.behaviors.tracks import Tracks, read
+from sean_jax.errors import InputError
+from sean_jax.recordings import motion_between_rows, read
 from sean_jax.recordings.lines import check_clock
 from sean_jax.social_forces import draw_traits
 
 
+@struct.dataclass
+class RecordedMotion:
+    """T moments, one control step apart, of N people at once; a column serves one person after the other."""
+
+    position: Float[Array, "T N 2"]  # m; of who is absent, where somebody was or will be
+    velocity: Float[Array, "T N 2"]  # m/s, that led to the position; zero of who is absent
+    heading: Float[Array, "T N 2"]  # unit vector
+    present: Bool[Array, "T N"]
+
+
 class Memory(NamedTuple):
-    first: Array  # () int32 moment of the recording at which the episode begins
+    """Which part of the recording the episode is."""
+
+    first: Int[Array, ""]  # moment of the recording at which the episode begins
 
 
 def build(
-    folder: Path,
-    environment: Environment,
-    navigation: paths.Navigation,
-    people: int,
+    place: Place,
+    people: int | None = None,
+    *,
     recording: str | Path | None = None,
+    recording_format: str | None = None,
     frame_rate: float | None = None,
-    time_step: float = 0.1,
-    kind: str | None = None,
 ) -> Behavior:
     """Recorded people walk as they did.
 
-    The recording is a CSV file with the columns frame, id, x and y [m], and ``kind`` its format, a key of
-    ``recordings.READERS``, whose clock counts without a ``frame_rate`` [1/s]. ``people`` is not read: there are as many
-    as are recorded at once.
+    Args:
+        place: where they walk.
+        people: None, or as many as are recorded at once.
+        recording: a CSV file with the columns frame, id, x and y in metres.
+        recording_format: a key of ``recordings.READERS``; recognised if None.
+        frame_rate: frames a second; that of the format if None.
+
+    Returns:
+        The behavior, which brings its own pedestrian model; its ``people`` are those recorded at once.
 
     Raises:
-        ValueError: there is no recording, or it cannot be used.
+        InputError: there is no recording, it cannot be used, or another number of people is given.
     """
     if recording is None:
-        raise ValueError("behavior: 'playback' needs a recording; give the path of a CSV file: frame, id, x, y.")
-    check_clock(kind, frame_rate)
-    tracks = jax.tree.map(jnp.asarray, read(recording, frame_rate, time_step, kind))
-    return Behavior(data=tracks, name="playback", reset=reset, direct=direct)
-
-
-def most_people(behavior: Behavior) -> int:
-    """How many people are in the recording at once."""
-    return behavior.data.present.shape[1]
+        raise InputError("behavior: 'playback' needs a recording; give the path of a CSV file: frame, id, x, y.")
+    check_clock(recording_format, frame_rate)
+    tracks = read(recording, recording_format, frame_rate, place.time_step)
+    velocity, heading = motion_between_rows(tracks)
+    motion = RecordedMotion(tracks.position, velocity, heading, tracks.present)  # pyright: ignore[reportArgumentType]
+    count = tracks.present.shape[1]
+    if people not in (None, count):
+        raise InputError(f"people: {people}, but {count} are there at once in the recording; leave people out.")
+    data = jax.tree.map(jnp.asarray, motion)
+    return Behavior(data=data, name="playback", reset=reset, direct=direct, people=count, move=follow)
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
-    """Who is there at a random moment, after which the recording lasts for an episode if it can; else at its start."""
-    tracks: Tracks = scenario.behavior.data
+    """Who is there at a random moment, after which the recording lasts for an episode; if it is shorter, at its start.
+
+    Args:
+        scenario: of this behavior.
+        key: of the draws.
+
+    Returns:
+        N people, no groups, and the moment.
+    """
+    motion: RecordedMotion = scenario.behavior.data
     begin_key, trait_key = jax.random.split(key)
-    steps = clock.ticks(scenario.time_limit, scenario.time_step)
-    latest = max(tracks.present.shape[0] - 1 - steps, 0)
+    steps = clock.ceil_ticks(scenario.time_limit, scenario.time_step)
+    latest = max(motion.present.shape[0] - 1 - steps, 0)
     first = jax.random.randint(begin_key, (), 0, latest + 1, jnp.int32)
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, scenario.people)
-    position, velocity, heading, present = _at(tracks, first)
+    position, velocity, heading, present = _at(motion, first)
     people = Pedestrians(
         position=position,
         velocity=velocity,
         heading=heading,
         desired_velocity=velocity,
         group=jnp.full(scenario.people, -1, jnp.int32),
-        party=jnp.full(scenario.people, -1, jnp.int32),
+        walking_group=jnp.full(scenario.people, -1, jnp.int32),
         present=present,
         preferred_speed=preferred_speed,
         robot_distance=robot_distance,
@@ -79,21 +107,40 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
-    """Desired velocities are the recorded ones."""
+    """Desired velocities are the recorded ones.
+
+    Args:
+        scenario: of this behavior.
+        state: before the step.
+        key: not used.
+
+    Returns:
+        The state with new desired velocities.
+    """
     velocity = _at(scenario.behavior.data, state.memory.first + state.tick + 1)[1]
     return replace(state, pedestrians=replace(state.pedestrians, desired_velocity=velocity))
 
 
 def follow(scenario: Scenario, state: State) -> Pedestrians:
-    """The pedestrian model of playback: everybody is where they were recorded, or absent; the robot moves nobody."""
+    """The pedestrian model of playback: everybody is where they were recorded, or absent; the robot moves nobody.
+
+    Args:
+        scenario: of this behavior.
+        state: before the step.
+
+    Returns:
+        N people one control step later.
+    """
     position, velocity, heading, present = _at(scenario.behavior.data, state.memory.first + state.tick + 1)
     return replace(state.pedestrians, position=position, velocity=velocity, heading=heading, present=present)
 
 
-def _at(tracks: Tracks, moment: Array) -> tuple[Array, Array, Array, Array]:
+def _at(
+    motion: RecordedMotion, moment: Int[Array, ""]
+) -> tuple[Float[Array, "N 2"], Float[Array, "N 2"], Float[Array, "N 2"], Bool[Array, "N"]]:
     """Position, velocity, heading (N, 2) and presence (N,) at that moment () of the recording; nobody after its end."""
-    last = tracks.present.shape[0] - 1
+    last = motion.present.shape[0] - 1
     index = jnp.minimum(moment, last)
-    there = tracks.present[index] & (moment <= last)
-    velocity = jnp.where(there[:, None], tracks.velocity[index], 0.0)
-    return tracks.position[index], velocity, tracks.heading[index], there
+    there = motion.present[index] & (moment <= last)
+    velocity = jnp.where(there[:, None], motion.velocity[index], 0.0)
+    return motion.position[index], velocity, motion.heading[index], there

@@ -8,54 +8,69 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sean_jax import writing
-from sean_jax.bench.options import PARTS, Options
-from sean_jax.learning.options import Failed
-from sean_jax.options import BadInput, check_new_folder
+from sean_jax.config import BenchConfig, ScenarioConfig
+from sean_jax.errors import IncompleteError
+from sean_jax.flags import command
+from sean_jax.writing import check_new_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["PARTS", "BadInput", "Options", "run"]
+    from sean_jax.base import Scenario
+    from sean_jax.bench.timing import Row, Setup
+
+__all__ = ["run"]
 
 
-def run(options: Options, console: Console) -> Path:
-    """Measure what the options name; the folder written, which has table.txt, bench.json and bench.png.
+def run(options: BenchConfig, console: Console) -> Path:
+    """Time the parts that the options name, and write table.txt, bench.json and bench.png.
 
-    After Ctrl-C or a kill what was measured until then is there; KeyboardInterrupt is raised if there is nothing.
-    Raises BadInput for options that cannot be met, Unwritable for a folder that cannot be written, Failed for a full
-    disk.
+    The table is written after each row, so Ctrl-C or a kill loses at most the row under way.
+
+    Args:
+        options: parts, sizes and folder.
+        console: shows the table as it grows.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: the options name a scenario that does not exist or a folder that is not empty.
+        WriteError: the folder cannot be written.
+        IncompleteError: the disk is full.
+        KeyboardInterrupt: Ctrl-C came before the first row, or before the picture was complete.
     """
-    options.check()
     folder = options.folder()
-    with writing.held(folder):
+    check_new_folder(folder)
+    with writing.folder_lock(folder):
         check_new_folder(folder)
         with console.status("importing JAX and preparing the scenario"):
             from sean_jax.bench import page, parts
 
             _check(options)
-            scenario, about = _prepare(options)
-        rows: list[Any] = []
-        _print(console, page.title(about), page.HEAD)
+            scenario, setup = _prepare(options)
+        rows: list[Row] = []
+        _print(console, page.title(setup), page.HEAD)
         try:
             for part in options.parts:
                 with console.status(f"compiling and timing: {part}"):
                     for row in parts.MEASURES[part](options, scenario):
                         rows.append(row)
                         _print(console, page.line(row))
-                        _save(folder, rows, about)
+                        _save(folder, rows, setup)
         except KeyboardInterrupt:
             if not rows:
                 raise
             _print(console, "stopped; what was measured until then is written.")
         except OSError as error:
             raise _broken(folder, error) from error
-        _print(console, *page.notes(rows, about))
+        _print(console, *page.notes(rows, setup))
         try:
-            with writing.whole(folder / "bench.png") as stream:
-                page.picture(rows, about).savefig(stream, dpi=150, format="png")
+            with writing.atomic_file(folder / "bench.png") as stream:
+                page.picture(rows, setup).savefig(stream, dpi=150, format="png")
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"stopped before the picture was drawn; the table is in {folder}.") from None
         except OSError as error:
@@ -63,58 +78,57 @@ def run(options: Options, console: Console) -> Path:
     return folder
 
 
-def _broken(folder: Path, error: OSError) -> Failed:
-    kept = f"what was measured until then is in {folder}" if writing.contents(folder) else "nothing was written"
-    return Failed(f"{writing.broken(error)}; {kept}.")
+def _broken(folder: Path, error: OSError) -> IncompleteError:
+    rest = f"what was measured until then is in {folder}" if writing.contents(folder) else "nothing was written"
+    return IncompleteError(f"{writing.broken(error)}; {rest}.")
 
 
-def _save(folder: Path, rows: list[Any], about: dict[str, Any]) -> None:
-    """table.txt and bench.json of what was measured so far."""
+def _save(folder: Path, rows: list[Row], setup: Setup) -> None:
+    """Write table.txt and bench.json of the rows so far."""
     from sean_jax.bench import page
 
-    lines = [page.title(about), page.HEAD, *(page.line(row) for row in rows), *page.notes(rows, about)]
+    lines = [page.title(setup), page.HEAD, *(page.line(row) for row in rows), *page.notes(rows, setup)]
     writing.write(folder / "table.txt", "\n".join(lines) + "\n")
-    told = {**about, "rows": [_finite(dataclasses.asdict(row)) for row in rows]}
-    writing.write(folder / "bench.json", json.dumps(told, indent=2, allow_nan=False) + "\n")
+    content = {**setup, "rows": [_finite(dataclasses.asdict(row)) for row in rows]}
+    writing.write(folder / "bench.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
-def _check(options: Options) -> None:
-    """Refuse all that can be told before the scenario is made."""
+def _check(options: BenchConfig) -> None:
+    """Refuse wrong options before the scenario is built."""
     from sean_jax import assembly
 
-    try:
-        parts = {"people": options.people, "robot": options.robot, "dynamics": options.dynamics}
-        assembly.check(options.environment, **parts)
-    except ValueError as error:
-        raise BadInput(str(error)) from error
+    assembly.check(_scenario(options))
 
 
-def _prepare(options: Options) -> tuple[Any, dict[str, Any]]:
-    """The scenario, and on what it is measured."""
+def _scenario(options: BenchConfig) -> ScenarioConfig:
+    return ScenarioConfig(
+        environment=options.environment, people=options.people, robot=options.robot, dynamics=options.dynamics
+    )
+
+
+def _prepare(options: BenchConfig) -> tuple[Scenario, Setup]:
+    """The scenario, and the setup of the measurement."""
     import jax
 
-    from sean_jax.assembly import make
+    from sean_jax.assembly import build
     from sean_jax.bench import page
     from sean_jax.versions import versions
 
-    try:
-        scenario = make(options.environment, people=options.people, robot=options.robot, dynamics=options.dynamics)
-    except ValueError as error:
-        raise BadInput(str(error)) from error
-    about = {
-        "command": options.command,
+    scenario = build(_scenario(options))[0]
+    setup: Setup = {
+        "command": command("bench", options),
         "device": jax.devices()[0].device_kind,
         "devices": jax.device_count(),
         "memory": page.memory(),
         "environment": options.environment,
         "people": scenario.people,
-        "robot": options.robot,
+        "robot": options.robot.kind,
         "dynamics": options.dynamics,
         "time_step": scenario.time_step,
         "crowd_steps": scenario.substeps,
         "versions": versions(),
     }
-    return scenario, about
+    return scenario, setup
 
 
 def _print(console: Console, *lines: str) -> None:
@@ -122,6 +136,6 @@ def _print(console: Console, *lines: str) -> None:
         console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
-def _finite(row: dict[str, Any]) -> dict[str, Any]:
-    """JSON has no NaN."""
+def _finite(row: dict[str, object]) -> dict[str, object]:
+    """The row with None for NaN, which JSON does not have."""
     return {name: None if value != value else value for name, value in row.items()}

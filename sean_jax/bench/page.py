@@ -1,14 +1,15 @@
-"""What ``sean bench`` shows: lines of a table, some conclusions, and a picture of three panels."""
+"""The output of ``sean bench``: lines of a table, notes on memory and scaling, and a picture of three panels."""
 
 import os
-from typing import Any
+from collections.abc import Sequence
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from sean_jax.bench.timing import Row
+from sean_jax.bench.timing import Row, Setup
 from sean_jax.drawing import colors
 
 HEAD = f"{'part':<9}{'B':>7}{'people':>8}{'pixels':>9}{'devices':>8}{'per second':>13}  {'of':<27}{'us a call':>11}" + (
@@ -16,16 +17,30 @@ HEAD = f"{'part':<9}{'B':>7}{'people':>8}{'pixels':>9}{'devices':>8}{'per second
 )
 
 
-def title(about: dict[str, Any]) -> str:
-    """On what it was measured."""
+def title(setup: Setup) -> str:
+    """Name the machine and the scenario.
+
+    Args:
+        setup: of the measurement.
+
+    Returns:
+        One line.
+    """
     return (
-        f"{about['device']} ({about['devices']}), jax {about['versions']['jax']}; {about['environment']}, "
-        f"{about['people']} people, {about['robot']} ({about['dynamics']})"
+        f"{setup['device']} ({setup['devices']}), jax {setup['versions']['jax']}; {setup['environment']}, "
+        f"{setup['people']} people, {setup['robot']} ({setup['dynamics']})"
     )
 
 
 def line(row: Row) -> str:
-    """A row under ``HEAD``."""
+    """Format a row to stand under ``HEAD``.
+
+    Args:
+        row: of the table.
+
+    Returns:
+        One line, as long as ``HEAD``.
+    """
     pixels = str(row.pixels) if row.pixels else "-"
     kib = "-" if np.isnan(row.scenario_bytes) else f"{row.scenario_bytes / 1024:.1f}"
     return (
@@ -34,43 +49,59 @@ def line(row: Row) -> str:
     )
 
 
-def notes(rows: list[Row], about: dict[str, Any]) -> list[str]:
-    """What follows from the rows: the largest batch that fits, and how well several devices serve."""
-    found = []
+def notes(rows: list[Row], setup: Setup) -> list[str]:
+    """Estimate the largest batch that fits into memory, and compare several devices with one.
+
+    Args:
+        rows: of the table so far.
+        setup: of the measurement.
+
+    Returns:
+        One line for each note.
+    """
+    lines = []
     for part, name in (("step", "without images"), ("depth", "with a depth image each")):
         largest = max((row for row in rows if row.part == part), key=lambda row: row.batch, default=None)
-        if largest is not None and about["memory"] and largest.scenario_bytes > 0:
-            number = int(about["memory"] / largest.scenario_bytes)
-            found.append(
+        if largest is not None and setup["memory"] and largest.scenario_bytes > 0:
+            number = int(setup["memory"] / largest.scenario_bytes)
+            lines.append(
                 f"memory: {largest.scenario_bytes / 1024:.0f} KiB a scenario {name} at B = {largest.batch}; "
-                f"about {number:.2g} would fit into {about['memory'] / 2**30:.0f} GiB."
+                f"about {number:.2g} would fit into {setup['memory'] / 2**30:.0f} GiB."
             )
     scaling = [row for row in rows if row.part == "devices"]
     for row in scaling[1:]:
         share = row.per_second / scaling[0].per_second
-        found.append(f"{row.devices} devices: {share:.2f} times one ({100 * share / row.devices:.0f} % of each).")
-    return found
+        lines.append(f"{row.devices} devices: {share:.2f} times one ({100 * share / row.devices:.0f} % of each).")
+    return lines
 
 
 def memory() -> int:
-    """Bytes of the first device; of the machine for a CPU; 0 if nobody tells."""
+    """Bytes of memory of the first device, or of the machine for a CPU; 0 if unknown."""
     import jax
 
-    told = jax.devices()[0].memory_stats() or {}
-    if told.get("bytes_limit"):
-        return int(told["bytes_limit"])
+    stats = jax.devices()[0].memory_stats() or {}
+    if stats.get("bytes_limit"):
+        return int(stats["bytes_limit"])
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
         return 0
 
 
-def picture(rows: list[Row], about: dict[str, Any]) -> Figure:
-    """Throughput against the batch, cost of an agent-step against the people, cost of an image against its pixels."""
+def picture(rows: list[Row], setup: Setup) -> Figure:
+    """Plot throughput by batch, the cost of an agent-step by people, and the cost of an image by pixels.
+
+    Args:
+        rows: of the table; a panel without rows says so.
+        setup: of the measurement, for the title.
+
+    Returns:
+        The figure.
+    """
     with matplotlib.rc_context({"font.size": 9, "axes.edgecolor": colors.MUTED, "svg.fonttype": "none"}):
         figure = Figure(figsize=(12.5, 4.2), layout="constrained", facecolor="white")
         left, middle, right = figure.subplots(1, 3)
-    figure.suptitle(title(about), fontsize=10, color=colors.INK)
+    figure.suptitle(title(setup), fontsize=10, color=colors.INK)
     for part, name, shade in (
         ("step", "step", colors.SITUATION_COLORS["down_path"]),
         ("depth", "step + depth 64x48", colors.SITUATION_COLORS["cross_path"]),
@@ -100,13 +131,13 @@ def picture(rows: list[Row], about: dict[str, Any]) -> Figure:
     return figure
 
 
-def _curve(axes: Any, x: list, y: list, name: str, shade: str) -> None:
+def _curve(axes: Axes, x: Sequence[float], y: Sequence[float], name: str, shade: str) -> None:
     if x:
         axes.loglog(x, y, marker="o", ms=4, lw=1.6, color=shade, label=name)
         axes.annotate(_short(y[-1]), (x[-1], y[-1]), textcoords="offset points", xytext=(0, 6), ha="right", color=shade)
 
 
-def _label(axes: Any, name: str, across: str, up: str) -> None:
+def _label(axes: Axes, name: str, across: str, up: str) -> None:
     axes.set_title(name, loc="left", color=colors.INK)
     axes.set_xlabel(across, color=colors.MUTED)
     axes.set_ylabel(up, color=colors.MUTED)
@@ -125,7 +156,7 @@ def _label(axes: Any, name: str, across: str, up: str) -> None:
 
 
 def _short(value: float, _: int | None = None) -> str:
-    """Such as 6.92M."""
+    """The value with three digits and a unit prefix, such as 6.92M."""
     for size, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if value >= size:
             return f"{value / size:.3g}{letter}"

@@ -9,8 +9,8 @@ import numpy as np
 
 from sean_jax.base import Scenario
 from sean_jax.bench import programs
-from sean_jax.bench.options import Options
 from sean_jax.bench.timing import Program, Row, measure
+from sean_jax.config import BenchConfig
 
 IMAGE = 64, 48  # pixels of the image that goes with a step
 SIZES = (16, 12), (32, 24), (64, 48), (160, 120), (320, 240), (640, 480)
@@ -22,55 +22,119 @@ def on_cpu() -> bool:
     return jax.devices()[0].platform == "cpu"
 
 
-def batches(options: Options) -> tuple[int, ...]:
-    """Numbers of scenarios at once."""
+def batches(options: BenchConfig) -> tuple[int, ...]:
+    """Sizes of the batches.
+
+    Args:
+        options: may name the sizes.
+
+    Returns:
+        Scenarios at once, in the order of measuring.
+    """
     return options.batches or ((1, 16, 64, 256) if on_cpu() else (1, 64, 1024, 8192, 32768, 65536))
 
 
 def turns(batch: int) -> int:
-    """Control steps in one call: enough that starting it costs nothing, few enough that it takes no minutes."""
+    """Control steps in one call: enough to hide the cost of the call, few enough to take seconds.
+
+    Args:
+        batch: scenarios at once.
+
+    Returns:
+        2 to 200 steps.
+    """
     return int(np.clip((4e3 if on_cpu() else 4e5) / batch, 2, 200))
 
 
-def steps(options: Options, scenario: Scenario) -> Iterator[Row]:
-    """The whole step with restarts."""
+def steps(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
+    """Time the whole step with restarts.
+
+    Args:
+        options: sizes of the batches, repeats and seconds of each timing.
+        scenario: to be stepped.
+
+    Yields:
+        One row for each batch.
+    """
     for batch in batches(options):
         yield _row(options, "step", "scenario-steps", scenario, batch, programs.stepping(scenario, batch, turns(batch)))
 
 
-def depth(options: Options, scenario: Scenario) -> Iterator[Row]:
-    """The whole step with restarts and a depth image for each."""
+def depth(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
+    """Time the whole step with restarts and one depth image for each scenario.
+
+    Args:
+        options: sizes of the batches, repeats and seconds of each timing.
+        scenario: to be stepped.
+
+    Yields:
+        One row for each batch.
+    """
     for batch in batches(options):
         program = programs.stepping(scenario, batch, turns(batch), IMAGE)
         yield _row(options, "depth", "scenario-steps", scenario, batch, program, IMAGE)
 
 
-def images(options: Options, scenario: Scenario) -> Iterator[Row]:
-    """Depth images alone, against the batch and against their size."""
+def images(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
+    """Time depth images alone, by batch and by size of the image.
+
+    Args:
+        options: sizes of the batches, repeats and seconds of each timing.
+        scenario: whose robots hold the camera.
+
+    Yields:
+        One row for each batch and size.
+    """
     yield from _images(options, scenario, "images", "depth", "depth images")
 
 
-def pictures(options: Options, scenario: Scenario) -> Iterator[Row]:
-    """Color images of the robot's own camera."""
+def pictures(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
+    """Time color images of the robot's own camera, by size of the image.
+
+    Args:
+        options: sizes of the batches, repeats and seconds of each timing.
+        scenario: whose robots hold the camera.
+
+    Yields:
+        One row for each size.
+    """
     yield from _images(options, scenario, "pictures", "first_person", "color images")
 
 
-def crowd(options: Options, scenario: Scenario) -> Iterator[Row]:
-    """The social forces alone, in a hall with 32 walls."""
-    most = (2**14,) if on_cpu() else (2**19, 2**21)
+def crowd(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
+    """Time the social forces alone, in a hall with 32 walls.
+
+    Args:
+        options: repeats and seconds of each timing.
+        scenario: not used, for the hall has a crowd of its own.
+
+    Yields:
+        One row for each number of people and of crowds at once.
+    """
+    totals = (2**14,) if on_cpu() else (2**19, 2**21)
     for people in CROWDS:
-        for batch in sorted({1, *(max(1, each // people) for each in most)}):
+        for batch in sorted({1, *(max(1, each // people) for each in totals)}):
             number = int(np.clip((2e5 if on_cpu() else 2e8) / (batch * people), 2, 40)) // 2 * 2
             program = programs.crowd(people, batch, number)
             figures = measure(program, options.repeats, options.seconds)
             yield Row("crowd", "agent-steps", batch, people, 0, 1, **_shared(figures, batch))
 
 
-def compiling(options: Options, scenario: Scenario) -> Iterator[Row]:
-    """Tracing and compiling the whole step of 64 scenarios: without a cache, and from the one on the disk."""
+def compiling(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
+    """Time tracing and compiling of the whole step of 64 scenarios.
+
+    Args:
+        options: not used, for there is one size.
+        scenario: to be stepped.
+
+    Yields:
+        One row without a compilation cache, and one with the cache on the disk.
+    """
     from jax.experimental.compilation_cache import compilation_cache
 
-    kept = {name: getattr(jax.config, name) for name in ("jax_compilation_cache_dir", "jax_enable_compilation_cache")}
+    settings = {
+        name: getattr(jax.config, name) for name in ("jax_compilation_cache_dir", "jax_enable_compilation_cache")
+    }
     program = programs.stepping(scenario, 64, 10)
     with tempfile.TemporaryDirectory() as folder:
         jax.config.update("jax_enable_compilation_cache", True)
@@ -82,13 +146,21 @@ def compiling(options: Options, scenario: Scenario) -> Iterator[Row]:
             program.run.lower(*program.fixed, program.carried).compile()
             spent = time.perf_counter() - began
             yield Row("compile", what, 64, scenario.people, 0, 1, spent, 1e6 * spent, spent, float("nan"))
-    for name, value in kept.items():
+    for name, value in settings.items():
         jax.config.update(name, value)
     compilation_cache.reset_cache()
 
 
-def scaling(options: Options, scenario: Scenario) -> Iterator[Row]:
-    """The whole step on 1, 2, 4 and more devices, with equally many scenarios on each."""
+def scaling(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
+    """Time the whole step on 1, 2, 4 and more devices, with equally many scenarios on each.
+
+    Args:
+        options: sizes of the batches, repeats and seconds of each timing.
+        scenario: to be stepped.
+
+    Yields:
+        One row for each number of devices.
+    """
     number, each = 1, batches(options)[-1] if on_cpu() else 32768
     while number <= jax.device_count():
         program = programs.stepping(scenario, each, turns(each), None, number)
@@ -96,7 +168,7 @@ def scaling(options: Options, scenario: Scenario) -> Iterator[Row]:
         number *= 2
 
 
-def _images(options: Options, scenario: Scenario, part: str, camera: str, what: str) -> Iterator[Row]:
+def _images(options: BenchConfig, scenario: Scenario, part: str, camera: str, what: str) -> Iterator[Row]:
     cases = [(batch, *IMAGE) for batch in batches(options)] if part == "images" else []
     pixels = max(batches(options)) * IMAGE[0] * IMAGE[1] // (1 if part == "images" else 8)
     cases += [(max(1, min(max(batches(options)), pixels // (w * h))), w, h) for w, h in SIZES]
@@ -107,7 +179,7 @@ def _images(options: Options, scenario: Scenario, part: str, camera: str, what: 
 
 
 def _row(
-    options: Options,
+    options: BenchConfig,
     part: str,
     what: str,
     scenario: Scenario,
@@ -124,7 +196,7 @@ def _shared(figures: dict[str, float], batch: int) -> dict[str, float]:
     return {**{k: v for k, v in figures.items() if k != "bytes"}, "scenario_bytes": figures["bytes"] / batch}
 
 
-MEASURES: dict[str, Callable[[Options, Scenario], Iterator[Row]]] = {
+MEASURES: dict[str, Callable[[BenchConfig, Scenario], Iterator[Row]]] = {
     "step": steps,
     "depth": depth,
     "images": images,

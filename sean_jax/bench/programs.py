@@ -1,6 +1,6 @@
-"""The programs that are timed: the step with restarts, with a depth image each, images alone, and the crowd alone.
+"""The timed programs: the step with restarts, the step with a depth image, images alone, and the crowd alone.
 
-Scenarios are reset with keys of their own, and the robot drives in circles: a constant command.
+Each scenario is reset with a key of its own. The robot gets a constant command and drives in circles.
 """
 
 from dataclasses import replace
@@ -8,7 +8,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from sean_jax import chance, devices, restarts, sensors, social_forces
+from sean_jax import devices, episodes, prng, sensors, social_forces
 from sean_jax.base import Array, Scenario, State
 from sean_jax.bench import workload
 from sean_jax.bench.timing import Program
@@ -22,41 +22,72 @@ LOOKING = 0.8, 0.6  # cosine and sine of the angle by which robots turn between 
 
 
 def circles(scenario: Scenario, state: State, key: Array) -> Array:
-    """The command 0.4 m/s and 0.3 rad/s."""
+    """A constant command, as a policy.
+
+    Args:
+        scenario: not used.
+        state: not used.
+        key: not used.
+
+    Returns:
+        (2,) 0.4 m/s and 0.3 rad/s.
+    """
     return jnp.asarray([0.4, 0.3], float)
 
 
-def stepping(scenario: Scenario, batch: int, turns: int, image: tuple[int, int] | None = None, number: int = 1):
-    """``Program`` of ``turns`` control steps of ``batch`` scenarios on each of ``number`` devices, restarts included.
+def stepping(
+    scenario: Scenario, batch: int, turns: int, image: tuple[int, int] | None = None, number: int = 1
+) -> Program:
+    """Control steps with restarts.
 
-    With an ``image`` (width, height) every scenario has its depth image made after each step.
+    Args:
+        scenario: to be stepped.
+        batch: scenarios at once on each device.
+        turns: control steps in one call.
+        image: width and height [px] of a depth image of each scenario after each step; None for no images.
+        number: of devices.
+
+    Returns:
+        The program, whose unit is one step of one scenario.
     """
     over = devices.mesh(jax.devices()[:number])
-    starts = jax.jit(restarts.pool, static_argnums=2)(scenario, chance.key("bench starts", 0), min(STARTS, batch))
-    fixed = devices.everywhere(over, (scenario, starts))
-    keys = devices.keys(over, chance.key("bench", 0), batch * number)
-    states = devices.spread(over, lambda fixed, key: reset(fixed[0], key))(fixed, keys)
+    starts = jax.jit(episodes.reset_pool, static_argnums=2)(scenario, prng.key("bench starts", 0), min(STARTS, batch))
+    fixed = devices.replicate(over, (scenario, starts))
+    keys = devices.keys(over, prng.key("bench", 0), batch * number)
+    states = devices.shard(over, lambda fixed, key: reset(fixed[0], key))(fixed, keys)
     eye = None if image is None else sensors.camera(scenario, "depth", width=image[0], height=image[1])
 
-    def run(fixed: tuple, state: State, shown: Array) -> tuple[State, Array]:
+    def run(fixed: tuple, state: State, last: Array) -> tuple[State, Array]:
         scenario, starts = fixed
 
         def turn(carry: tuple[State, Array], _) -> tuple:
-            state, shown = carry
-            state, _ = restarts.endless(scenario, circles, starts, state, 1, lambda *_: ())
-            return (state, shown if eye is None else sensors.depth(scenario, state, eye)), None
+            state, last = carry
+            state, _ = episodes.rollout_autoreset(scenario, circles, starts, state, 1, lambda *_: ())
+            return (state, last if eye is None else sensors.depth(scenario, state, eye)), None
 
-        return jax.lax.scan(turn, (state, shown), length=turns)[0]
+        return jax.lax.scan(turn, (state, last), length=turns)[0]
 
     size = (1, 1) if image is None else (image[1], image[0])
-    blank = devices.spread(over, lambda _, tick: jnp.zeros(size, float))(fixed, states.tick)
-    return Program(devices.jitted(over, run, donate=True), (fixed,), (states, blank), batch * number, turns)
+    blank = devices.shard(over, lambda _, tick: jnp.zeros(size, float))(fixed, states.tick)
+    return Program(devices.shard_jit(over, run, donate=True), (fixed,), (states, blank), batch * number, turns)
 
 
 def images(scenario: Scenario, name: str, batch: int, width: int, height: int, turns: int = 1) -> Program:
-    """``Program`` of ``turns`` images of the camera ``name`` for each of ``batch`` scenarios; the robots look round."""
+    """Images alone; the robots turn between two images.
+
+    Args:
+        scenario: whose robots hold the camera.
+        name: of the camera; "depth" gives depth images, any other color images.
+        batch: scenarios at once.
+        width: of an image [px].
+        height: of an image [px].
+        turns: images of each scenario in one call.
+
+    Returns:
+        The program, whose unit is one image.
+    """
     camera = sensors.camera(scenario, name, width=width, height=height)
-    states = jax.jit(jax.vmap(reset, (None, 0)))(scenario, jax.random.split(chance.key("bench", 0), batch))
+    states = jax.jit(jax.vmap(reset, (None, 0)))(scenario, jax.random.split(prng.key("bench", 0), batch))
 
     def one(scenario: Scenario, state: State) -> Array:
         if name == "depth":
@@ -79,25 +110,35 @@ def images(scenario: Scenario, name: str, batch: int, width: int, height: int, t
 
 
 def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = "helbing1995") -> Program:
-    """``Program`` of ``turns`` steps of 0.05 s of ``batch`` crowds of the social forces alone, in a hall with walls.
+    """Steps of 0.05 s of the social forces alone, in a hall with walls.
 
-    Each call begins with the same crowds, or they would meet in the middle of the hall, and the figure would depend on
-    how long one measures. Large crowds look for neighbors every second step, as in a control step.
+    Each call begins with the same crowds. Otherwise they would meet in the middle of the hall, and the result would
+    depend on the length of the measurement. Large crowds look for neighbors every second step, as in a control step.
+
+    Args:
+        people: in one crowd.
+        batch: crowds at once.
+        turns: steps in one call, an even number.
+        walls: obstacles in the hall, 0 or at least 4.
+        preset: of the social forces.
+
+    Returns:
+        The program, whose unit is one step of one person.
     """
     parameters = social_forces.preset(preset)
-    single, nearby, _ = workload.crowd(people, walls)
+    single, grid, _ = workload.crowd(people, walls)
     many = workload.repeat(single, batch)
 
-    def twice(parameters, nearby, people):
+    def twice(parameters, grid, people):
         near = model.neighbors(parameters, people, 2 * CROWD_STEP)
         for _ in range(2):
-            people = social_forces.advance(parameters, people, nearby, None, None, CROWD_STEP, near=near)
+            people = social_forces.integrate(parameters, people, grid, None, None, CROWD_STEP, near=near)
         return people
 
-    def run(parameters, nearby, many, place):
+    def run(parameters, grid, many, place):
         def turn(many, _):
-            return jax.vmap(twice, (None, None, 0))(parameters, nearby, many), None
+            return jax.vmap(twice, (None, None, 0))(parameters, grid, many), None
 
         return jax.lax.scan(turn, many, length=turns // 2)[0].position
 
-    return Program(jax.jit(run), (parameters, nearby, many), many.position, batch * people, turns)
+    return Program(jax.jit(run), (parameters, grid, many), many.position, batch * people, turns)

@@ -3,7 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypedDict
 
 import jax
 import numpy as np
@@ -11,23 +11,39 @@ import numpy as np
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One line of the table."""
+    """One row of the table."""
 
-    part: str  # of options.PARTS
-    what: str  # counted, such as "scenario-steps"
+    part: str  # a key of bench.parts.MEASURES
+    what: str  # the unit that is counted, such as "scenario-steps"
     batch: int  # scenarios at once
     people: int
     pixels: int  # of an image, 0 for none
     devices: int
-    per_second: float  # of what is counted; for the part compile the seconds themselves
-    microseconds: float  # of a call that does one of each scenario
+    per_second: float  # units; for the part "compile" the seconds themselves
+    microseconds: float  # of one turn of the whole batch
     compile_seconds: float
-    scenario_bytes: float  # of state and of temporary memory, for each scenario
+    scenario_bytes: float  # state and temporary memory of one scenario
+
+
+class Setup(TypedDict):
+    """The machine and the scenario of a measurement, as bench.json has them."""
+
+    command: str
+    device: str
+    devices: int
+    memory: int  # bytes, 0 if unknown
+    environment: str
+    people: int
+    robot: str
+    dynamics: str
+    time_step: float  # s
+    crowd_steps: int  # in one control step
+    versions: dict[str, str]
 
 
 @dataclasses.dataclass(frozen=True)
 class Program:
-    """A jitted function ``run(*fixed, carried) -> carried`` that does ``count`` things ``turns`` times in a row."""
+    """A jitted function ``run(*fixed, carried) -> carried`` that computes ``count`` units ``turns`` times in a row."""
 
     run: Callable
     fixed: tuple
@@ -37,12 +53,22 @@ class Program:
 
 
 def measure(program: Program, repeats: int, seconds: float) -> dict[str, float]:
-    """Figures of a ``Row``: medians over ``repeats`` timings of about ``seconds`` each, after a warm-up."""
+    """Compile a program and time it, after a warm-up.
+
+    Args:
+        program: to be timed.
+        repeats: timings, of which the median counts.
+        seconds: of each timing, about.
+
+    Returns:
+        ``per_second``, ``microseconds`` and ``compile_seconds`` as in ``Row``, and ``bytes``, the state and the
+        temporary memory of the whole batch (NaN if the compiler does not report it).
+    """
     began = time.perf_counter()
     compiled = program.run.lower(*program.fixed, program.carried).compile()
     compiling = time.perf_counter() - began
     memory = compiled.memory_analysis()
-    # What is donated counts once: the results lie where the arguments were.
+    # Donated arguments count once: the results lie where the arguments were.
     used = memory.temp_size_in_bytes + _size(program.carried) if memory else float("nan")
     carried = jax.block_until_ready(compiled(*program.fixed, program.carried))
     began = time.perf_counter()

@@ -1,4 +1,4 @@
-"""The crowd that benchmarks and tests share: people on a jittered grid who cross a square hall with shelves."""
+"""The crowd of benchmarks and tests: people start on a jittered grid and cross a square hall with shelves."""
 
 from dataclasses import replace
 
@@ -6,21 +6,35 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import chance
-from sean_jax.base import Nearby, Obstacles, Pedestrians
+from sean_jax import obstacle_grid, prng
+from sean_jax.base import ObstacleGrid, Obstacles, Pedestrians
 from sean_jax.geometry import rotate
-from sean_jax.nearby import tabulate
 
 DENSITY = 0.1  # people per m2
 
 
 def side(people: int) -> float:
-    """Side [m] of the square hall."""
+    """Side of the square hall.
+
+    Args:
+        people: in the hall, at ``DENSITY``.
+
+    Returns:
+        Length in m.
+    """
     return float(np.sqrt(people / DENSITY))
 
 
 def boxes(people: int, walls: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``walls`` obstacles: four thin outer walls, the rest shelves on a lattice (center, half_extent, yaw)."""
+    """Obstacles of the hall: four thin outer walls, and shelves on a lattice.
+
+    Args:
+        people: in the hall.
+        walls: obstacles W, outer walls and shelves together; 0 or at least 4.
+
+    Returns:
+        Centers (W, 2) [m], half extents (W, 2) [m] and yaws (W,) [rad].
+    """
     if walls == 0:
         return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
     half = side(people) / 2 + 1.0
@@ -35,9 +49,21 @@ def boxes(people: int, walls: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.array(center), np.array(extent), yaw
 
 
-def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Nearby | None, dict[str, np.ndarray]]:
-    """(people, table of obstacles, all in float64): nobody inside a shelf, all on the way to the opposite side."""
-    random = chance.generator("bench", seed)
+def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, ObstacleGrid | None, dict[str, np.ndarray]]:
+    """A crowd outside the shelves, in which each person walks toward the center of the hall.
+
+    Args:
+        people: N.
+        walls: obstacles W, 0 or at least 4.
+        seed: of positions and speeds.
+
+    Returns:
+        The people (N), the obstacle grid (None without walls), and the same numbers in float64 by name.
+
+    Raises:
+        ValueError: the people do not fit between the walls.
+    """
+    random = prng.generator("bench", seed)
     center, half, yaw = boxes(people, walls)
     rows = int(np.ceil(np.sqrt(4 * people)))
     cell = side(people) / rows
@@ -63,7 +89,7 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Nearby |
         heading=single["heading"],
         desired_velocity=single["desired"],
         group=jnp.full(people, -1, jnp.int32),
-        party=jnp.full(people, -1, jnp.int32),
+        walking_group=jnp.full(people, -1, jnp.int32),
         present=jnp.ones(people, bool),
         preferred_speed=single["preferred"],
         robot_distance=jnp.zeros(people, float),
@@ -74,11 +100,19 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Nearby |
     )  # fmt: skip
     half = side(people) / 2 + 1.0
     floor = jnp.asarray([-half, -half, half, half], float)
-    return pedestrians, tabulate(obstacles, floor) if walls else None, exact
+    return pedestrians, obstacle_grid.build(obstacles, floor) if walls else None, exact
 
 
 def repeat(people: Pedestrians, size: int) -> Pedestrians:
-    """The crowd ``size`` times, each copy's velocities turned a little so that no two are alike."""
+    """Copies of a crowd, with velocities turned by a different angle in each copy.
+
+    Args:
+        people: one crowd (N).
+        size: B copies.
+
+    Returns:
+        The crowds (B, N).
+    """
     angle = jnp.linspace(0.0, 0.3, size, dtype=float)[:, None]
     many = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size, *leaf.shape)), people)
     vx, vy = rotate(many.velocity[..., 0], many.velocity[..., 1], jnp.cos(angle), jnp.sin(angle))

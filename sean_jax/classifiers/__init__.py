@@ -1,20 +1,9 @@
 """Classifiers of social situations (sections III-A and IV-G), and of conversational groups."""
 
-from sean_jax.classifiers.conversation import found_groups, o_space_groups, o_space_votes
-from sean_jax.classifiers.encounters import crowded, following, frontal_approach, overtaking
-from sean_jax.classifiers.obstructions import blind_corner, narrow_passage
+from sean_jax.classifiers.conversation import match_groups, o_space_groups, o_space_votes
+from sean_jax.classifiers.more_situations import MORE_SITUATIONS
 from sean_jax.classifiers.sean2 import SEAN2_SITUATIONS, sean2_thresholds
-from sean_jax.classifiers.situations import SITUATIONS, Thresholds, classify, thresholds
-
-MORE_SITUATIONS = {
-    "overtaking": overtaking,
-    "frontal_approach": frontal_approach,
-    "following": following,
-    "crowded": crowded,
-    "blind_corner": blind_corner,
-    "narrow_passage": narrow_passage,
-}
-"""Situations beyond the paper's five, as its future work asks: (moment, thresholds) -> () bool."""
+from sean_jax.classifiers.situations import SITUATIONS, Situation, Thresholds, as_situation, classify, thresholds
 
 SITUATION_SETS = {"paper": SITUATIONS, "sean2": SEAN2_SITUATIONS, "more": SITUATIONS | MORE_SITUATIONS}
 """name -> situations: as printed, as SEAN 2.0's code has them, as printed and those beyond."""
@@ -28,9 +17,11 @@ __all__ = [
     "SITUATIONS",
     "SITUATION_SETS",
     "THRESHOLD_SETS",
+    "Situation",
     "Thresholds",
+    "as_situation",
     "classify",
-    "found_groups",
+    "match_groups",
     "o_space_groups",
     "o_space_votes",
     "sean2_thresholds",

@@ -1,15 +1,16 @@
-"""Who stands in conversation with whom, from positions and facing alone (section III-A's Member, without a simulator).
+"""Conversational groups from positions and facing alone (section III-A's Member, without a simulator).
 
-Kendon's o-space, the empty middle that the members of a group face, is found by votes, as Cristani et al. (BMVC 2011)
-and Setti et al. (PLoS ONE 2015) do: everybody votes for a place a stride ahead of them, and a partition of the votes
-is as good as the sum of their squared distances from the group's mean is small, plus a price for each group (minimum
-description length). Here groups are merged greedily, always the two that make that sum least, until no merger pays:
-Ward's linkage, which has a fixed number of steps and so works under jit and vmap. A solitary person is a group of
-one, and gets the index -1.
+Kendon's o-space is the empty middle that the members of a group face. It is found by votes, as Cristani et al. (BMVC
+2011) and Setti et al. (PLoS ONE 2015) do: everybody votes for a place a stride ahead of them. The cost of a partition
+is the sum of squared distances of the votes from the mean of their group, plus a price for each group (minimum
+description length). Groups are merged greedily, always the two whose merger costs least, until no merger pays: Ward's
+linkage, which has a fixed number of steps and so works under jit and vmap. A person alone is a group of one, and gets
+the index -1.
 """
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Bool, Float, Int
 
 from sean_jax.base import Array
 
@@ -18,13 +19,28 @@ PRICE = 1.5  # m2 for each group, the best on every second frame of it; Coffee B
 APART = 1e9  # m2, more than any merger costs
 
 
-def o_space_votes(position: Array, heading: Array, stride: Array | float = STRIDE) -> Array:
-    """(..., 2) m: the places ``stride`` [m] ahead of people at (..., 2) [m] with unit headings (..., 2)."""
+def o_space_votes(
+    position: Float[Array, "*people 2"], heading: Float[Array, "*people 2"], stride: Float[Array, ""] | float = STRIDE
+) -> Float[Array, "*people 2"]:
+    """Votes for the middle of a group: the place a stride ahead of each person.
+
+    Args:
+        position: (..., 2) m.
+        heading: (..., 2) unit vectors.
+        stride: () m.
+
+    Returns:
+        (..., 2) m.
+
+    Source: Cristani et al. (BMVC 2011).
+    """
     return position + stride * heading
 
 
-def o_space_groups(votes: Array, present: Array, price: Array | float = PRICE) -> Array:
-    """The group of each person, as an index below N, -1 for who is alone or absent.
+def o_space_groups(
+    votes: Float[Array, "N 2"], present: Bool[Array, " N"], price: Float[Array, ""] | float = PRICE
+) -> Int[Array, " N"]:
+    """The group of each person, as an index below N, -1 for those alone or absent.
 
     Args:
         votes: (N, 2) m, from ``o_space_votes``; mean votes over some frames are steadier where facing is noisy.
@@ -33,7 +49,9 @@ def o_space_groups(votes: Array, present: Array, price: Array | float = PRICE) -
             sqrt(2 price) to each other.
 
     Returns:
-        (N,) int32; members of a group have the index of the one among them who comes first.
+        (N,) int32; members of a group have the index of the first of them.
+
+    Source: Setti et al. (PLoS ONE 2015), with Ward's linkage as the search.
     """
     number = votes.shape[0]
     everybody = jnp.arange(number, dtype=jnp.int32)
@@ -61,11 +79,13 @@ def o_space_groups(votes: Array, present: Array, price: Array | float = PRICE) -
     return jnp.where(present & (size[label] > 1), label, -1)
 
 
-def found_groups(estimated: Array, annotated: Array, present: Array, tolerance: float = 2 / 3) -> Array:
-    """Counts for precision and recall, as in the literature: a group is found if enough of it is, and little else.
+def match_groups(
+    estimated: Int[Array, " N"], annotated: Int[Array, " N"], present: Bool[Array, " N"], tolerance: float = 2 / 3
+) -> Int[Array, "3"]:
+    """Counts for precision and recall of estimated groups.
 
-    A group of n is found by an estimated one that has at least ceil(T n) of its members and at most ceil((1 - T) n)
-    people besides; each estimated group serves once.
+    An annotated group of n is found by an estimated one that has at least ceil(T n) of its members and at most
+    ceil((1 - T) n) other people; each estimated group serves once.
 
     Args:
         estimated: (N,) int32 group of each person, -1 none; indices below N.
@@ -74,7 +94,9 @@ def found_groups(estimated: Array, annotated: Array, present: Array, tolerance: 
         tolerance: T; 2/3 is the usual one and 1 asks for the very group.
 
     Returns:
-        (3,) int32: groups found, groups estimated, groups annotated; groups of one are none.
+        (3,) int32: numbers of groups found, estimated and annotated; groups of one do not count.
+
+    Source: Cristani et al. (BMVC 2011).
     """
     number = estimated.shape[0]
     everybody = jnp.arange(number, dtype=jnp.int32)

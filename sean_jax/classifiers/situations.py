@@ -1,13 +1,17 @@
 """The five social situations, equations (1)-(5) of section III-A, for a robot among people.
 
-Each equation speaks of one agent; a situation occurs when it holds for any of them. A function takes a
-``base.Moment`` and ``Thresholds`` and gives a () bool; nothing but arrays is read, so recordings serve as well.
+Each equation speaks of one agent; a situation occurs when it holds for any of them. A situation is a function of a
+``base.Moment`` and ``Thresholds`` that gives a () bool. It reads arrays alone, so it serves recordings as well. A
+situation of your own may do without thresholds: ``as_situation`` takes ``moment -> () bool``, too.
 """
 
+import inspect
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Bool, Float
 
 from sean_jax.base import Array, Moment, Pedestrians
 from sean_jax.classifiers.predicates import (
@@ -18,22 +22,27 @@ from sean_jax.classifiers.predicates import (
     perpendicular_trajectory,
     walking,
 )
+from sean_jax.errors import InputError
 
 
 @struct.dataclass
 class Thresholds:
     """Constants of the predicates (section V-B), and of the situations beyond the paper's five."""
 
-    near: Array  # () m, D: twice the personal distance of Hall
-    walking: Array  # () m/s, V
-    angle: Array  # () rad, A
-    arrival: Array  # () m, x_r = x'_r of equation (3) holds within it; ours, the paper has an equality
-    reach: Array  # () m, how far an encounter is foreseen: where Hall's social distance ends
-    personal: Array  # () m, Hall's personal distance: passing within it is passing close
-    moving: Array  # () m/s, who is slower stands, in the situations beyond the five; ours
-    gaining: Array  # () m/s, difference in speed of overtaking, below it of following; ours
-    crowd: Array  # () 1/m2, density of people: where Fruin's best level of service for walkways ends
-    hides: Array  # () m, height of an obstacle that people and robots cannot look over; ours
+    near: Float[Array, ""]  # m, D: twice the personal distance of Hall
+    walking: Float[Array, ""]  # m/s, V
+    angle: Float[Array, ""]  # rad, A
+    arrival: Float[Array, ""]  # m, x_r = x'_r of equation (3) holds within it; ours, the paper has an equality
+    reach: Float[Array, ""]  # m, distance at which an encounter begins: where Hall's social distance ends
+    personal: Float[Array, ""]  # m, Hall's personal distance: passing within it is passing close
+    moving: Float[Array, ""]  # m/s, slower agents stand, in the situations beyond the five; ours
+    gaining: Float[Array, ""]  # m/s, difference in speed of overtaking, below it of following; ours
+    crowd: Float[Array, ""]  # 1/m2, density of people: where Fruin's best level of service for walkways ends
+    hides: Float[Array, ""]  # m, height of an obstacle that people and robots cannot look over; ours
+
+
+RESERVED = ("overall", "none")  # what tables have beside the situations
+Situation = Callable[[Moment, Thresholds], Array]  # (moment, thresholds) -> () bool
 
 
 def thresholds(
@@ -48,13 +57,33 @@ def thresholds(
     crowd: float = 0.31,
     hides: float = 1.0,
 ) -> Thresholds:
-    """The paper's thresholds, D = 2.4 m, V = 1.4 m/s, A = 15 degrees, and those of the other situations."""
+    """The paper's thresholds, D = 2.4 m, V = 1.4 m/s, A = 15 degrees, and those of the other situations.
+
+    Args:
+        near: m, D.
+        walking: m/s, V.
+        angle: rad, A.
+        arrival, reach, personal, moving, gaining, crowd, hides: as in ``Thresholds``.
+
+    Returns:
+        The thresholds as arrays, which can be swept.
+
+    Source: section V-B.
+    """
     values = (near, walking, angle, arrival, reach, personal, moving, gaining, crowd, hides)
     return Thresholds(*(jnp.asarray(value, float) for value in values))
 
 
-def cross_path(moment: Moment, thresholds: Thresholds) -> Array:
-    """Equation (1): near an agent who walks with an orientation perpendicular to the robot's."""
+def cross_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+    """Equation (1): near an agent who walks with an orientation perpendicular to the robot's.
+
+    Args:
+        moment: the robot among people.
+        thresholds: D, V and A of the predicates.
+
+    Returns:
+        () bool, whether it occurs.
+    """
 
     def holds(agent: Pedestrians) -> Array:
         return (
@@ -66,8 +95,16 @@ def cross_path(moment: Moment, thresholds: Thresholds) -> Array:
     return any_person(moment, holds)
 
 
-def down_path(moment: Moment, thresholds: Thresholds) -> Array:
-    """Equation (2): near an agent with an orientation parallel to the robot's. As printed: it need not walk."""
+def down_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+    """Equation (2): near an agent with an orientation parallel to the robot's. As printed: it need not walk.
+
+    Args:
+        moment: the robot among people.
+        thresholds: D, V and A of the predicates.
+
+    Returns:
+        () bool, whether it occurs.
+    """
 
     def holds(agent: Pedestrians) -> Array:
         return near(moment.position, agent.position, thresholds.near) & parallel_trajectory(
@@ -77,8 +114,16 @@ def down_path(moment: Moment, thresholds: Thresholds) -> Array:
     return any_person(moment, holds)
 
 
-def join_group(moment: Moment, thresholds: Thresholds) -> Array:
-    """Equation (3): near a member of the group that the goal belongs to, and not yet at the goal."""
+def join_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+    """Equation (3): near a member of the group that the goal belongs to, and not yet at the goal.
+
+    Args:
+        moment: the robot among people.
+        thresholds: D, V and A of the predicates.
+
+    Returns:
+        () bool, whether it occurs.
+    """
 
     def holds(agent: Pedestrians) -> Array:
         return near(moment.position, agent.position, thresholds.near) & member(agent.group, moment.goal_group)
@@ -86,8 +131,16 @@ def join_group(moment: Moment, thresholds: Thresholds) -> Array:
     return any_person(moment, holds) & ~near(moment.position, moment.goal, thresholds.arrival)
 
 
-def leave_group(moment: Moment, thresholds: Thresholds) -> Array:
-    """Equation (4): near a member of the group that the start belongs to."""
+def leave_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+    """Equation (4): near a member of the group that the start belongs to.
+
+    Args:
+        moment: the robot among people.
+        thresholds: D, V and A of the predicates.
+
+    Returns:
+        () bool, whether it occurs.
+    """
 
     def holds(agent: Pedestrians) -> Array:
         return near(moment.position, agent.position, thresholds.near) & member(agent.group, moment.start_group)
@@ -95,8 +148,16 @@ def leave_group(moment: Moment, thresholds: Thresholds) -> Array:
     return any_person(moment, holds)
 
 
-def empty(moment: Moment, thresholds: Thresholds) -> Array:
-    """Equation (5): no agent is near."""
+def empty(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+    """Equation (5): no agent is near.
+
+    Args:
+        moment: the robot among people.
+        thresholds: D, V and A of the predicates.
+
+    Returns:
+        () bool, whether it occurs.
+    """
 
     def holds(agent: Pedestrians) -> Array:
         return near(moment.position, agent.position, thresholds.near)
@@ -104,7 +165,7 @@ def empty(moment: Moment, thresholds: Thresholds) -> Array:
     return ~any_person(moment, holds)
 
 
-SITUATIONS: dict[str, Callable[[Moment, Thresholds], Array]] = {
+SITUATIONS: dict[str, Situation] = {
     "cross_path": cross_path,
     "down_path": down_path,
     "join_group": join_group,
@@ -113,6 +174,69 @@ SITUATIONS: dict[str, Callable[[Moment, Thresholds], Array]] = {
 }
 
 
-def classify(moment: Moment, thresholds: Thresholds, situations: tuple = tuple(SITUATIONS.items())) -> Array:
-    """(S,) bool: which of the named situations occur at that moment; several can."""
+PAPER = tuple(SITUATIONS.items())
+
+
+def classify(
+    moment: Moment, thresholds: Thresholds, situations: tuple[tuple[str, Situation], ...] = PAPER
+) -> Bool[Array, " S"]:
+    """The situations that occur at a moment; several can.
+
+    Args:
+        moment: the robot among people.
+        thresholds: of the predicates.
+        situations: S names and functions; the paper's five by default.
+
+    Returns:
+        (S,) bool, in the order of ``situations``.
+    """
     return jnp.stack([holds(moment, thresholds) for _, holds in situations])
+
+
+def as_situation(value: Callable, name: str = "") -> Situation:
+    """A situation of what a user gives as one.
+
+    Args:
+        value: ``(moment, thresholds) -> () bool`` or ``moment -> () bool``.
+        name: of the situation, for messages.
+
+    Returns:
+        ``(moment, thresholds) -> () bool``, which checks what the function gives while the program is traced. The
+        package's own situations stay as they are. Equal arguments give equal results, so nothing is compiled again.
+
+    Raises:
+        InputError: it is no such function, or results use the name.
+    """
+    if name in RESERVED:
+        raise InputError(f"situations: '{name}' means something else in results; choose another name.")
+    if isinstance(value, _Situation) or str(getattr(value, "__module__", "")).startswith("sean_jax.classifiers."):
+        return value
+    try:
+        parameters = inspect.signature(value).parameters.values()
+    except (TypeError, ValueError):  # not callable, or a builtin without a signature
+        parameters = ()
+    number = sum(parameter.default is parameter.empty for parameter in parameters)
+    if number not in (1, 2):
+        raise InputError(
+            f"situations: {name or 'a situation'} is {value!r}; give a function (moment, thresholds) -> bool or "
+            "moment -> bool."
+        )
+    return _Situation(value, name or getattr(value, "__name__", repr(value)), number == 2)
+
+
+@dataclass(frozen=True)
+class _Situation:
+    """A user's function as a situation; equal ones are equal, as static fields of a scenario must be."""
+
+    function: Callable
+    name: str
+    with_thresholds: bool
+
+    def __call__(self, moment: Moment, thresholds: Thresholds) -> Array:
+        value = jnp.asarray(self.function(moment, thresholds) if self.with_thresholds else self.function(moment))
+        if value.dtype != bool or value.ndim:
+            raise InputError(
+                f"situations: {self.name} gives {value.dtype} {value.shape}, not a () bool; compare numbers, and "
+                "reduce those of all people with any."
+            )
+        return value

@@ -1,13 +1,13 @@
-"""Pictures of a scenario seen from above: stills, heat maps and animations (Figs. 1 and 2 of the paper).
+"""Pictures of a scenario from above: stills, heat maps and animations (Figs. 1 and 2 of the paper); videos of cameras.
 
-The robot is an orange square and people are discs, as in Fig. 2; x points right, y up the page, distances are
-metres. Nothing here touches pyplot's global state, and matplotlib is imported only when something is drawn.
+The robot is an orange square and people are discs, as in Fig. 2. x points right, y up the page, distances are metres.
+Situations and policies may have any names. Nothing here touches pyplot's global state, and matplotlib is imported only
+when something is drawn.
 """
 
 from sean_jax.drawing.animation import animate
-from sean_jax.drawing.colors import situation_colors
-from sean_jax.drawing.crowds import congestion_map
-from sean_jax.drawing.pictures import heat_map, top_down, view
+from sean_jax.drawing.colors import policy_colors, situation_colors
+from sean_jax.drawing.pictures import congestion_map, heat_map, top_down, view
 from sean_jax.drawing.sheets import graph_sheet, handcrafted_sheet
 from sean_jax.drawing.videos import RENDERERS, check_renderer, video
 from sean_jax.graph import graph_of
@@ -21,6 +21,7 @@ __all__ = [
     "graph_sheet",
     "handcrafted_sheet",
     "heat_map",
+    "policy_colors",
     "situation_colors",
     "top_down",
     "video",

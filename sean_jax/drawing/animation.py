@@ -1,26 +1,32 @@
-"""One episode as a looping GIF: the still background is drawn once, people and robot per picture."""
+"""One episode as a looping GIF. The background is drawn once, people and robot for each picture."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from sean_jax.base import Environment, Frame
+from sean_jax.base import Environment, Trajectory
 from sean_jax.drawing import colors, gifs, parts
+from sean_jax.graph import BehaviorGraph
+
+if TYPE_CHECKING:
+    from PIL import Image, ImageDraw, ImageFont
 
 COLORS = 128  # of the palette: those of colors.py and what lies between them at smooth edges
-TAIL = 2.0  # s, of the line that a person draws behind
+TAIL = 2.0  # s, of the line behind a person
 
 
 def animate(
     environment: Environment,
-    frames: Frame,
-    path: Any,
+    frames: Trajectory,
+    path: gifs.Target,
     *,
-    graph: Any = None,
-    situations: tuple[str, ...] = tuple(colors.SITUATION_COLORS),
+    graph: BehaviorGraph | None = None,
+    situations: Sequence[str] | None = None,
     time_step: float = 0.1,
     every: int = 5,
     speed: float = 4.0,
@@ -29,21 +35,43 @@ def animate(
 ) -> None:
     """Write one episode as a GIF.
 
-    ``frames`` are its (T, ...) frames, ``path`` a path or a binary file, ``size`` the width in pixels. Every
-    ``every``-th frame is shown, ``speed`` times as fast as it happened. Raises ValueError for frames with a
-    batch axis, and for a path that cannot be written.
+    Args:
+        environment: to draw.
+        frames: (T, ...) of one episode.
+        path: where to write, a path or a binary file.
+        graph: a behavior graph, drawn below the episode.
+        situations: names of the frames' situations, any names; the paper's five, or numbers, if None.
+        time_step: s, between two frames.
+        every: number of frames from one picture to the next; the last frame is always shown.
+        speed: how many times as fast as it happened.
+        size: pixels, the width.
+        title: below the floor.
+
+    Raises:
+        InputError: frames with a batch axis or another number of situations, or a path that cannot be written.
     """
     gifs.check(path)
     frames = parts.one_episode(frames)
-    scene = _Scene(environment, frames, graph, situations, time_step, size, title, every)
-    shown = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
-    gifs.save(path, len(shown), lambda index: scene.picture(shown[index]), every * time_step / speed, colors=COLORS)
+    names = parts.situation_names(frames, situations)
+    scene = _Scene(environment, frames, graph, names, time_step, size, title, every)
+    steps = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
+    gifs.save(path, len(steps), lambda index: scene.picture(steps[index]), every * time_step / speed, colors=COLORS)
 
 
 class _Scene:
-    """Everything in pixels, at twice the size: halving a picture smooths its edges."""
+    """All positions in pixels, at twice the size: halving a picture smooths its edges."""
 
-    def __init__(self, environment, frames, graph, situations, time_step, size, title, every) -> None:
+    def __init__(
+        self,
+        environment: Environment,
+        frames: Trajectory,
+        graph: BehaviorGraph | None,
+        situations: tuple[str, ...],
+        time_step: float,
+        size: int,
+        title: str,
+        every: int,
+    ) -> None:
         from matplotlib import get_data_path
         from PIL import Image, ImageFont
 
@@ -59,7 +87,7 @@ class _Scene:
         corner = np.array([0.0, height])
         flip = np.array([1.0, -1.0])
 
-        def pixels(points: np.ndarray) -> np.ndarray:
+        def pixels(points: ArrayLike) -> np.ndarray:
             points = np.asarray(points, float)
             return corner + flip * axes.transData.transform(points.reshape(-1, 2)).reshape(points.shape)
 
@@ -68,7 +96,7 @@ class _Scene:
         font = Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
         self.font, self.small = (ImageFont.truetype(str(font), round(size / part)) for part in (22, 32))
         self.people, self.group, self.present = pixels(frames.people), frames.group, np.asarray(frames.present, bool)
-        self.looks = self.people + flip * frames.people_heading * (1.9 * parts.PERSON_RADIUS * self.metre)
+        self.heading_ends = self.people + flip * frames.people_heading * (1.9 * parts.PERSON_RADIUS * self.metre)
         self.path, self.heading, self.goal = pixels(frames.position), flip * frames.heading, pixels(frames.goal[-1])
         self.shades = parts.step_colors(frames, situations)
         self.flags = np.asarray(frames.situations, bool)
@@ -76,15 +104,22 @@ class _Scene:
         self.time_step, self.title = time_step, title
         self.tail = round(TAIL / time_step)
 
-    def picture(self, t: int) -> Any:
-        """Frame ``t`` as an RGB image."""
+    def picture(self, t: int) -> Image.Image:
+        """Draw a frame.
+
+        Args:
+            t: index of the frame.
+
+        Returns:
+            An RGB image of PIL.
+        """
         from PIL import ImageDraw
 
         image = self.background.copy()
         draw, metre, line = ImageDraw.Draw(image), self.metre, self.line
 
-        def disc(place, radius, **look) -> None:
-            draw.ellipse((place[0] - radius, place[1] - radius, place[0] + radius, place[1] + radius), **look)
+        def disc(place: np.ndarray, radius: float, **style: Any) -> None:
+            draw.ellipse((place[0] - radius, place[1] - radius, place[0] + radius, place[1] + radius), **style)
 
         disc(self.path[0], 0.42 * metre, outline=colors.ROBOT, width=2 * line)
         disc(self.goal, 0.75 * metre, outline=colors.ROBOT, width=2 * line)
@@ -94,11 +129,13 @@ class _Scene:
             draw.line([*self.path[first], *self.path[last]], fill=self.shades[last], width=3 * line)
         tail = slice(max(0, t - self.tail), t + 1)
         tails, here = self.people[tail][:: max(1, self.tail // 5)], np.flatnonzero(self.present[t])
-        whole = np.all(self.present[tail], axis=0)  # who entered a moment ago has no tail yet
-        for n in here[whole[here]] if len(tails) > 1 else ():
+        complete = np.all(self.present[tail], axis=0)  # people who have just entered have no tail yet
+        for n in here[complete[here]] if len(tails) > 1 else ():
             draw.line([tuple(place) for place in tails[:, n]], fill=colors.TRAIL, width=line)
-        for place, look, group in zip(self.people[t, here], self.looks[t, here], self.group[t, here], strict=True):
-            draw.line([*place, *look], fill=colors.PERSON_EDGE, width=line)
+        for place, end, group in zip(
+            self.people[t, here], self.heading_ends[t, here], self.group[t, here], strict=True
+        ):
+            draw.line([*place, *end], fill=colors.PERSON_EDGE, width=line)
             face = colors.MEMBER if group >= 0 else colors.PERSON
             disc(place, parts.PERSON_RADIUS * metre, fill=face, outline=colors.PERSON_EDGE, width=line)
         ahead = self.heading[t] * (parts.SQUARE * metre)
@@ -109,20 +146,20 @@ class _Scene:
         self._caption(draw, t)
         return image.reduce(2)
 
-    def _caption(self, draw: Any, t: int) -> None:
-        """Below the floor: title and time at the middle, the situations that hold at the right."""
+    def _caption(self, draw: ImageDraw.ImageDraw, t: int) -> None:
+        """Below the floor: title and time in the middle, the situations that hold at the right."""
         wide, tall = self.background.size
         base = tall - 0.6 * self.font.size
         draw.text((0.30 * wide, base), f"{t * self.time_step:.1f} s", font=self.font, fill=colors.INK, anchor="rs")
         if self.title:
             draw.text((0.33 * wide, base), self.title, font=self.font, fill=colors.MUTED, anchor="ls")
-        taken = 0.33 * wide + draw.textlength(self.title, font=self.font) + self.font.size
+        title_end = 0.33 * wide + draw.textlength(self.title, font=self.font) + self.font.size
         holding = [pair for flag, *pair in zip(self.flags[t], self.names, self.name_colors, strict=True) if flag]
         right, font, lines = wide * (1 - parts.MARGIN), self.font, [holding]
-        if self._length(draw, holding, font) > right - taken:  # smaller, on as many lines as needed
+        if self._length(draw, holding, font) > right - title_end:  # smaller, on as many lines as needed
             font, lines = self.small, [[]]
             for pair in holding:
-                if lines[-1] and self._length(draw, [*lines[-1], pair], font) > right - taken:
+                if lines[-1] and self._length(draw, [*lines[-1], pair], font) > right - title_end:
                     lines.append([])
                 lines[-1].append(pair)
         for up, line in enumerate(reversed(lines)):
@@ -132,6 +169,6 @@ class _Scene:
                 draw.text((x, base - 1.2 * up * font.size), label, font=font, fill=color, anchor="ls")
                 x += draw.textlength(label, font=font) + font.size
 
-    def _length(self, draw: Any, names: list, font: Any) -> float:
-        """Pixels that the names of situations take beside each other."""
+    def _length(self, draw: ImageDraw.ImageDraw, names: list, font: ImageFont.FreeTypeFont) -> float:
+        """Pixels that the names of situations need beside each other."""
         return sum(draw.textlength(name.replace("_", " "), font=font) + font.size for name, _ in names) - font.size

@@ -1,7 +1,10 @@
-"""The colours of every picture, table and page: situations, people, robot, obstacles.
+"""The colors of all pictures, tables and pages: situations, policies, people, robot, obstacles.
 
-The situations wear Paul Tol's "bright" scheme, which colour-blind readers can tell apart.
+Situations have the colors of Paul Tol's "bright" scheme, which colorblind readers can tell apart.
 """
+
+import colorsys
+from collections.abc import Mapping, Sequence
 
 SITUATION_COLORS = {
     "cross_path": "#ee6677",
@@ -14,6 +17,12 @@ SPARE_COLORS = (  # for situations beyond the paper's five, and the user's own
     "#66ccee", "#ccbb44", "#332288", "#44aa99", "#8c510a", "#ff9da7", "#999933", "#11c638"
 )  # fmt: skip
 NO_SITUATION = "#5a6274"
+POLICY_COLORS = {
+    "go_to_goal": "#4477aa",
+    "social_costmap": "#ee6677",
+    "orca": "#228833",
+    "expert": "#aa3377",
+}
 
 PAPER = "#fffffe"  # odd values, so that a page can replace them in a drawing by its own light or dark ones
 FLOOR = "#f4f6f9"
@@ -28,7 +37,50 @@ FLOW, FLOW_EDGE = "#2f6fb0", "#173a5e"  # of people along edges, over a heat map
 HEAT = ("#ffe8c400", "#fdcf94", "#f78d4f", "#dd3a25", "#a3082f")
 
 
-def situation_colors(names: tuple[str, ...]) -> list[str]:
-    """One colour for each situation; names that are not the paper's get the spare ones in turn."""
-    spare = [name for name in names if name not in SITUATION_COLORS]
-    return [SITUATION_COLORS.get(name) or SPARE_COLORS[spare.index(name) % len(SPARE_COLORS)] for name in names]
+def situation_colors(names: Sequence[str]) -> list[str]:
+    """Colors of situations, the paper's and the user's own.
+
+    Args:
+        names: of the situations.
+
+    Returns:
+        One color for each name, all different.
+    """
+    return category_colors(names, SITUATION_COLORS)
+
+
+def policy_colors(names: Sequence[str]) -> list[str]:
+    """Colors of policies, the package's and the user's own.
+
+    Args:
+        names: of the policies.
+
+    Returns:
+        One color for each name, all different.
+    """
+    return category_colors(names, POLICY_COLORS)
+
+
+def category_colors(names: Sequence[str], reserved: Mapping[str, str]) -> list[str]:
+    """Colors of any categories, by name.
+
+    Args:
+        names: of the categories. Equal names have equal colors.
+        reserved: colors of names that always have the same one.
+
+    Returns:
+        One color for each name. Other names than the reserved ones get the spare colors in turn, and then hues between
+        them.
+    """
+    others = list(dict.fromkeys(name for name in names if name not in reserved))
+    taken = {*reserved.values()}
+    spare = [color for color in SPARE_COLORS if color not in taken]
+    spare += [_hue(index) for index in range(len(others) - len(spare))]
+    own = dict(zip(others, spare, strict=False))
+    return [reserved[name] if name in reserved else own[name] for name in names]
+
+
+def _hue(index: int) -> str:
+    """One of a sequence of colors whose hues are a golden angle apart."""
+    share = colorsys.hsv_to_rgb((0.11 + 0.618034 * index) % 1.0, 0.55 + 0.15 * (index % 3), 0.80 - 0.12 * (index % 4))
+    return "#" + "".join(f"{round(255 * part):02x}" for part in share)

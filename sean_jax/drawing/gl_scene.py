@@ -1,6 +1,6 @@
-"""A scenario as a MuJoCo model to look at: scenery, people and robot, drawn with OpenGL (section IV-F).
+"""A scenario as a MuJoCo model for pictures: scenery, people and robot, drawn with OpenGL (section IV-F).
 
-Nothing is simulated by it. Bodies are those that rays meet, so that both kinds of pictures show the same.
+It simulates nothing. Its bodies are those that rays meet, so both kinds of pictures show the same.
 """
 
 from __future__ import annotations
@@ -12,49 +12,72 @@ from typing import Any
 
 import numpy as np
 
-from sean_jax.base import Frame, Scenario, Scenery, Solids
+from sean_jax.base import Scenario, Scenery, Solids, Trajectory
+from sean_jax.errors import InputError
 from sean_jax.raycast import laws
 from sean_jax.sensors import Camera, paint
 
-OWN = 3  # group of the robot's geoms, which its own cameras may leave out
-BELOW = -50.0  # m, height at which who is absent waits
-HIGH, SHADED = 20.0, 12.0  # m, how far away the sun is, and around the robot that its shadows reach
-FACE = 0.08  # m, the radius of a face
+ROBOT_GROUP = 3  # of the robot's geoms, which its own cameras may leave out
+ABSENT_HEIGHT = -50.0  # m, at which absent people are placed
+SUN_DISTANCE, SHADOW_REACH = 20.0, 12.0  # m, of the sun, and of its shadows around the robot
+FACE_RADIUS = 0.08  # m
 CURE = "set MUJOCO_GL=egl (Linux without a screen, with the package libegl1) before Python starts, or choose 'rays'"
 
 
 def check() -> None:
-    """Raises ValueError, one sentence with the cure, if MuJoCo cannot draw here."""
+    """Check that MuJoCo can draw here.
+
+    Raises:
+        InputError: it cannot, with the cure.
+    """
     mujoco: Any = import_module("mujoco")
     _renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()
 
 
-def images(frames: Frame, scenario: Scenario, eye: Camera) -> Iterator[np.ndarray]:
-    """(H, W, 3) uint8: for each of the frames (T, ...) what the camera sees."""
-    return _drawn(frames, scenario, eye, False)
+def images(frames: Trajectory, scenario: Scenario, eye: Camera) -> Iterator[np.ndarray]:
+    """Color pictures of frames.
+
+    Args:
+        frames: (T, ...) of one episode.
+        scenario: the one that they come from.
+        eye: the camera.
+
+    Returns:
+        An iterator of (H, W, 3) uint8 for each frame.
+    """
+    return _rendered(frames, scenario, eye, False)
 
 
-def depths(frames: Frame, scenario: Scenario, eye: Camera) -> Iterator[np.ndarray]:
-    """(H, W) m: for each of the frames (T, ...) the depth, ``eye.far`` where there is nothing nearer."""
-    for image in _drawn(frames, scenario, eye, True):
+def depths(frames: Trajectory, scenario: Scenario, eye: Camera) -> Iterator[np.ndarray]:
+    """Depth pictures of frames.
+
+    Args:
+        frames: (T, ...) of one episode.
+        scenario: the one that they come from.
+        eye: the camera.
+
+    Yields:
+        (H, W) m for each frame, ``eye.far`` where there is nothing nearer.
+    """
+    for image in _rendered(frames, scenario, eye, True):
         yield np.where(image < eye.far, image, np.float32(eye.far))
 
 
-def _drawn(frames: Frame, scenario: Scenario, eye: Camera, depth: bool) -> Iterator[np.ndarray]:
+def _rendered(frames: Trajectory, scenario: Scenario, eye: Camera, depth: bool) -> Iterator[np.ndarray]:
     mujoco: Any = import_module("mujoco")
     model = _model(mujoco, scenario, eye, frames.people.shape[1])
     data = mujoco.MjData(model)
     options = mujoco.MjvOption()
-    options.geomgroup[OWN] = eye.sees_robot
+    options.geomgroup[ROBOT_GROUP] = eye.sees_robot
     renderer = _renderer(model, eye.height, eye.width)
     try:
         if depth:
             renderer.enable_depth_rendering()
         for t in range(len(frames.active)):
-            looks = np.concatenate([frames.heading[t][None], frames.people_heading[t]])
+            headings = np.concatenate([frames.heading[t][None], frames.people_heading[t]])
             data.mocap_pos[:, :2] = np.concatenate([frames.position[t][None], frames.people[t]])
-            data.mocap_pos[1:, 2] = np.where(frames.present[t], 0.0, BELOW)
-            half = 0.5 * np.arctan2(looks[:, 1], looks[:, 0])
+            data.mocap_pos[1:, 2] = np.where(frames.present[t], 0.0, ABSENT_HEIGHT)
+            half = 0.5 * np.arctan2(headings[:, 1], headings[:, 0])
             data.mocap_quat[:] = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], -1)
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, camera="eye", scene_option=options)
@@ -71,7 +94,7 @@ def _renderer(model: Any, height: int, width: int) -> Any:
             return mujoco.Renderer(model, height, width)
     except Exception as error:  # each OpenGL library fails in its own way
         why = str(error).split("\n")[0].rstrip(".") or type(error).__name__
-        raise ValueError(f"renderer: MuJoCo cannot draw here ({why}); {CURE}.") from None
+        raise InputError(f"renderer: MuJoCo cannot draw here ({why}); {CURE}.") from None
 
 
 def _model(mujoco: Any, scenario: Scenario, eye: Camera, people: int) -> Any:
@@ -82,15 +105,17 @@ def _model(mujoco: Any, scenario: Scenario, eye: Camera, people: int) -> Any:
     spec.visual.headlight.specular = [0.0] * 3
     x_min, y_min, x_max, y_max = np.asarray(scenario.environment.floor, float)
     spec.stat.extent = 1.0  # m, the unit of what follows
-    spec.visual.map.znear, spec.visual.map.zfar = eye.near, float(np.hypot(x_max - x_min, y_max - y_min)) + HIGH
-    spec.visual.map.shadowclip, spec.visual.quality.shadowsize = SHADED, 4096
+    spec.visual.map.znear, spec.visual.map.zfar = eye.near, float(np.hypot(x_max - x_min, y_max - y_min)) + SUN_DISTANCE
+    spec.visual.map.shadowclip, spec.visual.quality.shadowsize = SHADOW_REACH, 4096
     _surroundings(mujoco, spec, looks)
     _solids(mujoco, spec.worldbody, looks.solids, 0)
     robot = spec.worldbody.add_body(mocap=True)
     sun = np.asarray(looks.sun, float)
-    light = robot.add_light(pos=HIGH * sun, dir=-sun, castshadow=True, diffuse=[paint.SUN] * 3, specular=[0.0] * 3)
+    light = robot.add_light(
+        pos=SUN_DISTANCE * sun, dir=-sun, castshadow=True, diffuse=[paint.SUN] * 3, specular=[0.0] * 3
+    )
     light.type, light.mode = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, mujoco.mjtCamLight.mjCAMLIGHT_TRACK
-    _solids(mujoco, robot, scenario.robot.solids, OWN)
+    _solids(mujoco, robot, scenario.robot.solids, ROBOT_GROUP)
     turn = np.zeros(4)
     mujoco.mju_mat2Quat(turn, np.asarray(eye.axes, float))
     place = robot.add_camera(name="eye", pos=eye.origin, quat=turn, fovy=eye.orthographic or eye.fovy)
@@ -101,7 +126,7 @@ def _model(mujoco: Any, scenario: Scenario, eye: Camera, people: int) -> Any:
             place.orthographic = True
     shirts = np.stack([np.asarray(part) for part in paint.shirts(people)], -1)
     for color in shirts:
-        _person(mujoco, spec.worldbody.add_body(mocap=True), float(scenario.forces.radius), color)
+        _person(mujoco, spec.worldbody.add_body(mocap=True), float(scenario.forces.walking.radius), color)
     return spec.compile()
 
 
@@ -134,14 +159,14 @@ def _solids(mujoco: Any, body: Any, solids: Solids, group: int) -> None:
 
 
 def _person(mujoco: Any, body: Any, radius: float, color: np.ndarray) -> None:
-    """A person with the outline that rays meet: legs, trunk and head, the face ahead."""
-    kind, sink = mujoco.mjtGeom, laws.HEAD_RADIUS - FACE + 0.01
+    """A person with the outline that rays meet: legs, trunk and head, with the face ahead."""
+    kind, sink = mujoco.mjtGeom, laws.HEAD_RADIUS - FACE_RADIUS + 0.01
     _add(body, kind.mjGEOM_CYLINDER, [radius, paint.WAIST / 2, 0], [0, 0, paint.WAIST / 2], paint.LEGS, 0)
     half = (laws.SHOULDER - paint.WAIST) / 2
     _add(body, kind.mjGEOM_CYLINDER, [radius, half, 0], [0, 0, paint.WAIST + half], color, 0)
     _add(body, kind.mjGEOM_SPHERE, [radius, 0, 0], [0, 0, laws.SHOULDER], color, 0)
     _add(body, kind.mjGEOM_SPHERE, [laws.HEAD_RADIUS, 0, 0], [0, 0, laws.HEAD], paint.HAIR, 0)
-    _add(body, kind.mjGEOM_SPHERE, [FACE, 0, 0], [sink, 0, laws.HEAD - 0.01], paint.SKIN, 0)
+    _add(body, kind.mjGEOM_SPHERE, [FACE_RADIUS, 0, 0], [sink, 0, laws.HEAD - 0.01], paint.SKIN, 0)
 
 
 def _add(body: Any, kind: Any, size: Any, place: Any, color: Any, group: int, turn: Any = (1.0, 0.0, 0.0, 0.0)) -> None:

@@ -1,45 +1,108 @@
-"""What the pictures are made of: floor, obstacles, behavior graph, trails, people, robot, legend, scale."""
+"""Parts of pictures: floor, obstacles, behavior graph, trails, people, robot, legend, scale."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
-from sean_jax.base import Environment, Frame
+from sean_jax.base import Environment, Trajectory
 from sean_jax.drawing import colors
+from sean_jax.errors import InputError
+from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-TALL = 4.0  # m, obstacles at least this high get the darkest shade
+DARKEST_HEIGHT = 4.0  # m, from which obstacles have the darkest shade
 PERSON_RADIUS = 0.25  # m, as drawn: a body of 0.2 m and its edge
 SQUARE = 0.36  # m, half the side of the drawn robot: larger than life, or it would be hard to find
-ONE_WAY = 10.0  # an edge is one-way if its other direction costs this many times as much
 MARGIN, FOOT = 0.02, 0.075  # of the floor's width, around it and below it
 
 
-def one_episode(frames: Frame) -> Frame:
-    """The frames (T, ...) as numpy arrays, cut after the last active one; ValueError if they have a batch axis."""
+def one_episode(frames: Trajectory) -> Trajectory:
+    """The frames of one episode on the host, cut after the last active one.
+
+    Args:
+        frames: (T, ...).
+
+    Returns:
+        The frames as numpy arrays.
+
+    Raises:
+        InputError: they have a batch axis.
+    """
     if np.ndim(frames.active) != 1:
-        raise ValueError(f"frames of one episode have one leading axis, these have {np.ndim(frames.active)}.")
+        raise InputError(f"frames of one episode have one leading axis, these have {np.ndim(frames.active)}.")
     frames = jax.tree.map(np.asarray, frames)
     last = int(np.flatnonzero(frames.active)[-1]) + 1 if np.any(frames.active) else 1
     return jax.tree.map(lambda leaf: leaf[:last], frames)
 
 
-def step_colors(frames: Frame, situations: tuple[str, ...]) -> list[str]:
-    """The colour of each step (T,): that of the first situation that holds, if any does."""
-    shades = [*colors.situation_colors(situations), colors.NO_SITUATION]
+def situation_names(frames: Trajectory, names: Sequence[str] | None) -> tuple[str, ...]:
+    """Names of the situations of frames.
+
+    Args:
+        frames: (T, ...) with S situations.
+        names: in the order of the frames; None for the paper's five, or numbers if there are not five.
+
+    Returns:
+        S names.
+
+    Raises:
+        InputError: there are not S names.
+    """
+    number = np.shape(frames.situations)[-1]
+    if names is None:
+        paper = tuple(colors.SITUATION_COLORS)
+        return paper if number == len(paper) else tuple(f"situation_{index}" for index in range(1, number + 1))
+    if len(names) != number:
+        raise InputError(f"situations: {len(names)} names for frames with {number} situations; give one name for each.")
+    return tuple(names)
+
+
+def situation_indices(frames: Trajectory) -> np.ndarray:
+    """The first situation that holds in each step.
+
+    Args:
+        frames: (T, ...) with S situations.
+
+    Returns:
+        (T,) int, S where none holds.
+    """
     flags = np.asarray(frames.situations, bool)
-    first = np.where(flags.any(-1), flags.argmax(-1), len(situations))
-    return [shades[index] for index in first]
+    none = np.ones((*flags.shape[:-1], 1), bool)
+    return np.concatenate([flags, none], -1).argmax(-1)
+
+
+def step_colors(frames: Trajectory, situations: Sequence[str]) -> list[str]:
+    """The color of each step: that of the first situation that holds, if any does.
+
+    Args:
+        frames: (T, ...) with S situations.
+        situations: their names.
+
+    Returns:
+        T colors.
+    """
+    shades = [*colors.situation_colors(situations), colors.NO_SITUATION]
+    return [shades[index] for index in situation_indices(frames)]
 
 
 def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, Axes]:
-    """A figure ``width`` inches wide whose only axes show the floor in true proportion, without ticks."""
+    """A figure whose only axes show the floor in true proportion, without ticks.
+
+    Args:
+        environment: with the floor.
+        width: inches.
+        title: above the floor; none if empty.
+
+    Returns:
+        The figure, and its axes in metres.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
@@ -49,10 +112,10 @@ def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, 
     low, high = y0 - FOOT * span, y1 + MARGIN * span
     wide, tall = span * (1 + 2 * MARGIN), high - low
     head = 0.32 if title else 0.0  # inches
-    drawn = width * tall / wide
-    figure = Figure(figsize=(width, drawn + head), facecolor=colors.PAPER)
+    floor_height = width * tall / wide
+    figure = Figure(figsize=(width, floor_height + head), facecolor=colors.PAPER)
     FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.0, 0.0, 1.0, drawn / (drawn + head)))
+    axes = figure.add_axes((0.0, 0.0, 1.0, floor_height / (floor_height + head)))
     axes.set_xlim(x0 - MARGIN * span, x1 + MARGIN * span)
     axes.set_ylim(low, high)
     axes.set_axis_off()
@@ -60,13 +123,18 @@ def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, 
         Rectangle((x0, y0), span, y1 - y0, facecolor=colors.FLOOR, edgecolor=colors.MUTED, linewidth=0.8, zorder=0)
     )
     if title:
-        top = 1 - 0.14 / (drawn + head)
+        top = 1 - 0.14 / (floor_height + head)
         figure.text(MARGIN * span / wide, top, title, fontsize=10, color=colors.INK, va="center", weight="bold")
     return figure, axes
 
 
 def draw_obstacles(axes: Axes, environment: Environment) -> None:
-    """Every box that can be seen, the higher the darker."""
+    """Draw the visible boxes, the higher the darker.
+
+    Args:
+        axes: to draw on.
+        environment: with the obstacles.
+    """
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgba
 
@@ -77,7 +145,7 @@ def draw_obstacles(axes: Axes, environment: Environment) -> None:
     x = boxes.center[:, None, 0] + cosine * corners[..., 0] - sine * corners[..., 1]
     y = boxes.center[:, None, 1] + sine * corners[..., 0] + cosine * corners[..., 1]
     outlines = list(np.stack([x, y], -1))
-    opacity = 0.18 + 0.44 * np.clip(boxes.height / TALL, 0, 1) ** 0.7
+    opacity = 0.18 + 0.44 * np.clip(boxes.height / DARKEST_HEIGHT, 0, 1) ** 0.7
     axes.add_collection(PolyCollection(outlines, facecolors=colors.FLOOR, edgecolors="none", zorder=2))
     for alphas, filled in ((opacity, True), (np.minimum(1.5 * opacity, 1.0), False)):
         shades = [to_rgba(colors.OBSTACLE, alpha) for alpha in alphas]
@@ -85,25 +153,27 @@ def draw_obstacles(axes: Axes, environment: Environment) -> None:
         axes.add_collection(PolyCollection(outlines, facecolors=face, edgecolors=edge, linewidths=0.6, zorder=2))
 
 
-def draw_graph(axes: Axes, graph: Any, alone: bool) -> None:
-    """Nodes as discs, edges as lines: thick where flow is high, dotted where low, with an arrow where one-way.
+def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
+    """Draw nodes as discs and edges as lines: thick where flow is high, dotted where low, with an arrow where one-way.
 
-    ``alone`` names the nodes; otherwise the graph steps back behind what is drawn over it.
+    Args:
+        axes: to draw on.
+        graph: of the behavior.
+        alone: name the nodes; otherwise colors are faint, for a background.
     """
     from matplotlib.collections import EllipseCollection, LineCollection
 
     position, radius = np.asarray(graph.position), np.asarray(graph.radius)
-    group, weight = np.asarray(graph.is_group, bool), np.asarray(graph.weight)
+    group, flows = np.asarray(graph.is_group, bool), np.asarray(graph.flow)
     color = colors.EDGE if alone else colors.FAINT_EDGE
     lines, styles, widths = [], [], []
-    for u, v in np.argwhere(np.triu(np.isfinite(weight) | np.isfinite(weight.T), 1)):
-        there, back = weight[u, v], weight[v, u]
-        one_way = max(there, back) >= ONE_WAY * min(there, back)
-        start, end = (position[u], position[v]) if there <= back else (position[v], position[u])
-        flow = min(there, back) / max(float(np.hypot(*(end - start))), 1e-9)  # 1 medium, less for more people
+    for u, v in np.argwhere(np.triu(flows != NO_EDGE, 1)):
+        flow = FLOWS[flows[u, v]]
+        one_way = flow in ("forward", "backward")
+        start, end = (position[v], position[u]) if flow == "backward" else (position[u], position[v])
         lines.append((start, end))
-        styles.append((0, (1, 1.6)) if not one_way and flow > 1.01 else "-")
-        widths.append(2.6 if not one_way and flow < 0.99 else 1.2)
+        styles.append((0, (1, 1.6)) if flow == "low" else "-")
+        widths.append(2.6 if flow == "high" else 1.2)
         if one_way:
             along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
             tip = 0.5 * (start + end) + 0.5 * along
@@ -136,51 +206,86 @@ def draw_graph(axes: Axes, graph: Any, alone: bool) -> None:
             axes.text(x, y + up, label, fontsize=7, color=colors.INK, ha="center", va=side, path_effects=halo, zorder=4)
 
 
-def draw_trails(axes: Axes, frames: Frame, steps: int) -> None:
-    """Where each person walked in the last ``steps`` frames, fading with age."""
+def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
+    """Draw where each person walked, fading with age.
+
+    Args:
+        axes: to draw on.
+        frames: (T, ...) of one episode.
+        steps: number of the last frames.
+    """
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgb
 
-    people, there = (np.asarray(part)[-steps - 1 :] for part in (frames.people, frames.present))
+    people, present = (np.asarray(part)[-steps - 1 :] for part in (frames.people, frames.present))
     stride = max(1, len(people) // 240)
-    people, there = people[::-stride][::-1], there[::-stride][::-1]
+    people, present = people[::-stride][::-1], present[::-stride][::-1]
     if len(people) < 2:
         return
     segments = np.stack([people[:-1], people[1:]], 2)  # (T - 1, N, 2, 2)
-    walked = (there[:-1] & there[1:]).ravel()  # who is absent at an end of it did not walk there
+    walked = (present[:-1] & present[1:]).ravel()  # people who are absent at one end did not walk there
     age = np.linspace(0.03, 1.0, len(segments)) ** 1.6
     shade = np.concatenate([np.tile(to_rgb(colors.TRAIL), (len(segments), 1)), 0.75 * age[:, None]], 1)
-    drawn = LineCollection(
+    trails = LineCollection(
         list(segments.reshape(-1, 2, 2)[walked]),
         colors=np.repeat(shade, people.shape[1], 0)[walked],
         linewidths=1.1,
         zorder=4,
     )
-    drawn.set_rasterized(True)  # thousands of segments: an image is smaller than their outlines
-    drawn.set_capstyle("butt")
-    axes.add_collection(drawn)
+    trails.set_rasterized(True)  # thousands of segments: an image is smaller than their outlines
+    trails.set_capstyle("butt")
+    axes.add_collection(trails)
 
 
-def draw_people(axes: Axes, frames: Frame) -> None:
-    """Each person at the last frame: a disc with a tick where the person looks, in another colour in a group."""
+def draw_people(axes: Axes, frames: Trajectory) -> None:
+    """Draw each person at the last frame: a disc with a tick along the heading, in another color in a group.
+
+    Args:
+        axes: to draw on.
+        frames: (T, ...) of one episode.
+    """
+    present = np.asarray(frames.present[-1], bool)
+    position, heading, group = (
+        np.asarray(part[-1])[present] for part in (frames.people, frames.people_heading, frames.group)
+    )
+    draw_discs(axes, position, heading, group >= 0, PERSON_RADIUS, 0.8)
+
+
+def draw_discs(
+    axes: Axes, position: np.ndarray, heading: np.ndarray, member: np.ndarray, radius: float, linewidth: float
+) -> None:
+    """Draw people as discs with a tick along the heading.
+
+    Args:
+        axes: to draw on.
+        position: (N, 2) m.
+        heading: (N, 2) unit vectors.
+        member: (N,) bool, of a group, which has another color.
+        radius: m, of a disc.
+        linewidth: points.
+    """
     from matplotlib.collections import EllipseCollection, LineCollection
 
-    there = np.asarray(frames.present[-1], bool)
-    place, look, group = (np.asarray(part[-1])[there] for part in (frames.people, frames.people_heading, frames.group))
-    ends = np.stack([place, place + 1.9 * PERSON_RADIUS * look], 1)
-    axes.add_collection(LineCollection(list(ends), colors=colors.PERSON_EDGE, linewidths=0.9, zorder=6))
-    size = np.full(len(place), 2 * PERSON_RADIUS)
-    faces = [colors.MEMBER if index >= 0 else colors.PERSON for index in group]
+    ends = np.stack([position, position + 1.9 * radius * heading], 1)
+    axes.add_collection(LineCollection(list(ends), colors=colors.PERSON_EDGE, linewidths=linewidth + 0.1, zorder=6))
+    size = np.full(len(position), 2 * radius)
+    faces = [colors.MEMBER if is_member else colors.PERSON for is_member in member]
     axes.add_collection(
         EllipseCollection(
-            size, size, np.zeros_like(size), units="xy", offsets=place, offset_transform=axes.transData,
-            facecolors=faces, edgecolors=colors.PERSON_EDGE, linewidths=0.8, zorder=7,
+            size, size, np.zeros_like(size), units="xy", offsets=position, offset_transform=axes.transData,
+            facecolors=faces, edgecolors=colors.PERSON_EDGE, linewidths=linewidth, zorder=7,
         )
     )  # fmt: skip
 
 
-def draw_robot(axes: Axes, frames: Frame, situations: tuple[str, ...]) -> None:
-    """The robot's path in the colours of the situations, its start (ring), goal (target) and last pose (square)."""
+def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str]) -> None:
+    """Draw the robot's path in the colors of the situations, its start (ring), goal (target) and last pose (square).
+
+    Args:
+        axes: to draw on.
+        frames: (T, ...) of one episode.
+        situations: their names.
+    """
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Circle, Polygon
 
@@ -204,7 +309,12 @@ def draw_robot(axes: Axes, frames: Frame, situations: tuple[str, ...]) -> None:
 
 
 def draw_scale(axes: Axes, environment: Environment) -> None:
-    """A bar of a round length below the floor's left corner."""
+    """Draw a bar of a round length below the floor's left corner.
+
+    Args:
+        axes: to draw on.
+        environment: with the floor.
+    """
     x0, y0, x1, _ = (float(v) for v in np.asarray(environment.floor))
     span = x1 - x0
     bar = max(length for length in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if length <= max(0.15 * span, 0.5))
@@ -214,8 +324,15 @@ def draw_scale(axes: Axes, environment: Environment) -> None:
     axes.text(x0, y - 0.010 * span, f"{bar:g} m", fontsize=8, color=colors.MUTED, ha="left", va="top", zorder=5)
 
 
-def draw_legend(axes: Axes, graph: bool, frames: Frame | None, situations: tuple[str, ...]) -> None:
-    """What the marks mean, in one row or two below the floor; only the situations that occurred are named."""
+def draw_legend(axes: Axes, graph: bool, frames: Trajectory | None, situations: Sequence[str]) -> None:
+    """Draw what the marks mean, in up to three rows below the floor; only situations that occurred are named.
+
+    Args:
+        axes: to draw on.
+        graph: whether a behavior graph is drawn.
+        frames: (T, ...) of one episode, if one is drawn.
+        situations: their names.
+    """
     from matplotlib.legend_handler import HandlerTuple
     from matplotlib.lines import Line2D
 
@@ -231,10 +348,10 @@ def draw_legend(axes: Axes, graph: bool, frames: Frame | None, situations: tuple
             (mark("o", colors.PERSON, colors.PERSON_EDGE), "person"),
             (mark("o", colors.MEMBER, colors.PERSON_EDGE), "in a group"),
         ]
-        seen = set(step_colors(frames, situations))
+        occurred = set(situation_indices(frames).tolist())
         shades = [*zip(situations, colors.situation_colors(situations), strict=True), ("none", colors.NO_SITUATION)]
-        for name, color in shades:
-            if color in seen:
+        for index, (name, color) in enumerate(shades):
+            if index in occurred:
                 entries.append((Line2D([], [], color=color, linewidth=3), name.replace("_", " ")))
     elif graph:
         entries += [

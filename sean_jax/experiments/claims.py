@@ -1,23 +1,45 @@
-"""What Figure 4 shows (section V-C): cells with intervals, and what the paper says of them, with how sure that is."""
+"""Results of Figure 4 (section V-C): cells with intervals, and the paper's claims with how surely they hold here."""
 
 import dataclasses
 import functools
-from typing import Any, ClassVar
+from typing import ClassVar, TypedDict
 
 import numpy as np
 
 from sean_jax.experiments import shares
-from sean_jax.experiments.options import BEHAVIORS
+from sean_jax.experiments.shares import BEHAVIORS
 from sean_jax.metrics import Estimate, aggregate, aggregate_ratio, resamples
+from sean_jax.metrics.bootstrap import with_estimate
 
 LEARNED = {"G": "graph", "R": "random", "H": "handcrafted"}
 BALANCED, NAVIGATION, DEMONSTRATOR = "B", "N", "E"
 FOUR = (*LEARNED, NAVIGATION)  # of the paper
 
 
+class Training(TypedDict):
+    """A network's training, as trained-NAME.json has it."""
+
+    examples: int
+    entropy: float  # of the situations in the examples, from 0 to 1
+    epochs: int
+    best_epoch: int
+    loss: float  # in validation, of the best epoch
+    seconds: float
+
+
+class Claim(TypedDict):
+    """A statement of the paper, tested."""
+
+    statement: str
+    paper: str  # the paper's numbers
+    ours: str
+    holds: bool
+    share: float  # of the resamples in which it holds
+
+
 @dataclasses.dataclass
-class Found:
-    """What the page tells. All intervals are of the same resamples of the numbered episodes."""
+class Results:
+    """Measures of every policy in every scenario. All intervals use the same resamples of the numbered episodes."""
 
     MEASURES: ClassVar[dict[str, str]] = {
         "completed": "completed tasks",
@@ -29,29 +51,29 @@ class Found:
     episodes: int
     values: dict[str, dict[str, dict[str, np.ndarray]]]  # policy -> behavior -> measure -> (E,)
     situations: dict[str, dict[str, np.ndarray]]  # policy -> behavior -> (E, 5) violations in each situation
-    trained: dict[str, dict[str, Any]]
-    claims: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    training: dict[str, Training]
+    claims: list[Claim] = dataclasses.field(default_factory=list)
 
     @functools.cached_property
     def resamples(self) -> np.ndarray:
-        """(R, E) how often each episode is in each resample."""
+        """(R, E) number of times that each episode is in each resample."""
         return resamples(self.episodes, seed=0)
 
     @functools.cached_property
     def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:
         """policy -> behavior -> measure -> mean with interval; of completed tasks the number."""
-        return {p: {b: self._measured(each) for b, each in by.items()} for p, by in self.values.items()}
+        return {p: {b: self._estimates(each) for b, each in by.items()} for p, by in self.values.items()}
 
     @functools.cached_property
     def means(self) -> dict[str, dict[str, Estimate]]:
         """policy -> measure -> over the three scenarios."""
-        return {policy: self._measured(_over(by)) for policy, by in self.values.items()}
+        return {policy: self._estimates(_over(by)) for policy, by in self.values.items()}
 
     @functools.cached_property
     def more(self) -> dict[str, dict[str, Estimate]]:
-        """behavior, or mean -> measure -> how much more of it the balanced policy has than G, in equal episodes."""
+        """behavior, or mean -> measure -> difference of the balanced policy and G, in the same episodes."""
         ours, theirs = ({**by, "mean": _over(by)} for by in (self.values[BALANCED], self.values["G"]))
-        return {b: self._measured({name: ours[b][name] - theirs[b][name] for name in ours[b]}) for b in ours}
+        return {b: self._estimates({name: ours[b][name] - theirs[b][name] for name in ours[b]}) for b in ours}
 
     @functools.cached_property
     def harm(self) -> dict[str, Estimate]:
@@ -60,7 +82,7 @@ class Found:
 
     @functools.cached_property
     def waiting(self) -> dict[str, dict[str, Estimate]]:
-        """policy -> behavior -> time not moving [s] of the completed episodes alone; episodes are 0 where none is."""
+        """policy -> behavior -> time not moving [s] in completed episodes; ``episodes`` is 0 if there are none."""
         return {
             p: {b: self._of_completed(each["time_not_moving"], each["completed"]) for b, each in by.items()}
             for p, by in self.values.items()
@@ -73,10 +95,10 @@ class Found:
 
     @functools.cached_property
     def balancing(self) -> dict[str, Estimate]:
-        """behavior -> (5,) how many more violations per episode the balanced policy has than G, in equal episodes."""
+        """behavior -> (5,) difference of violations per episode of the balanced policy and G, in the same episodes."""
         return {b: self._estimate(self.situations[BALANCED][b] - self.situations["G"][b]) for b in BEHAVIORS}
 
-    def _measured(self, values: dict[str, np.ndarray]) -> dict[str, Estimate]:
+    def _estimates(self, values: dict[str, np.ndarray]) -> dict[str, Estimate]:
         each = {name: self._estimate(value) for name, value in values.items()}
         return each | {"completed": _scaled(each["completed"], self.episodes)}
 
@@ -95,24 +117,31 @@ def _scaled(estimate: Estimate, by: float) -> Estimate:
     return estimate._replace(mean=estimate.mean * by, low=estimate.low * by, high=estimate.high * by)
 
 
-def claims(found: Found) -> list[dict[str, Any]]:
-    """What the paper says of its figure: statement, its numbers, ours, whether it holds and in how many resamples."""
-    weights = found.resamples
-    weights = np.concatenate([np.full((1, found.episodes), 1.0), weights])
-    weights = weights / weights.sum(1, keepdims=True)
+def claims(results: Results) -> list[Claim]:
+    """Test the paper's statements about its figure.
+
+    Args:
+        results: measures of the paper's policies, the balanced one and the demonstrator.
+
+    Returns:
+        For each statement the paper's numbers, ours, whether it holds, and the share of the resamples in which it does.
+
+    Source: section V-C, Figure 4.
+    """
+    weights = with_estimate(results.resamples)
 
     def of(policy: str, behavior: str, name: str) -> np.ndarray:
-        return weights @ found.values[policy][behavior][name]
+        return weights @ results.values[policy][behavior][name]
 
-    wait = {p: np.mean([of(p, b, "time_not_moving") for b in BEHAVIORS], 0) for p in found.policies}
+    wait = {p: np.mean([of(p, b, "time_not_moving") for b in BEHAVIORS], 0) for p in results.policies}
     harm = {b: np.mean([of(p, b, "violations") for p in FOUR], 0) for b in BEHAVIORS}
-    done = {p: found.episodes * np.mean([of(p, b, "completed") for b in BEHAVIORS], 0) for p in found.policies}
-    paths = np.mean([weights @ found.situations[p]["graph"][:, :2].sum(1) for p in FOUR], 0)
+    done = {p: results.episodes * np.mean([of(p, b, "completed") for b in BEHAVIORS], 0) for p in results.policies}
+    paths = np.mean([weights @ results.situations[p]["graph"][:, :2].sum(1) for p in FOUR], 0)
     paths = paths / np.maximum(harm["graph"], 1e-9)
-    worst = int(found.by_situation["G"]["graph"].mean.argmax())
-    worse, mended = (weights @ found.situations[p]["graph"][:, worst] for p in ("G", BALANCED))
+    worst = int(results.by_situation["G"]["graph"].mean.argmax())
+    worse, mended = (weights @ results.situations[p]["graph"][:, worst] for p in ("G", BALANCED))
     less = 1 - of("G", "graph", "time_not_moving") / np.maximum(of("H", "graph", "time_not_moving"), 1e-9)
-    told: list[tuple] = [
+    statements: list[tuple] = [
         ("N stands longest, s", "28.7 against 11 to 22", _listed(wait),
          wait["N"] > np.max([wait[p] for p in LEARNED], 0)),
         ("G stands less than R, s", "11 < 16.3", f"{wait['G'][0]:.1f}, {wait['R'][0]:.1f}", wait["G"] < wait["R"]),
@@ -124,21 +153,21 @@ def claims(found: Found) -> list[dict[str, Any]]:
          harm["random"] > harm["handcrafted"]),
         ("violations in graph are mostly in cross or down path", "mainly", f"{100 * paths[0]:.0f} %", paths > 0.5),
         ("G and H complete equally many, within 5 %", "112.7, 112.7", f"{done['G'][0]:.1f}, {done['H'][0]:.1f}",
-         np.abs(done["G"] - done["H"]) <= 0.05 * found.episodes),
+         np.abs(done["G"] - done["H"]) <= 0.05 * results.episodes),
         ("the learned complete 80 % of what the demonstrator does", "not reported", _listed(done),
          np.min([done[p] for p in LEARNED], 0) >= 0.8 * done[DEMONSTRATOR]),
         ("balanced examples lower the violations in G's worst situation", "suggested",
          f"{shares.NAMES[worst].replace('_', ' ')}: {worse[0]:.2f} to {mended[0]:.2f}", mended < worse),
     ]  # fmt: skip
     return [
-        {"statement": words, "paper": paper, "ours": ours, "holds": bool(held[0]), "share": float(held[1:].mean())}
-        for words, paper, ours, held in told
+        {"statement": words, "paper": paper, "ours": ours, "holds": bool(holds[0]), "share": float(holds[1:].mean())}
+        for words, paper, ours, holds in statements
     ]
 
 
 def _percent(values: np.ndarray) -> str:
-    low, high = 100 * np.percentile(values[1:], [2.5, 97.5])
-    return f"{100 * values[0]:.0f} % ({low:.0f} to {high:.0f})"
+    low, high = shares.interval(values)
+    return f"{100 * values[0]:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
 
 
 def _listed(values: dict[str, np.ndarray]) -> str:

@@ -1,13 +1,15 @@
 """Figure 4: policies that learned among people of three behaviors, and the navigation stack, in three scenarios.
 
-Demonstrations are collected and a network is trained for each behavior (G, R, H), and each policy, the navigation stack
-with social cost layers (N) and the demonstrator itself (E) drive the same numbered episodes (section V-C).
+For each behavior (G, R, H) demonstrations are collected and a network is trained. These policies, one with balanced
+examples (B), the navigation stack with social cost layers (N) and the demonstrator (E) are evaluated on the same
+numbered episodes (section V-C).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -17,13 +19,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sean_jax import learning, writing
-from sean_jax.experiments import page, parts, pictures, rollouts, shares
-from sean_jax.experiments.claims import BALANCED, DEMONSTRATOR, FOUR, LEARNED, NAVIGATION, Found, claims
-from sean_jax.experiments.options import BEHAVIORS, Experiment
+from sean_jax.config import CollectConfig, ExperimentConfig, Named, TrainConfig
+from sean_jax.experiments import page, parts, pictures, shares
+from sean_jax.experiments.claims import BALANCED, DEMONSTRATOR, FOUR, LEARNED, NAVIGATION, Results, Training, claims
+from sean_jax.experiments.shares import BEHAVIORS
 from sean_jax.experiments.together import Part, together
-from sean_jax.learning import balance, protocol
-from sean_jax.learning.options import Collect, Train
-from sean_jax.learning.protocol import streams, who_drives
+from sean_jax.learning import choice, protocol
+from sean_jax.learning.loader import balanced_probabilities
+from sean_jax.learning.protocol import streams
+from sean_jax.runner import Runner, Watch
+from sean_jax.scenario import results
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,98 +40,116 @@ BATCH = {"cpu": 32}  # episodes at once, by kind of device
 BATCH_ELSEWHERE = 4096
 LOADING = threading.Lock()
 INTIMATE = "intimate_robot_on_person", "intimate_person_on_robot"
-KEPT = "completed", "seconds", "time_not_moving", *INTIMATE, "collision_robot_on_person", "collision_person_on_robot"
+METRIC_NAMES = (
+    "completed", "seconds", "time_not_moving", *INTIMATE, "collision_robot_on_person", "collision_person_on_robot",
+)  # fmt: skip
+Columns = dict[str, list]  # metric -> its value in each episode, E values or E lists of them
 
 
-def run(options: Experiment, console: Console | None = None) -> Path:
-    """Collect, train and drive what is missing, and write the report; the folder.
+def run(options: ExperimentConfig, console: Console | None = None) -> Path:
+    """Collect, train and evaluate what the folder lacks, and write the report.
 
-    Raises Refused for what cannot be asked for, Unwritable if somebody else writes in the folder, Failed for damaged
-    files, FloatingPointError for numbers that are not finite; what was finished before stays.
+    Args:
+        options: of the experiment.
+        console: shows progress; None shows nothing.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: the options are wrong, or the folder holds another experiment.
+        WriteError: another process writes in the folder.
+        IncompleteError: a file in the folder is damaged.
+        FloatingPointError: a metric is not finite. Finished parts stay.
+
+    Source: section V-C, Figure 4.
     """
-    options = options.settled()
+    options = options.complete()
     for behavior in BEHAVIORS:
-        protocol.check(_collecting(options, options.folder, behavior))
+        protocol.check(_collect_config(options, options.folder, behavior))
     folder = options.folder
-    parts.begun(options)
-    with writing.held(folder):
+    parts.has_started(options)
+    with writing.folder_lock(folder):
         _run(options, folder, console)
     return folder
 
 
-def _run(options: Experiment, folder: Path, console: Console | None) -> None:
+def _run(options: ExperimentConfig, folder: Path, console: Console | None) -> None:
     policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR)
-    places = {behavior: streams(Collect(**_asked(options, behavior))) for behavior in BEHAVIORS}
-    parts.begin(options)  # now that nothing is refused any more
-    found = together(_parts(options, folder, places), console, "figure 4")
-    measured = {
-        policy: {behavior: found[_driven(policy, behavior)][policy] for behavior in BEHAVIORS} for policy in policies
+    places = {
+        behavior: list(streams(CollectConfig(**_description(options, behavior))).values()) for behavior in BEHAVIORS
     }
-    trained = {name: found[f"training {name}"] for name in (*LEARNED, BALANCED)}
-    write(options, folder, _found(options, policies, measured, trained))
+    parts.start(options)  # after all checks, so that wrong options leave no files
+    outcomes = together(_parts(options, folder, places), console, "figure 4")
+    measured = {
+        policy: {behavior: outcomes[_part_name(policy, behavior)][policy] for behavior in BEHAVIORS}
+        for policy in policies
+    }
+    training = {name: outcomes[f"training {name}"] for name in (*LEARNED, BALANCED)}
+    write(options, folder, _results(options, policies, measured, training))
 
 
-def _driven(policy: str, behavior: str) -> str:
-    """The name of the part in which that policy drives; learned ones take turns, for they share programs."""
+def _part_name(policy: str, behavior: str) -> str:
+    """The name of the part that simulates the policy. Learned policies have one part, since they share programs."""
     return f"{policy if policy in (NAVIGATION, DEMONSTRATOR) else 'learned'} in {behavior}"
 
 
-def _parts(options: Experiment, folder: Path, places: dict[str, tuple]) -> list[Part]:
-    """What there is to do, in an order in which it can be done one by one."""
+def _parts(options: ExperimentConfig, folder: Path, places: dict[str, list[Scenario]]) -> list[Part]:
+    """The parts of the experiment, in an order in which they could run one by one."""
     learned = (*LEARNED, BALANCED)
     data = {behavior: f"demonstrations in {behavior}" for behavior in BEHAVIORS}
-    made: list[Part] = []
+    jobs: list[Part] = []
     for behavior in reversed(BEHAVIORS):  # the graph is needed by two
-        made.append(Part(data[behavior], functools.partial(_collect, options, folder, behavior)))
+        jobs.append(Part(data[behavior], functools.partial(_collect, options, folder, behavior)))
     for policy in (DEMONSTRATOR, NAVIGATION):
         for behavior in BEHAVIORS:
             work = functools.partial(_drive, options, folder, (policy,), behavior, places[behavior])
-            made.append(Part(_driven(policy, behavior), work))
+            jobs.append(Part(_part_name(policy, behavior), work))
     before: tuple[str, ...] = ()
     for policy in learned:  # one after the other: orbax mixes up what several threads save
         work = functools.partial(_train, options, folder, policy)
-        made.append(Part(f"training {policy}", work, (data[LEARNED.get(policy, "graph")], *before)))
-        before = (made[-1].name,)
+        jobs.append(Part(f"training {policy}", work, (data[LEARNED.get(policy, "graph")], *before)))
+        before = (jobs[-1].name,)
     for behavior in BEHAVIORS:
         work = functools.partial(_drive, options, folder, learned, behavior, places[behavior])
-        made.append(Part(_driven("G", behavior), work, tuple(f"training {policy}" for policy in learned)))
-    return made
+        jobs.append(Part(_part_name("G", behavior), work, tuple(f"training {policy}" for policy in learned)))
+    return jobs
 
 
-def _asked(options: Experiment, behavior: str) -> dict[str, Any]:
+def _description(options: ExperimentConfig, behavior: str) -> dict[str, Any]:
     return dict[str, Any](
         behavior=behavior, environment=options.environment, robot=options.robot, dynamics=options.dynamics,
         people=None if behavior == "handcrafted" else options.people, time_limit=options.time_limit,
     )  # fmt: skip
 
 
-def _collecting(options: Experiment, folder: Path, behavior: str) -> Collect:
+def _collect_config(options: ExperimentConfig, folder: Path, behavior: str) -> CollectConfig:
     image: dict[str, Any] = dict(width=32, height=24) if options.quick else {}
-    return Collect(
-        **_asked(options, behavior), driver=options.driver, hours=options.hours or 1.0, seed=options.seed,
-        out=folder / f"demonstrations-{behavior}", **image,
+    return CollectConfig(
+        **_description(options, behavior), policy=Named(kind=options.demonstrator), hours=options.hours or 1.0,
+        seed=options.seed, out=folder / f"demonstrations-{behavior}", **image,
     )  # fmt: skip
 
 
-def _trained(policy: str) -> str:
+def _network_name(policy: str) -> str:
     return "graph-balanced" if policy == BALANCED else LEARNED[policy]
 
 
-def _collect(options: Experiment, folder: Path, behavior: str, watch: Callable) -> None:
-    """Demonstrations in a folder of their own, which goes on by itself, if a network has yet to learn from them."""
-    learners = [_trained(policy) for policy in (*LEARNED, BALANCED) if LEARNED.get(policy, "graph") == behavior]
-    if any(parts.saved(folder / f"trained-{name}.json") is None for name in learners):
-        learning.collect(_collecting(options, folder, behavior), watch)
+def _collect(options: ExperimentConfig, folder: Path, behavior: str, watch: Callable[[float], None]) -> None:
+    """Collect demonstrations in a folder of their own, or continue it, if a network still needs them."""
+    learners = [_network_name(policy) for policy in (*LEARNED, BALANCED) if LEARNED.get(policy, "graph") == behavior]
+    if any(parts.load(folder / f"trained-{name}.json") is None for name in learners):
+        learning.collect(_collect_config(options, folder, behavior), watch)
 
 
-def _train(options: Experiment, folder: Path, policy: str, watch: Callable) -> dict[str, Any]:
-    """A network in a folder of its own, which goes on by itself."""
-    name, balanced = _trained(policy), policy == BALANCED
+def _train(options: ExperimentConfig, folder: Path, policy: str, watch: Callable[[float], None]) -> Training:
+    """Train a network in a folder of its own, or continue it."""
+    name, balanced = _network_name(policy), policy == BALANCED
     done = folder / f"trained-{name}.json"
-    if (told := parts.saved(done)) is not None:
-        return told
-    collected = _collecting(options, folder, LEARNED.get(policy, "graph")).folder
-    train = Train(
+    if (summary := parts.load(done)) is not None:
+        return summary
+    collected = _collect_config(options, folder, LEARNED.get(policy, "graph")).folder
+    train = TrainConfig(
         method="imitation", dataset=collected, epochs=options.epochs or 1000, seed=options.seed,
         batch=256 if options.quick else 1024, balance=balanced, out=folder / f"policy-{name}",
     )  # fmt: skip
@@ -134,86 +157,118 @@ def _train(options: Experiment, folder: Path, policy: str, watch: Callable) -> d
     state = learning.train(train, watch)
     data = learning.open_dataset(collected)
     flags = data.read(data.episodes, ("situations",))["situations"]
-    odds = balance.odds(flags) if balanced else np.full(len(flags), 1 / len(flags))
+    odds = balanced_probabilities(flags) if balanced else np.full(len(flags), 1 / len(flags))
     shared = odds @ (flags / np.maximum(flags.sum(1, keepdims=True), 1))
-    told = {
-        "examples": int(data.examples),
+    summary: Training = {
+        "examples": int(data.example_count),
         "entropy": float(shares.normalised_entropy(shared)),
         "epochs": int(state.epoch),
         "best_epoch": int(state.best_epoch),
         "loss": float(state.best),
         "seconds": time.perf_counter() - began,
     }
-    parts.save(done, told)
-    return told
+    parts.save(done, summary)
+    return summary
 
 
-def _policy(options: Experiment, folder: Path, policy: str, scenario: Scenario) -> Policy:
+def _policy(options: ExperimentConfig, folder: Path, policy: str, scenario: Scenario) -> Policy:
     if policy in LEARNED or policy == BALANCED:
-        with LOADING:  # Of one name, for a driver of another name is compiled anew.
-            return dataclasses.replace(learning.load(folder / f"policy-{_trained(policy)}", scenario), name="learned")
-    return who_drives("social_costmap" if policy == NAVIGATION else options.driver)
+        with LOADING:  # All have one name, since a policy of another name would be compiled again.
+            return dataclasses.replace(
+                learning.load(folder / f"policy-{_network_name(policy)}", scenario), name="learned"
+            )
+    return choice.policy("social_costmap" if policy == NAVIGATION else options.demonstrator, scenario)
 
 
 def _drive(
-    options: Experiment, folder: Path, policies: tuple[str, ...], behavior: str, place: tuple, watch: Callable
-) -> dict[str, dict[str, Any]]:
-    """policy -> the measures of each episode as lists, as saved in the folder or driven.
+    options: ExperimentConfig,
+    folder: Path,
+    policies: tuple[str, ...],
+    behavior: str,
+    kinds: list[Scenario],
+    watch: Callable[[float], None],
+) -> dict[str, Columns]:
+    """policy -> measures of each episode, from the file in the folder or simulated.
 
-    The policies, which differ in what they learned, share what is compiled.
+    Policies that differ only in their parameters share compiled programs.
     """
     import jax
 
-    kinds, tasks = place
-    metrics = _metrics()
-    kinds = [dataclasses.replace(k, scenario=dataclasses.replace(k.scenario, metrics=metrics)) for k in kinds]
-    programs, number = rollouts.Numbered(tasks), options.episodes or 1
-    most = BATCH.get(jax.default_backend(), BATCH_ELSEWHERE)
-    found = {}
+    kinds = [dataclasses.replace(kind, metrics=_metrics()) for kind in kinds]
+    number, max_size = options.episodes or 1, BATCH.get(jax.default_backend(), BATCH_ELSEWHERE)
+    runner = None
+    by_policy: dict[str, Columns] = {}
     for turn, policy in enumerate(policies):
         file = folder / f"episodes-{policy}-{behavior}.json"
-        if parts.saved(file) is None:
+        if parts.load(file) is None:
             tell = functools.partial(_tell, watch, turn, len(policies))
-            driver = _policy(options, folder, policy, kinds[0].scenario)
-            ended = programs.episodes(driver, kinds, options.seed, number, most, tell)
-            measured = {"completed": ended.completed, "seconds": ended.seconds, **ended.metrics}
+            now = _policy(options, folder, policy, kinds[0])
+            if runner is None:
+                runner = Runner(kinds, now, _even(number, max_size), "figure4")
+            runner.policy = now  # of the same structure, so nothing is compiled again
+            measured = _measure(runner, options.seed, number, tell)
             if not all(np.isfinite(measured[name]).all() for name in ("completed", "seconds", *INTIMATE)):
                 raise FloatingPointError(f"{policy} in {behavior}: a metric is not finite; nothing of it is written.")
-            told = {name: np.nan_to_num(np.asarray(measured[name], float)).tolist() for name in KEPT}
-            parts.save(file, told)
-        found[policy] = parts.saved(file)
-    return found
+            columns = {name: np.nan_to_num(np.asarray(measured[name], float)).tolist() for name in METRIC_NAMES}
+            parts.save(file, columns)
+        by_policy[policy] = parts.load(file)
+    return by_policy
 
 
-def _tell(watch: Callable, turn: int, turns: int, share: float) -> None:
+def _even(number: int, max_size: int) -> int:
+    """The size of equal batches that together have ``number`` episodes or a few more."""
+    return math.ceil(number / math.ceil(number / max_size))
+
+
+def _measure(runner: Runner, seed: int, number: int, tell: Callable[[float], None]) -> dict[str, np.ndarray]:
+    """Metrics (E, ...) of the first ``number`` episodes, each run to its end."""
+    import jax
+
+    batches, starts, limit = [], range(0, number, runner.size), runner.scenarios[0].time_limit
+    compute = jax.jit(jax.vmap(results, (None, 0)))
+    for index, first in enumerate(starts):
+        watch = Watch(advanced=lambda seconds, _, index=index: tell((index + seconds / limit) / len(starts)))
+        batch = runner.run(seed, first, min(runner.size, number - first), watch=watch)
+        seconds = batch.steps * runner.scenarios[0].time_step
+        figures = compute(runner.scenarios[0], batch.states)
+        batches.append({"completed": np.asarray(batch.states.completed), "seconds": seconds, **figures})
+    return jax.tree.map(lambda *each: np.concatenate([np.asarray(one) for one in each]), *batches)
+
+
+def _tell(watch: Callable[[float], None], turn: int, turns: int, share: float) -> None:
     watch((turn + share) / turns)
 
 
 def _metrics() -> tuple:
     from sean_jax.metrics import METRICS
 
-    return tuple((name, METRICS[name]) for name in KEPT if name in METRICS)
+    return tuple((name, METRICS[name]) for name in METRIC_NAMES if name in METRICS)
 
 
-def _found(options: Experiment, policies: tuple, measured: dict, trained: dict) -> Found:
+def _results(
+    options: ExperimentConfig,
+    policies: tuple[str, ...],
+    measured: dict[str, dict[str, Columns]],
+    training: dict[str, Training],
+) -> Results:
     values: dict = {policy: {} for policy in policies}
     situations: dict = {policy: {} for policy in policies}
     for policy in policies:
         for behavior in BEHAVIORS:
-            told = {name: np.asarray(value, float) for name, value in measured[policy][behavior].items()}
-            violations = told[INTIMATE[0]] + told[INTIMATE[1]]
-            collisions = told["collision_robot_on_person"] + told["collision_person_on_robot"]
-            waiting = told["time_not_moving"]
+            columns = {name: np.asarray(value, float) for name, value in measured[policy][behavior].items()}
+            violations = columns[INTIMATE[0]] + columns[INTIMATE[1]]
+            collisions = columns["collision_robot_on_person"] + columns["collision_person_on_robot"]
+            waiting = columns["time_not_moving"]
             values[policy][behavior] = {
-                "completed": told["completed"],
+                "completed": columns["completed"],
                 "time_not_moving": waiting[:, 0] if waiting.ndim == 2 else waiting,
                 "violations": violations[:, 0],
                 "collisions": collisions[:, 0] if collisions.ndim == 2 else collisions,
             }
             situations[policy][behavior] = violations[:, 1:]
-    found = Found(policies, options.episodes or 1, values, situations, trained)
-    found.claims = claims(found)
-    return found
+    results = Results(policies, options.episodes or 1, values, situations, training)
+    results.claims = claims(results)
+    return results
 
 
 def _by_situation(policy: str, behavior: str, cells: Estimate) -> list[str]:
@@ -223,32 +278,41 @@ def _by_situation(policy: str, behavior: str, cells: Estimate) -> list[str]:
     ]
 
 
-def write(options: Experiment, folder: Path, found: Found) -> None:
-    """figure4.csv, claims.csv, the figure and report.html."""
+def write(options: ExperimentConfig, folder: Path, results: Results) -> None:
+    """Write figure4.csv, claims.csv, the figure and report.html.
+
+    Args:
+        options: of the experiment.
+        folder: to be written.
+        results: measures of all policies.
+
+    Raises:
+        WriteError: another process writes one of the files.
+    """
     lines = ["policy,behavior,measure,mean,low,high"]
-    for policy, by_behavior in found.cells.items():
+    for policy, by_behavior in results.cells.items():
         for behavior, measured in by_behavior.items():
             for name, cell in measured.items():
                 lines.append(f"{policy},{behavior},{name},{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}")
-            lines += _by_situation(policy, behavior, found.by_situation[policy][behavior])
-    apart = [(policy, "mean", measured) for policy, measured in found.means.items()]
-    apart += [(f"{BALANCED}-G", behavior, measured) for behavior, measured in found.more.items()]
-    apart += [("".join(FOUR), behavior, {"violations": cell}) for behavior, cell in found.harm.items()]
+            lines += _by_situation(policy, behavior, results.by_situation[policy][behavior])
+    apart = [(policy, "mean", measured) for policy, measured in results.means.items()]
+    apart += [(f"{BALANCED}-G", behavior, measured) for behavior, measured in results.more.items()]
+    apart += [("".join(FOUR), behavior, {"violations": cell}) for behavior, cell in results.harm.items()]
     for policy, behavior, measured in apart:
         for name, cell in measured.items():
             lines.append(f"{policy},{behavior},{name},{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}")
-    for policy, by_behavior in found.waiting.items():
+    for policy, by_behavior in results.waiting.items():
         for behavior, cell in by_behavior.items():
             if cell.episodes:
-                told = f"{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}"
-                lines.append(f"{policy},{behavior},time_not_moving_of_completed,{told}")
-    for behavior, less in found.balancing.items():
+                interval = f"{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}"
+                lines.append(f"{policy},{behavior},time_not_moving_of_completed,{interval}")
+    for behavior, less in results.balancing.items():
         lines += _by_situation(f"{BALANCED}-G", behavior, less)
     parts.save(folder / "figure4.csv", "\n".join(lines) + "\n")
-    held = ["statement,paper,ours,holds,share_of_resamples"]
-    for row in found.claims:
-        held.append(f'"{row["statement"]}","{row["paper"]}","{row["ours"]}",{row["holds"]},{row["share"]:.4f}')
-    parts.save(folder / "claims.csv", "\n".join(held) + "\n")
-    grids = pictures.grids(found)
+    claim_lines = ["statement,paper,ours,holds,share_of_resamples"]
+    for row in results.claims:
+        claim_lines.append(f'"{row["statement"]}","{row["paper"]}","{row["ours"]}",{row["holds"]},{row["share"]:.4f}')
+    parts.save(folder / "claims.csv", "\n".join(claim_lines) + "\n")
+    grids = pictures.grids(results)
     pictures.save(folder, {"figure4-grids": grids})
-    parts.save(folder / "report.html", page.figure4(options, found, grids))
+    parts.save(folder / "report.html", page.figure4(options, results, grids))

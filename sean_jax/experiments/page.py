@@ -4,29 +4,41 @@ from __future__ import annotations
 
 import html as markup
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import sean_jax.report as reports
+from sean_jax.config import ExperimentConfig
 from sean_jax.experiments import parts, pictures, shares
-from sean_jax.experiments.options import BEHAVIORS, Experiment
-from sean_jax.options import written
+from sean_jax.experiments.shares import BEHAVIORS
+from sean_jax.flags import command, number
 from sean_jax.versions import versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from sean_jax.experiments.claims import Found
+    from sean_jax.experiments.claims import Claim, Results
+    from sean_jax.experiments.shares import Ordering
     from sean_jax.experiments.table1 import Cell
     from sean_jax.metrics import Estimate
 
 STYLE = Path(reports.__file__).with_name("style.css")
 
 
-def document(title: str, kicker: str, sections: list[tuple[str, str]], options: Experiment) -> str:
-    """The page of these (heading, body) sections, and how to get it again."""
-    made = (parts.saved(options.folder / parts.OPTIONS) or {}).get("versions") or versions()  # not those that draw it
-    again = f"<pre>{markup.escape(options.command)}</pre>"
-    facts = "".join(f"<dt>{markup.escape(k)}</dt><dd>{markup.escape(str(v))}</dd>" for k, v in made.items())
+def document(title: str, kicker: str, sections: list[tuple[str, str]], options: ExperimentConfig) -> str:
+    """A page with these sections and one more: the command and the versions that reproduce it.
+
+    Args:
+        title: of the page, plain text.
+        kicker: small line above the title, HTML.
+        sections: heading and body of each, HTML.
+        options: of the experiment.
+
+    Returns:
+        HTML without references to other files.
+    """
+    origin = (parts.load(options.folder / parts.OPTIONS) or {}).get("versions") or versions()  # of the run
+    again = f"<pre>{markup.escape(command('experiment', options))}</pre>"
+    facts = "".join(f"<dt>{markup.escape(k)}</dt><dd>{markup.escape(str(v))}</dd>" for k, v in origin.items())
     sections = [*sections, ("How to get this again", again + f"<dl>{facts}</dl>")]
     body = "\n".join(f"<section><h2>{name}</h2>\n{text}</section>" for name, text in sections)
     return (
@@ -48,22 +60,31 @@ def _table(head: list[str], rows: list[str]) -> str:
     return f"<div class=wide><table><thead><tr>{first}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
 
 
-def table1(options: Experiment, cells: list[Cell], figures: dict[str, Figure]) -> str:
-    """The page of Table I, with these figures."""
-    drivers = list(dict.fromkeys(cell.driver for cell in cells))
+def table1(options: ExperimentConfig, cells: list[Cell], figures: dict[str, Figure]) -> str:
+    """The page of Table I.
+
+    Args:
+        options: of the experiment.
+        cells: of each policy and behavior.
+        figures: by name, as ``pictures.table1`` draws them.
+
+    Returns:
+        HTML.
+    """
+    policies = list(dict.fromkeys(cell.policy for cell in cells))
     speed = options.speeds[0]
-    drawn = {name: pictures.shown(figure, name) for name, figure in figures.items()}
+    html = {name: pictures.embed(figure, name) for name, figure in figures.items()}
     sections = [
-        ("Table I", drawn["table1-bars"] + BARS + _legend()),
-        (f"Shares at V = {written(speed)} m/s", "".join(_shares(cells, driver) for driver in drivers) + COUNTED),
-        ("Orderings of the paper", _orderings(cells, drivers, speed)),
+        ("Table I", html["table1-bars"] + BARS + _legend()),
+        (f"Shares at V = {number(speed)} m/s", "".join(_shares(cells, policy) for policy in policies) + COUNTED),
+        ("Orderings of the paper", _orderings(cells, policies, speed)),
     ]
-    if "table1-speeds" in drawn:
-        sections.append(("When does one count as walking?", drawn["table1-speeds"] + SPEEDS))
-    if "table1-crowds" in drawn:
-        sections.append(("How many people?", drawn["table1-crowds"]))
+    if "table1-speeds" in html:
+        sections.append(("When does one count as walking?", html["table1-speeds"] + SPEEDS))
+    if "table1-crowds" in html:
+        sections.append(("How many people?", html["table1-crowds"]))
     minutes = 60.0 * (options.hours or 0) * (options.seeds or 0)
-    title = f"Table I: social situations in {written(minutes)} minutes of each behavior and driver"
+    title = f"Table I: social situations in {number(minutes)} minutes of each behavior and policy"
     return document(title, "sean_jax · experiment", sections, options)
 
 
@@ -74,8 +95,8 @@ COUNTED = (
     "Entropy is that of the shared examples over ln 5.</p>"
 )
 SPEEDS = (
-    "<p class=note>The paper counts as walking who is faster than 1.4 m/s, SEAN 2.0's code 0.4 m/s, whose people "
-    "walk at 0.6 m/s. People here prefer 1.34 ± 0.26 m/s.</p>"
+    "<p class=note>The paper counts people as walking above 1.4 m/s. SEAN 2.0's code uses 0.4 m/s, and its people walk "
+    "at 0.6 m/s. People here prefer 1.34 ± 0.26 m/s.</p>"
 )
 
 
@@ -87,70 +108,79 @@ def _legend() -> str:
     return f"<ul class=legend>{dots}</ul>"
 
 
-def _shares(cells: list[Cell], driver: str) -> str:
+def _shares(cells: list[Cell], policy: str) -> str:
     rows = []
-    for cell in (cell for cell in cells if cell.driver == driver):
-        found = cell.shares()
-        low, high = shares.interval(found.multi)
-        entropy = found.entropy()
+    for cell in (cell for cell in cells if cell.policy == policy):
+        estimate = cell.shares()
+        low, high = shares.interval(estimate.multi)
+        entropy = estimate.entropy()
         ends = shares.interval(entropy)
         ours = "".join(
-            _cell(f"{100 * found.multi[0, k]:.1f} ({100 * found.exclusive[0, k]:.1f})",
+            _cell(f"{100 * estimate.multi[0, k]:.1f} ({100 * estimate.exclusive[0, k]:.1f})",
                   f"{100 * low[k]:.1f} – {100 * high[k]:.1f}", "ours")
             for k in range(5)
         )  # fmt: skip
         ended = int(cell.ended.sum())
         rows.append(
-            f"<tr><td>{cell.behavior}</td>{ours}{_cell(f'{100 * found.none:.1f}')}"
+            f"<tr><td>{cell.behavior}</td>{ours}{_cell(f'{100 * estimate.none:.1f}')}"
             f"{_cell(f'{entropy[0]:.3f}', f'{ends[0]:.3f} – {ends[1]:.3f}', 'ours')}"
             f"{_cell(f'{cell.ended[0]} of {ended}')}</tr>"
         )
-        printed = shares.paper()[cell.behavior]
-        theirs = "".join(_cell(f"{100 * value:.2f}") for value in printed)
+        reference = shares.paper()[cell.behavior]
+        theirs = "".join(_cell(f"{100 * value:.2f}") for value in reference)
         rows.append(
             f"<tr><td class=none>paper</td>{theirs}<td></td>"
-            f"{_cell(f'{shares.normalised_entropy(printed):.3f}')}<td></td></tr>"
+            f"{_cell(f'{shares.normalised_entropy(reference):.3f}')}<td></td></tr>"
         )
-    head = [driver, *(name.replace("_", " ") for name in shares.NAMES), "none", "entropy", "completed"]
+    head = [policy, *(name.replace("_", " ") for name in shares.NAMES), "none", "entropy", "completed"]
     return _table(head, rows)
 
 
-def _orderings(cells: list[Cell], drivers: list[str], speed: float) -> str:
+def _orderings(cells: list[Cell], policies: list[str], speed: float) -> str:
     rows = []
-    by_driver = {}
-    for driver in drivers:
-        by_driver[driver] = shares.orderings({cell.behavior: cell.shares() for cell in cells if cell.driver == driver})
-    for index, first in enumerate(by_driver[drivers[0]]):
-        told = "".join(_cell(*_verdict(by_driver[driver][index])) for driver in drivers)
+    by_policy = {}
+    for policy in policies:
+        by_policy[policy] = shares.orderings({cell.behavior: cell.shares() for cell in cells if cell.policy == policy})
+    for index, first in enumerate(by_policy[policies[0]]):
+        values = "".join(_cell(*_verdict(by_policy[policy][index])) for policy in policies)
         kind = "hard" if first["hard"] else "soft"
         rows.append(f"<tr><td>{first['name']}</td><td class=text>{markup.escape(first['statement'])}</td>"
-                    f"<td>{kind}</td>{told}</tr>")  # fmt: skip
+                    f"<td>{kind}</td>{values}</tr>")  # fmt: skip
     note = (
-        f"<p class=note>At V = {written(speed)} m/s, examples shared. Below: in how many of the resamples it holds; at "
+        f"<p class=note>At V = {number(speed)} m/s, examples shared. Below: in how many of the resamples it holds; at "
         "least 97.5 % is counted as surely. orderings.csv has the other speeds and ways to count.</p>"
     )
-    return _table(["", "statement", "", *drivers], rows) + note
+    return _table(["", "statement", "", *policies], rows) + note
 
 
-def _verdict(row: dict[str, Any]) -> tuple[str, str]:
+def _verdict(row: Claim | Ordering) -> tuple[str, str]:
     sure = row["share"] >= 0.975 or row["share"] <= 0.025
     return ("" if sure else "perhaps ") + ("yes" if row["holds"] else "no"), f"{100 * row['share']:.1f} %"
 
 
-def figure4(options: Experiment, found: Found, grids: Figure) -> str:
-    """The page of Figure 4, with that figure."""
+def figure4(options: ExperimentConfig, results: Results, grids: Figure) -> str:
+    """The page of Figure 4.
+
+    Args:
+        options: of the experiment.
+        results: measures of all policies.
+        grids: the figure that ``pictures.grids`` draws.
+
+    Returns:
+        HTML.
+    """
     sections = [
-        ("Figure 4", pictures.shown(grids, "figure4-grids") + FIGURE),
-        ("Numbers", _numbers(found)),
-        ("By situation", _by_situation(found)),
-        ("What the paper reports", _claims(found)),
+        ("Figure 4", pictures.embed(grids, "figure4-grids") + FIGURE),
+        ("Numbers", _numbers(results)),
+        ("By situation", _by_situation(results)),
+        ("What the paper reports", _claims(results)),
     ]
-    if found.trained:
+    if results.training:
         rows = []
-        for name, row in found.trained.items():
-            told = str(row["examples"]), f"{row['entropy']:.3f}", str(row["epochs"]), str(row["best_epoch"])
-            told = *told, f"{row['loss']:.4f}", f"{row['seconds']:.0f}"
-            rows.append(f"<tr><td>{name}</td>{''.join(map(_cell, told))}</tr>")
+        for name, row in results.training.items():
+            values = str(row["examples"]), f"{row['entropy']:.3f}", str(row["epochs"]), str(row["best_epoch"])
+            values = *values, f"{row['loss']:.4f}", f"{row['seconds']:.0f}"
+            rows.append(f"<tr><td>{name}</td>{''.join(map(_cell, values))}</tr>")
         sections.append(
             (
                 "Training",
@@ -160,7 +190,9 @@ def figure4(options: Experiment, found: Found, grids: Figure) -> str:
                 ),
             )
         )
-    title = f"Figure 4: {len(found.policies)} policies in {len(BEHAVIORS)} scenarios, {found.episodes} episodes each"
+    title = (
+        f"Figure 4: {len(results.policies)} policies in {len(BEHAVIORS)} scenarios, {results.episodes} episodes each"
+    )
     return document(title, "sean_jax · experiment", sections, options)
 
 
@@ -171,25 +203,25 @@ PAPER = {  # section V-C: means over the three scenarios
 FIGURE = (
     "<p class=note>G, R and H learned from demonstrations among people of the behavior graph, at random and "
     "handcrafted, B from those of G drawn so that all situations are equally frequent; N is the navigation stack with "
-    "social cost layers, E who demonstrated. Darker is more.</p>"
+    "social cost layers, E the demonstrator. Darker is more.</p>"
 )
 
 
-def _numbers(found: Found) -> str:
+def _numbers(results: Results) -> str:
     tables = []
-    for name, words in found.MEASURES.items():
+    for name, words in results.MEASURES.items():
         rows = []
         for behavior in BEHAVIORS:
-            told = "".join(_between(found.cells[policy][behavior][name]) for policy in found.policies)
-            rows.append(f"<tr><td>in {behavior}</td>{told}</tr>")
-        mean = "".join(_between(found.means[policy][name]) for policy in found.policies)
+            values = "".join(_between(results.cells[policy][behavior][name]) for policy in results.policies)
+            rows.append(f"<tr><td>in {behavior}</td>{values}</tr>")
+        mean = "".join(_between(results.means[policy][name]) for policy in results.policies)
         rows.append(f"<tr><td class=none>mean</td>{mean}</tr>")
         if name in PAPER:
-            theirs = "".join(_cell(PAPER[name].get(policy, "")) for policy in found.policies)
+            theirs = "".join(_cell(PAPER[name].get(policy, "")) for policy in results.policies)
             rows.append(f"<tr><td class=none>paper, mean</td>{theirs}</tr>")
-        tables.append(_table([words, *found.policies], rows))
+        tables.append(_table([words, *results.policies], rows))
         if name == "time_not_moving":
-            tables.append(_table(["the same, of completed tasks", *found.policies], _waiting(found)))
+            tables.append(_table(["the same, of completed tasks", *results.policies], _waiting(results)))
     return "".join(tables) + "<p class=note>Small: the middle 95 % of a bootstrap over episodes.</p>"
 
 
@@ -197,45 +229,45 @@ def _between(cell: Estimate, form: str = ".2f") -> str:
     return _cell(f"{cell.mean:{form}}", f"{cell.low:{form}} – {cell.high:{form}}", "ours")
 
 
-def _waiting(found: Found) -> list[str]:
+def _waiting(results: Results) -> list[str]:
     rows = []
     for behavior in BEHAVIORS:
-        cells = (found.waiting[policy][behavior] for policy in found.policies)
-        told = "".join(_between(cell) if cell.episodes else _cell("-") for cell in cells)
-        rows.append(f"<tr><td>in {behavior}</td>{told}</tr>")
+        cells = (results.waiting[policy][behavior] for policy in results.policies)
+        values = "".join(_between(cell) if cell.episodes else _cell("-") for cell in cells)
+        rows.append(f"<tr><td>in {behavior}</td>{values}</tr>")
     return rows
 
 
-def _by_situation(found: Found) -> str:
+def _by_situation(results: Results) -> str:
     names = [name.replace("_", " ") for name in shares.NAMES]
     rows = [
-        _in_situations(f"{policy} in {behavior}", found.by_situation[policy][behavior])
+        _in_situations(f"{policy} in {behavior}", results.by_situation[policy][behavior])
         for behavior in BEHAVIORS
-        for policy in found.policies
+        for policy in results.policies
     ]
     less = [
-        f"<tr><td>in {behavior}</td>{''.join(_between(measured[name], '+.2f') for name in found.MEASURES)}</tr>"
-        for behavior, measured in found.more.items()
+        f"<tr><td>in {behavior}</td>{''.join(_between(measured[name], '+.2f') for name in results.MEASURES)}</tr>"
+        for behavior, measured in results.more.items()
     ]
-    more = [_in_situations(f"in {behavior}", less, "+.3f") for behavior, less in found.balancing.items()]
+    more = [_in_situations(f"in {behavior}", less, "+.3f") for behavior, less in results.balancing.items()]
     return (
         _table(["intimate distance violations per episode", *names], rows)
         + _table(["of B more than of G, in the same episodes", *names], more)
-        + _table(["likewise", *found.MEASURES.values()], less)
+        + _table(["likewise", *results.MEASURES.values()], less)
         + "<p class=note>Small: the middle 95 % of a bootstrap over episodes.</p>"
     )
 
 
-def _in_situations(name: str, found: Estimate, form: str = ".3f") -> str:
-    cells = zip(found.mean, found.low, found.high, strict=True)
-    told = "".join(_cell(f"{mean:{form}}", f"{low:{form}} – {high:{form}}", "ours") for mean, low, high in cells)
-    return f"<tr><td>{name}</td>{told}</tr>"
+def _in_situations(name: str, estimate: Estimate, form: str = ".3f") -> str:
+    cells = zip(estimate.mean, estimate.low, estimate.high, strict=True)
+    values = "".join(_cell(f"{mean:{form}}", f"{low:{form}} – {high:{form}}", "ours") for mean, low, high in cells)
+    return f"<tr><td>{name}</td>{values}</tr>"
 
 
-def _claims(found: Found) -> str:
+def _claims(results: Results) -> str:
     rows = [
         f"<tr><td class=text>{markup.escape(claim['statement'])}</td>{_cell(claim['paper'])}"
         f"{_cell(claim['ours'], '', 'ours')}{_cell(*_verdict(claim))}</tr>"
-        for claim in found.claims
+        for claim in results.claims
     ]
     return _table(["statement", "paper", "here", "holds"], rows)

@@ -1,57 +1,87 @@
-"""What an experiment has finished: whole files, which are taken up again."""
+"""Files of the finished parts of an experiment, which a later run of the same command reads."""
 
 import json
 from pathlib import Path
 from typing import Any
 
 from sean_jax import writing
-from sean_jax.experiments.options import Experiment
-from sean_jax.learning.options import Refused
-from sean_jax.versions import differing, versions
+from sean_jax.config import ExperimentConfig
+from sean_jax.errors import InputError
+from sean_jax.flags import flag
+from sean_jax.versions import version_mismatch, versions
 
 OPTIONS = "experiment.json"
 
 
-def begun(options: Experiment) -> bool:
-    """Whether it was begun in its folder. Raises Refused if that holds another experiment or something else.
+def has_started(options: ExperimentConfig) -> bool:
+    """Whether the folder holds the beginning of this experiment, made with the same versions of packages.
 
-    Parts that two versions have made would not belong together.
+    Args:
+        options: of the experiment.
+
+    Returns:
+        False if the folder is new or empty.
+
+    Raises:
+        InputError: the folder holds another experiment, results of other versions, or other files.
     """
-    folder, asked = options.folder, options.lasting()
+    folder, current = options.folder, options.decisive()
     if (folder / OPTIONS).is_file():
         try:
-            kept = json.loads((folder / OPTIONS).read_text(encoding="utf-8"))
-            had, made_with = kept["options"], kept.get("versions")
-            if not isinstance(had, dict):
+            content = json.loads((folder / OPTIONS).read_text(encoding="utf-8"))
+            previous, previous_versions = content["options"], content.get("versions")
+            if not isinstance(previous, dict):
                 raise TypeError
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            raise Refused(f"{folder / OPTIONS} is damaged; choose another folder with --out.") from None
-        for name in asked:
-            if asked[name] != had.get(name):
-                said = f"--{name.replace('_', '-')} {had.get(name)}, not {asked[name]}"
-                raise Refused(f"{folder} was begun with {said}; ask for the same or choose another --out.")
-        if (other := differing(made_with)) is not None:
-            raise Refused(f"{folder} was begun with {other}; go on with the same, or choose another --out.")
+            raise InputError(f"{folder / OPTIONS} is damaged; choose another folder with --out.") from None
+        for name in current:
+            if current[name] != previous.get(name):
+                text = f"{flag(name)} {previous.get(name)}, not {current[name]}"
+                raise InputError(f"{folder} was begun with {text}; ask for the same or choose another --out.")
+        if (other := version_mismatch(previous_versions)) is not None:
+            raise InputError(f"{folder} was begun with {other}; go on with the same, or choose another --out.")
         return True
     if writing.contents(folder):
-        raise Refused(f"the folder {folder} holds something else already, choose another with --out.")
+        raise InputError(f"the folder {folder} holds something else already, choose another with --out.")
     return False
 
 
-def begin(options: Experiment) -> None:
-    """The folder, which is held, with the options in it, if it was not begun."""
-    if not begun(options):
-        save(options.folder / OPTIONS, {"options": options.lasting(), "versions": versions()})
+def start(options: ExperimentConfig) -> None:
+    """Write the options into a new folder; a folder that holds this experiment stays as it is.
+
+    Args:
+        options: of the experiment; the caller holds the lock of its folder.
+
+    Raises:
+        InputError: the folder holds another experiment, results of other versions, or other files.
+    """
+    if not has_started(options):
+        save(options.folder / OPTIONS, {"options": options.decisive(), "versions": versions()})
 
 
 def save(path: Path, content: Any) -> None:
-    """JSON, or text if it is a str."""
+    """Write a file.
+
+    Args:
+        path: of the file.
+        content: text, or anything that JSON has.
+
+    Raises:
+        WriteError: another process writes the file.
+    """
     text = content if isinstance(content, str) else json.dumps(content, indent=1, allow_nan=False) + "\n"
     writing.write(path, text)
 
 
-def saved(path: Path) -> Any:
-    """What was saved there, or None."""
+def load(path: Path) -> Any:
+    """Read a JSON file.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        Its content, or None if there is no such file or it is damaged.
+    """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -1,74 +1,123 @@
 """Shares of social situations (Table I): two ways of counting, entropy, intervals, and the orderings of the paper.
 
 Examples are taken once a second. Where several situations hold, each counts fully (multi-label), or they share the
-example equally (exclusive). Intervals come from a bootstrap over blocks of a minute (Kuensch 1989), for seconds in a
-row are alike. Entropies are divided by ln 5, that of five equal shares.
+example equally (exclusive). Intervals come from the bootstrap of ``metrics.bootstrap`` over blocks of a minute (Kuensch
+1989), because successive seconds are alike. Entropies are divided by ln 5, that of five equal shares.
 """
 
 import dataclasses
+from typing import TypedDict
 
 import numpy as np
 
+from sean_jax.metrics import bootstrap
+
 NAMES = ("cross_path", "down_path", "join_group", "leave_group", "empty")
+BEHAVIORS = ("random", "handcrafted", "graph")  # in the order of Table I
 PAPER = {  # Table I, percent
     "random": (14.51, 24.68, 0.0, 0.0, 66.44),
     "handcrafted": (0.73, 0.74, 3.43, 13.48, 81.62),
     "graph": (13.24, 22.08, 12.09, 19.51, 33.08),
 }
-RESAMPLES = 2000
+
+
+class Ordering(TypedDict):
+    """An ordering of the paper's table, tested."""
+
+    name: str
+    hard: bool  # expected with any policy
+    statement: str
+    holds: bool
+    share: float  # of the resamples in which it holds
 
 
 @dataclasses.dataclass
 class Shares:
-    """Of one behavior with one driver: bootstrap resamples, the first of which is the estimate itself."""
+    """Shares with one behavior and one policy: the estimate, followed by those of R bootstrap resamples."""
 
-    multi: np.ndarray  # (1 + RESAMPLES, 5)
-    exclusive: np.ndarray  # (1 + RESAMPLES, 5)
-    none: float  # of the examples, in which no situation holds
+    multi: np.ndarray  # (1 + R, 5)
+    exclusive: np.ndarray  # (1 + R, 5)
+    none: float  # share of the examples in which no situation holds
     examples: int
 
     def entropy(self, exclusive: bool = True) -> np.ndarray:
-        """(1 + RESAMPLES,) normalised."""
+        """Normalised entropy of the shares.
+
+        Args:
+            exclusive: of which way of counting.
+
+        Returns:
+            (1 + R,), from 0 to 1.
+        """
         return normalised_entropy(self.exclusive if exclusive else self.multi)
 
 
 def count(flags: np.ndarray, seed: int = 0) -> Shares:
-    """Shares of flags (blocks, seconds, 5) bool."""
-    held = flags.sum(-1, keepdims=True)
+    """Shares of the situations and their bootstrap resamples.
+
+    Args:
+        flags: (blocks, seconds, 5) bool, the situations that hold in each second of each block.
+        seed: of the resamples.
+
+    Returns:
+        The shares by both ways of counting.
+    """
+    situations = flags.sum(-1, keepdims=True)
     multi = flags.mean(1)
-    exclusive = (flags / np.maximum(held, 1)).mean(1)
-    random = np.random.default_rng(seed)
-    picks = random.multinomial(len(flags), np.full(len(flags), 1 / len(flags)), RESAMPLES) / len(flags)
-    weights = np.concatenate([np.full((1, len(flags)), 1 / len(flags)), picks])
-    none = float((held == 0).mean())
+    exclusive = (flags / np.maximum(situations, 1)).mean(1)
+    weights = bootstrap.with_estimate(bootstrap.resamples(len(flags), seed, bootstrap.RESAMPLES))
+    none = float((situations == 0).mean())
     return Shares(weights @ multi, weights @ exclusive, none, flags.shape[0] * flags.shape[1])
 
 
 def normalised_entropy(shares: np.ndarray) -> np.ndarray:
-    """(...,) of shares (..., K), which need not add up to one; 0 if all are zero."""
+    """Entropy of shares, divided by that of equal shares.
+
+    Args:
+        shares: (..., K), which need not add up to one.
+
+    Returns:
+        (...,) from 0 to 1; 0 if all shares are zero.
+    """
     total = shares.sum(-1, keepdims=True)
     p = np.where(total > 0, shares / np.where(total > 0, total, 1), 0)
     return -(p * np.log(np.where(p > 0, p, 1))).sum(-1) / np.log(shares.shape[-1])
 
 
 def interval(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of the middle 95 % of resamples (1 + RESAMPLES, ...)."""
-    low, high = np.percentile(samples[1:], [2.5, 97.5], axis=0)
-    return low, high
+    """95 % bootstrap interval of a figure.
 
+    Args:
+        samples: (1 + R, ...), the estimate and its resamples.
 
-def orderings(found: dict[str, Shares], exclusive: bool = True) -> list[dict]:
-    """What the paper's table shows, and how sure it is here: name, statement, share of resamples in which it holds.
-
-    ``found`` has the behaviors random, handcrafted and graph. Those marked hard are expected of any driver.
+    Returns:
+        Lower and upper end, (...) each.
     """
-    r, h, g = (getattr(found[b], "exclusive" if exclusive else "multi") for b in ("random", "handcrafted", "graph"))
+    return bootstrap.interval(samples[1:])
+
+
+def orderings(by_behavior: dict[str, Shares], exclusive: bool = True) -> list[Ordering]:
+    """The orderings that the paper's table shows, and how sure they are here.
+
+    Args:
+        by_behavior: shares by behavior: random, handcrafted and graph.
+        exclusive: of which way of counting.
+
+    Returns:
+        For each ordering its name, its statement, whether it is expected with any policy (hard), whether it holds, and
+        the share of the resamples in which it does.
+
+    Source: Table I.
+    """
+    r, h, g = (
+        getattr(by_behavior[b], "exclusive" if exclusive else "multi") for b in ("random", "handcrafted", "graph")
+    )
     hr, hh, hg = (normalised_entropy(each) for each in (r, h, g))
     cross, down, join, leave, empty = range(5)
     groups = g[:, join] + g[:, leave]
     close = np.abs(g[:, : down + 1] - r[:, : down + 1]) <= 0.25 * r[:, : down + 1]
     share = h[:, : down + 1] / np.minimum(r, g)[:, : down + 1].clip(1e-9)
-    told = [
+    statements = [
         ("T1", True, "entropy: graph above random and handcrafted", (hg > hr) & (hg > hh)),
         ("T2", True, "random: join and leave group never", (r[:, join] == 0) & (r[:, leave] == 0)),
         ("T3", True, "empty: handcrafted > random > graph", (h[:, empty] > r[:, empty]) & (r[:, empty] > g[:, empty])),
@@ -85,11 +134,17 @@ def orderings(found: dict[str, Shares], exclusive: bool = True) -> list[dict]:
         ("T10", False, "entropy of graph at least 0.85", hg >= 0.85),
     ]  # fmt: skip
     return [
-        {"name": name, "hard": hard, "statement": words, "holds": bool(held[0]), "share": float(held[1:].mean())}
-        for name, hard, words, held in told
+        {"name": name, "hard": hard, "statement": words, "holds": bool(holds[0]), "share": float(holds[1:].mean())}
+        for name, hard, words, holds in statements
     ]
 
 
 def paper() -> dict[str, np.ndarray]:
-    """behavior -> (5,) shares of the paper."""
+    """The shares that the paper prints.
+
+    Returns:
+        behavior -> (5,) from 0 to 1.
+
+    Source: Table I.
+    """
     return {name: np.array(row) / 100 for name, row in PAPER.items()}

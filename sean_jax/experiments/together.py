@@ -1,7 +1,7 @@
 """Independent parts of an experiment (section V) at the same time, in threads.
 
-Compiling a program takes one core some twenty seconds and leaves the others, and the device, to other parts: so parts
-overlap, although a device executes one program after the other. What a part finds does not depend on the others.
+Compiling a program keeps one core busy for some twenty seconds. Meanwhile other parts use the other cores and the
+device. The result of a part does not depend on which parts run beside it.
 """
 
 from __future__ import annotations
@@ -13,92 +13,105 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from sean_jax.learning.progress import shown
+from sean_jax.progress import progress
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-MOST = 8  # parts at once: each holds the memory that its compilation takes, one or two GB
+MAX_PARTS = 8  # parts at once: each holds the memory that its compilation takes, one or two GB
 
 
 @dataclass(frozen=True)
 class Part:
-    """One piece of work. ``work(tell)`` tells how far it is, ``tell(share)`` from 0 to 1, and gives what it found."""
+    """One piece of work: ``work(tell)`` calls ``tell(share)`` with its progress, 0 to 1, and returns its result."""
 
     name: str
     work: Callable[[Callable[[float], None]], Any]
-    needs: tuple[str, ...] = ()  # names of parts that come before it in the list and have to be finished first
+    needs: tuple[str, ...] = ()  # names of earlier parts in the list that must be finished before
 
 
 class Stopped(Exception):
-    """Raised in a part at its next word, since another one failed or Ctrl-C was pressed."""
+    """Raised in a part when it reports progress after another part failed or Ctrl-C was pressed."""
 
 
 class Once:
-    """``make(*arguments)``, made at first use, by one thread at a time, and kept."""
+    """A function with a cache, which one thread at a time calls.
+
+    Args:
+        make: the function; its arguments must be hashable.
+    """
 
     def __init__(self, make: Callable):
-        self.make, self.made, self.lock = make, {}, threading.Lock()
+        self.make, self.values, self.lock = make, dict[tuple, Any](), threading.Lock()
 
     def __call__(self, *arguments: Any) -> Any:
         with self.lock:
-            if arguments not in self.made:
-                self.made[arguments] = self.make(*arguments)
-            return self.made[arguments]
+            if arguments not in self.values:
+                self.values[arguments] = self.make(*arguments)
+            return self.values[arguments]
 
 
 def workers() -> int:
-    """How many parts at once: half the cores, for the parts' own threads and the device want some too.
+    """How many parts run at once: half the cores, since parts have threads of their own.
 
-    One with several devices: programs that exchange anything must be started in the same order on all of them.
+    With several devices it is one: programs that exchange data must start in the same order on all devices.
     """
     import jax
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return 1 if len(jax.devices()) > 1 else max(1, min(MOST, cores // 2))
+    return 1 if len(jax.devices()) > 1 else max(1, min(MAX_PARTS, cores // 2))
 
 
 def together(parts: Sequence[Part], console: Console | None, what: str) -> dict[str, Any]:
-    """What each part found, by its name; one bar shows how far they all are.
+    """Run parts, several at once, under one progress bar.
 
-    The first failure, or Ctrl-C, is raised as soon as the other parts have stopped, each at its next word; what parts
-    wrote until then stays.
+    After the first failure, or Ctrl-C, each other part stops when it next reports progress; then the failure is raised.
+    Files that parts have written stay.
+
+    Args:
+        parts: in an order in which they could run one by one.
+        console: shows the bar; None shows nothing.
+        what: the title of the bar.
+
+    Returns:
+        Result of each part by its name.
     """
     at_once = min(workers(), len(parts))
-    with shown(console, what, len(parts)) as show:
-        progress = _Progress(len(parts), show)
+    with progress(console) as tell:
+        tell.start(what, len(parts))
+        work = _Progress(len(parts), tell.update)
         if at_once > 1:
-            return _in_threads(parts, progress, at_once)
-        return {part.name: progress.watched(part) for part in parts}
+            return _in_threads(parts, work, at_once)
+        return {part.name: work.run(part) for part in parts}
 
 
-def _in_threads(parts: Sequence[Part], progress: _Progress, at_once: int) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+def _in_threads(parts: Sequence[Part], work: _Progress, at_once: int) -> dict[str, Any]:
+    results: dict[str, Any] = {}
     waiting, running = list(parts), dict[Future, Part]()
     with ThreadPoolExecutor(at_once, thread_name_prefix="sean-part") as pool:
         try:
             while waiting or running:
-                for part in [part for part in waiting if found.keys() >= set(part.needs)]:
+                for part in [part for part in waiting if results.keys() >= set(part.needs)]:
                     waiting.remove(part)
-                    running[pool.submit(progress.watched, part)] = part
+                    running[pool.submit(work.run, part)] = part
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    found[running.pop(future).name] = future.result()
+                    results[running.pop(future).name] = future.result()
         except BaseException:
-            progress.over.set()
+            work.over.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    return found
+    return results
 
 
 class _Progress:
-    """How far each part is, as one bar."""
+    """The progress of all parts, as one bar."""
 
     def __init__(self, number: int, show: Callable[[float, str], None]):
         self.number, self.show, self.over = number, show, threading.Event()
         self.shares: dict[str, float] = {}
         self.lock = threading.Lock()
 
-    def watched(self, part: Part) -> Any:
+    def run(self, part: Part) -> Any:
         def tell(share: float) -> None:
             if self.over.is_set():
                 raise Stopped(part.name)
@@ -110,6 +123,6 @@ class _Progress:
                 self.show(sum(self.shares.values()), f"{finished} of {self.number} · {part.name}{at_work}")
 
         tell(0.0)
-        found = part.work(tell)
+        result = part.work(tell)
         tell(1.0)
-        return found
+        return result

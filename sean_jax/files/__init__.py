@@ -1,4 +1,4 @@
-"""YAML files read into pydantic models, with every error at once, each at its line and column, with its cure.
+"""YAML files as pydantic models, with all errors at once, each with its line, its column and its cure.
 
 A message has one line an error, such as ``warehouse/graph.yaml:6:19: nodes.dock.kind: 'gruop' is not one of
 waypoint, group; did you mean 'group'?``: file, line, column, keys, value, cure.
@@ -14,22 +14,24 @@ from typing import Any, Literal, TypeVar
 import pydantic
 import yaml
 
+from sean_jax.errors import FileError
 from sean_jax.files import nodes
-from sean_jax.files.content import DEEPEST, FileError, content, read_json, shown, suggest, text
 from sean_jax.files.nodes import Location
+from sean_jax.files.reading import MAX_DEPTH, read_bytes, read_json, read_text, short_name, suggest, unknown_name
 
 __all__ = [
-    "DEEPEST",
+    "MAX_DEPTH",
     "FileError",
     "Location",
     "Problem",
     "check_json",
-    "content",
+    "read_bytes",
     "load",
     "read_json",
-    "shown",
+    "short_name",
     "suggest",
-    "text",
+    "unknown_name",
+    "read_text",
 ]
 
 Model = TypeVar("Model", bound=pydantic.BaseModel)
@@ -37,10 +39,19 @@ Problem = tuple[Location, str]  # where, and what is wrong there, in one clause
 
 
 def load(path: Path | str, model: type[Model], *checks: Callable[[Model], Iterable[Problem]]) -> Model:
-    """The YAML file as an instance of ``model``, which should forbid extra fields.
+    """Read a YAML file into a pydantic model.
 
-    ``checks`` look at relations between fields once every field is right by itself; what they return is reported
-    at its place in the file too. Raises FileError.
+    Args:
+        path: of the file.
+        model: of its content; it should forbid extra fields.
+        *checks: of relations between fields, once each field is right by itself. They give problems, which are
+            reported at their positions in the file.
+
+    Returns:
+        An instance of the model.
+
+    Raises:
+        FileError: the file cannot be read, or its content is wrong.
     """
     path = Path(path)
     root, data = nodes.read(path)
@@ -48,49 +59,63 @@ def load(path: Path | str, model: type[Model], *checks: Callable[[Model], Iterab
         value = model.model_validate_json(json.dumps(data), strict=True)
     except pydantic.ValidationError as error:
         details = error.errors(include_url=False)
-        told, more = details[: nodes.MOST_ERRORS], len(details[nodes.MOST_ERRORS :])
-        unknown = {item["loc"] for item in told if item["type"] == "extra_forbidden"}
-        raise _report(path, root, [(item["loc"], _clause(item, model)) for item in told], unknown, more) from None
+        first, more = details[: nodes.MAX_ERRORS], len(details[nodes.MAX_ERRORS :])
+        unknown = {item["loc"] for item in first if item["type"] == "extra_forbidden"}
+        raise _report(path, root, [(item["loc"], _clause(item, model)) for item in first], unknown, more) from None
     problems = [problem for check in checks for problem in check(value)]
     if problems:
-        raise _report(path, root, problems[: nodes.MOST_ERRORS], more=len(problems[nodes.MOST_ERRORS :]))
+        raise _report(path, root, problems[: nodes.MAX_ERRORS], more=len(problems[nodes.MAX_ERRORS :]))
     return value
 
 
 def check_json(path: Path | str, data: Any, model: type[Model], *checks: Callable[[Model], Iterable[Problem]]) -> Model:
-    """The values of a JSON file as an instance of ``model``, checked as in ``load``. Raises FileError."""
+    """Check the values of a JSON file.
+
+    Args:
+        path: of the file, for messages.
+        data: its values.
+        model: of its content.
+        *checks: as of ``load``.
+
+    Returns:
+        An instance of the model.
+
+    Raises:
+        FileError: the content is wrong.
+    """
     path = Path(path)
     try:
         value = model.model_validate_json(json.dumps(data), strict=True)
     except pydantic.ValidationError as error:
         details = error.errors(include_url=False)
-        more = len(details[nodes.MOST_ERRORS :])
-        problems = [(item["loc"], _clause(item, model)) for item in details[: nodes.MOST_ERRORS]]
+        more = len(details[nodes.MAX_ERRORS :])
+        problems = [(item["loc"], _clause(item, model)) for item in details[: nodes.MAX_ERRORS]]
     else:
         problems, more = [problem for check in checks for problem in check(value)], 0
         if not problems:
             return value
-    raise FileError(nodes.few(path, [f"{shown(path)}: {_sentence(loc, clause)}" for loc, clause in problems], more))
+    lines = [f"{short_name(path)}: {_sentence(loc, clause)}" for loc, clause in problems]
+    raise FileError(nodes.limit_lines(path, lines, more))
 
 
 def _report(
     path: Path, root: yaml.Node, problems: Iterable[Problem], at_key: Collection[Location] = (), more: int = 0
 ) -> FileError:
-    """The problems, in the order of their places in the file, and how many more; those in ``at_key`` marked there."""
+    """A FileError of problems at their positions in the file; those in ``at_key`` are marked at their key."""
     marked = []
     for loc, clause in problems:
-        known, mark = nodes.place(root, loc, loc in at_key)
-        marked.append((mark, _sentence(known, clause)))
+        keys, mark = nodes.locate(root, loc, loc in at_key)
+        marked.append((mark, _sentence(keys, clause)))
     return FileError(nodes.lines(path, marked, more))
 
 
 def _sentence(loc: Location, clause: str) -> str:
     end = "" if clause.endswith(("?", ".")) else "."
-    return f"{nodes.dotted(loc)}: {clause}{end}" if loc else f"{clause}{end}"
+    return f"{nodes.key_path(loc)}: {clause}{end}" if loc else f"{clause}{end}"
 
 
 def _clause(error: Any, model: type[pydantic.BaseModel]) -> str:
-    """pydantic's error as one clause that names the value and the cure."""
+    """A pydantic error as one clause that names the value and the cure."""
     loc, kind = error["loc"], error["type"]
     context = {key: f"{item:g}" if isinstance(item, float) else item for key, item in error.get("ctx", {}).items()}
     value = _quoted(error["input"])
@@ -133,11 +158,11 @@ def _quoted(value: Any) -> str:
 
 
 def _types_at(model: Any, loc: Location) -> list[Any]:
-    """The types that a value at that place may have, unions taken apart."""
-    found = _alternatives(model)
+    """The types that a value at that location may have, with unions split."""
+    kinds = _alternatives(model)
     for part in loc:
-        found = [kind for outer in found for kind in _alternatives(_inner(outer, part))]
-    return found
+        kinds = [kind for outer in kinds for kind in _alternatives(_inner(outer, part))]
+    return kinds
 
 
 def _alternatives(kind: Any) -> list[Any]:

@@ -1,7 +1,7 @@
-"""YAML text as nodes, which know their places, and as plain data: scalars, lists and mappings, and no tags.
+"""YAML as nodes, which know their positions in the file, and as plain data: scalars, lists and mappings.
 
-What YAML offers beside these is refused where it stands: tags, which make other types or run code, and anchors that
-unfold to more than a file could hold.
+Other features of YAML are refused at their position: tags, which make other types or run code, and aliases that expand
+to more than a file could hold.
 """
 
 import re
@@ -10,11 +10,12 @@ from typing import Any
 
 import yaml
 
-from sean_jax.files.content import DEEPEST, FileError, shown, text
+from sean_jax.errors import FileError
+from sean_jax.files.reading import MAX_DEPTH, read_text, short_name
 
-MOST_ERRORS = 100  # of a file that are told
-MOST_VALUES = 50_000  # in a file, aliases unfolded
-LONGEST_NUMBER = 60  # characters
+MAX_ERRORS = 100  # of a file that a message names
+MAX_VALUES = 50_000  # in a file, with aliases expanded
+MAX_DIGITS = 60  # characters of a number
 Location = tuple[str | int, ...]  # keys and list indices that lead to a value
 
 
@@ -26,16 +27,16 @@ class _Loader(yaml.SafeLoader):
         self.depth, self.values = 0, 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """SafeLoader's own, for values without tags, not too deep and not too many."""
+        """Compose a node as SafeLoader does, if it has no tag, and values are not too deep and not too many."""
         event: Any = self.peek_event()
         tag = getattr(event, "tag", None)
         if tag is not None and not (tag == "tag:yaml.org,2002:str" and isinstance(event, yaml.ScalarEvent)):
-            written = tag.replace("tag:yaml.org,2002:", "!!")
-            raise yaml.MarkedYAMLError(problem=f"tags such as '{written}' mean nothing here; remove it",
+            tag_text = tag.replace("tag:yaml.org,2002:", "!!")
+            raise yaml.MarkedYAMLError(problem=f"tags such as '{tag_text}' mean nothing here; remove it",
                                        problem_mark=event.start_mark)  # fmt: skip
         self.values += 1
-        if self.depth >= DEEPEST or self.values > MOST_VALUES:
-            what = f"nested deeper than {DEEPEST} levels" if self.depth >= DEEPEST else f"more than {MOST_VALUES:,}"
+        if self.depth >= MAX_DEPTH or self.values > MAX_VALUES:
+            what = f"nested deeper than {MAX_DEPTH} levels" if self.depth >= MAX_DEPTH else f"more than {MAX_VALUES:,}"
             raise yaml.MarkedYAMLError(problem=f"values are {what}; make it simpler", problem_mark=event.start_mark)
         self.depth += 1
         node = super().compose_node(parent, index)
@@ -55,9 +56,9 @@ for _tag, _pattern, _first in (
 
 
 def _number(_: yaml.SafeLoader, node: yaml.ScalarNode) -> int | float:
-    """SafeLoader's own reading takes 010 for 8."""
+    """A number in decimal: SafeLoader reads 010 as 8."""
     value = node.value.lower().replace(".inf", "inf").replace(".nan", "nan")
-    if len(value) > LONGEST_NUMBER:
+    if len(value) > MAX_DIGITS:
         raise yaml.MarkedYAMLError(problem=f"a number has {len(value)} characters; write fewer digits",
                                    problem_mark=node.start_mark)  # fmt: skip
     return int(value) if node.tag.endswith(":int") else float(value)
@@ -76,32 +77,42 @@ _Loader.add_constructor("tag:yaml.org,2002:str", _word)
 
 
 def read(path: Path) -> tuple[yaml.Node, Any]:
-    """The composed nodes, and the plain data, of a YAML file. Raises FileError."""
-    found, loader = text(path), None
+    """Read a YAML file.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        Its composed nodes, and its plain data.
+
+    Raises:
+        FileError: it cannot be read, or is not YAML of the plain kind.
+    """
+    text, loader = read_text(path), None
     try:
-        loader = _Loader(found)
+        loader = _Loader(text)
         root = loader.get_single_node()
         if root is None:
-            raise FileError(f"{shown(path)}:1:1: the file is empty.")
-        _refuse_bombs(path, root)
-        _refuse_twins(path, root)
+            raise FileError(f"{short_name(path)}:1:1: the file is empty.")
+        _refuse_alias_bombs(path, root)
+        _refuse_duplicate_keys(path, root)
         return root, loader.construct_document(root)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
-        begun = f" that begins in line {error.context_mark.line + 1}" if error.context_mark else ""
-        context = f"{error.context}{begun}, " if error.context else ""
-        raise FileError(f"{shown(path)}:{place}: is not YAML: {context}{_plain(error.problem)}.") from None
+        start = f" that begins in line {error.context_mark.line + 1}" if error.context_mark else ""
+        context = f"{error.context}{start}, " if error.context else ""
+        raise FileError(f"{short_name(path)}:{place}: is not YAML: {context}{_plain(error.problem)}.") from None
     except yaml.reader.ReaderError as error:
-        line = found.count("\n", 0, error.position) + 1
+        line = text.count("\n", 0, error.position) + 1
         what = f"character {error.position} is not allowed in YAML"
-        raise FileError(f"{shown(path)}:{line}: {what}; remove it.") from None
+        raise FileError(f"{short_name(path)}:{line}: {what}; remove it.") from None
     except (ValueError, OverflowError) as error:  # such as of "\UFFFFFFFF"
         if isinstance(error, FileError):
             raise
         mark = loader.get_mark() if loader else None
         place = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
-        raise FileError(f"{shown(path)}{place}: is not YAML: {error}.") from None
+        raise FileError(f"{short_name(path)}{place}: is not YAML: {error}.") from None
 
 
 def _plain(problem: str | None) -> str:
@@ -114,17 +125,17 @@ def _children(node: yaml.Node) -> list[yaml.Node]:
     return node.value if isinstance(node, yaml.SequenceNode) else []
 
 
-def _refuse_bombs(path: Path, root: yaml.Node) -> None:
-    """Counts values as if aliases were written out: a few lines of them can stand for billions."""
+def _refuse_alias_bombs(path: Path, root: yaml.Node) -> None:
+    """Count values with aliases expanded: a few lines of aliases can stand for billions of values."""
     sizes: dict[int, int | None] = {}  # None while a node is being counted
     pending = [(root, False)]
     while pending:
-        node, counted = pending.pop()
-        place = f"{shown(path)}:{node.start_mark.line + 1}:{node.start_mark.column + 1}"
-        if counted:
+        node, is_done = pending.pop()
+        place = f"{short_name(path)}:{node.start_mark.line + 1}:{node.start_mark.column + 1}"
+        if is_done:
             sizes[id(node)] = 1 + sum(sizes[id(child)] or 0 for child in _children(node))
-            if (sizes[id(node)] or 0) > MOST_VALUES:
-                raise FileError(f"{place}: aliases unfold to more than {MOST_VALUES:,} values; write fewer.")
+            if (sizes[id(node)] or 0) > MAX_VALUES:
+                raise FileError(f"{place}: aliases unfold to more than {MAX_VALUES:,} values; write fewer.")
         elif id(node) not in sizes:
             sizes[id(node)] = None
             pending += [(node, True), *((child, False) for child in _children(node))]
@@ -132,8 +143,8 @@ def _refuse_bombs(path: Path, root: yaml.Node) -> None:
             raise FileError(f"{place}: an alias stands inside of its own anchor; remove it.")
 
 
-def _refuse_twins(path: Path, root: yaml.Node) -> None:
-    """YAML lets the last of two equal keys win in silence; here they are an error."""
+def _refuse_duplicate_keys(path: Path, root: yaml.Node) -> None:
+    """Refuse equal keys of a mapping, of which YAML would silently take the last."""
     problems: list[tuple[yaml.Mark, str]] = []
     pending: list[tuple[Location, yaml.Node]] = [((), root)]
     visited = set()
@@ -149,7 +160,7 @@ def _refuse_twins(path: Path, root: yaml.Node) -> None:
             for key, value in node.value:
                 name, here = str(key.value), key.start_mark
                 if name in first and name != "<<":
-                    what = f"{dotted((*loc, name))}: the key was used in line {first[name]}; remove or rename one."
+                    what = f"{key_path((*loc, name))}: the key was used in line {first[name]}; remove or rename one."
                     problems.append((here, what))
                 first.setdefault(name, here.line + 1)
                 pending.append(((*loc, name), value))
@@ -158,23 +169,51 @@ def _refuse_twins(path: Path, root: yaml.Node) -> None:
 
 
 def lines(path: Path, marked: list[tuple[yaml.Mark, str]], more: int = 0) -> str:
-    """One line for each of the problems, in the order of their places in the file, and of how many more there are."""
+    """Format problems in the order of their positions in the file.
+
+    Args:
+        path: of the file.
+        marked: position and text of each problem.
+        more: number of further problems.
+
+    Returns:
+        One line for each problem.
+    """
     marked = sorted(marked, key=lambda item: (item[0].line, item[0].column))
-    return few(path, [f"{shown(path)}:{mark.line + 1}:{mark.column + 1}: {told}" for mark, told in marked], more)
+    return limit_lines(
+        path, [f"{short_name(path)}:{mark.line + 1}:{mark.column + 1}: {text}" for mark, text in marked], more
+    )
 
 
-def few(path: Path, found: list[str], more: int = 0) -> str:
-    """The first of the lines, each once, and how many there are beside these and ``more``."""
-    found = list(dict.fromkeys(found))
-    more += len(found[MOST_ERRORS:])
-    tail = [f"{shown(path)}: there are {more:,} more errors; mend these first."] if more else []
-    return "\n".join([*found[:MOST_ERRORS], *tail])
+def limit_lines(path: Path, messages: list[str], more: int = 0) -> str:
+    """Limit the number of lines of a message.
+
+    Args:
+        path: of the file.
+        messages: one line for each problem.
+        more: number of further problems.
+
+    Returns:
+        The first lines, each once, and one line with the number of problems that are left out.
+    """
+    messages = list(dict.fromkeys(messages))
+    more += len(messages[MAX_ERRORS:])
+    tail = [f"{short_name(path)}: there are {more:,} more errors; mend these first."] if more else []
+    return "\n".join([*messages[:MAX_ERRORS], *tail])
 
 
-def place(root: yaml.Node, loc: Location, at_key: bool) -> tuple[Location, yaml.Mark]:
-    """The keys as the file has them, and the mark of the value, or of the nearest key that leads to it.
+def locate(root: yaml.Node, loc: Location, at_key: bool) -> tuple[Location, yaml.Mark]:
+    """Find the position of a value.
 
-    A mapping is marked at its key, and a missing value at the key of what lacks it.
+    A mapping is marked at its key, and a missing value at the key of the mapping or list that lacks it.
+
+    Args:
+        root: of the file's nodes.
+        loc: keys and indices that lead to the value.
+        at_key: mark the key in place of the value.
+
+    Returns:
+        The keys that the file has, and the position of the value, or of the nearest key that leads to it.
     """
     node, mark, known = root, root.start_mark, []
     for depth, part in enumerate(loc):
@@ -197,6 +236,13 @@ def place(root: yaml.Node, loc: Location, at_key: bool) -> tuple[Location, yaml.
     return tuple(known), mark
 
 
-def dotted(loc: Location) -> str:
-    """nodes.dock.position[0]"""
+def key_path(loc: Location) -> str:
+    """Format the keys and indices that lead to a value.
+
+    Args:
+        loc: keys and indices.
+
+    Returns:
+        Text such as nodes.dock.position[0].
+    """
     return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc).lstrip(".")

@@ -9,17 +9,17 @@ import pydantic
 
 from sean_jax import files
 from sean_jax.base import Environment
-from sean_jax.geometry import room_on_host
-from sean_jax.graph.behavior_graph import BehaviorGraph
+from sean_jax.geometry import signed_distances_on_host
+from sean_jax.graph.behavior_graph import FLOWS, NO_EDGE, BehaviorGraph
 from sean_jax.graph.formation import reach
 from sean_jax.graph.places import PERSON, places
 from sean_jax.graph.routes import routes
-from sean_jax.platforms import put
-from sean_jax.quantities import Coordinate, Duration, Radius, Weight
+from sean_jax.platforms import to_device
+from sean_jax.quantities import Coordinate, Duration, Radius, RelativeChance
 
 NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
-LEAST = 1e-3  # of a spawn weight: one that is much smaller is 0 in single precision
+MIN_SPAWN = 1e-3  # one that is much smaller is 0 in single precision
 
 
 class Node(pydantic.BaseModel):
@@ -30,22 +30,22 @@ class Node(pydantic.BaseModel):
     kind: Literal["waypoint", "group"]
     position: tuple[Coordinate, Coordinate]  # m
     radius: Radius  # m
-    spawn: Weight = 0.0  # weight with which somebody starts here
+    spawn: RelativeChance = 0.0  # chance with which somebody starts here, relative to the other nodes
     capacity: Annotated[int, pydantic.Field(ge=2, le=32)] | None = None  # people, of a group
-    stay: tuple[Duration, Duration] | None = None  # s, least and greatest, of a group
+    stay: tuple[Duration, Duration] | None = None  # s, minimum and maximum, of a group
     id: Annotated[int, pydantic.Field(ge=-(2**31), lt=2**31)] | None = (
         None  # number in the graph that this one was made from
     )
 
 
 class Edge(pydantic.BaseModel):
-    """Two directed edges between a pair of nodes, with one of the paper's pairs of weights."""
+    """Two directed edges between a pair of nodes, with one of the paper's pairs of weights <c_uv, c_vu>."""
 
     model_config = STRICT
 
     between: tuple[str, str]
     flow: Literal["medium", "high", "low", "forward", "backward"] | None = None  # medium if weights is absent too
-    weights: tuple[float, float] | None = None  # there and back, instead of flow
+    weights: tuple[float, float] | None = None  # there and back, instead of flow: one of the pairs of flow_factors
 
 
 class Annotation(pydantic.BaseModel):
@@ -60,31 +60,70 @@ class Annotation(pydantic.BaseModel):
     nodes: Annotated[dict[str, Node], pydantic.Field(min_length=1, max_length=500)]
     edges: Annotated[list[Edge], pydantic.Field(max_length=5000)]
 
-    def flows(self) -> dict[str, tuple[float, float]]:
-        """The paper's pairs <c_uv, c_vu> of edge weights by name."""
+    def flow_factors(self) -> dict[str, tuple[float, float]]:
+        """The paper's pairs <c_uv, c_vu> of edge weights.
+
+        Returns:
+            Category of flow -> the factors by which the length of an edge is multiplied, there and back.
+        """
         low, high = self.c_min, self.c_max
         pairs = {"medium": (1.0, 1.0), "high": (low, low), "low": (high, high)}
         return pairs | {"forward": (1.0, high), "backward": (high, 1.0)}
 
-    def weights(self, edge: Edge) -> tuple[float, float]:
-        """The pair of weights of an edge."""
-        return edge.weights or self.flows()[edge.flow or "medium"]
+    def flow_of(self, edge: Edge) -> str:
+        """The category of flow of an edge, whether it is given by its word or by its pair of weights.
+
+        Args:
+            edge: of this annotation.
+
+        Returns:
+            One of ``FLOWS``.
+
+        Raises:
+            ValueError: its weights are not one of ``flow_factors``; ``check`` finds that before.
+        """
+        if edge.weights is None:
+            return edge.flow or "medium"
+        for flow, factors in self.flow_factors().items():
+            if edge.weights == factors:
+                return flow
+        raise ValueError(f"edge {edge.between}: weights {edge.weights} belong to no flow; give one of flow_factors.")
 
 
 def read(path: Path | str, environment: Environment) -> BehaviorGraph:
-    """The graph of a graph.yaml in that environment; files.FileError lists all that is wrong with it."""
-    return build(files.load(path, Annotation, check, lambda found: check_against(found, environment)), environment)
+    """The graph of a ``graph.yaml``.
+
+    Args:
+        path: of the file.
+        environment: in which its nodes lie.
+
+    Returns:
+        M nodes with their tables of paths.
+
+    Raises:
+        FileError: lists all that is wrong with the file, with line, key and cure.
+    """
+    return build(files.load(path, Annotation, check, lambda graph: check_against(graph, environment)), environment)
 
 
 def build(annotation: Annotation, environment: Environment, seed: int = 0) -> BehaviorGraph:
-    """Arrays and tables of a checked annotation; ``seed`` draws the places of its nodes."""
+    """Arrays and tables of a checked annotation.
+
+    Args:
+        annotation: without mistakes.
+        environment: in which its nodes lie.
+        seed: from which the places in the nodes' discs are drawn.
+
+    Returns:
+        M nodes with their tables of paths.
+    """
     nodes = list(annotation.nodes.values())
     position = np.array([node.position for node in nodes], np.float64)
     radius = np.array([node.radius for node in nodes], np.float64)
     is_group = np.array([node.kind == "group" for node in nodes], bool)
     capacity = np.array([node.capacity or 0 for node in nodes], np.int32)
-    weight = _edge_costs(annotation, position)
-    cost, next_hop = routes(weight, is_group)
+    flow, edge_cost = _edges(annotation, position)
+    cost, next_hop = routes(edge_cost, is_group)
     groups = np.flatnonzero(is_group)
     arrays = dict(
         position=position,
@@ -93,7 +132,8 @@ def build(annotation: Annotation, environment: Environment, seed: int = 0) -> Be
         capacity=capacity,
         stay=np.array([node.stay or (0.0, 0.0) for node in nodes], float),
         spawn=np.array([node.spawn for node in nodes], float),
-        weight=weight,
+        flow=flow,
+        edge_cost=edge_cost,
         cost=cost,
         next_hop=next_hop.astype(np.int32),
         waypoints=np.flatnonzero(~is_group).astype(np.int32),
@@ -102,23 +142,36 @@ def build(annotation: Annotation, environment: Environment, seed: int = 0) -> Be
         seat_node=np.repeat(groups, capacity[groups]).astype(np.int32),
         places=places(environment, position, radius, seed),
     )
-    return BehaviorGraph(**put(arrays), names=tuple(annotation.nodes))
+    return BehaviorGraph(**to_device(arrays), names=tuple(annotation.nodes))
 
 
-def _edge_costs(annotation: Annotation, position: np.ndarray) -> np.ndarray:
-    """(M, M) Euclidean length [m] times weight, inf without an edge."""
+def _edges(annotation: Annotation, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(M, M) category of flow of each directed edge, and (M, M) m its cost."""
     index = {name: number for number, name in enumerate(annotation.nodes)}
-    weight = np.full((len(index), len(index)), np.inf)
+    flow = np.full((len(index), len(index)), NO_EDGE, np.int32)
+    cost = np.full((len(index), len(index)), np.inf)
+    reverse = {"forward": "backward", "backward": "forward"}
+    factors = annotation.flow_factors()
     for edge in annotation.edges:
         a, b = (index[name] for name in edge.between)
         length = float(np.hypot(*(position[a] - position[b])))
-        there, back = annotation.weights(edge)
-        weight[a, b], weight[b, a] = length * there, length * back
-    return weight
+        category = annotation.flow_of(edge)
+        there, back = factors[category]
+        cost[a, b], cost[b, a] = length * there, length * back
+        flow[a, b] = FLOWS.index(category)
+        flow[b, a] = FLOWS.index(reverse.get(category, category))
+    return flow, cost
 
 
 def check(annotation: Annotation) -> Iterator[files.Problem]:
-    """What is wrong between the fields of an annotation."""
+    """Mistakes in the fields of an annotation, wherever its nodes lie.
+
+    Args:
+        annotation: as read from the file.
+
+    Returns:
+        Location and message of each mistake.
+    """
     for name, node in annotation.nodes.items():
         if node.kind == "group":
             if node.capacity is None:
@@ -128,7 +181,7 @@ def check(annotation: Annotation) -> Iterator[files.Problem]:
             elif node.stay[0] > node.stay[1]:
                 yield (
                     ("nodes", name, "stay"),
-                    f"[{node.stay[0]:g}, {node.stay[1]:g}] is not ordered; give the least time first",
+                    f"[{node.stay[0]:g}, {node.stay[1]:g}] is not ordered; give the shorter time first",
                 )
         else:
             for key in ("capacity", "stay"):
@@ -137,9 +190,9 @@ def check(annotation: Annotation) -> Iterator[files.Problem]:
                     yield ("nodes", name, key), f"only a group has one and this is a waypoint; {cure}"
     if not any(node.kind == "waypoint" for node in annotation.nodes.values()):
         yield ("nodes",), "none is a waypoint; people need at least one to go to when the groups are full"
-    if not any(node.spawn >= LEAST for node in annotation.nodes.values()):
-        yield ("nodes",), f"no spawn is {LEAST:g} or more; give at least one node 'spawn: 1'"
-    seen: dict[frozenset[str], int] = {}
+    if not any(node.spawn >= MIN_SPAWN for node in annotation.nodes.values()):
+        yield ("nodes",), f"no spawn is {MIN_SPAWN:g} or more; give at least one node 'spawn: 1'"
+    edge_of: dict[frozenset[str], int] = {}
     for number, edge in enumerate(annotation.edges):
         here = ("edges", number)
         unknown = [side for side in (0, 1) if edge.between[side] not in annotation.nodes]
@@ -150,20 +203,20 @@ def check(annotation: Annotation) -> Iterator[files.Problem]:
         pair = frozenset(edge.between)
         if len(pair) == 1:
             yield (*here, "between"), f"the edge leads from '{edge.between[0]}' to itself; remove it"
-        elif pair in seen:
-            yield (*here, "between"), f"edges[{seen[pair]}] already joins these two; remove one of them"
-        seen.setdefault(pair, number)
+        elif pair in edge_of:
+            yield (*here, "between"), f"edges[{edge_of[pair]}] already joins these two; remove one of them"
+        edge_of.setdefault(pair, number)
         if edge.weights is not None and edge.flow is not None:
             yield (*here, "weights"), "flow is given as well; remove one of them"
-        elif edge.weights is not None and edge.weights not in annotation.flows().values():
-            sets = ", ".join(f"{name} [{a:g}, {b:g}]" for name, (a, b) in annotation.flows().items())
+        elif edge.weights is not None and edge.weights not in annotation.flow_factors().values():
+            sets = ", ".join(f"{name} [{a:g}, {b:g}]" for name, (a, b) in annotation.flow_factors().items())
             yield (*here, "weights"), f"[{edge.weights[0]:g}, {edge.weights[1]:g}] is not one of {sets}"
     if all(name in annotation.nodes for edge in annotation.edges for name in edge.between):
         yield from _unreachable(annotation)  # a misspelt name would seem to cut nodes off
 
 
 def _unreachable(annotation: Annotation) -> Iterator[files.Problem]:
-    """Nodes that no walker can reach without cutting through a group. Both ways of an edge have a finite weight."""
+    """Nodes that no walker can reach without crossing a group. Both directions of an edge have a finite cost."""
     nodes = annotation.nodes
     beside: dict[str, set[str]] = {name: set() for name in nodes}
     for edge in annotation.edges:
@@ -189,8 +242,18 @@ def _unreachable(annotation: Annotation) -> Iterator[files.Problem]:
 
 
 def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
-    """What is wrong with where the nodes lie in an environment."""
-    to_box, to_edge = room_on_host(environment, np.array([node.position for node in annotation.nodes.values()]))
+    """Mistakes in where the nodes lie: off the floor, in obstacles or without room.
+
+    Args:
+        annotation: as read from the file.
+        environment: in which its nodes shall lie.
+
+    Returns:
+        Location and message of each mistake.
+    """
+    to_box, to_edge = signed_distances_on_host(
+        environment, np.array([node.position for node in annotation.nodes.values()])
+    )
     for (name, node), box, edge in zip(annotation.nodes.items(), to_box, to_edge, strict=True):
         here = ("nodes", name, "position")
         ring = reach(node.capacity) + PERSON if node.kind == "group" and node.capacity else 0.0

@@ -7,32 +7,33 @@ of 2 to 6 people.
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
 from sean_jax.base import Array
 from sean_jax.geometry import unit_vectors
 
 # Members' mean distance [m] from their centroid and its standard deviation, by group size.
 MEASURED = {2: (0.45, 0.14), 3: (0.58, 0.19), 4: (0.67, 0.20), 5: (0.77, 0.20), 6: (0.83, 0.17)}
-LARGEST = 32  # people in a group that the tables below know; beyond it they repeat
+MAX_SIZE = 32  # people in a group that the tables below know; beyond it they repeat
 
 # Angle [rad] between a member's heading and the direction to the centre, at these shares of all members: half of
 # them within 30 degrees, 68 % within 45, 91 % within 90.
 SHARES = (0.0, 0.5, 0.68, 0.91, 1.0)
 ANGLES = tuple(np.deg2rad((0.0, 30.0, 45.0, 90.0, 180.0)).tolist())
 
-NEIGHBOR = 0.55  # m, least distance of neighbouring places of the ring
-APART = 0.5  # m, least distance of any two seats, and of a seat and the opening
-JITTER = 0.12  # m, most by which a seat is off its place, along the ring and across it together
+NEIGHBOR = 0.55  # m, minimum distance of neighbouring places of the ring
+APART = 0.5  # m, minimum distance of any two seats, and of a seat and the opening
+JITTER = 0.12  # m, maximum by which a seat is off its place, along the ring and across it together
 
 
 def _tables() -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation [m] of the ring's radius by group size, (LARGEST + 1,).
+    """Mean and standard deviation [m] of the ring's radius by group size, (MAX_SIZE + 1,).
 
     With one of n + 1 places open, members' centroid is not the ring's centre: the data's distance from the centroid
     is a share of the ring's radius.
     """
-    mean, deviation = np.ones(LARGEST + 1), np.ones(LARGEST + 1)
-    for size in range(1, LARGEST + 1):
+    mean, deviation = np.ones(MAX_SIZE + 1), np.ones(MAX_SIZE + 1)
+    for size in range(1, MAX_SIZE + 1):
         angle = 2 * np.pi * np.arange(1, size + 1) / (size + 1)
         ring = np.stack([np.cos(angle), np.sin(angle)], -1)
         share = float(np.mean(np.linalg.norm(ring - ring.mean(0), axis=-1))) if size > 1 else 1.0
@@ -45,24 +46,43 @@ MEAN, DEVIATION = _tables()
 
 
 def reach(capacity: int) -> float:
-    """Distance [m] from a group's centre within which all its seats lie."""
-    size = min(capacity, LARGEST)
+    """The radius of the disc in which all seats of a group lie.
+
+    Args:
+        capacity: people of the group.
+
+    Returns:
+        m from the group's centre.
+    """
+    size = min(capacity, MAX_SIZE)
     return float(MEAN[size] + DEVIATION[size]) + JITTER
 
 
-def formation(key: Array, capacity: Array, center: Array, seat_group: Array) -> tuple[Array, Array, Array, Array]:
+def formation(
+    key: Array, capacity: Int[Array, "G"], center: Float[Array, "G 2"], seat_group: Int[Array, "Q"]
+) -> tuple[Float[Array, "Q 2"], Float[Array, "Q 2"], Float[Array, "G"], Float[Array, "G 2"]]:
     """Where the members of groups stand and look, and where each group has a place for one more.
 
-    ``capacity`` (G,) int32, ``center`` (G, 2) m and ``seat_group`` (Q,) int32, the group of each seat, of which a
-    group has as many as its capacity. Returns the seats' position (Q, 2) m and heading (Q, 2) unit, the ring's
-    radius (G,) m and the opening (G, 2) m. No two seats, and no seat and the opening, are closer than 0.5 m.
+    No two seats, and no seat and the opening, are closer than 0.5 m.
+
+    Args:
+        key: of the draw.
+        capacity: (G,) people of each group.
+        center: (G, 2) m, of each group.
+        seat_group: (Q,) group of each seat; a group has as many seats as its capacity.
+
+    Returns:
+        Position (Q, 2) m and heading (Q, 2) unit vector of the seats, radius (G,) m of each group's ring, and its
+        opening (G, 2) m.
+
+    Source: Kendon's F-formation [38], measured in the Cocktail Party data [46].
     """
     groups, seats = capacity.shape[0], seat_group.shape[0]
     ring_key, turn_key, order_key, jitter_key, side_key, angle_key = jax.random.split(key, 6)
 
     count = capacity.astype(float) + 1.0  # places of the ring
     half_chord = jnp.sin(jnp.pi / count)
-    size = jnp.clip(capacity, 0, LARGEST)
+    size = jnp.clip(capacity, 0, MAX_SIZE)
     mean, deviation = jnp.asarray(MEAN, float)[size], jnp.asarray(DEVIATION, float)[size]
     tightest = (0.5 * NEIGHBOR / half_chord - mean) / deviation
     lower = jnp.clip(tightest, -1.0, 0.999)

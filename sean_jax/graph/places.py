@@ -3,10 +3,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float
 
 from sean_jax import cache
 from sean_jax.base import Array, Environment
-from sean_jax.geometry import crosses_box, room_on_host
+from sean_jax.geometry import crosses_box, signed_distances_on_host
 
 CODE = "graph/places", "geometry"  # that the places depend on
 PERSON = 0.25  # m, kept free around a place: a body of 0.2 m and some room
@@ -16,8 +17,17 @@ FULL_ROUNDS = 4  # with candidates from the whole disc, before discs shrink
 SHRINK = 0.7  # of the disc's radius, each later round
 
 
-def in_sight(environment: Environment, center: Array, points: Array) -> Array:
-    """(P,) bool: a person can walk straight from the center (P, 2) [m] to the point (P, 2) [m]."""
+def in_sight(environment: Environment, center: Float[Array, "P 2"], points: Float[Array, "P 2"]) -> Bool[Array, "P"]:
+    """Whether a person can walk straight from a centre to a point, pair by pair.
+
+    Args:
+        environment: with its obstacles.
+        center: (P, 2) m.
+        points: (P, 2) m.
+
+    Returns:
+        (P,)
+    """
     each_box = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
     each_pair = jax.vmap(each_box, in_axes=(0, 0, 0, 0, None, None))
     px, py, qx, qy = center[:, 0], center[:, 1], points[:, 0], points[:, 1]
@@ -25,38 +35,51 @@ def in_sight(environment: Environment, center: Array, points: Array) -> Array:
 
 
 def places(environment: Environment, position: np.ndarray, radius: np.ndarray, seed: int = 0) -> np.ndarray:
-    """(M, 64, 2) float32 points [m], uniform over what is free and in sight of the disc (M, 2), (M,) [m] of a node.
+    """Points uniform over the part of each node's disc that is free and in sight of its centre.
 
-    Drawn on the host, outside jit, once for all processes. Where a disc has too little room, the rest are points nearer
-    to its centre, which must be clear of obstacles and of the floor's edge by more than the radius of a person.
+    They are drawn on the host, outside jit, once for all processes. Where a disc has too little room, the rest are
+    points nearer to its centre, which must be clear of obstacles and of the floor's edge by more than the radius of a
+    person.
+
+    Args:
+        environment: in which the nodes lie.
+        position: (M, 2) m, of the nodes.
+        radius: (M,) m, of their discs.
+        seed: of the draw.
+
+    Returns:
+        (M, 64, 2) m, float32.
+
+    Raises:
+        ValueError: the centre of a node is not clear.
     """
     boxes = environment.obstacles
     inputs = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, position, radius, seed
-    return cache.kept("places", CODE, inputs, lambda: {"places": _draw(environment, position, radius, seed)})["places"]
+    return cache.load_or_build("places", CODE, inputs, lambda: {"places": _draw(environment, position, radius, seed)})[
+        "places"
+    ]
 
 
 def _draw(environment: Environment, position: np.ndarray, radius: np.ndarray, seed: int) -> np.ndarray:
     """As ``places``."""
     count = len(position)
     generator = np.random.default_rng(seed)
-    kept = [np.zeros((0, 2), np.float32) for _ in range(count)]
+    chosen = [np.zeros((0, 2), np.float32) for _ in range(count)]
     radius = np.array(radius, np.float64)
     center = jnp.asarray(np.repeat(np.asarray(position, np.float32), ROUND, axis=0), float)
-    turn = 0
-    while min(len(points) for points in kept) < NUMBER:
+    rounds = 0
+    while min(len(points) for points in chosen) < NUMBER:
         distance = np.sqrt(generator.uniform(size=(count, ROUND))) * radius[:, None]
         angle = generator.uniform(0.0, 2.0 * np.pi, (count, ROUND))
         offset = np.stack([distance * np.cos(angle), distance * np.sin(angle)], -1)
         drawn = (np.asarray(position, np.float64)[:, None, :] + offset).astype(np.float32)
         flat = drawn.reshape(-1, 2)
-        seen = jax.jit(in_sight)(
-            environment, center, jnp.asarray(flat, float)
-        )  # op by op it takes seconds the first time
-        free = (np.asarray(seen) & (room_on_host(environment, flat)[1] >= PERSON)).reshape(count, ROUND)
-        kept = [np.concatenate([old, new[ok]])[:NUMBER] for old, new, ok in zip(kept, drawn, free, strict=True)]
-        turn += 1
-        if turn >= FULL_ROUNDS:
+        visible = jax.jit(in_sight)(environment, center, jnp.asarray(flat, float))  # seconds less than op by op
+        free = (np.asarray(visible) & (signed_distances_on_host(environment, flat)[1] >= PERSON)).reshape(count, ROUND)
+        chosen = [np.concatenate([old, new[ok]])[:NUMBER] for old, new, ok in zip(chosen, drawn, free, strict=True)]
+        rounds += 1
+        if rounds >= FULL_ROUNDS:
             radius *= SHRINK
-        if turn > 100:
+        if rounds > 100:
             raise ValueError("a node's centre is not clear of obstacles.")
-    return np.stack(kept)
+    return np.stack(chosen)

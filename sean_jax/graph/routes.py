@@ -2,26 +2,33 @@
 
 import numpy as np
 
-SHORTEST = 1e-9  # m, in place of a zero, which scipy would take for no edge
+MIN_COST = 1e-9  # m, in place of a zero, which scipy would take for no edge
 
 
-def routes(weight: np.ndarray, is_group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Costs (M, M) [m] float64 of the cheapest paths from row to column, and the next node (M, M) int32 on them.
+def routes(edge_cost: np.ndarray, is_group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The cheapest paths between all pairs of nodes. A path may start and end at a group, never pass one.
 
-    ``weight`` (M, M) [m] holds the cost of each directed edge, inf without one; ``is_group`` (M,) bool. A path may
-    start and end at a group node, never pass one. ``next_hop[u, u] = u``; without a path the cost is inf and the
-    next node -1. Edges from a node to itself are ignored.
+    Args:
+        edge_cost: (M, M) m, of the directed edge from row to column, inf without one; the diagonal is ignored.
+        is_group: (M,) bool.
+
+    Returns:
+        Cost (M, M) m of the path from row to column, float64, inf without a path; and the node (M, M) int32 after the
+        row's on it, -1 without a path, the row's own on the diagonal.
+
+    Source: section IV-D, [47].
     """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
-    weight, is_group = np.asarray(weight, np.float64), np.asarray(is_group, bool)
-    count = len(weight)
+    edge_cost, is_group = np.asarray(edge_cost, np.float64), np.asarray(is_group, bool)
+    count = len(edge_cost)
     # A group is two nodes: u, which edges only leave, and count + u, which edges only enter.
     enter = np.where(is_group, count, 0) + np.arange(count)
-    start, end = np.nonzero(np.isfinite(weight) & ~np.eye(count, dtype=bool))
+    start, end = np.nonzero(np.isfinite(edge_cost) & ~np.eye(count, dtype=bool))
     size = (2 * count, 2 * count)
-    edges = csr_array((np.maximum(weight[start, end], SHORTEST), (start, enter[end])), shape=size)
+    ends = start.astype(np.int32), enter[end].astype(np.int32)  # which scipy's older versions ask for
+    edges = csr_array((np.maximum(edge_cost[start, end], MIN_COST), ends), shape=size)
     distance, before = dijkstra(edges, indices=np.arange(count), return_predecessors=True)
 
     cost = distance[:, enter]

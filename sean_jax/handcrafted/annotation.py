@@ -1,14 +1,11 @@
 """The annotation of handcrafted sets (sections IV-D and IV-E): what handcrafted.yaml may say."""
 
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import pydantic
 
 from sean_jax import files
-from sean_jax.base import Environment
-from sean_jax.handcrafted import room
+from sean_jax.errors import InputError
 from sean_jax.quantities import Coordinate, Degrees
 
 FILE = "handcrafted.yaml"
@@ -32,7 +29,7 @@ Poses = Annotated[list[Pose], pydantic.Field(min_length=POSES, max_length=POSES)
 
 
 class Walkers(pydantic.BaseModel):
-    """People who walk a closed loop of waypoints for ever, and start spread along it."""
+    """People who walk a closed loop of waypoints without end, and start spread along it."""
 
     model_config = STRICT
 
@@ -63,7 +60,7 @@ class Set(pydantic.BaseModel):
 
     @property
     def people(self) -> int:
-        """How many people there are."""
+        """How many people there are, walkers and members of groups."""
         return sum(some.people for some in (*self.walkers, *self.groups.values()))
 
 
@@ -77,59 +74,22 @@ class Annotation(pydantic.BaseModel):
     sets: Annotated[dict[str, Set], pydantic.Field(min_length=1, max_length=200)]
 
     def chosen(self, name: str) -> dict[str, Set]:
-        """The set of that name, the sets of that situation, or with ``all`` every one.
+        """The sets that a name stands for.
+
+        Args:
+            name: of a set, of a situation, or ``all``.
+
+        Returns:
+            Name -> set.
 
         Raises:
-            ValueError: there is none.
+            InputError: there is no such set or situation.
         """
         if name == ALL:
             return self.sets
-        found = {key: each for key, each in self.sets.items() if name in (key, each.situation)}
-        if not found:
+        selected = {key: each for key, each in self.sets.items() if name in (key, each.situation)}
+        if not selected:
             situations = dict.fromkeys(each.situation for each in self.sets.values())
             words = [ALL, *situations, *self.sets]
-            raise ValueError(f"handcrafted: '{name}' is not one of {', '.join(words)}{files.suggest(name, words)}")
-        return found
-
-
-def read(folder: Path, environment: Environment) -> Annotation:
-    """The sets of handcrafted.yaml in an environment's folder.
-
-    Raises:
-        ValueError: there is no such file; as files.FileError it lists all that is wrong with it.
-    """
-    file = folder / FILE
-    if not file.is_file():
-        raise ValueError(f"{file}: there is no such file, and behavior 'handcrafted' needs it; write one.")
-    return files.load(file, Annotation, check, lambda found: room.check_against(found, environment))
-
-
-def check(annotation: Annotation) -> Iterator[files.Problem]:
-    """What is wrong between the fields of an annotation, wherever its places lie."""
-    for name, each in annotation.sets.items():
-        here = ("sets", name)
-        if name in (ALL, *get_args(Situation)):
-            yield here, f"'{name}' stands for several sets; give the set a name of its own, such as '{name}_1'"
-        if each.people == 0 and each.situation != "empty":
-            yield here, "there is nobody; give the set walkers or groups, or make its situation empty"
-        if each.situation in ("down_path", "cross_path") and not each.walkers:
-            yield here, f"nobody walks, without which {each.situation} does not occur; give the set walkers"
-        yield from _check_poses(name, each)
-        yield from room.check_apart(here, each)
-
-
-def _check_poses(name: str, each: Set) -> Iterator[files.Problem]:
-    """Poses in groups belong to join_group, as goals, and to leave_group, as starts."""
-    for key, poses, asked in (("starts", each.starts, "leave_group"), ("goals", each.goals, "join_group")):
-        for number, pose in enumerate(poses):
-            here = ("sets", name, key, number)
-            if isinstance(pose, str) and pose not in each.groups:
-                hint = files.suggest(pose, each.groups) or "; add it to groups or give x, y and a heading"
-                yield here, f"there is no group '{pose}'{hint}"
-            elif isinstance(pose, str) and each.situation != asked:
-                yield (
-                    here,
-                    f"only {key} of {asked} lie in a group and this is {each.situation}; give x, y and a heading",
-                )
-            elif not isinstance(pose, str) and each.situation == asked:
-                yield here, f"{key} of {asked} lie in a group; give the name of one instead of a place"
+            raise InputError(files.unknown_name("sets", name, words))
+        return selected

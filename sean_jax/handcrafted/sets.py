@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from jaxtyping import Bool, Float, Int
 
 from sean_jax.base import Array
 from sean_jax.handcrafted.annotation import POSES, Set
@@ -13,29 +14,36 @@ from sean_jax.handcrafted.annotation import POSES, Set
 class Sets:
     """``S`` sets, padded to ``N`` people, ``G`` groups and ``L`` loops of ``K`` waypoints each."""
 
-    weight: Array  # (S, 5, 5) chance, relative to the others, with which a set is drawn with that start and goal
-    start: Array  # (S, 5, 2) m
-    start_heading: Array  # (S, 5, 2) unit vector
-    start_group: Array  # (S, 5) int32 group whose open place is the start instead, -1 none
-    goal: Array  # (S, 5, 2) m
-    goal_heading: Array  # (S, 5, 2) unit vector
-    goal_group: Array  # (S, 5) int32 likewise
-    waypoint: Array  # (S, L, K, 2) m
-    waypoints: Array  # (S, L) int32 how many a loop has
-    walked: Array  # (S, L, K) m, along the loop from its first waypoint to the end of each leg; inf for padding
-    center: Array  # (S, G, 2) m
-    capacity: Array  # (S, G) int32 people of a group, 0 for padding
-    group: Array  # (S, N) int32 group that a person stands in, -1 none
-    loop: Array  # (S, N) int32 loop that a person walks, -1 none
-    share: Array  # (S, N) of its length, at which a person is behind the loop's first one
-    way: Array  # (S, N) int32, 1 forward or -1 backward
-    present: Array  # (S, N) bool
+    odds: Float[Array, "S 5 5"]  # chance, relative to the others, with which a set is drawn with that start and goal
+    start: Float[Array, "S 5 2"]  # m
+    start_heading: Float[Array, "S 5 2"]  # unit vector
+    start_group: Int[Array, "S 5"]  # group whose open place is the start instead, -1 none
+    goal: Float[Array, "S 5 2"]  # m
+    goal_heading: Float[Array, "S 5 2"]  # unit vector
+    goal_group: Int[Array, "S 5"]  # likewise
+    waypoint: Float[Array, "S L K 2"]  # m
+    waypoints: Int[Array, "S L"]  # how many a loop has
+    walked: Float[Array, "S L K"]  # m, along the loop from its first waypoint to the end of each leg; inf for padding
+    center: Float[Array, "S G 2"]  # m
+    capacity: Int[Array, "S G"]  # people of a group, 0 for padding
+    group: Int[Array, "S N"]  # group that a person stands in, -1 none
+    loop: Int[Array, "S N"]  # loop that a person walks, -1 none
+    share: Float[Array, "S N"]  # of its length, at which a person is behind the loop's first one
+    way: Int[Array, "S N"]  # 1 forward, -1 backward
+    present: Bool[Array, "S N"]
     names: tuple[str, ...] = struct.field(pytree_node=False)
     situations: tuple[str, ...] = struct.field(pytree_node=False)
 
 
 def build(sets: dict[str, Set]) -> Sets:
-    """Arrays of checked sets, one row each; every start and goal of every set with the same chance."""
+    """Arrays of sets, one row each; every start and goal of every set with the same chance.
+
+    Args:
+        sets: name -> checked set, at least one.
+
+    Returns:
+        S sets.
+    """
     rows = list(sets.values())
     loops = max(1, *(len(each.walkers) for each in rows))
     corners = max((len(walkers.loop) for each in rows for walkers in each.walkers), default=1)
@@ -67,10 +75,10 @@ def _row(each: Set, people: int, groups: int, loops: int, corners: int) -> dict[
     for index, group in enumerate(each.groups.values()):
         center[index], capacity[index] = group.center, group.people
     poses = {}
-    for word, given in (("start", each.starts), ("goal", each.goals)):
-        poses |= _poses(word, given, list(each.groups), center)
+    for word, chosen in (("start", each.starts), ("goal", each.goals)):
+        poses |= _poses(word, chosen, list(each.groups), center)
     return poses | who | dict(
-        weight=np.ones((POSES, POSES)), waypoint=waypoint, waypoints=waypoints, walked=walked,
+        odds=np.ones((POSES, POSES)), waypoint=waypoint, waypoints=waypoints, walked=walked,
         center=center, capacity=capacity, share=share, way=way, present=np.arange(people) < first,
     )  # fmt: skip
 

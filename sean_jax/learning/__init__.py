@@ -7,15 +7,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sean_jax.learning.collect_job import collect
+    from sean_jax.learning.collection import collect
     from sean_jax.learning.dataset import Dataset, open_dataset
     from sean_jax.learning.examples import Example, Recording, example
-    from sean_jax.learning.learned import driver, load
+    from sean_jax.learning.learned import load, policy
     from sean_jax.learning.lerobot import export
     from sean_jax.learning.loader import Loader, Token
     from sean_jax.learning.network import Network
     from sean_jax.learning.recorder import record
-    from sean_jax.learning.train_job import train
+    from sean_jax.learning.training import train
 
 _HOMES = {
     "Dataset": "dataset",
@@ -24,19 +24,19 @@ _HOMES = {
     "Network": "network",
     "Recording": "examples",
     "Token": "loader",
-    "collect": "collect_job",
-    "driver": "learned",
+    "collect": "collection",
     "example": "examples",
     "export": "lerobot",
     "load": "learned",
     "open_dataset": "dataset",
+    "policy": "learned",
     "record": "recorder",
-    "train": "train_job",
+    "train": "training",
 }
 
 __all__ = [
-    "Dataset", "Example", "Loader", "Network", "Recording", "Token", "collect", "driver", "example", "export", "load",
-    "open_dataset", "record", "train",
+    "Dataset", "Example", "Loader", "Network", "Recording", "Token", "collect", "example", "export", "load",
+    "open_dataset", "policy", "record", "train",
 ]  # fmt: skip
 
 

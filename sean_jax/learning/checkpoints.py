@@ -1,6 +1,7 @@
-"""Checkpoints of a training through orbax: the latest and the best are kept, and a half-written one is never seen.
+"""The folder of a training: its configuration, and checkpoints through orbax.
 
-orbax deletes the latest checkpoint where only the best are asked for, and a training would begin anew: so both are.
+The latest and the best checkpoint are kept, and a half-written one is never read. Where only the best ones are asked
+for, orbax deletes the latest, and a training would start anew; so the policy below keeps both.
 """
 
 import json
@@ -15,139 +16,194 @@ import orbax.checkpoint as ocp
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
 from sean_jax import files, writing
-from sean_jax.learning.learned import Weights
+from sean_jax.errors import FileError, IncompleteError, InputError
 from sean_jax.learning.manifests import CONFIG
-from sean_jax.learning.options import Failed, Refused
-from sean_jax.learning.training import TrainState
 
 STATE = "state"
-SPARE = 4_000_000  # bytes, that must be free beside what a checkpoint may take
-AGAIN = 10  # times
+RESERVE = 4_000_000  # bytes that must be free in addition to the size of a checkpoint
+UNCHANGED = "earlier checkpoints are as they were."  # how a message about a failed write ends
+ATTEMPTS = 10  # to read while a training replaces checkpoints
 
-Read = TypeVar("Read")
+Result = TypeVar("Result")
+Tree = TypeVar("Tree")
 
 
-def _less_loss(metrics: dict[str, float]) -> float:
+def _negative_loss(metrics: dict[str, float]) -> float:
     return -metrics["loss"]
 
 
 class Checkpoints:
-    """The checkpoints in a folder, each named by the number of epochs that were done.
+    """The checkpoints in a folder, each named by its number of epochs.
 
-    Who writes them holds the folder (``writing.held``), for what is left of a kill is removed; who does not, changes
-    nothing there. A kill may leave a checkpoint half deleted, which orbax still counts: only those that are neither the
-    latest nor the best are ever deleted, and no others are read.
+    A writer must hold the lock of the folder (``writing.folder_lock``), because opening for writing removes what a
+    killed process left. A reader changes nothing. A kill may leave a checkpoint half deleted, which orbax still counts.
+    Only checkpoints that are neither the latest nor the best are ever deleted, and only the latest and the best are
+    read.
     """
 
     def __init__(self, folder: Path, writes: bool = False):
-        logging.getLogger("absl").setLevel(logging.CRITICAL)  # orbax tells of every step it takes
+        """Open the checkpoints of a folder.
+
+        Args:
+            folder: the folder of the training.
+            writes: whether checkpoints may be saved and deleted; the caller holds the lock then.
+        """
+        logging.getLogger("absl").setLevel(logging.CRITICAL)  # orbax logs every step
         self.folder = Path(folder).absolute()
-        keep = AnyPreservationPolicy([LatestN(n=1), BestN(get_metric_fn=_less_loss, n=1)])
+        policy = AnyPreservationPolicy([LatestN(n=1), BestN(get_metric_fn=_negative_loss, n=1)])
         options = ocp.CheckpointManagerOptions(
-            best_fn=_less_loss,  # decides nothing here, but without it the losses would not be kept on disk
-            preservation_policy=keep,
+            best_fn=_negative_loss,  # decides nothing here, but without it orbax does not store the losses
+            preservation_policy=policy,
             cleanup_tmp_directories=writes,
             create=writes,
             read_only=not writes,
         )
-        self.manager = _steadily(lambda: ocp.CheckpointManager(self.folder / "checkpoints", options=options))
+        self.manager = _retry(lambda: ocp.CheckpointManager(self.folder / "checkpoints", options=options))
         if writes:
             for step in {*self.manager.all_steps()} - {self.manager.latest_step(), self.manager.best_step()}:
                 self.manager.delete(step)
 
-    def save(self, state: TrainState, loss: float) -> None:
-        """Keep the state after an epoch, in the background. Raises Failed if the last one could not be written."""
-        needed = 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(state)) + SPARE
-        if shutil.disk_usage(self.folder).free < needed:  # of a write that fails, orbax's threads print pages
-            raise Failed(f"{self.folder}: the disk is full; earlier checkpoints are as they were.")
+    def save(self, state: Any, epoch: int, loss: float) -> None:
+        """Write a checkpoint in the background.
+
+        Args:
+            state: a pytree of arrays.
+            epoch: number of epochs done; the name of the checkpoint.
+            loss: validation loss, which decides which checkpoint is the best.
+
+        Raises:
+            IncompleteError: this checkpoint or the one before could not be written.
+        """
+        size = 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(state)) + RESERVE
+        if shutil.disk_usage(self.folder).free < size:  # after a failed write, threads of orbax print pages
+            raise IncompleteError(f"{self.folder}: {writing.DISK_FULL}; {UNCHANGED}")
         try:
             content = ocp.args.Composite(**{STATE: ocp.args.PyTreeSave(state)})  # pyright: ignore
-            self.manager.save(int(state.epoch), args=content, metrics={"loss": loss}, force=True)
+            self.manager.save(epoch, args=content, metrics={"loss": loss}, force=True)
         except (OSError, ValueError) as error:
-            raise Failed(f"{self.folder}: {_reason(error)}; earlier checkpoints are as they were.") from error
+            raise IncompleteError(f"{self.folder}: {writing.reason(error)}; {UNCHANGED}") from error
 
     def wait(self) -> None:
-        """Until all is written. Raises Failed if it cannot be."""
+        """Wait until all checkpoints are on disk.
+
+        Raises:
+            IncompleteError: one could not be written.
+        """
         try:
             self.manager.wait_until_finished()
         except (OSError, ValueError) as error:
-            raise Failed(f"{self.folder}: {_reason(error)}; earlier checkpoints are as they were.") from error
+            raise IncompleteError(f"{self.folder}: {writing.reason(error)}; {UNCHANGED}") from error
 
-    def latest(self, like: TrainState) -> TrainState | None:
-        """The latest state, with the shapes and types of ``like``; None if there is none.
+    def latest(self, like: Tree) -> Tree | None:
+        """Read the latest checkpoint.
 
-        Raises Failed if it cannot be read.
+        Args:
+            like: a pytree with the structure, shapes and types of what was saved.
+
+        Returns:
+            The state, or None if there is no checkpoint.
+
+        Raises:
+            IncompleteError: it cannot be read.
         """
         step = self.manager.latest_step()
         return None if step is None else self._restore(step, like)
 
-    def best_weights(self, like: Weights) -> Weights:
-        """The weights with the least loss in validation, the latest of equals. Raises Refused if there are none."""
-        best, before = self._best(), None
-        while best is not None:
-            try:
-                return self._restore(best, like, part="weights")
-            except Failed:
-                best, before = self._best(), best
-                if best == before:
-                    raise  # else a training that goes on has a better one by now
-        raise Refused(f"{self.folder} has no checkpoint; train a network with `sean train imitation`.")
+    def best(self, part: str, like: Tree) -> Tree:
+        """Read one field of the checkpoint with the lowest validation loss, the latest of equals.
 
-    def _best(self) -> int | None:
-        _steadily(self.manager.reload)
+        Args:
+            part: name of the field of the saved state.
+            like: a pytree with the structure, shapes and types of that field.
+
+        Returns:
+            The field.
+
+        Raises:
+            InputError: there is no checkpoint.
+            IncompleteError: it cannot be read.
+        """
+        step, previous = self._best_step(), None
+        while step is not None:
+            try:
+                return self._restore(step, like, part)
+            except IncompleteError:
+                step, previous = self._best_step(), step
+                if step == previous:
+                    raise  # otherwise a running training has replaced it by a better one
+        raise InputError(f"{self.folder} has no checkpoint; train a network with `sean train imitation`.")
+
+    def _best_step(self) -> int | None:
+        _retry(self.manager.reload)
         return self.manager.best_step()
 
-    def _restore(self, step: int, like: Any, part: str | None = None) -> Any:
+    def _restore(self, step: int, like: Tree, part: str | None = None) -> Tree:
         sharding = jax.sharding.SingleDeviceSharding(jax.devices()[0])
-        one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), like)
-        target = one if part is None else {part: one}
+        shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), like)
+        target = shapes if part is None else {part: shapes}
         try:
-            placed = ocp.checkpoint_utils.construct_restore_args(target)
-            given = ocp.args.PyTreeRestore(item=target, restore_args=placed, partial_restore=True)  # pyright: ignore
-            content = self.manager.restore(step, args=ocp.args.Composite(**{STATE: given}))
+            placement = ocp.checkpoint_utils.construct_restore_args(target)
+            request = ocp.args.PyTreeRestore(item=target, restore_args=placement, partial_restore=True)  # pyright: ignore
+            content = self.manager.restore(step, args=ocp.args.Composite(**{STATE: request}))
             return content[STATE] if part is None else content[STATE][part]
         except (OSError, ValueError, KeyError, TypeError) as error:
             where = self.folder / "checkpoints" / str(step)
-            raise Failed(
-                f"{where} cannot be read ({_reason(error)}); remove it to go on from an earlier one."
+            raise IncompleteError(
+                f"{where} cannot be read ({writing.reason(error)}); remove it to go on from an earlier one."
             ) from error
 
 
-def begun(folder: Path, config: dict[str, Any]) -> bool:
-    """Whether a training of that configuration was begun in the folder.
+def check_config(folder: Path, config: dict[str, Any]) -> bool:
+    """Check that a training of this configuration may start or continue in the folder.
 
-    Raises Refused if another training was, or something else is there.
+    Args:
+        folder: the folder of the training.
+        config: values that JSON can hold. ``versions`` and ``command`` may differ from those on disk.
+
+    Returns:
+        Whether the folder holds a training of this configuration already.
+
+    Raises:
+        InputError: it holds another training, or something else.
     """
     file = folder / CONFIG
     if not file.exists():
         if writing.contents(folder):
-            raise Refused(f"the folder {folder} holds something else already, choose another with --out.")
+            raise InputError(f"the folder {folder} holds something else already, choose another with --out.")
         return False
     try:
-        had = files.read_json(file)
-    except files.FileError as error:
-        raise Refused(f"{str(error).rstrip('.')}; choose another folder with --out.") from None
-    if not isinstance(had, dict):
-        raise Refused(f"{file} is no configuration of a network; choose another folder with --out.")
+        saved = files.read_json(file)
+    except FileError as error:
+        raise InputError(f"{str(error).rstrip('.')}; choose another folder with --out.") from None
+    if not isinstance(saved, dict):
+        raise InputError(f"{file} is no configuration of a network; choose another folder with --out.")
     for name, value in json.loads(json.dumps(config)).items():
-        if name not in ("versions", "command") and had.get(name) != value:
-            said = f"{name.replace('_', ' ')} {_shown(had.get(name))}, not {_shown(value)}"
-            raise Refused(f"{folder} has checkpoints of another network, with {said}; choose another --out.")
+        if name not in ("versions", "command") and saved.get(name) != value:
+            difference = f"{name.replace('_', ' ')} {_text(saved.get(name))}, not {_text(value)}"
+            raise InputError(f"{folder} has checkpoints of another network, with {difference}; choose another --out.")
     return True
 
 
-def begin(folder: Path, config: dict[str, Any]) -> None:
-    """A training of that configuration begins. Raises Refused if the folder cannot be written."""
+def write_config(folder: Path, config: dict[str, Any]) -> None:
+    """Write the configuration of a new training.
+
+    Args:
+        folder: the folder of the training.
+        config: values that JSON can hold.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
     try:
         writing.write(folder / CONFIG, json.dumps(config, indent=1) + "\n")
     except OSError as error:
         why = writing.reason(error)
-        raise Refused(f"cannot write {folder}: {why}; choose another folder with --out.") from error
+        raise InputError(f"cannot write {folder}: {why}; choose another folder with --out.") from error
 
 
-def _steadily(read: Callable[[], Read]) -> Read:
-    """What is read, again if a training that goes on has removed a checkpoint meanwhile."""
-    for _ in range(AGAIN):
+def _retry(read: Callable[[], Result]) -> Result:
+    """The result of ``read``, repeated while a running training removes checkpoints."""
+    for _ in range(ATTEMPTS):
         try:
             return read()
         except FileNotFoundError:
@@ -155,10 +211,5 @@ def _steadily(read: Callable[[], Read]) -> Read:
     return read()
 
 
-def _shown(value: Any) -> str:
+def _text(value: Any) -> str:
     return {True: "on", False: "off"}[value] if isinstance(value, bool) else str(value)
-
-
-def _reason(error: Exception) -> str:
-    text = str(error).strip().split("\n")[0].rstrip(".")
-    return "the disk is full" if "No space left" in text or getattr(error, "errno", 0) == 28 else text[:200]

@@ -1,6 +1,6 @@
-"""Export to LeRobotDataset v3.0, the format of the LeRobot project: parquet files and a description of them.
+"""Export of a dataset to LeRobotDataset v3.0, the format of the LeRobot project: parquet files with a description.
 
-Depth images are kept in the parquet files as PNG of 16 bits, in mm, as LeRobot keeps images that are no video.
+The parquet files contain the depth images as PNG of 16 bits, in mm, as LeRobot stores images that are not videos.
 """
 
 import io
@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from sean_jax import writing
+from sean_jax.errors import InputError
 from sean_jax.learning.dataset import Dataset, Episode, open_dataset
-from sean_jax.learning.options import Refused
-from sean_jax.options import check_new_folder
+from sean_jax.writing import check_new_folder
 
-CHUNK = 1000  # files in a folder
-SHARE = 512  # episodes in a file
+FILES_IN_CHUNK = 1000  # LeRobot calls a folder of files a chunk
+EPISODES_IN_FILE = 512
 IMAGE, STATE, PLAN, FLAGS, ACTION = (
     "observation.images.depth",
     "observation.state",
@@ -29,52 +29,65 @@ NUMBERS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
 def export(dataset: Path | str, out: Path | str) -> Path:
-    """Write the dataset in ``out``, which must be new or empty.
+    """Write a dataset in the format of LeRobot.
 
-    Raises Refused or Unwritable if that cannot be, or if pyarrow is not there; Failed if a file of the dataset is
-    damaged.
+    Args:
+        dataset: folder of the dataset.
+        out: folder to write, new or empty.
+
+    Returns:
+        The folder that was written.
+
+    Raises:
+        InputError: there is no dataset, it is empty, or pyarrow is not installed.
+        WriteError: the folder cannot be written.
+        IncompleteError: a file of the dataset is damaged.
     """
     try:
         import pyarrow  # noqa: F401
     except ImportError:
-        raise Refused('export lerobot: pyarrow is missing; pip install "sean_jax[lerobot]".') from None
+        raise InputError('export lerobot: pyarrow is missing; pip install "sean_jax[lerobot]".') from None
     data, out = open_dataset(dataset), Path(out)
     check_new_folder(out)
     if not data.episodes:
-        raise Refused(f"{data.folder} has no episodes; collect some.")
-    with writing.whole_folder(out) as made:
-        _export(data, made)
+        raise InputError(f"{data.folder} has no episodes; collect some.")
+    with writing.atomic_folder(out) as folder:
+        _export(data, folder)
     return out
 
 
 def _export(data: Dataset, out: Path) -> None:
-    tasks, about, totals, index = list(data.manifest["streams"]), [], Totals(), 0
-    for number, first in enumerate(range(0, len(data.episodes), SHARE)):
-        where = {"chunk_index": number // CHUNK, "file_index": number % CHUNK}
+    tasks, descriptions, totals, index = list(data.manifest["streams"]), [], Statistics(), 0
+    for number, first in enumerate(range(0, len(data.episodes), EPISODES_IN_FILE)):
+        where = {"chunk_index": number // FILES_IN_CHUNK, "file_index": number % FILES_IN_CHUNK}
         rows: list[dict[str, Any]] = []
-        for episode_index, episode in enumerate(data.episodes[first : first + SHARE], first):
-            made = list(_frames(data, episode, episode_index, index))
-            own = Totals()
-            own.add(made)
+        for episode_index, episode in enumerate(data.episodes[first : first + EPISODES_IN_FILE], first):
+            frames = list(_frames(data, episode, episode_index, index))
+            own = Statistics()
+            own.add(frames)
             totals.join(own)
-            about.append(_about(episode, episode_index, index, tasks, where, own))
-            rows += [_cells(frame) for frame in made]
-            index += len(made)
+            descriptions.append(_description(episode, episode_index, index, tasks, where, own))
+            rows += [_cells(frame) for frame in frames]
+            index += len(frames)
         _write(out / _file("data", **where), rows, _schema(data))
-    _write(out / _file("meta/episodes", 0, 0), about)
+    _write(out / _file("meta/episodes", 0, 0), descriptions)
     _write(out / "meta/tasks.parquet", *_tasks(tasks))
     (out / "meta/info.json").write_text(json.dumps(_info(data, index, tasks), indent=4) + "\n", encoding="utf-8")
-    (out / "meta/stats.json").write_text(json.dumps(totals.told(), indent=4) + "\n", encoding="utf-8")
+    (out / "meta/stats.json").write_text(json.dumps(totals.as_dict(), indent=4) + "\n", encoding="utf-8")
 
 
-class Totals:
-    """Least, greatest, mean, standard deviation and number of each feature; of images, per channel from 0 to 1."""
+class Statistics:
+    """Minimum, maximum, mean, standard deviation and count of each feature; of images, per channel from 0 to 1."""
 
     def __init__(self):
         self.sums: dict[str, list[np.ndarray]] = {}
 
     def add(self, frames: list[dict[str, Any]]) -> None:
-        """Those frames as well."""
+        """Count frames.
+
+        Args:
+            frames: name -> value of each feature, for each frame.
+        """
         for name in frames[0]:
             values = np.stack([np.atleast_1d(frame[name]) for frame in frames]).astype(np.float64)
             if name == IMAGE:
@@ -82,8 +95,12 @@ class Totals:
             parts = [values.min(0), values.max(0), values.sum(0), np.square(values).sum(0), np.array([len(values)])]
             self._add(name, parts)
 
-    def join(self, other: "Totals") -> None:
-        """Those of others as well."""
+    def join(self, other: "Statistics") -> None:
+        """Count what another object has counted.
+
+        Args:
+            other: the other.
+        """
         for name, parts in other.sums.items():
             self._add(name, parts)
 
@@ -95,11 +112,11 @@ class Totals:
         sums = [total + parts[2], square + parts[3], count + parts[4]]
         self.sums[name] = [np.minimum(low, parts[0]), np.maximum(high, parts[1]), *sums]
 
-    def told(self) -> dict[str, dict[str, Any]]:
-        """As stats.json has it."""
-        return {name: self._told(name) for name in self.sums}
+    def as_dict(self) -> dict[str, dict[str, Any]]:
+        """Convert to the content of stats.json. Returns feature -> statistic -> value."""
+        return {name: self._feature(name) for name in self.sums}
 
-    def _told(self, name: str) -> dict[str, Any]:
+    def _feature(self, name: str) -> dict[str, Any]:
         low, high, total, square, count = self.sums[name]
         mean = total / count
         std = np.sqrt(np.maximum(square / count - mean * mean, 0.0))
@@ -126,7 +143,7 @@ def _frames(data: Dataset, episode: Episode, number: int, index: int) -> Iterato
 
 
 def _cells(frame: dict[str, Any]) -> dict[str, Any]:
-    """As a row of parquet has it."""
+    """A frame as a row of a parquet file."""
     from PIL import Image
 
     packed = io.BytesIO()
@@ -135,9 +152,11 @@ def _cells(frame: dict[str, Any]) -> dict[str, Any]:
     return {**cells, IMAGE: {"bytes": packed.getvalue(), "path": None}}
 
 
-def _about(episode: Episode, number: int, index: int, tasks: list[str], where: dict, own: Totals) -> dict[str, Any]:
+def _description(
+    episode: Episode, number: int, index: int, tasks: list[str], where: dict[str, int], own: Statistics
+) -> dict[str, Any]:
     """A row of meta/episodes."""
-    told = {f"stats/{name}/{key}": value for name, stats in own.told().items() for key, value in stats.items()}
+    statistics = {f"stats/{name}/{key}": value for name, stats in own.as_dict().items() for key, value in stats.items()}
     return {
         "episode_index": number,
         "tasks": [tasks[episode.stream]],
@@ -147,12 +166,12 @@ def _about(episode: Episode, number: int, index: int, tasks: list[str], where: d
         **{f"data/{key}": value for key, value in where.items()},
         "meta/episodes/chunk_index": 0,
         "meta/episodes/file_index": 0,
-        **told,
+        **statistics,
     }
 
 
 def _info(data: Dataset, frames: int, tasks: list[str]) -> dict[str, Any]:
-    height, width = data.image
+    height, width = data.image_shape
     pose = ["x", "y", "heading_x", "heading_y", "speed", "turn_rate"]
     points = [f"plan_{axis}_{number}" for number in range(1, 11) for axis in "xy"]
     flags = data.manifest["situations"]
@@ -171,7 +190,7 @@ def _info(data: Dataset, frames: int, tasks: list[str]) -> dict[str, Any]:
         "total_episodes": len(data.episodes),
         "total_frames": frames,
         "total_tasks": len(tasks),
-        "chunks_size": CHUNK,
+        "chunks_size": FILES_IN_CHUNK,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
         "fps": 1,
@@ -193,16 +212,16 @@ def _schema(data: Dataset) -> Any:
 
 
 def _tasks(tasks: list[str]) -> tuple[list[dict[str, Any]], Any]:
-    """The tasks; their words are marked as the index of a table of pandas, where LeRobot looks for them."""
+    """The tasks. Their names are marked as the index of a table of pandas, where LeRobot looks for them."""
     import pyarrow as pa
 
     rows = [{"task_index": number, "task": name.replace("_", " ")} for number, name in enumerate(tasks)]
     columns = [
-        {"name": name, "field_name": name, "pandas_type": pandas, "numpy_type": numpy, "metadata": None}
-        for name, pandas, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+        {"name": name, "field_name": name, "pandas_type": pandas_type, "numpy_type": numpy, "metadata": None}
+        for name, pandas_type, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
     ]
-    about = json.dumps({"index_columns": ["task"], "column_indexes": [], "columns": columns, "creator": {}})
-    return rows, pa.schema([("task_index", pa.int64()), ("task", pa.string())], metadata={"pandas": about})
+    pandas = json.dumps({"index_columns": ["task"], "column_indexes": [], "columns": columns, "creator": {}})
+    return rows, pa.schema([("task_index", pa.int64()), ("task", pa.string())], metadata={"pandas": pandas})
 
 
 def _file(folder: str, chunk_index: int, file_index: int) -> str:

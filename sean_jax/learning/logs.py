@@ -1,7 +1,7 @@
-"""What a training tells of each epoch: a line of metrics.jsonl, and an event for TensorBoard.
+"""The log of a training: for each epoch a line of metrics.jsonl and events for TensorBoard.
 
-TensorBoard's files are records of a length, its checksum, a protocol buffer and its checksum; they are written here in
-full, for the packages that do it bring many others along.
+A file of TensorBoard is a sequence of records: a length, its checksum, a protocol buffer and its checksum. This module
+writes them itself, because the packages that do so have many dependencies.
 """
 
 import json
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sean_jax import writing
-from sean_jax.learning.options import Failed
+from sean_jax.errors import IncompleteError
 
 LINES = "metrics.jsonl"
 EVENTS = "events.out.tfevents.0000000000.sean"
@@ -30,7 +30,17 @@ _TABLE = _table()
 
 
 def crc32c(data: bytes) -> int:
-    """The checksum of Castagnoli, as in RFC 3720."""
+    """Compute the checksum of Castagnoli.
+
+    Args:
+        data: any bytes.
+
+    Returns:
+        A number of 32 bits.
+
+    Source:
+        RFC 3720.
+    """
     value = 0xFFFFFFFF
     for byte in data:
         value = _TABLE[(value ^ byte) & 0xFF] ^ (value >> 8)
@@ -38,20 +48,29 @@ def crc32c(data: bytes) -> int:
 
 
 class Log:
-    """The metrics of a training, in a folder."""
+    """The metrics of a training, in its folder."""
 
     def __init__(self, folder: Path, epochs: int):
-        """Goes on after that many epochs: what was told of later ones, before an interruption, is dropped."""
+        """Open a log, and drop the lines of epochs after the last checkpoint, which an interruption left.
+
+        Args:
+            folder: of the training.
+            epochs: number of epochs done.
+        """
         self.folder = folder
-        kept = [line for line in _lines(folder / LINES) if line["epoch"] <= epochs]
-        writing.write(folder / LINES, "".join(json.dumps(line) + "\n" for line in kept))
-        first = _event(kept[0]["time"] if kept else 0.0, version="brain.Event:2")
-        writing.write(folder / EVENTS, first + b"".join(_events(line) for line in kept))
+        lines = [line for line in _lines(folder / LINES) if line["epoch"] <= epochs]
+        writing.write(folder / LINES, "".join(json.dumps(line) + "\n" for line in lines))
+        first = _event(lines[0]["time"] if lines else 0.0, version="brain.Event:2")
+        writing.write(folder / EVENTS, first + b"".join(_events(line) for line in lines))
 
     def add(self, line: dict[str, Any]) -> None:
-        """A line has ``epoch``, ``time`` [s since 1970], and values, which may lie in dicts.
+        """Append the metrics of an epoch.
 
-        Raises Failed if it cannot be written.
+        Args:
+            line: ``epoch``, ``time`` [s since 1970], and numbers, which may lie in dicts.
+
+        Raises:
+            IncompleteError: the log cannot be written. The checkpoints stay.
         """
         try:
             with (self.folder / LINES).open("a", encoding="utf-8") as stream:
@@ -59,20 +78,20 @@ class Log:
             with (self.folder / EVENTS).open("ab") as stream:
                 stream.write(_events(line))
         except OSError as error:
-            raise Failed(
+            raise IncompleteError(
                 f"{self.folder}: {writing.reason(error)}; the checkpoints until then are as they were."
             ) from error
 
 
 def _lines(file: Path) -> list[dict[str, Any]]:
-    """What can be read of the file: a kill may have cut its last line."""
-    found = []
+    """The complete lines of the file; a kill may have cut the last one."""
+    lines = []
     for text in file.read_text(encoding="utf-8").splitlines() if file.exists() else []:
         try:
-            found.append(json.loads(text))
+            lines.append(json.loads(text))
         except ValueError:
             break
-    return found
+    return lines
 
 
 def _events(line: dict[str, Any]) -> bytes:
@@ -80,8 +99,8 @@ def _events(line: dict[str, Any]) -> bytes:
     for name, value in line.items():
         parts = value.items() if isinstance(value, dict) else [("", value)]
         values.update({f"{name}/{key}".rstrip("/"): each for key, each in parts})
-    told = {name: value for name, value in values.items() if name not in ("epoch", "time")}
-    return b"".join(_event(line["time"], line["epoch"], name, value) for name, value in told.items())
+    metrics = {name: value for name, value in values.items() if name not in ("epoch", "time")}
+    return b"".join(_event(line["time"], line["epoch"], name, value) for name, value in metrics.items())
 
 
 def _event(time: float, step: int = 0, tag: str = "", value: float = 0.0, version: str = "") -> bytes:

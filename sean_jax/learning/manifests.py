@@ -1,7 +1,7 @@
-"""What the JSON files of learning must hold to be used: a dataset's manifest, and a trained network's configuration.
+"""The JSON files of learning: the manifest of a dataset and the configuration of a trained network (section V).
 
-A dataset and a policy may come from anybody. What is not as this version writes it is refused when it is opened, by
-the key that is wrong, and before sizes from these files are asked of the memory.
+Datasets and policies may come from other people. A file that this version would not write is refused when it is opened,
+with the key that is wrong, before memory of the sizes in the file is allocated.
 """
 
 from collections.abc import Iterator
@@ -11,15 +11,15 @@ from typing import Annotated, Any
 import pydantic
 
 from sean_jax import files
-from sean_jax.learning.options import MOST_BATCH, MOST_HOURS, MOST_PIXELS, MOST_SIDE
-from sean_jax.quantities import LONGEST
+from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_SHARD, MAX_SIDE
+from sean_jax.quantities import MAX_DURATION
 
 LOOSE = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
-CONFIG = "config.json"  # what a network is, beside its checkpoints
+CONFIG = "config.json"  # the configuration of a network, beside its checkpoints
 Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
-Some = Annotated[int, pydantic.Field(ge=1, le=MOST_BATCH)]
-Side = Annotated[int, pydantic.Field(ge=1, le=MOST_SIDE)]  # pixels
-Words = Annotated[list[str], pydantic.Field(max_length=1_000)]
+Positive = Annotated[int, pydantic.Field(ge=1, le=MAX_SHARD)]
+Side = Annotated[int, pydantic.Field(ge=1, le=MAX_SIDE)]  # pixels
+Names = Annotated[list[str], pydantic.Field(max_length=1_000)]
 
 
 class Camera(pydantic.BaseModel):
@@ -43,7 +43,7 @@ class Shard(pydantic.BaseModel):
 
 
 class Robot(pydantic.BaseModel):
-    """Who was driven."""
+    """The robot that was driven."""
 
     model_config = LOOSE
 
@@ -51,60 +51,80 @@ class Robot(pydantic.BaseModel):
 
 
 class Manifest(pydantic.BaseModel):
-    """What dataset.json holds; other keys are for people."""
+    """The keys of dataset.json that are read; other keys are for people."""
 
     model_config = LOOSE
 
     command: str
     options: dict[str, Any]
-    hours: Annotated[float, pydantic.Field(gt=0, le=MOST_HOURS)]
-    batch: Some
-    seconds: Annotated[int, pydantic.Field(ge=1, le=LONGEST)]  # of an episode, at most
-    streams: Annotated[Words, pydantic.Field(min_length=1)]
-    situations: Words
+    hours: Annotated[float, pydantic.Field(gt=0, le=MAX_HOURS)]
+    batch: Positive
+    seconds: Annotated[int, pydantic.Field(ge=1, le=MAX_DURATION)]  # of an episode, at most
+    streams: Annotated[Names, pydantic.Field(min_length=1)]
+    situations: Names
     camera: Camera
     robot: Robot
     shards: list[Shard]
 
 
-class Trained(pydantic.BaseModel):
-    """What config.json holds of a trained network."""
+class NetworkConfig(pydantic.BaseModel):
+    """The keys of config.json that are read."""
 
     model_config = LOOSE
 
     width: Side  # of encodings and hidden layers
-    flags: bool  # whether it knows the situations
+    flags: bool  # whether the situations are an input
     image: tuple[Side, Side]  # pixels, height and width of a depth image
-    situations: Words
+    situations: Names
 
 
 def check_manifest(path: Path, data: Any, fields: tuple[str, ...]) -> None:
-    """Raises files.FileError for values of a dataset.json that are none of a dataset with these fields of a row."""
-    files.check_json(path, data, Manifest, lambda found: _relations(found, fields))
+    """Check the content of a dataset.json.
+
+    Args:
+        path: of the file, for messages.
+        data: its content.
+        fields: names of the fields of a row.
+
+    Raises:
+        FileError: a value cannot be that of a dataset with these fields.
+    """
+    files.check_json(path, data, Manifest, lambda manifest: _relations(manifest, fields))
 
 
-def read_trained(path: Path) -> Trained:
-    """The configuration of a trained network. Raises files.FileError."""
+def read_network_config(path: Path) -> NetworkConfig:
+    """Read the configuration of a trained network.
 
-    def sized(found: Trained) -> Iterator[files.Problem]:
-        if found.image[0] * found.image[1] > MOST_PIXELS:
-            yield ("image",), f"has more than {MOST_PIXELS:,} pixels"
+    Args:
+        path: of the config.json.
 
-    return files.check_json(path, files.read_json(path), Trained, sized)
+    Returns:
+        The configuration.
+
+    Raises:
+        FileError: the file cannot be read or used.
+    """
+
+    def check_size(config: NetworkConfig) -> Iterator[files.Problem]:
+        if config.image[0] * config.image[1] > MAX_PIXELS:
+            yield ("image",), f"has more than {MAX_PIXELS:,} pixels"
+
+    return files.check_json(path, files.read_json(path), NetworkConfig, check_size)
 
 
-def _relations(found: Manifest, fields: tuple[str, ...]) -> Iterator[files.Problem]:
-    if found.camera.width * found.camera.height > MOST_PIXELS:
-        yield ("camera",), f"has more than {MOST_PIXELS:,} pixels"
-    for number, shard in enumerate(found.shards):
+def _relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[files.Problem]:
+    if manifest.camera.width * manifest.camera.height > MAX_PIXELS:
+        yield ("camera",), f"has more than {MAX_PIXELS:,} pixels"
+    for number, shard in enumerate(manifest.shards):
         here = ("shards", number)
-        if shard.stream >= len(found.streams):
-            yield (*here, "stream"), f"{shard.stream} is none of the {len(found.streams)} streams"
+        if shard.stream >= len(manifest.streams):
+            yield (*here, "stream"), f"{shard.stream} is none of the {len(manifest.streams)} streams"
         for name, values in (("lengths", shard.lengths), ("completed", shard.completed)):
-            if len(values) != found.batch:
-                yield (*here, name), f"has {len(values)} values, and a batch has {found.batch} episodes"
-        if max(shard.lengths, default=0) > found.seconds:
-            yield (*here, "lengths"), f"an episode is {max(shard.lengths)} s long, and {found.seconds} s are the most"
+            if len(values) != manifest.batch:
+                yield (*here, name), f"has {len(values)} values, and a batch has {manifest.batch} episodes"
+        longest = max(shard.lengths, default=0)
+        if longest > manifest.seconds:
+            yield (*here, "lengths"), f"an episode is {longest} s long, and {manifest.seconds} s are the most"
         if missing := [name for name in fields if name not in shard.bytes]:
             yield (*here, "bytes"), f"lacks {', '.join(missing)}"
         if unknown := [name for name in shard.bytes if name not in fields]:

@@ -4,99 +4,91 @@ Random people: one task for all the time. Handcrafted people: each of the five s
 Behavior Graph: half of it joining groups, half of it leaving them. A part of the time is a stream of episodes.
 """
 
-import dataclasses
 import math
 from dataclasses import replace
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import assembly, files, robots, sensors
-from sean_jax.base import Policy, Scenario
-from sean_jax.learning.options import Collect, Refused
-from sean_jax.policies import POLICIES
+from sean_jax import assembly, robots, sensors
+from sean_jax.base import Scenario
+from sean_jax.config import CollectConfig, HandcraftedBehavior, OwnPart, Value
+from sean_jax.errors import InputError
+from sean_jax.learning import choice
 
 
-@dataclasses.dataclass(frozen=True)
-class Stream:
-    """Episodes of one kind. The scenarios of all streams differ in leaves alone, and by which task it is."""
+def check(config: CollectConfig) -> None:
+    """Refuse all that can be told before a scenario is made.
 
-    name: str
-    scenario: Scenario
-    turn: int  # which of the tasks
+    Args:
+        config: of a collection.
 
-
-def check(options: Collect) -> None:
-    """Refuse all that can be told before a scenario is made. Raises Refused."""
-    who_drives(options.driver)
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    choice.check(config.policy, config)
+    assembly.check(config)
+    if isinstance(config.robot, OwnPart | Value):
+        return
     try:
-        assembly.check(options.environment, **_parts(options))
-        for task in options.tasks[1:]:
-            assembly.check_task(task, options.behavior)
-        robot = robots.load(options.robot, "twin")
-        sensors.camera(robot, "depth", width=options.width, height=options.height)
+        robot = robots.load(config.robot.kind, "twin")
+        sensors.camera(robot, "depth", width=config.width, height=config.height)
     except ValueError as error:
-        raise Refused(str(error)) from error
+        raise InputError(str(error)) from error
 
 
-def _parts(options: Collect) -> dict[str, Any]:
-    """What ``make`` and ``assembly.check`` are told beside the environment."""
-    return {
-        "behavior": options.behavior,
-        "task": options.tasks[0],
-        "robot": options.robot,
-        "people": options.people,
-        "parties": options.parties,
-        "paths": options.paths,
-        "spreading": options.spreading,
-        "model": options.model,
-        "forces": options.forces,
-        "dynamics": options.dynamics,
-        "handcrafted": options.handcrafted,
-        "situations": options.situations,
-    }
+def streams(config: CollectConfig) -> dict[str, Scenario]:
+    """What takes part.
 
+    Args:
+        config: of a collection.
 
-def streams(options: Collect) -> tuple[list[Stream], tuple]:
-    """What takes part, and the functions of the tasks. Raises Refused for what does not exist or go together."""
-    try:
-        first = assembly.make(options.environment, **_parts(options), time_limit=options.time_limit)
-        scenarios = [first, *(assembly.with_task(first, task) for task in options.tasks[1:])]
-    except ValueError as error:
-        raise Refused(str(error)) from error
-    first = replace(first, metrics=())  # nobody asks for them here
-    tasks = tuple(scenario.task for scenario in scenarios)
-    if options.behavior == "handcrafted" and options.handcrafted is None and options.tasks == ("handcrafted",):
-        names = dict.fromkeys(first.behavior.data.situations)
-        return [Stream(name, _only(first, name), 0) for name in names], tasks
-    return [Stream(each.task_name, first, turn) for turn, each in enumerate(scenarios)], tasks
+    Returns:
+        Name of a stream -> its scenario. They differ in their leaves and their task alone.
+
+    Raises:
+        InputError: one sentence for what does not exist or go together.
+    """
+    scenarios = [replace(scenario, metrics=()) for scenario in assembly.build(config)]  # nobody asks for them here
+    first = scenarios[0]
+    by_situation = isinstance(config.behavior, HandcraftedBehavior) and config.behavior.sets == "all"
+    if by_situation and [scenario.task_name for scenario in scenarios] == ["handcrafted"]:
+        return {name: _only(first, name) for name in dict.fromkeys(first.behavior.data.situations)}
+    return {scenario.task_name: scenario for scenario in scenarios}
 
 
 def _only(scenario: Scenario, situation: str) -> Scenario:
-    """The scenario with the handcrafted sets of that situation alone: their weights differ, and nothing else."""
+    """The scenario with the handcrafted sets of that situation alone: their odds differ, and nothing else."""
     sets = scenario.behavior.data
-    chosen = np.array([held == situation for held in sets.situations])
-    weight = jnp.where(jnp.asarray(chosen)[:, None, None], sets.weight, 0.0)
-    return replace(scenario, behavior=replace(scenario.behavior, data=replace(sets, weight=weight)))
+    chosen = np.array([name == situation for name in sets.situations])
+    odds = jnp.where(jnp.asarray(chosen)[:, None, None], sets.odds, 0.0)
+    return replace(scenario, behavior=replace(scenario.behavior, data=replace(sets, odds=odds)))
 
 
-def who_drives(name: str, option: str = "--driver") -> Policy:
-    """The policy of that name. Raises Refused if there is none."""
-    if name not in POLICIES:
-        raise Refused(f"{option}: '{name}' is not one of {', '.join(POLICIES)}{files.suggest(name, POLICIES) or '.'}")
-    return POLICIES[name]
+def seconds_of_each(hours: float, number: int) -> int:
+    """How long each of some streams is recorded.
 
+    Args:
+        hours: of all together.
+        number: of the streams.
 
-def share(hours: float, number: int) -> int:
-    """Seconds of each of so many streams."""
+    Returns:
+        Seconds.
+    """
     return math.ceil(3600.0 * hours / number - 1e-6)
 
 
 def next_stream(recorded: list[int], wanted: int) -> int | None:
-    """The stream of which least is recorded [s]; None when each has what is wanted [s].
+    """The stream of which least is recorded.
 
     It does not depend on how much is wanted, so a dataset that is made longer later equals one made at once.
+
+    Args:
+        recorded: s of each stream.
+        wanted: s of each.
+
+    Returns:
+        Its index; None when each has what is wanted.
     """
-    least = min(range(len(recorded)), key=lambda stream: (recorded[stream], stream))
-    return None if recorded[least] >= wanted else least
+    shortest = min(range(len(recorded)), key=lambda stream: (recorded[stream], stream))
+    return None if recorded[shortest] >= wanted else shortest

@@ -12,14 +12,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import chance, navigation, sensors, writing
+from sean_jax import navigation, prng, sensors, writing
 from sean_jax.base import Array, Scenario, State
+from sean_jax.config import MAX_PIXELS
+from sean_jax.errors import InputError
 from sean_jax.learning import dataset as datasets
-from sean_jax.learning.collect_job import check_place, described
+from sean_jax.learning.collection import check_place, scenario_facts
 from sean_jax.learning.dataset import Dataset
 from sean_jax.learning.demonstrations import Batch
-from sean_jax.learning.options import Refused, check_image
-from sean_jax.learning.rows import row
+from sean_jax.learning.examples import row
 from sean_jax.scenario import reset, step
 
 
@@ -35,14 +36,15 @@ class Recorder:
     ):
         """Args:
             driver: who gives the commands: a word for the manifest.
-            seed: episode ``i`` begins as ``fold_in(chance.key("record", seed), i)`` says.
+            seed: episode ``i`` begins as ``fold_in(prng.key("record", seed), i)`` says.
             width: of the depth images [pixels].
             height: likewise.
 
         Raises:
-            Refused: the folder holds something else, or the images are too large.
+            InputError: the folder holds something else, or the images are too large.
         """  # noqa: D205
-        check_image(width, height)
+        if width * height > MAX_PIXELS:
+            raise InputError(f"width: {width} times {height} are more than {MAX_PIXELS:,} pixels; ask for fewer.")
         folder = Path(folder)
         self.scenario, self.seed = scenario, seed
         self.eye = sensors.camera(scenario, "depth", width=width, height=height)
@@ -61,21 +63,34 @@ class Recorder:
         Args:
             key: () typed PRNG key that the episode is drawn from, such as one of another program's episodes that shall
                 be driven as well; by default of the recorder's own stream, which has no episode of any other.
+
+        Returns:
+            The first state.
         """
         self.discard()
         if key is None:
-            key = jax.random.fold_in(chance.key("record", self.seed), jnp.uint32(self.number))
+            key = jax.random.fold_in(prng.key("record", self.seed), jnp.uint32(self.number))
         self.state, self._last = self._begin(self.scenario, key)
         return self.state
 
     def step(self, command: Any) -> State:
-        """One step of control later. A command (2,) [m/s, rad/s] that is None or not finite is no new one."""
+        """One step of control later.
+
+        Args:
+            command: (2,) m/s and rad/s; None, or one that is not finite, is no new one.
+
+        Returns:
+            The state after the step.
+
+        Raises:
+            InputError: no episode has begun.
+        """
         if self.state is None:
-            raise Refused("recorder: no episode has begun; call begin first.")
+            raise InputError("recorder: no episode has begun; call begin first.")
         given = np.full(2, np.nan) if command is None else np.asarray(command, np.float64).reshape(2)
         new = bool(np.isfinite(given).all())
         self._held = np.where(new, given, self._held)
-        if int(self.state.tick) % round(1.0 / self.scenario.time_step) == 0 and len(self._rows) < self._most:
+        if int(self.state.tick) % round(1.0 / self.scenario.time_step) == 0 and len(self._rows) < self._max_rows:
             held = jnp.asarray(self._held, float)
             self._rows.append(jax.tree.map(np.asarray, self._row(self.scenario, self.state, held, self._last)))
         self.state = self._step(self.scenario, self.state, jnp.asarray(given, float))
@@ -84,19 +99,19 @@ class Recorder:
     def commit(self) -> None:
         """Keep the episode.
 
-        Raises Failed if it cannot be written, and then it can be tried again; Refused or Unwritable if somebody else
-        records in the folder.
+        Raises IncompleteError if it cannot be written, and then it can be tried again; InputError or WriteError if
+        somebody else records in the folder.
         """
         if self.state is None or not self._rows:
-            raise Refused("recorder: there is nothing to commit; call begin and step first.")
+            raise InputError("recorder: there is nothing to commit; call begin and step first.")
         rows = {}
         for name, (shape, kind) in self.data.fields.items():
-            rows[name] = np.zeros((1, self._most, *shape), kind)
+            rows[name] = np.zeros((1, self._max_rows, *shape), kind)
             rows[name][0, : len(self._rows)] = np.stack([getattr(one, name) for one in self._rows])
         completed = np.array([bool(self.state.completed)])
-        with writing.held(self.data.folder):
+        with writing.folder_lock(self.data.folder):
             if datasets.open_dataset(self.data.folder).manifest != self.data.manifest:
-                raise Refused(f"{self.data.folder} was continued by somebody else; record in another folder.")
+                raise InputError(f"{self.data.folder} was continued by somebody else; record in another folder.")
             self.data.commit(0, Batch(rows, np.array([len(self._rows)]), completed))
         self.discard()
 
@@ -107,7 +122,7 @@ class Recorder:
         self._held = np.zeros(2)
 
     @property
-    def _most(self) -> int:
+    def _max_rows(self) -> int:
         return self.data.manifest["seconds"]
 
     def _look(self, scenario: Scenario, state: State, command: Array, last: Array) -> Any:
@@ -122,26 +137,32 @@ class Recorder:
                 "environment": self.scenario.environment.name,
                 "size": [self.eye.width, self.eye.height],
             },
-            **described(self.scenario, self.eye, driver),
+            **scenario_facts(self.scenario, self.eye, driver),
             "hours": 1e6,  # all that is recorded takes part
             "batch": 1,
             "streams": [self.scenario.task_name],
         }
         if not (folder / datasets.MANIFEST).exists():
             check_place(folder)
-            with writing.held(folder):
+            with writing.folder_lock(folder):
                 return datasets.create_dataset(folder, manifest)
         data = datasets.open_dataset(folder)
         if data.manifest["options"] != manifest["options"]:
-            raise Refused(f"{folder} was begun with another scenario, driver or seed; choose another folder.")
+            raise InputError(f"{folder} was begun with another scenario, driver or seed; choose another folder.")
         return data
 
 
 def record(recorder: Recorder, commands: Callable[[State], Any] | Iterable[Any], episodes: int) -> Dataset:
-    """So many episodes, each until it is completed or timed out, and committed.
+    """Record so many episodes, each until it is completed or timed out, and commit them.
 
-    ``commands`` is a function of the state, or gives one command for each step. If it ends midway, what was driven
-    until then is committed as the last episode.
+    Args:
+        recorder: of a scenario.
+        commands: a function of the state, or one command (2,) for each step. If they end midway, what was driven until
+            then is committed as the last episode.
+        episodes: how many.
+
+    Returns:
+        The dataset.
     """
     source = commands if callable(commands) else functools.partial(_next, iter(commands))
     for _ in range(episodes):
@@ -164,4 +185,4 @@ def _next(commands: Any, state: State) -> Any:
 
 def _begin(scenario: Scenario, key: Array) -> tuple[State, Array]:
     state = reset(scenario, key)
-    return state, navigation.bend_to_goal(scenario.navigation, state.task.goal)
+    return state, navigation.last_arc_to_goal(scenario.navigation, state.task.goal)

@@ -1,147 +1,228 @@
-"""Imitation (section V-C): equally weighted losses of the local planner and the velocity controller, AdamW, epochs.
+"""``sean train imitation``: learn to drive from demonstrations, with checkpoints (section V-C).
 
-Pure functions. An epoch is one call: a scan over shuffled batches, then one over those that validate, with the dataset
-on the device. The shuffle comes from (seed, epoch), so a training that was interrupted goes on as it would have.
+The losses of the local planner and of the velocity controller have equal weight. AdamW minimizes their sum, epoch by
+epoch, until the validation loss stops falling. An epoch is one compiled call: a scan over shuffled batches, then a scan
+over the validation batches, with the dataset on the device. The shuffle depends on (seed, epoch) alone, so the same
+command continues from the latest checkpoint after an interruption and ends with the same weights.
 """
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from flax import struct
+from flax.typing import VariableDict
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Float, Int
+from rich.console import Console
 
-from sean_jax import chance
+from sean_jax import devices, prng, writing
 from sean_jax.base import Array
-from sean_jax.devices import AXIS
+from sean_jax.config import TrainConfig
+from sean_jax.errors import InputError
+from sean_jax.flags import command
+from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
+from sean_jax.learning.dataset import Dataset, Episode, on_device, open_dataset, split
 from sean_jax.learning.examples import Example, Recording, example
-from sean_jax.learning.learned import Weights, initial
-from sean_jax.learning.network import Network
-from sean_jax.learning.options import Train
+from sean_jax.learning.loader import Loader, Token, balanced_probabilities
+from sean_jax.learning.logs import Log
+from sean_jax.learning.network import Decision, Network, Weights, init_weights
+from sean_jax.progress import progress
+from sean_jax.versions import versions
 
-STILL = 0.05  # m/s, rad/s: the least scale of a command, where it hardly varies
+MIN_COMMAND_SCALE = 0.05  # m/s, rad/s: the scale of a command that hardly varies
+CHECKPOINT_INTERVAL = 10  # epochs between two checkpoints while the loss does not improve
+DEFAULT_MEMORY = 4e9  # bytes, for a device that does not report its memory
 
 
 @struct.dataclass
 class TrainState:
-    """All that the rest of a training depends on."""
+    """Everything that the rest of a training depends on. The field names are those of the checkpoints on disk."""
 
     weights: Weights
-    optimizer: Any  # optax's state
+    optimizer: optax.OptState
     epoch: Array  # () int32, epochs done
-    best: Array  # () least loss in validation so far
-    best_epoch: Array  # () int32, the epoch that it came after
+    best: Array  # () lowest validation loss so far
+    best_epoch: Array  # () int32, the epoch that reached it
 
 
 class Losses(NamedTuple):
     """Means over examples."""
 
-    loss: Array  # () the sum of the next two
-    local_plan: Array  # () m2, squared distance from the places of the next five seconds
-    command: Array  # () squared error of the command, each part over its standard deviation, added up
+    loss: Array  # () sum of the next two
+    local_plan: Array  # () m2, mean squared distance from the places of the next five seconds
+    command: Array  # () squared error of the command in units of ``Weights.scale``, summed over speed and turn rate
 
 
-class Programs(NamedTuple):
-    """What is compiled, at first use."""
+class TrainPrograms(NamedTuple):
+    """The compiled functions of a training. Each compiles at its first call.
 
-    # (state, recording, training rows (N,), rows to validate (M,), odds of the former (N,) or None)
-    epoch: Callable  # -> (state, Losses, Losses)
-    update: Callable  # (state, examples (B, ...), weight (B,)) -> (state, sums): where the dataset is read from disk
-    measure: Callable  # (state, examples, weight) -> sums
-    finish: Callable  # (state, sums, sums) -> (state, Losses, Losses): the end of an epoch made of such parts
+    "Sums" are the (4,) of ``_error_sums`` added over examples, from which ``Losses`` are computed.
+    """
+
+    # (state, recording, training rows (R,), validation rows (R,), probabilities of the former (R,) or None)
+    epoch: Callable  # -> (state, training Losses, validation Losses)
+    update: Callable  # (state, examples (B, ...), weight (B,)) -> (state, sums): one step of the optimizer
+    measure: Callable  # (state, examples (B, ...), weight (B,)) -> sums
+    finish: Callable  # (state, training sums, validation sums) -> (state, Losses, Losses): the end of an epoch
 
 
-def begin(network: Network, situations: int, options: Train, commands: Array) -> TrainState:
-    """Before the first epoch. ``commands`` (R, 2) are those to be imitated, which decide the scale of the command."""
-    weights = initial(network, situations, chance.key("weights", options.seed))
-    weights = replace(weights, scale=jnp.maximum(jnp.std(commands, 0), STILL))
-    state = _optimizer(options).init(weights.parameters)
+def train(options: TrainConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
+    """Train a network, or continue its training, in the folder of the options.
+
+    Args:
+        options: what to train.
+        console: shows the progress; a function receives the fraction done instead, and None shows nothing.
+
+    Returns:
+        The state after the last epoch. ``learned.load`` reads the best weights from the folder.
+
+    Raises:
+        InputError: the options are impossible, or the folder holds something else.
+        WriteError: another process trains in the folder.
+        IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
+        FloatingPointError: the loss is not finite. The checkpoints stay.
+    """
+    data = open_dataset(options.dataset)
+    training, validation = split(data, options.validation, options.seed)
+    network = Network(options.width, options.flags, data.image_shape)
+    config = _config(options, data, network)
+    check_config(options.folder, config)  # refuses before anything is written
+    with writing.folder_lock(options.folder):
+        return _train(options, console, data, training, validation, network, config)
+
+
+def init_state(
+    network: Network, situations: int, options: TrainConfig, commands: Float[np.ndarray | Array, "R 2"]
+) -> TrainState:
+    """The state before the first epoch.
+
+    Args:
+        network: what is trained.
+        situations: number of social situations in an example.
+        options: seed and optimizer.
+        commands: (R, 2) m/s, rad/s, the commands of the training examples. Their standard deviation is the scale of
+            the network's command.
+
+    Returns:
+        The initial state; its best loss is infinite.
+    """
+    weights = init_weights(network, situations, prng.key("weights", options.seed))
+    weights = replace(weights, scale=jnp.maximum(jnp.std(commands, 0), MIN_COMMAND_SCALE))
     return TrainState(
         weights=weights,
-        optimizer=state,
+        optimizer=_optimizer(options).init(weights.parameters),
         epoch=jnp.zeros((), jnp.int32),
         best=jnp.full((), jnp.inf, jnp.float32),
         best_epoch=jnp.zeros((), jnp.int32),
     )
 
 
-def programs(network: Network, options: Train, over: Mesh) -> Programs:
-    """Programs on the devices of a mesh, over which each batch is split."""
+def programs(network: Network, options: TrainConfig, mesh: Mesh) -> TrainPrograms:
+    """The compiled functions of a training.
+
+    Args:
+        network: what is trained.
+        options: seed, batch and optimizer.
+        mesh: devices, over which each batch is split.
+
+    Returns:
+        Functions that reuse (donate) the memory of the state that they receive.
+    """
     optimizer = _optimizer(options)
-    split = NamedSharding(over, PartitionSpec(AXIS))
+    sharding = NamedSharding(mesh, PartitionSpec(devices.AXIS))
 
-    def sums(parameters: Any, scale: Array, examples: Example, weight: Array) -> Array:
-        return jnp.sum(jax.vmap(_errors, (None, None, None, 0, 0))(network, parameters, scale, examples, weight), 0)
+    def sums(parameters: VariableDict, scale: Array, examples: Example, weight: Array) -> Array:
+        each = jax.vmap(_error_sums, (None, None, None, 0, 0))(network, parameters, scale, examples, weight)
+        return jnp.sum(each, 0)
 
-    def loss(parameters: Any, scale: Array, examples: Example, weight: Array) -> tuple[Array, Array]:
+    def loss(parameters: VariableDict, scale: Array, examples: Example, weight: Array) -> tuple[Array, Array]:
         total = sums(parameters, scale, examples, weight)
-        means = _losses(total)
-        return means.loss, total
+        return _losses(total).loss, total
 
     def update(state: TrainState, examples: Example, weight: Array) -> tuple[TrainState, Array]:
         weights = state.weights
-        slope, total = jax.grad(loss, has_aux=True)(weights.parameters, weights.scale, examples, weight)
-        with jax.numpy_dtype_promotion("standard"):  # optax raises floats to whole numbers
-            steps, after = optimizer.update(slope, state.optimizer, weights.parameters)
+        gradient, total = jax.grad(loss, has_aux=True)(weights.parameters, weights.scale, examples, weight)
+        with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
+            steps, optimizer_state = optimizer.update(gradient, state.optimizer, weights.parameters)
         parameters = optax.apply_updates(weights.parameters, steps)
-        return replace(state, weights=replace(weights, parameters=parameters), optimizer=after), total
+        return replace(state, weights=replace(weights, parameters=parameters), optimizer=optimizer_state), total
 
     def measure(state: TrainState, examples: Example, weight: Array) -> Array:
         return sums(state.weights.parameters, state.weights.scale, examples, weight)
 
-    def taken(recording: Recording, index: Array) -> tuple[Example, Array]:
-        index = jax.lax.with_sharding_constraint(index, split)
+    def gather(recording: Recording, index: Array) -> tuple[Example, Array]:
+        index = jax.lax.with_sharding_constraint(index, sharding)
         examples = example(recording, jnp.maximum(index, 0))
         return examples, (index >= 0).astype(jnp.float32)
 
-    def epoch(state: TrainState, recording: Recording, train: Array, validate: Array, odds: Array | None = None):
-        key = jax.random.fold_in(chance.key("order", options.seed), state.epoch)
-        if odds is None:
-            drawn = jax.random.permutation(key, train)
+    def epoch(
+        state: TrainState,
+        recording: Recording,
+        training: Array,
+        validation: Array,
+        probabilities: Array | None = None,
+    ) -> tuple[TrainState, Losses, Losses]:
+        key = jax.random.fold_in(prng.key("order", options.seed), state.epoch)
+        if probabilities is None:
+            order = jax.random.permutation(key, training)
         else:
-            drawn = jax.random.choice(key, train, train.shape, p=odds)
-        batches = in_batches(drawn, options.batch, over.size)
-        state, trained = jax.lax.scan(lambda state, index: update(state, *taken(recording, index)), state, batches)
-        batches = in_batches(validate, options.batch, over.size)
-        _, found = jax.lax.scan(lambda _, index: (_, measure(state, *taken(recording, index))), 0, batches)
-        return finish(state, trained.sum(0), found.sum(0))
+            order = jax.random.choice(key, training, training.shape, p=probabilities)
+        batches = in_batches(order, options.batch, mesh.size)
+        state, trained = jax.lax.scan(lambda state, index: update(state, *gather(recording, index)), state, batches)
+        batches = in_batches(validation, options.batch, mesh.size)
+        _, validated = jax.lax.scan(lambda _, index: (_, measure(state, *gather(recording, index))), 0, batches)
+        return finish(state, trained.sum(0), validated.sum(0))
 
-    def finish(state: TrainState, trained: Array, found: Array):
-        train, validation = _losses(trained), _losses(found)
+    def finish(state: TrainState, training: Array, validation: Array) -> tuple[TrainState, Losses, Losses]:
+        training_losses, validation_losses = _losses(training), _losses(validation)
         number = state.epoch + 1
-        better = validation.loss < state.best
+        better = validation_losses.loss < state.best
         state = replace(
             state,
             epoch=number,
-            best=jnp.where(better, validation.loss, state.best),
+            best=jnp.where(better, validation_losses.loss, state.best),
             best_epoch=jnp.where(better, number, state.best_epoch),
         )
-        return state, train, validation
+        return state, training_losses, validation_losses
 
-    return Programs(
+    return TrainPrograms(
         jax.jit(epoch, donate_argnums=0), jax.jit(update, donate_argnums=0), jax.jit(measure), jax.jit(finish)
     )
 
 
-def in_batches(rows: Array, size: int, devices: int) -> Array:
-    """(batches, B) int32 of the rows (N,); -1 fills the last. B is at most N, rounded up for the devices."""
+def in_batches(rows: Int[Array, "R"], size: int, devices: int) -> Int[Array, "batches B"]:
+    """Cut rows into batches of equal size.
+
+    Args:
+        rows: (R,) int32.
+        size: of a batch. B is the smaller of it and R, rounded up to a multiple of the devices.
+        devices: number of devices that share a batch.
+
+    Returns:
+        (batches, B) int32; -1 fills the last batch.
+    """
     number = rows.shape[0]
     size = -(-max(1, min(size, number)) // devices) * devices
     spare = -number % size
     return jnp.concatenate([rows, jnp.full((spare,), -1, jnp.int32)]).reshape(-1, size)
 
 
-def _errors(network: Network, parameters: Any, scale: Array, one: Example, weight: Array) -> Array:
-    """(4,) of one example: squared distances added up, places that are known, squared error of the command, and 1."""
-    decision: Any = network.apply(parameters, one.images, one.plan, one.situations)
+def _error_sums(network: Network, parameters: VariableDict, scale: Array, one: Example, weight: Array) -> Array:
+    """(4,) of one example: summed squared distances, number of valid places, squared error of the command, and 1."""
+    decision = cast(Decision, network.apply(parameters, one.images, one.plan, one.situations))
     gap = decision.local_plan - one.future
-    far = gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]
-    known = one.known.astype(jnp.float32)
+    squared = gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]
+    valid = one.future_valid.astype(jnp.float32)
     off = decision.command - one.command / scale
-    parts = jnp.stack([jnp.sum(known * far), jnp.sum(known), jnp.sum(off * off), jnp.ones((), jnp.float32)])
+    parts = jnp.stack([jnp.sum(valid * squared), jnp.sum(valid), jnp.sum(off * off), jnp.ones((), jnp.float32)])
     return weight * parts
 
 
@@ -151,5 +232,121 @@ def _losses(sums: Array) -> Losses:
     return Losses(local_plan + command, local_plan, command)
 
 
-def _optimizer(options: Train) -> optax.GradientTransformation:
+def _optimizer(options: TrainConfig) -> optax.GradientTransformation:
     return optax.adamw(options.learning_rate, weight_decay=options.weight_decay)
+
+
+def _train(
+    options: TrainConfig,
+    console: Console | Callable[[float], None] | None,
+    data: Dataset,
+    training: list[Episode],
+    validation: list[Episode],
+    network: Network,
+    config: dict[str, Any],
+) -> TrainState:
+    """Train in a folder that this process has locked."""
+    resumes, mesh = check_config(options.folder, config), devices.mesh()
+    epoch = _epoch(data, training, validation, network, options, mesh)
+    commands = jnp.asarray(data.read(training, ("command",))["command"])
+    state = jax.jit(init_state, static_argnums=(0, 1, 2))(network, len(data.manifest["situations"]), options, commands)
+    if not resumes:
+        write_config(options.folder, config)
+    checkpoints = Checkpoints(options.folder, writes=True)
+    state = (checkpoints.latest(state) if resumes else None) or state
+    state = devices.replicate(mesh, state)
+    log = Log(options.folder, int(state.epoch))
+    with progress(console) as tell:
+        tell.start("training", options.epochs)
+        try:
+            while not _is_over(state, options):
+                start = time.time()
+                state, training_losses, validation_losses = epoch(state)
+                _check_finite(state, training_losses, validation_losses, options.folder)
+                number, better = int(state.epoch), int(state.best_epoch) == int(state.epoch)
+                losses = {"train": _as_dict(training_losses), "validation": _as_dict(validation_losses)}
+                log.add({"epoch": number, **losses, "time": time.time()})
+                if better or number % CHECKPOINT_INTERVAL == 0 or _is_over(state, options):
+                    checkpoints.save(state, number, float(validation_losses.loss))
+                best = f"best {float(state.best):.4f} after {int(state.best_epoch)}"
+                note = f"loss {float(validation_losses.loss):.4f}, {best}, {time.time() - start:.2f} s an epoch"
+                tell.update(number, f"epoch {number} · {note}")
+        finally:
+            checkpoints.wait()
+    return state
+
+
+def _epoch(
+    data: Dataset,
+    training: list[Episode],
+    validation: list[Episode],
+    network: Network,
+    options: TrainConfig,
+    mesh: Mesh,
+) -> Callable[[TrainState], tuple[TrainState, Losses, Losses]]:
+    """state -> (state, Losses, Losses), with the dataset on the devices if it fits there, else from disk."""
+    compiled = programs(network, options, mesh)
+    if data.example_count * data.row_bytes <= options.on_device * _memory():
+        recording = devices.replicate(mesh, on_device(data.recording([*training, *validation])))
+        number = sum(episode.length for episode in training)
+        rows = jnp.arange(data.example_count, dtype=jnp.int32)
+        probabilities = None
+        if options.balance:
+            probabilities = jnp.asarray(balanced_probabilities(data.read(training, ("situations",))["situations"]))
+        return lambda state: compiled.epoch(state, recording, rows[:number], rows[number:], probabilities)
+    if options.balance:
+        raise InputError("--balance needs the dataset to fit on the device; collect less, or raise --on-device.")
+    size = -(-options.batch // mesh.size) * mesh.size
+    loader = Loader(data, training, size, options.seed)
+    validation_loader = Loader(data, validation, size, options.seed, shuffle=False)
+
+    def from_disk(state: TrainState) -> tuple[TrainState, Losses, Losses]:
+        training_sums, validation_sums = jnp.zeros(4, jnp.float32), jnp.zeros(4, jnp.float32)
+        for _, examples, weight in loader.epoch(Token(int(state.epoch))):
+            state, sums = compiled.update(state, examples, weight)
+            training_sums = training_sums + sums
+        for _, examples, weight in validation_loader.epoch():
+            validation_sums = validation_sums + compiled.measure(state, examples, weight)
+        return compiled.finish(state, training_sums, validation_sums)
+
+    return from_disk
+
+
+def _memory() -> float:
+    """Memory of the first device [bytes]."""
+    try:
+        return float((jax.devices()[0].memory_stats() or {})["bytes_limit"])
+    except (KeyError, RuntimeError, NotImplementedError):  # a CPU, or a backend that does not report it
+        return DEFAULT_MEMORY
+
+
+def _is_over(state: TrainState, options: TrainConfig) -> bool:
+    done = int(state.epoch)
+    return done >= options.epochs or done - int(state.best_epoch) >= options.patience
+
+
+def _check_finite(state: TrainState, training: Losses, validation: Losses, folder: Path) -> None:
+    if not (math.isfinite(float(training.loss)) and math.isfinite(float(validation.loss))):
+        where = f"the loss is not finite in epoch {int(state.epoch)}; {folder} keeps the checkpoints until then"
+        raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
+
+
+def _as_dict(losses: Losses) -> dict[str, float]:
+    return {name: float(value) for name, value in losses._asdict().items()}
+
+
+def _config(options: TrainConfig, data: Dataset, network: Network) -> dict[str, Any]:
+    if data.example_count < 2:
+        raise InputError(f"{data.folder} has {data.example_count} examples, too few to learn from; collect more.")
+    return {
+        "command": command("train", options),
+        "width": network.width,
+        "flags": network.flags,
+        "image": list(network.image),
+        "situations": data.manifest["situations"],
+        "sources": {"planner": network.planner_sources, "controller": network.controller_sources},
+        **{name: value for name, value in options.decisive().items() if name not in ("width", "flags")},
+        "devices": len(jax.devices()),
+        "dataset": {"fingerprint": data.fingerprint(), "command": data.manifest["command"]},
+        "versions": versions(),
+    }

@@ -1,11 +1,22 @@
-"""Metrics (section IV-H): one fold per step, constant memory, split by social situation where that has a sense."""
+"""Metrics (section IV-H): one update per step, constant memory, split by social situation where that has a sense."""
 
-from typing import Any
+from jaxtyping import PyTree
 
 from sean_jax.base import Array, Moment
-from sean_jax.metrics import comfort, motion, obstacles, path, proximity, success
-from sean_jax.metrics.aggregation import Estimate, aggregate, aggregate_ratio, resamples
-from sean_jax.metrics.metric import Metric
+from sean_jax.metrics import comfort, motion, path, proximity
+from sean_jax.metrics.bootstrap import Estimate, aggregate, aggregate_ratio, interval, resamples
+from sean_jax.metrics.metric import (
+    Metric,
+    as_metric,
+    count_onsets,
+    duration,
+    final,
+    maximum,
+    mean,
+    minimum,
+    share_of_time,
+    total,
+)
 
 METRICS: dict[str, Metric] = {
     "time_in_situation": path.time_in_situation,
@@ -22,11 +33,11 @@ METRICS: dict[str, Metric] = {
     "personal_person_on_robot": proximity.personal_person_on_robot,
     "collision_robot_on_person": proximity.collision_robot_on_person,
     "collision_person_on_robot": proximity.collision_person_on_robot,
-    "collision_with_obstacle": obstacles.collision_with_obstacle,
-    "min_distance_to_obstacles": obstacles.min_distance_to_obstacles,
-    "reached_goal": success.reached_goal,
-    "success_by_path_length": success.success_by_path_length,
-    "success_by_time": success.success_by_time,
+    "collision_with_obstacle": proximity.collision_with_obstacle,
+    "min_distance_to_obstacles": proximity.min_distance_to_obstacles,
+    "reached_goal": path.reached_goal,
+    "success_by_path_length": path.success_by_path_length,
+    "success_by_time": path.success_by_time,
     "personal_space_compliance": comfort.personal_space_compliance,
     "min_time_to_collision": comfort.min_time_to_collision,
     "social_work": comfort.social_work,
@@ -38,21 +49,69 @@ METRICS: dict[str, Metric] = {
     "max_acceleration": motion.max_acceleration,
     "max_jerk": motion.max_jerk,
 }
+Metrics = tuple[tuple[str, Metric], ...]
+DEFAULT: Metrics = tuple(METRICS.items())
 
 
-def start(moment: Moment, metrics: tuple = tuple(METRICS.items())) -> dict[str, Any]:
-    """Running values before the first step."""
-    return {name: metric.start(moment) for name, metric in metrics}
+def init(moment: Moment, metrics: Metrics = DEFAULT) -> dict[str, PyTree]:
+    """Running values before the first step.
+
+    Args:
+        moment: the first moment.
+        metrics: names and metrics; the package's own by default.
+
+    Returns:
+        name -> running value.
+    """
+    return {name: metric.init(moment) for name, metric in metrics}
 
 
-def fold(values: dict[str, Any], before: Moment, after: Moment, metrics: tuple = tuple(METRICS.items())) -> dict:
-    """Running values one step later."""
-    return {name: metric.fold(values[name], before, after) for name, metric in metrics}
+def update(values: dict[str, PyTree], before: Moment, after: Moment, metrics: Metrics = DEFAULT) -> dict[str, PyTree]:
+    """Running values one step later.
+
+    Args:
+        values: name -> running value, as ``init`` or ``update`` gives it.
+        before: the moment before the step.
+        after: the moment after the step.
+        metrics: those that ``init`` was given.
+
+    Returns:
+        name -> running value.
+    """
+    return {name: metric.update(values[name], before, after) for name, metric in metrics}
 
 
-def results(values: dict[str, Any], metrics: tuple = tuple(METRICS.items())) -> dict[str, Array]:
-    """The metrics so far: () each, or (1 + S,) with the overall figure before those by situation."""
-    return {name: metric.result(values[name]) for name, metric in metrics}
+def compute(values: dict[str, PyTree], metrics: Metrics = DEFAULT) -> dict[str, Array]:
+    """The metrics so far.
+
+    Args:
+        values: name -> running value.
+        metrics: those that ``init`` was given.
+
+    Returns:
+        name -> () or (1 + S,) with the overall figure before those by situation.
+    """
+    return {name: metric.compute(values[name]) for name, metric in metrics}
 
 
-__all__ = ["METRICS", "Estimate", "Metric", "aggregate", "aggregate_ratio", "fold", "resamples", "results", "start"]
+__all__ = [
+    "METRICS",
+    "Estimate",
+    "Metric",
+    "aggregate",
+    "aggregate_ratio",
+    "as_metric",
+    "compute",
+    "count_onsets",
+    "duration",
+    "final",
+    "init",
+    "interval",
+    "maximum",
+    "mean",
+    "minimum",
+    "resamples",
+    "share_of_time",
+    "total",
+    "update",
+]

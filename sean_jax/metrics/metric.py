@@ -1,100 +1,524 @@
-"""What a metric is (section IV-H): a value folded over the moments of a robot's task, in constant memory."""
+"""What a metric is (section IV-H): a value that is updated step by step over a robot's task, in constant memory.
 
+A metric is a ``Metric``. Most metrics are one line, by a constructor of this module around a function of a moment:
+
+    def close(moment):
+        x, y = (moment.people.position - moment.position[None, :]).T
+        return (moment.people.present & (length(x, y) < 0.6)).any()
+
+    time_close = duration(close, title="time close to people")
+    times_close = count_onsets(close)
+
+``as_metric`` makes a metric of a bare function. A metric that has to remember more than that gives ``Metric`` its own
+``init``, ``update`` and ``compute``.
+
+Figures that are split by situation have one axis, "columns": overall first, then each situation, 1 + S in all. An
+amount counts overall and in every situation that occurs at the end of the step.
+"""
+
+import functools
+import inspect
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax import clock
 from sean_jax.base import Array, Moment
+from sean_jax.errors import InputError
 
-NEVER = 1e6  # more than any distance or time that is measured
+MEAN = "Mean over episodes."  # of what a metric without a definition is shown
+CURE = "give a Metric, a condition moment -> bool, or an amount (before, after) -> number."
+RESERVED = ("episode", "task", "completed", "timed_out", "seconds", "share")  # what results tell of every episode
+UNSET = float(np.finfo(np.float32).max)  # stands for no amount; finite, as everything in a state is
+
+Condition = Callable[[Moment], Array]  # moment -> () bool
+Quantity = Callable[[Moment], Array]  # moment -> () number
+Amount = Callable[[Moment, Moment], Array]  # (before, after) -> () number
 
 
-class Metric(NamedTuple):
-    """A streaming metric.
+# Equal by identity: metrics are hashed at each call of a compiled function, so that has to be quick.
+@dataclass(frozen=True, eq=False)
+class Metric:
+    """A streaming metric, and how the table and the report show it.
 
-    ``start(moment) -> value`` a pytree; ``fold(value, before, after) -> value`` one step later;
-    ``result(value) -> array``: () or, where it can be split by situation, (1 + S,), overall first. A mean or an
-    extreme over a situation that never occurred is NaN there, since no number would be true; sums are zero.
+    ``compute`` gives () or, where the metric can be split by situation, (1 + S,) with the overall figure first. A mean
+    or an extreme over a situation that never occurred is NaN there, since no number would be true; sums are zero.
+
+    Args:
+        init: ``moment -> value``, the running value, any pytree, before the first step.
+        update: ``(value, before, after) -> value``, the running value one step later. It keeps shapes and types.
+        compute: ``value -> array``, the figure so far.
+        unit: of the figure; "1" for pure numbers.
+        title: of the row in the table; the metric's name if empty.
+        definition: one sentence that says what the figure means.
+        digits: after the decimal point.
+        kind: "count" for a number of events, "share" for a part of 1, which is shown in percent, else "number".
+        completed_only: the figure has a meaning for completed episodes only, so means leave out the others.
+        headline: the table in the terminal has it; the report and episodes.csv have every metric.
     """
 
-    start: Callable[[Moment], Any]
-    fold: Callable[[Any, Moment, Moment], Any]
-    result: Callable[[Any], Array]
-    unit: str
+    init: Callable[[Moment], PyTree]
+    update: Callable[[PyTree, Moment, Moment], PyTree]
+    compute: Callable[[PyTree], Array]
+    unit: str = "1"
+    title: str = ""
+    definition: str = ""
+    digits: int = 2
+    kind: Literal["number", "count", "share"] = "number"
+    completed_only: bool = False
+    headline: bool = True
 
 
-def split(moment: Moment) -> Array:
-    """(1 + S,) weights by which an amount counts overall and for each situation that occurs now."""
-    return jnp.concatenate([jnp.ones(1, float), moment.situations.astype(float)])
+def as_metric(value: Metric | Callable, name: str = "") -> Metric:
+    """A metric of what a user gives as one.
+
+    A function of one moment is a condition: the metric is the time [s] during which it holds. A function of two
+    moments, before and after a step, is an amount: the metric is its sum over the steps. A ``Metric`` stays as it is.
+
+    Args:
+        value: a ``Metric``, ``moment -> () bool`` or ``(before, after) -> () number``.
+        name: of the metric, for its title and for messages.
+
+    Returns:
+        The metric, with a title and a definition. Equal arguments give the same metric, so nothing is compiled again.
+
+    Raises:
+        InputError: it is none of these, or results have something else of that name.
+    """
+    if name in RESERVED:
+        raise InputError(f"metrics: '{name}' is a column of episodes.csv already; choose another name.")
+    if not isinstance(value, Metric) and not callable(value):
+        raise InputError(f"metrics: {name or 'a metric'} is {value!r}; {CURE}")
+    return _as_metric(value, name)
+
+
+@functools.cache
+def _as_metric(value: Metric | Callable, name: str) -> Metric:
+    metric = value if isinstance(value, Metric) else _from_function(value, name)
+    title, definition = metric.title or name.replace("_", " "), metric.definition or MEAN
+    unchanged = (title, definition) == (metric.title, metric.definition)
+    return metric if unchanged else replace(metric, title=title, definition=definition)
+
+
+def _from_function(function: Callable, name: str) -> Metric:
+    """A metric of a function of one or two moments."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except ValueError:  # a builtin without a signature
+        parameters = ()
+    number = sum(parameter.default is parameter.empty for parameter in parameters)
+    if number not in (1, 2):
+        raise InputError(f"metrics: {name or 'a metric'} is {function!r}; {CURE}")
+    return duration(function) if number == 1 else total(function)
+
+
+# --- constructors of the common kinds ---
+
+
+def duration(
+    condition: Condition, *, title: str = "", definition: str = "", digits: int = 1, headline: bool = True
+) -> Metric:
+    """Time [s] during which a condition holds, overall and in each situation: the steps at whose end it does.
+
+    Args:
+        condition: ``moment -> () bool``.
+        title, definition, digits, headline: as of ``Metric``; the definition is that of the function's docstring if
+            empty.
+
+    Returns:
+        A metric of (1 + S,) s.
+    """
+
+    def update(value: Duration, before: Moment, after: Moment) -> Duration:
+        weights = situation_weights(after)
+        return value._replace(steps=value.steps + jnp.where(_truth(condition, after), weights, 0.0))
+
+    text = _text(condition, title, definition)
+    return Metric(zero_duration, update, in_seconds, "s", *text, digits=digits, headline=headline)
+
+
+def share_of_time(
+    condition: Condition, *, title: str = "", definition: str = "", digits: int = 1, headline: bool = True
+) -> Metric:
+    """Share of the time during which a condition holds, overall and in each situation.
+
+    Args:
+        condition: ``moment -> () bool``.
+        title, definition, digits, headline: as of ``duration``.
+
+    Returns:
+        A metric of (1 + S,) shares from 0 to 1.
+    """
+
+    def update(value: Ratio, before: Moment, after: Moment) -> Ratio:
+        weights = situation_weights(after)
+        return Ratio(value.amount + jnp.where(_truth(condition, after), weights, 0.0), value.weight + weights)
+
+    text = _text(condition, title, definition)
+    return Metric(zero_ratio, update, ratio, "1", *text, digits=digits, kind="share", headline=headline)
+
+
+def count_onsets(
+    condition: Condition,
+    among: Condition | None = None,
+    *,
+    title: str = "",
+    definition: str = "",
+    digits: int = 2,
+    headline: bool = True,
+) -> Metric:
+    """How often a condition begins to hold, overall and in each situation: it holds after a step and not before it.
+
+    Args:
+        condition: ``moment -> () bool``, or (N,) bool if each of N people counts by themselves.
+        among: of the same shape: the events that count, as of the moment after the step; all if None.
+        title, definition, digits, headline: as of ``duration``.
+
+    Returns:
+        A metric of (1 + S,) counts.
+    """
+
+    def update(value: Array, before: Moment, after: Moment) -> Array:
+        onset = _truth(condition, after, ndim=None) & ~_truth(condition, before, ndim=None)
+        if among is not None:
+            onset = onset & _truth(among, after, ndim=None)
+        return value + jnp.where(onset, 1.0, 0.0).sum() * situation_weights(after)
+
+    text = _text(condition, title, definition)
+    return Metric(zeros, update, identity, "1", *text, digits=digits, kind="count", headline=headline)
+
+
+def total(
+    amount: Amount,
+    *,
+    unit: str = "1",
+    title: str = "",
+    definition: str = "",
+    digits: int = 2,
+    headline: bool = True,
+) -> Metric:
+    """Sum over the steps of an amount, overall and in each situation.
+
+    Args:
+        amount: ``(before, after) -> () number``, of one step.
+        unit: of the amount.
+        title, definition, digits, headline: as of ``duration``.
+
+    Returns:
+        A metric of (1 + S,).
+    """
+
+    def update(value: Array, before: Moment, after: Moment) -> Array:
+        return value + _number(amount, before, after) * situation_weights(after)
+
+    text = _text(amount, title, definition)
+    return Metric(zeros, update, identity, unit, *text, digits=digits, headline=headline)
+
+
+def mean(
+    amount: Amount,
+    *,
+    unit: str = "1",
+    title: str = "",
+    definition: str = "",
+    digits: int = 2,
+    headline: bool = True,
+) -> Metric:
+    """Mean over the steps of an amount, overall and in each situation.
+
+    Args:
+        amount: ``(before, after) -> () number``, of one step.
+        unit: of the amount.
+        title, definition, digits, headline: as of ``duration``.
+
+    Returns:
+        A metric of (1 + S,), NaN for situations that did not occur.
+    """
+
+    def update(value: Ratio, before: Moment, after: Moment) -> Ratio:
+        weights = situation_weights(after)
+        return Ratio(value.amount + _number(amount, before, after) * weights, value.weight + weights)
+
+    text = _text(amount, title, definition)
+    return Metric(zero_ratio, update, ratio, unit, *text, digits=digits, headline=headline)
+
+
+def minimum(
+    quantity: Quantity,
+    *,
+    by_situation: bool = True,
+    unit: str = "1",
+    title: str = "",
+    definition: str = "",
+    digits: int = 2,
+    headline: bool = True,
+) -> Metric:
+    """Least value of a quantity over all moments, the first included.
+
+    Args:
+        quantity: ``moment -> () number``.
+        by_situation: also in each situation.
+        unit: of the quantity.
+        title, definition, digits, headline: as of ``duration``.
+
+    Returns:
+        A metric of (1 + S,), NaN for situations that did not occur, or of () if it is not split.
+    """
+    return _extreme(quantity, jnp.minimum, UNSET, by_situation, unit, title, definition, digits, headline)
+
+
+def maximum(
+    quantity: Quantity,
+    *,
+    by_situation: bool = True,
+    unit: str = "1",
+    title: str = "",
+    definition: str = "",
+    digits: int = 2,
+    headline: bool = True,
+) -> Metric:
+    """Greatest value of a quantity over all moments, the first included.
+
+    Args:
+        quantity: ``moment -> () number``.
+        by_situation: also in each situation.
+        unit: of the quantity.
+        title, definition, digits, headline: as of ``duration``.
+
+    Returns:
+        A metric of (1 + S,), NaN for situations that did not occur, or of () if it is not split.
+    """
+    return _extreme(quantity, jnp.maximum, -UNSET, by_situation, unit, title, definition, digits, headline)
+
+
+def final(
+    quantity: Quantity,
+    *,
+    unit: str = "1",
+    title: str = "",
+    definition: str = "",
+    digits: int = 2,
+    kind: Literal["number", "count", "share"] = "number",
+    headline: bool = True,
+) -> Metric:
+    """Value of a quantity at the last moment.
+
+    Args:
+        quantity: ``moment -> () number``.
+        unit: of the quantity.
+        title, definition, digits, kind, headline: as of ``Metric``.
+
+    Returns:
+        A metric of ().
+    """
+
+    def init(moment: Moment) -> Array:
+        return _number(quantity, moment)
+
+    text = _text(quantity, title, definition)
+    return Metric(
+        init,
+        lambda value, before, after: init(after),
+        identity,
+        unit,
+        *text,
+        digits=digits,
+        kind=kind,
+        headline=headline,
+    )
+
+
+def _extreme(
+    quantity: Quantity, choose: Callable, unset: float, by_situation: bool, unit: str, title: str, definition: str,
+    digits: int, headline: bool,
+) -> Metric:  # fmt: skip
+    def now(moment: Moment) -> Array:
+        value = _number(quantity, moment)
+        return jnp.where(situation_weights(moment) > 0.0, value, unset) if by_situation else value
+
+    def compute(value: Array) -> Array:
+        return jnp.where(value == unset, jnp.nan, value) if by_situation else value
+
+    text = _text(quantity, title, definition)
+    return Metric(
+        now, lambda value, before, after: choose(value, now(after)), compute, unit, *text, digits=digits,
+        headline=headline,
+    )  # fmt: skip
+
+
+def _text(function: Callable, title: str, definition: str) -> tuple[str, str]:
+    """Title and definition, the latter from the first line of the function's docstring if it is empty."""
+    lines = (inspect.getdoc(function) or "").splitlines() if inspect.isroutine(function) else []
+    return title, definition or (lines[0] if lines else "")
+
+
+def _truth(condition: Condition, moment: Moment, ndim: int | None = 0) -> Array:
+    """The condition's value, checked while the program is traced."""
+    value = jnp.asarray(condition(moment))
+    if value.dtype != bool or value.ndim > (1 if ndim is None else ndim):
+        wanted = "() bool or (N,) bool" if ndim is None else "() bool"
+        raise InputError(
+            f"metrics: {_name(condition)}(moment) gives {value.dtype} {value.shape}, not {wanted}; for numbers take "
+            "metrics.total, mean, minimum, maximum or final."
+        )
+    return value
+
+
+def _number(function: Callable, *moments: Moment) -> Array:
+    """The function's value as a () float, checked while the program is traced."""
+    value = jnp.asarray(function(*moments))
+    if value.ndim:
+        arguments = "moment" if len(moments) == 1 else "before, after"
+        raise InputError(
+            f"metrics: {_name(function)}({arguments}) gives an array {value.shape}, not one number (); reduce it with "
+            "sum, min or mean."
+        )
+    return value.astype(float)
+
+
+def _name(function: Callable) -> str:
+    return getattr(function, "__name__", repr(function))
+
+
+# --- running values, split by situation ---
 
 
 class Duration(NamedTuple):
     """A time as a number of steps: a sum of rounded steps would drift."""
 
-    steps: Array  # (1 + S,)
-    step: Array  # () s
+    steps: Float[Array, " columns"]
+    step: Float[Array, ""]  # s
 
 
-def no_time(moment: Moment) -> Duration:
-    """None so far."""
-    return Duration(nothing(moment), jnp.asarray(moment.time_step, float))
+class Ratio(NamedTuple):
+    """A sum, and the sum of the weights that it is divided by."""
+
+    amount: Float[Array, " columns"]
+    weight: Float[Array, " columns"]
 
 
-def seconds(value: Duration) -> Array:
-    """(1 + S,) s."""
+def situation_weights(moment: Moment) -> Float[Array, " columns"]:
+    """Weights by which an amount counts overall and in each situation.
+
+    Args:
+        moment: the robot among people.
+
+    Returns:
+        (1 + S,): 1 overall, then 1 for each situation that occurs at that moment, else 0.
+    """
+    return jnp.concatenate([jnp.ones(1, float), moment.situations.astype(float)])
+
+
+def zeros(moment: Moment) -> Float[Array, " columns"]:
+    """The value of a sum to which nothing was added yet.
+
+    Args:
+        moment: the robot among people.
+
+    Returns:
+        (1 + S,) zeros.
+    """
+    return jnp.zeros_like(situation_weights(moment))
+
+
+def zero_duration(moment: Moment) -> Duration:
+    """The value of a time of which nothing has passed yet.
+
+    Args:
+        moment: the robot among people.
+
+    Returns:
+        No steps, of the moment's time step.
+    """
+    return Duration(zeros(moment), jnp.asarray(moment.time_step, float))
+
+
+def zero_ratio(moment: Moment) -> Ratio:
+    """The value of a ratio to which nothing was added yet.
+
+    Args:
+        moment: the robot among people.
+
+    Returns:
+        Zero sums.
+    """
+    return Ratio(zeros(moment), zeros(moment))
+
+
+def in_seconds(value: Duration) -> Float[Array, " columns"]:
+    """A time in seconds.
+
+    Args:
+        value: as steps.
+
+    Returns:
+        (1 + S,) s.
+    """
     return value.steps * value.step
 
 
-def by_second(moment: Moment) -> Array:
-    """() bool: a whole second has passed within the last step, when SEAN samples its path metrics.
+def ratio(value: Ratio) -> Float[Array, " columns"]:
+    """A sum divided by its weight.
+
+    Args:
+        value: sums by situation.
+
+    Returns:
+        (1 + S,): 0 overall as long as there is nothing, NaN for situations that did not occur.
+    """
+    none = value.weight == 0.0
+    quotient = jnp.where(none, 0.0, value.amount / jnp.where(none, 1.0, value.weight))
+    return jnp.concatenate([quotient[:1], jnp.where(none[1:], jnp.nan, quotient[1:])])
+
+
+def identity(value: Array) -> Array:
+    """The running value as it stands, for metrics whose value is the figure.
+
+    Args:
+        value: any.
+
+    Returns:
+        The same.
+    """
+    return value
+
+
+# --- samples at 1 Hz, as SEAN 2.0 takes them of the path ---
+
+
+def second_has_passed(moment: Moment) -> Bool[Array, ""]:
+    """Whether a whole second has passed within the last step, when SEAN samples its path metrics.
 
     At 0.1 s that is every tenth tick; at 0.15 s the ticks 7, 14, 20, 27, ... of 1.05, 2.1, 3.0, 4.05 s.
+
+    Args:
+        moment: after the step.
+
+    Returns:
+        () bool.
     """
-    return _seconds(moment, moment.tick) > _seconds(moment, moment.tick - 1)
+    return _whole_seconds(moment, moment.tick) > _whole_seconds(moment, moment.tick - 1)
 
 
-def since_second(moment: Moment) -> Array:
-    """() s since the last sample before this tick: 1 where seconds are whole steps, else about that."""
-    over, under = clock.per_tick(moment.time_step)
-    sampled = -((-_seconds(moment, moment.tick - 1) * under) // over)  # the first tick at or after that second
+def time_since_sample(moment: Moment) -> Float[Array, ""]:
+    """Time since the last sample before this tick.
+
+    Args:
+        moment: after the step.
+
+    Returns:
+        () s: 1 where seconds are whole steps, else about that.
+    """
+    over, under = clock.events_per_tick(moment.time_step)
+    sampled = -((-_whole_seconds(moment, moment.tick - 1) * under) // over)  # the first tick at or after that second
     return (moment.tick - sampled).astype(float) * moment.time_step
 
 
-def _seconds(moment: Moment, tick: Array) -> Array:
-    """() int32 whole seconds that have passed at a tick, exact: a product in float32 would miss some."""
-    over, under = clock.per_tick(moment.time_step)
+def _whole_seconds(moment: Moment, tick: Int[Array, ""]) -> Int[Array, ""]:
+    """Whole seconds that have passed at a tick, exact: a product in float32 would miss some."""
+    over, under = clock.events_per_tick(moment.time_step)
     return tick * over // under
-
-
-def mean(amount: Array, weight: Array) -> Array:
-    """(1 + S,) ``amount / weight``: 0 overall as long as there is nothing, NaN for situations that did not occur."""
-    none = weight == 0.0
-    ratio = jnp.where(none, 0.0, amount / jnp.where(none, 1.0, weight))
-    return jnp.concatenate([ratio[:1], jnp.where(none[1:], jnp.nan, ratio[1:])])
-
-
-def least(value: Array, amount: Array, moment: Moment) -> Array:
-    """(1 + S,) the least amount overall and in each situation so far, of values that start as ``never``."""
-    return jnp.minimum(value, jnp.where(split(moment) > 0.0, amount, NEVER))
-
-
-def never(moment: Moment) -> Array:
-    """(1 + S,) of a number that stands for no amount, and is finite as everything in a state is."""
-    return jnp.full_like(split(moment), NEVER)
-
-
-def nan_if_never(value: Array) -> Array:
-    """(1 + S,) with NaN where there was no amount."""
-    return jnp.where(value < NEVER, value, jnp.nan)
-
-
-def nothing(moment: Moment) -> Array:
-    """(1 + S,) zeros."""
-    return jnp.zeros_like(split(moment))
-
-
-def value_itself(value: Array) -> Array:
-    """The running value as it stands."""
-    return value

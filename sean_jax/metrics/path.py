@@ -1,82 +1,138 @@
-"""Metrics of the robot's path (section IV-H): length, efficiency, irregularity, time not moving, distance to goal."""
+"""Metrics of the robot's path and success (section IV-H): length, rotation, standing, goal, SPL, STL."""
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from sean_jax.base import Array, Moment
 from sean_jax.geometry import angle_between, length
-from sean_jax.metrics.metric import Metric, by_second, no_time, nothing, seconds, since_second, split, value_itself
+from sean_jax.metrics.metric import (
+    Duration,
+    Metric,
+    duration,
+    final,
+    in_seconds,
+    minimum,
+    second_has_passed,
+    situation_weights,
+    time_since_sample,
+    zero_duration,
+    zeros,
+)
 
 STILL = 0.05  # m/s: not moving is having moved no farther than 0.05 m in the last second (SEAN 2.0)
+GOAL_RADIUS = 1.2  # m, for moments that have none (SEAN 2.0)
+TOP_SPEED = 0.5  # m/s, likewise (Kuri)
 
 
-class Sampled(NamedTuple):
+# --- length, efficiency and standing, from positions at 1 Hz ---
+
+
+class SampledPath(NamedTuple):
     """A sum over whole seconds, and where the robot was at the last of them."""
 
-    position: Array  # (2,) m
-    amount: Array  # (1 + S,)
-    since: Array  # (1 + S,) m moved since then
-    geodesic: Array  # () m
+    position: Float[Array, "2"]  # m
+    amount: Float[Array, " columns"]
+    since: Float[Array, " columns"]  # m moved since then
+    geodesic: Float[Array, ""]  # m
 
 
-def _start(moment: Moment) -> Sampled:
-    return Sampled(moment.position, nothing(moment), nothing(moment), moment.geodesic)
+def _init_path(moment: Moment) -> SampledPath:
+    return SampledPath(moment.position, zeros(moment), zeros(moment), moment.geodesic)
 
 
-def _sample(value: Sampled, after: Moment, moved: Array, amount: Array) -> Sampled:
-    now = by_second(after)
+def _sample(value: SampledPath, after: Moment, moved: Array, amount: Array) -> SampledPath:
+    now = second_has_passed(after)
     return value._replace(
         position=jnp.where(now, after.position, value.position),
-        amount=value.amount + jnp.where(now, amount, 0.0) * split(after),
-        since=jnp.where(now, 0.0, moved) * split(after),
+        amount=value.amount + jnp.where(now, amount, 0.0) * situation_weights(after),
+        since=jnp.where(now, 0.0, moved) * situation_weights(after),
     )
 
 
-def _moved(value: Sampled, after: Moment) -> Array:
+def _moved(value: SampledPath, after: Moment) -> Array:
     gap = after.position - value.position
     return length(gap[0], gap[1])
 
 
-def _fold_length(value: Sampled, before: Moment, after: Moment) -> Sampled:
+def _update_length(value: SampledPath, before: Moment, after: Moment) -> SampledPath:
     moved = _moved(value, after)
     return _sample(value, after, moved, moved)
 
 
-def _length(value: Sampled) -> Array:
+def _length(value: SampledPath) -> Array:
     return value.amount + value.since
 
 
-def _efficiency(value: Sampled) -> Array:
+def _efficiency(value: SampledPath) -> Array:
     return _length(value)[0] / jnp.maximum(value.geodesic, 1e-3)
 
 
-def _fold_still(value: Sampled, before: Moment, after: Moment) -> Sampled:
-    moved, passed = _moved(value, after), since_second(after)
+def _update_still(value: SampledPath, before: Moment, after: Moment) -> SampledPath:
+    moved, passed = _moved(value, after), time_since_sample(after)
     return _sample(value, after, moved, jnp.where(moved <= STILL * passed, passed, 0.0))
 
 
-def _still(value: Sampled) -> Array:
-    return value.amount
+path_length = Metric(
+    _init_path,
+    _update_length,
+    _length,
+    unit="m",
+    title="path length",
+    definition="Distance that the robot travelled.",
+    digits=1,
+    headline=False,
+)
+"""Length of the path through the robot's positions at 1 Hz, ||p_i+1 - p_i|| summed."""
+
+path_efficiency = Metric(
+    _init_path,
+    _update_length,
+    _efficiency,
+    title="path efficiency",
+    definition="Travelled over shortest distance from start to goal, in completed episodes: 1 is a shortest path.",
+    completed_only=True,
+)
+"""Travelled over geodesic distance of the shortest path from start to goal: at least about 1, lower is better."""
+
+time_not_moving = Metric(
+    _init_path,
+    _update_still,
+    lambda value: value.amount,
+    unit="s",
+    title="time not moving",
+    definition="Time during which the robot stood.",
+    digits=1,
+)
+"""Time of the seconds in which the robot moved no farther than 0.05 m.
+
+Where seconds are no whole number of steps, those from one sample to the next count with the time they took.
+"""
 
 
-class Turned(NamedTuple):
+# --- irregularity, from headings at 1 Hz ---
+
+
+class SampledRotation(NamedTuple):
     """How much the robot has turned by whole seconds, and how much its shortest path does."""
 
-    heading: Array  # (2,) unit vector, at the last whole second
-    amount: Array  # () rad
-    since: Array  # () rad turned since then
-    shortest: Array  # () rad
+    heading: Float[Array, "2"]  # unit vector, at the last whole second
+    amount: Float[Array, ""]  # rad
+    since: Float[Array, ""]  # rad turned since then
+    shortest: Float[Array, ""]  # rad
 
 
-def _start_turned(moment: Moment) -> Turned:
+def _init_rotation(moment: Moment) -> SampledRotation:
     zero = jnp.zeros_like(moment.geodesic)
     straight = jnp.abs(angle_between(moment.heading, moment.goal - moment.position))
-    return Turned(moment.heading, zero, zero, straight if moment.turning is None else moment.turning)
+    return SampledRotation(
+        moment.heading, zero, zero, straight if moment.path_rotation is None else moment.path_rotation
+    )
 
 
-def _fold_turned(value: Turned, before: Moment, after: Moment) -> Turned:
-    now = by_second(after)
+def _update_rotation(value: SampledRotation, before: Moment, after: Moment) -> SampledRotation:
+    now = second_has_passed(after)
     turned = jnp.abs(angle_between(value.heading, after.heading))
     return value._replace(
         heading=jnp.where(now, after.heading, value.heading),
@@ -85,43 +141,153 @@ def _fold_turned(value: Turned, before: Moment, after: Moment) -> Turned:
     )
 
 
-def _irregularity(value: Turned) -> Array:
+def _irregularity(value: SampledRotation) -> Array:
     return jnp.maximum(value.amount + value.since - value.shortest, 0.0)
 
 
-def _to_goal(moment: Moment) -> Array:
+path_irregularity = Metric(
+    _init_rotation,
+    _update_rotation,
+    _irregularity,
+    unit="rad",
+    title="path irregularity",
+    definition="Rotation of the robot beyond that of the shortest path.",
+    headline=False,
+)
+"""Rotation, left and right added up, in excess of that on the shortest path from the starting pose, at least 0.
+
+Sum of |angle from heading i to i + 1| at 1 Hz, minus ``Moment.path_rotation``, or minus the angle to the goal where no
+shortest path is known.
+"""
+
+
+# --- the goal ---
+
+
+def _distance_to_goal(moment: Moment) -> Array:
     gap = moment.goal - moment.position
     return length(gap[0], gap[1])
 
 
-path_length = Metric(_start, _fold_length, _length, "m")
-"""Length of the path through the robot's positions at 1 Hz, ||p_i+1 - p_i|| summed."""
+def _at_goal(moment: Moment) -> Array:
+    """1 inside the goal radius, else 0."""
+    limit = GOAL_RADIUS if moment.goal_radius is None else moment.goal_radius
+    return jnp.where(_distance_to_goal(moment) <= limit, jnp.ones_like(moment.geodesic), 0.0)
 
-path_efficiency = Metric(_start, _fold_length, _efficiency, "1")
-"""Travelled over geodesic distance of the shortest path from start to goal: at least about 1, lower is better."""
 
-path_irregularity = Metric(_start_turned, _fold_turned, _irregularity, "rad")
-"""Rotation, left and right added up, in excess of that on the shortest path from the starting pose, at least 0.
+def _always(moment: Moment) -> Array:
+    return jnp.ones((), bool)
 
-Sum of |angle from heading i to i + 1| at 1 Hz, minus ``Moment.turning``, or minus the angle to the goal where no
-shortest path is known.
-"""
 
-time_not_moving = Metric(_start, _fold_still, _still, "s")
-"""Time of the seconds in which the robot moved no farther than 0.05 m.
-
-Where seconds are no whole number of steps, those from one sample to the next count with the time they took.
-"""
-
-min_distance_to_goal = Metric(
-    _to_goal, lambda value, before, after: jnp.minimum(value, _to_goal(after)), value_itself, "m"
+min_distance_to_goal = minimum(
+    _distance_to_goal,
+    by_situation=False,
+    unit="m",
+    title="minimum distance to goal",
+    definition="Distance from the robot to its goal when it was nearest.",
+    headline=False,
 )
 """Least distance to the goal in a straight line."""
 
-final_distance_to_goal = Metric(_to_goal, lambda value, before, after: _to_goal(after), value_itself, "m")
+final_distance_to_goal = final(
+    _distance_to_goal,
+    unit="m",
+    title="final distance to goal",
+    definition="Distance from the robot to its goal at the end.",
+    headline=False,
+)
 """Last distance to the goal in a straight line."""
 
-time_in_situation = Metric(
-    no_time, lambda value, before, after: value._replace(steps=value.steps + split(after)), seconds, "s"
+time_in_situation = duration(
+    _always,
+    title="time in situation",
+    definition="Duration of the episode, and time spent in each situation.",
+    headline=False,
 )
-"""Seconds of the episode, and those spent in each situation."""
+"""Seconds of the episode, and those spent in each situation. Shares of robot time in the table are of these."""
+
+reached_goal = final(
+    _at_goal,
+    title="ended at the goal",
+    definition="Episodes in which the robot's last position is within the goal radius.",
+    digits=1,
+    kind="share",
+    headline=False,
+)
+"""1 if the last position is within the goal radius, else 0: SEAN's Completed, without the time to be held there."""
+
+
+# --- success weighted by how short the path or the time was ---
+
+
+class Success(NamedTuple):
+    """Whether the robot is at its goal, its path and time so far, and the shortest possible ones."""
+
+    reached: Float[Array, ""]  # 1 or 0
+    path: SampledPath
+    time: Duration
+    geodesic: Float[Array, ""]  # m
+    top_speed: Float[Array, ""]  # m/s
+
+
+def _init_success(moment: Moment) -> Success:
+    known = moment.robot_top_speed
+    return Success(
+        reached=_at_goal(moment),
+        path=_init_path(moment),
+        time=zero_duration(moment),
+        geodesic=moment.geodesic,
+        top_speed=jnp.full_like(moment.geodesic, TOP_SPEED) if known is None else known,
+    )
+
+
+def _update_success(value: Success, before: Moment, after: Moment) -> Success:
+    return value._replace(
+        reached=_at_goal(after),
+        path=_update_length(value.path, before, after),
+        time=time_in_situation.update(value.time, before, after),
+    )
+
+
+def _by_path_length(value: Success) -> Array:
+    return value.reached * _quotient(value.geodesic, _length(value.path)[0])
+
+
+def _by_time(value: Success) -> Array:
+    return value.reached * _quotient(value.geodesic / value.top_speed, in_seconds(value.time)[0])
+
+
+def _quotient(best: Array, actual: Array) -> Array:
+    """best / max(best, actual); 1 where there was nothing to do."""
+    larger = jnp.maximum(best, actual)
+    none = larger <= 0.0
+    return jnp.where(none, 1.0, best / jnp.where(none, 1.0, larger))
+
+
+success_by_path_length = Metric(
+    _init_success,
+    _update_success,
+    _by_path_length,
+    title="success by path length (SPL)",
+    definition="Shortest over travelled distance if the robot ended at the goal, else 0.",
+    headline=False,
+)
+"""SPL, S L* / max(L, L*): S as ``reached_goal``, L the path length, L* the geodesic distance from start to goal.
+
+The goal counts as reached a radius before its centre, to which L* leads, so that 1 is a little easier than it seems.
+
+Source: Anderson et al. (2018), On Evaluation of Embodied Navigation Agents.
+"""
+
+success_by_time = Metric(
+    _init_success,
+    _update_success,
+    _by_time,
+    title="success by time (STL)",
+    definition="Time of the shortest path at top speed over the time taken if the robot ended at the goal, else 0.",
+    headline=False,
+)
+"""STL, S T* / max(T, T*): T the time taken [s], T* the time of the shortest path at the robot's top speed, L* / v.
+
+The iGibson social navigation challenge takes for T* the time of an ORCA robot that is alone, which is a little more.
+"""

@@ -1,30 +1,43 @@
-"""Shortest paths around obstacles, exact for discs: tables over the bends of grown obstacles, looked up inside jit."""
+"""Shortest paths around obstacles, exact for discs: tables over the corners of inflated obstacles, looked up in jit."""
 
-from sean_jax.navigation.people import CLOSE, Towards, ahead, next_point_roughly, towards
-from sean_jax.navigation.plan import bend_to_goal, plan
-from sean_jax.navigation.sight import SLACK, sees
-from sean_jax.navigation.tables import CELL, CODE, MOST_CELLS, Navigation, build, inputs
-from sean_jax.navigation.ways import geodesic, geodesic_roughly, next_point, to_goal, turning
+from sean_jax.navigation.next_corner_table import (
+    CLOSE,
+    NextCornerTable,
+    build_next_corner_table,
+    next_corner,
+    next_point_approx,
+)
+from sean_jax.navigation.segments import SLACK, segment_is_free
+from sean_jax.navigation.shortest_paths import (
+    build_paths_to_goal,
+    geodesic,
+    geodesic_approx,
+    last_arc_to_goal,
+    next_point,
+    path_rotation,
+    plan,
+)
+from sean_jax.navigation.tables import CELL, CODE, MAX_CELLS, Navigation, build, inputs
 
 __all__ = [
     "CELL",
     "CLOSE",
     "CODE",
-    "MOST_CELLS",
+    "MAX_CELLS",
     "SLACK",
     "Navigation",
-    "Towards",
-    "ahead",
-    "bend_to_goal",
+    "NextCornerTable",
     "build",
+    "build_next_corner_table",
+    "build_paths_to_goal",
     "geodesic",
-    "geodesic_roughly",
+    "geodesic_approx",
     "inputs",
+    "last_arc_to_goal",
+    "next_corner",
     "next_point",
-    "next_point_roughly",
+    "next_point_approx",
+    "path_rotation",
     "plan",
-    "sees",
-    "to_goal",
-    "towards",
-    "turning",
+    "segment_is_free",
 ]

@@ -6,26 +6,40 @@ The plainest baseline of trajectory prediction (Schoeller et al., IEEE RA-L 5(2)
 from dataclasses import replace
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from sean_jax.base import Array, Pedestrians, Scenario, State
-from sean_jax.geometry import length
-from sean_jax.social_forces.model import turn
-from sean_jax.social_forces.walls import keep_out
+from sean_jax.social_forces.walking import turn
+from sean_jax.social_forces.walls import project_velocity
 
 
 def constant_velocity(scenario: Scenario, state: State) -> Pedestrians:
-    """Everybody walks as desired, through one another and the robot, but not into obstacles."""
+    """Everybody walks as desired, through one another and the robot, but not into obstacles.
+
+    Args:
+        scenario: with obstacles and a speed limit.
+        state: whose pedestrians have desired velocities.
+
+    Returns:
+        People one control step later.
+    """
     return walk(scenario, state.pedestrians, state.pedestrians.desired_velocity)
 
 
-def walk(scenario: Scenario, people: Pedestrians, velocity: Array) -> Pedestrians:
-    """People one control step later at these velocities (N, 2) [m/s], as far as speed limit and obstacles allow."""
-    parameters = scenario.forces
-    vx, vy = velocity[:, 0], velocity[:, 1]
-    speed, greatest = length(vx, vy), parameters.speed_ratio * people.preferred_speed
-    slower = jnp.where(speed > greatest, greatest / jnp.where(speed > greatest, speed, 1.0), 1.0)
-    (px, py), nearby = people.position.T, scenario.environment.nearby
-    vx, vy = keep_out(px, py, vx * slower, vy * slower, nearby, parameters.radius, scenario.time_step)
+def walk(scenario: Scenario, people: Pedestrians, velocity: Float[Array, "N 2"]) -> Pedestrians:
+    """Takes the given velocities, as far as speed limit and obstacles allow.
+
+    Args:
+        scenario: with obstacles and a speed limit.
+        people: N people.
+        velocity: (N, 2) m/s.
+
+    Returns:
+        People one control step later.
+    """
+    walking, (px, py) = scenario.forces.walking, people.position.T
+    vx, vy = walking.limit_speed(velocity[:, 0], velocity[:, 1], people.preferred_speed)
+    vx, vy = project_velocity(px, py, vx, vy, scenario.environment.obstacle_grid, walking.radius, scenario.time_step)
     velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
-    heading = turn(people, velocity, parameters.turn_rate * scenario.time_step)
+    heading = turn(people, velocity, walking.turn_rate * scenario.time_step)
     return replace(people, position=people.position + velocity * scenario.time_step, velocity=velocity, heading=heading)

@@ -1,33 +1,43 @@
-"""Optimal reciprocal collision avoidance: velocities that lead to no collision within a time horizon.
+"""Optimal reciprocal collision avoidance (ORCA): velocities that lead to no collision within a time horizon.
 
 J. van den Berg, S. J. Guy, M. Lin & D. Manocha, "Reciprocal n-body collision avoidance", Robotics Research (2011).
-Each neighbour leaves a half-plane of velocities, of which people take the one nearest to their desired velocity.
-People share the avoidance equally; the robot is avoided wholly, for it need not reciprocate; so are obstacles.
+Each neighbor leaves a half-plane of velocities, n . v >= c with a unit normal n = (nx, ny). People take the velocity in
+all half-planes that is nearest to their desired one. They share the avoidance of one another equally. They avoid the
+robot and obstacles wholly, for these need not reciprocate.
 """
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Bool, Float
 
 from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.geometry import length, unit
 from sean_jax.pedestrian_models.constant_velocity import walk
-from sean_jax.pedestrian_models.half_planes import NEVER, best_velocity
 from sean_jax.social_forces.walls import distances
 
 HORIZON = 3.0  # s, without a collision with people and the robot; ours
 WALL_HORIZON = 0.5  # s, likewise with obstacles; ours
-NEIGHBORS = 8  # the nearest people that are heeded; ours
-WALLS = 4  # the nearest obstacles that are heeded; ours
-RANGE = 10.0  # m, who is farther away is not
+NEIGHBORS = 8  # the nearest people that are avoided; ours
+WALLS = 4  # the nearest obstacles that are avoided; ours
+RANGE = 10.0  # m, nobody farther away is avoided
 SPACE = 0.1  # m, kept between two bodies; ours
+PARALLEL = 1e-6  # sine of the angle below which two borders count as parallel
+TOLERANCE = 1e-5  # m/s
+HALVINGS = 18  # of the interval in which the smallest violation is searched for
+UNBOUNDED = -1e6  # m/s: c of a half-plane that holds every velocity
 
 
 def orca(scenario: Scenario, state: State) -> Pedestrians:
     """Each takes the velocity nearest to the desired one that avoids everybody in time.
 
-    People one control step later.
+    Args:
+        scenario: with obstacles, bodies and a speed limit.
+        state: people and the robot.
+
+    Returns:
+        People one control step later.
     """
-    people, parameters, robot = state.pedestrians, scenario.forces, state.robot
+    people, walking, robot = state.pedestrians, scenario.forces.walking, state.robot
     px, py = people.position[:, 0], people.position[:, 1]
     vx, vy = people.velocity[:, 0], people.velocity[:, 1]
     others = _neighbors(people)
@@ -40,13 +50,13 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
         py[others] - py[:, None],
         vx[:, None] - vx[others],
         vy[:, None] - vy[others],
-        2.0 * parameters.radius + SPACE,
+        2.0 * walking.radius + SPACE,
         HORIZON,
         scenario.time_step,
         first,
     )
     c = nx * vx[:, None] + ny * vy[:, None] + 0.5 * c
-    heeded = _heeded(people, others)
+    avoided = _avoided(people, others)
 
     robot_x, robot_y = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
     rx, ry, rc = half_planes(
@@ -54,23 +64,23 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
         robot.position[1] - py,
         vx - robot_x,
         vy - robot_y,
-        parameters.radius + scenario.robot.radius + SPACE,
+        walking.radius + scenario.robot.radius + SPACE,
         HORIZON,
         scenario.time_step,
         jnp.ones_like(people.present),
     )
     rc = rx * vx + ry * vy + rc
 
-    gap, wx, wy = distances(px, py, scenario.environment.nearby)
-    least, nearest = jax.lax.top_k(-gap, min(WALLS, gap.shape[1]))
+    gap, wx, wy = distances(px, py, scenario.environment.obstacle_grid)
+    closeness, nearest = jax.lax.top_k(-gap, min(WALLS, gap.shape[1]))
     wx, wy = jnp.take_along_axis(wx, nearest, 1), jnp.take_along_axis(wy, nearest, 1)
-    wall = -jnp.maximum(-least - parameters.radius, 0.0) / WALL_HORIZON
+    wall = -jnp.maximum(-closeness - walking.radius, 0.0) / WALL_HORIZON
 
     normal_x = jnp.concatenate([nx, rx[:, None], wx], 1)
     normal_y = jnp.concatenate([ny, ry[:, None], wy], 1)
-    bound = jnp.concatenate([jnp.where(heeded, c, NEVER), rc[:, None], wall], 1)
+    bound = jnp.concatenate([jnp.where(avoided, c, UNBOUNDED), rc[:, None], wall], 1)
     hard = jnp.arange(bound.shape[1]) >= others.shape[1] + 1
-    desired, limit = people.desired_velocity, parameters.speed_ratio * people.preferred_speed
+    desired, limit = people.desired_velocity, walking.speed_ratio * people.preferred_speed
     x, y = jax.vmap(best_velocity, in_axes=(0, 0, 0, None, 0, 0, 0))(
         normal_x, normal_y, bound, hard, desired[:, 0], desired[:, 1], limit
     )
@@ -78,35 +88,140 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
 
 
 def half_plane(
-    dx: Array, dy: Array, vx: Array, vy: Array, reach: Array, horizon: float, time_step: float, first: Array
-) -> tuple[Array, Array, Array]:
-    """Unit normal (nx, ny) out of the velocity obstacle of another disc, and u: how far [m/s] out of it that leads.
+    dx: Float[Array, "..."],
+    dy: Float[Array, "..."],
+    vx: Float[Array, "..."],
+    vy: Float[Array, "..."],
+    radii: Float[Array, "..."] | float,
+    horizon: float,
+    time_step: float,
+    first: Bool[Array, "..."] | bool,
+) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
+    """The way out of the velocity obstacle of another disc.
 
-    ``d`` [m] leads to the other, ``v`` [m/s] is the velocity relative to it and ``reach`` [m] the sum of both radii.
-    The obstacle holds the relative velocities with which discs touch within ``horizon`` [s]: a cone with a round
-    tip. u is the way from ``v`` to its border along the normal there, negative if ``v`` lies outside. Discs
-    that overlap are to part within ``time_step`` [s]; ``first`` decides which way if they are at one place.
+    The obstacle holds the relative velocities with which the discs touch within the horizon: a cone with a round tip.
+
+    Args:
+        dx: x part of the way to the other [m].
+        dy: y part [m].
+        vx: x part of the velocity relative to the other [m/s].
+        vy: y part [m/s].
+        radii: sum of both radii [m].
+        horizon: s.
+        time_step: s, within which discs that overlap are to part.
+        first: which of two people at one place goes which way.
+
+    Returns:
+        The unit normal (nx, ny) of the obstacle's border where the border is nearest to the velocity, and how far it is
+        to there along that normal [m/s], negative if the velocity lies outside of the obstacle.
     """
     distance = length(dx, dy)
     ex, ey = unit(dx, dy)
     ex = jnp.where((ex == 0.0) & (ey == 0.0), jnp.where(first, 1.0, -1.0), ex)
-    apart = distance > reach
+    apart = distance > radii
     within = jnp.where(apart, horizon, time_step)
     # Along the line to the other and across it, mirrored so that the velocity lies to the left of the line.
     along, across = vx * ex + vy * ey - distance / within, vy * ex - vx * ey
     side = jnp.where(across > 0.0, 1.0, -1.0)
     across = across * side
     inverse = jnp.where(apart, 1.0 / jnp.where(apart, distance, 1.0), 0.0)
-    beyond = jnp.where(apart, (distance - reach) * (distance + reach), 1.0)  # positive, however little they are apart
-    sine, cosine = reach * inverse, jnp.where(apart, jnp.sqrt(beyond) * inverse, 1.0)
+    beyond = jnp.where(apart, (distance - radii) * (distance + radii), 1.0)  # positive, however little they are apart
+    sine, cosine = radii * inverse, jnp.where(apart, jnp.sqrt(beyond) * inverse, 1.0)
     leg = apart & (along * cosine + across * sine > 0.0)
     size = length(along, across)
     tip_a, tip_b = unit(along, across)
     tip_a = jnp.where(size == 0.0, -1.0, tip_a)
     na, nb = jnp.where(leg, -sine, tip_a), jnp.where(leg, cosine, tip_b)
-    out = reach / within - jnp.where(leg, across * cosine - along * sine, size)
+    out = radii / within - jnp.where(leg, across * cosine - along * sine, size)
     nb = nb * side
     return na * ex - nb * ey, na * ey + nb * ex, out
+
+
+def nearest(
+    nx: Float[Array, "M"],
+    ny: Float[Array, "M"],
+    c: Float[Array, "M"],
+    px: Float[Array, ""],
+    py: Float[Array, ""],
+    limit: Float[Array, ""],
+) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
+    """The velocity in all half-planes that is nearest to a preferred one.
+
+    It is the preferred one, or lies on the border of some half-plane. So one candidate for each border, the nearest
+    point of what the others leave of it, decides. All are computed side by side.
+
+    Args:
+        nx: (M,) x parts of the normals.
+        ny: (M,) y parts.
+        c: (M,) bounds [m/s].
+        px: x part of the preferred velocity [m/s].
+        py: y part [m/s].
+        limit: the top speed [m/s].
+
+    Returns:
+        x and y parts [m/s], and whether there is such a velocity; if not, the parts have no meaning.
+    """
+    speed = length(px, py)
+    slower = jnp.where(speed > limit, limit / jnp.where(speed > limit, speed, 1.0), 1.0)
+    free_x, free_y = px * slower, py * slower
+    is_free = (nx * free_x + ny * free_y >= c - TOLERANCE).all()
+
+    chord = limit * limit - c * c
+    crosses = chord > 0.0
+    half = jnp.sqrt(jnp.where(crosses, chord, 1.0))
+    # Along the border of i, c n + t (-ny, nx), half-plane j says rate t >= rest.
+    rate = ny[None, :] * nx[:, None] - nx[None, :] * ny[:, None]  # (i, j)
+    rest = c[None, :] - c[:, None] * (nx[:, None] * nx[None, :] + ny[:, None] * ny[None, :])
+    itself = jnp.eye(c.shape[0], dtype=bool)
+    slope = jnp.abs(rate) > PARALLEL
+    bound = rest / jnp.where(slope, rate, 1.0)
+    lower = jnp.where(slope & (rate > 0.0) & ~itself, bound, -jnp.inf).max(1)
+    upper = jnp.where(slope & (rate < 0.0) & ~itself, bound, jnp.inf).min(1)
+    lower, upper = jnp.maximum(lower, -half), jnp.minimum(upper, half)
+    possible = crosses & (lower <= upper + TOLERANCE) & (slope | itself | (rest <= TOLERANCE)).all(1)
+    t = jnp.clip(px * -ny + py * nx, lower, jnp.maximum(lower, upper))
+    x, y = c * nx - t * ny, c * ny + t * nx
+    away = jnp.where(possible, (x - px) ** 2 + (y - py) ** 2, jnp.inf)
+    best = jnp.argmin(away)
+    return jnp.where(is_free, free_x, x[best]), jnp.where(is_free, free_y, y[best]), is_free | possible[best]
+
+
+def best_velocity(
+    nx: Float[Array, "M"],
+    ny: Float[Array, "M"],
+    c: Float[Array, "M"],
+    hard: Bool[Array, "M"],
+    px: Float[Array, ""],
+    py: Float[Array, ""],
+    limit: Float[Array, ""],
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """As ``nearest``; where nothing is left, the velocity whose largest violation of a half-plane is smallest.
+
+    Args:
+        nx: (M,) x parts of the normals.
+        ny: (M,) y parts.
+        c: (M,) bounds [m/s].
+        hard: (M,) half-planes that are not violated; they must hold the zero velocity.
+        px: x part of the preferred velocity [m/s].
+        py: y part [m/s].
+        limit: the top speed [m/s].
+
+    Returns:
+        x and y parts [m/s].
+    """
+    x, y, exists = nearest(nx, ny, c, px, py, limit)
+
+    def halve(carry: tuple, _) -> tuple:
+        low, high, x, y = carry
+        middle = 0.5 * (low + high)
+        new_x, new_y, is_enough = nearest(nx, ny, jnp.where(hard, c, c - middle), px, py, limit)
+        after = jnp.where(is_enough, low, middle), jnp.where(is_enough, middle, high)
+        return (*after, jnp.where(is_enough, new_x, x), jnp.where(is_enough, new_y, y)), None
+
+    zero = jnp.zeros_like(x)
+    violation = jnp.maximum(jnp.max(jnp.where(hard, UNBOUNDED, c)), 0.0)  # of the zero velocity
+    violating = jax.lax.scan(halve, (zero, violation, zero, zero), length=HALVINGS)[0]
+    return jnp.where(exists, x, violating[2]), jnp.where(exists, y, violating[3])
 
 
 def _neighbors(people: Pedestrians) -> Array:
@@ -118,7 +233,7 @@ def _neighbors(people: Pedestrians) -> Array:
     return jax.lax.top_k(-square, min(NEIGHBORS, x.shape[0]))[1].astype(jnp.int32)
 
 
-def _heeded(people: Pedestrians, others: Array) -> Array:
+def _avoided(people: Pedestrians, others: Array) -> Array:
     """(N, K) bool: somebody else, who is there and near, and does not stand in the same group."""
     x, y, group = people.position[:, 0], people.position[:, 1], people.group
     dx, dy = x[others] - x[:, None], y[others] - y[:, None]

@@ -1,12 +1,12 @@
-"""Policies: who drives. Pure functions (scenario, state, key) -> (2,) command [m/s, rad/s], or drivers."""
+"""Policies, which drive the robot: functions (scenario, state, key) -> (2,) [m/s, rad/s], or ``base.Policy``."""
 
-from sean_jax.base import Policy
+from sean_jax.base import PolicyLike
 from sean_jax.policies.expert import expert
 from sean_jax.policies.go_to_goal import go_to_goal
 from sean_jax.policies.orca import orca
 from sean_jax.policies.social_costmap import social_costmap
 
-POLICIES: dict[str, Policy] = {
+POLICIES: dict[str, PolicyLike] = {
     "go_to_goal": go_to_goal,
     "social_costmap": social_costmap,
     "orca": orca,

@@ -1,11 +1,12 @@
-"""expert: a model-predictive controller that drives as a polite person would; stands in for the human of section V.
+"""expert: a model-predictive controller that drives politely; it stands in for the human of section V.
 
-The paper's learned policies imitate a human who steers through SEAN. Here a plan of the next seconds is searched for in
-every control step: the robot by its limits (``unicycle``), people by the project's social forces (``prediction``), what
-is minded in ``manners``, and how far it still is by shortest paths (``outlook``). The search is a sampling one: spread
-wide around the last plan and over plain arcs, then narrow around the best, whose weighted mean is driven (G. Williams
-et al., "Information theoretic MPC for model-based reinforcement learning", ICRA 2017, with those two rounds). It is
-told more than a robot's sensors tell: where people want to go. A control step takes some three million operations.
+The paper's learned policies imitate a human who steers through SEAN. Here every control step searches a plan of the
+next seconds: the robot and the people are predicted (``prediction``), social costs are summed along the way, and the
+path that is left is a shortest path (``cost_to_go``). The search samples in two rounds: widely around the last plan and
+over constant arcs, then narrowly around the best of these. The robot drives the weighted mean of the second round
+(G. Williams et al., "Information theoretic MPC for model-based reinforcement learning", ICRA 2017, with two rounds).
+The expert knows more than a robot's sensors tell: where people want to go. A control step takes some three million
+operations.
 """
 
 from dataclasses import replace
@@ -15,174 +16,378 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from jaxtyping import Float, Int
 
-from sean_jax.base import Array, Driver, Scenario, State
-from sean_jax.geometry import length
-from sean_jax.policies import manners
-from sean_jax.policies.outlook import Outlook, look, onward, remaining
-from sean_jax.policies.prediction import nearest_people, predict
-from sean_jax.policies.unicycle import backward, constant, over_ground, roll
+from sean_jax import obstacle_grid
+from sean_jax.base import Array, ObstacleGrid, Policy, Scenario, State
+from sean_jax.geometry import from_rectangle, length, to_border
+from sean_jax.metrics.proximity import INTIMATE, PERSONAL
+from sean_jax.platforms import scalar
+from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal
+from sean_jax.policies.prediction import (
+    PeopleMotion,
+    RobotMotion,
+    nearest_people,
+    predict_people,
+    predict_robot,
+    to_world,
+)
+from sean_jax.robots.limits import max_reverse_speed
 
-STEPS, STEP = 16, 0.2  # of a plan, and s of each: 3.2 s ahead
-KNOTS = 5  # commands of a plan, joined by straight lines
-WIDE, CLOSE = 48, 48  # samples of the two rounds
-SPREAD = (0.5, 0.15)  # of the limits: standard deviations in the two rounds
-PEOPLE = 8  # that are heeded
-QUICK = 2.0  # rad/s, beyond which it does not turn
-SWIFT = 1.5  # m/s, beyond which it does not drive among people
-LATE = 40.0  # m, for places from where no way is seen
-NEARER = 0.3  # m
-FIRST = 1e6  # m, more than any way
-FORWARD = (-0.4, 0.0, 0.35, 0.7, 1.0)  # of the limits: plain arcs
-AROUND = (-1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 1.0)
+STEPS, TIME_STEP = 16, 0.2  # of a plan, and s of each: 3.2 s ahead
+KNOTS = 5  # commands of a plan, interpolated linearly
+WIDE_SAMPLES, CLOSE_SAMPLES = 48, 48  # of the two rounds
+DEVIATION = (0.5, 0.15)  # of the limits: standard deviations in the two rounds
+MAX_PEOPLE = 8  # the nearest that are predicted
+MAX_TURN_RATE = 2.0  # rad/s, of a plan
+MAX_SPEED = 1.5  # m/s, of a plan among people
+UNKNOWN_DISTANCE = 40.0  # m, for places from which no path is known
+MIN_PROGRESS = 0.3  # m, that counts as getting nearer
+INITIAL_DISTANCE = 1e6  # m, more than any path
+ARC_SPEEDS = (-0.4, 0.0, 0.35, 0.7, 1.0)  # of the limits: constant arcs
+ARC_TURN_RATES = (-1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 1.0)
+OBSTACLE_MARGIN = 0.03  # m, kept from obstacles at high cost
+OBSTACLE_REACH = 0.15  # m, beyond it: the cost falls to 0
+PERSON_MARGIN = 0.07  # m, by which predictions may be wrong: added to the intimate distance and to contact
+STRETCH_TIME = 0.7  # s, by which the speed of people stretches their personal space ahead
 
 
 @struct.dataclass
-class Settings:
-    """What makes the expert the driver that it is; all leaves are () floats."""
+class SocialCosts:
+    """Weights of the social costs (sections IV-G, IV-H); all leaves are () floats.
 
-    weights: manners.Weights
-    halfway: Array  # 1, weight of the way that is left in the middle of a plan; at its end it is 1
-    stop: Array  # m from the goal, where it is reached
-    temperature: Array  # of the weighted mean
-    patience: Array  # s without getting nearer, after which it asks for half the personal space
+    Costs are rates per second. One unit is worth one metre of way.
+    """
 
-
-class Plan(NamedTuple):
-    """What the expert remembers."""
-
-    knots: Array  # (KNOTS, 2) shares of the limits
-    follows: Array  # (V,) int32, of ``outlook.onward``
-    nearest: Array  # () m, the way that was left when it last got nearer
-    waited: Array  # () int32 ticks since then
+    contact: Float[Array, ""]  # 1/s, with an obstacle or inside the intimate distance
+    obstacle: Float[Array, ""]  # 1/s, at contact
+    personal_space: Float[Array, ""]  # 1/s, in its middle
+    o_space: Float[Array, ""]  # 1/s, in the middle of a group that the task has nothing to do with
+    reverse: Float[Array, ""]  # 1/m, of driving backward
+    turn_rate: Float[Array, ""]  # s/rad2, of its square
+    acceleration: Float[Array, ""]  # s3/m2, of its square
+    goal_heading: Float[Array, ""]  # 1, of the opposite heading at the goal
 
 
-def settings() -> Settings:
-    """The expert's settings."""
-    weights = manners.Weights(
-        touch=constant(8.0),
-        obstacle=constant(0.4),
-        personal=constant(1.5),
-        o_space=constant(1.0),
-        reverse=constant(1.0),
-        turning=constant(0.03),
-        change=constant(0.02),
-        facing=constant(0.3),
+@struct.dataclass
+class ExpertParams:
+    """Parameters of the expert; all leaves are () floats."""
+
+    weights: SocialCosts
+    halfway: Float[Array, ""]  # 1, weight of the path that is left in the middle of a plan; at its end it is 1
+    goal_tolerance: Float[Array, ""]  # m from the goal, where it is reached
+    temperature: Float[Array, ""]  # of the weighted mean
+    patience: Float[Array, ""]  # s without progress, after which the weight of personal space is halved
+
+
+class PlanLimits(NamedTuple):
+    """Top speeds of a plan."""
+
+    ahead: Float[Array, ""]  # m/s
+    backward: Float[Array, ""]  # m/s
+    turn_rate: Float[Array, ""]  # rad/s
+
+
+class ExpertMemory(NamedTuple):
+    """What the expert remembers from step to step."""
+
+    knots: Float[Array, "knots 2"]  # of the last plan, shares of the limits
+    successors: Int[Array, "V"]  # of ``cost_to_go.corner_successors``
+    distance_min: Float[Array, ""]  # m, the path that was left at the last progress
+    waiting_ticks: Int[Array, ""]  # since then
+
+
+def default_params() -> ExpertParams:
+    """The expert's parameters.
+
+    Returns:
+        Those that docs/policies.md describes.
+    """
+    weights = SocialCosts(
+        contact=scalar(8.0),
+        obstacle=scalar(0.4),
+        personal_space=scalar(1.5),
+        o_space=scalar(1.0),
+        reverse=scalar(1.0),
+        turn_rate=scalar(0.03),
+        acceleration=scalar(0.02),
+        goal_heading=scalar(0.3),
     )
-    return Settings(
-        weights, halfway=constant(0.5), stop=constant(0.2), temperature=constant(0.05), patience=constant(10.0)
+    return ExpertParams(
+        weights, halfway=scalar(0.5), goal_tolerance=scalar(0.2), temperature=scalar(0.05), patience=scalar(10.0)
     )
 
 
-def start(scenario: Scenario, data: Settings, state: State) -> Plan:
-    """Plans seconds ahead by sampling, politely: people are predicted, and their distances and o-spaces kept."""
+def init(scenario: Scenario, params: ExpertParams, state: State) -> ExpertMemory:
+    """Plans seconds ahead by sampling, politely: people are predicted, and their distances and o-spaces kept.
+
+    Args:
+        scenario: where it drives.
+        params: of the expert.
+        state: in which the episode begins.
+
+    Returns:
+        The memory of an episode that begins.
+    """
     knots = jnp.zeros((KNOTS, 2), float)
-    return Plan(knots, onward(scenario, state), jnp.full((), FIRST, float), jnp.zeros((), jnp.int32))
+    distance = jnp.full((), INITIAL_DISTANCE, float)
+    return ExpertMemory(knots, corner_successors(scenario, state), distance, jnp.zeros((), jnp.int32))
 
 
-def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple[Array, Plan]:
-    """The command (2,) [m/s, rad/s] with which the best plan begins, and that plan."""
-    most = limits(scenario)
-    last = _later(state.driver.knots, scenario.time_step)
-    moved = _moved(scenario, state, last[None], most)
-    people = predict(scenario, nearest_people(state, PEOPLE), state.groups, STEPS, STEP)
+def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) -> tuple[Float[Array, "2"], ExpertMemory]:
+    """The first command of the best plan.
+
+    Args:
+        scenario: where it drives.
+        params: of the expert.
+        state: now, with the expert's memory.
+        key: () PRNG key of this step.
+
+    Returns:
+        The command (2,) [m/s, rad/s], and the new memory.
+    """
+    memory: ExpertMemory = state.policy_state
+    limits = plan_limits(scenario)
+    last = _shift(memory.knots, scenario.time_step)
+    motion = _simulate(scenario, state, last[None], limits)
+    people = predict_people(scenario, nearest_people(state, MAX_PEOPLE), state.groups, STEPS, TIME_STEP)
     here = state.robot.position
-    spots = [jnp.append(here[axis], moved[axis][STEPS // 4 - 1 :: STEPS // 4, 0]) for axis in (0, 1)]
-    outlook = look(scenario, state, state.driver.follows, *spots)
-    nearest, waited = _waited(scenario, data, state, outlook)
-    pushing = data.weights.personal * data.patience / (data.patience + scenario.time_step * waited.astype(here.dtype))
-    data = replace(data, weights=replace(data.weights, personal=pushing))
+    places = [jnp.append(here[axis], motion[axis][STEPS // 4 - 1 :: STEPS // 4, 0]) for axis in (0, 1)]
+    table = build_cost_to_go(scenario, state, memory.successors, *places)
+    distance_min, waiting_ticks = _progress(scenario, params, state, table)
+    waiting = scenario.time_step * waiting_ticks.astype(here.dtype)
+    personal_space = params.weights.personal_space * params.patience / (params.patience + waiting)
+    params = replace(params, weights=replace(params.weights, personal_space=personal_space))
 
     def cost(knots: Array) -> Array:
-        return _cost(scenario, data, state, outlook, people, _moved(scenario, state, knots, most))
+        return _cost(scenario, params, state, table, people, _simulate(scenario, state, knots, limits))
 
-    noise = jax.random.normal(key, (WIDE + CLOSE, KNOTS, 2), float)
-    wide = jnp.clip(last[None] + SPREAD[0] * noise[:WIDE], -1.0, 1.0)
+    noise = jax.random.normal(key, (WIDE_SAMPLES + CLOSE_SAMPLES, KNOTS, 2), float)
+    wide = jnp.clip(last[None] + DEVIATION[0] * noise[:WIDE_SAMPLES], -1.0, 1.0)
     wide = jnp.concatenate([last[None], wide, jnp.asarray(ARCS, float)])
     best = wide[jnp.argmin(cost(wide))]
-    close = jnp.clip(best[None] + SPREAD[1] * noise[WIDE:], -1.0, 1.0)
+    close = jnp.clip(best[None] + DEVIATION[1] * noise[WIDE_SAMPLES:], -1.0, 1.0)
     close = jnp.concatenate([best[None], close])
-    price = cost(close)
-    weight = jax.nn.softmax(-(price - jnp.min(price)) / data.temperature)
+    costs = cost(close)
+    weight = jax.nn.softmax(-(costs - jnp.min(costs)) / params.temperature)
     knots = (weight[:, None, None] * close).sum(0)
-    return _commands(knots[0], most), Plan(knots, state.driver.follows, nearest, waited)
+    return _commands(knots[0], limits), ExpertMemory(knots, memory.successors, distance_min, waiting_ticks)
 
 
-def _waited(scenario: Scenario, data: Settings, state: State, outlook: Outlook) -> tuple[Array, Array]:
-    """() m left when it last got nearer, by NEARER at least, and () int32 ticks since then, none at the goal.
+def plan_limits(scenario: Scenario) -> PlanLimits:
+    """Limits of all plans.
 
-    Two who are polite would else wait for each other for ever.
+    Args:
+        scenario: with the robot.
+
+    Returns:
+        The limits of the robot, and of driving among people.
     """
-    before, here = state.driver, state.robot.position
-    left = jax.lax.stop_gradient(remaining(scenario, state, outlook, here[:1], here[1:])[0])
-    left = jnp.where(jnp.isfinite(left), left, before.nearest)
-    nearer = (left < before.nearest - NEARER) | (left < data.stop + NEARER)
-    nearest = jnp.where(nearer, left, before.nearest)
-    return nearest, jnp.where(nearer, 0, before.waited + 1)
-
-
-def limits(scenario: Scenario) -> tuple[Array, Array, Array]:
-    """() m/s ahead, () m/s backward and () rad/s that plans keep to."""
     model = scenario.robot
-    ahead = jnp.minimum(model.max_speed, SWIFT)
-    return ahead, jnp.minimum(backward(model), ahead), jnp.minimum(model.max_turn_rate, QUICK)
+    ahead = jnp.minimum(model.max_speed, MAX_SPEED)
+    return PlanLimits(
+        ahead, jnp.minimum(max_reverse_speed(model), ahead), jnp.minimum(model.max_turn_rate, MAX_TURN_RATE)
+    )
+
+
+def _progress(scenario: Scenario, params: ExpertParams, state: State, table: CostToGo) -> tuple[Array, Array]:
+    """() m of path left at the last progress, of MIN_PROGRESS at least, and () int32 ticks since then, 0 at the goal.
+
+    Without it two polite agents would wait for each other forever.
+    """
+    memory, here = state.policy_state, state.robot.position
+    left = jax.lax.stop_gradient(distance_to_goal(scenario, state, table, here[:1], here[1:])[0])
+    left = jnp.where(jnp.isfinite(left), left, memory.distance_min)
+    nearer = (left < memory.distance_min - MIN_PROGRESS) | (left < params.goal_tolerance + MIN_PROGRESS)
+    return jnp.where(nearer, left, memory.distance_min), jnp.where(nearer, 0, memory.waiting_ticks + 1)
 
 
 def _arcs() -> np.ndarray:
-    """(A, KNOTS, 2) plain arcs, and turns on the spot after which it goes straight ahead."""
-    arcs = [np.tile([ahead, turn], (KNOTS, 1)) for ahead in FORWARD for turn in AROUND]
-    for turn in AROUND:
-        first = np.tile([1.0, 0.0], (KNOTS, 1))
-        first[:2] = 0.0, turn
-        arcs.append(first)
+    """(A, KNOTS, 2) constant arcs, and turns on the spot after which the robot drives straight ahead."""
+    arcs = [np.tile([ahead, turn], (KNOTS, 1)) for ahead in ARC_SPEEDS for turn in ARC_TURN_RATES]
+    for turn in ARC_TURN_RATES:
+        turn_first = np.tile([1.0, 0.0], (KNOTS, 1))
+        turn_first[:2] = 0.0, turn
+        arcs.append(turn_first)
     return np.stack(arcs)
 
 
 ARCS = _arcs()
-BETWEEN = np.stack([np.interp(np.arange(STEPS) * STEP, np.linspace(0, STEPS * STEP, KNOTS), one)
-                    for one in np.eye(KNOTS)], -1)  # fmt: skip
+INTERPOLATION = np.stack([np.interp(np.arange(STEPS) * TIME_STEP, np.linspace(0, STEPS * TIME_STEP, KNOTS), one)
+                          for one in np.eye(KNOTS)], -1)  # fmt: skip
 
 
-def _later(knots: Array, seconds: float) -> Array:
-    """The plan as it is when so much of it is over; its last command goes on."""
-    share = seconds * (KNOTS - 1) / (STEPS * STEP)
+def _shift(knots: Array, seconds: float) -> Array:
+    """The plan with that much of its beginning removed; its last command continues."""
+    share = seconds * (KNOTS - 1) / (STEPS * TIME_STEP)
     return knots + share * jnp.diff(knots, axis=0, append=knots[-1:])
 
 
-def _commands(shares: Array, most: tuple) -> Array:
+def _commands(shares: Array, limits: PlanLimits) -> Array:
     """(..., 2) m/s and rad/s of the shares (..., 2) of the limits."""
-    ahead, back, turn = most
+    ahead, back, turn = limits
     speed = jnp.where(shares[..., 0] > 0.0, ahead, back) * shares[..., 0]
     return jnp.stack([speed, turn * shares[..., 1]], -1)
 
 
-def _moved(scenario: Scenario, state: State, knots: Array, most: tuple) -> tuple[Array, ...]:
-    """x, y [m], yaw [rad] on the floor, speed [m/s] and turn rate [rad/s], (T, P), of plans (P, KNOTS, 2)."""
-    commands = _commands(jnp.einsum("tk,pkc->tpc", jnp.asarray(BETWEEN), knots), most)
+def _simulate(scenario: Scenario, state: State, knots: Array, limits: PlanLimits) -> RobotMotion:
+    """The motion on the floor of plans (P, KNOTS, 2)."""
+    commands = _commands(jnp.einsum("tk,pkc->tpc", jnp.asarray(INTERPOLATION), knots), limits)
     robot = state.robot
-    x, y, yaw, speed, turn = roll(
-        scenario.robot, robot.speed, robot.turn_rate, (commands[..., 0], commands[..., 1]), STEP
+    x, y, yaw, speed, turn = predict_robot(
+        scenario.robot, robot.speed, robot.turn_rate, (commands[..., 0], commands[..., 1]), TIME_STEP
     )
-    x, y = over_ground(robot.position, robot.heading, x, y)
-    return x, y, yaw + jnp.arctan2(robot.heading[1], robot.heading[0]), speed, turn
+    x, y = to_world(robot.position, robot.heading, x, y)
+    return RobotMotion(x, y, yaw + jnp.arctan2(robot.heading[1], robot.heading[0]), speed, turn)
 
 
-def _cost(scenario: Scenario, data: Settings, state: State, outlook: Outlook, people: tuple, moved: tuple) -> Array:
-    """(P,) of trajectories (T, P): the way that is left, and what is minded on the way."""
-    x, y, yaw, speed, turn = moved
-    weights = data.weights
-    rate = manners.obstacle_rate(scenario, weights, x, y) + manners.people_rate(scenario, weights, x, y, people)
-    rate = rate + manners.group_rate(state, weights, x, y)
-    rate = rate + manners.comfort_rate(weights, speed, turn, (state.robot.speed, state.robot.turn_rate), STEP)
+def _cost(
+    scenario: Scenario,
+    params: ExpertParams,
+    state: State,
+    table: CostToGo,
+    people: PeopleMotion,
+    motion: RobotMotion,
+) -> Float[Array, "P"]:
+    """(P,) cost of trajectories (T, P): the path that is left, and the social costs along the way."""
+    x, y, yaw, speed, turn = motion
+    weights, robot = params.weights, state.robot
+    rate = obstacle_rate(scenario, weights, x, y) + people_rate(scenario, weights, x, y, people)
+    rate = rate + group_rate(state, weights, x, y)
+    rate = rate + comfort_rate(weights, speed, turn, (robot.speed, robot.turn_rate), TIME_STEP)
     ends = [jnp.concatenate([part[STEPS // 2 - 1], part[-1]]) for part in (x, y)]
-    left = remaining(scenario, state, outlook, *ends)
-    left = jnp.maximum(jnp.where(jnp.isfinite(left), left, LATE) - data.stop, 0.0)
+    left = distance_to_goal(scenario, state, table, *ends)
+    left = jnp.maximum(jnp.where(jnp.isfinite(left), left, UNKNOWN_DISTANCE) - params.goal_tolerance, 0.0)
     half, end = jnp.split(left, 2)
-    goal, look_at = state.task.goal, state.task.goal_heading
+    goal, goal_heading = state.task.goal, state.task.goal_heading
     near = jnp.clip(1.0 - length(goal[0] - x[-1], goal[1] - y[-1]) / 0.6, 0.0, 1.0)
-    facing = 1.0 - (jnp.cos(yaw[-1]) * look_at[0] + jnp.sin(yaw[-1]) * look_at[1])
-    return STEP * rate.sum(0) + data.halfway * half + end + weights.facing * near * facing
+    turned_away = 1.0 - (jnp.cos(yaw[-1]) * goal_heading[0] + jnp.sin(yaw[-1]) * goal_heading[1])
+    return TIME_STEP * rate.sum(0) + params.halfway * half + end + weights.goal_heading * near * turned_away
 
 
-expert = Driver(data=settings(), name="expert", start=start, drive=drive)
-"""The expert with its usual settings; others by ``replace(expert, data=...)``."""
+# Social costs: rates of the shape of the trajectories (T, P), to be integrated over time.
+
+
+def obstacle_distance(
+    grid: ObstacleGrid, x: Float[Array, "*shape"], y: Float[Array, "*shape"]
+) -> Float[Array, "*shape"]:
+    """Distance to the nearest obstacle within reach of the grid.
+
+    Args:
+        grid: the environment's obstacles by cell.
+        x: (...) m.
+        y: (...) m.
+
+    Returns:
+        (...) m.
+    """
+    rows = obstacle_grid.lookup(grid, x, y)
+    return jnp.min(from_rectangle(x[..., None], y[..., None], *(rows[..., part] for part in range(6)))[0], -1)
+
+
+def obstacle_rate(
+    scenario: Scenario, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
+) -> Float[Array, "T P"]:
+    """Cost of being near obstacles or the edge of the floor.
+
+    Args:
+        scenario: with the environment and the robot's radius.
+        weights: of the costs.
+        x: (T, P) m.
+        y: (T, P) m.
+
+    Returns:
+        (T, P) 1/s.
+    """
+    edge = to_border(scenario.environment, x, y)
+    gap = jnp.minimum(obstacle_distance(scenario.environment.obstacle_grid, x, y), edge)
+    gap = gap - scenario.robot.radius - OBSTACLE_MARGIN
+    near = jnp.clip(1.0 - gap / OBSTACLE_REACH, 0.0, 1.0)
+    inside = jnp.clip(-gap / OBSTACLE_MARGIN, 0.0, 10.0)
+    return weights.obstacle * near * near + weights.contact * (inside + jnp.where(gap < 0.0, 1.0, 0.0))
+
+
+def people_rate(
+    scenario: Scenario, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"], people: PeopleMotion
+) -> Float[Array, "T P"]:
+    """Cost of being near people: of contact, of less than 0.45 m, and of personal space.
+
+    Personal space reaches 1.2 m, and farther ahead of people who walk.
+
+    Args:
+        scenario: with the radii of robot and people.
+        weights: of the costs.
+        x: (T, P) m.
+        y: (T, P) m.
+        people: their predicted motion.
+
+    Returns:
+        (T, P) 1/s.
+    """
+    px, py, vx, vy = (part[:, None, :] for part in people)
+    dx, dy = x[..., None] - px, y[..., None] - py
+    away = length(dx, dy)
+    distance_min = jnp.maximum(INTIMATE, scenario.robot.radius + scenario.forces.walking.radius) + PERSON_MARGIN
+    speed = length(vx, vy)
+    ahead = (dx * vx + dy * vy) / jnp.maximum(speed, 0.1)
+    shrink = 1.0 - 1.0 / (1.0 + STRETCH_TIME * speed)
+    stretched = jnp.where(ahead > 0.0, away - shrink * ahead, away)
+    reach = jnp.maximum(PERSONAL, distance_min + 0.4)
+    personal = jnp.clip(1.0 - stretched / reach, 0.0, 1.0)
+    inside = jnp.clip((distance_min - away) / 0.2, 0.0, 3.0)
+    contact = weights.contact * (inside + jnp.where(away < distance_min, 1.0, 0.0))
+    return (weights.personal_space * personal * personal + contact).sum(-1)
+
+
+def group_rate(
+    state: State, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
+) -> Float[Array, "T P"]:
+    """Cost of being in o-spaces, with less reach in those of groups that the task joins or leaves.
+
+    Args:
+        state: with the groups and the task.
+        weights: of the costs.
+        x: (T, P) m.
+        y: (T, P) m.
+
+    Returns:
+        (T, P) 1/s.
+    """
+    groups, task = state.groups, state.task
+    index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
+    own = (index == task.goal_group) | (index == task.start_group)
+    cx, cy = groups.center[None, None, :, 0], groups.center[None, None, :, 1]
+    away = length(x[..., None] - cx, y[..., None] - cy)
+    size = jnp.where(own, 0.5, 1.2) * jnp.maximum(groups.radius, 1e-3)
+    depth = jnp.clip(1.0 - away / size[None, None, :], 0.0, 1.0)
+    return weights.o_space * jnp.where(groups.present[None, None, :], depth, 0.0).sum(-1)
+
+
+def comfort_rate(
+    weights: SocialCosts,
+    speed: Float[Array, "T P"],
+    turn: Float[Array, "T P"],
+    before: tuple[Float[Array, ""], Float[Array, ""]],
+    time_step: float,
+) -> Float[Array, "T P"]:
+    """Cost of driving backward, of turning and of acceleration.
+
+    Args:
+        weights: of the costs.
+        speed: (T, P) m/s.
+        turn: (T, P) rad/s.
+        before: the speed () [m/s] and the turn rate () [rad/s] of now.
+        time_step: s, between two rows.
+
+    Returns:
+        (T, P) 1/s.
+    """
+    acceleration = jnp.diff(speed, axis=0, prepend=jnp.full_like(speed[:1], before[0])) / time_step
+    turn_acceleration = jnp.diff(turn, axis=0, prepend=jnp.full_like(turn[:1], before[1])) / time_step
+    turning = weights.turn_rate * (turn * turn + 0.05 * turn_acceleration * turn_acceleration)
+    reverse = weights.reverse * jnp.maximum(-speed, 0.0)
+    return reverse + turning + weights.acceleration * acceleration * acceleration
+
+
+expert = Policy(params=default_params(), name="expert", init=init, apply=apply)
+"""The expert with its usual parameters; others by ``replace(expert, params=...)``."""

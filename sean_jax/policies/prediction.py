@@ -1,19 +1,107 @@
-"""Where people near the robot will be: the project's own social forces, run ahead of time (section IV-D)."""
+"""The models that planners predict with: the robot by its limits (Fig. 3), people by the social forces (section IV-D).
+
+The robot is its closed-form twin without what planners avoid: contact, and wheels that slip.
+"""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Bool, Float
 
-from sean_jax.base import Array, Groups, Pedestrians, Scenario, State
-from sean_jax.social_forces import advance
+from sean_jax.base import Array, Groups, Pedestrians, RobotModel, Scenario, State
+from sean_jax.geometry import rotate
+from sean_jax.robots.limits import limit_command
+from sean_jax.social_forces import integrate
 
-UNSEEN = 1e3  # m, how far away who is absent counts as being
-SAME = 0.1  # m, a third of a body's radius: nobody comes as near to another, but who was put there
+ABSENT_DISTANCE = 1e3  # m, how far away absent people are placed
+COINCIDENT_DISTANCE = 0.1  # m, a third of a body's radius: only people who were placed there are nearer to each other
+
+
+class RobotMotion(NamedTuple):
+    """Predicted motion of a robot along P plans, after each of T steps."""
+
+    x: Float[Array, "T P"]  # m
+    y: Float[Array, "T P"]  # m
+    yaw: Float[Array, "T P"]  # rad
+    speed: Float[Array, "T P"]  # m/s
+    turn_rate: Float[Array, "T P"]  # rad/s
+
+
+class PeopleMotion(NamedTuple):
+    """Predicted motion of K people, after each of T steps."""
+
+    x: Float[Array, "T K"]  # m
+    y: Float[Array, "T K"]  # m
+    vx: Float[Array, "T K"]  # m/s
+    vy: Float[Array, "T K"]  # m/s
+
+
+def predict_robot(
+    model: RobotModel,
+    speed: Float[Array, ""],
+    turn_rate: Float[Array, ""],
+    commands: tuple[Float[Array, "T P"], Float[Array, "T P"]],
+    time_step: float,
+) -> RobotMotion:
+    """Where commands lead from a speed and a turn rate.
+
+    Each step is the chord of an arc: its heading is that of its middle.
+
+    Args:
+        model: the robot.
+        speed: () m/s, now.
+        turn_rate: () rad/s, now.
+        commands: speeds (T, P) [m/s] and turn rates (T, P) [rad/s] of P plans.
+        time_step: s, between two commands.
+
+    Returns:
+        The motion after each step, in the robot's frame of now.
+    """
+    start = jnp.full(commands[0].shape[1:], speed), jnp.full(commands[1].shape[1:], turn_rate)
+
+    def step(now: tuple[Array, Array], command: tuple[Array, Array]) -> tuple[tuple, tuple]:
+        after = limit_command(model, now[0], now[1], command, time_step)
+        return after, after
+
+    _, (ahead, rate) = jax.lax.scan(step, start, commands)
+    rotation = time_step * rate
+    yaw = jnp.cumsum(rotation, axis=0)
+    middle = yaw - 0.5 * rotation
+    x = jnp.cumsum(time_step * ahead * jnp.cos(middle), axis=0)
+    y = jnp.cumsum(time_step * ahead * jnp.sin(middle), axis=0)
+    return RobotMotion(x, y, yaw, ahead, rate)
+
+
+def to_world(
+    position: Float[Array, "2"], heading: Float[Array, "2"], x: Float[Array, "*shape"], y: Float[Array, "*shape"]
+) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+    """Places in a robot's frame as places on the floor.
+
+    Args:
+        position: (2,) m, of the robot.
+        heading: (2,) unit vector.
+        x: (...) m, ahead of the robot.
+        y: (...) m, to its left.
+
+    Returns:
+        x and y (...) [m] on the floor.
+    """
+    world_x, world_y = rotate(x, y, heading[0], heading[1])
+    return position[0] + world_x, position[1] + world_y
 
 
 def nearest_people(state: State, count: int) -> Pedestrians:
-    """The ``count`` people nearest to the robot, or all if there are fewer; rows keep whether somebody is present."""
+    """The people who are nearest to the robot.
+
+    Args:
+        state: the scenario's state.
+        count: of rows; all people if there are fewer.
+
+    Returns:
+        The rows (K, ...) of the nearest. Absent people come last, with ``present`` False.
+    """
     people = state.pedestrians
     gap = people.position - state.robot.position[None, :]
     square = jnp.where(people.present, gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1], jnp.inf)
@@ -21,32 +109,44 @@ def nearest_people(state: State, count: int) -> Pedestrians:
     return jax.tree.map(lambda part: part[index], people)
 
 
-def predict(scenario: Scenario, people: Pedestrians, groups: Groups, steps: int, time_step: float) -> tuple[Array, ...]:
-    """Positions x, y [m] and velocities x, y [m/s] of the people (K), each (T, K), after each ``time_step`` [s].
+def predict_people(
+    scenario: Scenario, people: Pedestrians, groups: Groups, steps: int, time_step: float
+) -> PeopleMotion:
+    """Where people will be, by the social forces.
 
-    They want to go where they want to go now, and heed one another, obstacles and groups, but not the robot: who counts
-    on others to give way pushes them. Who is absent is far away.
+    They keep their desired velocity and react to one another, obstacles and groups, but not to the robot: a planner
+    that counts on people to give way pushes them.
 
-    Derivatives are exact but for people within 0.1 m of one another, whose middles are as good as in one place: where a
-    push would turn round, it has none. Over all these steps it would grow by a factor of thousands in each, beyond what
-    single precision holds.
+    Derivatives are exact but for people within 0.1 m of one another, whose centers nearly coincide: where a force would
+    change its direction, it has no derivative. Over all these steps it would grow by a factor of thousands in each,
+    beyond what single precision holds.
+
+    Args:
+        scenario: where they walk.
+        people: K of them.
+        groups: the conversational groups.
+        steps: T, to predict.
+        time_step: s, of each.
+
+    Returns:
+        Their motion after each step. Absent people are far away.
     """
-    forces, nearby = scenario.forces, scenario.environment.nearby
+    forces, grid = scenario.forces, scenario.environment.obstacle_grid
 
-    def one(people: Pedestrians, _) -> tuple[Pedestrians, tuple]:
-        held = jnp.where(_in_one_place(people)[:, None], jax.lax.stop_gradient(people.position), people.position)
-        after = advance(forces, replace(people, position=held), nearby, groups, None, time_step)
-        after = replace(after, position=after.position + (people.position - held))  # 0, but for derivatives
+    def step(people: Pedestrians, _: None) -> tuple[Pedestrians, tuple]:
+        fixed = jnp.where(_coincident(people)[:, None], jax.lax.stop_gradient(people.position), people.position)
+        after = integrate(forces, replace(people, position=fixed), grid, groups, None, time_step)
+        after = replace(after, position=after.position + (people.position - fixed))  # 0, but for derivatives
         return after, (*after.position.T, *after.velocity.T)
 
-    _, (px, py, vx, vy) = jax.lax.scan(one, people, length=steps)
+    _, (px, py, vx, vy) = jax.lax.scan(step, people, length=steps)
     here = people.present[None, :]
-    return jnp.where(here, px, UNSEEN), jnp.where(here, py, UNSEEN), vx, vy
+    return PeopleMotion(jnp.where(here, px, ABSENT_DISTANCE), jnp.where(here, py, ABSENT_DISTANCE), vx, vy)
 
 
-def _in_one_place(people: Pedestrians) -> Array:
-    """(K,) bool: within ``SAME`` of somebody else who is present."""
+def _coincident(people: Pedestrians) -> Bool[Array, "K"]:
+    """Whether each person is within ``COINCIDENT_DISTANCE`` of another person who is present."""
     x, y = jax.lax.stop_gradient(people.position).T
     dx, dy = x[:, None] - x[None, :], y[:, None] - y[None, :]
     other = people.present[None, :] & ~jnp.eye(people.present.shape[0], dtype=bool)
-    return (other & (dx * dx + dy * dy < SAME * SAME)).any(1)
+    return (other & (dx * dx + dy * dy < COINCIDENT_DISTANCE * COINCIDENT_DISTANCE)).any(1)

@@ -1,174 +1,639 @@
 """social_costmap: the paper's navigation stack with social cost layers, as SEAN 2.0 configures it for Kuri [49].
 
-move_base in three parts: a cost map with a proxemic layer (``costmap``), a global plan on it (``wavefront``) and a
-local planner that drives along the plan (``dynamic_window``); and turning on the spot where these fail for 5 seconds.
+move_base in four parts, which follow one another in this file:
 
-What differs from ROS: the global plan is renewed every half second and not 20 times a second, on 32 x 32 cells of
-0.2 m around the robot and not on the whole map with 0.05 m; the local map has 32 x 32 cells of 0.05 m or, for a
-quicker robot, as much as two seconds of it need. Maps hold the people's places now, without the errors of a lidar. It
-does not drive backward but to get out of what it touches (SEAN's -1.0 m/s would let it drive faster backward than
+1. a cost map in layers: obstacles with their inflation, people's bodies likewise, as a lidar sees them, and the
+   proxemic layer (D. V. Lu, D. Hershberger & W. D. Smart, "Layered costmaps for context-sensitive navigation", IROS
+   2014; the formula as in navigation_layers, the numbers as in SEAN 2.0's configuration). Costs are those of ROS: 0
+   is free, 252 is the highest that can be driven over, 253 touches. A cell has the highest cost of all layers;
+2. a global plan on it, as of global_planner, by a wave that starts at the goal. ROS plans over the whole map. Here
+   the map is a window around the robot, and what lies beyond is taken from the exact tables of shortest paths: the
+   wave starts at the window's border with the distance that is left from there, and at the goal if that lies inside.
+   So people change the plan only within the window;
+3. a local planner, the dynamic window approach as ROS's TrajectoryPlanner samples and scores it (D. Fox, W. Burgard &
+   S. Thrun, 1997): 20 speeds by 40 turn rates that can be reached in one control step, each driven for two seconds on
+   the cost map; path distance counts .75 and goal distance 1 for each cell of 0.05 m, a cost .1;
+4. recovery: the robot turns on the spot where these fail for 5 seconds.
+
+What differs from ROS: the global plan is renewed every half second and not 20 times a second, on 32 x 32 cells of 0.2
+m around the robot and not on the whole map with 0.05 m. The local map has 32 x 32 cells of 0.05 m or, for a faster
+robot, as much as two seconds of it need. Maps hold the current places of people, without the errors of a lidar. The
+robot drives backward only to get out of what it touches (SEAN's -1.0 m/s would let it drive faster backward than
 ahead). A control step takes some three million operations, most of them for the two maps.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from jaxtyping import Bool, Float, Int
 
-from sean_jax import clock
-from sean_jax.base import Array, Driver, Scenario, State
-from sean_jax.geometry import length
-from sean_jax.policies import costmap, dynamic_window, wavefront
-from sean_jax.policies.costmap import Window
-from sean_jax.policies.outlook import look, onward
-from sean_jax.policies.prediction import nearest_people
-from sean_jax.policies.unicycle import constant
+from sean_jax import clock, obstacle_grid
+from sean_jax.base import Array, Pedestrians, Policy, RobotModel, Scenario, State
+from sean_jax.geometry import from_rectangle, length, to_border
+from sean_jax.platforms import scalar
+from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal
+from sean_jax.policies.prediction import nearest_people, to_world
+from sean_jax.robots.limits import clip_turn_rate, reachable
 
-CELLS, CELL = 32, 0.2  # of the window in which it plans, and m
-LOCAL, FINE = 32, 0.05  # of the window in which it drives, and m at least
-PERIOD, SWEEPS = 5, 12  # control steps in which a plan is made, the first before it moves; cells in each of them
-POINTS = 20  # of a plan
-NEAR_POINTS = 8  # that the local planner looks at
-PEOPLE = 10  # the nearest that are on the maps
+MAX_PEOPLE = 10  # the nearest that are on the maps
+CONTACT_COST = 253.0  # the disc of the robot touches something there
+MAX_COST = 252.0  # of a cell that can be driven over
+NEUTRAL_COST, COST_FACTOR = 50.0, 3.0  # of global_planner: what a free cell costs, and how much the map counts
+STRAIGHT_STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
+DIAGONAL_STEPS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+UNREACHED = 1e6  # m, of cells that the wave has not reached
+GLOBAL_CELLS, GLOBAL_CELL = 32, 0.2  # of the global map, and m
+PLAN_PERIOD, SWEEPS = 5, 12  # control steps in which a plan is made, the first before it moves; cells in each of them
+PATH_POINTS = 20  # of a plan
+LOCAL_CELLS, LOCAL_CELL = 32, 0.05  # of the local map, and m at least
+LOCAL_PATH_POINTS = 8  # of the plan, that the local planner looks at
+SPEED_SAMPLES, TURN_RATE_SAMPLES = 20, 40
+HORIZON = 2.0  # s, of a trajectory
+TRAJECTORY_POINTS = 10  # at which costs are looked up
+SCORE_CELL = 0.05  # m, in which distances are counted
+ESCAPE_SPEED = -0.1  # m/s, out of what is touched
+LOOKAHEAD = 0.325  # m, by which turns on the spot are compared
+
+Tree = TypeVar("Tree")
 
 
 @struct.dataclass
-class Settings:
+class CostmapParams:
+    """Parameters of the cost map's layers; all leaves are () floats."""
+
+    amplitude: Float[Array, ""]  # A, cost in the middle of a person (77)
+    cutoff: Float[Array, ""]  # lower costs become 0 (10)
+    covariance: Float[Array, ""]  # m2, C of a person who stands (SEAN 0.1; the package's default is 0.25)
+    factor: Float[Array, ""]  # s/m, by how much longer the Gaussian is ahead for each m/s (5)
+    inflation: Float[Array, ""]  # m, beyond contact, within which inflation costs something (0.3)
+    decay: Float[Array, ""]  # 1/m, of the inflation's cost (10)
+
+
+@struct.dataclass
+class LocalPlannerParams:
+    """Limits and weights of the local planner; all leaves are () floats."""
+
+    top_speed: Float[Array, ""]  # 1, of the robot's own: 0.3 of 0.5 m/s
+    spin_min: Float[Array, ""]  # rad/s, of a turn on the spot
+    path: Float[Array, ""]  # per cell of 0.05 m from the plan (pdist_scale)
+    goal: Float[Array, ""]  # per cell of 0.05 m from where the plan leaves the map (gdist_scale)
+    obstacle: Float[Array, ""]  # per cost (occdist_scale)
+
+
+@struct.dataclass
+class SocialCostmapParams:
     """What SEAN 2.0 configures; leaves are () floats."""
 
-    layers: costmap.Layers
-    scores: dynamic_window.Scores
-    reached: Array  # m from the goal, where it stops (xy_goal_tolerance)
-    patience: Array  # s without a way, after which it turns on the spot
-    spin: Array  # rad/s, at which it does, once around
+    costmap: CostmapParams
+    local_planner: LocalPlannerParams
+    goal_tolerance: Float[Array, ""]  # m from the goal, where it stops (xy_goal_tolerance)
+    patience: Float[Array, ""]  # s without a path, after which it turns on the spot
+    spin: Float[Array, ""]  # rad/s, of that turn, once around
 
 
-class Memory(NamedTuple):
-    """What the driver remembers."""
+@struct.dataclass
+class Window:
+    """A square of cells that moves with the robot."""
 
-    follows: Array  # (V,) int32, of ``outlook.onward``
-    over: Window  # of the plan in the making
-    resisting: Array  # (CELLS, CELLS), what a metre there is worth
-    wave: Array  # (CELLS, CELLS) m
-    path: Array  # (2, POINTS) m, x and y of the plan that is followed
-    planned: Array  # () bool, whether that leads to the goal
-    waited: Array  # () int32 ticks without a way; less than zero while it turns
+    origin: Float[Array, "2"]  # m, middle of the first cell
+    cell: Float[Array, ""]  # m, side of a cell
 
 
-def settings(top_speed: float = 0.6, covariance: float = 0.1) -> Settings:
-    """SEAN's settings: at most that share of the robot's top speed, and that covariance [m2] of personal space."""
-    return Settings(
-        costmap.Layers(
-            amplitude=constant(77.0),
-            cutoff=constant(10.0),
-            covariance=constant(covariance),
-            factor=constant(5.0),
-            inflation=constant(0.3),
-            decay=constant(10.0),
+class SocialCostmapMemory(NamedTuple):
+    """What the policy remembers from step to step."""
+
+    successors: Int[Array, "V"]  # of ``cost_to_go.corner_successors``
+    window: Window  # of the plan in the making
+    resistance: Float[Array, "C C"]  # what a metre there is worth
+    wave: Float[Array, "C C"]  # m
+    path: Float[Array, "2 points"]  # m, x and y of the current plan
+    path_complete: Bool[Array, ""]  # whether it leads to the goal
+    waiting_ticks: Int[Array, ""]  # without a path; negative while it turns on the spot
+
+
+def default_params(top_speed: float = 0.6, covariance: float = 0.1) -> SocialCostmapParams:
+    """SEAN's parameters.
+
+    Args:
+        top_speed: 1, share of the robot's own top speed.
+        covariance: m2, of personal space.
+
+    Returns:
+        All parameters of the policy.
+    """
+    return SocialCostmapParams(
+        CostmapParams(
+            amplitude=scalar(77.0),
+            cutoff=scalar(10.0),
+            covariance=scalar(covariance),
+            factor=scalar(5.0),
+            inflation=scalar(0.3),
+            decay=scalar(10.0),
         ),
-        dynamic_window.Scores(
-            top_speed=constant(top_speed),
-            least_spin=constant(0.5),
-            path=constant(0.75),
-            goal=constant(1.0),
-            obstacle=constant(0.1),
+        LocalPlannerParams(
+            top_speed=scalar(top_speed),
+            spin_min=scalar(0.5),
+            path=scalar(0.75),
+            goal=scalar(1.0),
+            obstacle=scalar(0.1),
         ),
-        reached=constant(0.35),
-        patience=constant(5.0),
-        spin=constant(1.0),
+        goal_tolerance=scalar(0.35),
+        patience=scalar(5.0),
+        spin=scalar(1.0),
     )
 
 
-def start(scenario: Scenario, data: Settings, state: State) -> Memory:
-    """Plans on a cost map with personal spaces and drives by dynamic windows, as the paper's navigation stack."""
-    here = jnp.broadcast_to(state.robot.position[:, None], (2, POINTS))
-    cells = jnp.full((CELLS, CELLS), wavefront.FAR, float)
-    over = Window(jnp.zeros(2, float), jnp.ones((), float))
-    waited = jnp.zeros((), jnp.int32)
-    return Memory(onward(scenario, state), over, cells, cells, here, jnp.zeros((), bool), waited)
+# 1. Cost map
 
 
-def drive(scenario: Scenario, data: Settings, state: State, key: Array) -> tuple[Array, Memory]:
-    """The command (2,) [m/s, rad/s] along the plan, and the next plan a few cells further."""
-    memory: Memory = state.driver
-    first, last = state.tick % PERIOD == 0, state.tick % PERIOD == PERIOD - 1
-    begun = _begin(scenario, data, state, memory.follows)
-    over, resisting, wave = _either(first, begun, (memory.over, memory.resisting, memory.wave))
-    wave = jax.lax.scan(lambda now, _: (wavefront.sweep(now, resisting, over.cell), None), wave, length=SWEEPS)[0]
-    path, planned = _either(last, _path(state, over, wave), (memory.path, memory.planned))
+def rolling_window(middle: Float[Array, "2"], cell: Float[Array, ""], count: int) -> Window:
+    """The window around a place, moved by whole cells.
+
+    Args:
+        middle: (2,) m, the place.
+        cell: () m, side of a cell.
+        count: of cells each way.
+
+    Returns:
+        The window of ``count`` x ``count`` cells.
+    """
+    first = jnp.round(jax.lax.stop_gradient(middle) / cell) - (count // 2)
+    return Window(first * cell, cell)
+
+
+def cell_centers(window: Window, count: int) -> tuple[Float[Array, "C C"], Float[Array, "C C"]]:
+    """Middles of a window's cells.
+
+    Args:
+        window: of cells.
+        count: of cells each way.
+
+    Returns:
+        x and y (count, count) [m], x along the first axis.
+    """
+    steps = jnp.arange(count, dtype=float) * window.cell
+    x, y = window.origin[0] + steps, window.origin[1] + steps
+    return jnp.broadcast_to(x[:, None], (count, count)), jnp.broadcast_to(y[None, :], (count, count))
+
+
+def cell_index(
+    window: Window, count: int, x: Float[Array, "*shape"], y: Float[Array, "*shape"]
+) -> tuple[Int[Array, "*shape"], Int[Array, "*shape"]]:
+    """The cells in which places lie, or the nearest ones.
+
+    Args:
+        window: of cells.
+        count: of cells each way.
+        x: (...) m.
+        y: (...) m.
+
+    Returns:
+        Indices (...) int32 along both axes.
+    """
+    i = jnp.round((x - window.origin[0]) / window.cell).astype(jnp.int32)
+    j = jnp.round((y - window.origin[1]) / window.cell).astype(jnp.int32)
+    return jnp.clip(i, 0, count - 1), jnp.clip(j, 0, count - 1)
+
+
+def proxemic_cost(
+    params: CostmapParams,
+    dx: Float[Array, "..."],
+    dy: Float[Array, "..."],
+    vx: Float[Array, "..."],
+    vy: Float[Array, "..."],
+) -> Float[Array, "..."]:
+    """Cost of a place near a person: a Gaussian that is longer ahead of people who walk.
+
+    A exp(-(mx^2 / (2 sx) + my^2 / (2 sy))) with m along and across the heading, sy = C, and sx = C (1 + 5 |v|) ahead
+    and C behind; 0 below the cutoff. The costs are whole numbers, as in the map, with the gradient of the Gaussian.
+
+    Args:
+        params: of the layers.
+        dx: (...) m, from the person to the place.
+        dy: (...) m.
+        vx: (...) m/s, of the person.
+        vy: (...) m/s.
+
+    Returns:
+        (...) cost.
+    """
+    speed = length(vx, vy)
+    standing = speed < 1e-6
+    hx = jnp.where(standing, 1.0, vx / jnp.where(standing, 1.0, speed))
+    hy = jnp.where(standing, 0.0, vy / jnp.where(standing, 1.0, speed))
+    along, across = dx * hx + dy * hy, dy * hx - dx * hy
+    ahead = params.covariance * jnp.where(along > 0.0, 1.0 + params.factor * speed, 1.0)
+    cost = params.amplitude * jnp.exp(-(along * along / (2.0 * ahead) + across * across / (2.0 * params.covariance)))
+    return jnp.where(cost < params.cutoff, 0.0, cost - jax.lax.stop_gradient(cost - jnp.floor(cost)))
+
+
+def inflation_cost(params: CostmapParams, gap: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Cost of being near what must not be touched, by the formula of costmap_2d.
+
+    Args:
+        params: of the layers.
+        gap: (...) m, between the robot's disc and what it must not touch.
+
+    Returns:
+        (...) cost.
+    """
+    near = MAX_COST * jnp.exp(-params.decay * jnp.maximum(gap, 0.0))
+    return jnp.where(gap <= 0.0, CONTACT_COST, jnp.where(gap <= params.inflation, near, 0.0))
+
+
+def cell_costs(
+    scenario: Scenario,
+    params: CostmapParams,
+    people: Pedestrians,
+    x: Float[Array, "*shape"],
+    y: Float[Array, "*shape"],
+) -> Float[Array, "*shape"]:
+    """Costs of places, by all layers.
+
+    Args:
+        scenario: with the obstacles and the radii of robot and people.
+        params: of the layers.
+        people: K of them, who are on the map.
+        x: (...) m.
+        y: (...) m.
+
+    Returns:
+        (...) cost.
+    """
+    shape, radius = x.shape, scenario.robot.radius
+    x, y = x.ravel(), y.ravel()
+    rows = obstacle_grid.lookup(scenario.environment.obstacle_grid, x, y)
+    walls = from_rectangle(x[:, None], y[:, None], *(rows[..., part] for part in range(6)))[0]
+    edge = to_border(scenario.environment, x, y)
+    gap = jnp.minimum(jnp.min(walls, 1), edge) - radius
+
+    def person(px: Array, py: Array, vx: Array, vy: Array, present: Array) -> tuple[Array, Array]:
+        dx, dy = x - px, y - py
+        body = length(dx, dy) - radius - scenario.forces.walking.radius
+        social = proxemic_cost(params, dx, dy, vx, vy)
+        return jnp.where(present, body, jnp.inf), jnp.where(present, social, 0.0)
+
+    (px, py), (vx, vy) = people.position.T, people.velocity.T
+    bodies, social = jax.vmap(person)(px, py, vx, vy, people.present)
+    gap = jnp.minimum(gap, jnp.min(bodies, 0, initial=jnp.inf))
+    return jnp.maximum(inflation_cost(params, gap), jnp.max(social, 0, initial=0.0)).reshape(shape)
+
+
+# 2. Global plan
+
+
+def traversal_resistance(costs: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """How many metres of free way a metre through a cell is worth.
+
+    Args:
+        costs: (...) of cells.
+
+    Returns:
+        (...) 1, at most 252 / 50; ``UNREACHED`` for cells that touch something.
+    """
+    free = jnp.minimum(NEUTRAL_COST + COST_FACTOR * costs, MAX_COST) / NEUTRAL_COST
+    return jnp.where(costs >= CONTACT_COST, UNREACHED, free)
+
+
+def initial_wave(
+    scenario: Scenario, state: State, table: CostToGo, window: Window, costs: Float[Array, "C C"]
+) -> Float[Array, "C C"]:
+    """The wave before the first sweep: the distances that are left from the border and around the goal.
+
+    Args:
+        scenario: with the navigation tables.
+        state: with the goal.
+        table: of the distances that are left.
+        window: of cells.
+        costs: (C, C) of its cells.
+
+    Returns:
+        (C, C) m, ``UNREACHED`` elsewhere.
+    """
+    count = costs.shape[0]
+    x, y = cell_centers(window, count)
+    edge = jnp.concatenate([jnp.arange(count, dtype=jnp.int32)] * 2)
+    low, high = jnp.zeros(count, jnp.int32), jnp.full(count, count - 1, jnp.int32)
+    i = jnp.concatenate([edge, low, high])
+    j = jnp.concatenate([low, high, edge])
+    left = distance_to_goal(scenario, state, table, x[i, j], y[i, j])
+    left = jnp.where(jnp.isfinite(left) & (costs[i, j] < CONTACT_COST), left, UNREACHED)
+    wave = jnp.full_like(costs, UNREACHED).at[i, j].set(left)
+    to_goal = length(x - state.task.goal[0], y - state.task.goal[1])
+    return jnp.where(to_goal < window.cell, to_goal, wave)
+
+
+def sweep_wave(
+    wave: Float[Array, "C C"], resistance: Float[Array, "C C"], cell: Float[Array, ""]
+) -> Float[Array, "C C"]:
+    """Move the wave on by one cell everywhere.
+
+    Args:
+        wave: (C, C) m, the distance to the goal so far.
+        resistance: (C, C) of the cells.
+        cell: () m, side of a cell.
+
+    Returns:
+        (C, C) m: the minimum of each cell's own distance, and of those of its eight neighbors with the step there.
+    """
+    padded = jnp.pad(wave, 1, constant_values=UNREACHED)
+    count = wave.shape[0]
+
+    def minimum(steps: tuple) -> Array:
+        neighbors = [padded[1 + i : 1 + i + count, 1 + j : 1 + j + count] for i, j in steps]
+        return jnp.minimum(jnp.minimum(neighbors[0], neighbors[1]), jnp.minimum(neighbors[2], neighbors[3]))
+
+    step = cell * resistance
+    diagonal = jnp.asarray(2**0.5, float) * step
+    return jnp.minimum(wave, jnp.minimum(minimum(STRAIGHT_STEPS) + step, minimum(DIAGONAL_STEPS) + diagonal))
+
+
+def descend_wave(
+    wave: Float[Array, "C C"], window: Window, x: Float[Array, ""], y: Float[Array, ""], points: int
+) -> tuple[Float[Array, "points"], Float[Array, "points"]]:
+    """The plan from a place: from cell to cell down the wave.
+
+    Args:
+        wave: (C, C) m.
+        window: of cells.
+        x: () m, of the place.
+        y: () m.
+        points: of the plan.
+
+    Returns:
+        x and y (points,) [m].
+    """
+    count = wave.shape[0]
+    padded = jnp.pad(wave, 1, constant_values=2.0 * UNREACHED)
+    steps = jnp.asarray(((0, 0), *STRAIGHT_STEPS, *DIAGONAL_STEPS), jnp.int32)
+
+    def step(here: tuple[Array, Array], _: None) -> tuple[tuple, tuple]:
+        i, j = here
+        best = steps[jnp.argmin(padded[1 + i + steps[:, 0], 1 + j + steps[:, 1]])]
+        here = i + best[0], j + best[1]
+        return here, here
+
+    _, (i, j) = jax.lax.scan(step, cell_index(window, count, x, y), length=points)
+    return window.origin[0] + window.cell * i.astype(float), window.origin[1] + window.cell * j.astype(float)
+
+
+# 3. Local plan
+
+
+def sample_commands(
+    model: RobotModel,
+    params: LocalPlannerParams,
+    speed: Float[Array, ""],
+    turn_rate: Float[Array, ""],
+    time_step: float,
+) -> tuple[Float[Array, "P"], Float[Array, "P"]]:
+    """The 20 x 40 commands of the dynamic window, straight ahead among them, and one that backs out of a contact.
+
+    Args:
+        model: the robot.
+        params: of the local planner.
+        speed: () m/s, now.
+        turn_rate: () rad/s, now.
+        time_step: s, in which the commands can be reached.
+
+    Returns:
+        Speeds (P,) [m/s] and turn rates (P,) [rad/s]; the last one backs out.
+    """
+    reach = reachable(model, speed, turn_rate, time_step)
+    top = params.top_speed * model.max_speed
+    low = jnp.clip(reach.speed_min, 0.0, top)
+    high = jnp.clip(reach.speed_max, low, top)
+    right, left = (clip_turn_rate(model, rate) for rate in (reach.turn_rate_min, reach.turn_rate_max))
+    share = jnp.linspace(0.0, 1.0, SPEED_SAMPLES, dtype=float)
+    share_turn = jnp.linspace(0.0, 1.0, TURN_RATE_SAMPLES - 1, dtype=float)
+    ahead = jnp.repeat(low + (high - low) * share, TURN_RATE_SAMPLES)
+    turns = jnp.concatenate([jnp.zeros(1, float), right + (left - right) * share_turn])
+    turns = jnp.tile(turns, SPEED_SAMPLES)
+    spin = jnp.where(turns < 0.0, -1.0, 1.0) * jnp.maximum(jnp.abs(turns), params.spin_min)
+    turns = jnp.where((ahead < 1e-3) & (turns != 0.0), spin, turns)
+    return jnp.append(ahead, jnp.asarray(ESCAPE_SPEED, float)), jnp.append(turns, jnp.asarray(0.0, float))
+
+
+def arc_trajectories(
+    speed: Float[Array, "P"], turn_rate: Float[Array, "P"]
+) -> tuple[Float[Array, "points P"], Float[Array, "points P"], Float[Array, "points P"]]:
+    """Where commands lead that are driven at once and held.
+
+    Args:
+        speed: (P,) m/s.
+        turn_rate: (P,) rad/s.
+
+    Returns:
+        x, y [m] and yaw [rad], (TRAJECTORY_POINTS, P), in the robot's frame.
+    """
+    time = jnp.linspace(HORIZON / TRAJECTORY_POINTS, HORIZON, TRAJECTORY_POINTS, dtype=float)[:, None]
+    yaw = time * turn_rate[None, :]
+    half = 0.5 * yaw
+    flat = jnp.abs(half) < 1e-3
+    chord = time * speed[None, :] * jnp.where(flat, 1.0, jnp.sin(half) / jnp.where(flat, 1.0, half))
+    return chord * jnp.cos(half), chord * jnp.sin(half), yaw
+
+
+def best_command(
+    model: RobotModel,
+    params: LocalPlannerParams,
+    robot: tuple[Array, Array, Array, Array],
+    window: Window,
+    costs: Float[Array, "C C"],
+    path: tuple[Float[Array, "L"], Float[Array, "L"]],
+    time_step: float,
+) -> tuple[Float[Array, "2"], Bool[Array, ""]]:
+    """The command of the dynamic window with the best score.
+
+    If all commands touch something, the best is the one that ends where nothing is touched, or to stand.
+
+    Args:
+        model: the robot.
+        params: of the local planner.
+        robot: its position (2,) [m], heading (2,), speed () [m/s] and turn rate () [rad/s].
+        window: of the local map.
+        costs: (C, C), the local map.
+        path: x and y (L,) [m] of the plan inside it.
+        time_step: s, of control.
+
+    Returns:
+        The command (2,) [m/s, rad/s], and () bool, whether any command touches nothing.
+    """
+    position, heading, speed, turn_rate = robot
+    ahead, turns = sample_commands(model, params, speed, turn_rate, time_step)
+    x, y, yaw = arc_trajectories(ahead, turns)
+    world_x, world_y = to_world(position, heading, x, y)
+    costs_met = costs[cell_index(window, costs.shape[0], world_x, world_y)]
+    cost_max = jnp.max(costs_met, 0)
+    clear = (cost_max < CONTACT_COST) & (ahead >= 0.0)
+    way_out = costs_met[-1] < CONTACT_COST
+    still = jnp.abs(ahead) < 1e-3
+    angle = yaw[-1] + jnp.arctan2(heading[1], heading[0])
+    end_x = world_x[-1] + jnp.where(still, LOOKAHEAD * jnp.cos(angle), 0.0)
+    end_y = world_y[-1] + jnp.where(still, LOOKAHEAD * jnp.sin(angle), 0.0)
+    goal_x, goal_y = path[0][-1], path[1][-1]
+    end_to_goal = length(end_x - goal_x, end_y - goal_y)
+    here_to_goal = length(position[0] - goal_x, position[1] - goal_y)
+    to_goal = jnp.where(still, here_to_goal + 1e-3 * end_to_goal, end_to_goal)
+    to_path = jnp.where(still, distance_to_path(world_x[-1], world_y[-1], *path), distance_to_path(end_x, end_y, *path))
+    score = (params.path * to_path + params.goal * to_goal) / SCORE_CELL + params.obstacle * cost_max
+    any_clear = clear.any()
+    allowed = jnp.where(any_clear, clear, way_out)
+    best = jnp.argmin(jnp.where(allowed, score, jnp.inf))
+    command = jnp.stack([ahead[best], turns[best]])
+    return jnp.where(allowed.any(), command, 0.0), any_clear
+
+
+def distance_to_path(
+    x: Float[Array, "P"], y: Float[Array, "P"], path_x: Float[Array, "L"], path_y: Float[Array, "L"]
+) -> Float[Array, "P"]:
+    """Distance to the nearest segment of a path.
+
+    Args:
+        x: (P,) m, of places.
+        y: (P,) m.
+        path_x: (L,) m, of the path's points.
+        path_y: (L,) m.
+
+    Returns:
+        (P,) m.
+    """
+
+    def segment(ax: Array, ay: Array, bx: Array, by: Array) -> Array:
+        dx, dy = bx - ax, by - ay
+        square = dx * dx + dy * dy
+        along = ((x - ax) * dx + (y - ay) * dy) / jnp.maximum(square, 1e-9)
+        along = jnp.clip(along, 0.0, 1.0)
+        return length(x - ax - along * dx, y - ay - along * dy)
+
+    return jnp.min(jax.vmap(segment)(path_x[:-1], path_y[:-1], path_x[1:], path_y[1:]), 0)
+
+
+# 4. The policy
+
+
+def init(scenario: Scenario, params: SocialCostmapParams, state: State) -> SocialCostmapMemory:
+    """Plans on a cost map with personal spaces and drives by dynamic windows, as the paper's navigation stack.
+
+    Args:
+        scenario: where it drives.
+        params: of the policy.
+        state: in which the episode begins.
+
+    Returns:
+        The memory of an episode that begins.
+    """
+    here = jnp.broadcast_to(state.robot.position[:, None], (2, PATH_POINTS))
+    cells = jnp.full((GLOBAL_CELLS, GLOBAL_CELLS), UNREACHED, float)
+    window = Window(jnp.zeros(2, float), jnp.ones((), float))
+    successors, incomplete = corner_successors(scenario, state), jnp.zeros((), bool)
+    return SocialCostmapMemory(successors, window, cells, cells, here, incomplete, jnp.zeros((), jnp.int32))
+
+
+def apply(
+    scenario: Scenario, params: SocialCostmapParams, state: State, key: Array
+) -> tuple[Float[Array, "2"], SocialCostmapMemory]:
+    """The command along the plan, and a few cells more of the next plan.
+
+    Args:
+        scenario: where it drives.
+        params: of the policy.
+        state: now, with the policy's memory.
+        key: not used.
+
+    Returns:
+        The command (2,) [m/s, rad/s], and the new memory.
+    """
+    memory: SocialCostmapMemory = state.policy_state
+    first, last = state.tick % PLAN_PERIOD == 0, state.tick % PLAN_PERIOD == PLAN_PERIOD - 1
+    start = _start_plan(scenario, params, state, memory.successors)
+    window, resistance, wave = _select(first, start, (memory.window, memory.resistance, memory.wave))
+    wave = jax.lax.scan(lambda now, _: (sweep_wave(now, resistance, window.cell), None), wave, length=SWEEPS)[0]
+    path, path_complete = _select(last, _global_path(state, window, wave), (memory.path, memory.path_complete))
     robot = state.robot
-    command, clear = dynamic_window.choose(
+    command, clear = best_command(
         scenario.robot,
-        data.scores,
+        params.local_planner,
         (robot.position, robot.heading, robot.speed, robot.turn_rate),
-        *_local(scenario, data, state),
-        _ahead(path, robot.position),
+        *_local_map(scenario, params, state),
+        _local_path(path, robot.position),
         scenario.time_step,
     )
-    command = jnp.where(planned, command, 0.0)
-    command, waited = _recover(scenario, data, memory.waited, command, clear & planned)
+    command = jnp.where(path_complete, command, 0.0)
+    command, waiting_ticks = _recover(scenario, params, memory.waiting_ticks, command, clear & path_complete)
     gap = state.task.goal - robot.position
-    arrived = length(gap[0], gap[1]) < data.reached
-    command, waited = jnp.where(arrived, 0.0, command), jnp.where(arrived, 0, waited)
-    return command, Memory(memory.follows, over, resisting, wave, path, planned, waited)
+    arrived = length(gap[0], gap[1]) < params.goal_tolerance
+    command, waiting_ticks = jnp.where(arrived, 0.0, command), jnp.where(arrived, 0, waiting_ticks)
+    return command, SocialCostmapMemory(memory.successors, window, resistance, wave, path, path_complete, waiting_ticks)
 
 
-def _begin(scenario: Scenario, data: Settings, state: State, follows: Array) -> tuple[Window, Array, Array]:
+def _start_plan(
+    scenario: Scenario, params: SocialCostmapParams, state: State, successors: Array
+) -> tuple[Window, Array, Array]:
     """The window around the robot now, its resistance, and the wave before the first sweep."""
-    cell = jnp.full((), max(CELL, 0.5 * scenario.robot.radius), float)
+    cell = jnp.full((), max(GLOBAL_CELL, 0.5 * scenario.robot.radius), float)
     here = state.robot.position
-    over = costmap.window(here, cell, CELLS)
-    x, y = costmap.middles(over, CELLS)
-    costs = costmap.costs(scenario, data.layers, nearest_people(state, PEOPLE), x, y)
-    reach = 0.5 * (CELLS - 1) * cell
-    spots = [here[axis] + reach * jnp.asarray(SPOTS[axis], float) for axis in (0, 1)]
-    outlook = look(scenario, state, follows, *spots)
-    return over, wavefront.resistance(costs), wavefront.begin(scenario, state, outlook, over, costs)
+    window = rolling_window(here, cell, GLOBAL_CELLS)
+    x, y = cell_centers(window, GLOBAL_CELLS)
+    costs = cell_costs(scenario, params.costmap, nearest_people(state, MAX_PEOPLE), x, y)
+    reach = 0.5 * (GLOBAL_CELLS - 1) * cell
+    places = [here[axis] + reach * jnp.asarray(BORDER_PLACES[axis], float) for axis in (0, 1)]
+    table = build_cost_to_go(scenario, state, successors, *places)
+    return window, traversal_resistance(costs), initial_wave(scenario, state, table, window, costs)
 
 
-SPOTS = np.asarray([(0, 1, 1, 0, -1, -1, -1, 0, 1), (0, 0, 1, 1, 1, 0, -1, -1, -1)], float)
+# Middle, sides and corners of the window, from -1 to 1.
+BORDER_PLACES = np.asarray([(0, 1, 1, 0, -1, -1, -1, 0, 1), (0, 0, 1, 1, 1, 0, -1, -1, -1)], float)
 
 
-def _either(first: Array, one: Any, other: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(first, a, b), one, other)
+def _select(condition: Array, chosen: Tree, other: Tree) -> Tree:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), chosen, other)
 
 
-def _path(state: State, over: Window, wave: Array) -> tuple[Array, Array]:
-    """(2, POINTS) m the plan from where the robot is, and () bool whether the wave has come there."""
-    x, y = wavefront.descend(wave, over, state.robot.position[0], state.robot.position[1], POINTS)
-    end = wave[costmap.cell_of(over, CELLS, x[0], y[0])]
-    path = jnp.stack([jnp.append(state.robot.position[axis], part)[:POINTS] for axis, part in enumerate((x, y))])
+def _global_path(state: State, window: Window, wave: Array) -> tuple[Array, Array]:
+    """(2, PATH_POINTS) m the plan from the robot on, and () bool whether the wave has reached the robot."""
+    x, y = descend_wave(wave, window, state.robot.position[0], state.robot.position[1], PATH_POINTS)
+    end = wave[cell_index(window, GLOBAL_CELLS, x[0], y[0])]
+    path = jnp.stack([jnp.append(state.robot.position[axis], part)[:PATH_POINTS] for axis, part in enumerate((x, y))])
     for _ in range(2):  # grid paths have corners
         path = path.at[:, 1:-1].set(0.25 * (path[:, :-2] + path[:, 2:]) + 0.5 * path[:, 1:-1])
-    return path, end < 0.5 * wavefront.FAR
+    return path, end < 0.5 * UNREACHED
 
 
-def _local(scenario: Scenario, data: Settings, state: State) -> tuple[Window, Array]:
-    """The window in which it drives, and its costs."""
-    reach = dynamic_window.SECONDS * data.scores.top_speed * scenario.robot.max_speed + 0.1
-    over = costmap.window(state.robot.position, jnp.maximum(2.0 * reach / LOCAL, FINE), LOCAL)
-    people = nearest_people(state, PEOPLE)
-    return over, costmap.costs(scenario, data.layers, people, *costmap.middles(over, LOCAL))
+def _local_map(scenario: Scenario, params: SocialCostmapParams, state: State) -> tuple[Window, Array]:
+    """The window in which the local planner drives, and its costs."""
+    reach = HORIZON * params.local_planner.top_speed * scenario.robot.max_speed + 0.1
+    cell = jnp.maximum(2.0 * reach / LOCAL_CELLS, LOCAL_CELL)
+    window = rolling_window(state.robot.position, cell, LOCAL_CELLS)
+    people = nearest_people(state, MAX_PEOPLE)
+    return window, cell_costs(scenario, params.costmap, people, *cell_centers(window, LOCAL_CELLS))
 
 
-def _ahead(path: Array, here: Array) -> tuple[Array, Array]:
-    """(NEAR_POINTS,) m and m: the plan from its point that is nearest to a place (2,) on."""
+def _local_path(path: Array, here: Array) -> tuple[Array, Array]:
+    """x and y (LOCAL_PATH_POINTS,) [m]: the plan (2, PATH_POINTS) from its point nearest to a place (2,) on."""
     nearest = jnp.argmin(length(path[0] - here[0], path[1] - here[1])).astype(jnp.int32)
-    index = jnp.minimum(nearest + jnp.arange(NEAR_POINTS, dtype=jnp.int32), POINTS - 1)
+    index = jnp.minimum(nearest + jnp.arange(LOCAL_PATH_POINTS, dtype=jnp.int32), PATH_POINTS - 1)
     return path[0][index], path[1][index]
 
 
-def _recover(scenario: Scenario, data: Settings, waited: Array, command: Array, way: Array) -> tuple[Array, Array]:
-    """The command, or turning on the spot when there has been no way for too long; and the ticks without one."""
-    turning, longer = waited < 0, jnp.where(way, 0, waited + 1)
-    patience, around = (clock.in_ticks(time, scenario.time_step) for time in (data.patience, 2.0 * jnp.pi / data.spin))
+def _recover(
+    scenario: Scenario, params: SocialCostmapParams, waiting_ticks: Array, command: Array, free: Array
+) -> tuple[Array, Array]:
+    """The command, or a turn on the spot if there has been no path for too long; and the ticks without one."""
+    turning, longer = waiting_ticks < 0, jnp.where(free, 0, waiting_ticks + 1)
+    patience, full_turn = (
+        clock.to_ticks(time, scenario.time_step) for time in (params.patience, 2.0 * jnp.pi / params.spin)
+    )
     lost = longer.astype(patience.dtype) > patience
-    after = jnp.where(turning, waited + 1, jnp.where(lost, -jnp.ceil(around).astype(jnp.int32), longer))
-    spin = jnp.stack([jnp.zeros((), float), jnp.minimum(data.spin, scenario.robot.max_turn_rate)])
+    after = jnp.where(lost, -jnp.ceil(full_turn).astype(jnp.int32), longer)
+    after = jnp.where(turning, waiting_ticks + 1, after)
+    spin = jnp.stack([jnp.zeros((), float), jnp.minimum(params.spin, scenario.robot.max_turn_rate)])
     return jnp.where(turning, spin, command), after
 
 
-social_costmap = Driver(data=settings(), name="social_costmap", start=start, drive=drive)
-"""The stack as SEAN 2.0 configures it; otherwise by ``replace(social_costmap, data=settings(top_speed=1.0))``."""
+social_costmap = Policy(params=default_params(), name="social_costmap", init=init, apply=apply)
+"""The stack as SEAN 2.0 configures it; otherwise by
+``replace(social_costmap, params=default_params(top_speed=1.0))``."""

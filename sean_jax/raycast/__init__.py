@@ -1,26 +1,35 @@
-"""Rays against everything that can be seen (section IV-F): what cameras and lidars are made of.
+"""Ray casting for cameras and lidars (section IV-F).
 
-``look`` puts all bodies around a sensor, ``search`` finds what each ray of a bundle meets first, ``surface`` says where
-and how steep it is there; ``distance`` is the first and the second in one, with the gradient of the third.
+``make_view`` transforms all bodies to the frame of a sensor. ``search`` finds the first body that each ray of a bundle
+meets. ``surface`` gives distance and normal there. ``distance`` is the distance of ``search`` with the gradient of
+``surface``.
 """
 
 from functools import partial
 
 import jax
+from jaxtyping import Float
 
 from sean_jax.base import Array
+from sean_jax.raycast.intersect import along, nearest, search, surface
 from sean_jax.raycast.laws import MISS
-from sean_jax.raycast.meeting import along, nearest, search, surface
 from sean_jax.raycast.rays import Rays, bundle, by_rows
-from sean_jax.raycast.view import View, look
+from sean_jax.raycast.view import View, make_view
 
-__all__ = ["MISS", "Rays", "View", "along", "bundle", "by_rows", "distance", "look", "search", "surface"]
+__all__ = ["MISS", "Rays", "View", "along", "bundle", "by_rows", "distance", "make_view", "search", "surface"]
 
 
-def distance(view: View, rays: Rays) -> Array:
-    """(T, P) m along each ray to what it meets first, ``MISS`` where that is nothing.
+def distance(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
+    """The distance along each ray to the first body.
 
-    Its gradient in the view is that of the distance to the body that each ray meets: exact but on edges, finite there.
+    The gradient is that of the distance to this body: exact within its outline, finite on edges.
+
+    Args:
+        view: the bodies.
+        rays: the rays.
+
+    Returns:
+        (tiles, rays) m; ``MISS`` where a ray meets no body.
     """
     return _distance(rays, view)
 
@@ -33,5 +42,5 @@ def _distance(rays: Rays, view: View) -> Array:
 @_distance.defjvp
 def _move(rays: Rays, primals: tuple[View], tangents: tuple[View]) -> tuple[Array, Array]:
     here = jax.lax.stop_gradient(primals[0])
-    found, number = search(here, rays)
-    return found, jax.jvp(lambda view: surface(view, rays, number)[0], primals, tangents)[1]
+    distances, number = search(here, rays)
+    return distances, jax.jvp(lambda view: surface(view, rays, number)[0], primals, tangents)[1]

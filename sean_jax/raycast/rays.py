@@ -1,117 +1,156 @@
 """The rays of a sensor, in the robot's frame: fixed, so that all scenarios share them (section IV-F).
 
-Rays lie in tiles, neighbours together. A tile knows the sector and the slopes that its rays fill, so that a body
-outside of them is never asked about. Everything here is numpy on the host, and constant inside jit.
+Rays lie in tiles of neighbours. A tile stores the sector and the slopes that its rays cover, so that bodies outside of
+them are never tested. Everything here is numpy on the host, and constant inside jit.
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from jaxtyping import Float, Int, Shaped
 
 from sean_jax.base import Array
 from sean_jax.raycast.laws import SHOULDER, STEEP
 
-WIDEST = np.deg2rad(85.0)  # half of a sector; wider ones keep everything
+MAX_HALF_SECTOR = np.deg2rad(85.0)  # of a tile; wider ones exclude no body
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rays:
-    """``T`` tiles of ``P`` rays. Lengths in metres, the robot's frame: x ahead, y to the left, z up from the floor."""
+    """Tiles of rays in the robot's frame: x ahead, y to the left, z up from the floor."""
 
-    origin: np.ndarray  # (3,) m, where the sensor is
-    offset: np.ndarray | None  # (3, T, P) m from there to where each ray begins; None: all begin there
-    direction: np.ndarray  # (3, T, P) unit vectors
-    inverse_rise: np.ndarray  # (T, P) 1 / the vertical part of the direction
-    inverse_run: np.ndarray  # (T, P) 1 / the square of the part over the ground, 0 for a vertical ray
-    left: np.ndarray  # (T, 2) inward normal of the sector's left edge; 0 where there is none
-    right: np.ndarray  # (T, 2) and of its right edge
-    lowest: np.ndarray  # (T,) least slope of its rays: rise over run
-    reach: np.ndarray  # (T,) m, farthest that its rays get before they meet the floor, over the ground
-    low: bool  # whether no ray comes as high as people's shoulders
-    grid: tuple[int, int, int, int]  # tiles from top to bottom and side by side, rows and columns of each
-    shape: tuple[int, int]  # rows and columns of the sensor; the last tiles may stand over
+    origin: Float[np.ndarray, "3"]  # m, of the sensor
+    offset: Float[np.ndarray, "3 tiles rays"] | None  # m, from there to the start of each ray; None: all start there
+    direction: Float[np.ndarray, "3 tiles rays"]  # unit vectors
+    inverse_rise: Float[np.ndarray, "tiles rays"]  # 1 / the vertical component of the direction
+    inverse_run: Float[np.ndarray, "tiles rays"]  # 1 / the square of the horizontal component; 0 for vertical rays
+    left: Float[np.ndarray, "tiles 2"]  # inward normal of the left edge of the tile's sector; 0 if it has none
+    right: Float[np.ndarray, "tiles 2"]  # inward normal of the right edge
+    slope_min: Float[np.ndarray, "tiles"]  # rise over run
+    reach: Float[np.ndarray, "tiles"]  # m, maximum horizontal distance before the rays meet the floor
+    low: bool  # whether all rays stay below people's shoulders
+    grid: tuple[int, int, int, int]  # rows and columns of tiles, rows and columns of a tile
+    shape: tuple[int, int]  # rows and columns of the sensor; the last tiles may be larger than needed
 
     @property
     def tiles(self) -> int:
+        """Number of tiles."""
         return self.direction.shape[1]
 
 
 @struct.dataclass
 class Beams:
-    """The rays of ``T`` tiles, or of some, as arrays."""
+    """The rays of some tiles as arrays; the fields are those of ``Rays``, vectors in components."""
 
-    direction: tuple[Array, Array, Array]  # (T, P) each, x, y and z of unit vectors
-    inverse_rise: Array  # (T, P)
-    inverse_run: Array  # (T, P)
-    offset: tuple[Array, Array, Array] | None  # (T, P) m each
+    direction: tuple[Array, Array, Array]  # (tiles, rays) each
+    inverse_rise: Float[Array, "tiles rays"]
+    inverse_run: Float[Array, "tiles rays"]
+    offset: tuple[Array, Array, Array] | None  # (tiles, rays) m each
 
     @classmethod
     def of(cls, rays: Rays) -> "Beams":
-        """All rays."""
-        offset = None if rays.offset is None else _three(rays.offset)
-        return cls(_three(rays.direction), jnp.asarray(rays.inverse_rise), jnp.asarray(rays.inverse_run), offset)
+        """All rays as arrays.
 
-    def of_tiles(self, tile: Array) -> "Beams":
-        """Those of the tiles with these numbers (W,)."""
+        Args:
+            rays: the rays.
+
+        Returns:
+            Beams of all tiles.
+        """
+        offset = None if rays.offset is None else _components(rays.offset)
+        return cls(_components(rays.direction), jnp.asarray(rays.inverse_rise), jnp.asarray(rays.inverse_run), offset)
+
+    def of_tiles(self, tile: Int[Array, "tasks"]) -> "Beams":
+        """The rays of chosen tiles.
+
+        Args:
+            tile: (tasks,) indices of tiles.
+
+        Returns:
+            Beams of these tiles.
+        """
         return jax.tree.map(lambda part: part[tile], self)
 
 
-def _three(parts: np.ndarray) -> tuple[Array, Array, Array]:
+def _components(parts: np.ndarray) -> tuple[Array, Array, Array]:
     return jnp.asarray(parts[0]), jnp.asarray(parts[1]), jnp.asarray(parts[2])
 
 
-def bundle(origin, direction, tile, reach: float, offset=None) -> Rays:
-    """The rays (H, W, 3) of a sensor at ``origin`` (3,) m, in tiles of ``tile`` = (rows, columns).
+def bundle(
+    origin: Sequence[float] | np.ndarray,
+    direction: np.ndarray,
+    tile: tuple[int, int],
+    reach: float,
+    offset: np.ndarray | None = None,
+) -> Rays:
+    """Arrange the rays of a sensor in tiles.
 
-    ``reach`` [m] is the sensor's. ``offset`` (H, W, 3) m, if given, is where each ray begins, from the origin.
+    Args:
+        origin: (3,) m, of the sensor in the robot's frame.
+        direction: (H, W, 3) of any length.
+        tile: rows and columns of a tile.
+        reach: m, horizontal range of the sensor.
+        offset: (H, W, 3) m, from the origin to the start of each ray; None if all start there.
+
+    Returns:
+        The rays.
     """
     origin, direction = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
     direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     rows, columns = direction.shape[:2]
     grid, places = _tiles(rows, columns, tile)
     flat = direction.reshape(-1, 3)[places]
-    begins = None if offset is None else np.asarray(offset, np.float64).reshape(-1, 3)[places]
-    left, right = _sectors(flat, begins is None)
+    starts = None if offset is None else np.asarray(offset, np.float64).reshape(-1, 3)[places]
+    left, right = _sectors(flat, starts is None)
     run = np.linalg.norm(flat[..., :2], axis=-1)
     rise = np.where(np.abs(flat[..., 2]) < STEEP, STEEP, flat[..., 2])
     slope = flat[..., 2] / np.maximum(run, 1e-9)
     highest = slope.max(1)
     with np.errstate(divide="ignore"):
         meets = np.where(highest < 0.0, origin[2] / np.maximum(-highest, 1e-9), np.inf)
-    spread = 0.0 if begins is None else float(np.linalg.norm(begins[..., :2], axis=-1).max())
+    spread = 0.0 if starts is None else float(np.linalg.norm(starts[..., :2], axis=-1).max())
     return Rays(
         origin=origin,
-        offset=None if begins is None else _apart(begins),
-        direction=_apart(flat),
+        offset=None if starts is None else _to_components(starts),
+        direction=_to_components(flat),
         inverse_rise=(1.0 / rise),
         inverse_run=np.where(run > 1e-6, 1.0 / np.maximum(run, 1e-6) ** 2, 0.0),
         left=left,
         right=right,
-        lowest=slope.min(1),
+        slope_min=slope.min(1),
         reach=(np.minimum(meets, reach) + spread),
-        low=begins is None and float(highest.max()) <= 0.0 and origin[2] < SHOULDER,
+        low=starts is None and float(highest.max()) <= 0.0 and origin[2] < SHOULDER,
         grid=grid,
         shape=(rows, columns),
     )
 
 
-def by_rows(rays: Rays, values):
-    """(H, W) values of the rays as the sensor has them, from (T, P)."""
+def by_rows(rays: Rays, values: Shaped[Array, "tiles rays"]) -> Shaped[Array, "H W"]:
+    """Arrange values of rays as the rows of the sensor.
+
+    Args:
+        rays: the rays.
+        values: (tiles, rays) of any type.
+
+    Returns:
+        (H, W) of the same type.
+    """
     down, across, height, width = rays.grid
     image = values.reshape(rays.grid).swapaxes(1, 2).reshape(down * height, across * width)
     return image[: rays.shape[0], : rays.shape[1]]
 
 
-def _apart(vectors: np.ndarray) -> np.ndarray:
-    """(3, T, P) of (T, P, 3): XLA shall not have to take them apart, which it does anew at each use."""
+def _to_components(vectors: np.ndarray) -> np.ndarray:
+    """(3, tiles, rays) of (tiles, rays, 3). XLA would otherwise separate the components again at each use."""
     return np.ascontiguousarray(np.moveaxis(vectors, -1, 0))
 
 
 def _tiles(rows: int, columns: int, tile: tuple[int, int]) -> tuple[tuple[int, int, int, int], np.ndarray]:
-    """The grid, and (T, P) indices of rays by tile; where tiles stand over, the last row or column is repeated."""
+    """The grid, and (tiles, rays) indices of rays; beyond the sensor's last row or column, that one is repeated."""
     height, width = min(tile[0], rows), min(tile[1], columns)
     down, across = -(-rows // height), -(-columns // width)
     i = np.minimum(np.arange(down * height), rows - 1).reshape(down, 1, height, 1)
@@ -120,7 +159,7 @@ def _tiles(rows: int, columns: int, tile: tuple[int, int]) -> tuple[tuple[int, i
 
 
 def _sectors(direction: np.ndarray, from_one_point: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Inward normals (T, 2) of the left and right edges of the sector that the rays (T, P, 3) of a tile fill."""
+    """Inward normals (tiles, 2) of the left and right edges of the sectors that the rays (tiles, rays, 3) cover."""
     flat = direction[..., :2]
     run = np.linalg.norm(flat, axis=-1, keepdims=True)
     middle = (flat / np.maximum(run, 1e-9)).sum(1)
@@ -128,9 +167,9 @@ def _sectors(direction: np.ndarray, from_one_point: bool) -> tuple[np.ndarray, n
     along = (flat * middle[:, None]).sum(-1)
     across = middle[:, None, 0] * flat[..., 1] - middle[:, None, 1] * flat[..., 0]
     angle = np.arctan2(across, along)
-    most, least = angle.max(1) + 1e-6, angle.min(1) - 1e-6
-    narrow = (run[..., 0].min(1) > 1e-3) & (np.maximum(most, -least) < WIDEST) & from_one_point
-    turn = np.arctan2(middle[:, 1], middle[:, 0])
-    left = np.stack([np.sin(turn + most), -np.cos(turn + most)], -1)
-    right = np.stack([-np.sin(turn + least), np.cos(turn + least)], -1)
+    angle_max, angle_min = angle.max(1) + 1e-6, angle.min(1) - 1e-6
+    narrow = (run[..., 0].min(1) > 1e-3) & (np.maximum(angle_max, -angle_min) < MAX_HALF_SECTOR) & from_one_point
+    yaw = np.arctan2(middle[:, 1], middle[:, 0])
+    left = np.stack([np.sin(yaw + angle_max), -np.cos(yaw + angle_max)], -1)
+    right = np.stack([-np.sin(yaw + angle_min), np.cos(yaw + angle_min)], -1)
     return np.where(narrow[:, None], left, 0.0), np.where(narrow[:, None], right, 0.0)

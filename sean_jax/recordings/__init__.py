@@ -5,8 +5,8 @@ velocities "provided in simulation or estimated in the real world".
 """
 
 from sean_jax.recordings.moments import moments_along, moments_of
-from sean_jax.recordings.motion import fit_motion, headings, windowed_mean
-from sean_jax.recordings.tracks import READERS, Tracks, read_csv, read_eth_ucy, read_groups, read_juelich
+from sean_jax.recordings.motion import fit_motion, headings, motion_between_rows, windowed_mean
+from sean_jax.recordings.tracks import READERS, Tracks, read, read_csv, read_eth_ucy, read_groups, read_juelich
 
 __all__ = [
     "READERS",
@@ -15,6 +15,8 @@ __all__ = [
     "headings",
     "moments_along",
     "moments_of",
+    "motion_between_rows",
+    "read",
     "read_csv",
     "read_eth_ucy",
     "read_groups",

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sean_jax.files import FileError, shown, suggest, text
-from sean_jax.quantities import FARTHEST, LONGEST, check
+from sean_jax.errors import FileError, InputError
+from sean_jax.files import read_text, short_name, unknown_name
+from sean_jax.quantities import MAX_COORDINATE, MAX_DURATION, check_number
 
 NAMES = {  # what a column may be called; the first that is there counts
     "frame": ("frame",),
@@ -26,17 +27,17 @@ NAMES = {  # what a column may be called; the first that is there counts
     "group": ("group_id",),
 }
 NEEDED = ("frame", "person", "x", "y")
-MOST_BYTES = 60_000_000
-MOST_LINES = 1_000_000
-MOST_FRAME = 2**31 - 1
+MAX_BYTES = 60_000_000
+MAX_LINES = 1_000_000
+MAX_FRAME = 2**31 - 1
 ROUNDING = 1e-9  # s, of times that are a frame number times the seconds of a frame
 LONGEST_GAP = 2.0  # s: who is not seen for longer has left and entered again
-WALKING = 2.0  # m/s: people who walk are slower on average; the recordings that we know have 0.5 to 1.4
-FASTEST = 20.0  # m/s: nobody runs as fast
-AGREE = 0.25  # share by which a clock may differ from the velocities that a file tells
-USUAL = 1.3  # m/s
-EVERY = 0.4  # s, between a person's lines in ETH and UCY
-JUELICH = 16.0  # frames a second
+MAX_MEAN_SPEED = 2.0  # m/s: people who walk are slower on average; known recordings have 0.5 to 1.4
+MAX_SPEED = 20.0  # m/s: nobody runs as fast
+CLOCK_TOLERANCE = 0.25  # share by which a clock may differ from the velocities in a file
+USUAL_SPEED = 1.3  # m/s
+ETH_STEP = 0.4  # s, between a person's lines in ETH and UCY
+JUELICH_RATE = 16.0  # frames a second
 FORMATS = ("csv", "eth_ucy", "juelich", "groups")
 
 
@@ -45,7 +46,7 @@ class Lines:
     """R lines of a recording of P people, in the order of the file."""
 
     path: Path
-    values: dict[str, np.ndarray]  # of "frame", "x", "y" and whatever else the file tells: (R,) float64
+    values: dict[str, np.ndarray]  # of "frame", "x", "y" and whatever else the file has: (R,) float64
     person: np.ndarray  # (R,) int, from 0 to P - 1
     number: np.ndarray  # (P,) int32 the file's number of each person; of names that are no numbers, their order
     line: np.ndarray  # (R,) int, in the file
@@ -57,13 +58,16 @@ class Lines:
         return _usual_step(self.values["frame"], self.person)
 
 
-def read(path: str | Path, kind: str | None = None, frame_rate: float | None = None) -> Lines:
+def read(path: str | Path, recording_format: str | None = None, frame_rate: float | None = None) -> Lines:
     """The lines of a CSV file, with the clock of its format.
 
     Args:
         path: of the file.
-        kind: one of ``FORMATS``; recognised if None, where the file tells velocities as ETH and UCY do.
+        recording_format: one of ``FORMATS``; recognised if None, where the file has velocities as ETH and UCY do.
         frame_rate: frames a second; that of the format if None.
+
+    Returns:
+        The lines, checked.
 
     Raises:
         FileError: one sentence that names the file, its line or column, the value and the cure, also where people
@@ -75,72 +79,78 @@ def read(path: str | Path, kind: str | None = None, frame_rate: float | None = N
     person = np.array([order[name] for name in names])
     whole = all(_is_number(name) for name in order)
     number = np.array([int(float(name)) if whole else k for name, k in order.items()], np.int32)
-    seconds = _seconds(path, values, person, kind, frame_rate)
-    found = Lines(path, values, person, number, line, seconds)
-    _check(found)
-    return found
+    seconds = _seconds(path, values, person, recording_format, frame_rate)
+    recorded = Lines(path, values, person, number, line, seconds)
+    _check(recorded)
+    return recorded
 
 
-def check_clock(kind: str | None, frame_rate: float | None) -> None:
-    """ValueError if there is no such format, or if nobody records with so many frames a second."""
+def check_clock(recording_format: str | None, frame_rate: float | None) -> None:
+    """Refuse a format that does not exist, or a frame rate with which nobody records.
+
+    Args:
+        recording_format: one of ``FORMATS``, or None.
+        frame_rate: frames a second, or None.
+
+    Raises:
+        InputError: names the option and its limits.
+    """
     if frame_rate is not None:
-        check("frame_rate", frame_rate, 0.001, 1e4, "frames a second")
-    if kind is not None and kind not in FORMATS:
-        cure = suggest(kind, FORMATS) or "."
-        raise ValueError(f"recording_format: '{kind}' is not one of {', '.join(FORMATS)}{cure}")
+        check_number("frame_rate", frame_rate, 0.001, 1e4, "frames a second")
+    if recording_format is not None and recording_format not in FORMATS:
+        raise InputError(unknown_name("recording_format", recording_format, FORMATS))
 
 
 def _table(path: Path) -> tuple[dict[str, np.ndarray], list[str], np.ndarray]:
     """Columns by our names, the person of each row, and the line of the file that it comes from."""
-    reader = csv.reader(io.StringIO(text(path, MOST_BYTES), newline=""), strict=True)
+    reader = csv.reader(io.StringIO(read_text(path, MAX_BYTES), newline=""), strict=True)
     places: dict[str, int] = {}
     rows, names, lines = [], [], []
     try:
         header = [name.strip().lower() for name in next(reader, [])]
         for ours, theirs in NAMES.items():
-            found = [header.index(name) for name in theirs if name in header]
-            if found:
-                places[ours] = found[0]
+            matches = [header.index(name) for name in theirs if name in header]
+            if matches:
+                places[ours] = matches[0]
             elif ours in NEEDED:
                 there = ", ".join(name[:40] for name in header[:12]) or "nothing"
                 which = " or ".join(theirs)
                 raise FileError(
-                    f"{shown(path)}:1: has no column {which} but {there}; the first line names the columns."
+                    f"{short_name(path)}:1: has no column {which} but {there}; the first line names the columns."
                 )
         who = places.pop("person")
         for row in reader:
             if not any(cell.strip() for cell in row):
                 continue
-            if len(rows) == MOST_LINES:
-                raise FileError(
-                    f"{shown(path)}:{reader.line_num}: is beyond the {MOST_LINES:,} lines that are read; cut the file."
-                )
+            if len(rows) == MAX_LINES:
+                what = f"is beyond the {MAX_LINES:,} lines that are read"
+                raise FileError(f"{short_name(path)}:{reader.line_num}: {what}; cut the file.")
             try:
                 rows.append([float(row[place]) for place in places.values()])
                 names.append(_plain(row[who].strip()))
             except (ValueError, IndexError):
-                said = ",".join(row)
-                said = said if len(said) <= 80 else said[:77] + "..."
+                content = ",".join(row)
+                content = content if len(content) <= 80 else content[:77] + "..."
                 raise FileError(
-                    f"{shown(path)}:{reader.line_num}: is no line of a person and numbers: {said!r}; mend it."
+                    f"{short_name(path)}:{reader.line_num}: is no line of a person and numbers: {content!r}; mend it."
                 ) from None
             lines.append(reader.line_num)
     except csv.Error as error:
-        raise FileError(f"{shown(path)}:{reader.line_num}: is not CSV: {error}.") from None
+        raise FileError(f"{short_name(path)}:{reader.line_num}: is not CSV: {error}.") from None
     if not rows:
-        raise FileError(f"{shown(path)}: holds no line besides the names of its columns.")
+        raise FileError(f"{short_name(path)}: holds no line besides the names of its columns.")
     table, line = np.array(rows, float).T, np.array(lines)
     columns = dict(zip(places, table, strict=True))
     for name, column in columns.items():
-        most = {"frame": MOST_FRAME, "x": FARTHEST, "y": FARTHEST, "group": MOST_FRAME}.get(name, 1e3)
-        wrong = np.flatnonzero(~(np.abs(column) <= most))
+        limit = {"frame": MAX_FRAME, "x": MAX_COORDINATE, "y": MAX_COORDINATE, "group": MAX_FRAME}.get(name, 1e3)
+        wrong = np.flatnonzero(~(np.abs(column) <= limit))
         if len(wrong):
-            where, value = f"{shown(path)}:{line[wrong[0]]}", column[wrong[0]]
-            least = "not finite" if not np.isfinite(value) else f"beyond {most:,.0f}"
-            raise FileError(f"{where}: {header[places[name]]} is {value:g}, which is {least}; leave the line out.")
+            where, value = f"{short_name(path)}:{line[wrong[0]]}", column[wrong[0]]
+            fault = "not finite" if not np.isfinite(value) else f"beyond {limit:,.0f}"
+            raise FileError(f"{where}: {header[places[name]]} is {value:g}, which is {fault}; leave the line out.")
     for name, where in zip(names, line, strict=True):
-        if not name or (_is_number(name) and abs(float(name)) > MOST_FRAME):
-            raise FileError(f"{shown(path)}:{where}: the person is {name[:40]!r}; give a name or a whole number.")
+        if not name or (_is_number(name) and abs(float(name)) > MAX_FRAME):
+            raise FileError(f"{short_name(path)}:{where}: the person is {name[:40]!r}; give a name or a whole number.")
     return columns, names, line
 
 
@@ -153,7 +163,7 @@ def _is_number(name: str) -> bool:
 
 def _plain(name: str) -> str:
     """A whole number always in the same digits, so that 1 and 1.0 are one person; other names as they are."""
-    return str(int(float(name))) if _is_number(name) and abs(float(name)) <= MOST_FRAME else name
+    return str(int(float(name))) if _is_number(name) and abs(float(name)) <= MAX_FRAME else name
 
 
 def _rank(name: str) -> tuple[bool, float, str]:
@@ -171,64 +181,66 @@ def _usual_step(frame: np.ndarray, person: np.ndarray) -> float:
     return float(values[counts.argmax()])
 
 
-def _seconds(path: Path, values: dict, person: np.ndarray, kind: str | None, frame_rate: float | None) -> float:
+def _seconds(
+    path: Path, values: dict, person: np.ndarray, recording_format: str | None, frame_rate: float | None
+) -> float:
     """That pass while the frame number rises by one."""
     if frame_rate is not None:
         return 1.0 / frame_rate
-    if kind is None and "vx" in values and "vy" in values:
-        kind = "eth_ucy"
-    if kind == "eth_ucy":
-        return EVERY / _usual_step(values["frame"], person)
-    if kind == "juelich":
-        return 1.0 / JUELICH
-    if kind == "groups":
+    if recording_format is None and "vx" in values and "vy" in values:
+        recording_format = "eth_ucy"
+    if recording_format == "eth_ucy":
+        return ETH_STEP / _usual_step(values["frame"], person)
+    if recording_format == "juelich":
+        return 1.0 / JUELICH_RATE
+    if recording_format == "groups":
         return 1.0
     cure = "give frame_rate, or recording_format if it is eth_ucy or juelich"
-    raise FileError(f"{shown(path)}: does not tell how many frames a second it has; {cure}.")
+    raise FileError(f"{short_name(path)}: does not tell how many frames a second it has; {cure}.")
 
 
-def _check(found: Lines) -> None:
+def _check(recorded: Lines) -> None:
     """People are at one place at a time, and as fast as people are."""
-    path, frame, person = found.path, found.values["frame"], found.person
-    span = (frame.max() - frame.min()) * found.seconds
-    if span > 7 * LONGEST:
-        at = found.line[np.argmax(np.abs(frame - np.median(frame)))]
-        raise FileError(f"{shown(path)}:{at}: the frame is {span:.3g} s from others; leave the line out.")
+    path, frame, person = recorded.path, recorded.values["frame"], recorded.person
+    span = (frame.max() - frame.min()) * recorded.seconds
+    if span > 7 * MAX_DURATION:
+        at = recorded.line[np.argmax(np.abs(frame - np.median(frame)))]
+        raise FileError(f"{short_name(path)}:{at}: the frame is {span:.3g} s from others; leave the line out.")
     order = np.lexsort((frame, person))
     own = np.diff(person[order]) == 0
-    time = np.diff(frame[order])[own] * found.seconds
+    time = np.diff(frame[order])[own] * recorded.seconds
     twice = np.flatnonzero(time <= 0)
     if len(twice):
         at = order[1:][own][twice[0]]
         what = f"the person is already there in frame {frame[at]:g}"
-        raise FileError(f"{shown(path)}:{found.line[at]}: {what}; keep one of the lines.")
-    way = np.hypot(*(np.diff(found.values[name][order])[own] for name in ("x", "y")))
-    seen = time <= LONGEST_GAP + ROUNDING
-    told = _told(found, order, own)
-    rate = 1.0 / found.seconds
-    speed = way[seen].sum() / max(time[seen].sum(), 1e-9)
-    ours = f"{rate:g} frames a second" if rate >= 1 else f"{found.seconds:g} s a frame"
-    if told is not None:
-        share = way[seen].sum() / max((told * time)[seen].sum(), 1e-9)
-        moving = (told * time)[seen].sum() > 1.0  # m
-        if moving and abs(share - 1.0) > AGREE:
+        raise FileError(f"{short_name(path)}:{recorded.line[at]}: {what}; keep one of the lines.")
+    way = np.hypot(*(np.diff(recorded.values[name][order])[own] for name in ("x", "y")))
+    present = time <= LONGEST_GAP + ROUNDING
+    in_file = _speeds_in_file(recorded, order, own)
+    rate = 1.0 / recorded.seconds
+    speed = way[present].sum() / max(time[present].sum(), 1e-9)
+    ours = f"{rate:g} frames a second" if rate >= 1 else f"{recorded.seconds:g} s a frame"
+    if in_file is not None:
+        share = way[present].sum() / max((in_file * time)[present].sum(), 1e-9)
+        moving = (in_file * time)[present].sum() > 1.0  # m
+        if moving and abs(share - 1.0) > CLOCK_TOLERANCE:
             cure = f"by these there are {rate / share:.3g} a second"
             raise FileError(
-                f"{shown(path)}: with {ours} people walk at {share:.2f} times their vx_mps and vy_mps; {cure}."
+                f"{short_name(path)}: with {ours} people walk at {share:.2f} times their vx_mps and vy_mps; {cure}."
             )
-    if speed > WALKING:
-        cure = f"look at frame_rate: with {rate * USUAL / speed:.2g} a second they walk at {USUAL:g} m/s"
-        raise FileError(f"{shown(path)}: with {ours} people walk at {speed:.2f} m/s, and nobody does; {cure}.")
-    jumps = np.flatnonzero(seen & (way > FASTEST * time))
+    if speed > MAX_MEAN_SPEED:
+        cure = f"look at frame_rate: with {rate * USUAL_SPEED / speed:.2g} a second they walk at {USUAL_SPEED:g} m/s"
+        raise FileError(f"{short_name(path)}: with {ours} people walk at {speed:.2f} m/s, and nobody does; {cure}.")
+    jumps = np.flatnonzero(present & (way > MAX_SPEED * time))
     if len(jumps):
         at = order[1:][own][jumps[0]]
         what = f"the person is {way[jumps[0]]:,.1f} m from where they were {time[jumps[0]]:.2g} s before"
-        raise FileError(f"{shown(path)}:{found.line[at]}: {what}; leave the line out or look at frame_rate.")
+        raise FileError(f"{short_name(path)}:{recorded.line[at]}: {what}; leave the line out or look at frame_rate.")
 
 
-def _told(found: Lines, order: np.ndarray, own: np.ndarray) -> np.ndarray | None:
-    """Speeds [m/s] between a person's lines by the velocities that the file tells, if it does."""
-    if "vx" not in found.values or "vy" not in found.values:
+def _speeds_in_file(recorded: Lines, order: np.ndarray, own: np.ndarray) -> np.ndarray | None:
+    """Speeds [m/s] between a person's lines by the velocities in the file, if there are any."""
+    if "vx" not in recorded.values or "vy" not in recorded.values:
         return None
-    speed = np.hypot(found.values["vx"], found.values["vy"])[order]
+    speed = np.hypot(recorded.values["vx"], recorded.values["vy"])[order]
     return 0.5 * (speed[1:] + speed[:-1])[own]

@@ -6,6 +6,7 @@ A moment here has a leading axis T: ``jax.vmap(holds, in_axes=(0, None))(moments
 from dataclasses import replace
 
 import jax.numpy as jnp
+from jaxtyping import Bool, Float, Int
 
 from sean_jax.base import Array, Moment, Obstacles, Pedestrians
 from sean_jax.geometry import length
@@ -18,14 +19,14 @@ GOAL_GROUP, START_GROUP = 0, 1  # names of the groups that the robot's goal and 
 
 def moments_of(
     tracks: Tracks,
-    robot: Array | int,
+    robot: Int[Array, ""] | int,
     *,
-    group: Array | None = None,
-    facing: Array | None = None,
+    group: Int[Array, "T N"] | None = None,
+    facing: Float[Array, "T N 2"] | None = None,
     obstacles: Obstacles | None = None,
     window: int = 2,
     still: float = 0.1,
-) -> tuple[Moment, Array]:
+) -> tuple[Moment, Bool[Array, "T"]]:
     """Moments in which a recorded person is the robot, from where they are first seen to where last.
 
     Args:
@@ -36,36 +37,46 @@ def moments_of(
         facing: (T, N, 2) unit headings; directions of motion if None.
         obstacles: W boxes, if known.
         window: rows on each side that velocities are fitted to.
-        still: m/s, below which the direction of motion is not told.
+        still: m/s, below which the direction of motion says nothing.
 
     Returns:
-        moments (T, ...), and (T,) bool: the robot was recorded. Elsewhere the moment says nothing.
+        Moments (T, ...), and (T,) whether the robot was recorded. Elsewhere the moment says nothing.
     """
     index = jnp.asarray(robot, jnp.int32)
     everybody = jnp.arange(tracks.present.shape[1], dtype=jnp.int32)
     people, group = _people(tracks, group, facing, window, still)
     recorded = tracks.present[:, index]
-    shown = replace(people, present=people.present & (everybody != index)[None, :])
+    others = replace(people, present=people.present & (everybody != index)[None, :])
     own = group[:, index]
     return _moments(
-        tracks, shown, group, own, people.position[:, index], people.velocity[:, index], people.heading[:, index],
+        tracks, others, group, own, people.position[:, index], people.velocity[:, index], people.heading[:, index],
         recorded, obstacles,
     ), recorded  # fmt: skip
 
 
 def moments_along(
     tracks: Tracks,
-    path: Array,
+    path: Float[Array, "T 2"],
     *,
-    group: Array | None = None,
-    facing: Array | None = None,
+    group: Int[Array, "T N"] | None = None,
+    facing: Float[Array, "T N 2"] | None = None,
     obstacles: Obstacles | None = None,
     window: int = 2,
     still: float = 0.1,
 ) -> Moment:
-    """Moments in which a robot of the user's goes along a path (T, 2) [m], belongs to no group, and nobody minds.
+    """Moments in which a robot goes along a path among recorded people, who do not react to it. It is in no group.
 
-    The other arguments are those of ``moments_of``.
+    Args:
+        tracks: T times, N people.
+        path: (T, 2) m, of the robot.
+        group: (T, N) group of each person, -1 none; those of the recording if None.
+        facing: (T, N, 2) unit headings; directions of motion if None.
+        obstacles: W boxes, if known.
+        window: rows on each side that velocities are fitted to.
+        still: m/s, below which the direction of motion says nothing.
+
+    Returns:
+        Moments (T, ...).
     """
     people, group = _people(tracks, group, facing, window, still)
     there = jnp.ones((path.shape[0], 1), bool)
@@ -75,7 +86,13 @@ def moments_along(
     return _moments(tracks, people, group, nobody, path, velocity[:, 0], heading, there[:, 0], obstacles)
 
 
-def _people(tracks, group, facing, window, still) -> tuple[Pedestrians, Array]:
+def _people(
+    tracks: Tracks,
+    group: Int[Array, "T N"] | None,
+    facing: Float[Array, "T N 2"] | None,
+    window: int,
+    still: float,
+) -> tuple[Pedestrians, Int[Array, "T N"]]:
     """The recorded people, fields (T, N, ...), and their groups as the file or the caller has them."""
     position, velocity = fit_motion(tracks.position, tracks.present, tracks.time_step, window)
     speed, count = length(velocity[..., 0], velocity[..., 1]), jnp.maximum(tracks.present.sum(0, dtype=jnp.int32), 1)
@@ -86,7 +103,7 @@ def _people(tracks, group, facing, window, still) -> tuple[Pedestrians, Array]:
         heading=headings(velocity, tracks.present, still) if facing is None else facing,
         desired_velocity=velocity,
         group=jnp.full(tracks.present.shape, -1, jnp.int32),
-        party=jnp.full(tracks.present.shape, -1, jnp.int32),
+        walking_group=jnp.full(tracks.present.shape, -1, jnp.int32),
         present=tracks.present,
         preferred_speed=jnp.broadcast_to(usual[None, :], tracks.present.shape),
         robot_distance=jnp.zeros_like(speed),
@@ -94,7 +111,17 @@ def _people(tracks, group, facing, window, still) -> tuple[Pedestrians, Array]:
     return people, tracks.group if group is None else group
 
 
-def _moments(tracks, people, group, own, position, velocity, heading, recorded, obstacles) -> Moment:
+def _moments(
+    tracks: Tracks,
+    people: Pedestrians,
+    group: Int[Array, "T N"],
+    own: Int[Array, "T"],
+    position: Float[Array, "T 2"],
+    velocity: Float[Array, "T 2"],
+    heading: Float[Array, "T 2"],
+    recorded: Bool[Array, "T"],
+    obstacles: Obstacles | None,
+) -> Moment:
     """``group`` (T, N) and ``own`` (T,) name groups anew in each row, but the robot's start and goal stay.
 
     So whom it stood with at its goal are ``GOAL_GROUP`` and whom at its start alone ``START_GROUP``, in every row in

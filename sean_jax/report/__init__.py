@@ -1,33 +1,37 @@
-"""The report of a run: one self-contained HTML page, readable in the light, in the dark and on paper.
+"""The report of a run: one self-contained HTML page for light and dark screens and for paper.
 
-It holds the table of Table I and Fig. 4 for this run, the pictures of Fig. 1, and how to get them again.
+It holds the figures of Table I and Fig. 4 for this run, the pictures of Fig. 1, and the command that makes them again.
+Situations and metrics are those of the scenario, the user's own included.
 """
 
 import dataclasses
 import html as markup
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sean_jax import drawing
-from sean_jax.base import Environment, Frame
+from sean_jax.base import Environment, Trajectory
 from sean_jax.drawing import colors
 from sean_jax.report import figures
+
+if TYPE_CHECKING:
+    from sean_jax.graph.behavior_graph import BehaviorGraph
 
 STYLE = Path(__file__).with_name("style.css")
 
 
 @dataclasses.dataclass
 class Report:
-    """What the page tells; E episodes, S situations."""
+    """The content of the page; E episodes, S situations, M nodes of the graph."""
 
     title: str
     command: str
     versions: dict[str, str]
     environment: Environment
-    graph: Any  # behavior graph or None
+    graph: "BehaviorGraph | None"
     situations: tuple[str, ...]
     rows: list[dict[str, Any]]  # name, title, unit, definition, cells (1 + S) and intervals (1 + S) as text
     shares: dict[str, float]  # situation or "none" -> share of robot time, adding up to one
@@ -36,7 +40,7 @@ class Report:
     tasks: list[str]  # (E,)
     completed: np.ndarray  # (E,) bool
     seconds: np.ndarray  # (E,) s
-    frames: list[Frame]  # of the first episodes
+    frames: list[Trajectory]  # of the first episodes
     time_step: float  # s
     time_limit: float  # s
     checks: dict[str, Any]
@@ -44,7 +48,14 @@ class Report:
 
 
 def html(report: Report) -> str:
-    """The whole page as text; it refers to nothing outside itself."""
+    """The page as text.
+
+    Args:
+        report: its content.
+
+    Returns:
+        HTML that refers to nothing outside itself.
+    """
     sections = [
         _tiles(report),
         _section("Situations", _situations(report)),
@@ -74,6 +85,11 @@ def _words(name: str) -> str:
     return markup.escape(name.replace("_", " "))
 
 
+def _unit(row: dict[str, Any]) -> str:
+    """The unit of a row in small print, or nothing."""
+    return f" <small>{markup.escape(row['unit'])}</small>" if row["unit"] else ""
+
+
 def _dot(color: str) -> str:
     return f'<i class=dot style="background:{color}"></i>'
 
@@ -83,19 +99,19 @@ def _tiles(report: Report) -> str:
     tiles = []
     for name in ("completed", "seconds", "path_efficiency", "time_not_moving", "personal_robot_on_person"):
         if row := by_name.get(name):
-            unit = f"<small> {row['unit']}</small>" if row["unit"] else ""
             interval = f"<p>{row['intervals'][0]}</p>" if row["intervals"][0] else "<p>&nbsp;</p>"
-            tiles.append(f"<div><h3>{row['title']}</h3><b>{row['cells'][0] or '–'}{unit}</b>{interval}</div>")
+            title, cell = markup.escape(row["title"]), row["cells"][0] or "–"
+            tiles.append(f"<div><h3>{title}</h3><b>{cell}{_unit(row)}</b>{interval}</div>")
     return f"<div class=tiles>{''.join(tiles)}</div>"
 
 
 def _situations(report: Report) -> str:
     shades = dict(zip(report.situations, colors.situation_colors(report.situations), strict=True))
     shades["none"] = colors.NO_SITUATION
-    shown = {name: share for name, share in report.shares.items() if share > 0}
+    positive = {name: share for name, share in report.shares.items() if share > 0}
     parts = "".join(
         f'<i style="width:{100 * share:.3f}%;background:{shades[name]}" title="{_words(name)} {100 * share:.1f} %"></i>'
-        for name, share in shown.items()
+        for name, share in positive.items()
     )
     names = {"none": "none of these"}
     legend = "".join(
@@ -106,7 +122,7 @@ def _situations(report: Report) -> str:
     return (
         f"<div class=bar>{parts}</div><ul class=legend>{legend}</ul>"
         "<p class=note>Share of the robot's time; a moment in several situations is divided equally among them here, "
-        "and counts fully for each in the table.</p>"
+        "and counts fully for each of them in the table.</p>"
     )
 
 
@@ -117,17 +133,16 @@ def _table(report: Report) -> str:
     )
     body = []
     for row in report.rows:
-        unit = f" <small>{row['unit']}</small>" if row["unit"] else ""
         cells = "".join(
             f"<td>{cell}<small>{interval}</small></td>" if cell else "<td class=none>–</td>"
             for cell, interval in zip(row["cells"], row["intervals"], strict=True)
         )
-        body.append(f"<tr><th>{_words(row['title'])}{unit}</th>{cells}</tr>")
+        body.append(f"<tr><th>{_words(row['title'])}{_unit(row)}</th>{cells}</tr>")
     return (
         f"<div class=wide><table><thead><tr><th></th><th>overall</th>{head}</tr></thead>"
         f"<tbody>{''.join(body)}</tbody></table></div>"
         "<p class=note>Small print: 95 % bootstrap intervals over episodes. Violations and collisions are times "
-        "per episode; a dash is a situation that did not occur or a metric that is not split.</p>"
+        "per episode. A dash stands for a situation that did not occur, or a metric that is not split by situation.</p>"
     )
 
 
@@ -160,20 +175,20 @@ def _people_and_time(report: Report) -> str:
     caption = "Where people were, mean over all episodes"
     if report.graph is not None:
         caption += "; bands are as wide as the flow each way along an edge"
-    shown = [f"<figure>{figures.svg(crowds, 'congestion')}<figcaption>{caption}</figcaption></figure>"]
+    pictures = [f"<figure>{figures.svg(crowds, 'congestion')}<figcaption>{caption}</figcaption></figure>"]
     if report.graph is not None:
         graph = figures.svg(drawing.top_down(report.environment, graph=report.graph), "behavior-graph")
-        shown.append(
+        pictures.append(
             f"<figure>{graph}<figcaption>Behavior graph of the {_words(report.environment.name)}</figcaption></figure>"
         )
     chart = figures.durations(report.completed, report.seconds, report.time_limit)
     bars = f"<figure>{chart}<figcaption>How long the episodes lasted</figcaption></figure>"
-    return f"<div class=grid>{''.join(shown)}</div><div class=alone>{bars}</div>"
+    return f"<div class=grid>{''.join(pictures)}</div><div class=alone>{bars}</div>"
 
 
 def _checks(report: Report) -> dict[str, str]:
     return {
-        "deepest that a body was in an obstacle": f"{report.checks['largest_penetration_mm']:.3f} mm",
+        "deepest penetration of a person into an obstacle": f"{report.checks['largest_penetration_mm']:.3f} mm",
         "most people seen in each group": ", ".join(map(str, report.checks["largest_groups"])) or "there are no groups",
         "numbers that are not finite": str(report.checks["not_finite"]),
         "simulated": f"{float(report.seconds.sum()):,.0f} s of robot time, "

@@ -1,4 +1,4 @@
-"""Figures inside the page: drawings and charts as SVG that wears the page's colours, light or dark."""
+"""Figures inside the page: drawings and charts as SVG in the colors of the page, light or dark."""
 
 import html as markup
 import io
@@ -11,7 +11,15 @@ from sean_jax.drawing import colors
 
 
 def svg(figure: Any, name: str) -> str:
-    """A figure as inline SVG that takes its inks and papers from the page; ``name`` keeps its ids apart."""
+    """A figure as inline SVG in the colors of the page, light or dark.
+
+    Args:
+        figure: of matplotlib.
+        name: of the figure on the page, which makes its ids unique.
+
+    Returns:
+        An ``svg`` element.
+    """
     import matplotlib
 
     stream = io.StringIO()
@@ -38,29 +46,38 @@ def svg(figure: Any, name: str) -> str:
 
 
 def durations(completed: np.ndarray, seconds: np.ndarray, time_limit: float) -> str:
-    """Histogram of the episodes' durations (E,) s, those ``completed`` (E,) below and the others on top, as SVG."""
+    """Histogram of the episodes' durations as SVG, completed ones below and the others on top.
+
+    Args:
+        completed: (E,) bool.
+        seconds: (E,) s, durations.
+        time_limit: s, end of the axis.
+
+    Returns:
+        An ``svg`` element.
+    """
     edges = np.linspace(0.0, time_limit, 25)
     counts = [np.histogram(np.minimum(seconds[mask], time_limit), edges)[0]
               for mask in (completed, ~completed)]  # fmt: skip
-    most = max(1, int((counts[0] + counts[1]).max()))
-    wide, tall, left, base = 720.0, 200.0, 36.0, 160.0
-    step = (wide - left - 16) / len(counts[0])
-    shapes = [f'<line x1="{left}" x2="{wide - 16}" y1="{base}" y2="{base}" stroke="var(--muted)"/>']
+    highest = max(1, int((counts[0] + counts[1]).max()))
+    width, height, left, base = 720.0, 200.0, 36.0, 160.0
+    step = (width - left - 16) / len(counts[0])
+    shapes = [f'<line x1="{left}" x2="{width - 16}" y1="{base}" y2="{base}" stroke="var(--muted)"/>']
     for k, (done, late) in enumerate(zip(*counts, strict=True)):
-        x, height, over = left + k * step, 140.0 * done / most, 140.0 * late / most
-        for y, h, kind in ((base - height, height, "done"), (base - height - over, over, "late")):
+        x, lower, upper = left + k * step, 140.0 * done / highest, 140.0 * late / highest
+        for y, h, kind in ((base - lower, lower, "done"), (base - lower - upper, upper, "late")):
             if h:
                 shapes.append(
                     f'<rect class={kind} x="{x + 1:.1f}" y="{y:.1f}" width="{step - 2:.1f}" height="{h:.1f}"/>'
                 )
     for k in range(0, len(edges), 4):
         shapes.append(f'<text x="{left + k * step:.1f}" y="{base + 16}" text-anchor="middle">{edges[k]:g}</text>')
-    shapes.append(f'<text x="{left - 6}" y="24" text-anchor="end">{most}</text>')
+    shapes.append(f'<text x="{left - 6}" y="24" text-anchor="end">{highest}</text>')
     shapes.append(f'<text x="{left - 6}" y="{base}" text-anchor="end">0</text>')
-    shapes.append(f'<text x="{(left + wide) / 2}" y="{tall - 6}" text-anchor="middle">seconds</text>')
+    shapes.append(f'<text x="{(left + width) / 2}" y="{height - 6}" text-anchor="middle">seconds</text>')
     keys = (("done", "completed", 60.0), ("late", "out of time", 150.0))
     for kind, label, x in keys:
-        shapes.append(f'<rect class={kind} x="{x}" y="{tall - 16}" width="10" height="10"/>')
-        shapes.append(f'<text x="{x + 15}" y="{tall - 7}">{label}</text>')
+        shapes.append(f'<rect class={kind} x="{x}" y="{height - 16}" width="10" height="10"/>')
+        shapes.append(f'<text x="{x + 15}" y="{height - 7}">{label}</text>')
     label = 'role="img" aria-label="durations of the episodes"'
-    return f'<svg class=histogram viewBox="0 0 {wide:g} {tall:g}" {label}>{"".join(shapes)}</svg>'
+    return f'<svg class=histogram viewBox="0 0 {width:g} {height:g}" {label}>{"".join(shapes)}</svg>'

@@ -1,12 +1,14 @@
 """Robots (Fig. 3): one MJCF file each in ``envs/robots``, simulated by MJX or by their closed-form twins."""
 
-import difflib
+from collections.abc import Iterable
 from pathlib import Path
 
 import jax.numpy as jnp
 
+from sean_jax import files
 from sean_jax.base import RobotModel
 from sean_jax.environment import ENVS
+from sean_jax.errors import InputError
 from sean_jax.robots import description, mjx_dynamics
 from sean_jax.robots.drive import drive_mjx, drive_twin, place
 
@@ -15,10 +17,18 @@ DYNAMICS = {"mjx": drive_mjx, "twin": drive_twin}
 
 
 def load(robot: str | Path, dynamics: str = "mjx") -> RobotModel:
-    """The robot of that name in ``ROBOTS``, or of that MJCF file, moved by ``dynamics``: "mjx" or "twin".
+    """Load a robot.
 
-    Raises ValueError, in one sentence, for an unknown name or dynamics, a missing file, and a file that describes no
-    planar differential-drive base with all of its limits.
+    Args:
+        robot: a name in ``ROBOTS``, or the path of an MJCF file.
+        dynamics: "mjx", or "twin" for the closed form.
+
+    Returns:
+        The robot.
+
+    Raises:
+        InputError: the name, the dynamics or the file does not exist, or the file does not describe a planar
+            differential-drive base with all of its limits.
     """
     path = find(robot, dynamics)
     model, figures, mass = description.read(path)
@@ -27,23 +37,41 @@ def load(robot: str | Path, dynamics: str = "mjx") -> RobotModel:
 
 
 def find(robot: str | Path, dynamics: str = "mjx") -> Path:
-    """The file of a robot. Raises ValueError, in one sentence, for an unknown name or dynamics, and a missing file."""
+    """Find the file of a robot.
+
+    Args:
+        robot: a name in ``ROBOTS``, or the path of an MJCF file.
+        dynamics: "mjx" or "twin", which is checked as well.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: the name, the dynamics or the file does not exist.
+    """
     if dynamics not in DYNAMICS:
-        raise ValueError(f"unknown dynamics {dynamics!r}{_meant(dynamics, DYNAMICS)}")
+        raise InputError(f"unknown dynamics {dynamics!r}{_hint(dynamics, DYNAMICS)}")
     path = ROBOTS.get(str(robot), Path(robot))
     if not path.is_file():
         problem = f"no robot file {str(robot)!r}" if path.suffix == ".xml" else f"unknown robot {str(robot)!r}"
-        raise ValueError(f"{problem}{_meant(str(robot), ROBOTS)} The path of an MJCF file works as well as a name.")
+        raise InputError(f"{problem}{_hint(str(robot), ROBOTS)} The path of an MJCF file works as well as a name.")
     return path
 
 
 def check_step(model: RobotModel, time_step: float) -> None:
-    """Raises ValueError if a step of control [s] is no multiple of the robot's step of physics."""
+    """Check that a step of control is a multiple of the robot's step of physics.
+
+    Args:
+        model: the robot.
+        time_step: s, of control.
+
+    Raises:
+        InputError: it is not.
+    """
     if abs(round(time_step / model.time_step) * model.time_step - time_step) > 1e-6:
-        raise ValueError(f"time_step: {time_step:g} s is no multiple of {model.name}'s step of {model.time_step:g} s.")
+        raise InputError(f"time_step: {time_step:g} s is no multiple of {model.name}'s step of {model.time_step:g} s.")
 
 
-def _meant(wrong: str, right: dict) -> str:
-    """How a message about a wrong name goes on: with the name that was probably meant, or with all there are."""
-    close = difflib.get_close_matches(wrong, right, n=1)
-    return f"; did you mean {close[0]!r}?" if close else f"; there are: {', '.join(right)}."
+def _hint(name: str, choices: Iterable[str]) -> str:
+    """The end of a message about an unknown name: the choice most like it, or all choices."""
+    return files.suggest(name, choices) or f"; there are: {', '.join(choices)}."

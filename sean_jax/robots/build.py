@@ -1,4 +1,4 @@
-"""What a robot's file must describe (Fig. 3): joints, bodies and servos of a planar differential-drive base."""
+"""Checks of a robot's file (Fig. 3): joints, bodies and servos of a planar differential-drive base."""
 
 from collections.abc import Iterator
 from importlib import import_module
@@ -17,13 +17,19 @@ BESIDE = 1e-4  # m, how far ahead of the base's hinge a wheel may be
 
 
 def faults(model: Any, data: Any) -> list[str]:
-    """What is not as the equations of motion have it, in words that follow ``a robot must be ..., but``.
+    """Find where a model differs from the equations of motion.
 
-    ``data`` has the poses of the model's bodies. Where joints or servos are missing, nothing that depends on them is
-    looked at.
+    If joints or servos are missing, nothing that depends on them is checked.
+
+    Args:
+        model: ``mujoco.MjModel``.
+        data: ``mujoco.MjData`` with the poses of its bodies.
+
+    Returns:
+        Clauses that follow the words "a robot must be ..., but".
     """
-    found = [*_joints(model), *_servos(model)]
-    return found or [*_bodies(model, data), *_losses(model)]
+    problems = [*_joints(model), *_servos(model)]
+    return problems or [*_bodies(model, data), *_losses(model)]
 
 
 def _joints(model: Any) -> Iterator[str]:
@@ -34,10 +40,10 @@ def _joints(model: Any) -> Iterator[str]:
     for number, (kind, axis) in enumerate(JOINTS):
         has = mujoco.mjtJoint(int(model.jnt_type[number])).name.removeprefix("mjJNT_").lower()
         if has != kind:
-            yield f"joint {_named(model.joint(number), number)} is a {has} and not a {kind}"
+            yield f"joint {_label(model.joint(number), number)} is a {has} and not a {kind}"
         elif not np.allclose(model.jnt_axis[number], AXES[axis]):
             along = " ".join(f"{part:g}" for part in model.jnt_axis[number])
-            yield f"the axis of joint {_named(model.joint(number), number)} is ({along}) and not that of {axis}"
+            yield f"the axis of joint {_label(model.joint(number), number)} is ({along}) and not that of {axis}"
 
 
 def _servos(model: Any) -> Iterator[str]:
@@ -96,7 +102,14 @@ def _wheels(model: Any) -> Iterator[str]:
 
 
 def wheel_geoms(model: Any) -> list[int | None]:
-    """The first geom of the left and of the right wheel, whose size is the wheel's radius; None without one."""
+    """The geoms whose size is the radius of a wheel.
+
+    Args:
+        model: ``mujoco.MjModel``.
+
+    Returns:
+        The index of the first geom of the left wheel and of the right wheel; None for a wheel without a geom.
+    """
     return [next(iter(np.flatnonzero(model.geom_bodyid == model.jnt_bodyid[joint]).tolist()), None) for joint in (3, 4)]
 
 
@@ -110,22 +123,39 @@ def _losses(model: Any) -> Iterator[str]:
         for what, loss in (("damping", model.dof_damping), ("stiffness", model.jnt_stiffness),
                            ("frictionloss", model.dof_frictionloss)):  # fmt: skip
             if loss[number]:
-                yield f"joint {_named(model.joint(number), number)} has a {what}"
+                yield f"joint {_label(model.joint(number), number)} has a {what}"
         if model.jnt_actfrclimited[number]:
-            yield f"joint {_named(model.joint(number), number)} has an actuatorfrcrange"
+            yield f"joint {_label(model.joint(number), number)} has an actuatorfrcrange"
 
 
 def to_base(model: Any, data: Any, points: np.ndarray) -> np.ndarray:
-    """The points (..., 3) [m] of the world in the robot's frame: on the floor below the base's hinge, x ahead."""
-    return (points - data.xanchor[2] * [1.0, 1.0, 0.0]) @ turned(model, data)
+    """Transform points of the world to the robot's frame: x ahead, from the floor below the base's hinge.
+
+    Args:
+        model: ``mujoco.MjModel``.
+        data: ``mujoco.MjData`` with the pose of the base.
+        points: (..., 3) m.
+
+    Returns:
+        (..., 3) m.
+    """
+    return (points - data.xanchor[2] * [1.0, 1.0, 0.0]) @ base_rotation(model, data)
 
 
-def turned(model: Any, data: Any) -> np.ndarray:
-    """(3, 3) by which vectors of the robot's frame are turned in the world: about the vertical, as the base is."""
+def base_rotation(model: Any, data: Any) -> np.ndarray:
+    """The rotation of the robot's frame in the world, about the vertical.
+
+    Args:
+        model: ``mujoco.MjModel``.
+        data: ``mujoco.MjData`` with the pose of the base.
+
+    Returns:
+        (3, 3) matrix from the robot's frame to the world.
+    """
     matrix = data.xmat[model.jnt_bodyid[2]].reshape(3, 3)
     yaw = np.arctan2(matrix[1, 0], matrix[0, 0])
     return np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
 
 
-def _named(item: Any, number: int) -> str:
+def _label(item: Any, number: int) -> str:
     return f"'{item.name}'" if item.name else f"number {number + 1}"

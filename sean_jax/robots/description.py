@@ -1,4 +1,4 @@
-"""Reads a robot (Fig. 3) from its MJCF file: masses, wheels, servos and limits, checked against the dynamics."""
+"""Robots read from MJCF files (Fig. 3): masses, wheels, servos and limits, checked against the dynamics."""
 
 from importlib import import_module
 from pathlib import Path
@@ -9,10 +9,11 @@ import numpy as np
 
 from sean_jax import quantities, scenery
 from sean_jax.base import Mount, Solids
-from sean_jax.files import FileError, mjcf
+from sean_jax.errors import FileError
+from sean_jax.files import mjcf
 from sean_jax.robots import build
 
-RANGES = {  # least, greatest and unit of a figure: wider than any robot that moves among people
+RANGES = {  # minimum, maximum and unit of each figure: wider than those of any robot that moves among people
     "max_speed": (0.01, 30.0, "m/s"),
     "max_reverse_speed": (0.001, 30.0, "m/s"),
     "max_turn_rate": (0.01, 100.0, "rad/s"),
@@ -30,17 +31,23 @@ RANGES = {  # least, greatest and unit of a figure: wider than any robot that mo
     "servo_gain": (1e-6, 1e6, "N m s/rad"),
     "servo_torque": (1e-6, 1e6, "N m"),
 }
-FARTHEST_MOUNT = 100.0  # m
+MAX_MOUNT = 100.0  # m
 LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration", "command_timeout")
 NUMERICS = (*LIMITS, "radius", "friction")
-OPTIONAL = ("max_reverse_speed", "max_deceleration")  # those ahead hold backward as well where these are absent
+OPTIONAL = ("max_reverse_speed", "max_deceleration")  # without them, the forward limits apply backward too
 
 
 def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
-    """The ``mujoco.MjModel`` of a file, the figures of a ``RobotModel`` by field name, and its mass matrix (5,).
+    """Read a robot.
 
-    Raises ValueError, one sentence that names the file, for a file that is no MJCF, lacks a figure, or describes
-    another kind of robot than a planar differential-drive base.
+    Args:
+        path: of an MJCF file.
+
+    Returns:
+        ``mujoco.MjModel``; fields of ``RobotModel`` by name; and (5,) the diagonal of the mass matrix.
+
+    Raises:
+        FileError: the file is no MJCF, lacks a figure, or does not describe a planar differential-drive base.
     """
     mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
     model = mjcf.read(path)
@@ -51,13 +58,13 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
         stage(model, data)
     numerics, faults = _numerics(model), build.faults(model, data)
-    problems = _lacking(numerics)
+    problems = _missing(numerics)
     if faults:
         problems.append(f"a robot must be {build.BUILD}, but {', '.join(faults)} (see envs/robots/kuri.xml)")
     if problems:
         raise FileError(f"{path}: {'; '.join(problems)}.")
     for key, value in numerics.items():
-        _within(path, f"the numeric {key}", value, *RANGES[key])
+        _check_range(path, f"the numeric {key}", value, *RANGES[key])
     _check_mounts(path, model)
     mass = _mass_matrix(path, model)
     left, right = (build.to_base(model, data, data.xanchor[joint]) for joint in (3, 4))
@@ -72,66 +79,74 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
         **{key: value for key, value in numerics.items() if key != "radius"},
     }
     for key, value in figures.items():
-        _within(path, f"its {key.replace('_', ' ')}", value, *RANGES[key])
-    _within(path, "the timestep of its <option>", model.opt.timestep, *quantities.STEPS, "s")
+        _check_range(path, f"its {key.replace('_', ' ')}", value, *RANGES[key])
+    _check_range(path, "the timestep of its <option>", model.opt.timestep, *quantities.TIME_STEP_RANGE, "s")
     fields = {key: jnp.asarray(value, jnp.result_type(float)) for key, value in figures.items()}
     seen = {"mounts": mounts(model, data), "solids": _solids(model, data)}
     for mount in seen["mounts"]:
         far = max(map(abs, mount.origin))
-        _within(path, f"the greatest coordinate of its mount '{mount.name}'", far, 0.0, FARTHEST_MOUNT, "m")
+        _check_range(path, f"the largest coordinate of its mount '{mount.name}'", far, 0.0, MAX_MOUNT, "m")
     return model, {**fields, **seen, "radius": numerics["radius"], "time_step": float(model.opt.timestep)}, mass
 
 
 def mounts(model: Any, data: Any) -> tuple[Mount, ...]:
-    """The cameras and sites of a robot's ``mujoco.MjModel`` where ``data`` has them, in the robot's frame."""
-    found, frame = [], build.turned(model, data)
+    """The cameras and sites of a robot.
+
+    Args:
+        model: ``mujoco.MjModel``.
+        data: ``mujoco.MjData`` with their poses.
+
+    Returns:
+        Mounts in the robot's frame.
+    """
+    result, frame = [], build.base_rotation(model, data)
     places = [
         *((model.camera(k).name, data.cam_xpos[k], data.cam_xmat[k], model.cam_fovy[k]) for k in range(model.ncam)),
         *((model.site(k).name, data.site_xpos[k], data.site_xmat[k], 0.0) for k in range(model.nsite)),
     ]
     for name, place, axes, fovy in places:
         origin = build.to_base(model, data, place)
-        axes = np.round(frame.T @ axes.reshape(3, 3), 12) + 0.0  # so that what is level is so to the bit
-        found.append(Mount(name, tuple(origin.tolist()), tuple(axes.ravel().tolist()), float(fovy)))
-    return tuple(found)
+        axes = np.round(frame.T @ axes.reshape(3, 3), 12) + 0.0  # so that level axes are level to the bit
+        result.append(Mount(name, tuple(origin.tolist()), tuple(axes.ravel().tolist()), float(fovy)))
+    return tuple(result)
 
 
 def _check_mounts(path: Path, model: Any) -> None:
-    """Sensors that a wheel carries along, or that stand in the world, would not be where they are looked for."""
+    """Refuse sensors on a wheel or in the world, which do not move with the base."""
     base = model.jnt_bodyid[0]
-    carried = [("camera", model.camera(k).name, model.cam_bodyid[k]) for k in range(model.ncam)]
-    carried += [("site", model.site(k).name, model.site_bodyid[k]) for k in range(model.nsite)]
-    loose = [f"{kind} '{name}'" for kind, name, body in carried if model.body_weldid[body] != base]
+    sensors = [("camera", model.camera(k).name, model.cam_bodyid[k]) for k in range(model.ncam)]
+    sensors += [("site", model.site(k).name, model.site_bodyid[k]) for k in range(model.nsite)]
+    loose = [f"{kind} '{name}'" for kind, name, body in sensors if model.body_weldid[body] != base]
     if loose:
         raise FileError(f"{path}: {' and '.join(loose)} must be on the base, not on a wheel or in the world.")
 
 
 def _solids(model: Any, data: Any) -> Solids:
-    frame = build.turned(model, data)
+    frame = build.base_rotation(model, data)
     data.geom_xpos[:] = build.to_base(model, data, data.geom_xpos)
     data.geom_xmat[:] = (frame.T @ data.geom_xmat.reshape(-1, 3, 3)).reshape(-1, 9)
-    return scenery.solids(model, data, list(range(model.ngeom)))
+    return scenery.solids_from_mjcf(model, data, list(range(model.ngeom)))
 
 
 def _numerics(model: Any) -> dict[str, float]:
-    """Those of the file that are read."""
-    there = {model.numeric(i).name: float(model.numeric_data[model.numeric_adr[i]]) for i in range(model.nnumeric)}
-    return {key: there[key] for key in (*NUMERICS, *OPTIONAL) if key in there}
+    """The numerics of the file that a robot uses."""
+    numerics = {model.numeric(i).name: float(model.numeric_data[model.numeric_adr[i]]) for i in range(model.nnumeric)}
+    return {key: numerics[key] for key in (*NUMERICS, *OPTIONAL) if key in numerics}
 
 
-def _lacking(numerics: dict[str, float]) -> list[str]:
-    """The clause about all figures that are missing, if any are."""
+def _missing(numerics: dict[str, float]) -> list[str]:
+    """A clause that names all missing figures, if there are any."""
     missing = [f'<numeric name="{key}" data="..."/>' for key in NUMERICS if key not in numerics]
     return [f"<custom> lacks {' and '.join(missing)}, which every robot needs"] if missing else []
 
 
-def _within(path: Path, what: str, value: float, least: float, most: float, unit: str) -> None:
-    if not least <= value <= most:
-        raise FileError(f"{path}: {what} is {value:g}, but must be from {least:g} to {most:g}{unit and ' ' + unit}.")
+def _check_range(path: Path, what: str, value: float, low: float, high: float, unit: str) -> None:
+    if not low <= value <= high:
+        raise FileError(f"{path}: {what} is {value:g}, but must be from {low:g} to {high:g}{unit and ' ' + unit}.")
 
 
 def _mass_matrix(path: Path, model: Any) -> np.ndarray:
-    """Diagonal (5,) of the mass matrix, which has to be diagonal and the same everywhere."""
+    """The diagonal (5,) of the mass matrix, which must be diagonal and independent of the pose."""
     mujoco: Any = import_module("mujoco")
     data = mujoco.MjData(model)
     matrices = []
@@ -145,7 +160,7 @@ def _mass_matrix(path: Path, model: Any) -> np.ndarray:
     diagonal = np.diag(matrices[0]).copy()
     scale = np.sqrt(np.outer(diagonal, diagonal))
     if max(np.max(np.abs(matrix - np.diag(diagonal)) / scale) for matrix in matrices) > 1e-6:
-        raise ValueError(f"{path}: the centre of mass must lie above the middle of the axle, the origin of the base")
+        raise FileError(f"{path}: the centre of mass must lie above the middle of the axle, the origin of the base")
     if not np.isclose(diagonal[3], diagonal[4]):
-        raise ValueError(f"{path}: the left and the right wheel must have the same inertia, armature included")
+        raise FileError(f"{path}: the left and the right wheel must have the same inertia, armature included")
     return diagonal

@@ -1,7 +1,9 @@
-"""One control step of a differential-drive robot (Fig. 3): a command (v, omega), its limits, the physics, the odometry.
+"""One control step of a differential-drive robot (Fig. 3): command (v, omega), limits, physics, odometry.
 
-The MJX robot and its closed-form twin differ in nothing but the physics step. Derivatives through the MJX robot are
-those of its twin, forward and reverse, which agree with them to rounding and cost a fraction.
+The MJX robot and its closed-form twin differ only in the physics step. Derivatives through the MJX robot are those of
+its twin, in forward and in reverse mode: they agree to rounding and cost a fraction.
+
+``motion`` is a pair: generalised coordinates (5,), x, y [m], yaw, left and right wheel angle [rad], and their rates.
 """
 
 import functools
@@ -11,42 +13,62 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float, Int
 
 from sean_jax import clock
 from sean_jax.base import Array, Robot, RobotModel, Scenario, State
+from sean_jax.errors import InputError
 from sean_jax.geometry import rotate, unit_vectors
 from sean_jax.robots import mjx_dynamics, twin
-from sean_jax.robots.ground import Surroundings
+from sean_jax.robots.ground import Motion, Surroundings
+from sean_jax.robots.limits import limit_command
 
 
-class Body(NamedTuple):
-    """What a robot's future depends on beyond its pose, its speed and its turn rate, which ``Robot`` has alone."""
+class DriveState(NamedTuple):
+    """``Robot.drive_state``: everything beside pose, speed and turn rate on which the motion of the robot depends."""
 
-    wheels: Array  # (2,) rad, angles of the left and the right wheel
-    slip: Array  # (2,) rad/s, by which they turn faster than they would roll
-    sideways: Array  # () m/s, to the left: zero unless it is pushed
-    command: Array  # (2,) m/s and rad/s, the last that was given
-    age: Array  # () int32, control steps since then
+    wheels: Float[Array, "2"]  # rad, angles of the left and the right wheel
+    slip: Float[Array, "2"]  # rad/s, wheel speeds minus those of rolling without slip
+    sideways: Float[Array, ""]  # m/s, velocity to the left: zero unless the robot is pushed
+    command: Float[Array, "2"]  # m/s and rad/s, the last finite command
+    age: Int[Array, ""]  # control steps since that command
 
 
-def place(model: RobotModel, position: Array, heading: Array) -> Robot:
-    """A robot at rest at ``position`` (2,) m that looks along ``heading`` (2,) of any length, along x if it is zero."""
+def place(model: RobotModel, position: Float[Array, "2"], heading: Float[Array, "2"]) -> Robot:
+    """A robot at rest.
+
+    Args:
+        model: the robot.
+        position: (2,) m.
+        heading: (2,) direction of any length; the zero vector counts as the x axis.
+
+    Returns:
+        The robot, without a command.
+    """
     pair = jnp.zeros((2,), position.dtype)
-    body = Body(pair, pair, pair[0], pair, jnp.zeros((), jnp.int32))
-    return Robot(position=position, heading=_direction(heading), speed=pair[0], turn_rate=pair[0], body=body)
+    drive_state = DriveState(pair, pair, pair[0], pair, jnp.zeros((), jnp.int32))
+    return Robot(position, _direction(heading), pair[0], pair[0], drive_state)
 
 
-def coordinates(model: RobotModel, robot: Robot) -> tuple[Array, Array]:
-    """Generalised coordinates (5,): x, y [m], yaw, left and right wheel angle [rad]; and their rates (5,)."""
+def coordinates(model: RobotModel, robot: Robot) -> tuple[Float[Array, "5"], Float[Array, "5"]]:
+    """Generalised coordinates of a robot.
+
+    Args:
+        model: the robot.
+        robot: its pose and velocity.
+
+    Returns:
+        (5,) x, y [m], yaw, left and right wheel angle [rad]; and (5,) their rates.
+    """
     cosine, sine = _direction(robot.heading)
-    velocity = jnp.stack([*rotate(robot.speed, robot.body.sideways, cosine, sine), robot.turn_rate])
+    velocity = jnp.stack([*rotate(robot.speed, robot.drive_state.sideways, cosine, sine), robot.turn_rate])
     position = jnp.append(robot.position, jnp.arctan2(sine, cosine))
-    rates = _rolling(model, robot.speed, robot.turn_rate) + robot.body.slip
-    return jnp.append(position, robot.body.wheels), jnp.append(velocity, rates)
+    wheel_rates = _rolling(model, robot.speed, robot.turn_rate) + robot.drive_state.slip
+    return jnp.append(position, robot.drive_state.wheels), jnp.append(velocity, wheel_rates)
 
 
 def _rolling(model: RobotModel, speed: Array, turn_rate: Array) -> Array:
-    """(2,) rad/s of the left and the right wheel that roll without slip."""
+    """(2,) rad/s of the left and the right wheel when they roll without slip."""
     rim = 0.5 * model.track * turn_rate
     return jnp.stack([speed - rim, speed + rim]) / model.wheel_radius
 
@@ -55,98 +77,129 @@ def _direction(heading: Array) -> Array:
     return unit_vectors(heading, jnp.asarray([1.0, 0.0], heading.dtype))
 
 
-def drive_mjx(scenario: Scenario, state: State, action: Array) -> Robot:
-    """The robot one control step after the command ``action`` (2,): m/s and rad/s, simulated by MJX.
+def drive_mjx(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Robot:
+    """The robot one control step later, simulated by MJX.
 
-    An action that is not finite is no new command: the last one holds until ``command_timeout``, then the robot stops.
-    People are where ``state`` has them at the end of the control step, and came there at their velocity.
-    Raises ValueError if the control step is no multiple of the physics step.
+    Args:
+        scenario: with the robot and the obstacles.
+        state: people are where it has them at the end of the control step; they came there at their velocities.
+        action: (2,) m/s and rad/s. If it is not finite, the last command holds until ``command_timeout``; then the
+            robot stops.
+
+    Returns:
+        The robot.
+
+    Raises:
+        InputError: the control step is no multiple of the physics step.
     """
     return _drive(_physics, scenario, state, action)
 
 
-def drive_twin(scenario: Scenario, state: State, action: Array) -> Robot:
-    """As ``drive_mjx``, simulated by the closed-form twin."""
+def drive_twin(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Robot:
+    """The robot one control step later, simulated by the closed-form twin.
+
+    Args:
+        scenario: as in ``drive_mjx``.
+        state: as in ``drive_mjx``.
+        action: as in ``drive_mjx``.
+
+    Returns:
+        The robot.
+
+    Raises:
+        InputError: the control step is no multiple of the physics step.
+    """
     return _drive(_simulate_twin, scenario, state, action)
 
 
-def wheel_speeds(model: RobotModel, robot: Robot, action: Array, time_step: float) -> Array:
-    """(2,) rad/s, left and right, for the command within the limits that is nearest to ``action`` (2,) m/s, rad/s.
+def wheel_speeds(model: RobotModel, robot: Robot, action: Float[Array, "2"], time_step: float) -> Float[Array, "2"]:
+    """Target speeds of the wheels for the command nearest to an action within the robot's limits.
 
-    Acceleration is limited against the speeds as they are, over one control step. As in the controllers of ROS,
-    deceleration is what makes the speed along the heading fall, in braking and in speeding up backward.
+    Args:
+        model: the robot's limits.
+        robot: its actual speeds, against which acceleration is limited over one control step.
+        action: (2,) m/s and rad/s.
+        time_step: s, of control.
+
+    Returns:
+        (2,) rad/s of the left and the right wheel.
     """
-    fall = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
-    backward = model.max_speed if model.max_reverse_speed is None else model.max_reverse_speed
-    change = model.max_turn_acceleration * time_step
-    ahead = robot.speed - fall * time_step, robot.speed + model.max_acceleration * time_step
-    speed = jnp.clip(jnp.clip(action[0], *ahead), -backward, model.max_speed)
-    turn_rate = jnp.clip(action[1], robot.turn_rate - change, robot.turn_rate + change)
-    turn_rate = jnp.clip(turn_rate, -model.max_turn_rate, model.max_turn_rate)
+    speed, turn_rate = limit_command(model, robot.speed, robot.turn_rate, (action[0], action[1]), time_step)
     return _rolling(model, speed, turn_rate)
 
 
-def held(model: RobotModel, body: Body, action: Array, time_step: float) -> tuple[Array, Array]:
-    """The command (2,) that acts now, and its age () in control steps: ``action`` if it is finite, else the last one.
+def active_command(
+    model: RobotModel, drive_state: DriveState, action: Float[Array, "2"], time_step: float
+) -> tuple[Float[Array, "2"], Int[Array, ""]]:
+    """The command that acts now: the action if it is finite, else the last command, else a stop.
 
-    A command that is older than the robot's timeout has become (0, 0).
+    Args:
+        model: with ``command_timeout``, after which the last command becomes (0, 0).
+        drive_state: with the last command.
+        action: (2,) m/s and rad/s.
+        time_step: s, of control.
+
+    Returns:
+        (2,) m/s and rad/s; and () the age of the command in control steps.
     """
-    given = jnp.isfinite(action).all()
-    age = jnp.where(given, 0, body.age + 1)
-    limit = clock.in_ticks(model.command_timeout, time_step)
+    finite = jnp.isfinite(action).all()
+    age = jnp.where(finite, 0, drive_state.age + 1)
+    limit = clock.to_ticks(model.command_timeout, time_step)
     late = age.astype(limit.dtype) > limit
-    return jnp.where(given, action, jnp.where(late, 0.0, body.command)), age
+    return jnp.where(finite, action, jnp.where(late, 0.0, drive_state.command)), age
 
 
 def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -> Robot:
     model, people = scenario.robot, state.pedestrians
-    around = Surroundings(
+    surroundings = Surroundings(
         obstacles=scenario.environment.obstacles,
         position=people.position,
         velocity=people.velocity,
         present=people.present,
-        person_radius=scenario.forces.radius,
+        person_radius=scenario.forces.walking.radius,
     )
     robot = state.robot
-    command, age = held(model, robot.body, action, scenario.time_step)
+    command, age = active_command(model, robot.drive_state, action, scenario.time_step)
     targets = wheel_speeds(model, robot, command, scenario.time_step)
     steps = round(scenario.time_step / model.time_step)
     if abs(steps * model.time_step - scenario.time_step) > 1e-6:
-        raise ValueError(f"the step {scenario.time_step} s is no multiple of {model.name}'s step {model.time_step} s")
+        raise InputError(f"the step {scenario.time_step} s is no multiple of {model.name}'s step {model.time_step} s")
     before = coordinates(model, robot)
-    position, velocity = physics(steps, model, around, before, targets)
-    # The heading is turned rather than made from the yaw: it is kept to the bit by a robot that does not turn, and no
-    # less exact in single precision after many turns. Whole turns of the wheels are taken off for the same reason.
-    turned = position[2] - before[0][2]
+    position, velocity = physics(steps, model, surroundings, before, targets)
+    # The heading is rotated, not computed from the yaw: so a robot that does not turn keeps it to the bit, and it stays
+    # exact in single precision after many turns. Whole turns of the wheels are removed for the same reason.
+    rotation = position[2] - before[0][2]
     cosine, sine = _direction(robot.heading)
-    cosine, sine = _direction(jnp.stack(rotate(cosine, sine, jnp.cos(turned), jnp.sin(turned))))
+    cosine, sine = _direction(jnp.stack(rotate(cosine, sine, jnp.cos(rotation), jnp.sin(rotation))))
     wheels = position[3:] - 2.0 * jnp.pi * jnp.round(position[3:] / (2.0 * jnp.pi))
     speed, sideways = rotate(velocity[0], velocity[1], cosine, -sine)
     slip = velocity[3:] - _rolling(model, speed, velocity[2])
-    body = Body(wheels, slip, sideways, command, age)
-    return Robot(position[:2], jnp.stack([cosine, sine]), speed, velocity[2], body)
+    drive_state = DriveState(wheels, slip, sideways, command, age)
+    return Robot(position[:2], jnp.stack([cosine, sine]), speed, velocity[2], drive_state)
 
 
-def _simulate(substep: Callable, steps: int, model: RobotModel, around: Surroundings, body: tuple, targets: Array):
-    def one(body: tuple, done: Array) -> tuple:
-        return substep(model, around, model.time_step * (steps - done), body, targets), None
+def _simulate(
+    substep: Callable, steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array
+) -> Motion:
+    def one(motion: Motion, index: Array) -> tuple[Motion, None]:
+        return substep(model, surroundings, model.time_step * (steps - index), motion, targets), None
 
-    return jax.lax.scan(one, body, jnp.arange(steps).astype(body[0].dtype))[0]
+    return jax.lax.scan(one, motion, jnp.arange(steps).astype(motion[0].dtype))[0]
 
 
-def _simulate_twin(steps: int, model: RobotModel, around: Surroundings, body: tuple, targets: Array) -> tuple:
-    return _simulate(twin.substep, steps, model, around, body, targets)
+def _simulate_twin(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
+    return _simulate(twin.substep, steps, model, surroundings, motion, targets)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _physics(steps: int, model: RobotModel, around: Surroundings, body: tuple, targets: Array) -> tuple:
-    """``body`` after that many physics steps of MJX."""
-    return _simulate(mjx_dynamics.substep, steps, model, around, body, targets)
+def _physics(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
+    """The motion after that many physics steps of MJX."""
+    return _simulate(mjx_dynamics.substep, steps, model, surroundings, motion, targets)
 
 
 @_physics.defjvp
-def _physics_move(steps: int, primals: tuple, tangents: tuple) -> tuple:
-    # The MJX model itself is a constant. Reverse mode computes the twin anew rather than keep all of its physics steps.
+def _physics_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple:
+    # The MJX model itself is constant. Reverse mode computes the twin again rather than store all of its physics steps.
     values, changes = ((replace(model, data=()), *rest) for model, *rest in (primals, tangents))
     twin_of_it = jax.checkpoint(functools.partial(_simulate_twin, steps), prevent_cse=False)
     return _physics(steps, *primals), jax.jvp(twin_of_it, values, changes)[1]

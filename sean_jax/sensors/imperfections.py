@@ -1,67 +1,125 @@
-"""What is wrong with real sensors (section IV-F): noise, drop-outs, latency and a rate below that of control.
+"""Imperfections of real sensors (section IV-F): noise, drop-outs, latency, and a rate below that of control.
 
-Functions on images or scans of any shape; chance comes from a key.
+The functions take images and scans of any shape.
 """
 
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Bool, Float, Int, Shaped
 
 from sean_jax import clock
 from sean_jax.base import Array
+from sean_jax.errors import InputError
 
 
 def noise(
     key: Array,
-    distance: Array,
+    distance: Float[Array, "*shape"],
     *,
-    far: float,
-    least: float = 0.0012,
-    growth: float = 0.0019,
-    start: float = 0.4,
-) -> Array:
-    """Distances [m] with normal noise whose standard deviation is least + growth (distance - start)2 [m].
+    far: Float[Array, ""] | float,
+    min_deviation: Float[Array, ""] | float = 0.0012,
+    growth: Float[Array, ""] | float = 0.0019,
+    start: Float[Array, ""] | float = 0.4,
+) -> Float[Array, "*shape"]:
+    """Add normal noise whose standard deviation is min_deviation + growth (distance - start)².
 
-    The form and the constants are those that Nguyen, Izadi & Lovell (2012, "Modeling Kinect sensor noise for improved
-    3D reconstruction and tracking") measured for a depth camera. ``growth=0`` suits a lidar. What is not seen, which is
-    ``far`` [m] away, stays so, and nothing gets farther or nearer than 0.
+    Args:
+        key: PRNG key of this reading.
+        distance: (...) m, of any shape.
+        far: m, the range of the sensor. Values at or beyond it are misses and stay as they are.
+        min_deviation: m, standard deviation at ``start``.
+        growth: 1/m, how the deviation grows with the square of the distance; 0 suits a lidar.
+        start: m, where the growth begins.
+
+    Returns:
+        (...) m, from 0 to ``far``.
+
+    Source:
+        C. V. Nguyen, S. Izadi & D. Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction and tracking",
+        3DIMPVT 2012; the defaults are theirs, for a depth camera.
     """
-    deviation = least + growth * jnp.square(distance - start)
+    deviation = min_deviation + growth * jnp.square(distance - start)
     noisy = distance + deviation * jax.random.normal(key, distance.shape, distance.dtype)
     return jnp.where(distance < far, jnp.clip(noisy, 0.0, far), distance)
 
 
-def drop_outs(key: Array, distance: Array, share: float, lost: Array | float) -> Array:
-    """Distances [m] of which a random ``share``, from 0 to 1, is replaced by ``lost`` [m], such as the sensor's far."""
-    return jnp.where(jax.random.uniform(key, distance.shape) < share, lost, distance)
+def drop_outs(
+    key: Array,
+    distance: Float[Array, "*shape"],
+    share: Float[Array, ""] | float,
+    replacement: Float[Array, ""] | float,
+) -> Float[Array, "*shape"]:
+    """Replace a random share of the distances, as if these rays had missed.
+
+    Args:
+        key: PRNG key of this reading.
+        distance: (...) m, of any shape.
+        share: from 0 to 1.
+        replacement: m, such as the sensor's ``far``.
+
+    Returns:
+        (...) m.
+    """
+    return jnp.where(jax.random.uniform(key, distance.shape) < share, replacement, distance)
 
 
 @struct.dataclass
 class Delay:
-    """The last images of a sensor, the newest first: carry it beside the state."""
+    """The last images of a sensor, the newest first. Callers carry it beside the state."""
 
-    images: Array  # (L + 1, ...) of which the last is what the robot knows
+    images: Shaped[Array, "L *shape"]  # the last one is what the robot has received
 
 
-def delay(image: Array, steps: int) -> Delay:
-    """A delay line of so many steps, filled with the first image. Raises ValueError for less than 0 steps."""
+def delay(image: Shaped[Array, "*shape"], steps: int) -> Delay:
+    """Make a delay line, filled with the first image.
+
+    Args:
+        image: (...) of any shape and type.
+        steps: number of control steps by which images are late.
+
+    Returns:
+        The delay line.
+
+    Raises:
+        InputError: ``steps`` is negative.
+    """
     if steps < 0:
-        raise ValueError(f"delay: {steps} steps would show the future; give 0 or more.")
+        raise InputError(f"delay: {steps} steps would show the future; give 0 or more.")
     return Delay(jnp.broadcast_to(image[None], (steps + 1, *image.shape)))
 
 
-def push(line: Delay, image: Array) -> tuple[Delay, Array]:
-    """The line with a new image, and the image that has come through."""
+def push(line: Delay, image: Shaped[Array, "*shape"]) -> tuple[Delay, Shaped[Array, "*shape"]]:
+    """Put a new image into a delay line.
+
+    Args:
+        line: the delay line.
+        image: (...) the newest image.
+
+    Returns:
+        The new delay line, and (...) the image that leaves it.
+    """
     images = jnp.concatenate([image[None], line.images[:-1]])
     return Delay(images), images[-1]
 
 
-def due(tick: Array, time_step: float, rate: float) -> Array:
-    """() bool: a sensor of ``rate`` [1/s] takes an image at this tick of control, the first of which is 0.
+def due(tick: Int[Array, ""], time_step: float, rate: float) -> Bool[Array, ""]:
+    """Whether a sensor with its own rate takes an image at a tick of control.
 
-    Where the rate does not divide that of control, an image that is due between two ticks is taken at the second. A
-    sensor that is faster than control, such as one of 15 Hz with steps of 0.1 s, is due at each tick and no oftener.
+    The first tick is 0. An image that is due between two ticks is taken at the second. A sensor that is faster than
+    control, such as one of 15 Hz with steps of 0.1 s, takes one image at each tick.
+
+    Args:
+        tick: number of control steps since the episode began.
+        time_step: s, of control.
+        rate: 1/s, of the sensor.
+
+    Returns:
+        () bool.
+
+    Raises:
+        InputError: the rate is too low to be counted in ticks.
     """
-    over, under = clock.per_tick(time_step, rate)
-    now = tick % under  # whole turns apart, what is due is the same
+    over, under = clock.events_per_tick(time_step, rate)
+    now = tick % under  # the pattern repeats after that many ticks
     return (tick == 0) | (now * over // under > (now - 1) * over // under)

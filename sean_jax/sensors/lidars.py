@@ -1,6 +1,6 @@
 """A planar lidar (section IV-F): distances all around the robot, at one height.
 
-Defaults are SEAN 2.0's: 360 rays, from 0.12 to 3.5 m. Bodies that are not there where the rays pass are not seen.
+The defaults are SEAN 2.0's: 360 rays, from 0.12 to 3.5 m. Bodies above and below the plane of the rays are not seen.
 """
 
 import dataclasses
@@ -9,12 +9,14 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from sean_jax.base import Array, RobotModel, Scenario, State
+from sean_jax.errors import InputError
 from sean_jax.raycast import Rays, bundle, by_rows, distance
-from sean_jax.sensors.sight import sight
+from sean_jax.sensors.depth_images import sensor_view
 
-SECTOR = 15  # rays that share what they may see
+SECTOR = 15  # rays of a tile, which share the bodies that they may meet
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,8 +27,8 @@ class Lidar:
     count: int  # rays
     first: float  # rad, of the first ray, counter-clockwise from x about z of the site
     span: float  # rad, that the rays cover together, beginning with the first
-    near: float  # m, nothing nearer is seen
-    far: float  # m, nothing farther is seen
+    near: float  # m, bodies nearer than this are not seen
+    far: float  # m, bodies farther than this are not seen
     axes: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # (9,) of ``base.Mount``: level, ahead
 
 
@@ -39,25 +41,43 @@ def lidar(
     near: float = 0.12,
     far: float = 3.5,
 ) -> Lidar:
-    """The lidar of a robot, or of a scenario's: ``count`` rays, ``span / count`` rad apart.
+    """The lidar of a robot.
+
+    Args:
+        of: the robot, or a scenario that has it.
+        count: number of rays, ``span / count`` rad apart.
+        first: rad, direction of the first ray, counter-clockwise from straight ahead.
+        span: rad, that the rays cover together.
+        near: m, bodies nearer than this are not seen.
+        far: m, bodies farther than this are not seen.
+
+    Returns:
+        A fixed value, to be made outside of jit.
 
     Raises:
-        ValueError: the robot's file has no site 'lidar', or there is no ray, or no distance to see.
+        InputError: the robot's file has no site 'lidar', there is no ray, or the range is empty.
     """
     robot = of.robot if isinstance(of, Scenario) else of
     mount = next((mount for mount in robot.mounts if mount.name == "lidar"), None)
     if mount is None:
-        raise ValueError(f"lidar: the file of robot '{robot.name}' has no <site name=\"lidar\">; add one to its base.")
+        raise InputError(f"lidar: the file of robot '{robot.name}' has no <site name=\"lidar\">; add one to its base.")
     if count < 1:
-        raise ValueError(f"count: {count} rays see nothing; give 1 or more.")
+        raise InputError(f"count: {count} rays see nothing; give 1 or more.")
     if not 0.0 <= near < far:
-        raise ValueError(f"near, far: {near:g} and {far:g} m must be a lesser and a greater distance.")
+        raise InputError(f"near, far: {near:g} and {far:g} m must be a lesser and a greater distance.")
     return Lidar(mount.origin, count, first, span, near, far, mount.axes)
 
 
 @functools.lru_cache(maxsize=64)
 def rays(sensor: Lidar) -> Rays:
-    """The rays of a lidar."""
+    """The rays of a lidar.
+
+    Args:
+        sensor: of ``lidar``.
+
+    Returns:
+        The rays, made once for equal lidars.
+    """
     angle = sensor.first + sensor.span * np.arange(sensor.count) / sensor.count
     direction = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
     direction = direction @ np.asarray(sensor.axes).reshape(3, 3).T
@@ -65,11 +85,17 @@ def rays(sensor: Lidar) -> Rays:
 
 
 @jax.named_scope("scan")
-def scan(scenario: Scenario, state: State, sensor: Lidar) -> Array:
-    """(R,) m to what each ray meets; ``sensor.far`` where there is nothing between ``near`` and ``far``.
+def scan(scenario: Scenario, state: State, sensor: Lidar) -> Float[Array, "rays"]:
+    """Distances along the rays of a lidar. Differentiable in the robot's pose and in people's positions.
 
-    Differentiable in the robot's pose and people's positions.
+    Args:
+        scenario: with the environment and the robot.
+        state: with the robot's pose and the people.
+        sensor: of ``lidar``.
+
+    Returns:
+        (rays,) m, ``sensor.far`` where nothing lies between ``sensor.near`` and ``sensor.far``.
     """
     fan = rays(sensor)
-    found = by_rows(fan, distance(sight(scenario, state, fan), fan))[0]
-    return jnp.where((found >= sensor.near) & (found <= sensor.far), found, sensor.far)
+    distances = by_rows(fan, distance(sensor_view(scenario, state, fan), fan))[0]
+    return jnp.where((distances >= sensor.near) & (distances <= sensor.far), distances, sensor.far)

@@ -1,11 +1,12 @@
-"""The colors of what a camera sees (section IV-F).
+"""The colors of a picture (section IV-F).
 
-Shaded by a sun and an ambient light, dark under and beside what stands on the floor. Each person has a color of their
-own, a face on the side where they look, and hair on the other.
+A sun and an ambient light shade all bodies. The floor is darker beside bodies that stand on it. Each person has a shirt
+of another color, a face on the side to which they look, and hair on the other side.
 """
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Bool, Float, Int
 
 from sean_jax.base import Array, Scenario, Scenery, State
 from sean_jax.geometry import rotate
@@ -15,9 +16,9 @@ AMBIENT, SUN = 0.55, 0.5  # shares of the light
 SKIN, HAIR, LEGS = (0.87, 0.70, 0.58), (0.24, 0.18, 0.15), (0.22, 0.25, 0.32)
 NECK, WAIST = 1.47, 0.85  # m above the floor
 FACE = 0.22  # m, height of a face
-SHADOW, SHADOW_REACH = 0.45, 0.22  # of the light that is lost beside a body, and m over which that fades
+SHADOW, SHADOW_REACH = 0.45, 0.22  # share of the light that is lost beside a body, and m over which the loss fades
 
-Color = tuple[Array, Array, Array]  # red, green and blue, (T, P) each
+Color = tuple[Array, Array, Array]  # red, green and blue, of one shape
 
 
 def colors(
@@ -25,15 +26,27 @@ def colors(
     state: State,
     view: View,
     bundle: Rays,
-    number: Array,
-    distance: Array,
-    normal: tuple[Array, Array, Array],
-    kinds: tuple[Array, Array, Array],
-    shell: Array,
+    number: Int[Array, "tiles rays"],
+    distance: Float[Array, "tiles rays"],
+    normal: tuple[Float[Array, "tiles rays"], Float[Array, "tiles rays"], Float[Array, "tiles rays"]],
+    kinds: tuple[Bool[Array, "tiles rays"], Bool[Array, "tiles rays"], Bool[Array, "tiles rays"]],
+    body_color: Float[Array, "3 tiles rays"],
 ) -> Color:
-    """The color of each ray (T, P), given what it meets: number, distance [m] and normal.
+    """The color of each ray.
 
-    ``kinds`` are whether it meets the sky, the floor or a person, ``shell`` (3, T, P) is the color of anything else.
+    Args:
+        scenario: with the scenery.
+        state: with the robot's pose and the people's headings.
+        view: the bodies around the camera.
+        bundle: the rays, in tiles.
+        number: (tiles, rays) number in the view of the first body that each ray meets.
+        distance: (tiles, rays) m along each ray to that body.
+        normal: (tiles, rays) each, x, y and z of the outward normal there.
+        kinds: (tiles, rays) each, whether the ray meets the sky, the floor, a person.
+        body_color: (3, tiles, rays) color of any other body.
+
+    Returns:
+        (tiles, rays) each, red, green and blue from 0 to 1.
     """
     looks, heading = scenario.environment.scenery, state.robot.heading
     is_sky, is_floor, is_person = kinds
@@ -44,19 +57,19 @@ def colors(
     light = jax.lax.optimization_barrier(light)
     ground_x, ground_y = rotate(x + bundle.origin[0], y + bundle.origin[1], heading[0], heading[1])
     ground = _floor(looks, ground_x + state.robot.position[0], ground_y + state.robot.position[1])
-    worn = _clothes(state, view, number, x, y, z + view.height)
+    clothes = _clothes(state, view, number, x, y, z + view.height)
     rise = jnp.clip(jnp.asarray(bundle.direction[2]), 0.0, 1.0)
 
-    def mixed(axis: int) -> Array:
-        lit = jnp.where(is_floor, ground[axis], jnp.where(is_person, worn[axis], shell[axis]))
+    def channel(axis: int) -> Array:
+        lit = jnp.where(is_floor, ground[axis], jnp.where(is_person, clothes[axis], body_color[axis]))
         sky = looks.sky[1, axis] + (looks.sky[0, axis] - looks.sky[1, axis]) * rise
         return jnp.clip(jnp.where(is_sky, sky, lit * light), 0.0, 1.0)
 
-    return mixed(0), mixed(1), mixed(2)
+    return channel(0), channel(1), channel(2)
 
 
 def _beside_bodies(view: View, x: Array, y: Array) -> Array:
-    """(T, P) share of the light that places of the floor get beside what stands there."""
+    """(tiles, rays) share of the light that reaches places of the floor, which is less beside bodies."""
 
     def person(nearest: Array, place: Array) -> tuple[Array, None]:
         dx, dy = x - place[0], y - place[1]
@@ -76,34 +89,41 @@ def _beside_bodies(view: View, x: Array, y: Array) -> Array:
 
 
 def _floor(looks: Scenery, x: Array, y: Array) -> Color:
-    """The squares of the floor at places (x, y) over the ground."""
+    """The color of the floor at places (x, y) [m] over the ground."""
     odd = jnp.mod(jnp.floor(x / looks.square) + jnp.floor(y / looks.square), 2.0) > 0.5
     red, green, blue = (jnp.where(odd, looks.floor[1, axis], looks.floor[0, axis]) for axis in range(3))
     return red, green, blue
 
 
 def _clothes(state: State, view: View, number: Array, x: Array, y: Array, up: Array) -> Color:
-    """What people wear at places (x, y) from the sensor and ``up`` above the floor."""
+    """The color of people at places (x, y) [m] from the sensor and ``up`` [m] above the floor."""
     boxes, cylinders, spheres, count = view.counts
     if not count:
         return x, x, x
-    who = jnp.clip(number - (boxes + cylinders + spheres), 0, count - 1)
+    person = jnp.clip(number - (boxes + cylinders + spheres), 0, count - 1)
     heading = state.pedestrians.heading
     look_x, look_y = rotate(heading[:, 0], heading[:, 1], state.robot.heading[0], -state.robot.heading[1])
-    ahead = (x - view.people[:, 0][who]) * look_x[who] + (y - view.people[:, 1][who]) * look_y[who]
+    ahead = (x - view.people[:, 0][person]) * look_x[person] + (y - view.people[:, 1][person]) * look_y[person]
     head = up > NECK
     face = head & (ahead > 0.03) & (up < NECK + FACE)
     shirt = shirts(count)
 
-    def worn(axis: int) -> Array:
-        body = jnp.where(up > WAIST, shirt[axis][who], LEGS[axis])
+    def channel(axis: int) -> Array:
+        body = jnp.where(up > WAIST, shirt[axis][person], LEGS[axis])
         return jnp.where(face, SKIN[axis], jnp.where(head, HAIR[axis], body))
 
-    return worn(0), worn(1), worn(2)
+    return channel(0), channel(1), channel(2)
 
 
 def shirts(count: int) -> Color:
-    """A color for each person, (N,) for each of red, green and blue; neighbours in the list differ most."""
+    """The color of each person's shirt; people with successive indices differ most.
+
+    Args:
+        count: number of people N.
+
+    Returns:
+        (N,) each, red, green and blue from 0 to 1.
+    """
     hue = jnp.mod(jnp.arange(count, dtype=float) * 0.618034 + 0.08, 1.0)
 
     def part(turn: float) -> Array:

@@ -1,227 +1,233 @@
-"""The social force model (section IV-D [28][44][45]): accelerations, and one semi-implicit Euler step."""
+"""The social force model (section IV-D [28][44][45]): the sum of its terms, integrated by semi-implicit Euler steps."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float, Int
 
-from sean_jax.base import Array, Groups, Nearby, Pedestrians, Robot, Scenario, State
-from sean_jax.geometry import angle_between, length, rotate, sum_vectors, unit
+from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot, Scenario, State
+from sean_jax.geometry import sum_vectors
 from sean_jax.platforms import by_platform
-from sean_jax.social_forces.cohesion import cohesion_forces
-from sean_jax.social_forces.neighbors import MANY, Neighbors, find, sum_pairs
-from sean_jax.social_forces.parameters import Parameters, felt_within
-from sean_jax.social_forces.repulsion import TINY, contact, sidestep
-from sean_jax.social_forces.walls import keep_out, wall_forces
+from sean_jax.social_forces.cohesion import Cohesion
+from sean_jax.social_forces.contact import Contact
+from sean_jax.social_forces.neighbors import MIN_PEOPLE, Neighbors, find, sum_pairs
+from sean_jax.social_forces.repulsion import Repulsion
+from sean_jax.social_forces.robot_repulsion import RobotRepulsion
+from sean_jax.social_forces.terms import Crowd, Force, Forces, Pair, sum_pair_terms
+from sean_jax.social_forces.walking import look_direction, turn
+from sean_jax.social_forces.walls import project_velocity
 
 ABSENT = -2  # marks who is not there where a group index is -1 for nobody's member
-PARTIES = 1 << 20  # added to the number of a party where it stands among those of groups
+WALKING_GROUPS = 1 << 20  # added to the number of a walking group where it stands among those of groups
+
+
+def draw_traits(forces: Forces, key: Array, people: int) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+    """What differs from person to person: the speed they prefer, the distance they keep from a robot.
+
+    Args:
+        forces: whose ``Walking`` and ``RobotRepulsion`` say how both are distributed.
+        key: for random numbers.
+        people: their number N.
+
+    Returns:
+        (N,) preferred speeds [m/s], normal and truncated, and (N,) extra distances [m] from a moving robot: a uniformly
+        drawn factor f of its repulsion A exp(-b / B) is a distance of B ln(f) [45].
+    """
+    walking, robot, repulsion = forces.walking, forces.get(RobotRepulsion), forces.get(Repulsion)
+    speed_key, robot_key = jax.random.split(key)
+    deviation = jnp.maximum(walking.speed_deviation, 1e-6)
+    lower = jnp.minimum((walking.speed_min - walking.speed_mean) / deviation, -1e-3)
+    upper = jnp.maximum((walking.speed_max - walking.speed_mean) / deviation, 1e-3)
+    normal = jax.random.truncated_normal(speed_key, lower, upper, (people,), float)
+    speed = walking.speed_mean + walking.speed_deviation * normal
+    if robot is None or repulsion is None:
+        return speed, jnp.zeros(people, float)
+    factor = jax.random.uniform(robot_key, (people,), float, robot.factor_min, robot.factor_max)
+    return speed, repulsion.range * jnp.log(factor)
 
 
 def move(scenario: Scenario, state: State) -> Pedestrians:
     """Goals attract; people, walls, groups and the robot repel.
 
-    People one control step later, the robot held where it was.
+    Args:
+        scenario: whose forces act, in ``scenario.substeps`` steps.
+        state: people, groups and the robot, which is held where it is.
+
+    Returns:
+        People one control step later.
     """
     time_step = scenario.time_step / scenario.substeps
-    nearby, radius, companions = scenario.environment.nearby, scenario.robot.radius, scenario.behavior.companions
-
+    grid, radius, companions = scenario.environment.obstacle_grid, scenario.robot.radius, scenario.behavior.companions
     near = neighbors(scenario.forces, state.pedestrians, scenario.time_step)
 
     def substep(people: Pedestrians, _):
-        after = advance(scenario.forces, people, nearby, state.groups, state.robot, time_step, radius, companions, near)
+        after = integrate(scenario.forces, people, grid, state.groups, state.robot, time_step, radius, companions, near)
         return after, None
 
     return jax.lax.scan(substep, state.pedestrians, length=scenario.substeps)[0]
 
 
-def advance(
-    parameters: Parameters,
+def integrate(
+    forces: Forces,
     people: Pedestrians,
-    nearby: Nearby | None,
+    obstacle_grid: ObstacleGrid | None,
     groups: Groups | None,
     robot: Robot | None,
-    time_step: float,
+    time_step: Float[Array, ""] | float,
     robot_radius: float = 0.0,
-    companions: Array | None = None,
+    companions: Int[Array, "N 2"] | None = None,
     near: Neighbors | None = None,
 ) -> Pedestrians:
-    """People ``time_step`` [s] later; ``nearby`` obstacles, ``groups`` and ``robot`` may be None.
+    """One step of the social forces.
 
-    So may ``companions`` (N, 2) int32, the indices of those that each person walks with, -1 none; and ``near``, which
-    ``neighbors`` gives for some steps: those of a large crowd are found anew if it is None.
+    Args:
+        forces: the terms; their sum accelerates people.
+        people: N people.
+        obstacle_grid: the obstacles, or None.
+        groups: whose o-spaces people avoid, or None.
+        robot: the robot, or None.
+        time_step: s.
+        robot_radius: m.
+        companions: (N, 2) indices of those whom each person walks with, -1 none; None if nobody does.
+        near: who feels whom, as ``neighbors`` gives it for some steps; if None, it is looked up for this one.
+
+    Returns:
+        People ``time_step`` later.
     """
-    near = neighbors(parameters, people, 0.0) if near is None else near
+    near = neighbors(forces, people, 0.0) if near is None else near
+    walking, contact = forces.walking, forces.get(Contact)
     px, py = people.position[:, 0], people.position[:, 1]
     vx, vy = people.velocity[:, 0], people.velocity[:, 1]
-    look_x, look_y = _look(people)
-    fx, fy = pair_forces(parameters, people, look_x, look_y, companions is not None, near)
-    if robot is not None:
-        fx, fy = _add((fx, fy), robot_force(parameters, people, look_x, look_y, robot, robot_radius))
-    if groups is not None:
-        fx, fy = _add((fx, fy), group_forces(parameters, people, groups))
-    if nearby is not None:
-        fx, fy = _add((fx, fy), wall_forces(px, py, nearby, parameters))
-    fx, fy = _yield(parameters, fx, fy, people.heading)
-    if companions is not None:
-        fx, fy = _add((fx, fy), cohesion_forces(parameters, people, companions, look_x, look_y))
+    crowd = Crowd(forces, people, *look_direction(people), obstacle_grid, groups, robot, robot_radius, companions)
+    damped = (term.person(crowd) for term in forces.person_terms if getattr(term, "damped", True))
+    undamped = (term.person(crowd) for term in forces.person_terms if not getattr(term, "damped", True))
+    force = _add_up([pair_forces(crowd, near), *damped])
+    if force is not None:
+        force = walking.damp(*force, people.heading)
+    force = _add_up([force, *undamped])
+    fx, fy = (jnp.zeros_like(px), jnp.zeros_like(py)) if force is None else force
     drive_x, drive_y = (people.desired_velocity[:, 0] - vx), (people.desired_velocity[:, 1] - vy)
-    vx = vx + (drive_x / parameters.relaxation_time + fx) * time_step
-    vy = vy + (drive_y / parameters.relaxation_time + fy) * time_step
-    speed = length(vx, vy)
-    greatest = parameters.speed_ratio * people.preferred_speed
-    slower = jnp.where(speed > greatest, greatest / jnp.where(speed > greatest, speed, 1.0), 1.0)
-    vx, vy = vx * slower, vy * slower
-    if nearby is not None:
-        rub = None if parameters.friction is None else parameters.friction / parameters.body
-        vx, vy = keep_out(px, py, vx, vy, nearby, parameters.radius, time_step, rub)
+    vx = vx + (drive_x / walking.relaxation_time + fx) * time_step
+    vy = vy + (drive_y / walking.relaxation_time + fy) * time_step
+    vx, vy = walking.limit_speed(vx, vy, people.preferred_speed)
+    if obstacle_grid is not None:
+        friction = None
+        if contact is not None and contact.friction is not None:
+            friction = contact.friction / contact.stiffness
+        vx, vy = project_velocity(px, py, vx, vy, obstacle_grid, walking.radius, time_step, friction)
         vx, vy = jax.lax.optimization_barrier((vx, vy))  # XLA for a GPU would compute both twice: for x and for y
     velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
-    heading = turn(people, velocity, parameters.turn_rate * time_step)
+    heading = turn(people, velocity, walking.turn_rate * time_step)
     return replace(people, position=people.position + velocity * time_step, velocity=velocity, heading=heading)
 
 
-def neighbors(parameters: Parameters, people: Pedestrians, time: float) -> Neighbors | None:
-    """Those who feel one another within the next ``time`` [s]; None for a crowd so small that all pairs are quicker."""
-    within = felt_within(parameters)
-    if within is None or people.group.shape[0] < MANY:
-        return None
-    fastest = parameters.speed_ratio * jnp.max(people.preferred_speed)
-    return find(people.position, people.present, within + 2.0 * fastest * time)
+def cutoff(forces: Forces) -> Float[Array, ""] | None:
+    """The distance beyond which no pair term pushes anybody by more than 1e-4 m/s2.
 
+    Args:
+        forces: the terms.
 
-def pair_forces(
-    parameters: Parameters,
-    people: Pedestrians,
-    look_x: Array,
-    look_y: Array,
-    parties: bool = False,
-    near: Neighbors | None = None,
-) -> tuple[Array, Array]:
-    """(N,) x and y parts [m/s2] of what each person feels from all others: repulsion in sight, sidestep, contact.
-
-    Standing members of one group do not push one another: their formation holds them apart (section IV-D). Nor, if
-    there are ``parties``, do those who walk in one: cohesion holds them together and apart. Who stands steps aside for
-    nobody. Of a large crowd those ``near`` one another may be given: pairs of others are left out.
+    Returns:
+        () m; None if there is no pair term, or one of them does not say.
     """
+    functions = [getattr(term, "cutoff", None) for term in forces.pair_terms]
+    cutoffs = [function(forces.walking) for function in functions if function is not None]
+    known = [distance for distance in cutoffs if distance is not None]
+    if not known or len(known) < len(functions):
+        return None
+    return jnp.minimum(forces.walking.perception, jnp.stack(known).max())
 
-    def pair(parameters, own, other):
-        (px, py, vx, vy, group, hx, hy, side), (qx, qy, wx, wy, other_group) = own, other
+
+def neighbors(forces: Forces, people: Pedestrians, time: float) -> Neighbors | None:
+    """Who feels whom within some time.
+
+    Args:
+        forces: the terms, which say how far they reach.
+        people: N people.
+        time: s.
+
+    Returns:
+        Pairs that hold for that time; None if all pairs are to be summed, as in crowds so small that this is quicker.
+    """
+    distance = cutoff(forces)
+    if distance is None or people.group.shape[0] < MIN_PEOPLE:
+        return None
+    speed_max = forces.walking.speed_ratio * jnp.max(people.preferred_speed)
+    return find(people.position, people.present, distance + 2.0 * speed_max * time)
+
+
+def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> Force | None:
+    """What each person feels from all other people: the pair terms, in one sum.
+
+    Standing members of one group do not feel one another: their formation holds them apart (section IV-D). Nor do those
+    who walk together, if there is ``Cohesion``, which holds them together and apart.
+
+    Args:
+        crowd: the people and the terms.
+        near: of a large crowd, who feels whom; pairs of others are left out.
+
+    Returns:
+        (N,) x and y parts [m/s2]; None if there are no pair terms.
+    """
+    forces, people = crowd.forces, crowd.people
+    if not forces.pair_terms:
+        return None
+
+    def law(shared, own, other):
+        terms, radius, perception = shared
+        (px, py, vx, vy, group, look_x, look_y, standing), (qx, qy, wx, wy, other_group) = own, other
         dx, dy = px - qx, py - qy
-        fx, fy = parameters.repulsion(dx, dy, wx, wy, vx, vy, parameters)
-        weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
-        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, side, parameters)
-        bx, by = contact(dx, dy, wx, wy, vx, vy, 2.0 * parameters.radius, parameters)
+        pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, 2.0 * radius, standing.astype(bool))
+        fx, fy = sum_pair_terms(terms, pair)
         dd = dx * dx + dy * dy
         together = (group >= 0) & (group == other_group)
-        felt = (other_group > ABSENT) & (dd > 0.0) & (dd < parameters.perception * parameters.perception) & ~together
-        return jnp.where(felt, weight * fx + sx + bx, 0.0), jnp.where(felt, weight * fy + sy + by, 0.0)
+        felt = (other_group > ABSENT) & (dd > 0.0) & (dd < perception * perception) & ~together
+        return jnp.where(felt, fx, 0.0), jnp.where(felt, fy, 0.0)
 
     group = people.group
-    if parties:
-        group = jnp.where((group < 0) & (people.party >= 0), PARTIES + people.party, group)
+    if crowd.companions is not None and forces.get(Cohesion) is not None:
+        group = jnp.where((group < 0) & (people.walking_group >= 0), WALKING_GROUPS + people.walking_group, group)
     group = jnp.where(people.present, group, ABSENT).astype(float)
     other = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1], group
-    own = *other, look_x, look_y, _side(parameters, people)
+    own = *other, crowd.look_x, crowd.look_y, people.group >= 0
+    shared = forces.pair_terms, forces.walking.radius, forces.walking.perception
     if near is not None:
-        return sum_pairs(pair, near, parameters, jnp.stack(own), jnp.stack(other))
-    return _sum_over_all(pair, parameters, own, other)
+        return sum_pairs(law, near, shared, jnp.stack([row.astype(float) for row in own]), jnp.stack(other))
+    return _sum_over_all(law, shared, own, other)
 
 
-def _sum_over_all(pair: Callable, parameters: Parameters, own: tuple, other: tuple) -> tuple[Array, Array]:
+def _sum_over_all(law: Callable, shared: tuple, own: tuple, other: tuple) -> Force:
     """(N,) x and y: the sums over all others of the law of one pair.
 
     On a GPU each thread takes two others, so it reads what is one's own half as often: a fifth less time.
     """
 
-    def in_turns(turns: int, parameters, own, other):
+    def in_turns(turns: int, shared, own, other):
         nobody = (0, -len(other[0]) % turns)
         other = tuple(jnp.pad(row, nobody, constant_values=ABSENT).reshape(turns, -1) for row in other)
 
-        def several(parameters, own, others):
-            turn = lambda total, one: (_add(total, pair(parameters, own, one)), None)  # noqa: E731
+        def several(shared, own, others):
+            turn = lambda total, one: (_add(total, law(shared, own, one)), None)  # noqa: E731
             nothing = jnp.zeros_like(own[0]), jnp.zeros_like(own[0])
             return jax.lax.scan(turn, nothing, others, unroll=turns)[0]
 
         each = jax.vmap(jax.vmap(several, in_axes=(None, None, 1)), in_axes=(None, 0, None))
-        return sum_vectors(*each(parameters, own, other), 1)
+        return sum_vectors(*each(shared, own, other), 1)
 
-    return by_platform(partial(in_turns, 1), partial(in_turns, 2))(parameters, own, other)
-
-
-def robot_force(
-    parameters: Parameters, people: Pedestrians, look_x: Array, look_y: Array, robot: Robot, radius: float
-) -> tuple[Array, Array]:
-    """(N,) x and y parts [m/s2] of the push of a robot of that radius [m].
-
-    A person's, shifted by the distance drawn for a moving robot [45].
-    """
-    wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
-    moving = jnp.abs(robot.speed) > parameters.robot_moving
-
-    def push(px, py, vx, vy, hx, hy, side, extra):
-        dx, dy = px - robot.position[0], py - robot.position[1]
-        fx, fy = parameters.repulsion(dx, dy, wx, wy, vx, vy, parameters)
-        weight = parameters.sight(fx, fy, dx, dy, hx, hy, parameters)
-        weight = weight * jnp.where(moving, jnp.exp(extra / parameters.range), 1.0)
-        sx, sy = sidestep(dx, dy, wx, wy, vx, vy, hx, hy, side, parameters)
-        bx, by = contact(dx, dy, wx, wy, vx, vy, parameters.radius + radius, parameters)
-        return weight * fx + sx + bx, weight * fy + sy + by
-
-    one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
-    return jax.vmap(push)(*one, look_x, look_y, _side(parameters, people), people.robot_distance)
+    return by_platform(partial(in_turns, 1), partial(in_turns, 2))(shared, own, other)
 
 
-def group_forces(parameters: Parameters, people: Pedestrians, groups: Groups) -> tuple[Array, Array]:
-    """(N,) x and y parts [m/s2] by which the o-spaces of groups keep out whoever is no standing member (Kendon)."""
-
-    def push(px, py, member_of, index, center, radius, present):
-        dx, dy = px - center[0], py - center[1]
-        dd = dx * dx + dy * dy + TINY
-        inverse = jax.lax.rsqrt(dd)
-        size = parameters.group_strength * jnp.exp((radius - dd * inverse) / parameters.group_range) * inverse
-        size = jnp.where(present & (member_of != index), size, 0.0)
-        return size * dx, size * dy
-
-    index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
-    each_group = jax.vmap(push, in_axes=(None, None, None, 0, 0, 0, 0))
-    pushes = jax.vmap(each_group, in_axes=(0, 0, 0, None, None, None, None))(
-        people.position[:, 0], people.position[:, 1], people.group, index, groups.center, groups.radius, groups.present
-    )
-    return sum_vectors(*pushes, 1)
+def _add_up(parts: Iterable[Force | None]) -> Force | None:
+    """The sum of those forces that there are, in their order; None if there is none."""
+    total = None
+    for part in parts:
+        if part is not None:
+            total = part if total is None else _add(total, part)
+    return total
 
 
-def _look(people: Pedestrians) -> tuple[Array, Array]:
-    """Direction in which each person looks: where they want to go, or their heading when they stand."""
-    x, y = unit(people.desired_velocity[:, 0], people.desired_velocity[:, 1])
-    standing = (people.group >= 0) | ((x == 0.0) & (y == 0.0))
-    return jnp.where(standing, people.heading[:, 0], x), jnp.where(standing, people.heading[:, 1], y)
-
-
-def _side(parameters: Parameters, people: Pedestrians) -> Array:
-    """(N,) m/s2: the side preference, of which standing members of groups have none."""
-    return jnp.where(people.group < 0, parameters.side_preference, 0.0)
-
-
-def _yield(parameters: Parameters, fx: Array, fy: Array, heading: Array) -> tuple[Array, Array]:
-    """The social force with its part against the heading scaled by ``reversing`` and that across it damped."""
-    hx, hy = heading[:, 0], heading[:, 1]
-    along, across = fx * hx + fy * hy, fy * hx - fx * hy
-    along = jnp.where(along < 0.0, along * parameters.reversing, along)
-    across = across / parameters.lateral_damping
-    return along * hx - across * hy, along * hy + across * hx
-
-
-def turn(people: Pedestrians, velocity: Array, most: Array) -> Array:
-    """Headings turned towards the velocity by at most that angle [rad]; standing members keep theirs."""
-    angle = angle_between(people.heading, velocity)
-    walking = (people.group < 0) & (length(velocity[:, 0], velocity[:, 1]) > 0.1)
-    angle = jnp.where(walking, jnp.clip(angle, -most, most), 0.0)
-    x, y = rotate(people.heading[:, 0], people.heading[:, 1], jnp.cos(angle), jnp.sin(angle))
-    return jnp.stack(unit(x, y), -1)
-
-
-def _add(one: tuple[Array, Array], other: tuple[Array, Array]) -> tuple[Array, Array]:
+def _add(one: Force, other: Force) -> Force:
     return one[0] + other[0], one[1] + other[1]

@@ -1,6 +1,7 @@
-"""What obstacles do to people: the wall force, and the guarantee that no body enters an obstacle.
+"""Walls (section IV-D, low level): the wall force, and the guarantee that no body enters an obstacle.
 
-Helbing & Molnar (1995), eq. (5): U(d) = U0 exp(-d / R), the force being its negative gradient.
+[HM95] D. Helbing & P. Molnar, Phys. Rev. E 51, 4282 (1995). [H00] D. Helbing, I. Farkas & T. Vicsek, Nature 407, 487
+(2000). [S2] SEAN 2.0's published code.
 """
 
 from collections.abc import Callable
@@ -8,88 +9,159 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Float
 
-from sean_jax.base import Array, Nearby
+from sean_jax import obstacle_grid
+from sean_jax.base import Array, ObstacleGrid
 from sean_jax.geometry import from_rectangle, sum_vectors
-from sean_jax.nearby import around
 from sean_jax.platforms import by_platform
+from sean_jax.social_forces.terms import Crowd, Force
 
 SLACK = 1e-3  # m/s, or rounding would hold whoever walks along a wall: 0.05 mm in a step of 0.05 s
-DEEPEST = 20.0  # of exponents: a push e^20 times the usual one is as good as any, and its square is still a number
-LEAST = 1e-9  # m/s, a slower approach is none, for the gradient of a share of it would overflow
+MAX_EXPONENT = 20.0  # a push e^20 times the usual one is as good as any, and its square is still a number
+MIN_APPROACH = 1e-9  # m/s, a slower approach is none, for the gradient of a share of it would overflow
 
 
-def distances(px: Array, py: Array, nearby: Nearby) -> tuple[Array, Array, Array]:
-    """(N, K) distance [m] from the surfaces of the obstacles near each person (N,) to their centre, and normals."""
-    rows = around(nearby, px, py)
+@struct.dataclass
+class Walls:
+    """A push A exp((reach - distance) / R) of each obstacle along its normal.
+
+    Source:
+        [HM95], eq. (5): the negative gradient of U(d) = U0 exp(-d / R), with A = U0 / R.
+    """
+
+    strength: Float[Array, ""]  # m/s2, A
+    range: Float[Array, ""]  # m, R
+    reach: Float[Array, ""]  # m
+    distance_factor: Float[Array, ""]  # 1/m or 0: 1 multiplies the force by the distance, as [S2] does
+
+    def person(self, crowd: Crowd) -> Force | None:
+        """The push of all obstacles on everybody.
+
+        Args:
+            crowd: the people and what is around them.
+
+        Returns:
+            (N,) x and y parts [m/s2]; None if there are no obstacles.
+        """
+        if crowd.obstacle_grid is None:
+            return None
+        px, py = crowd.people.position[:, 0], crowd.people.position[:, 1]
+        return wall_forces(self, px, py, crowd.obstacle_grid, crowd.forces.walking.perception)
+
+
+def distances(
+    px: Float[Array, "N"], py: Float[Array, "N"], grid: ObstacleGrid
+) -> tuple[Float[Array, "N K"], Float[Array, "N K"], Float[Array, "N K"]]:
+    """Signed distances and normals from the obstacles near each person.
+
+    Args:
+        px: (N,) x of the people [m].
+        py: (N,) y [m].
+        grid: with K rows for each cell.
+
+    Returns:
+        (N, K) distance [m] from the surface of each obstacle, and x and y parts (N, K) of its unit normal there.
+    """
+    rows = obstacle_grid.lookup(grid, px, py)
     return from_rectangle(px[:, None], py[:, None], *(rows[..., part] for part in range(6)))
 
 
-def wall_forces(px: Array, py: Array, nearby: Nearby, parameters: Any) -> tuple[Array, Array]:
-    """(N,) x and y parts [m/s2] of the push of all obstacles along their normals, on people at (px, py) (N,) [m]."""
+def wall_forces(
+    parameters: Walls,
+    px: Float[Array, "N"],
+    py: Float[Array, "N"],
+    grid: ObstacleGrid,
+    perception: Float[Array, ""] | float,
+) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+    """The push of all obstacles on people.
 
-    def push(distance, nx, ny, parameters):
-        into = (parameters.wall_reach - distance) * (1.0 / parameters.wall_range)  # a hundred and more in a wide wall
-        size = parameters.wall_strength * jnp.exp(jnp.minimum(into, DEEPEST))
-        size = size * (1.0 + parameters.wall_lever * (distance - 1.0))
-        size = jnp.where(distance < parameters.perception, size, 0.0)
+    Args:
+        parameters: of the law.
+        px: (N,) x of the people [m].
+        py: (N,) y [m].
+        grid: the obstacles.
+        perception: m, a wall farther away is not felt.
+
+    Returns:
+        (N,) x and y parts [m/s2].
+    """
+
+    def push(distance, nx, ny, parameters, perception):
+        exponent = (parameters.reach - distance) * (1.0 / parameters.range)  # a hundred and more in a wide wall
+        size = parameters.strength * jnp.exp(jnp.minimum(exponent, MAX_EXPONENT))
+        size = size * (1.0 + parameters.distance_factor * (distance - 1.0))
+        size = jnp.where(distance < perception, size, 0.0)
         return size * nx, size * ny
 
-    return _summed(push, px, py, around(nearby, px, py), (), (parameters,))
+    return _sum(push, px, py, obstacle_grid.lookup(grid, px, py), (), (parameters, perception))
 
 
-def keep_out(
-    px: Array,
-    py: Array,
-    vx: Array,
-    vy: Array,
-    nearby: Nearby,
-    radius: Array,
-    time_step: float,
-    rub: Array | None = None,
-) -> tuple[Array, Array]:
-    """Velocities (N,) [m/s] with which no body of that radius [m] at (px, py) [m] ends the step [s] inside an obstacle.
+def project_velocity(
+    px: Float[Array, "N"],
+    py: Float[Array, "N"],
+    vx: Float[Array, "N"],
+    vy: Float[Array, "N"],
+    grid: ObstacleGrid,
+    radius: Float[Array, ""] | float,
+    time_step: Float[Array, ""] | float,
+    friction: Float[Array, ""] | float | None = None,
+) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+    """Projects velocities onto those with which no body ends the step inside an obstacle.
 
-    A body at a gap [m] from an obstacle may approach by no more than the gap in one step: n . v >= -gap / time_step.
-    For a convex obstacle this linear bound is exact or stricter. All violated bounds are mended together, which is
-    exact at the inner corner of two walls and leads out a body that is inside (a negative gap). Where that violates
-    another bound, as in an acute corner, the velocity is shortened until it does not.
+    A body at a gap from an obstacle may approach by no more than the gap in one step: n . v >= -gap / time_step. For a
+    convex obstacle this linear bound is exact or stricter. All violated bounds are met together, which is exact at the
+    inner corner of two walls and moves a body out that is inside (a negative gap). Where that violates another bound,
+    as in an acute corner, the velocity is shortened until it does not.
 
-    ``rub`` [s/m] is kappa / k of Helbing, Farkas & Vicsek (2000), None without friction. The guarantee takes the place
-    of their body force k g at walls: where it takes away n . v = u in a step, it has pushed with u / time_step, so
-    their friction kappa g is rub u / time_step. An implicit step of it divides the speed along the wall by 1 + rub u,
-    which turns nobody round, however long the step.
+    Friction: the guarantee takes the place of the body force k g of [H00] at walls. Where it takes away n . v = u in a
+    step, it has pushed with u / time_step, so the friction kappa g is (kappa / k) u / time_step. An implicit step of it
+    divides the speed along the wall by 1 + (kappa / k) u, which reverses nobody, however long the step.
+
+    Args:
+        px: (N,) x of the people [m].
+        py: (N,) y [m].
+        vx: (N,) x parts of their velocities [m/s].
+        vy: (N,) y parts [m/s].
+        grid: the obstacles.
+        radius: of the bodies [m].
+        time_step: s.
+        friction: kappa / k of [H00] [s/m]; None without friction.
+
+    Returns:
+        (N,) x and y parts of the velocities [m/s].
     """
-    rows = around(nearby, px, py)
+    rows = obstacle_grid.lookup(grid, px, py)
 
     def excess(distance, nx, ny, vx, vy, radius, time_step):
         return jnp.maximum((radius - distance) / time_step - (nx * vx + ny * vy), 0.0)
 
-    def mended(distance, nx, ny, vx, vy, radius, time_step):
+    def correction(distance, nx, ny, vx, vy, radius, time_step):
         over = excess(distance, nx, ny, vx, vy, radius, time_step)
         return over * nx, over * ny
 
-    def rubbed(distance, nx, ny, before_x, before_y, vx, vy, radius, time_step, rub):
+    def rubbing(distance, nx, ny, before_x, before_y, vx, vy, radius, time_step, friction):
         over = excess(distance, nx, ny, before_x, before_y, radius, time_step)
-        lost = (ny * vx - nx * vy) * (1.0 - 1.0 / (1.0 + rub * over))
+        lost = (ny * vx - nx * vy) * (1.0 - 1.0 / (1.0 + friction * over))
         return -lost * ny, lost * nx
 
     def share(distance, nx, ny, vx, vy, radius, time_step):
-        approach, allowed = -(nx * vx + ny * vy), jnp.maximum((distance - radius) / time_step + SLACK, LEAST)
+        approach, allowed = -(nx * vx + ny * vy), jnp.maximum((distance - radius) / time_step + SLACK, MIN_APPROACH)
         over = approach > allowed
         return jnp.where(over, allowed / jnp.where(over, approach, 1.0), 1.0)
 
     shared = radius, time_step
-    x, y = _summed(mended, px, py, rows, (vx, vy), shared)
+    x, y = _sum(correction, px, py, rows, (vx, vy), shared)
     before, vx, vy = (vx, vy), vx + x, vy + y
-    if rub is not None:
-        x, y = _summed(rubbed, px, py, rows, (*before, vx, vy), (*shared, rub))
+    if friction is not None:
+        x, y = _sum(rubbing, px, py, rows, (*before, vx, vy), (*shared, friction))
         vx, vy = vx + x, vy + y
-    least = _least(share, px, py, rows, (vx, vy), shared)
-    return vx * least, vy * least
+    smallest = _min(share, px, py, rows, (vx, vy), shared)
+    return vx * smallest, vy * smallest
 
 
-def _summed(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> tuple[Array, Array]:
+def _sum(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> tuple[Array, Array]:
     """(N,) x and y: the sums over obstacles, of ``rows`` (N, K, 6), of ``law(distance, nx, ny, *each, *shared)``."""
 
     def add(total: tuple, one: tuple) -> tuple:
@@ -101,8 +173,8 @@ def _summed(law: Callable, px: Array, py: Array, rows: Array, each: tuple, share
     )
 
 
-def _least(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> Array:
-    """(N,) the least that the law gives, at most 1."""
+def _min(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> Array:
+    """(N,) the minimum over obstacles of what the law gives, at most 1."""
     whole = jnp.ones_like(px)
     return _over_obstacles(law, lambda values: values.min(1), jnp.minimum, whole, px, py, rows, each, shared)
 

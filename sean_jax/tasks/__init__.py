@@ -3,7 +3,8 @@
 from sean_jax.tasks.ab_tasks import busy_ab_nav, random_ab_nav
 from sean_jax.tasks.custom import custom, poses
 from sean_jax.tasks.group_tasks import join_group, leave_group
-from sean_jax.tasks.handcrafted_task import check_room, handcrafted, pair
+from sean_jax.tasks.handcrafted_task import handcrafted, pair
+from sean_jax.tasks.task import build_task, check_requirement, requirement, requires
 
 TASKS = {
     "join_group": join_group,
@@ -13,9 +14,9 @@ TASKS = {
     "custom": custom,
     "handcrafted": handcrafted,
 }
-"""name -> (scenario, pedestrians, groups, memory, key) -> RobotTask; the memory is the behavior's"""
+"""name -> (scenario, pedestrians, groups, memory, key) -> RobotTask; the memory is the behavior's
 
-NEEDS_GROUPS = ("join_group", "leave_group")
-"""tasks that depend on group nodes, and so on the graph behavior (section IV-E)"""
+A task that not every behavior can serve says so with ``requires``.
+"""
 
-__all__ = ["NEEDS_GROUPS", "TASKS", "check_room", "pair", "poses"]
+__all__ = ["TASKS", "build_task", "check_requirement", "pair", "poses", "requirement", "requires"]

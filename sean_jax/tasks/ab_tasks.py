@@ -4,11 +4,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
-from sean_jax.base import Array, Groups, Pedestrians, RobotTask, Scenario
+from sean_jax.base import Array, Groups, PathsToGoal, Pedestrians, RobotTask, Scenario
 from sean_jax.environment import clearance
 from sean_jax.tasks.clusters import busiest
 from sean_jax.tasks.places import CANDIDATES, choose_pair
+from sean_jax.tasks.task import build_task
 
 RING = 5.0  # m, from the person in the middle of the largest cluster (SEAN 2.0)
 SNAP = 1.0  # m, by which a place may be off the ring (SEAN 2.0)
@@ -17,20 +19,45 @@ ROOM = 0.1  # m, to obstacles beside the robot's radius
 
 
 def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """The robot goes from anywhere to anywhere, as far as ``scenario.task_distance`` asks, with random headings."""
+    """The robot goes from anywhere to anywhere, as far as ``scenario.task_distance`` asks, with random headings.
+
+    Args:
+        scenario: the rest of the scenario.
+        pedestrians: N people at their starts.
+        groups: G of them.
+        memory: of the behavior.
+        key: of the draws.
+
+    Returns:
+        The task.
+
+    Source: section IV-E.
+    """
     places = scenario.navigation.places
     draw_key, choice_key, turn_key = jax.random.split(key, 3)
     spots = places[jax.random.randint(draw_key, (GOALS + CANDIDATES,), 0, places.shape[0], jnp.int32)]
     goals, starts = spots[:GOALS], spots[GOALS:]
     nothing = jnp.zeros(GOALS, float), jnp.zeros(CANDIDATES, float)
-    return _task(choose_pair(scenario, pedestrians, goals, starts, *nothing, choice_key), turn_key)
+    return _task(scenario, choose_pair(scenario, pedestrians, goals, starts, *nothing, choice_key), turn_key)
 
 
 def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
     """The robot starts and ends 5 m around the person in the middle of the largest of three clusters of people.
 
-    Clusters are found by k-means (section IV-E). Where too little of the ring is free, places off it that are
-    nearest to it are taken. With nobody there, the ring is around any free place.
+    Clusters are found by k-means. Where too little of the ring is free, the places nearest to it are taken. With nobody
+    there, the ring is around any free place.
+
+    Args:
+        scenario: the rest of the scenario.
+        pedestrians: N people at their starts.
+        groups: G of them.
+        memory: of the behavior.
+        key: of the draws.
+
+    Returns:
+        The task.
+
+    Source: section IV-E.
     """
     navigation = scenario.navigation
     cluster_key, ring_key, draw_key, goal_key, choice_key, turn_key = jax.random.split(key, 6)
@@ -50,21 +77,26 @@ def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
     cost = jnp.where(free, cost, jnp.inf)
     chance = jax.random.uniform(goal_key, cost.shape, float)
     best = jax.lax.top_k(-cost + 0.01 * chance, GOALS)[1]
-    return _task(choose_pair(scenario, pedestrians, spots[best], spots, cost[best], cost, choice_key), turn_key)
+    return _task(
+        scenario, choose_pair(scenario, pedestrians, spots[best], spots, cost[best], cost, choice_key), turn_key
+    )
 
 
-def _task(pair: tuple[Array, Array, Array, Array], key: Array) -> RobotTask:
-    start, goal, to_goal, walk = pair
+def _task(
+    scenario: Scenario,
+    pair: tuple[Float[Array, "2"], Float[Array, "2"], PathsToGoal, Float[Array, ""]],
+    key: Array,
+) -> RobotTask:
+    """The task of a chosen pair, with random headings."""
+    start, goal, paths_to_goal, geodesic = pair
     angle = jax.random.uniform(key, (2,), float, 0.0, 2 * jnp.pi)
     heading = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
-    nobody = jnp.full((), -1, jnp.int32)
-    return RobotTask(
-        start=start,
+    return build_task(
+        scenario,
+        start,
+        goal,
         start_heading=heading[0],
-        goal=goal,
         goal_heading=heading[1],
-        start_group=nobody,
-        goal_group=nobody,
-        geodesic=walk,
-        to_goal=to_goal,
+        paths_to_goal=paths_to_goal,
+        geodesic=geodesic,
     )

@@ -2,16 +2,27 @@
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Bool, Float, Int
 
 from sean_jax.base import Array
 
 
-def k_means(points: Array, counted: Array, start: Array, iterations: int = 10) -> tuple[Array, Array]:
-    """Centres (k, 2) [m] of the ``counted`` (N,) bool among the points (N, 2) [m], and labels (N,) int32.
+def k_means(
+    points: Float[Array, "N 2"], counted: Bool[Array, "N"], start: Float[Array, "K 2"], iterations: int = 10
+) -> tuple[Float[Array, "K 2"], Int[Array, "N"]]:
+    """Clusters by Lloyd's iterations.
 
-    Lloyd's iterations from the centres ``start`` (k, 2): everybody is labelled by the nearest centre, the first of
-    equally near ones; then centres move to the mean of theirs, and one without any stays. The labels are those that
-    the last move was made from. Who is not counted has the label -1.
+    Each point is labelled by the nearest centre, the first of equally near ones. Then each centre moves to the mean of
+    its points, and one without any stays.
+
+    Args:
+        points: (N, 2) m.
+        counted: (N,) which of them belong to clusters.
+        start: (K, 2) m, the first centres.
+        iterations: how often the centres move.
+
+    Returns:
+        Centres (K, 2) m, and labels (N,) from which they moved last, -1 of who is not counted.
     """
     number = start.shape[0]
 
@@ -27,10 +38,19 @@ def k_means(points: Array, counted: Array, start: Array, iterations: int = 10) -
     return after, jnp.where(counted, _labels(points, before), -1)
 
 
-def busiest(points: Array, counted: Array, key: Array, number: int = 3) -> Array:
-    """() int32 the medoid of the largest of three clusters: who has the least sum of distances to all others of it.
+def busiest(points: Float[Array, "N 2"], counted: Bool[Array, "N"], key: Array, number: int = 3) -> Int[Array, ""]:
+    """The medoid of the largest cluster: the person with the smallest sum of distances to all others of it.
 
-    The first centres are people drawn at random. An index of somebody not counted if nobody is.
+    Args:
+        points: (N, 2) m, of people.
+        counted: (N,) who of them is there.
+        key: of the draw of people who are the first centres.
+        number: of clusters.
+
+    Returns:
+        () index of the person, of somebody not counted if nobody is.
+
+    Source: section IV-E.
     """
     chance = jnp.where(counted, jax.random.uniform(key, counted.shape, float), -1.0)
     # With fewer points than clusters, the last one stands for more of them, which then stay empty.
@@ -44,7 +64,7 @@ def busiest(points: Array, counted: Array, key: Array, number: int = 3) -> Array
     return jnp.argmin(jnp.where(mine, total, jnp.inf)).astype(jnp.int32)
 
 
-def _labels(points: Array, centers: Array) -> Array:
-    """(N,) int32 index of the nearest centre of each point."""
+def _labels(points: Float[Array, "N 2"], centers: Float[Array, "K 2"]) -> Int[Array, "N"]:
+    """(N,) index of the nearest centre of each point."""
     gaps = points[:, None, :] - centers[None, :, :]
     return jnp.argmin((gaps * gaps).sum(-1), axis=1).astype(jnp.int32)

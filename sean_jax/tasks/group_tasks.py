@@ -5,42 +5,50 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from sean_jax import navigation as paths
 from sean_jax.base import Array, Groups, Pedestrians, RobotTask, Scenario
 from sean_jax.geometry import unit_vectors
 from sean_jax.tasks.places import far_place
+from sean_jax.tasks.task import build_task, requires
 
 
+@requires("groups")
 def join_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """The robot goes to the open place of a random group, from a drawn distance away."""
+    """The robot goes to the open place of a random group, from a drawn distance away.
+
+    Args:
+        scenario: the rest of the scenario.
+        pedestrians: N people at their starts.
+        groups: G of them.
+        memory: of the behavior.
+        key: of the draws.
+
+    Returns:
+        The task.
+
+    Source: section IV-E.
+    """
     group, opening, inward, away, facing = _poses(scenario, pedestrians, groups, key)
-    to_goal = paths.to_goal(scenario.navigation, opening)
-    return RobotTask(
-        start=away,
-        start_heading=facing,
-        goal=opening,
-        goal_heading=inward,
-        start_group=jnp.full_like(group, -1),
-        goal_group=group,
-        geodesic=paths.geodesic(scenario.navigation, away, opening, to_goal),
-        to_goal=to_goal,
-    )
+    return build_task(scenario, away, opening, start_heading=facing, goal_heading=inward, goal_group=group)
 
 
+@requires("groups")
 def leave_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """The robot goes from the open place of a random group to a place a drawn distance away."""
+    """The robot goes from the open place of a random group to a place a drawn distance away.
+
+    Args:
+        scenario: the rest of the scenario.
+        pedestrians: N people at their starts.
+        groups: G of them.
+        memory: of the behavior.
+        key: of the draws.
+
+    Returns:
+        The task.
+
+    Source: section IV-E.
+    """
     group, opening, inward, away, facing = _poses(scenario, pedestrians, groups, key)
-    to_goal = paths.to_goal(scenario.navigation, away)
-    return RobotTask(
-        start=opening,
-        start_heading=inward,
-        goal=away,
-        goal_heading=facing,
-        start_group=group,
-        goal_group=jnp.full_like(group, -1),
-        geodesic=paths.geodesic(scenario.navigation, opening, away, to_goal),
-        to_goal=to_goal,
-    )
+    return build_task(scenario, opening, away, start_heading=inward, goal_heading=facing, start_group=group)
 
 
 def _poses(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> tuple:

@@ -6,86 +6,120 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
 from sean_jax import cache, files
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Groups, Pedestrians, RobotTask, Scenario
-from sean_jax.geometry import room_on_host, unit_vectors
+from sean_jax.errors import InputError
+from sean_jax.geometry import signed_distances_on_host, unit_vectors
 from sean_jax.handcrafted import Sets
+from sean_jax.tasks.task import build_task, requires
 
 
+def check_room(scenario: Scenario) -> None:
+    """Refuse a robot that does not fit at a pose of a set, or cannot go from a start to a goal.
+
+    Args:
+        scenario: of behavior ``handcrafted``.
+
+    Raises:
+        InputError: names the set and the pose.
+    """
+    sets: Sets = scenario.behavior.data
+    for word, place in (("starts", sets.start), ("goals", sets.goal)):
+        room = np.minimum(*signed_distances_on_host(scenario.environment, np.asarray(place).reshape(-1, 2)))
+        room = room.reshape(place.shape[:2])
+        for number, index in np.argwhere(room < scenario.robot.radius):
+            where = f"set '{sets.names[number]}' has {room[number, index]:.2f} m of room at {word}[{index}]"
+            raise InputError(f"robot: {where}, too little for {scenario.robot.name}; choose a smaller robot or a set.")
+    ends = scenario.navigation, sets.start, sets.goal
+    inputs = *paths.inputs(scenario.navigation), sets.start, sets.goal
+    make = lambda: {"walks": np.asarray(jax.jit(jax.vmap(_walks, in_axes=(None, 0, 0)))(*ends))}  # noqa: E731
+    walk = cache.load_or_build("walks", ("tasks/handcrafted_task", *paths.CODE), inputs, make)["walks"]
+    for number, start, goal in np.argwhere(~np.isfinite(walk)):
+        way = f"from starts[{start}] to goals[{goal}] of set '{sets.names[number]}'"
+        raise InputError(f"robot: there is no way {way} for {scenario.robot.name}; choose a smaller robot or a set.")
+
+
+@requires("handcrafted_sets", check_room)
 def handcrafted(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
     """The robot goes from one of the five starts to one of the five goals of the handcrafted set.
 
     The episode's set is read from ``memory``, that of behavior ``handcrafted``.
+
+    Args:
+        scenario: the rest of the scenario.
+        pedestrians: N people at their starts.
+        groups: G of them.
+        memory: of the behavior.
+        key: of the draws.
+
+    Returns:
+        The task.
+
+    Source: section IV-E.
     """
     sets: Sets = scenario.behavior.data
     one: Sets = jax.tree.map(lambda leaf: leaf[memory.set], sets)
-    drawn = jax.random.categorical(key, jnp.log(one.weight).reshape(-1))
-    first, last = drawn // one.weight.shape[1], drawn % one.weight.shape[1]
+    drawn = jax.random.categorical(key, jnp.log(one.odds).reshape(-1))
+    first, last = drawn // one.odds.shape[1], drawn % one.odds.shape[1]
     start, start_heading = _pose(groups, one.start[first], one.start_heading[first], one.start_group[first])
     goal, goal_heading = _pose(groups, one.goal[last], one.goal_heading[last], one.goal_group[last])
-    to_goal = paths.to_goal(scenario.navigation, goal)
-    return RobotTask(
-        start=start,
+    return build_task(
+        scenario,
+        start,
+        goal,
         start_heading=start_heading,
-        goal=goal,
         goal_heading=goal_heading,
         start_group=one.start_group[first],
         goal_group=one.goal_group[last],
-        geodesic=paths.geodesic(scenario.navigation, start, goal, to_goal),
-        to_goal=to_goal,
     )
 
 
 def pair(scenario: Scenario, name: str, start: int, goal: int) -> Scenario:
-    """The scenario in which every episode has that handcrafted set, and its start and goal of those numbers, 0 to 4.
+    """The scenario in which every episode has one handcrafted set, and one of its pairs of start and goal.
 
-    Only a leaf differs, the weight of each set and pair, so that nothing is compiled again and pairs can be vmapped.
+    Only a leaf differs, the odds of each set and pair, so that nothing is compiled again and pairs can be vmapped.
+
+    Args:
+        scenario: of behavior ``handcrafted``.
+        name: of the set.
+        start: its number, 0 to 4.
+        goal: its number, 0 to 4.
+
+    Returns:
+        The scenario with other odds.
 
     Raises:
-        ValueError: the behavior is another, the set is not among those chosen, or there is no such start or goal.
+        InputError: the behavior is another, the set is not among those chosen, or there is no such start or goal.
     """
     if scenario.behavior.name != "handcrafted":
-        raise ValueError(f"behavior: '{scenario.behavior.name}' has no handcrafted sets; make one with 'handcrafted'.")
+        raise InputError(f"behavior: '{scenario.behavior.name}' has no handcrafted sets; make one with 'handcrafted'.")
     sets: Sets = scenario.behavior.data
     if name not in sets.names:
-        raise ValueError(f"name: '{name}' is not one of {', '.join(sets.names)}{files.suggest(name, sets.names)}")
-    most = sets.weight.shape[1] - 1
+        raise InputError(files.unknown_name("name", name, sets.names))
+    limit = sets.odds.shape[1] - 1
     for word, number in (("start", start), ("goal", goal)):
-        if not 0 <= number <= most:
-            raise ValueError(f"{word}: {number} must be a whole number from 0 to {most}.")
-    weight = jnp.zeros_like(sets.weight).at[sets.names.index(name), start, goal].set(1.0)
-    return replace(scenario, behavior=replace(scenario.behavior, data=replace(sets, weight=weight)))
+        if not 0 <= number <= limit:
+            raise InputError(f"{word}: {number} must be a whole number from 0 to {limit}.")
+    odds = jnp.zeros_like(sets.odds).at[sets.names.index(name), start, goal].set(1.0)
+    return replace(scenario, behavior=replace(scenario.behavior, data=replace(sets, odds=odds)))
 
 
-def check_room(scenario: Scenario) -> None:
-    """ValueError if the scenario's robot does not fit at a pose of a set, or cannot go from a start to a goal."""
-    sets: Sets = scenario.behavior.data
-    for word, place in (("starts", sets.start), ("goals", sets.goal)):
-        room = np.minimum(*room_on_host(scenario.environment, np.asarray(place).reshape(-1, 2)))
-        room = room.reshape(place.shape[:2])
-        for number, index in np.argwhere(room < scenario.robot.radius):
-            where = f"set '{sets.names[number]}' has {room[number, index]:.2f} m of room at {word}[{index}]"
-            raise ValueError(f"robot: {where}, too little for {scenario.robot.name}; choose a smaller robot or a set.")
-    ends = scenario.navigation, sets.start, sets.goal
-    inputs = *paths.inputs(scenario.navigation), sets.start, sets.goal
-    make = lambda: {"walks": np.asarray(jax.jit(jax.vmap(_walks, in_axes=(None, 0, 0)))(*ends))}  # noqa: E731
-    walk = cache.kept("walks", ("tasks/handcrafted_task", *paths.CODE), inputs, make)["walks"]
-    for number, start, goal in np.argwhere(~np.isfinite(walk)):
-        way = f"from starts[{start}] to goals[{goal}] of set '{sets.names[number]}'"
-        raise ValueError(f"robot: there is no way {way} for {scenario.robot.name}; choose a smaller robot or a set.")
-
-
-def _walks(navigation: paths.Navigation, starts: Array, goals: Array) -> Array:
+def _walks(
+    navigation: paths.Navigation, starts: Float[Array, "5 2"], goals: Float[Array, "5 2"]
+) -> Float[Array, "5 5"]:
     """(5, 5) lengths [m] of the shortest paths from each start to each goal."""
-    rows = jax.vmap(paths.to_goal, in_axes=(None, 0))(navigation, goals)
+    rows = jax.vmap(paths.build_paths_to_goal, in_axes=(None, 0))(navigation, goals)
     each_goal = jax.vmap(paths.geodesic, in_axes=(None, None, 0, 0))
     return jax.vmap(each_goal, in_axes=(None, 0, None, None))(navigation, starts, goals, rows)
 
 
-def _pose(groups: Groups, place: Array, heading: Array, group: Array) -> tuple[Array, Array]:
-    """The pose (2,), (2,) as given, or the open place of the group () and the direction into it."""
+def _pose(
+    groups: Groups, place: Float[Array, "2"], heading: Float[Array, "2"], group: Int[Array, ""]
+) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+    """The place and the heading themselves, or the open place of the group and the direction into it."""
     index = jnp.maximum(group, 0)
     opening = groups.opening[index]
     inward = unit_vectors(groups.center[index] - opening, heading)

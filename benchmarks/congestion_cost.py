@@ -1,0 +1,72 @@
+"""How much ``congestion_cost`` lowers congestion on the Behavior Graph, and its cost in time.
+
+python benchmarks/congestion_cost.py
+python benchmarks/congestion_cost.py --people 120 --routing edge
+
+For people without a robot, over episodes of five minutes: the people per m2 on the fullest edge (mean over time), the
+maximum density of walkers in a minute in cells of 0.25 m2 (mean over minutes), walks along edges a minute, people in
+groups, walkers' speed, and the time that one step of one episode takes.
+"""
+
+import argparse
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import sean_jax
+from sean_jax import scenario as stages
+from sean_jax.graph.congestion import edge_densities
+
+
+def measure(scenario, key, steps: int) -> tuple:
+    """The five figures of an episode."""
+    graph = scenario.behavior.data.graph
+
+    def step(state, _):
+        after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
+        after = stages.move_pedestrians(scenario, after).replace(tick=state.tick + 1)
+        memory, people = after.memory, after.pedestrians
+        walking = memory.stay == 0
+        fullest = edge_densities(graph, memory.origin, memory.hop, walking).max()
+        speed = jnp.linalg.norm(people.velocity, axis=-1).mean(where=walking)
+        return after, (stages.frame(state, after, jnp.zeros(2)), fullest, (~walking).sum(), speed)
+
+    frames, fullest, seated, speed = jax.lax.scan(step, sean_jax.reset(scenario, key), length=steps)[1]
+    walkers = frames.replace(present=frames.present & (frames.group < 0))
+    of_walkers = sean_jax.congestion(scenario, walkers, span=60.0)
+    flow = sean_jax.congestion(scenario, frames, span=60.0).flow
+    return fullest.mean(), of_walkers.density.max((1, 2)).mean(), flow.sum((1, 2)).mean(), seated.mean(), speed.mean()
+
+
+def main() -> None:
+    """Print the table."""
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--environment", default="warehouse")
+    arguments.add_argument("--people", type=int)
+    arguments.add_argument("--routing", default="whole")
+    arguments.add_argument("--congestion-cost", nargs="+", type=float, default=[0.0, 5.0, 20.0, 100.0])
+    arguments.add_argument("--episodes", type=int, default=8)
+    arguments.add_argument("--steps", type=int, default=3000)
+    options = arguments.parse_args()
+    print("congestion_cost  fullest edge /m2  densest cell /m2  walks/min  in groups  speed m/s  us/step")
+    for cost in options.congestion_cost:
+        scenario = sean_jax.make(
+            options.environment,
+            people=options.people,
+            routing=options.routing,
+            congestion_cost=cost,
+            dynamics="twin",
+        )
+        keys = jax.random.split(jax.random.key(0), options.episodes)
+        run = jax.jit(jax.vmap(lambda key, scenario=scenario: measure(scenario, key, options.steps)))
+        run = run.lower(keys).compile()
+        start = time.perf_counter()
+        fullest, densest, walks, seated, speed = (float(np.mean(part)) for part in jax.block_until_ready(run(keys)))
+        each = 1e6 * (time.perf_counter() - start) / options.steps / options.episodes
+        print(f"{cost:15g}  {fullest:16.3f}  {densest:16.2f}  {walks:9.1f}  {seated:9.1f}  {speed:9.3f}  {each:7.1f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,346 @@
+"""From a description to a scenario (section IV-B): ``make``; says what does not exist and what does not go together."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+
+from sean_jax import (
+    behaviors,
+    classifiers,
+    components,
+    files,
+    metrics,
+    navigation,
+    pedestrian_models,
+    quantities,
+    robots,
+    sensors,
+    social_forces,
+    tasks,
+)
+from sean_jax import environment as environments
+from sean_jax.base import Behavior, RobotModel, Scenario
+from sean_jax.config import (
+    Component,
+    CustomTask,
+    GraphBehavior,
+    Named,
+    OwnPart,
+    PlaybackBehavior,
+    RandomBehavior,
+    ScenarioConfig,
+    Value,
+    gather,
+    validate,
+)  # fmt: skip
+from sean_jax.errors import InputError
+from sean_jax.recordings.lines import check_clock
+
+MAX_SITUATIONS = 20  # times of all 2 ** 20 sets of them are counted
+NEEDS_POSES = "task: 'custom' needs a start and a goal; give both, x and y in metres."
+PERSON_CLEARANCE = 0.25  # m: people's paths stand off from obstacles by a body of 0.2 m and some room
+
+
+def make(environment: str | Path | ScenarioConfig = "warehouse", **options: Any) -> Scenario:
+    """A scenario (section IV-B) of its parts.
+
+    Args:
+        environment: name of an environment, the folder of one, or a whole description.
+        options: the other fields of ``ScenarioConfig``: behavior, task, robot, people, model, forces, situations,
+            metrics, sensors, times and distances. A part is a name (``behavior="graph"``), a description
+            (``behavior=GraphBehavior(routing="edge")``, or ``behavior="graph", routing="edge"``), a file
+            (``"my.py:thing"``) or the part itself.
+
+    Returns:
+        The scenario.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    config = environment if isinstance(environment, ScenarioConfig) else None
+    if config is None:
+        config = validate(ScenarioConfig, gather(ScenarioConfig, {"environment": str(environment), **options}))
+    elif options:
+        config = config.replace(**options)
+    if len(config.tasks) > 1 and config.task is not None:
+        names = ", ".join(task.kind for task in config.tasks)
+        raise InputError(f"task: a scenario has one, not {names}; evaluate a list of scenarios, one for each task.")
+    return build(config)[0]
+
+
+def build(config: ScenarioConfig) -> list[Scenario]:
+    """The scenarios of a description, which differ in their task alone.
+
+    Args:
+        config: the description.
+
+    Returns:
+        One scenario for each task.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    try:
+        return _build(config)
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(str(error)) from error
+
+
+def _build(config: ScenarioConfig) -> list[Scenario]:
+    folder = check(config)
+    situations, thresholds = _situations(config)
+    scene, robot = environments.load(folder), _robot(config)
+    forces = _forces(config)
+    robots.check_step(robot, config.time_step)
+    walking = navigation.build(scene, PERSON_CLEARANCE)
+    driving = walking if robot.radius <= PERSON_CLEARANCE else navigation.build(scene, robot.radius)
+    place = behaviors.Place(folder, scene, walking, config.time_step)
+    behavior = _behavior(config, place)
+    people = behavior.people
+    if people is None:
+        people = place.default_people if config.people is None else config.people
+    model = components.resolve(config.model, pedestrian_models.MODELS, "model")
+    scenario = Scenario(
+        environment=scene,
+        navigation=driving,
+        behavior=behavior,
+        forces=forces,
+        thresholds=thresholds,
+        goal_radius=jnp.asarray(config.goal_radius, float),
+        hold_time=jnp.asarray(config.hold_time, float),
+        task_distance=jnp.asarray(config.task_distance, float),
+        robot=robot,
+        task=tasks.TASKS["random_ab_nav"],
+        move=behavior.move or model,
+        situations=situations,
+        metrics=_metrics(config),
+        time_step=config.time_step,
+        time_limit=config.time_limit,
+        people=people,
+        substeps=social_forces.substeps(forces, config.time_step) if config.substeps is None else config.substeps,
+        task_name="",
+        sensors=_sensors(config, robot),
+    )
+    return [with_task(scenario, task) for task in config.tasks]
+
+
+def with_task(scenario: Scenario, task: Any) -> Scenario:
+    """The same scenario with another robot task.
+
+    Args:
+        scenario: any.
+        task: a name, a description, FILE.py:NAME, or a function (scenario, pedestrians, groups, memory, key) ->
+            RobotTask.
+
+    Returns:
+        The scenario with that task.
+
+    Raises:
+        InputError: there is none of that name, or it does not fit to the behavior.
+    """
+    if not isinstance(task, Component):
+        task = validate(ScenarioConfig, {"task": task}).tasks[0]
+    _check_task(task, scenario.behavior.name)
+    if isinstance(task, CustomTask):
+        if task.start is None or task.goal is None:
+            raise InputError(NEEDS_POSES)
+        scenario = dataclasses.replace(scenario, task_name=task.kind)
+        return dataclasses.replace(scenario, task=tasks.poses(scenario, task.start, task.goal))
+    name, function = _name(task), components.resolve(task, tasks.TASKS, "task")
+    if not callable(function):
+        raise InputError(f"task: {name} is no function (scenario, pedestrians, groups, memory, key) -> RobotTask.")
+    scenario = dataclasses.replace(scenario, task=function, task_name=name)
+    tasks.check_requirement(scenario)
+    return scenario
+
+
+# ------------------------------------------------------------------ what cannot be, told before anything is made
+
+
+def check(config: ScenarioConfig) -> Path:
+    """Refuse what ``build`` would refuse, as far as it can be told in a moment: nothing is compiled or tabulated.
+
+    Args:
+        config: the description.
+
+    Returns:
+        The folder of the environment.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    try:
+        if isinstance(config.behavior, Named):
+            components.resolve(config.behavior, behaviors.BEHAVIORS, "behavior")
+        for task in config.tasks:
+            _check_task(task, config.behavior.kind)
+            if isinstance(task, CustomTask) and (task.start is None or task.goal is None):
+                raise InputError(NEEDS_POSES)
+        if isinstance(config.behavior, GraphBehavior | RandomBehavior):
+            behaviors.walking_groups.count_walking_groups(0, config.behavior.walking_groups)
+        _situations(config)
+        components.resolve(config.model, pedestrian_models.MODELS, "model")
+        _metrics(config)
+        if config.behavior.kind == "playback" and config.model.kind != "social_forces":
+            name = config.model.kind
+            raise InputError(f"model: '{name}' moves nobody in behavior 'playback', where people walk as recorded.")
+        if not isinstance(config.robot, OwnPart | Value):
+            robots.find(config.robot.kind, config.dynamics)
+        folder = environments.find(config.environment)
+        _check_people(config, folder)
+        if isinstance(config.behavior, PlaybackBehavior):
+            _check_recording(config.behavior)
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    return folder
+
+
+def _check_task(task: Component, behavior: str) -> None:
+    """That there is such a task, and that it fits to that behavior."""
+    if not isinstance(task, Named):
+        return
+    needed = tasks.requirement(components.resolve(task, tasks.TASKS, "task"))
+    if needed is None or needed.offer in behaviors.OFFERS.get(behavior, (needed.offer,)):
+        return  # what a behavior of one's own offers is known when it is built
+    if needed.offer == "groups":
+        own = "handcrafted" if behavior == "handcrafted" else "random_ab_nav"
+        why = "needs groups, which only behavior 'graph' has"
+        raise InputError(f"task: '{task.kind}' {why}, not '{behavior}'; choose task '{own}' with it.")
+    if needed.offer == "handcrafted_sets":
+        why = "poses that belong to handcrafted people"
+        raise InputError(f"task: '{task.kind}' needs {why}, not '{behavior}'; choose behavior 'handcrafted' with it.")
+
+
+def _check_people(config: ScenarioConfig, folder: Path) -> None:
+    radius = float(_forces(config).walking.radius)
+    quantities.check_number("forces.walking.radius", radius, 0.01, 10.0, "m")
+    people = config.people
+    if people is None:
+        return
+    if config.behavior.kind == "handcrafted":
+        raise InputError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
+    x_min, y_min, x_max, y_max = environments.floor(folder)
+    area = (x_max - x_min) * (y_max - y_min)
+    max_people = int(area / (2 * 3**0.5 * radius**2))  # discs of a body's size, packed in the densest way
+    if people > max_people:
+        raise InputError(f"people: {people} do not fit on a floor of {area:.6g} m2, {max_people} at most; give fewer.")
+
+
+def _check_recording(behavior: PlaybackBehavior) -> None:
+    recording = behavior.recording
+    if recording is None:
+        raise InputError("behavior: 'playback' needs a recording; give the path of a CSV file: frame, id, x, y.")
+    if not Path(recording).is_file():
+        what = "is no file" if Path(recording).exists() else "does not exist"
+        raise InputError(f"recording: {recording} {what}; give the path of a CSV file: frame, id, x, y.")
+    check_clock(behavior.recording_format, behavior.frame_rate)
+
+
+# ------------------------------------------------------------------ parts
+
+
+def _behavior(config: ScenarioConfig, place: behaviors.Place) -> Behavior:
+    description = config.behavior
+    if isinstance(description, OwnPart | Value):
+        part = components.resolve(description, {}, "behavior")
+        behavior = part if isinstance(part, Behavior) else part(place, config.people) if callable(part) else part
+    else:
+        given = {name: getattr(description, name) for name in type(description).model_fields if name != "kind"}
+        build = behaviors.BEHAVIORS[description.kind]
+        behavior = build(place, config.people, **{name: value for name, value in given.items() if value is not None})
+    if not isinstance(behavior, Behavior):
+        what = f"{description.kind} gives {quantities.short_repr(behavior)}"
+        raise InputError(f"behavior: {what}, not a Behavior; give one, or a function (place, people) -> Behavior.")
+    return behavior
+
+
+def _robot(config: ScenarioConfig) -> RobotModel:
+    robot = components.resolve(config.robot, _ANY, "robot")
+    if isinstance(robot, str | Path):  # a file of one's own may name the MJCF file beside it
+        robot = robots.load(robot, config.dynamics)
+    if not isinstance(robot, RobotModel):
+        raise InputError(f"robot: {quantities.short_repr(robot)} is no RobotModel; give one, or an MJCF file.")
+    return robot
+
+
+def _forces(config: ScenarioConfig) -> social_forces.Forces:
+    terms: list[Any] = []
+    for part in config.forces:
+        if isinstance(part, Named):
+            components.resolve(part, social_forces.PRESETS, "forces")
+            terms += social_forces.preset(part.kind)
+        else:
+            term = components.resolve(part, {}, "forces")
+            terms += term if isinstance(term, list | tuple | social_forces.Forces) else [term]
+    return social_forces.build(terms)
+
+
+def _situations(config: ScenarioConfig) -> tuple[tuple, classifiers.Thresholds]:
+    """((name, function), ...) and their thresholds: those of the first set, but for what the description says."""
+    known = {name: function for each in classifiers.SITUATION_SETS.values() for name, function in each.items()}
+    chosen: dict[str, Any] = {}
+    usual = None
+    for part in config.situations:
+        if isinstance(part, Named) and part.kind in classifiers.SITUATION_SETS:
+            chosen |= classifiers.SITUATION_SETS[part.kind]
+            usual = usual or classifiers.THRESHOLD_SETS[part.kind]
+        elif isinstance(part, Named):
+            name = part.kind
+            chosen[name] = components.resolve(part, classifiers.SITUATION_SETS | known, "situations")
+        else:
+            chosen[_name(part)] = classifiers.as_situation(components.resolve(part, {}, "situations"), _name(part))
+    if not chosen:
+        raise InputError("situations: none is given; give at least one, or a name like 'paper'.")
+    if len(chosen) > MAX_SITUATIONS:
+        raise InputError(f"situations: {len(chosen)} are more than {MAX_SITUATIONS}; give fewer.")
+    thresholds = (usual or classifiers.thresholds)()
+    fields = {field.name for field in dataclasses.fields(thresholds)}  # pyright: ignore[reportArgumentType]
+    changes = dict(config.thresholds or {})
+    for name in changes:
+        if name not in fields:
+            raise InputError(
+                f"thresholds: '{name}' is not one of {', '.join(fields)}{files.suggest(name, fields) or '.'}"
+            )
+    changes = {name: jnp.asarray(value, float) for name, value in changes.items()}
+    return tuple(chosen.items()), dataclasses.replace(thresholds, **changes)
+
+
+def _metrics(config: ScenarioConfig) -> tuple:
+    """((name, metric), ...)."""
+    chosen: dict[str, metrics.Metric] = {}
+    for part in config.metrics:
+        if isinstance(part, Named) and part.kind == "all":
+            chosen |= metrics.METRICS
+        elif isinstance(part, Named):
+            chosen[part.kind] = components.resolve(part, {"all": None, **metrics.METRICS}, "metrics")
+        else:
+            chosen[_name(part)] = metrics.as_metric(components.resolve(part, {}, "metrics"), _name(part))
+    return tuple(chosen.items())
+
+
+def _sensors(config: ScenarioConfig, robot: RobotModel) -> tuple:
+    return sensors.as_sensors((components.resolve(part, _ANY, "sensors") for part in config.sensors), robot)
+
+
+def _name(part: Component) -> str:
+    """What a part is called in results."""
+    return part.name if isinstance(part, OwnPart | Value) else part.kind
+
+
+class _Any(dict):
+    """A family whose names are the parts themselves: what they stand for is found later."""
+
+    def __contains__(self, name: object) -> bool:
+        return True
+
+    def __missing__(self, name: str) -> str:
+        return name
+
+
+_ANY = _Any()

@@ -1,0 +1,928 @@
+"""What every command is told, as one typed description: a scenario (section IV-B), a run, a collection, a training, ...
+
+The command line, ``config.yaml``, manifests, JSON Schema and ``make`` derive from these classes, so an option stands
+here and nowhere else. A component (behavior, task, robot, policy, ...) is described by its ``kind`` and by options of
+its own: ``{kind: graph, routing: edge}``, or ``GraphBehavior(routing="edge")``. Where a kind can stand, your own part
+can stand: ``my.py:thing`` (``components`` loads it), or in Python the part itself.
+
+Nothing here imports JAX or numpy, so that the command line answers at once.
+"""
+
+import datetime
+import re
+import typing
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial, reduce
+from numbers import Integral, Real
+from operator import or_
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import pydantic
+from pydantic import BeforeValidator, Discriminator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, Tag
+from pydantic.fields import FieldInfo
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, ErrorDetails, core_schema
+
+from sean_jax.errors import InputError
+from sean_jax.files.reading import suggest
+
+# The most that datasets and networks may hold: options go no further, and files that do are refused.
+MAX_HOURS = 1e6
+MAX_SHARD = 100_000  # episodes in a shard
+MAX_SIDE = 4_096  # pixels of a depth image's side, and the width of a network
+MAX_PIXELS = 4_000_000  # of a depth image
+MAX_PEOPLE = 100_000
+DAY = 86_400.0  # s
+
+OWN_PART = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
+
+USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcrafted",)}
+"""behavior -> its robot tasks in the paper's protocol (section V-B); of others it is random_ab_nav."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """Marks a number from ``low`` to ``high``; numpy's numbers count, and bool and text do not."""
+
+    low: float
+    high: float
+    unit: str = ""
+
+    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(partial(self.read, source), handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {**handler(schema), "minimum": self.low, "maximum": self.high}
+
+    def read(self, kind: type, value: Any) -> int | float:
+        """The number as a Python number.
+
+        Args:
+            kind: int or float.
+            value: anything.
+
+        Returns:
+            The same number.
+
+        Raises:
+            ValueError: it is no such number, or not within the limits.
+        """
+        if getattr(value, "shape", None) == () and hasattr(value, "item"):  # of numpy or JAX
+            value = value.item()
+        if isinstance(value, bool) or not isinstance(value, Integral if kind is int else Real):
+            raise ValueError(f"{short(value)} is not a {'whole ' if kind is int else ''}number")
+        number = kind(value)  # pyright: ignore[reportArgumentType]
+        if not self.low <= number <= self.high:
+            raise ValueError(f"{number} must be from {self.low:,g} to {self.high:,g}{self.unit and ' ' + self.unit}")
+        return number
+
+
+def _text(value: object) -> object:
+    return str(value) if isinstance(value, Path) else value
+
+
+def _compact(value: object) -> object:
+    """A component without options as its name."""
+    if isinstance(value, list):
+        return [_compact(each) for each in value]
+    return value["kind"] if isinstance(value, dict) and value.keys() == {"kind"} else value
+
+
+def short(value: object) -> str:
+    """A value as messages give it: not too long.
+
+    Args:
+        value: anything.
+
+    Returns:
+        At most 60 characters.
+    """
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+People = Annotated[int, Number(0, MAX_PEOPLE)]
+EpisodeCount = Annotated[int, Number(1, 2**31 - 1)]
+BatchSize = Annotated[int, Number(1, 2**24)]
+ShardSize = Annotated[int, Number(1, MAX_SHARD)]
+Seed = Annotated[int, Number(0, 2**32 - 1)]
+Count = Annotated[int, Number(1, 10**9)]
+Substeps = Annotated[int, Number(1, 1_000)]
+Side = Annotated[int, Number(8, MAX_SIDE)]
+Width = Annotated[int, Number(1, MAX_SIDE)]
+Share = Annotated[float, Number(0.0, 1.0)]
+OpenShare = Annotated[float, Number(1e-6, 1 - 1e-6)]
+Duration = Annotated[float, Number(0.0, DAY, "s")]
+TimeLimit = Annotated[float, Number(0.1, DAY, "s")]
+TimeStep = Annotated[float, Number(0.001, 1.0, "s")]
+Radius = Annotated[float, Number(0.01, 1_000.0, "m")]
+Distance = Annotated[float, Number(0.0, 10_000.0, "m")]
+Coordinate = Annotated[float, Number(-1e6, 1e6)]  # m or degrees
+Congestion = Annotated[float, Number(0.0, 1e6, "m2")]
+FrameRate = Annotated[float, Number(0.001, 1e4, "frames a second")]
+Hours = Annotated[float, Number(1e-6, MAX_HOURS, "h")]
+HoursOfMinutes = Annotated[float, Number(0.0166, MAX_HOURS, "h")]
+WalkingSpeed = Annotated[float, Number(0.0, 100.0, "m/s")]
+Threshold = Annotated[float, Number(-1e9, 1e9)]
+LearningRate = Annotated[float, Number(1e-12, 1.0)]
+Height = Annotated[float, Number(0.06, 100.0, "m")]
+TimingSeconds = Annotated[float, Number(1e-6, 1e5, "s")]
+Text = Annotated[str, BeforeValidator(_text), Field(min_length=1, max_length=4_096)]
+
+
+class Config(pydantic.BaseModel):
+    """A description: it cannot be changed, and has no key that it does not know."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    def replace(self, **changes: object) -> Self:
+        """The description with other values.
+
+        Args:
+            changes: field = value.
+
+        Returns:
+            Another description of the same class, checked anew.
+        """
+        return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
+
+    def decisive(self) -> dict[str, Any]:
+        """All fields that decide the results, as JSON has words for: what is recorded, and what is compared."""
+        names = {name for name, field in type(self).model_fields.items() if Incidental() not in field.metadata}
+        return {name: _compact(value) for name, value in self.model_dump(mode="json", include=names).items()}
+
+
+Described = typing.TypeVar("Described", bound=Config)
+
+
+@dataclass(frozen=True)
+class Incidental:
+    """Marks an option that decides nothing of the results, such as where they are written."""
+
+
+@dataclass(frozen=True)
+class Positional:
+    """Marks what stands right after the command, without its name."""
+
+
+# ------------------------------------------------------------------ components
+
+
+class Component(Config):
+    """A part of a scenario or run: its kind, and options of its own."""
+
+    kind: Text
+
+
+class Named(Component):
+    """A part without options: a name of ``sean list``; for a policy also the folder of a training."""
+
+
+class OwnPart(Component):
+    """Your own part, ``FILE.py:NAME``. With further keys, NAME is called with them and gives the part."""
+
+    model_config = pydantic.ConfigDict(extra="allow")
+
+    kind: Annotated[str, Field(pattern=f"^{OWN_PART.pattern}$".replace("?P<file>", "").replace("?P<name>", ""))]
+
+    @property
+    def file(self) -> str:
+        """The file, as it was given."""
+        return self.kind.rpartition(":")[0]
+
+    @property
+    def name(self) -> str:
+        """What is taken from the file."""
+        return self.kind.rpartition(":")[2]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The further keys."""
+        return dict(self.model_extra or {})
+
+
+class Value(Component):
+    """A value of a Python program, which no file can hold."""
+
+    kind: Literal["value"] = "value"
+    name: str = ""
+    value: Any = Field(default=None, exclude=True, repr=False)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {"not": {}}  # no file can hold one
+
+
+class GraphBehavior(Component):
+    """People walk, gather and disperse on the environment's behavior graph."""
+
+    kind: Literal["graph"] = "graph"
+    routing: Literal["whole", "edge"] = "whole"
+    """whole: the way to a goal is kept; edge: people choose anew at each node, as in SEAN 2.0's code."""
+    congestion_cost: Congestion = 0.0
+    """How much people avoid crowded edges: for each person per m2 an edge costs so many times more; try 10."""
+    walking_groups: tuple[Share, Share] = (0.0, 0.0)
+    """Shares of the people who walk in pairs and in triples."""
+
+
+class RandomBehavior(Component):
+    """People walk from one random place to another."""
+
+    kind: Literal["random"] = "random"
+    walking_groups: tuple[Share, Share] = (0.0, 0.0)
+    """Shares of the people who walk in pairs and in triples."""
+
+
+class HandcraftedBehavior(Component):
+    """People walk as the environment's handcrafted sets say."""
+
+    kind: Literal["handcrafted"] = "handcrafted"
+    sets: Text = "all"
+    """A set, a situation whose sets take part, or all."""
+
+
+class PlaybackBehavior(Component):
+    """People walk as they were recorded."""
+
+    kind: Literal["playback"] = "playback"
+    recording: Text | None = None
+    """A CSV file with the columns frame, id, x and y in metres."""
+    recording_format: Literal["eth_ucy", "juelich", "groups", "csv"] | None = None
+    """Format of the recording; recognised by default if it tells velocities."""
+    frame_rate: FrameRate | None = None
+    """Frames a second of the recording; those of its format by default."""
+
+
+class CustomTask(Component):
+    """From a start of your own to a goal of your own."""
+
+    kind: Literal["custom"] = "custom"
+    start: tuple[Coordinate, ...] | None = None
+    """x and y in metres, and a heading in degrees if you like."""
+    goal: tuple[Coordinate, ...] | None = None
+    """x and y in metres, and a heading in degrees if you like."""
+
+    @pydantic.field_validator("start", "goal")
+    @classmethod
+    def _pose(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if value is not None and len(value) not in (2, 3):
+            raise ValueError(f"has {len(value)} numbers; give x and y, and a heading in degrees if you like")
+        return value
+
+
+@dataclass(frozen=True)
+class Family:
+    """The components that can stand in a field, by which the command line offers their options."""
+
+    variants: tuple[type[Component], ...]
+    singular: str | None = None  # of a field with several, the option that adds one
+
+    several: bool = False
+
+    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
+        tagged = [Annotated[each, Tag(each.__name__)] for each in (*self.variants, OwnPart, Value)]
+        union: Any = Annotated[reduce(or_, tagged), Discriminator(self._tag)]  # type: ignore[arg-type]
+        one = core_schema.no_info_before_validator_function(self._read, handler.generate_schema(union))
+        if not (self.several or self.singular):
+            return one
+        many = core_schema.tuple_variable_schema(one, min_length=1 if self.several else 0)
+        return core_schema.no_info_before_validator_function(self._read_several, many)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {"anyOf": [{"type": "string"}, handler(schema)]}
+
+    def _read(self, value: object) -> object:
+        """What a component is made of: a mapping with a kind, or the component itself."""
+        if isinstance(value, Component):
+            return value
+        if isinstance(value, str | Path):
+            value = {"kind": str(value)}
+        if not isinstance(value, Mapping):
+            name = getattr(value, "__name__", None) or getattr(value, "name", None) or type(value).__name__
+            return Value(value=value, name=str(name))
+        kind = value.get("kind")
+        if kind == "value":
+            raise ValueError("was a value of a Python program, which no file holds; put it into a file of its own")
+        if not isinstance(kind, str):
+            raise ValueError(f"{short(dict(value))} has no kind; there are {', '.join(self.kinds)}")
+        if not is_own_part(kind) and self.variant(kind) is None:
+            raise ValueError(f"'{kind}' is not one of {', '.join(self.kinds)}{suggest(kind, self.kinds)}")
+        return dict(value)
+
+    def _read_several(self, value: object) -> object:
+        """Several components: a mapping has names of values, and a text commas between names."""
+        if isinstance(value, str):
+            return [part.strip() for part in value.split(",") if part.strip()]
+        if isinstance(value, Mapping) and "kind" not in value:
+            named = value.items()
+            return [each if isinstance(each, str) else Value(value=each, name=str(name)) for name, each in named]
+        if isinstance(value, Iterable) and not isinstance(value, Component | Mapping):
+            return list(value)
+        return [value]
+
+    def _tag(self, value: Component | Mapping[str, str]) -> str:
+        if isinstance(value, Component):
+            return type(value).__name__
+        kind = value["kind"]
+        variant = OwnPart if is_own_part(kind) else self.variant(kind)
+        return variant.__name__ if variant is not None else ""
+
+    @property
+    def kinds(self) -> list[str]:
+        """The names that have options of their own, or no other description."""
+        return [variant.model_fields["kind"].default for variant in self.variants if _is_one_kind(variant)]
+
+    def variant(self, kind: str) -> type[Component] | None:
+        """What describes a component of that kind.
+
+        Args:
+            kind: a name.
+
+        Returns:
+            Its class; None if no component of the family has that name.
+        """
+        for variant in self.variants:
+            if not _is_one_kind(variant) or variant.model_fields["kind"].default == kind:
+                return variant
+        return None
+
+    def options(self) -> dict[str, list[type[Component]]]:
+        """Option -> the components that have it."""
+        found: dict[str, list[type[Component]]] = {}
+        for variant in self.variants:
+            for name in variant.model_fields:
+                if name != "kind":
+                    found.setdefault(name, []).append(variant)
+        return found
+
+
+def _is_one_kind(variant: type[Component]) -> bool:
+    return not variant.model_fields["kind"].is_required()
+
+
+def is_own_part(kind: object) -> bool:
+    """Whether a kind stands for a part in a file, ``FILE.py:NAME``.
+
+    Args:
+        kind: of a component.
+
+    Returns:
+        True or False.
+    """
+    return isinstance(kind, str) and OWN_PART.fullmatch(kind) is not None
+
+
+Forces = Annotated[tuple[Component, ...], Family((Named,), "force")]
+Situations = Annotated[tuple[Component, ...], Family((Named,), "situation")]
+Metrics = Annotated[tuple[Component, ...], Family((Named,), "metric")]
+Sensors = Annotated[tuple[Component, ...], Family((Named,), "sensor")]
+BehaviorPart = Annotated[
+    GraphBehavior | RandomBehavior | HandcraftedBehavior | PlaybackBehavior | Named | OwnPart | Value,
+    Family((GraphBehavior, RandomBehavior, HandcraftedBehavior, PlaybackBehavior, Named)),
+]
+Part = Annotated[Named | OwnPart | Value, Family((Named,))]
+Tasks = Annotated[tuple[Component, ...], Family((CustomTask, Named), several=True)]
+
+
+# ------------------------------------------------------------------ descriptions
+
+
+class ScenarioConfig(Config):
+    """A physical environment, a pedestrian behavior and a robot task (section IV-B), and all that belongs to them."""
+
+    environment: Text = "warehouse"
+    """Physical environment: a name, or the folder of your own."""
+    behavior: BehaviorPart = GraphBehavior()
+    """Pedestrian behavior: who goes where."""
+    task: Tasks | None = None
+    """Robot task; several, separated by commas, take turns. By default join_group,leave_group with behavior graph,
+    handcrafted with handcrafted, custom if a start and a goal are given, else random_ab_nav."""
+    robot: Part = Named(kind="kuri")
+    """Robot: a name, or an MJCF file."""
+    dynamics: Literal["mjx", "twin"] = "mjx"
+    """How the robot moves: mjx, or its closed-form twin, which is faster."""
+    people: People | None = None
+    """Number of people; the environment's own number by default (62 in the warehouse)."""
+    model: Part = Named(kind="social_forces")
+    """How people move."""
+    forces: Forces = (Named(kind="helbing1995"),)
+    """Social forces: the terms of a preset, and further ones."""
+    situations: Situations = (Named(kind="paper"),)
+    """Which social situations are told apart: a set, and further ones."""
+    thresholds: dict[str, Threshold] | None = None
+    """Thresholds of the situation classifiers that differ from those of the set."""
+    metrics: Metrics = (Named(kind="all"),)
+    """What is measured: all of the package, and further ones."""
+    sensors: Sensors = ()
+    """Sensors that a policy can read with sean_jax.sense."""
+    time_step: TimeStep = 0.1
+    """Step of control in seconds."""
+    time_limit: TimeLimit = 120.0
+    """Longest duration of an episode in seconds."""
+    goal_radius: Radius = 1.2
+    """Distance in metres within which the goal counts as reached (SEAN 2.0: 1.2)."""
+    hold_time: Duration = 5.0
+    """Seconds to be spent there for the task to be completed (SEAN 2.0: 5)."""
+    task_distance: tuple[Distance, Distance] = (4.0, 20.0)
+    """Shortest and longest path in metres from start to goal."""
+    substeps: Substeps | None = None
+    """Steps of the social forces in a step of control; as many as their stiffness needs by default."""
+
+    @pydantic.field_validator("thresholds", mode="before")
+    @classmethod
+    def _as_dict(cls, value: object) -> object:
+        if not hasattr(value, "__dataclass_fields__"):
+            return value
+        return {name: float(number) for name, number in vars(value).items() if number is not None}
+
+    @pydantic.model_validator(mode="after")
+    def _check(self) -> "ScenarioConfig":
+        if not self.task_distance[0] < self.task_distance[1]:
+            raise ValueError(f"task_distance: {self.task_distance} must be a shorter and a longer distance in metres")
+        if self.time_limit < self.time_step:
+            raise ValueError(f"time_limit: {self.time_limit:g} must be at least the time step of {self.time_step:g} s")
+        return self
+
+    @property
+    def tasks(self) -> tuple[Component, ...]:
+        """The tasks, or those that the paper gives robots among people of that behavior."""
+        if self.task is not None:
+            return self.task
+        return tuple(Named(kind=name) for name in USUAL_TASKS.get(self.behavior.kind, ("random_ab_nav",)))
+
+    def decisive(self) -> dict[str, Any]:
+        """All that decides the results, as JSON has words for: what manifests hold, and what is compared."""
+        return super().decisive() | {"task": [_compact(task.model_dump(mode="json")) for task in self.tasks]}
+
+
+class RunConfig(ScenarioConfig):
+    """Simulate a batch of episodes and write a table, a report and an animation. `sean list` names the choices."""
+
+    policy: Part = Named(kind="go_to_goal")
+    """Who drives the robot: a name, or the folder that `sean train` has written."""
+    episodes: EpisodeCount = 64
+    """Number of episodes."""
+    seed: Seed = 0
+    """The same seed gives the same episodes."""
+    batch: BatchSize = 1024
+    """Most episodes that are simulated at once."""
+    camera: Annotated[Text | None, Incidental()] = None
+    """Also write camera.gif, the first episode as first_person, third_person, overhead or depth sees it."""
+    renderer: Annotated[Literal["rays", "mujoco"] | None, Incidental()] = None
+    """What draws camera.gif: rays, the default, or mujoco, which needs OpenGL."""
+    name: Annotated[str, Incidental()] = ""
+    """Name of the run, environment and behavior by default: the end of the folder's name."""
+    out: Annotated[Path | None, Incidental()] = None
+    """Folder to write, runs/<date>-<time>-<name> by default: a new or an empty one, or one that holds an unfinished run
+    of the same options, which goes on."""
+    quiet: Annotated[bool, Incidental()] = False
+    """Print nothing but errors."""
+
+    @pydantic.model_validator(mode="after")
+    def _check_renderer(self) -> "RunConfig":
+        if self.renderer is not None and self.camera is None:
+            raise ValueError("renderer: it draws camera.gif, which needs a camera: add --camera first_person")
+        return self
+
+    def folder(self, now: str) -> Path:
+        """The folder to write.
+
+        Args:
+            now: date and time for its name.
+
+        Returns:
+            ``out``, or a folder in runs/.
+        """
+        name = self.name or f"{Path(self.environment).name}-{Path(self.behavior.kind).stem}"
+        label = "".join(c if c.isalnum() or c in "-_." else "-" for c in name)
+        return self.out or Path("runs") / f"{now}-{label}"
+
+
+class CollectConfig(ScenarioConfig):
+    """Record demonstrations: what a driver sees and does, once a second. A folder that has some is continued."""
+
+    metrics: Annotated[tuple[Named, ...], Incidental()] = ()
+    """Nothing is measured while demonstrations are recorded."""
+    policy: Part = Named(kind="expert")
+    """Who drives: a name, or the folder that `sean train` has written."""
+    hours: Annotated[Hours, Incidental()] = 1.0
+    """Hours of demonstrations; several tasks get the same time, and so do the five situations of handcrafted people."""
+    width: Side = 64
+    """Width of the depth images in pixels."""
+    height: Side = 48
+    """Height of the depth images in pixels."""
+    batch: Annotated[ShardSize | None, Incidental()] = None
+    """Episodes that are simulated at once and stored in one file; by the device and the time asked for by default."""
+    seed: Seed = 0
+    """The same seed gives the same demonstrations."""
+    out: Annotated[Path | None, Incidental()] = None
+    """Folder of the dataset, runs/demonstrations-<environment>-<behavior>-<policy>-<seed> by default. If it holds one
+    of the same options, that is continued."""
+    quiet: Annotated[bool, Incidental()] = False
+    """Print nothing but errors."""
+
+    @pydantic.model_validator(mode="after")
+    def _check_recorded(self) -> "CollectConfig":
+        if self.width * self.height > MAX_PIXELS:
+            size = f"{self.width} times {self.height} are more than {MAX_PIXELS:,} pixels"
+            raise ValueError(f"width: {size}; ask for fewer")
+        if self.behavior.kind == "playback":
+            raise ValueError("behavior: playback is not recorded; choose behavior graph, random or handcrafted")
+        if any(task.kind == "custom" for task in self.tasks):
+            raise ValueError("task: custom is not recorded; choose another task")
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the dataset."""
+        names = (
+            Path(self.environment).name,
+            Path(self.behavior.kind).stem,
+            Path(self.policy.kind).stem,
+            str(self.seed),
+        )
+        return self.out or Path("runs") / "-".join(("demonstrations", *names))
+
+
+class TrainConfig(Config):
+    """Train a network on a dataset. A folder that has a training of the same options is continued."""
+
+    method: Annotated[Literal["imitation"], Positional(), Incidental()]
+    """How: imitation of what the demonstrations do."""
+    dataset: Annotated[Path, Positional(), Incidental()]
+    """Folder that `sean collect` has written."""
+    flags: bool = False
+    """Let the network know which social situations occur."""
+    balance: bool = False
+    """Draw examples so that all social situations are as frequent as one another."""
+    width: Width = 64
+    """Width of the encodings and hidden layers."""
+    batch: BatchSize = 1024
+    """Examples in a step."""
+    learning_rate: LearningRate = 1e-3
+    """Learning rate of AdamW."""
+    weight_decay: Share = 0.01
+    """Weight decay of AdamW."""
+    patience: Annotated[Count, Incidental()] = 50
+    """Epochs without a smaller loss in validation, after which training stops."""
+    epochs: Annotated[Count, Incidental()] = 1000
+    """Most epochs."""
+    validation: OpenShare = 0.1
+    """Share of the episodes that validate."""
+    on_device: Annotated[Share, Incidental()] = 0.6
+    """Share of the device's memory that a dataset may fill; a larger one is read from disk again and again."""
+    seed: Seed = 0
+    """The same seed gives the same network."""
+    out: Annotated[Path | None, Incidental()] = None
+    """Folder for checkpoints and metrics, runs/imitation-<dataset>-<seed> by default. If it holds a training of the
+    same options, that is continued."""
+    quiet: Annotated[bool, Incidental()] = False
+    """Print nothing but errors."""
+
+    @property
+    def folder(self) -> Path:
+        """The folder for checkpoints and metrics."""
+        return self.out or Path("runs") / f"imitation-{self.dataset.resolve().name}-{self.seed}"
+
+
+class ExportConfig(Config):
+    """Write a dataset in another project's format."""
+
+    format: Annotated[Literal["lerobot"], Positional()]
+    """Which: lerobot is LeRobotDataset v3.0."""
+    dataset: Annotated[Path, Positional()]
+    """Folder that `sean collect` has written."""
+    out: Path
+    """Folder to write; it must be new or empty."""
+    quiet: bool = False
+    """Print nothing but errors."""
+
+    @property
+    def folder(self) -> Path:
+        """The folder to write."""
+        return self.out
+
+
+class ExperimentConfig(Config):
+    """Table I or Figure 4 of the paper, beside its own numbers, as a report. A folder that has a part is continued."""
+
+    which: Annotated[Literal["table1", "figure4"], Positional()]
+    """table1: how much of the time the robot is in each social situation. figure4: four policies in three scenarios."""
+    quick: bool = False
+    """Small enough for a CPU and ten minutes: less time, fewer seeds and episodes, smaller images."""
+    environment: Text = "warehouse"
+    """Physical environment: a name, or the folder of your own."""
+    policies: Text = "go_to_goal,social_costmap,expert"
+    """Of table1: who drives, separated by commas."""
+    demonstrator: Text = "expert"
+    """Of figure4: who demonstrates."""
+    hours: HoursOfMinutes | None = None
+    """Hours for each behavior, 1 by default: of each seed in table1, of demonstrations in figure4."""
+    seeds: Count | None = None
+    """Of table1: how many times, 10 by default."""
+    speeds: Annotated[tuple[WalkingSpeed, ...], Field(min_length=1)] = (1.4, 1.2, 1.0, 0.8, 0.6, 0.4)
+    """Of table1: who is faster counts as walking, V in m/s; the first is that of the table."""
+    crowds: tuple[People, ...] | None = None
+    """Of table1: other numbers of people to try, 10, 20, 40 and 100 by default."""
+    episodes: EpisodeCount | None = None
+    """Of figure4: for each policy in each scenario, 123 by default."""
+    people: People | None = None
+    """Number of people of random and graph; the environment's own by default (62 in the warehouse)."""
+    robot: Part = Named(kind="kuri")
+    """Robot: a name, or an MJCF file."""
+    dynamics: Literal["mjx", "twin"] = "mjx"
+    """How the robot moves: mjx, or its closed-form twin, which is faster."""
+    time_limit: TimeLimit = 120.0
+    """Longest duration of an episode in seconds."""
+    epochs: Count | None = None
+    """Of figure4: most epochs of training, 1000 by default."""
+    seed: Seed = 0
+    """The same seed gives the same results."""
+    out: Annotated[Path | None, Incidental()] = None
+    """Folder for the results, runs/EXPERIMENT by default. If it holds a part of the same options, that is continued."""
+    quiet: Annotated[bool, Incidental()] = False
+    """Print nothing but errors."""
+
+    @property
+    def folder(self) -> Path:
+        """Where the results go."""
+        return self.out or Path("runs") / (self.which + ("-quick" if self.quick else ""))
+
+    def complete(self) -> "ExperimentConfig":
+        """The description with numbers for what was left open."""
+        full: dict[str, object] = dict(hours=1.0, seeds=10, episodes=123, epochs=1000, crowds=(10, 20, 40, 100))
+        quick: dict[str, object] = dict(hours=0.05, seeds=2, episodes=12, epochs=30, crowds=())
+        missing = {k: v for k, v in (quick if self.quick else full).items() if getattr(self, k) is None}
+        return self.replace(**missing)
+
+
+class BenchConfig(Config):
+    """Measure speed on this machine and write it as a table, as JSON and as a picture."""
+
+    environment: Text = "warehouse"
+    """Physical environment: a name, or the folder of your own."""
+    people: People | None = None
+    """Number of people; the environment's own number by default (62 in the warehouse)."""
+    robot: Part = Named(kind="kuri")
+    """Robot: a name, or an MJCF file."""
+    dynamics: Literal["mjx", "twin"] = "mjx"
+    """How the robot moves: mjx, or its closed-form twin, which is faster."""
+    only: Text = "step,depth,images,pictures,crowd,compile,devices"
+    """Parts to measure, separated by commas."""
+    batches: tuple[BatchSize, ...] = ()
+    """Numbers of scenarios at once; by default 1 to 256 on a CPU and 1 to 65536 on a GPU."""
+    repeats: Count = 5
+    """Times that each is timed, of which the median counts."""
+    seconds: TimingSeconds = 1.0
+    """About how long one timing takes."""
+    out: Annotated[Path | None, Incidental()] = None
+    """Folder to write, by default sean-bench-DATE-TIME."""
+    quiet: Annotated[bool, Incidental()] = False
+    """Print nothing but errors."""
+
+    @pydantic.field_validator("only")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        known = cls.model_fields["only"].default.split(",")
+        for part in [part.strip() for part in value.split(",") if part.strip()] or ["nothing"]:
+            if part not in known:
+                raise ValueError(f"{part!r} is not one of {', '.join(known)}{suggest(part, known)}")
+        return value
+
+    @property
+    def parts(self) -> list[str]:
+        """The names in ``only``."""
+        return [part.strip() for part in self.only.split(",") if part.strip()]
+
+    def folder(self) -> Path:
+        """Where the results go."""
+        return self.out or Path(f"sean-bench-{datetime.datetime.now():%Y%m%d-%H%M%S}")
+
+
+class DrawConfig(Config):
+    """Draw what people do in the environments: their behavior graphs, or all handcrafted sets."""
+
+    graph: bool = False
+    """The behavior graph, with its groups seated."""
+    handcrafted: bool = False
+    """The handcrafted sets, one panel each."""
+    environment: Text | None = None
+    """Environment: a name, or the folder of your own; all that come with the package by default."""
+    out: Path | None = None
+    """File to write, such as sheet.png or sheet.svg; of several environments, each adds its name."""
+
+
+class ImportMapConfig(Config):
+    """Make an environment of a ROS map, the YAML file of a map_server with its image."""
+
+    map: Annotated[Path, Positional()]
+    """YAML file of the map."""
+    out: Path
+    """Folder to write; it must be new or empty. Its path then serves as --environment."""
+    people: People | None = None
+    """Default number of people; one for each 25 m2 of free floor by default."""
+    height: Height = 2.0
+    """Height of all obstacles in metres, for a map has none."""
+    unknown: Literal["obstacle", "free"] = "obstacle"
+    """What cells are that the map does not know."""
+
+
+class ListConfig(Config):
+    """What there is to choose from for each option."""
+
+
+class SchemaConfig(Config):
+    """Print the JSON Schema of config.yaml, by which editors complete and check it."""
+
+
+COMMANDS: dict[str, type[Config]] = {
+    "run": RunConfig,
+    "collect": CollectConfig,
+    "train": TrainConfig,
+    "experiment": ExperimentConfig,
+    "export": ExportConfig,
+    "draw": DrawConfig,
+    "import-map": ImportMapConfig,
+    "bench": BenchConfig,
+    "list": ListConfig,
+    "schema": SchemaConfig,
+}
+"""Word of the command line -> what it is told."""
+
+
+# ------------------------------------------------------------------ what is wrong with a description
+
+
+def family_of(field: FieldInfo) -> Family | None:
+    """The components that can stand in a field.
+
+    Args:
+        field: of a description, as pydantic describes it.
+
+    Returns:
+        Their family; None if it holds no component.
+    """
+    found = [each for each in field.metadata if isinstance(each, Family)]
+    for kind in typing.get_args(field.annotation):  # such as Tasks | None
+        found += [each for each in getattr(kind, "__metadata__", ()) if isinstance(each, Family)]
+    return found[0] if found else None
+
+
+def gather(
+    model: type[Config],
+    values: Mapping[str, object],
+    base: Mapping[str, object] | None = None,
+    named: Callable[[str], str] = str,
+) -> dict[str, Any]:
+    """Fields of a description from values among which options of components stand beside them.
+
+    So ``behavior="graph", routing="edge"`` is ``behavior={"kind": "graph", "routing": "edge"}``, as for the commands.
+
+    Args:
+        model: the class of the description.
+        values: field or option -> value.
+        base: fields for what is not given.
+        named: field or option -> how messages name it.
+
+    Returns:
+        field -> value.
+
+    Raises:
+        InputError: an option does not belong to the chosen component.
+    """
+    data, values = dict(base or {}), dict(values)
+    for name, field in model.model_fields.items():
+        family = family_of(field)
+        owners = {} if family is None else family.options()
+        options = {
+            option: values.pop(option) for option in owners if option in values and option not in model.model_fields
+        }
+        if name in values:
+            data[name] = values.pop(name)
+        if options and family is not None:
+            data[name] = _with_options(name, data.get(name), field.get_default(), options, family, named)
+    return data | values
+
+
+def _with_options(
+    name: str, chosen: Any, default: object, options: dict[str, object], family: Family, named: Callable[[str], str]
+) -> Any:
+    """A component together with options that stand beside it."""
+    if family.several:
+        chosen = chosen[0] if isinstance(chosen, list | tuple) and len(chosen) == 1 else chosen
+        if chosen is None and len(options) == len(family.options()):
+            chosen = family.kinds[0]
+    elif chosen is None:
+        chosen = default
+    if isinstance(chosen, Component) and not isinstance(chosen, Value):
+        chosen = {key: getattr(chosen, key) for key in type(chosen).model_fields}
+    if isinstance(chosen, str):
+        chosen = {"kind": chosen}
+    kind = chosen.get("kind") if isinstance(chosen, Mapping) else None
+    owners = family.options()
+    variant = family.variant(kind) if isinstance(kind, str) else None
+    for option in options:
+        if is_own_part(kind) or (variant is not None and variant in owners[option]) or variant is None and kind:
+            continue
+        kinds = " or ".join(f"'{owner.model_fields['kind'].default}'" for owner in owners[option])
+        what = f"{name} '{kind}'" if kind else f"the default {name}" if chosen is None else f"a {name} of your own"
+        raise InputError(f"{named(option)}: {what} has no such option; choose {name} {kinds}.")
+    assert isinstance(chosen, Mapping)  # else an option was refused above
+    return {**chosen, **options}
+
+
+def validate(model: type[Described], data: Mapping[str, object], named: Callable[[str], str] = str) -> Described:
+    """The description, checked.
+
+    Args:
+        model: its class.
+        data: field -> value.
+        named: field -> how messages name it.
+
+    Returns:
+        An instance of the model.
+
+    Raises:
+        InputError: one sentence for the first thing that is wrong: field, value, cure.
+    """
+    try:
+        return model.model_validate(dict(data))
+    except pydantic.ValidationError as error:
+        raise InputError(sentence(model, error.errors(include_url=False)[0], named)) from None
+
+
+_TYPES = {  # of pydantic's errors -> what the value should be
+    "string_type": "a text",
+    "tuple_type": "a list",
+    "dict_type": "a mapping",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "path_type": "a path",
+}
+
+
+def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], str] = str) -> str:
+    """pydantic's error as one sentence.
+
+    Args:
+        model: what was validated.
+        error: one of ``ValidationError.errors()``.
+        named: field -> how the sentence names it.
+
+    Returns:
+        It names field, value and cure.
+    """
+    classes = {each.__name__: each for each in _component_classes(model)}
+    path = [part for part in error["loc"] if part not in classes]
+    owner = next((classes[part] for part in reversed(error["loc"]) if part in classes), model)
+    kind, context = error["type"], error.get("ctx", {})
+    place = ".".join(str(part) for part in path[1:] if isinstance(part, str))
+    head = named(str(path[0])) if path else ""
+    if place and place in owner.model_fields and named is not str:
+        head, place = named(place), ""  # an option of a component is a flag of its own
+    value = short(error["input"])
+    if kind == "value_error":
+        text = str(context["error"])
+        if not path:
+            first, _, rest = text.partition(": ")
+            return f"{named(first)}: {rest}."
+    elif kind == "extra_forbidden":
+        known = list(owner.model_fields)
+        word = str(error["loc"][-1])
+        text = f"{short(word)} is not a known key{suggest(word, known) or '; there are ' + ', '.join(known)}"
+        head, place = ("", "") if len(path) == 1 else (head, ".".join(map(str, path[1:-1])))
+    elif kind == "missing":
+        text = "is missing; add it"
+    elif kind == "literal_error":
+        choices = [str(each) for each in _choices(owner, error["loc"][-1])]
+        text = f"{value} is not one of {', '.join(choices)}{suggest(str(error['input']), choices)}"
+    elif kind == "too_short":
+        text = "names nothing; `sean list` shows what there is"
+    elif kind == "invalid_key":
+        head = "" if len(path) == 1 else head
+        text = f"the key {short(error['loc'][-1])} is not a text; put it in quotes"
+    elif kind in _TYPES:
+        text = f"{value} is not {_TYPES[kind]}"
+    elif kind in ("too_long", "string_too_long"):
+        text = f"{value} is too long; {context['max_length']:,} are the most"
+    else:
+        text = f"{value} cannot be; {error['msg'][0].lower()}{error['msg'][1:]}"
+    start = ": ".join(part for part in (f"{head}{'.' if head and place else ''}{place}",) if part)
+    end = "" if text.endswith(("?", ".")) else "."
+    return f"{start}: {text}{end}" if start else f"{text}{end}"
+
+
+def _component_classes(model: type[Config]) -> list[type[Component]]:
+    found: list[type[Component]] = [OwnPart, Value]
+    for field in model.model_fields.values():
+        family = family_of(field)
+        found += family.variants if family is not None else ()
+    return found
+
+
+def _choices(owner: type[Config], name: str | int) -> tuple[object, ...]:
+    field = owner.model_fields.get(str(name))
+    kinds = [field.annotation, *typing.get_args(field.annotation)] if field is not None else []
+    return next((typing.get_args(kind) for kind in kinds if typing.get_origin(kind) is Literal), ())

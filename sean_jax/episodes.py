@@ -1,0 +1,180 @@
+"""Whole episodes in one call (section IV): a scan over steps, to be vmapped over keys or states.
+
+Episodes end by themselves (``rollout``, ``simulate``) or follow one another (``rollout_autoreset``). A reset inside
+every step would be computed for every scenario at every step, and make stepping three times slower. So an episode that
+has ended is replaced by a copy of one of the starts of a pool. Its chance is its own: the streams of the new episode
+come from the one that ended, so no two episodes are equal although two may begin alike.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import PyTree
+
+from sean_jax import prng
+from sean_jax.base import Array, PolicyLike, Scenario, State, as_policy
+from sean_jax.scenario import frame, reset, step
+
+
+def rollout(
+    scenario: Scenario, policy: PolicyLike, key: Array, steps: int, record: Callable = frame
+) -> tuple[State, PyTree]:
+    """An episode from its reset.
+
+    Args:
+        scenario: what is simulated.
+        policy: who drives.
+        key: () typed PRNG key of the episode.
+        steps: how many steps of control; static.
+        record: (before, after, action) -> what is kept of a step, a pytree; ``base.Trajectory`` unless told otherwise.
+
+    Returns:
+        The last state, and what was recorded, stacked (steps, ...). An episode that has ended goes on with its metrics
+        standing still: ``Trajectory.active`` tells.
+    """
+    return simulate(scenario, policy, init_policy(scenario, policy, reset(scenario, key)), steps, record)
+
+
+def simulate(
+    scenario: Scenario, policy: PolicyLike, state: State, steps: int, record: Callable = frame
+) -> tuple[State, PyTree]:
+    """As ``rollout``, from a state that holds the memory of the policy.
+
+    Args:
+        scenario: what is simulated.
+        policy: who drives.
+        state: where to begin; ``init_policy`` puts the memory of a policy there.
+        steps: how many steps of control; static.
+        record: (before, after, action) -> what is kept of a step.
+
+    Returns:
+        The last state, and what was recorded, stacked (steps, ...).
+    """
+    policy = as_policy(policy)
+
+    def one(before: State, _) -> tuple[State, PyTree]:
+        after, action = policy_step(scenario, policy, before)
+        return after, record(before, after, action)
+
+    return jax.lax.scan(one, state, length=steps)
+
+
+def init_policy(scenario: Scenario, policy: PolicyLike, state: State) -> State:
+    """The state with the memory of a policy at the beginning of an episode.
+
+    Args:
+        scenario: what is simulated.
+        policy: who will drive.
+        state: the first of the episode, or one from which the policy takes over.
+
+    Returns:
+        The state with a new ``policy_state``.
+    """
+    policy = as_policy(policy)
+    return replace(state, policy_state=policy.init(scenario, policy.params, state))
+
+
+def policy_step(scenario: Scenario, policy: PolicyLike, state: State) -> tuple[State, Array]:
+    """One step of control with the command of a policy, whose chance is a stream of the episode's own.
+
+    Args:
+        scenario: what is simulated.
+        policy: who drives.
+        state: that holds the memory of the policy (``init_policy``).
+
+    Returns:
+        The state one step later, and the command (2,) [m/s, rad/s].
+    """
+    policy = as_policy(policy)
+    key = jax.random.fold_in(state.streams.policy, state.tick)
+    action, memory = policy.apply(scenario, policy.params, state, key)
+    action = jnp.asarray(action, state.robot.position.dtype)
+    return step(scenario, replace(state, policy_state=memory), action), action
+
+
+@struct.dataclass
+class ResetPool:
+    """Starts from which ended episodes go on."""
+
+    starts: State  # (K, ...)
+
+
+def reset_pool(scenario: Scenario, key: Array, size: int, policy: PolicyLike | None = None) -> ResetPool:
+    """A pool of starts; wrap it in ``jax.jit`` with ``size`` static.
+
+    Args:
+        scenario: what is simulated.
+        key: () typed PRNG key.
+        size: how many starts.
+        policy: who will drive, if it remembers anything: each start holds its memory.
+
+    Returns:
+        The pool.
+    """
+
+    def one(key: Array) -> State:
+        state = reset(scenario, key)
+        return state if policy is None else init_policy(scenario, policy, state)
+
+    return ResetPool(jax.vmap(one)(jax.random.split(key, size)))
+
+
+def autoreset(pool: ResetPool, state: State) -> State:
+    """The state; or, if its episode has ended, one of the pool's starts with streams of its own.
+
+    Args:
+        pool: starts of episodes of the same scenario.
+        state: after a step.
+
+    Returns:
+        A state whose episode goes on.
+    """
+    choice_key, streams_key = jax.random.split(jax.random.fold_in(state.streams.restart, state.tick))
+    fresh = draw_start(pool, choice_key, streams_key)
+    over = state.completed | state.timed_out
+    return jax.tree.map(lambda old, new: jnp.where(over, new, old), state, fresh)
+
+
+def draw_start(pool: ResetPool, choice_key: Array, streams_key: Array) -> State:
+    """One of the pool's starts, with chance of its own.
+
+    Args:
+        pool: starts of episodes.
+        choice_key: () typed PRNG key that chooses the start.
+        streams_key: () typed PRNG key of what happens in the episode.
+
+    Returns:
+        The first state of an episode.
+    """
+    chosen = jax.random.randint(choice_key, (), 0, pool.starts.tick.shape[0], jnp.int32)
+    start = jax.tree.map(lambda leaf: leaf[chosen], pool.starts)
+    return replace(start, streams=prng.streams(streams_key))
+
+
+def rollout_autoreset(
+    scenario: Scenario, policy: PolicyLike, pool: ResetPool, state: State, steps: int, record: Callable = frame
+) -> tuple[State, PyTree]:
+    """As ``simulate``, but episodes follow one another: who trains a policy steps like this.
+
+    Args:
+        scenario: what is simulated.
+        policy: who drives.
+        pool: where ended episodes go on.
+        state: where to begin.
+        steps: how many steps of control; static.
+        record: (before, after, action) -> what is kept of a step. It sees the last step of an episode before the reset,
+            so ``after`` tells how it ended; ``Trajectory.active`` is true throughout.
+
+    Returns:
+        The last state, and what was recorded, stacked (steps, ...).
+    """
+    policy = as_policy(policy)
+
+    def one(before: State, _) -> tuple[State, PyTree]:
+        after, action = policy_step(scenario, policy, before)
+        return autoreset(pool, after), record(before, after, action)
+
+    return jax.lax.scan(one, state, length=steps)

@@ -1,0 +1,97 @@
+"""What there is to choose from: ``sean list``, read from the dicts that hold the choices."""
+
+import inspect
+import re
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+
+DYNAMICS = {
+    "mjx": "Rigid bodies move in MuJoCo's MJX, on wheels with tyres.",
+    "twin": "The same law moves it in closed form: faster, and easier to differentiate.",
+}
+
+
+def print_choices() -> None:
+    """Every option of ``sean run`` that takes a name, each of its names and one line on it."""
+    console = Console()
+    for option, choices in offered():
+        console.print(Text(f"--{option}", "bold"))
+        width = max(len(name) for name in choices)
+        for name, line in choices.items():
+            _print(console, f"  {name:<{width}}  ", line)
+    console.print(Text.assemble(("metrics", "bold"), " that are measured"))
+    _print(console, "  ", ", ".join(measured()))
+
+
+def _print(console: Console, name: str, text: str) -> None:
+    """A name and what it is, wrapped behind the name where a terminal is wide enough, and as it is in a file."""
+    if not console.is_terminal:
+        console.print(Text(name + text), soft_wrap=True)
+        return
+    room = console.width - len(name)
+    behind = room >= 30
+    lines = textwrap.wrap(text, room if behind else max(20, console.width - 4))
+    indent = " " * (len(name) if behind else 4)
+    first, rest = (lines[0], lines[1:]) if behind else ("", lines)
+    console.print(Text.assemble((name, "bold cyan"), first, *(f"\n{indent}{line}" for line in rest)), soft_wrap=True)
+
+
+def offered() -> Iterator[tuple[str, dict[str, str]]]:
+    """Option and {name: line} for each."""
+    from sean_jax import behaviors, classifiers, environment, pedestrian_models, policies, robots, social_forces, tasks
+
+    yield "environment", {name: _environment(environment.find(name)) for name in environment.available()}
+    yield "behavior", {name: _documented(value) for name, value in behaviors.BEHAVIORS.items()}
+    yield "routing", {name: _documented(value) for name, value in behaviors.graph_behavior.ROUTINGS.items()}
+    yield "task", {name: _documented(value) for name, value in tasks.TASKS.items()}
+    yield "robot", {name: _robot(path) for name, path in robots.ROBOTS.items()}
+    yield "policy", {name: _documented(value) for name, value in policies.POLICIES.items()}
+    yield "model", {name: _documented(value) for name, value in pedestrian_models.MODELS.items()}
+    yield "forces", {name: _forces(value) for name, value in social_forces.PRESETS.items()}
+    yield "situations", {name: ", ".join(held) for name, held in classifiers.SITUATION_SETS.items()}
+    yield "dynamics", {name: DYNAMICS.get(name, "") for name in robots.DYNAMICS}
+
+
+def measured() -> list[str]:
+    """The names of the metrics."""
+    from sean_jax import metrics
+
+    return list(metrics.METRICS)
+
+
+def _documented(value: Any) -> str:
+    """First sentence of a function's docstring, or of that of the first function that a value holds."""
+    functions = [value] if callable(value) else [held for held in vars(value).values() if callable(held)]
+    text = next((inspect.getdoc(function) for function in functions if inspect.getdoc(function)), None) or ""
+    return _sentence(text.split("\n\n")[0])
+
+
+def _sentence(text: str) -> str:
+    """The first one, on one line, as a terminal shows it."""
+    words = " ".join(text.replace("``", "").split())
+    return words[: end.start() + 1] if (end := re.search(r"\.(?= [A-Z]|$)", words)) else words + "."
+
+
+def _environment(folder: Path) -> str:
+    import yaml
+
+    content = yaml.safe_load((folder / "environment.yaml").read_text(encoding="utf-8"))
+    x0, y0, x1, y1 = content["floor"]
+    return f"The floor has {x1 - x0:.6g} x {y1 - y0:.6g} m and, unless told otherwise, {content['people']} people."
+
+
+def _robot(path: Path) -> str:
+    """The first sentence of the first comment in a robot's MJCF file."""
+    found = re.search(r"<!--\s*(.*?)-->", path.read_text(encoding="utf-8"), re.DOTALL)
+    return _sentence(found.group(1)) if found else ""
+
+
+def _forces(forces: Any) -> str:
+    speed, spread = float(forces.walking.speed_mean), float(forces.walking.speed_deviation)
+    law = forces.repulsion.law.__name__.capitalize()
+    return f"{law} repulsion acts between people, who walk at {speed:.2f} ± {spread:.2f} m/s."

@@ -1,0 +1,261 @@
+"""The command line of a description: its flags, how they are read, and the command that repeats them.
+
+A component is one flag (``--behavior graph``), and each of its options another (``--routing edge``). A flag that is not
+given leaves the value to a ``config.yaml`` (``--config``), or else to the default. Nothing here imports JAX or numpy.
+"""
+
+import dataclasses
+import shlex
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from sean_jax.config import (
+    Component,
+    Config,
+    Described,
+    Family,
+    Incidental,
+    OwnPart,
+    Positional,
+    Value,
+    family_of,
+    gather,
+    validate,
+)
+
+SETTINGS = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
+
+
+def flag(name: str) -> str:
+    """The flag of a field.
+
+    Args:
+        name: such as time_limit.
+
+    Returns:
+        Such as --time-limit.
+    """
+    return "--" + name.replace("_", "-")
+
+
+def number(value: object) -> str:
+    """A value as the command line takes it.
+
+    Args:
+        value: of a field.
+
+    Returns:
+        120.0 is 120, and a float is read back as the same float.
+    """
+    return repr(float(value)).removesuffix(".0") if isinstance(value, float) else str(value)
+
+
+def parser(model: type[Config], configurable: bool = False) -> type:
+    """A dataclass by which tyro reads the flags of a description; what is not given is None.
+
+    Args:
+        model: the description.
+        configurable: whether --config may name a file with values for what is not given.
+
+    Returns:
+        The class.
+    """
+    fields: list[tuple[str, Any, Any]] = []
+    if configurable:
+        text = "A config.yaml, such as sean run writes: its values hold where no flag says otherwise."
+        fields.append(_field("config", Path | None, text, None))
+    for name, field in model.model_fields.items():
+        family = family_of(field)
+        text = " ".join((field.description or "").split())
+        if family is not None:
+            fields.append(_field(name, str | None, text + _default(field.get_default()), None))
+            if family.singular is not None:
+                text = f"One of your own, FILE.py:NAME, beside those of {flag(name)}; can be repeated."
+                fields.append(_field(family.singular, tyro.conf.UseAppendAction[list[str]], text, list))
+            for option, variants in family.options().items():
+                kinds = [v.model_fields["kind"].default for v in variants if not v.model_fields["kind"].is_required()]
+                about = variants[0].model_fields[option]
+                text = f"Of {name} {' or '.join(kinds)}: {about.description}" if kinds else str(about.description)
+                text += _default(about.default)
+                fields.append(_field(option, _plain(about.annotation) | None, text, None, _choices(about.annotation)))
+            continue
+        kind = _plain(field.annotation)
+        if kind is None:  # no flag can hold it
+            continue
+        if any(isinstance(each, Positional) for each in field.metadata):
+            fields.append(_field(name, tyro.conf.Positional[_literal(field.annotation) or kind], text))
+        elif kind is bool:
+            fields.append(_field(name, bool, text, False))
+        elif field.is_required():
+            fields.append(_field(name, kind, text))
+        else:
+            text += _default(field.default)
+            fields.append(_field(name, kind | None, text, None, _choices(field.annotation)))
+    made = dataclasses.make_dataclass(model.__name__, fields, kw_only=True)
+    made.__doc__ = model.__doc__
+    return made
+
+
+_NOTHING = object()
+
+
+def _field(
+    name: str, kind: Any, text: str, default: Any = _NOTHING, choices: str | None = None
+) -> tuple[str, Any, Any]:
+    arg = tyro.conf.arg(help=text, help_behavior_hint="", metavar=choices or _metavar(kind))
+    annotated = Annotated[kind, arg]
+    if default is _NOTHING:
+        return name, annotated, dataclasses.field()
+    if default is list:
+        return name, annotated, dataclasses.field(default_factory=list)
+    return name, annotated, dataclasses.field(default=default)
+
+
+def _metavar(kind: object) -> str | None:
+    """What stands for the value of a flag in the help; None leaves it to tyro."""
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        kind = typing.get_args(kind)[0]
+    if typing.get_origin(kind) is tuple:
+        return " ".join("..." if each is Ellipsis else each.__name__.upper() for each in typing.get_args(kind))
+    return {str: "NAME", Path: "PATH", int: "INT", float: "FLOAT"}.get(kind)
+
+
+def _choices(kind: object) -> str | None:
+    """The values of a Literal, or of one that may be None, as the help shows them."""
+    literal = next((each for each in (kind, *typing.get_args(kind)) if typing.get_origin(each) is Literal), None)
+    return None if literal is None else "|".join(map(str, typing.get_args(literal)))
+
+
+def _default(value: object) -> str:
+    """How a help text ends."""
+    if value is None or value == () or value is False:
+        return ""
+    values = value if isinstance(value, tuple) else (value,)
+    return f" (default: {' '.join(each.kind if isinstance(each, Component) else number(each) for each in values)})"
+
+
+def _plain(kind: Any) -> Any:
+    """The type of a flag: an annotation without what only pydantic understands; None if no flag can hold it."""
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if origin is Annotated:
+        return _plain(inner[0])
+    if origin in (typing.Union, types.UnionType):
+        return next(_plain(each) for each in inner if each is not type(None))
+    if origin is tuple:
+        parts = tuple(each if each is Ellipsis else _plain(each) for each in inner)
+        return None if None in parts else tuple[parts]
+    if origin is Literal:
+        return str  # pydantic refuses what is none of them, with the one that was meant
+    return kind if kind in (str, int, float, bool, Path) else None
+
+
+def _literal(kind: Any) -> Any:
+    """The Literal that an annotation is; None if it is something else."""
+    return kind if typing.get_origin(kind) is Literal else None
+
+
+def read(model: type[Described], given: object, base: Mapping[str, object] | None = None) -> Described:
+    """The description that flags ask for.
+
+    Args:
+        model: its class.
+        given: an instance of ``parser(model)``.
+        base: values for what is not given, as JSON has words for.
+
+    Returns:
+        An instance of the model.
+
+    Raises:
+        InputError: a value cannot be, or an option does not belong to the chosen component; it names the flag.
+    """
+    words = {name: value for name, value in vars(given).items() if value is not None and name != "config"}
+    switches = {name for name, value in words.items() if value is False}  # which are off by default
+    data = dict(base or {})
+    for name, field in model.model_fields.items():
+        family = family_of(field)
+        if family is not None and family.singular is not None:
+            _add(data, name, field.default, words.pop(name, None), words.pop(family.singular, []))
+    words = {name: value for name, value in words.items() if name not in switches}
+    return validate(model, gather(model, words, data, flag), flag)
+
+
+def _add(data: dict, name: str, default: tuple, chosen: str | None, further: Sequence[str]) -> None:
+    """Put the parts of a field with several together."""
+    if chosen is not None:
+        data[name] = [part.strip() for part in chosen.split(",") if part.strip()]
+    if further:
+        data[name] = [*data.get(name, [each.kind for each in default]), *further]
+
+
+def command(word: str, config: Config) -> str:
+    """The command that gives these results again: of a number the shortest text that is read as the same.
+
+    Args:
+        word: the command, such as ``run``.
+        config: its description; what is None, incidental, or has no flag is left out.
+
+    Returns:
+        A line for a shell.
+    """
+    first, words = ["sean", word], []
+    for name, field in type(config).model_fields.items():
+        value = getattr(config, name)
+        positional = any(isinstance(each, Positional) for each in field.metadata)
+        if positional:
+            first.append(str(value))
+            continue
+        if value is None or any(isinstance(each, Incidental) for each in field.metadata):
+            continue
+        family = family_of(field)
+        if family is not None:
+            words += _words_of_parts(name, value, family)
+        elif _plain(field.annotation) is not None:
+            words += _words(name, value)
+    return shlex.join([*first, *words])
+
+
+def _words_of_parts(name: str, value: Any, family: Family) -> list[str]:
+    parts = value if isinstance(value, tuple) else (value,)
+    if family.singular is not None:
+        own = [part for part in parts if isinstance(part, OwnPart)]
+        known = [part.kind for part in parts if not isinstance(part, OwnPart | Value)]
+        words = _words(name, ",".join(known)) if known else []
+        return words + [word for part in own for word in _words(family.singular, part.kind)]
+    words = _words(name, ",".join(part.kind for part in parts if not isinstance(part, Value)))
+    for part in parts:
+        for option in type(part).model_fields if not isinstance(part, Value) else ():
+            if option != "kind" and getattr(part, option) is not None:
+                words += _words(option, getattr(part, option))
+    return words
+
+
+def _words(name: str, value: object) -> list[str]:
+    if value is False or value == () or value == "":
+        return []
+    if value is True:
+        return [flag(name)]
+    words = [number(each) for each in (value if isinstance(value, tuple) else (value,))]
+    if isinstance(value, str | Path) and words[0].startswith("-"):  # else it would be read as an option
+        return [f"{flag(name)}={words[0]}"]
+    return [flag(name), *words]
+
+
+def parse(word: str, model: type[Config], arguments: Sequence[str], configurable: bool = False) -> Any:
+    """An instance of ``parser(model)`` from the words after the command; the parser's own exit if they are wrong.
+
+    Args:
+        word: the command.
+        model: its description.
+        arguments: the words after it.
+        configurable: as in ``parser``.
+
+    Returns:
+        What was given.
+    """
+    made = parser(model, configurable)
+    return tyro.cli(made, prog=f"sean {word}", description=model.__doc__, args=list(arguments), config=SETTINGS)

@@ -1,0 +1,252 @@
+"""Validation of handcrafted sets (sections IV-D and IV-E): fields that fit together, and room for people and robot."""
+
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
+from typing import get_args
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+
+from sean_jax import cache, files
+from sean_jax.base import Array, Environment
+from sean_jax.errors import InputError
+from sean_jax.geometry import crosses_box, signed_distances_on_host
+from sean_jax.graph.formation import reach
+from sean_jax.graph.places import PERSON
+from sean_jax.handcrafted.annotation import ALL, FILE, Annotation, Set, Situation
+from sean_jax.platforms import to_device
+
+ARRIVED = 1.0  # m from a waypoint, where it counts as reached (SEAN 2.0)
+POSE_CLEARANCE = 0.3  # m, from the robot's poses to obstacles and to the floor's edge
+APART = 0.6  # m, from people to others of another loop or group and to the robot's poses
+SPACING = 0.55  # m, between people who start on one loop, wherever on it they are
+MAX_LOOP = 1_000.0  # m
+STRIDE = 0.1  # m, between the points that stand for a loop where distances are measured
+
+
+def read(folder: Path, environment: Environment) -> Annotation:
+    """The sets of the ``handcrafted.yaml`` of an environment.
+
+    Args:
+        folder: of the environment.
+        environment: in which the sets lie.
+
+    Returns:
+        The annotation, without mistakes.
+
+    Raises:
+        InputError: there is no such file.
+        FileError: lists all that is wrong with the file, with line, key and cure.
+    """
+    file = folder / FILE
+    if not file.is_file():
+        raise InputError(f"{file}: there is no such file, and behavior 'handcrafted' needs it; write one.")
+    return files.load(file, Annotation, check, lambda sets: check_against(sets, environment))
+
+
+def check(annotation: Annotation) -> Iterator[files.Problem]:
+    """Mistakes in the fields of an annotation, wherever its places lie.
+
+    Args:
+        annotation: as read from the file.
+
+    Returns:
+        Location and message of each mistake.
+    """
+    for name, each in annotation.sets.items():
+        here = ("sets", name)
+        if name in (ALL, *get_args(Situation)):
+            yield here, f"'{name}' stands for several sets; give the set a name of its own, such as '{name}_1'"
+        if each.people == 0 and each.situation != "empty":
+            yield here, "there is nobody; give the set walkers or groups, or make its situation empty"
+        if each.situation in ("down_path", "cross_path") and not each.walkers:
+            yield here, f"nobody walks, without which {each.situation} does not occur; give the set walkers"
+        yield from _check_poses(name, each)
+        yield from check_apart(here, each)
+
+
+def _check_poses(name: str, each: Set) -> Iterator[files.Problem]:
+    """Poses in groups belong to join_group, as goals, and to leave_group, as starts."""
+    for key, poses, asked in (("starts", each.starts, "leave_group"), ("goals", each.goals, "join_group")):
+        for number, pose in enumerate(poses):
+            here = ("sets", name, key, number)
+            if isinstance(pose, str) and pose not in each.groups:
+                hint = files.suggest(pose, each.groups) or "; add it to groups or give x, y and a heading"
+                yield here, f"there is no group '{pose}'{hint}"
+            elif isinstance(pose, str) and each.situation != asked:
+                yield (
+                    here,
+                    f"only {key} of {asked} lie in a group and this is {each.situation}; give x, y and a heading",
+                )
+            elif not isinstance(pose, str) and each.situation == asked:
+                yield here, f"{key} of {asked} lie in a group; give the name of one instead of a place"
+
+
+def trace(loop: list[tuple[float, float]]) -> np.ndarray:
+    """Points along a closed loop, at most 0.1 m from one to the next.
+
+    Args:
+        loop: waypoints, x and y in metres.
+
+    Returns:
+        (P, 2) m.
+    """
+    corners = np.array(loop, float)
+    pieces = []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        share = np.linspace(0.0, 1.0, max(2, int(np.ceil(np.linalg.norm(b - a) / STRIDE)) + 1))[:-1]
+        pieces.append(a + share[:, None] * (b - a))
+    return np.concatenate(pieces)
+
+
+def check_apart(here: files.Location, each: Set) -> Iterator[files.Problem]:
+    """Mistakes in the distances within a set, whatever obstacles there are.
+
+    Args:
+        here: location of the set in the file.
+        each: the set.
+
+    Returns:
+        Location and message of each mistake.
+    """
+    too_long = False
+    for number, walkers in enumerate(each.walkers):
+        corners = np.array(walkers.loop, float)
+        around = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=-1).sum())
+        if around > MAX_LOOP:
+            too_long = True
+            yield (*here, "walkers", number, "loop"), f"is {around:,.0f} m long; {MAX_LOOP:,g} m are the most"
+    if too_long:
+        return
+    traces = [trace(walkers.loop) for walkers in each.walkers]
+    for number, (walkers, points) in enumerate(zip(each.walkers, traces, strict=True)):
+        place = (*here, "walkers", number)
+        corners = np.array(walkers.loop, float)
+        for corner, gap in enumerate(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=-1)):
+            if gap < ARRIVED:
+                why = f"as close as people come to a waypoint before they go on, {ARRIVED:g} m"
+                yield (*place, "loop", corner), f"the next waypoint is only {gap:.2f} m away, {why}; move one of them"
+        max_people = _max_people(points, walkers.people)
+        if max_people < walkers.people:
+            yield (*place, "people"), f"{walkers.people} do not fit on the loop; the most that do is {max_people}"
+    for (i, one), (j, other) in combinations(enumerate(traces), 2):
+        gap = _gap(one, other)
+        if gap < APART:
+            why = f"where people could start in one place; keep {APART:g} m or more"
+            yield (*here, "walkers", j, "loop"), f"comes within {gap:.2f} m of the loop of walkers[{i}], {why}"
+    for name, group in each.groups.items():
+        ring, spot = reach(group.people), np.array([group.center])
+        for i, points in enumerate(traces):
+            gap = _gap(points, spot) - ring
+            if gap < APART:
+                move = f"move the group by {APART - gap:.2f} m or more"
+                yield (*here, "groups", name, "center"), f"people of walkers[{i}] would walk through the group; {move}"
+        for other in list(each.groups)[: list(each.groups).index(name)]:
+            gap = _gap(np.array([each.groups[other].center]), spot) - ring - reach(each.groups[other].people)
+            if gap < APART:
+                move = f"move one by {APART - gap:.2f} m or more"
+                yield (*here, "groups", name, "center"), f"leaves too little room to the group '{other}'; {move}"
+    for key, poses in (("starts", each.starts), ("goals", each.goals)):
+        for number, pose in enumerate(poses):
+            if isinstance(pose, str):
+                continue
+            spot = np.array([pose[:2]])
+            gaps = [(_gap(points, spot), f"the loop of walkers[{i}]") for i, points in enumerate(traces)]
+            for name, group in each.groups.items():
+                gaps.append((_gap(np.array([group.center]), spot) - reach(group.people), f"the group '{name}'"))
+            for gap, what in gaps:
+                if gap < APART:
+                    yield (*here, key, number), f"is {max(gap, 0.0):.2f} m from {what}; keep {APART:g} m or more"
+
+
+def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
+    """Mistakes in where the sets lie: off the floor, in obstacles, without room or with loops that are blocked.
+
+    Args:
+        annotation: as read from the file.
+        environment: in which its sets shall lie.
+
+    Returns:
+        Location and message of each mistake.
+    """
+    spots, legs = [], []
+    for name, each in annotation.sets.items():
+        here = ("sets", name)
+        for key, poses in (("starts", each.starts), ("goals", each.goals)):
+            places = [((*here, key, number), pose) for number, pose in enumerate(poses) if not isinstance(pose, str)]
+            spots += [(place, pose[:2], POSE_CLEARANCE, "the robot") for place, pose in places]
+        for label, group in each.groups.items():
+            needed = reach(group.people) + PERSON
+            spots.append(((*here, "groups", label, "center"), group.center, needed, f"a group of {group.people}"))
+        for number, walkers in enumerate(each.walkers):
+            place = (*here, "walkers", number, "loop")
+            spots += [((*place, k), corner, PERSON, "somebody") for k, corner in enumerate(walkers.loop)]
+            legs += [((*place, k), *leg) for k, leg in _legs(walkers.loop, walkers.way == "both")]
+    points = np.array([spot for _, spot, _, _ in spots], float).reshape(-1, 2)
+    to_box, to_edge = signed_distances_on_host(environment, points)
+    blamed = set()
+    for (place, spot, needed, who), box, edge in zip(spots, to_box, to_edge, strict=True):
+        at = f"[{spot[0]:g}, {spot[1]:g}]"
+        if min(box, edge) < needed:
+            blamed.add(place)
+        if edge < 0:
+            floor = ", ".join(f"{value:g}" for value in np.asarray(environment.floor))
+            yield place, f"{at} is not on the floor [{floor}]; move it"
+        elif box <= 0:
+            yield place, f"{at} is inside an obstacle; move it by {needed - box:.2f} m or more"
+        elif min(box, edge) < needed:
+            yield place, f"{at} has {min(box, edge):.2f} m of room where {who} needs {needed:.2f} m; move it"
+    if legs:
+        ends = np.array([[a, b] for _, a, b, _ in legs], float)
+        boxes = environment.obstacles
+        inputs = boxes.center, boxes.half_extent, boxes.yaw, ends
+        make = lambda: {"blocked": np.asarray(jax.jit(_blocked)(environment, to_device(ends)))}  # noqa: E731
+        blocked = cache.load_or_build("legs", ("handcrafted/validation", "graph/places", "geometry"), inputs, make)[
+            "blocked"
+        ]
+        for (place, _, _, what), hit in zip(legs, blocked, strict=True):
+            if hit and place not in blamed:  # a waypoint in an obstacle is reported already
+                yield place, f"{what} goes through an obstacle or closer than {PERSON:g} m past one; move a waypoint"
+
+
+def _legs(loop: list[tuple[float, float]], both: bool) -> Iterator[tuple[int, tuple]]:
+    """(waypoint, (from, to, in words)): ways to the next waypoint, and those of who turns to it a metre early."""
+    count = len(loop)
+    corners = np.array(loop, float)
+    for k in range(count):
+        here, following = corners[k], corners[(k + 1) % count]
+        yield k, (here, following, "the way from here to the next waypoint")
+        for before, after in ((k - 1, k + 1), (k + 1, k - 1)) if both else ((k - 1, k + 1),):
+            back = corners[before % count] - here
+            early = here + ARRIVED * back / max(np.linalg.norm(back), ARRIVED)
+            yield k, (early, corners[after % count], f"cutting the corner here by {ARRIVED:g} m")
+
+
+def _blocked(environment: Environment, ends: Float[Array, "L 2 2"]) -> Bool[Array, "L"]:
+    """(L,) which of the legs (L, 2, 2) [m] a person cannot walk straight."""
+    each_box = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
+    each_leg = jax.vmap(each_box, in_axes=(0, 0, 0, 0, None, None))
+    px, py, qx, qy = ends[:, 0, 0], ends[:, 0, 1], ends[:, 1, 0], ends[:, 1, 1]
+    return each_leg(px, py, qx, qy, environment.obstacles, PERSON).any(1)
+
+
+def _max_people(points: np.ndarray, people: int) -> int:
+    """How many of so many people can start evenly spread along a traced loop, whatever place the first one has."""
+    step = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=-1)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    closed = np.concatenate([points, points[:1]])
+    for number in range(people, 1, -1):
+        share = (np.arange(number) / number)[:, None] + np.linspace(0.0, 1.0 / number, 60)[None, :]
+        place = np.stack([np.interp((share % 1.0) * along[-1], along, closed[:, k]) for k in (0, 1)], -1)
+        gaps = np.linalg.norm(place[:, None] - place[None, :], axis=-1)[np.triu_indices(number, 1)]
+        if gaps.min() >= SPACING:
+            return number
+    return 1
+
+
+def _gap(one: np.ndarray, other: np.ndarray) -> float:
+    """Minimum distance [m] between points (P, 2) and (Q, 2)."""
+    return float(KDTree(one).query(other)[0].min())

@@ -1,0 +1,231 @@
+"""Next corners for many people: the corner arc to walk to from each cell to each of a few points, found on the host.
+
+Looking up a table is cheaper than a search over all arcs, which the robot affords (``shortest_paths``).
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Float, Int
+
+from sean_jax import cache
+from sean_jax.base import Array, PathsToGoal
+from sean_jax.geometry import from_box, length
+from sean_jax.navigation.corner_arcs import ANGLE, Tangent, tangent_to_arc, tangents
+from sean_jax.navigation.segments import map_in_batches, push_out_of_obstacles, segment_is_free, segments_are_free
+from sean_jax.navigation.shortest_paths import last_arcs
+from sean_jax.navigation.tables import CELL, CODE, Navigation, inputs
+from sean_jax.platforms import to_device
+
+CLOSE = 0.8  # of the radius: free radius of people, whose bodies have 0.2 m while their paths are those of 0.25 m
+MIN_AHEAD = 0.5  # m, at least so far ahead do people aim
+CANDIDATES = 4  # arcs that ``next_point_approx`` tests
+MAX_DETOUR = 0.3  # m
+NEIGHBORS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))  # of a cell
+
+
+@struct.dataclass
+class NextCornerTable:
+    """The next arc on the way to each of M points, as the index of an arc, or V for the point itself."""
+
+    point: Float[Array, "M 2"]  # m
+    first_arc: Int[Array, "X Y M"]  # from a cell of 0.25 m; V also where there is no path
+    next_arc: Int[Array, "M V"]  # after an arc
+    departure_angle: Float[Array, "M V"]  # rad, where the path leaves that arc
+
+
+def build_next_corner_table(navigation: Navigation, points: Float[Array, "M 2"]) -> NextCornerTable:
+    """Build the table on the host, or read it from the user's cache.
+
+    Args:
+        navigation: the tables of shortest paths.
+        points: (M, 2) m.
+
+    Returns:
+        The table.
+    """
+    made = cache.load_or_build("next_corner", CODE, [*inputs(navigation), points], lambda: _make(navigation, points))
+    return NextCornerTable(**to_device({"point": points, **made}))
+
+
+def next_corner(
+    navigation: Navigation, table: NextCornerTable, position: Float[Array, "2"], index: Int[Array, ""]
+) -> Float[Array, "2"]:
+    """A place ahead on the way to a point of the table.
+
+    Args:
+        navigation: the tables of shortest paths.
+        table: of ``build_next_corner_table``.
+        position: (2,) m, of the start.
+        index: of the point.
+
+    Returns:
+        (2,) m, the point itself, or a place on the tangent to the next arc.
+    """
+    index_max = jnp.asarray(table.first_arc.shape[:2], jnp.int32) - 1
+    cell = jnp.clip(jnp.floor((position - navigation.origin) / CELL).astype(jnp.int32), 0, index_max)
+    arc, tangent = _next_arc(navigation, table, position, index, table.first_arc[cell[0], cell[1], index])
+    aim = _extend(position, tangent.point, tangent.direction)
+    return jnp.where(arc < navigation.arcs.side.shape[0], aim, table.point[index])
+
+
+def next_point_approx(
+    navigation: Navigation, position: Float[Array, "2"], goal: Float[Array, "2"], paths_to_goal: PathsToGoal
+) -> Float[Array, "2"]:
+    """``next_point`` for many people: the best arc in sight among those that are visible from the cells around.
+
+    Args:
+        navigation: the tables of shortest paths.
+        position: (2,) m, of the start.
+        goal: (2,) m.
+        paths_to_goal: of the goal.
+
+    Returns:
+        (2,) m; the goal if it is in sight or if there is no path.
+    """
+    boxes, radius = navigation.obstacles, navigation.radius
+    index_max = jnp.asarray(navigation.visible.shape[:2], jnp.int32) - 1
+    cell = jnp.floor((position - navigation.origin) / navigation.cell - 0.5).astype(jnp.int32)
+    (i, j), (k, m) = jnp.clip(cell, 0, index_max), jnp.clip(cell + 1, 0, index_max)
+    visible = navigation.visible
+    visible_here = visible[i, j] | visible[k, j] | visible[i, m] | visible[k, m]
+    spot, _ = push_out_of_obstacles(boxes, position, radius)
+    far, angle, _, _, on_arc = tangents(navigation.arcs, spot, radius, True)
+    reachable = visible_here & on_arc & (angle <= paths_to_goal.departure_angle + ANGLE)
+    total = jnp.where(reachable, far - radius * angle + paths_to_goal.distance, jnp.inf)
+    shortest, index = jax.lax.top_k(-total, min(CANDIDATES, total.shape[0]))
+    no_path = ~jnp.isfinite(jnp.max(shortest))  # not shortest[0]: XLA on a CPU would compute it again, ten times slower
+    candidates = jax.tree.map(lambda part: part[index], navigation.arcs)
+    _, _, x, y, _ = tangents(candidates, spot, radius, True)
+    x, y = jnp.append(x, goal[0]), jnp.append(y, goal[1])
+    clear = segments_are_free(boxes, position, x, y, CLOSE * radius)
+    chosen = index[jnp.argmax(clear[:-1])]  # the best one if none is in sight
+    tangent = tangent_to_arc(navigation.arcs, chosen, spot, radius)
+    return jnp.where(clear[-1] | no_path, goal, _extend(position, tangent.point, tangent.direction))
+
+
+def _extend(position: Array, touch: Array, direction: Array) -> Array:
+    """(2,) [m] where the tangent from a position (2,) touches, or ``MIN_AHEAD`` from there along it, if farther."""
+    gap = touch - position
+    return touch + jnp.maximum(MIN_AHEAD - length(gap[0], gap[1]), 0.0) * direction
+
+
+def _next_arc(
+    navigation: Navigation, table: NextCornerTable, position: Array, index: Array, arc: Array
+) -> tuple[Array, Tangent]:
+    """() int32 the arc, or the one after it if the position (2,) is past it; and the tangent to it."""
+    none, radius = navigation.arcs.side.shape[0], navigation.radius
+    before = jnp.minimum(arc.astype(jnp.int32), none - 1)
+    angle = tangent_to_arc(navigation.arcs, before, position, radius).angle
+    past = (arc < none) & (angle > table.departure_angle[index, before])
+    arc = jnp.where(past, table.next_arc[index, before], arc).astype(jnp.int32)
+    return arc, tangent_to_arc(navigation.arcs, jnp.minimum(arc, none - 1), position, radius)
+
+
+def _make(navigation: Navigation, points: Array) -> dict[str, np.ndarray]:
+    """The fields of ``NextCornerTable`` but the points.
+
+    A cell takes the best arc of the middle of its cell of the visibility grid, if the path to it begins free at all
+    corners of the cell. Otherwise it takes, of this arc and those of the cells around, the one to which the path begins
+    free from most corners; but none with a much longer path, or people would walk to and fro between two cells.
+    """
+    scale = round(float(navigation.cell) / CELL)
+    best, distance, departure_angle, next_arc, ends = _best(navigation, points)
+    best = np.repeat(np.repeat(np.asarray(best), scale, 0), scale, 1)  # (X, Y, M)
+    table = NextCornerTable(
+        point=jnp.asarray(points, float),
+        first_arc=jnp.asarray(best),
+        next_arc=next_arc,
+        departure_angle=departure_angle,
+    )
+    corners = [np.arange(count + 1, dtype=np.float32) * CELL for count in best.shape[:2]]
+    spots = np.stack(np.meshgrid(*corners, indexing="ij"), -1).reshape(-1, 2) + np.asarray(navigation.origin)
+    place, free_radius, weight = map_in_batches(_corner_of_cell, (navigation.obstacles, navigation.radius), spots)
+    row = best.shape[1] + 1
+
+    def rate(cells: np.ndarray, arc: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The weight of the corners of cells (K, 3) for and against an arc (K,), and the mean length of path [m]."""
+        yes, no, far = np.zeros(len(cells)), np.zeros(len(cells)), np.zeros(len(cells))
+        for corner in (0, 1, row, row + 1):
+            spot = cells[:, 0] * row + cells[:, 1] + corner
+            shared = navigation, table, distance, ends
+            clear, length = map_in_batches(
+                _path_from, shared, place[spot], free_radius[spot], cells[:, 2].astype(np.int32), arc
+            )
+            yes += weight[spot] * clear
+            no += weight[spot] * ~clear
+            far += weight[spot] * length
+        return yes, no, far / np.maximum(yes + no, 1e-3)
+
+    every = np.stack(np.meshgrid(*map(np.arange, best.shape), indexing="ij"), -1).reshape(-1, 3)
+    yes, no, far = rate(every, best.reshape(-1))
+    unsure = no > 0
+    cells, yes, far = every[unsure], yes[unsure], far[unsure]
+    result = best.copy()
+    for step in NEIGHBORS:
+        i, j = np.clip(cells[:, :2] + scale * np.array(step), 0, np.array(best.shape[:2]) - 1).T
+        other = best[i, j, cells[:, 2]]
+        more, _, farther = rate(cells, other)
+        better = (more > yes + 1e-3) & (farther < far + MAX_DETOUR)
+        result[tuple(cells[better].T)] = other[better]
+        yes = np.where(better, more, yes)
+    return {
+        "first_arc": result,
+        "next_arc": np.asarray(next_arc),
+        "departure_angle": np.asarray(departure_angle),
+    }
+
+
+def _path_from(shared: tuple, place: Array, free_radius: Array, index: Array, arc: Array) -> tuple[Array, Array]:
+    """() bool whether the path from a place (2,) by that arc begins free; and () its length [m], free or not."""
+    navigation, table, distance, (ends, end_radius) = shared
+    none = navigation.arcs.side.shape[0]
+    arc, (angle, on_arc, touch, _) = _next_arc(navigation, table, place, index, arc)
+    is_arc = arc < none
+    touch = jnp.where(is_arc, touch, ends[index])
+    free_radius = jnp.where(is_arc, free_radius, jnp.minimum(free_radius, end_radius[index]))
+    rest = distance[index, jnp.minimum(arc, none - 1)] - navigation.radius * angle
+    far = length(touch[0] - place[0], touch[1] - place[1]) + jnp.where(is_arc, rest, 0.0)
+    return (on_arc | ~is_arc) & segment_is_free(navigation.obstacles, place, touch, free_radius), far
+
+
+@jax.jit
+def _best(navigation: Navigation, points: Array) -> tuple:
+    """(X, Y, M) int16 the best arc from the middle of each cell of the visibility grid.
+
+    And (M, V) lengths [m] from the arcs, ``departure_angle`` and ``next_arc``; and the points, pushed out of obstacles.
+    """
+    none, obstacles, radius = navigation.arcs.side.shape[0], navigation.obstacles, navigation.radius
+    distance, last, departure_angle = jax.vmap(last_arcs, in_axes=(None, 0))(navigation, points)
+    own = jnp.arange(none, dtype=jnp.int32)[None, :]
+    next_arc = jnp.where(last == own, none, navigation.next_arc[own, last].astype(jnp.int32)).astype(jnp.int16)
+    ends, end_radius = jax.vmap(push_out_of_obstacles, in_axes=(None, 0, None))(obstacles, points, radius)
+
+    def from_cell(cell: Array) -> Array:
+        spot = navigation.origin + (cell.astype(float) + 0.5) * navigation.cell
+        place, free_radius = push_out_of_obstacles(obstacles, spot, radius)
+        clear = jax.vmap(segment_is_free, in_axes=(None, None, 0, 0))(
+            obstacles, place, ends, jnp.minimum(free_radius, end_radius)
+        )
+        far, angle, *_ = tangents(navigation.arcs, place, radius, True)
+        reachable = navigation.visible[cell[0], cell[1]][None, :] & (angle[None, :] <= departure_angle + ANGLE)
+        total = jnp.where(reachable, (far - radius * angle)[None, :] + distance, jnp.inf)
+        no_path = ~jnp.isfinite(jnp.min(total, axis=1))
+        return jnp.where(clear | no_path, none, jnp.argmin(total, axis=1).astype(jnp.int32)).astype(jnp.int16)
+
+    count = navigation.visible.shape[:2]
+    cells = jnp.stack(jnp.meshgrid(*(jnp.arange(n, dtype=jnp.int32) for n in count), indexing="ij"), -1)
+    best = jax.lax.map(from_cell, cells.reshape(-1, 2), batch_size=1024)
+    return best.reshape(*count, points.shape[0]), distance, departure_angle, next_arc, (ends, end_radius)
+
+
+def _corner_of_cell(shared: tuple, spot: Array) -> tuple[Array, Array, Array]:
+    """The spot (2,) pushed out of obstacles, the free radius there, and its weight.
+
+    The weight is small where people cannot be, and zero inside obstacles.
+    """
+    boxes, radius = shared
+    clearance = jnp.min(jax.vmap(from_box, in_axes=(None, None, 0))(spot[0], spot[1], boxes)[0], initial=jnp.inf)
+    weight = jnp.where(clearance >= CLOSE * radius, 1.0, jnp.where(clearance > 0.0, 0.01, 0.0))
+    return *push_out_of_obstacles(boxes, spot, radius), weight

@@ -1,0 +1,85 @@
+"""Streams of random numbers by name: every use of a seed, and every use of an episode's key, has a stream of its own.
+
+In JAX ``fold_in(key, i)`` and the i-th of ``split(key, n)`` are the same key. So two uses that both number their draws
+from one key would share random numbers. Here each number stands for a name, and is far above any count.
+"""
+
+import zlib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax.base import Array, Streams
+
+USES = (
+    "run",  # episodes of `sean run`
+    "collect",  # demonstrations of `sean collect`
+    "record",  # demonstrations of a learning.Recorder
+    "weights",  # of a network, before it is trained
+    "order",  # of the examples in an epoch
+    "validation",  # which episodes are held out
+    "table1",  # chains of episodes
+    "table1 starts",  # what they restart from
+    "figure4",  # episodes in which its policies are measured
+    "bench",
+    "bench starts",
+    "draw",  # people on a contact sheet
+)
+"""The uses of a seed that a user gives, by name."""
+
+
+def stream_id(use: str) -> int:
+    """The number that stands for a use.
+
+    Args:
+        use: one of ``USES``.
+
+    Returns:
+        A number of 32 bits.
+
+    Raises:
+        ValueError: there is no such use.
+    """
+    if use not in USES:
+        raise ValueError(f"use: '{use}' is not one of {', '.join(USES)}.")
+    return zlib.crc32(use.encode())
+
+
+def key(use: str, seed: int | Array) -> Array:
+    """The key of a use.
+
+    Args:
+        use: one of ``USES``.
+        seed: of the user.
+
+    Returns:
+        () typed PRNG key; that of episode ``i``, where a use has episodes, is ``fold_in(key(use, seed), i)``.
+    """
+    return jax.random.fold_in(jax.random.key(seed), jnp.uint32(stream_id(use)))
+
+
+def generator(use: str, seed: int, *further: int) -> np.random.Generator:
+    """The numpy generator of a use.
+
+    Args:
+        use: one of ``USES``.
+        seed: of the user.
+        *further: numbers, such as that of an epoch, which have streams of their own.
+
+    Returns:
+        A new generator.
+    """
+    return np.random.default_rng((stream_id(use), len(further), seed, *further))  # numpy takes (1, 0) for (1,)
+
+
+def streams(key: Array) -> Streams:
+    """The streams of an episode.
+
+    Args:
+        key: () typed PRNG key, used for nothing else.
+
+    Returns:
+        One key for each stream.
+    """
+    return Streams(*jax.random.split(key, 4))

@@ -1,0 +1,310 @@
+"""The first body that each ray of a bundle meets (section IV-F), exact, without testing bodies out of sight.
+
+For each tile of rays, the bodies within its sector, reach and slopes are candidates. One loop goes through the
+candidates of all tiles, so it takes as long as there is work. The search has no gradient and needs none: ``surface``
+computes the distance to the nearest body again.
+"""
+
+from collections.abc import Callable, Iterator
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float, Int
+
+from sean_jax.base import Array
+from sean_jax.geometry import length
+from sean_jax.raycast import laws
+from sean_jax.raycast.rays import Beams, Rays
+from sean_jax.raycast.view import View
+
+Row = Array | tuple[Array, ...]  # the columns of a table, each of which broadcasts with (tiles, rays)
+Law = Callable[[Row, Beams], Array]  # (tiles, rays) m along the beams to the bodies of these rows
+
+CHUNK = 4  # bodies tested in a task
+SHARE = 2  # tiles per task of one iteration
+PERSON_HEIGHT = laws.HEAD + laws.HEAD_RADIUS  # m
+
+
+def nearest(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
+    """The distance along each ray to the first body.
+
+    Args:
+        view: the bodies.
+        rays: the rays.
+
+    Returns:
+        (tiles, rays) m; ``laws.MISS`` where a ray meets no body.
+    """
+    beams = Beams.of(rays)
+    distance = laws.ground(view.height, beams.direction[2], beams.inverse_rise)
+    for _, table, law, in_sight in _families(view, rays):
+        if table.shape[0]:
+            distance = _nearest(law, table, in_sight, beams, distance)
+    return distance
+
+
+def search(view: View, rays: Rays) -> tuple[Float[Array, "tiles rays"], Int[Array, "tiles rays"]]:
+    """The distance along each ray to the first body, and its number.
+
+    Args:
+        view: the bodies.
+        rays: the rays.
+
+    Returns:
+        (tiles, rays) m, ``laws.MISS`` where a ray meets no body; and (tiles, rays) the number in the view.
+    """
+    beams, floor = Beams.of(rays), _starts(view)[4]
+    distance = laws.ground(view.height, beams.direction[2], beams.inverse_rise)
+    first = distance, jnp.where(distance < laws.MISS, floor, floor + 1).astype(jnp.int32)
+    for start, table, law, in_sight in _families(view, rays):
+        if table.shape[0]:
+            first = _first(law, table, in_sight, start, beams, first)
+    return first
+
+
+def _starts(view: View) -> tuple[int, int, int, int, int]:
+    """The number of the first body of each family, and that of the floor."""
+    boxes, cylinders, spheres, people = view.counts
+    return 0, boxes, boxes + cylinders, boxes + cylinders + spheres, boxes + cylinders + spheres + people
+
+
+def _families(view: View, rays: Rays) -> Iterator[tuple[int, Array, Law, Array]]:
+    """(number of the first body, table (K, F), law, (tiles, K) which tiles have each body in sight)."""
+    first_of = _starts(view)
+    boxes, cylinders, spheres, people = view.boxes, view.cylinders, view.spheres, view.people
+
+    def box_extent(x: Array, y: Array) -> Array:  # (tiles, K) m, of each box in a direction
+        cosine, sine = boxes[None, :, 6], boxes[None, :, 7]
+        return jnp.abs(x * cosine + y * sine) * boxes[None, :, 3] + jnp.abs(y * cosine - x * sine) * boxes[None, :, 4]
+
+    u = boxes[:, 6] * boxes[:, 0] + boxes[:, 7] * boxes[:, 1]
+    v = boxes[:, 6] * boxes[:, 1] - boxes[:, 7] * boxes[:, 0]
+    zero = jnp.zeros((), float)
+    away = length(jnp.maximum(jnp.abs(u) - boxes[:, 3], zero), jnp.maximum(jnp.abs(v) - boxes[:, 4], zero))
+    yield first_of[0], boxes, _box, _in_sight(rays, boxes, box_extent, away, boxes[:, 2] + boxes[:, 5])
+
+    flat = length(cylinders[:, 3], cylinders[:, 4]) * cylinders[:, 7]
+    out = cylinders[:, 6] + flat
+    top = cylinders[:, 2] + jnp.abs(cylinders[:, 5]) * cylinders[:, 7] + cylinders[:, 6]
+    yield first_of[1], cylinders, _cylinder, _round_in_sight(rays, cylinders, out, top)
+
+    out = spheres[:, 3]
+    yield first_of[2], spheres, _sphere, _round_in_sight(rays, spheres, out, spheres[:, 2] + out)
+
+    out = jnp.broadcast_to(view.radius, people.shape[:1])
+    yield first_of[3], people, _person(rays.low, view), _round_in_sight(rays, people, out, PERSON_HEIGHT - view.height)
+
+
+def _round_in_sight(rays: Rays, table: Array, radius: Array, top: Array) -> Array:
+    away = jnp.maximum(length(table[:, 0], table[:, 1]) - radius, 0.0)
+    return _in_sight(rays, table, lambda x, y: radius[None, :], away, jnp.broadcast_to(top, away.shape))
+
+
+def _in_sight(rays: Rays, table: Array, edge: Callable, away: Array, top: Array) -> Array:
+    """(tiles, K) bool: the body may meet a ray of the tile. ``away`` (K,) m is its minimum horizontal distance."""
+    x, y = table[None, :, 0], table[None, :, 1]
+    possible = rays.reach[:, None] >= away[None, :]
+    for normal in (rays.left, rays.right):
+        nx, ny = normal[:, :1], normal[:, 1:]
+        possible &= nx * x + ny * y + edge(nx, ny) >= 0.0
+    return possible & ((rays.slope_min[:, None] <= 0.0) | (top[None, :] >= rays.slope_min[:, None] * away[None, :]))
+
+
+def _nearest(law: Law, table: Array, in_sight: Array, beams: Beams, distance: Array) -> Array:
+    """The minimum of distances (tiles, rays) and those to the bodies of a table (K, F).
+
+    The work is a list of tasks, each up to ``CHUNK`` bodies of one tile, so that empty tiles do not wait for full ones.
+    Two tasks of one iteration may be of the same tile. So the minimum is taken of integers, which a GPU does atomically
+    in any order; the bits of distances, none of which is negative, have the order of the distances.
+    """
+    tiles, count = in_sight.shape
+    real = distance.dtype
+    whole = jnp.int64 if real == jnp.float64 else jnp.int32  # as many bits
+    ends = _ends(in_sight)
+    padded = jnp.concatenate([table, table[-1:]])  # a row for tiles without further bodies; its result is not used
+    tasks = (ends[:, -1].astype(jnp.int32) + (CHUNK - 1)) // CHUNK
+    last = jnp.cumsum(tasks)
+    width = max(1, tiles // SHARE)  # tasks of an iteration
+    iterations = _max_of_batch((last[-1] + (width - 1)) // width)
+
+    def take(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        iteration, nearest_bits = carry
+        task = iteration * width + jnp.arange(width, dtype=jnp.int32)
+        tile = (last[None, :] <= task[:, None]).sum(1, dtype=jnp.int32)
+        there = jnp.minimum(tile, tiles - 1)
+        begin = CHUNK * (task - (last - tasks)[there])
+        own, of_tile = ends[there], beams.of_tiles(there)
+        new = jnp.full((width, nearest_bits.shape[1]), laws.MISS, real)
+        for more in range(CHUNK):
+            chosen = (own <= (begin + more).astype(own.dtype)[:, None]).sum(1, dtype=jnp.int32)
+            meets = law(padded[chosen].T[:, :, None], of_tile)
+            new = jnp.minimum(new, jnp.where((chosen < count)[:, None], meets, laws.MISS))
+        bits = jax.lax.bitcast_convert_type(new, whole)
+        return iteration + 1, nearest_bits.at[tile].min(bits, mode="drop")
+
+    bits = jax.lax.bitcast_convert_type(distance, whole)
+    bits = jax.lax.while_loop(lambda carry: carry[0] < iterations, take, (jnp.zeros((), jnp.int32), bits))[1]
+    return jax.lax.bitcast_convert_type(bits, real)
+
+
+def _first(
+    law: Law, table: Array, in_sight: Array, start: int, beams: Beams, first: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Distances and numbers (tiles, rays) of the first bodies, with those of a table (K, F): one a tile at a time."""
+    count = table.shape[0]
+    ends = _ends(in_sight)
+    padded = jnp.concatenate([table, table[-1:]])
+    iterations = _max_of_batch(ends[:, -1].max().astype(jnp.int32))
+
+    def take(carry: tuple[Array, tuple[Array, Array]]) -> tuple[Array, tuple[Array, Array]]:
+        iteration, (distance, number) = carry
+        chosen = (ends <= iteration.astype(ends.dtype)).sum(1, dtype=jnp.int32)  # the next that the tile has in sight
+        new = law(padded[chosen].T[:, :, None], beams)
+        nearer = (new < distance) & (chosen < count)[:, None]
+        first = jnp.where(nearer, new, distance), jnp.where(nearer, start + chosen[:, None], number)
+        return iteration + 1, first
+
+    return jax.lax.while_loop(lambda carry: carry[0] < iterations, take, (jnp.zeros((), jnp.int32), first))[1]
+
+
+@jax.custom_batching.custom_vmap
+def _max_of_batch(iterations: Array) -> Array:
+    """The number () of iterations of a loop; in a batch the maximum, so that all loops end together.
+
+    With ends of their own, XLA stores the input of every iteration, to undo it where a loop has ended already.
+    """
+    return iterations
+
+
+@_max_of_batch.def_vmap
+def _max_of_batch_vmap(size: int, batched: list[bool], iterations: Array) -> tuple[Array, bool]:
+    return _max_of_batch(iterations.max()), False
+
+
+def _ends(in_sight: Array) -> Array:
+    """(tiles, K) how many of the first bodies a tile has in sight."""
+    small = jnp.uint8 if in_sight.shape[1] < 256 else jnp.int32  # it is read again and again
+    return jnp.cumsum(in_sight, axis=1, dtype=small)
+
+
+def surface(
+    view: View, rays: Rays, number: Int[Array, "tiles rays"]
+) -> tuple[
+    Float[Array, "tiles rays"], Float[Array, "tiles rays"], Float[Array, "tiles rays"], Float[Array, "tiles rays"]
+]:
+    """The distance along each ray to a given body, and the normal there. Differentiable in the view.
+
+    Args:
+        view: the bodies.
+        rays: the rays.
+        number: (tiles, rays) the body that each ray meets, of ``search``.
+
+    Returns:
+        (tiles, rays) m, ``laws.MISS`` for the sky and where rounding lets a ray miss the body; and (tiles, rays) each,
+        x, y and z of the outward normal.
+    """
+    first_of, beams = _starts(view), Beams.of(rays)
+    dx, dy, dz = beams.direction
+    distance = laws.ground(view.height, dz, beams.inverse_rise)
+    distance = jnp.where(number == first_of[4], distance, laws.MISS)
+    nx, ny, nz = jnp.zeros_like(dx * distance), jnp.zeros_like(distance), jnp.ones_like(distance)
+    families = (
+        (view.boxes, _box, _normal_of_box),
+        (view.cylinders, _cylinder, _normal_of_cylinder),
+        (view.spheres, _sphere, _normal_of_sphere),
+        (view.people, _person(rays.low, view), lambda row, x, y, z: _normal_of_person(row, x, y, z, view)),
+    )
+    for start, (table, law, normal) in zip(first_of[:4], families, strict=True):
+        if not table.shape[0]:
+            continue
+        of_family = (number >= start) & (number < start + table.shape[0])
+        index = jnp.clip(number - start, 0, table.shape[0] - 1)
+        row = tuple(column[index] for column in table.T)
+        there = law(row, beams)
+        distance = jnp.where(of_family, there, distance)
+        at = jnp.where(of_family & (there < laws.MISS), there, 1.0)
+        facing = normal(row, *along(rays, at))
+        nx, ny, nz = (jnp.where(of_family, new, old) for new, old in zip(facing, (nx, ny, nz), strict=True))
+    return distance, nx, ny, nz
+
+
+def along(
+    rays: Rays, distance: Float[Array, "tiles rays"]
+) -> tuple[Float[Array, "tiles rays"], Float[Array, "tiles rays"], Float[Array, "tiles rays"]]:
+    """Places along rays.
+
+    Args:
+        rays: the rays.
+        distance: (tiles, rays) m, along each ray.
+
+    Returns:
+        (tiles, rays) m each, x, y and z from the sensor.
+    """
+    x, y, z = (distance * jnp.asarray(part) for part in rays.direction)
+    if rays.offset is None:
+        return x, y, z
+    return x + rays.offset[0], y + rays.offset[1], z + rays.offset[2]
+
+
+def _from_ray(beams: Beams, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+    """A vector (x, y, z) from the sensor, made one from the start of each ray."""
+    if beams.offset is None:
+        return x, y, z
+    return x - beams.offset[0], y - beams.offset[1], z - beams.offset[2]
+
+
+def _box(row: Row, beams: Beams) -> Array:
+    x, y, z = _from_ray(beams, row[0], row[1], row[2])
+    return laws.box(x, y, z, row[3], row[4], row[5], row[6], row[7], *beams.direction, beams.inverse_rise)
+
+
+def _cylinder(row: Row, beams: Beams) -> Array:
+    x, y, z = _from_ray(beams, row[0], row[1], row[2])
+    return laws.cylinder(x, y, z, row[3], row[4], row[5], row[6], row[7], *beams.direction)
+
+
+def _sphere(row: Row, beams: Beams) -> Array:
+    x, y, z = _from_ray(beams, row[0], row[1], row[2])
+    return laws.sphere(x, y, z, row[3], *beams.direction)
+
+
+def _person(low: bool, view: View) -> Law:
+    shape = laws.person_lower_body if low else laws.person
+
+    def law(row: Row, beams: Beams) -> Array:
+        x, y, z = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-view.height, row[0].shape))
+        return shape(x, y, z, view.radius, *beams.direction, beams.inverse_run)
+
+    return law
+
+
+def _normal_of_box(row, x, y, z):
+    u, v = row[6] * (x - row[0]) + row[7] * (y - row[1]), row[6] * (y - row[1]) - row[7] * (x - row[0])
+    w = z - row[2]
+    over = jnp.abs(u) - row[3], jnp.abs(v) - row[4], jnp.abs(w) - row[5]
+    by_u, by_v = (over[0] >= over[1]) & (over[0] >= over[2]), over[1] >= over[2]
+    nu = jnp.where(by_u, jnp.sign(u), 0.0)
+    nv = jnp.where(~by_u & by_v, jnp.sign(v), 0.0)
+    return row[6] * nu - row[7] * nv, row[7] * nu + row[6] * nv, jnp.where(by_u | by_v, 0.0, jnp.sign(w))
+
+
+def _normal_of_cylinder(row, x, y, z):
+    x, y, z = x - row[0], y - row[1], z - row[2]
+    along = row[3] * x + row[4] * y + row[5] * z
+    at_end = jnp.abs(along) >= row[7] * (1.0 - 1e-4)
+    out = tuple(part - along * axis for part, axis in zip((x, y, z), row[3:6], strict=True))
+    return tuple(
+        jnp.where(at_end, jnp.sign(along) * axis, part / row[6]) for part, axis in zip(out, row[3:6], strict=True)
+    )
+
+
+def _normal_of_sphere(row, x, y, z):
+    return (x - row[0]) / row[3], (y - row[1]) / row[3], (z - row[2]) / row[3]
+
+
+def _normal_of_person(row, x, y, z, view: View):
+    x, y, up = x - row[0], y - row[1], z + view.height
+    in_head = up > 0.5 * (laws.SHOULDER + view.radius + laws.HEAD - laws.HEAD_RADIUS)
+    size = jnp.where(in_head, laws.HEAD_RADIUS, view.radius)
+    z = jnp.where(in_head, up - laws.HEAD, jnp.maximum(up - laws.SHOULDER, 0.0))
+    return x / size, y / size, z / size

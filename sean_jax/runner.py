@@ -1,0 +1,360 @@
+"""The one runner of episodes: batches of numbered episodes, each until its end, of scenarios in turn (section V).
+
+Episode ``i`` is drawn from ``fold_in(prng.key(use, seed), i)`` alone, so it does not depend on how many others there
+are, on how many devices share the work, or on whether a run was interrupted. What is kept on the way is a ``Record``.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import gc
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import PyTree
+
+from sean_jax import clock, devices, prng
+from sean_jax.base import Array, PolicyLike, RobotTask, Scenario, State, as_policy
+from sean_jax.episodes import init_policy, policy_step
+from sean_jax.interrupts import COMPILER_THREAD
+from sean_jax.scenario import reset
+
+CHUNK = 10.0  # s, between two looks at the progress
+# What draws starts runs once a batch, so on a CPU it is compiled quickly rather than to be quick.
+ONCE = {"cpu": {"xla_backend_optimization_level": 0}}
+
+
+class Record(NamedTuple):
+    """What is kept while a batch of B episodes runs: a sum over steps, and what is stacked over time.
+
+    ``init(scenario, states)`` gives the sum before the first step; ``update(scenario, before, after, actions, active,
+    sum)`` gives the new sum and what is stacked, every ``every`` steps of control. ``before`` and ``after`` are states
+    (B, ...), ``actions`` the commands (every, B, 2) in between, ``active`` (B,) whether an episode had not yet ended.
+    """
+
+    init: Callable[[Scenario, State], PyTree]
+    update: Callable[[Scenario, State, State, Array, Array, PyTree], tuple[PyTree, PyTree]]
+    every: int = 1
+
+
+def nothing(*arguments: PyTree) -> tuple:
+    """The sum of a record that keeps nothing.
+
+    Args:
+        arguments: as of ``Record.init``.
+
+    Returns:
+        ().
+    """
+    return ()
+
+
+def no_rows(scenario: Scenario, before: State, after: State, actions: Array, active: Array, total: PyTree) -> tuple:
+    """The update of a record that keeps nothing.
+
+    Args:
+        scenario, before, after, actions, active, total: as of ``Record.update``.
+
+    Returns:
+        Two empty tuples.
+    """
+    return (), ()
+
+
+NO_RECORD = Record(nothing, no_rows)
+
+
+@struct.dataclass
+class Running:
+    """A batch of B episodes on its way."""
+
+    states: State  # (B, ...)
+    steps: Array  # (B,) int32, before the episode ended
+    faulty: Array  # (B,) bool, a number was NaN or infinite
+    total: PyTree  # of the record
+
+
+@dataclasses.dataclass
+class Watch:
+    """What is told while episodes run; each field is a function."""
+
+    compiling: Callable[[str], None] = lambda what: None
+    advanced: Callable[[float, float], None] = lambda seconds, simulated: None  # s of each episode, s of all together
+
+
+class Batch(NamedTuple):
+    """What is left of a batch, of its first ``count`` episodes."""
+
+    states: State  # (count, ...), at the end
+    steps: np.ndarray  # (count,)
+    total: PyTree  # of the record, as numpy arrays
+    rows: list[PyTree]  # of the record, one for each chunk of time, as numpy arrays (T, ...)
+
+
+class Runner:
+    """Programs for batches of ``size`` episodes, compiled at first use or by ``compile``."""
+
+    def __init__(
+        self,
+        scenarios: Scenario | Sequence[Scenario],
+        policy: PolicyLike,
+        size: int,
+        use: str,
+        record: Record = NO_RECORD,
+        mesh: Mesh | None = None,
+        chunk: float = CHUNK,
+    ):
+        """The scenarios may differ in their leaves and in their task, and in nothing else.
+
+        Args:
+            scenarios: what is simulated, one or several that take turns.
+            policy: who drives.
+            size: how many episodes at once; more are simulated if the devices cannot share so many evenly.
+            use: of the seed, one of ``prng.USES``.
+            record: what is kept.
+            mesh: devices that share the work; all if None.
+            chunk: time [s] between two looks at the progress.
+
+        Raises:
+            ValueError: the scenarios differ in more than leaves and task.
+        """
+        self.scenarios = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
+        self.policy, self.use, self.record = as_policy(policy), use, record
+        self.mesh = devices.mesh() if mesh is None else mesh
+        self.size = -(-size // self.mesh.size) * self.mesh.size
+        self.compile_seconds = 0.0
+        first = self.scenarios[0]
+        self._steps = clock.ceil_ticks(first.time_limit, first.time_step)
+        turns = max(1, round(chunk / first.time_step / record.every))
+        self.chunk = min(turns * record.every, -(-self._steps // record.every) * record.every)
+        self._varying = _varying_leaves(self.scenarios)
+        draw = functools.partial(_draw, tuple(each.task for each in self.scenarios), use, record)
+        advance = functools.partial(_advance, record, self.chunk // record.every)
+        self._draw, self._advance = self._jitted(draw, advance)
+
+    def _jitted(self, draw: Callable, advance: Callable) -> tuple[Any, Any]:
+        """Both programs; what has an axis B is split over the devices, if there are several."""
+        if self.mesh.size == 1:
+            return jax.jit(draw), jax.jit(advance, donate_argnums=1)
+        split, whole = (NamedSharding(self.mesh, PartitionSpec(*axes)) for axes in ((devices.AXIS,), ()))
+
+        def sharding(leaf: jax.ShapeDtypeStruct) -> NamedSharding:
+            return split if leaf.ndim and leaf.shape[0] == self.size else whole
+
+        running = jax.tree.map(sharding, jax.eval_shape(draw, self._fixed, *self._arguments()))
+        given = whole, whole, split, split
+        drawing = jax.jit(draw, in_shardings=given, out_shardings=running)
+        given = whole, running, split, split
+        advancing = jax.jit(advance, in_shardings=given, out_shardings=(running, None), donate_argnums=1)
+        return drawing, advancing
+
+    def _arguments(self) -> tuple[Array, Array, Array]:
+        """Seed, numbers and scenario of each episode, of the right shapes."""
+        return jnp.uint32(0), jnp.zeros((self.size,), jnp.uint32), jnp.zeros((self.size,), jnp.int32)
+
+    @property
+    def _fixed(self) -> tuple:
+        return self.scenarios[0], self._varying, self.policy
+
+    def compile(self, watch: Watch) -> None:
+        """Compile everything now, in a thread that Ctrl-C need not wait for.
+
+        Args:
+            watch: is told what is being compiled.
+        """
+        began = time.perf_counter()
+        watch.compiling(f"tracing the starts of {self.size} episodes")
+        seed, numbers, index = self._arguments()
+        counted = jnp.ones((self.size,), bool)
+        with _uncollected():
+            traced = self._draw.trace(self._fixed, seed, numbers, index)
+        starting = _Compiling(traced.lower(), ONCE.get(jax.default_backend(), {}))
+        watch.compiling(f"compiling the starts, tracing {self.chunk} steps of {self.size} episodes")
+        with _uncollected():
+            lowered = self._advance.lower(self._fixed, traced.out_info, index, counted)
+        stepping = _Compiling(lowered)
+        watch.compiling(f"compiling {self.chunk} steps of {self.size} episodes")
+        self._draw, self._advance = starting.result(), stepping.result()
+        self.compile_seconds = time.perf_counter() - began
+
+    def run(
+        self,
+        seed: int,
+        first: int,
+        count: int | None = None,
+        index: np.ndarray | None = None,
+        watch: Watch | None = None,
+        keep_rows: bool = True,
+    ) -> Batch:
+        """The episodes from number ``first`` on until all have ended.
+
+        Args:
+            seed: of the use.
+            first: number of the first episode.
+            count: how many count; the rest fill the batch. All if None.
+            index: (B,) which scenario each is of; they take turns by number if None.
+            watch: is told how far they are.
+            keep_rows: whether what the record stacks is kept.
+
+        Returns:
+            What is left of them.
+
+        Raises:
+            FloatingPointError: a number is not finite; the message names the episodes.
+        """
+        watch, count = watch or Watch(), self.size if count is None else count
+        scenario = self.scenarios[0]
+        numbers = np.arange(first, first + self.size)
+        turn = numbers % len(self.scenarios) if index is None else np.resize(index, self.size)
+        fixed = self._fixed if self.mesh.size == 1 else devices.replicate(self.mesh, self._fixed)
+        turns = jnp.asarray(turn, jnp.int32)
+        running = self._draw(fixed, jnp.uint32(seed), jnp.asarray(numbers, jnp.uint32), turns)
+        counted, rows, waiting = jnp.asarray(np.arange(self.size) < count), [], None
+        for done in range(self.chunk, self._steps + self.chunk, self.chunk):
+            running, kept = self._advance(fixed, running, turns, counted)
+            if waiting is not None:  # while the device goes on
+                rows.append(jax.tree.map(np.asarray, waiting))
+            waiting = kept if keep_rows else None
+            over = bool(np.all(np.asarray(running.states.completed | running.states.timed_out)))
+            simulated = float(np.asarray(running.steps).sum()) * scenario.time_step
+            seconds = scenario.time_limit if over else min(done * scenario.time_step, scenario.time_limit)
+            watch.advanced(seconds, simulated)
+            if over:
+                break
+        if waiting is not None:
+            rows.append(jax.tree.map(np.asarray, waiting))
+        steps, faulty = (np.asarray(part)[:count] for part in (running.steps, running.faulty))
+        if faulty.any():
+            raise FloatingPointError(not_finite(first + np.flatnonzero(faulty), count))
+        states = running.states if count == self.size else jax.tree.map(lambda leaf: leaf[:count], running.states)
+        return Batch(states, steps, jax.tree.map(np.asarray, running.total), rows)
+
+
+def not_finite(numbers: np.ndarray, count: int) -> str:
+    """The sentence on episodes that hold numbers that are not finite.
+
+    Args:
+        numbers: (F,) of those episodes.
+        count: how many episodes there were.
+
+    Returns:
+        A sentence that names them.
+    """
+    names = ", ".join(map(str, numbers[:8])) + (f" and {len(numbers) - 8} more" if len(numbers) > 8 else "")
+    return f"{len(numbers)} of {count} episodes hold numbers that are not finite: {names}."
+
+
+def _varying_leaves(scenarios: list[Scenario]) -> dict[int, Array]:
+    """Place among the leaves -> (C, ...) the values of those that differ between C scenarios."""
+    first, *others = (jax.tree.flatten(dataclasses.replace(each, task=None, task_name="")) for each in scenarios)
+    if any(tree != first[1] for _, tree in others):
+        raise ValueError("scenarios: they differ in more than leaves and task; evaluate them one after the other.")
+    varying = {}
+    for place, leaves in enumerate(zip(first[0], *(each for each, _ in others), strict=True)):
+        if not all(leaf is leaves[0] or np.array_equal(np.asarray(leaf), np.asarray(leaves[0])) for leaf in leaves):
+            varying[place] = jnp.stack([jnp.asarray(leaf) for leaf in leaves])
+    return varying
+
+
+def _select(scenario: Scenario, varying: dict[int, Array], index: Array) -> Scenario:
+    """The scenario of that index."""
+    if not varying:
+        return scenario
+    leaves, tree = jax.tree.flatten(scenario)
+    for place, values in varying.items():
+        leaves[place] = values[index]
+    return jax.tree.unflatten(tree, leaves)
+
+
+def _draw(tasks: tuple, use: str, record: Record, fixed: tuple, seed: Array, numbers: Array, index: Array) -> Running:
+    """Episodes of those numbers (B,) before their first step."""
+    scenario, varying, policy = fixed
+
+    def one(number: Array, turn: Array) -> State:
+        def task(scenario: Scenario, *others: PyTree) -> RobotTask:
+            return jax.lax.switch(turn, [functools.partial(each, scenario) for each in tasks], *others)
+
+        own = dataclasses.replace(_select(scenario, varying, turn), task=task)
+        key = jax.random.fold_in(prng.key(use, seed), number)
+        return init_policy(own, policy, reset(own, key))
+
+    states = jax.vmap(one)(numbers, index)
+    none = jnp.zeros(numbers.shape, jnp.int32)
+    return Running(states, none, jnp.zeros(numbers.shape, bool), record.init(scenario, states))
+
+
+def _advance(record: Record, turns: int, fixed: tuple, running: Running, index: Array, counted: Array) -> tuple:
+    """``turns`` times ``record.every`` steps later; and what the record stacks, (turns, ...)."""
+    scenario, varying, policy = fixed
+
+    def step(state: State, turn: Array) -> tuple[State, Array]:
+        return policy_step(_select(scenario, varying, turn), policy, state)
+
+    def tick(carry: tuple, _: None) -> tuple[tuple, Array]:
+        before, steps, faulty = carry
+        states, actions = jax.vmap(step, (0, 0 if varying else None))(before, index if varying else index[0])
+        active = ~(before.completed | before.timed_out) & counted
+        return (states, steps + active.astype(jnp.int32), faulty | (~_sound(states) & active)), actions
+
+    def one(running: Running, _: None) -> tuple[Running, PyTree]:
+        before = running.states
+        active = ~(before.completed | before.timed_out) & counted
+        carry = before, running.steps, running.faulty
+        if record.every == 1:
+            (states, steps, faulty), actions = tick(carry, None)
+            actions = actions[None]
+        else:
+            (states, steps, faulty), actions = jax.lax.scan(tick, carry, length=record.every)
+        total, kept = record.update(scenario, before, states, actions, active, running.total)
+        return Running(states, steps, faulty, total), kept
+
+    return jax.lax.scan(one, running, length=turns)
+
+
+def _sound(states: State) -> Array:
+    """(B,) bool: places and velocities are finite."""
+    people, robot = states.pedestrians, states.robot
+    moving = jnp.isfinite(people.velocity).all((1, 2)) & jnp.isfinite(robot.speed) & jnp.isfinite(robot.heading).all(-1)
+    return moving & jnp.isfinite(people.position).all((1, 2)) & jnp.isfinite(robot.position).all(-1)
+
+
+@contextlib.contextmanager
+def _uncollected() -> Iterator[None]:
+    """Tracing makes millions of objects that stay; to look for cycles among them takes a fifth of its time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+class _Compiling:
+    """A program that is compiled in a thread of its own, so that Ctrl-C is not kept waiting by the compiler."""
+
+    def __init__(self, lowered: Any, options: dict[str, Any] | None = None) -> None:
+        self._outcome: Any = None
+        self._thread = threading.Thread(target=self._work, args=(lowered, options), name=COMPILER_THREAD, daemon=True)
+        self._thread.start()
+
+    def _work(self, lowered: Any, options: dict[str, Any] | None) -> None:
+        try:
+            self._outcome = lowered.compile(compiler_options=options or None)
+        except Exception as error:  # carried over to the thread that waits
+            self._outcome = error
+
+    def result(self) -> Callable:
+        """The program, when it is compiled."""
+        while self._thread.is_alive():
+            time.sleep(0.02)
+        if isinstance(self._outcome, Exception):
+            raise self._outcome
+        return self._outcome

@@ -1,0 +1,299 @@
+"""Sensors as values (section IV-F): the sensors of a scenario, and the readings of all of them at once.
+
+A ``base.Sensor`` is a pure function with its parameters. ``SENSORS`` names those of every robot. ``depth_sensor``,
+``color_sensor`` and ``lidar_sensor`` make others from a camera or a lidar. ``as_sensor`` also reads YAML files.
+"""
+
+import dataclasses
+import math
+import zlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import jax
+import numpy as np
+import pydantic
+from flax import struct
+from jaxtyping import Float
+
+from sean_jax import files
+from sean_jax.base import Array, RobotModel, Scenario, Sensor, State
+from sean_jax.errors import InputError
+from sean_jax.platforms import to_device
+from sean_jax.sensors.cameras import Camera, camera
+from sean_jax.sensors.depth_images import depth
+from sean_jax.sensors.imperfections import drop_outs, noise
+from sean_jax.sensors.lidars import Lidar, lidar, scan
+from sean_jax.sensors.pictures import render
+
+SensorLike = Sensor | str | Path
+"""What is accepted wherever a sensor is: a ``Sensor``, a name in ``SENSORS``, or a YAML file."""
+
+MAX_PIXELS = 8192  # of a side
+MAX_RAYS = 100_000
+
+
+@struct.dataclass
+class DistanceErrors:
+    """The errors of a sensor that measures distances. All fields are leaves."""
+
+    min_deviation: Float[Array, ""]  # m, of ``sensors.noise``
+    growth: Float[Array, ""]  # 1/m, of ``sensors.noise``
+    drop_out: Float[Array, ""]  # share of the rays that miss, from 0 to 1
+
+
+def distance_errors(min_deviation: float = 0.0012, growth: float = 0.0019, drop_out: float = 0.0) -> DistanceErrors:
+    """Errors of a depth camera, or with ``growth=0`` of a lidar.
+
+    Args:
+        min_deviation: m, standard deviation of the noise of near distances.
+        growth: 1/m, growth of the deviation with the square of the distance.
+        drop_out: share of the rays that miss, from 0 to 1.
+
+    Returns:
+        The errors, for ``depth_sensor`` and ``lidar_sensor``.
+    """
+    return DistanceErrors(*to_device((min_deviation, growth, drop_out)))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Distances:
+    """``Sensor.read`` of a device that measures distances; equal for equal devices, so nothing is compiled again."""
+
+    device: Camera | Lidar
+    measure: Callable[[Scenario, State, Any], Array]
+
+    def __call__(self, scenario: Scenario, params: DistanceErrors | tuple, state: State, key: Array) -> Array:
+        distance = self.measure(scenario, state, self.device)
+        if not isinstance(params, DistanceErrors):
+            return distance
+        noise_key, drop_key = jax.random.split(key)
+        far = self.device.far
+        distance = noise(noise_key, distance, far=far, min_deviation=params.min_deviation, growth=params.growth)
+        return drop_outs(drop_key, distance, params.drop_out, far)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Color:
+    """``Sensor.read`` of a color camera; equal for equal cameras."""
+
+    device: Camera
+
+    def __call__(self, scenario: Scenario, params: tuple, state: State, key: Array) -> Array:
+        return render(scenario, state, self.device).rgb
+
+
+def depth_sensor(device: Camera, errors: DistanceErrors | None = None, name: str | None = None) -> Sensor:
+    """A depth camera, whose reading is (H, W) m.
+
+    Args:
+        device: of ``sensors.camera``.
+        errors: noise and drop-outs; None for exact distances.
+        name: of the reading; that of the camera if None.
+
+    Returns:
+        The sensor.
+    """
+    return Sensor(() if errors is None else errors, name or device.name, _Distances(device, depth))
+
+
+def lidar_sensor(device: Lidar, errors: DistanceErrors | None = None, name: str = "lidar") -> Sensor:
+    """A lidar, whose reading is (rays,) m.
+
+    Args:
+        device: of ``sensors.lidar``.
+        errors: noise and drop-outs; None for exact distances.
+        name: of the reading.
+
+    Returns:
+        The sensor.
+    """
+    return Sensor(() if errors is None else errors, name, _Distances(device, scan))
+
+
+def color_sensor(device: Camera, name: str | None = None) -> Sensor:
+    """A color camera, whose reading is (H, W, 3) red, green and blue from 0 to 1.
+
+    Args:
+        device: of ``sensors.camera``.
+        name: of the reading; that of the camera if None.
+
+    Returns:
+        The sensor.
+    """
+    return Sensor((), name or device.name, _Color(device))
+
+
+def _depth(robot: RobotModel) -> Sensor:
+    """The robot's depth camera."""
+    return depth_sensor(camera(robot, "depth"))
+
+
+def _first_person(robot: RobotModel) -> Sensor:
+    """The robot's color camera that looks ahead."""
+    return color_sensor(camera(robot, "first_person"))
+
+
+def _third_person(robot: RobotModel) -> Sensor:
+    """The robot's color camera that looks at it from behind."""
+    return color_sensor(camera(robot, "third_person"))
+
+
+def _overhead(robot: RobotModel) -> Sensor:
+    """The robot's color camera that looks at it from above."""
+    return color_sensor(camera(robot, "overhead"))
+
+
+def _lidar(robot: RobotModel) -> Sensor:
+    """The robot's lidar."""
+    return lidar_sensor(lidar(robot))
+
+
+SENSORS: dict[str, Callable[[RobotModel], Sensor]] = {
+    "depth": _depth,
+    "first_person": _first_person,
+    "third_person": _third_person,
+    "overhead": _overhead,
+    "lidar": _lidar,
+}
+
+
+def sense(scenario: Scenario, state: State) -> dict[str, Any]:
+    """The readings of all sensors of a scenario.
+
+    Noise depends on the episode, the tick and the name of the sensor alone. So equal states give equal readings, and a
+    further sensor does not change those of others.
+
+    Args:
+        scenario: with ``scenario.sensors``.
+        state: the state to be sensed.
+
+    Returns:
+        The reading of each sensor by its name.
+    """
+    key = jax.random.fold_in(state.streams.sensors, state.tick)
+    return {
+        sensor.name: sensor.read(
+            scenario, sensor.params, state, jax.random.fold_in(key, np.uint32(zlib.crc32(sensor.name.encode())))
+        )
+        for sensor in scenario.sensors
+    }
+
+
+class Errors(pydantic.BaseModel):
+    """Errors of distances in a sensor's file; they have the fields of ``DistanceErrors``."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    min_deviation: Annotated[float, pydantic.Field(ge=0, le=10)] = 0.0012  # m
+    growth: Annotated[float, pydantic.Field(ge=0, le=10)] = 0.0019  # 1/m
+    drop_out: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.0
+
+
+class Settings(pydantic.BaseModel):
+    """A sensor's file. Keys that are left out have the defaults of ``sensors.camera`` and ``sensors.lidar``."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    kind: Literal["depth", "color", "lidar"]
+    name: Annotated[str, pydantic.Field(min_length=1, max_length=100)] | None = None  # of the reading
+    mount: str | None = None  # the camera in the robot's file; that of the kind if left out
+    width: Annotated[int, pydantic.Field(ge=1, le=MAX_PIXELS)] = 640  # pixels
+    height: Annotated[int, pydantic.Field(ge=1, le=MAX_PIXELS)] = 480  # pixels
+    fovy: Annotated[float, pydantic.Field(gt=0, lt=180)] | None = None  # degrees
+    near: Annotated[float, pydantic.Field(ge=0, le=1e4)] | None = None  # m
+    far: Annotated[float, pydantic.Field(gt=0, le=1e4)] | None = None  # m
+    orthographic: Annotated[float, pydantic.Field(ge=0, le=1e4)] | None = None  # m
+    count: Annotated[int, pydantic.Field(ge=1, le=MAX_RAYS)] = 360  # rays
+    first: Annotated[float, pydantic.Field(ge=-360, le=360)] = 0.0  # degrees
+    span: Annotated[float, pydantic.Field(gt=0, le=360)] = 360.0  # degrees
+    errors: Errors | None = None
+
+
+CAMERA_KEYS = ("mount", "width", "height", "fovy", "orthographic")
+LIDAR_KEYS = ("count", "first", "span")
+MOUNTS = {"depth": "depth", "color": "first_person"}
+
+
+def as_sensor(value: SensorLike, robot: RobotModel) -> Sensor:
+    """The sensor that a value stands for.
+
+    Args:
+        value: a ``Sensor``, a name in ``SENSORS``, or the path of a YAML file with the keys of ``Settings``.
+        robot: on which the sensor is mounted.
+
+    Returns:
+        The sensor.
+
+    Raises:
+        InputError: there is no sensor of that name, the file cannot be used, or the robot has no such mount.
+    """
+    if isinstance(value, Sensor):
+        return value
+    if isinstance(value, str) and value in SENSORS:
+        return SENSORS[value](robot)
+    path = Path(value)
+    if path.suffix not in (".yaml", ".yml"):
+        hint = files.suggest(str(value), SENSORS) or f"; give one of {', '.join(SENSORS)} or the path of a .yaml file."
+        raise InputError(f"sensors: '{value}' is no sensor{hint}")
+    return _from_settings(files.load(path, Settings, _problems), robot)
+
+
+def as_sensors(values: Iterable[SensorLike], robot: RobotModel) -> tuple[Sensor, ...]:
+    """The sensors that several values stand for, for ``Scenario.sensors``.
+
+    Args:
+        values: see ``as_sensor``.
+        robot: on which the sensors are mounted.
+
+    Returns:
+        The sensors, in the same order.
+
+    Raises:
+        InputError: one of them is refused by ``as_sensor``, or two have one name.
+    """
+    sensors = tuple(as_sensor(value, robot) for value in values)
+    names = [sensor.name for sensor in sensors]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"sensors: {names.count(name)} have the name '{name}'; give each a name of its own.")
+    return sensors
+
+
+def _problems(settings: Settings) -> list[files.Problem]:
+    foreign = CAMERA_KEYS if settings.kind == "lidar" else LIDAR_KEYS
+    keys = settings.model_fields_set
+    problems: list[files.Problem] = [
+        ((key,), f"is no key of the kind '{settings.kind}'; remove it") for key in foreign if key in keys
+    ]
+    if settings.kind == "color" and settings.errors is not None:
+        problems.append((("errors",), "are errors of distances, which the kind 'color' does not measure; remove them"))
+    return problems
+
+
+def _from_settings(settings: Settings, robot: RobotModel) -> Sensor:
+    errors = None if settings.errors is None else distance_errors(**settings.errors.model_dump())
+    if settings.kind == "lidar":
+        device = lidar(
+            robot,
+            count=settings.count,
+            first=math.radians(settings.first),
+            span=math.radians(settings.span),
+            near=0.12 if settings.near is None else settings.near,
+            far=3.5 if settings.far is None else settings.far,
+        )
+        return lidar_sensor(device, errors, settings.name or "lidar")
+    device = camera(
+        robot,
+        settings.mount or MOUNTS[settings.kind],
+        width=settings.width,
+        height=settings.height,
+        fovy=settings.fovy,
+        near=0.1 if settings.near is None else settings.near,
+        far=settings.far,
+        orthographic=settings.orthographic,
+    )
+    if settings.kind == "depth":
+        return depth_sensor(device, errors, settings.name)
+    return color_sensor(device, settings.name)

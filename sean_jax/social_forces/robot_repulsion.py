@@ -1,0 +1,48 @@
+"""Repulsion by the robot (section IV-D [45]): it acts on people as a person does, from farther away while it moves."""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Float
+
+from sean_jax.base import Array
+from sean_jax.social_forces.repulsion import Repulsion
+from sean_jax.social_forces.terms import Crowd, Force, Pair, sum_pair_terms
+
+
+@struct.dataclass
+class RobotRepulsion:
+    """All pair terms between each person and the robot. Without this term people do not notice the robot.
+
+    A factor f of the repulsion A exp(-b / B) is drawn for each person and acts while the robot moves. It equals a
+    distance of B ln(f), which is what ``Pedestrians.robot_distance`` says.
+    """
+
+    factor_min: Float[Array, ""]  # 1, of the repulsion by a moving robot, drawn uniformly per person ...
+    factor_max: Float[Array, ""]  # 1, ... up to here
+    moving_speed: Float[Array, ""]  # m/s, a slower robot is avoided like a person
+
+    def person(self, crowd: Crowd) -> Force | None:
+        """The push of the robot on everybody.
+
+        Args:
+            crowd: the people and what is around them.
+
+        Returns:
+            (N,) x and y parts [m/s2]; None without a robot or pair terms.
+        """
+        terms, robot, people = crowd.forces.pair_terms, crowd.robot, crowd.people
+        if robot is None or not terms:
+            return None
+        wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
+        moving = jnp.abs(robot.speed) > self.moving_speed
+        repulsion, radii = crowd.forces.get(Repulsion), crowd.forces.walking.radius + crowd.robot_radius
+
+        def push(px, py, vx, vy, look_x, look_y, standing, distance):
+            dx, dy = px - robot.position[0], py - robot.position[1]
+            scale = None if repulsion is None else jnp.where(moving, jnp.exp(distance / repulsion.range), 1.0)
+            pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing, True, scale)
+            return sum_pair_terms(terms, pair)
+
+        one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
+        return jax.vmap(push)(*one, crowd.look_x, crowd.look_y, people.group >= 0, people.robot_distance)

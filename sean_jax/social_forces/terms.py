@@ -1,0 +1,287 @@
+"""The social force is a sum of terms (section IV-D, low level): what a term is, what it may read, and their collection.
+
+A term is a ``flax.struct.dataclass`` whose fields are its parameters. It has one or both of these methods:
+
+- ``pair(self, pair: Pair) -> (fx, fy)``: the acceleration [m/s2] of one person by one other, written for one pair in
+  scalars. All pair terms are evaluated together, in one fused sum over the others. The robot acts on people through
+  the same terms, if there is a ``RobotRepulsion``.
+- ``person(self, crowd: Crowd) -> (fx, fy) | None``: the accelerations (N,) [m/s2] of all people; None if the term does
+  not apply, so that nothing is computed.
+
+The package's own terms and a user's are the same thing. docs/social_forces.md has examples.
+"""
+
+import dataclasses
+import re
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from sean_jax import quantities
+from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot
+from sean_jax.errors import InputError
+from sean_jax.files import suggest
+from sean_jax.social_forces.walking import Walking
+
+Force = tuple[Array, Array]  # x and y parts of accelerations [m/s2]: of one person, or (N,) of all
+T = TypeVar("T")
+
+
+class Pair(NamedTuple):
+    """One person who feels one other: another person, or the robot. Every array is a scalar."""
+
+    dx: Float[Array, "..."]  # m, from the other to the person
+    dy: Float[Array, "..."]
+    wx: Float[Array, "..."]  # m/s, velocity of the other
+    wy: Float[Array, "..."]
+    vx: Float[Array, "..."]  # m/s, velocity of the person
+    vy: Float[Array, "..."]
+    look_x: Float[Array, "..."]  # unit vector, the direction in which the person looks
+    look_y: Float[Array, "..."]
+    radii: Float[Array, "..."]  # m, sum of the radii of both
+    standing: Bool[Array, "..."] | bool = False  # the person is a standing member of a group
+    is_robot: bool = False  # the other is the robot; known when the program is traced
+    repulsion_scale: Float[Array, "..."] | None = None  # 1, factor of the repulsion by a robot; None for a person
+
+
+class Crowd(NamedTuple):
+    """All people at one moment, and what is around them."""
+
+    forces: "Forces"  # all terms, with their parameters
+    people: Pedestrians
+    look_x: Float[Array, "N"]  # unit vectors, the directions in which people look
+    look_y: Float[Array, "N"]
+    obstacle_grid: ObstacleGrid | None
+    groups: Groups | None
+    robot: Robot | None
+    robot_radius: float  # m
+    companions: Int[Array, "N 2"] | None  # indices of those whom each person walks with, -1 none
+
+
+@runtime_checkable
+class PairTerm(Protocol):
+    """A term that acts between two people.
+
+    It may also have ``cutoff(walking) -> () m``, the distance beyond which it is negligible. In crowds of 256 people or
+    more only pairs within the largest cutoff are evaluated, or all pairs if a pair term has no cutoff.
+    """
+
+    def pair(self, pair: Pair) -> Force:
+        """The acceleration of one person by one other.
+
+        Args:
+            pair: the two.
+
+        Returns:
+            () x and y parts [m/s2].
+        """
+        ...
+
+
+@runtime_checkable
+class PersonTerm(Protocol):
+    """A term that acts on each person.
+
+    Its result is subject to ``Walking.damp``, unless the class says ``damped = False``.
+    """
+
+    def person(self, crowd: Crowd) -> Force | None:
+        """The accelerations of all people.
+
+        Args:
+            crowd: the people and what is around them.
+
+        Returns:
+            (N,) x and y parts [m/s2]; None if the term does not apply.
+        """
+        ...
+
+
+Term = Walking | PairTerm | PersonTerm
+
+
+@jax.tree_util.register_pytree_with_keys_class
+@dataclasses.dataclass(frozen=True, eq=False)
+class Forces:
+    """The terms whose sum moves people; a pytree. ``build`` makes one of a name or a list, and checks it.
+
+    It iterates over its terms, and each term is an attribute by the name of its class in lower case:
+    ``forces.repulsion.strength``, ``forces.robot_repulsion``.
+    """
+
+    terms: tuple[Term, ...]
+
+    def __iter__(self) -> Iterator[Term]:
+        return iter(self.terms)
+
+    def __len__(self) -> int:
+        return len(self.terms)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "terms":
+            raise AttributeError(name)
+        for term in self.terms:
+            if term_name(term) == name:
+                return term
+        names = [term_name(term) for term in self.terms]
+        raise AttributeError(f"forces: there is no term '{name}' among {', '.join(names)}{suggest(name, names)}")
+
+    @property
+    def walking(self) -> Walking:
+        """How people move: the one ``Walking`` term."""
+        term = self.get(Walking)
+        if term is None:
+            raise AttributeError("forces: there is no Walking term.")
+        return term
+
+    @property
+    def pair_terms(self) -> tuple[PairTerm, ...]:
+        """The terms that act between two people, in their order."""
+        return tuple(term for term in self.terms if isinstance(term, PairTerm))
+
+    @property
+    def person_terms(self) -> tuple[PersonTerm, ...]:
+        """The terms that act on each person, in their order."""
+        return tuple(term for term in self.terms if isinstance(term, PersonTerm))
+
+    def get(self, kind: type[T]) -> T | None:
+        """The term of a class.
+
+        Args:
+            kind: the class, such as ``Contact``.
+
+        Returns:
+            The term, or None if there is none of that class.
+        """
+        return next((term for term in self.terms if isinstance(term, kind)), None)
+
+    def replace(self, **terms: Term) -> Self:
+        """These forces with other terms in the places of those of the same names.
+
+        Args:
+            **terms: by name, such as ``repulsion=forces.repulsion.replace(strength=...)``.
+
+        Returns:
+            New forces.
+
+        Raises:
+            AttributeError: there is no term of a name.
+        """
+        for name in terms:
+            getattr(self, name)
+        return type(self)(tuple(terms.get(term_name(term), term) for term in self.terms))
+
+    def tree_replace(self, values: dict[str, Any]) -> Self:
+        """These forces with other parameters.
+
+        Args:
+            values: by the names of term and field, such as ``{"repulsion.strength": 8.0, "contact.friction": None}``.
+
+        Returns:
+            New forces. Numbers become float arrays.
+
+        Raises:
+            AttributeError: there is no term of a name.
+            InputError: a term has no parameter of a name.
+        """
+        changes: dict[str, dict[str, Any]] = {}
+        for path, value in values.items():
+            name, _, field = path.partition(".")
+            fields = [one.name for one in dataclasses.fields(getattr(self, name))]
+            if field not in fields:
+                raise InputError(f"forces.{path}: '{name}' has no such parameter{suggest(field, fields)}")
+            number = isinstance(value, (int, float, np.ndarray, np.generic))
+            changes.setdefault(name, {})[field] = np.asarray(value, float) if number else value
+        return self.replace(**{name: dataclasses.replace(getattr(self, name), **new) for name, new in changes.items()})
+
+    def tree_flatten_with_keys(self) -> tuple[list, None]:
+        """Terms as children, each keyed by its name; part of being a pytree."""
+        return [(jax.tree_util.GetAttrKey(term_name(term)), term) for term in self.terms], None
+
+    @classmethod
+    def tree_unflatten(cls, _: None, terms: Iterable) -> Self:
+        """The inverse of ``tree_flatten_with_keys``.
+
+        Args:
+            terms: the children.
+
+        Returns:
+            Forces.
+        """
+        return cls(tuple(terms))
+
+
+def term_name(term: object) -> str:
+    """The name of a term among the forces: its class's in lower case, ``RobotRepulsion`` as ``robot_repulsion``.
+
+    Args:
+        term: any term.
+
+    Returns:
+        The name.
+    """
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", type(term).__name__).lower()
+
+
+def sum_pair_terms(terms: tuple[PairTerm, ...], pair: Pair) -> Force:
+    """What one person feels of one other.
+
+    Args:
+        terms: one or more pair terms; they are added up in this order.
+        pair: the two.
+
+    Returns:
+        () x and y parts [m/s2].
+    """
+    fx, fy = terms[0].pair(pair)
+    for term in terms[1:]:
+        gx, gy = term.pair(pair)
+        fx, fy = fx + gx, fy + gy
+    return fx, fy
+
+
+def collect(terms: Iterable[Term]) -> Forces:
+    """Forces that are the sum of these terms.
+
+    Args:
+        terms: exactly one ``Walking`` among them; they are added up in this order.
+
+    Returns:
+        The forces, with every parameter a float array on the default device.
+
+    Raises:
+        InputError: what is given is no collection of terms, a name stands twice, there is no ``Walking``, or a
+            parameter is not finite.
+    """
+    if isinstance(terms, PairTerm | PersonTerm) or not isinstance(terms, Iterable):
+        raise InputError(
+            f"forces: {quantities.short_repr(terms)} must be the name of a preset or a list of terms, such as "
+            "[*preset('helbing1995'), term]."
+        )
+    terms = tuple(terms)
+    for term in terms:
+        if isinstance(term, type) or not isinstance(term, Walking | PairTerm | PersonTerm):
+            text = quantities.short_repr(term)
+            raise InputError(f"forces: {text} is no term; a term has a method 'pair' or 'person'.")
+        if not dataclasses.is_dataclass(term) or any(leaf is term for leaf in jax.tree.leaves(term)):
+            raise InputError(f"forces: {type(term).__name__} must be a flax.struct.dataclass.")
+    names = [term_name(term) for term in terms]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"forces: the term '{name}' stands twice; give one, or a class of another name for the second."
+            )
+    if "walking" not in names:
+        raise InputError("forces: there is no Walking term, which drives people; begin with [*preset('helbing1995')].")
+    for name, term in zip(names, terms, strict=True):
+        quantities.check_leaves(f"forces.{name}", term)
+    return jax.tree.map(_parameter, Forces(terms))
+
+
+def _parameter(leaf: Any) -> Array:
+    if isinstance(leaf, jax.Array):
+        return leaf.astype(float)
+    return jax.device_put(np.asarray(leaf, float))

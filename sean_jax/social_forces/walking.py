@@ -1,0 +1,101 @@
+"""Walking (section IV-D, low level): what a person is without others: a body, a speed, a way to turn.
+
+D. Helbing & P. Molnar, Phys. Rev. E 51, 4282 (1995): people take up their desired velocity within a relaxation time.
+"""
+
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Float
+
+from sean_jax.base import Array, Pedestrians
+from sean_jax.geometry import angle_between, length, rotate, unit
+
+MIN_SPEED = 0.1  # m/s: a slower body does not turn into its direction of motion
+
+
+@struct.dataclass
+class Walking:
+    """How people move. Every collection of forces has exactly one of these; it is the term that drives them."""
+
+    radius: Float[Array, ""]  # m, of a body; obstacles are kept out of it
+    relaxation_time: Float[Array, ""]  # s, in which the desired velocity is taken up
+    speed_mean: Float[Array, ""]  # m/s, of the preferred speeds drawn per person
+    speed_deviation: Float[Array, ""]  # m/s, their standard deviation
+    speed_min: Float[Array, ""]  # m/s, the draw is truncated here ...
+    speed_max: Float[Array, ""]  # m/s, ... and here
+    speed_ratio: Float[Array, ""]  # 1, top speed over preferred speed
+    companion_slowdown: Float[Array, ""]  # m/s, by which each companion lowers the preferred speed
+    turn_rate: Float[Array, ""]  # rad/s, at which a body turns into its direction of motion
+    perception: Float[Array, ""]  # m, nobody and no wall farther away is felt
+    lateral_damping: Float[Array, ""]  # 1, divides the part of the social force across the heading
+    backward_scale: Float[Array, ""]  # 1, scales the part of the social force against the heading
+
+    def damp(
+        self, fx: Float[Array, "N"], fy: Float[Array, "N"], heading: Float[Array, "N 2"]
+    ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+        """Scales the social force against the heading by ``backward_scale`` and damps it across the heading.
+
+        Args:
+            fx: (N,) x part of the social force [m/s2].
+            fy: (N,) y part [m/s2].
+            heading: (N, 2) unit vectors.
+
+        Returns:
+            (N,) x and y parts of what is left [m/s2].
+        """
+        hx, hy = heading[:, 0], heading[:, 1]
+        along, across = fx * hx + fy * hy, fy * hx - fx * hy
+        along = jnp.where(along < 0.0, along * self.backward_scale, along)
+        across = across / self.lateral_damping
+        return along * hx - across * hy, along * hy + across * hx
+
+    def limit_speed(
+        self, vx: Float[Array, "N"], vy: Float[Array, "N"], preferred_speed: Float[Array, "N"]
+    ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+        """Shortens velocities to ``speed_ratio`` times the preferred speed.
+
+        Args:
+            vx: (N,) x parts of the velocities [m/s].
+            vy: (N,) y parts [m/s].
+            preferred_speed: (N,) m/s.
+
+        Returns:
+            (N,) x and y parts of the limited velocities [m/s].
+        """
+        speed, speed_max = length(vx, vy), self.speed_ratio * preferred_speed
+        slower = jnp.where(speed > speed_max, speed_max / jnp.where(speed > speed_max, speed, 1.0), 1.0)
+        return vx * slower, vy * slower
+
+
+def look_direction(people: Pedestrians) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+    """Where each person looks: to where they want to go, or along their heading when they stand.
+
+    Args:
+        people: N people.
+
+    Returns:
+        (N,) x and y parts of unit vectors.
+    """
+    x, y = unit(people.desired_velocity[:, 0], people.desired_velocity[:, 1])
+    standing = (people.group >= 0) | ((x == 0.0) & (y == 0.0))
+    return jnp.where(standing, people.heading[:, 0], x), jnp.where(standing, people.heading[:, 1], y)
+
+
+def turn(
+    people: Pedestrians, velocity: Float[Array, "N 2"], max_angle: Float[Array, ""] | float
+) -> Float[Array, "N 2"]:
+    """Headings turned towards the velocity; standing members of groups keep theirs.
+
+    Args:
+        people: N people, with their headings so far.
+        velocity: (N, 2) m/s.
+        max_angle: by how much a heading turns at most [rad].
+
+    Returns:
+        (N, 2) unit vectors.
+    """
+    angle = angle_between(people.heading, velocity)
+    walking = (people.group < 0) & (length(velocity[:, 0], velocity[:, 1]) > MIN_SPEED)
+    angle = jnp.where(walking, jnp.clip(angle, -max_angle, max_angle), 0.0)
+    x, y = rotate(people.heading[:, 0], people.heading[:, 1], jnp.cos(angle), jnp.sin(angle))
+    return jnp.stack(unit(x, y), -1)

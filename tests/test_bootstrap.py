@@ -1,0 +1,160 @@
+"""Figures over episodes: means and bootstrap intervals against closed forms and scipy's bootstrap."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+
+import sean_jax
+from sean_jax.experiments import shares
+from sean_jax.metrics import aggregate, aggregate_ratio, interval, resamples
+
+
+@pytest.fixture(scope="module")
+def normal():
+    """400 episodes of three columns: normal around 10 and 3, and a mean of 0."""
+    return np.random.default_rng(0).normal([10.0, 3.0, 0.0], [2.0, 0.5, 1.0], (400, 3))
+
+
+def test_interval_of_normal_data_is_that_of_their_standard_error(normal):
+    found = aggregate(normal)
+    half = 1.96 * normal.std(0) / 20
+    np.testing.assert_allclose(found.mean, normal.mean(0), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(found.low, normal.mean(0) - half, atol=0.1 * half.max())
+    np.testing.assert_allclose(found.high, normal.mean(0) + half, atol=0.1 * half.max())
+    assert found.episodes.tolist() == [400] * 3
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95])
+def test_interval_equals_scipys(normal, level):
+    """Two Monte-Carlo estimates of the same quantiles: they differ by the noise of 2000 resamples."""
+    found = aggregate(normal[:60], level=level)
+    for k in range(3):
+        theirs = scipy.stats.bootstrap(
+            (normal[:60, k],), np.mean, n_resamples=8000, confidence_level=level, method="percentile", rng=1
+        )
+        noise = 0.12 * float(theirs.standard_error)
+        np.testing.assert_allclose([found.low[k], found.high[k]], tuple(theirs.confidence_interval), atol=noise)
+
+
+def test_ratio_equals_scipys():
+    random = np.random.default_rng(2)
+    total = random.uniform(5.0, 30.0, 80)
+    part = total * random.beta(2.0, 5.0, 80)
+    found = aggregate_ratio(part, total)
+    theirs = scipy.stats.bootstrap(
+        (part, total), lambda a, b, axis: a.sum(axis) / b.sum(axis), paired=True, n_resamples=8000,
+        method="percentile", rng=3,
+    )  # fmt: skip
+    assert found.mean == pytest.approx(part.sum() / total.sum()) and found.mean.shape == ()
+    noise = 0.12 * float(theirs.standard_error)
+    np.testing.assert_allclose([found.low, found.high], tuple(theirs.confidence_interval), atol=noise)
+
+
+def test_interval_of_a_ratio_is_that_of_the_delta_method():
+    """The error of a / b is that of the mean of (a - r b) / mean(b), r the ratio."""
+    random = np.random.default_rng(6)
+    total = random.uniform(8.0, 12.0, 900)
+    part = total * random.uniform(0.0, 0.6, 900)
+    found, share = aggregate_ratio(part, total), part.sum() / total.sum()
+    half = 1.96 * (part - share * total).std() / total.mean() / 30
+    np.testing.assert_allclose([found.low, found.high], [share - half, share + half], atol=0.1 * half)
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95])
+def test_interval_of_evenly_spaced_samples(level):
+    """Quantiles of 0, 1, ..., 1000 are those numbers; of each column by itself."""
+    samples = np.random.default_rng(7).permutation(1001)[:, None] * [1.0, -2.0]
+    low, high = interval(samples, level)
+    ends = 1000 * np.array([(1 - level) / 2, (1 + level) / 2])
+    np.testing.assert_allclose([low[0], high[0]], ends)
+    np.testing.assert_allclose([low[1], high[1]], -2 * ends[::-1])
+
+
+def test_shares_of_table_1_have_the_intervals_of_their_blocks():
+    """Seconds of a minute are all alike here, so the error is that of 400 draws, not of 24,000."""
+    block = np.random.default_rng(8).uniform(size=(400, 1, 5)) < [0.1, 0.2, 0.3, 0.4, 0.5]
+    found = shares.count(np.broadcast_to(block, (400, 60, 5)))
+    share = block.mean((0, 1))
+    np.testing.assert_allclose(found.multi[0], share, rtol=1e-12)
+    half = 1.96 * np.sqrt(share * (1 - share) / 400)
+    np.testing.assert_allclose(shares.interval(found.multi), [share - half, share + half], atol=0.12 * half.max())
+    by_aggregate = aggregate(block[:, 0].astype(float))
+    np.testing.assert_allclose(shares.interval(found.multi), [by_aggregate.low, by_aggregate.high], rtol=1e-9)
+    assert found.examples == 24_000 and found.none == pytest.approx((~block.any(-1)).mean())
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """300 experiments of 40 episodes: 95 % intervals hold the true mean in about 93 %, for the percentile is short."""
+    data = np.random.default_rng(4).normal(1.0, 1.0, (40, 300))
+    found = aggregate(data)
+    share = ((found.low <= 1.0) & (found.high >= 1.0)).mean()
+    assert 0.89 <= share <= 0.97
+
+
+def test_what_does_not_apply_does_not_count_and_is_no_number_of_the_result(normal):
+    applies = np.random.default_rng(5).uniform(size=normal.shape) < 0.3
+    applies[:, 2] = False
+    told = np.where(applies, normal, np.nan)
+    found = aggregate(told)
+    for name, other in zip(found._fields, aggregate(np.where(applies, normal, np.inf), applies), strict=True):
+        np.testing.assert_array_equal(getattr(found, name), other, err_msg=name)
+    np.testing.assert_allclose(found.mean[:2], [normal[applies[:, k], k].mean() for k in (0, 1)], rtol=1e-12)
+    half = [1.96 * normal[applies[:, k], k].std() / np.sqrt(applies[:, k].sum()) for k in (0, 1)]
+    np.testing.assert_allclose(found.high[:2] - found.low[:2], 2 * np.array(half), rtol=0.15)
+    assert found.episodes.tolist() == applies.sum(0).tolist()
+    assert (found.mean[2], found.low[2], found.high[2], found.episodes[2]) == (0.0, 0.0, 0.0, 0)
+    assert all(np.isfinite(part).all() for part in found)
+
+
+def test_seed_decides_and_shared_resamples_are_the_same(normal):
+    same, other = aggregate(normal, seed=7), aggregate(normal, seed=8)
+    for one, again in zip(same, aggregate(normal, weights=resamples(400, 7)), strict=True):
+        np.testing.assert_array_equal(one, again)
+    assert (same.low != other.low).all() and (same.mean == other.mean).all()
+    one_column = aggregate(normal[:, 0], seed=7)
+    assert one_column.low == same.low[0] and one_column.episodes == 400
+    weights = resamples(50, 1)
+    assert weights.shape == (2000, 50) and (weights.sum(1) == 50).all()
+    assert len(resamples(50_000)) == 400 and len(resamples(50_000, count=7)) == 7
+    np.testing.assert_array_equal(resamples(60, 2, 2000), resamples(60, 2))
+
+
+def test_one_episode_has_an_interval_of_no_width():
+    found = aggregate(np.array([3.5]))
+    assert found == (3.5, 3.5, 3.5, 1)
+
+
+@pytest.mark.slow
+def test_metrics_of_a_batch_of_episodes(scenario):
+    """As a user has them: a dict of what ``results`` gives, vmapped over states."""
+    states = jax.jit(jax.vmap(lambda key: sean_jax.reset(scenario, key)))(jax.random.split(jax.random.key(0), 4))
+    measured = jax.jit(jax.vmap(lambda state: sean_jax.results(scenario, state)))(states)
+    found = jax.tree.map(sean_jax.aggregate, measured)
+    assert set(found) == set(measured)
+    distance = np.asarray(measured["min_distance_to_goal"], float)
+    assert found["min_distance_to_goal"].mean == pytest.approx(distance.mean())
+    assert found["time_in_situation"].mean.shape == (1 + len(scenario.situations),)
+    assert all(np.isfinite(part).all() for estimate in found.values() for part in estimate)
+    assert (found["mean_speed"].episodes[1:] == 0).all()  # no step, so no situation has occurred
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: aggregate(np.zeros((0, 3))), "with an E of 1 or more"),
+        (lambda: aggregate(np.zeros((2, 3, 4))), r"\(E,\) or \(E, 1 \+ S\)"),
+        (lambda: aggregate(np.zeros(3), np.ones(2, bool)), r"\(2,\) must be bool of the shape \(3,\)"),
+        (lambda: aggregate(np.zeros(3), np.ones(3)), "must be bool"),
+        (lambda: aggregate(jnp.array([1.0, jnp.nan]), np.ones(2, bool)), "one that counts is not finite"),
+        (lambda: aggregate(np.zeros(3), level=95), "level: 95 must lie between 0 and 1"),
+        (lambda: interval(np.zeros(3), 0.0), "level: 0.0 must lie between 0 and 1"),
+        (lambda: aggregate_ratio(np.zeros(3), np.zeros(2)), "must be equal"),
+        (lambda: aggregate_ratio(np.ones(3), -np.ones(3)), "denominator: -1 is negative"),
+    ],
+)
+def test_what_cannot_be_aggregated_is_refused_in_one_sentence(call, words):
+    with pytest.raises(ValueError, match=words) as refused:
+        call()
+    assert "\n" not in str(refused.value)

@@ -1,0 +1,68 @@
+"""Ctrl-C and SIGTERM stop the work, wherever it is."""
+
+import signal
+import time
+import weakref
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from sean_jax import interrupts
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_is_not_lost_in_a_callback(kind):
+    """As when a cache forgets what is no longer there: what is raised then, Python tells and forgets."""
+
+    class Key:
+        pass
+
+    class Sender(dict):
+        def __delitem__(self, key):
+            super().__delitem__(key)
+            signal.raise_signal(kind)
+
+    before = signal.getsignal(kind)
+    with interrupts.interruptible() as received:
+        cache, key = weakref.WeakKeyDictionary(), Key()
+        cache.data = Sender()
+        cache[key] = 1
+        with pytest.raises(KeyboardInterrupt):
+            del key
+            assert not len(cache) and received == [kind]
+            time.sleep(60)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(kind)
+        assert received == [kind, kind]
+    assert signal.getsignal(kind) == before
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no alarms")
+def test_an_alarm_does_not_outlive_the_block():
+    with interrupts.interruptible() as received:
+        stop: Any = signal.getsignal(signal.SIGINT)
+        frame = SimpleNamespace(f_code=SimpleNamespace(co_filename="/lib/weakref.py"), f_back=None)
+        stop(signal.SIGINT, frame)
+    assert received == [signal.SIGINT] and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+    time.sleep(2 * interrupts.RETRY_INTERVAL)
+
+
+def test_an_ignored_signal_stays_ignored():
+    """As nohup, or a shell in the background, starts a program."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with interrupts.interruptible() as received:
+            signal.raise_signal(signal.SIGINT)
+        assert received == [] and signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_a_handler_that_is_not_pythons_is_left_alone(monkeypatch):
+    before = signal.getsignal(signal.SIGINT)
+    with monkeypatch.context() as patched:
+        patched.setattr(signal, "getsignal", lambda kind: None)
+        with interrupts.interruptible():
+            patched.undo()
+            assert signal.getsignal(signal.SIGINT) is before

@@ -1,0 +1,188 @@
+"""Walking groups: who belongs together, where they start, that they stay side by side, and what they leave alone."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import walkers
+
+import sean_jax
+from sean_jax import scenario as stages
+from sean_jax import social_forces
+from sean_jax.behaviors import starts, walking_groups
+from sean_jax.behaviors.walking_groups import WalkingGroups
+from sean_jax.geometry import crosses_box
+from sean_jax.social_forces import Crowd
+
+PEOPLE, SHARES = 24, (0.35, 0.25)  # four pairs and two triples
+MEMBERS = [(10, 11), (12, 13), (14, 15), (16, 17), (18, 19, 20), (21, 22, 23)]
+reset = jax.jit(sean_jax.reset)
+TASKS = {"random": "random_ab_nav", "graph": "join_group"}
+
+
+@pytest.fixture(scope="module", params=["random", "graph"])
+def mixed(request):
+    """A scenario with walking groups, and 60 s of an episode: states before and after each step, the robot at rest."""
+    scenario = sean_jax.make(
+        behavior=request.param, task=TASKS[request.param], people=PEOPLE, walking_groups=SHARES, dynamics="twin"
+    )
+
+    def one(state, _):
+        after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
+        after = stages.move_pedestrians(scenario, after).replace(tick=state.tick + 1)
+        return after, (after.pedestrians, after.memory)
+
+    start = reset(scenario, jax.random.key(3))
+    history = jax.jit(lambda start: jax.lax.scan(one, start, length=600)[1])(start)
+    return scenario, start, jax.tree.map(np.asarray, history)
+
+
+@pytest.mark.parametrize(("people", "shares", "pairs", "triples"), [
+    (62, (0.0, 0.0), 0, 0), (62, (0.3, 0.2), 9, 4), (10, (0.2, 0.0), 1, 0), (10, (0.39, 0.59), 1, 1),
+    (6, (0.5, 0.5), 1, 1), (3, (0.0, 1.0), 0, 1), (2, (0.99, 0.0), 0, 0),
+])  # fmt: skip
+def test_shares_round_down_to_whole_walking_groups(people, shares, pairs, triples):
+    assert walking_groups.count_walking_groups(people, shares) == WalkingGroups(pairs, triples)
+    assert WalkingGroups(pairs, triples).members <= people
+
+
+@pytest.mark.parametrize("shares", [(-0.1, 0.0), (0.6, 0.5), (0.0, 1.2), (float("nan"), 0.0)])
+def test_shares_that_cannot_be_are_refused(shares):
+    with pytest.raises(ValueError, match="^walking_groups: .* must be two shares"):
+        walking_groups.count_walking_groups(10, shares)
+    with pytest.raises(ValueError, match="walking_groups: .* must be "):
+        sean_jax.make(behavior="random", task="random_ab_nav", people=10, walking_groups=shares, dynamics="twin")
+
+
+def test_companions_are_the_others_of_the_walking_group():
+    table = np.asarray(WalkingGroups(4, 2).companions(PEOPLE))
+    for person in range(PEOPLE):
+        walking_group = next((walking_group for walking_group in MEMBERS if person in walking_group), (person,))
+        assert sorted(table[person][table[person] >= 0]) == [one for one in walking_group if one != person]
+    assert WalkingGroups(0, 0).companions(PEOPLE) is None
+    leaders = np.asarray(walking_groups.leaders(jnp.asarray(table), PEOPLE))
+    assert leaders.tolist() == [-1] * 10 + [walking_group[0] for walking_group in MEMBERS for _ in walking_group]
+
+
+def test_nobody_has_company_unless_asked(scenario):
+    assert scenario.behavior.companions is None
+    walking_group = walking_groups.leaders(None, 5)
+    assert walking_group.tolist() == [-1] * 5 and walking_group.dtype == jnp.int32
+
+
+def test_where_everybody_goes_is_laid_down_walking_groups_are_refused(tmp_path):
+    file = tmp_path / "walks.csv"
+    file.write_text("frame,id,x,y\n" + "\n".join(f"{k},1,{0.1 * k},0" for k in range(30)))
+    with pytest.raises(
+        ValueError,
+        match="^walking_groups: behavior 'playback' has no such option; choose behavior 'graph' or 'random'",
+    ):
+        sean_jax.make(
+            behavior="playback", task="random_ab_nav", recording=file, walking_groups=(0.5, 0.0), dynamics="twin"
+        )
+
+
+def test_more_walking_groups_than_fit_are_refused(mixed):
+    tables = mixed[0].behavior.data
+    start = np.asarray(tables.start)[:40]
+    with pytest.raises(ValueError, match="^walking_groups: 20 do not fit here, .* at most; give smaller") as no:
+        walking_groups.find_spawn_clusters(tables.navigation, start, WalkingGroups(20, 0))
+    most = int(str(no.value).split("here, ")[1].split(" ")[0])
+    assert most < 14
+    assert len(walking_groups.find_spawn_clusters(tables.navigation, start, WalkingGroups(0, 0))) == 0
+
+
+def test_spawn_clusters_share_no_start(mixed):
+    spawn_clusters = np.asarray(mixed[0].behavior.data.spawn_clusters)
+    assert len(np.unique(spawn_clusters)) == spawn_clusters.size > 3 * 6
+
+
+def test_walking_groups_start_together_and_everybody_apart(mixed):
+    scenario, start, _ = mixed
+    people = jax.tree.map(np.asarray, start.pedestrians)
+    gap = np.linalg.norm(people.position[:, None] - people.position, axis=-1)
+    assert (gap + 9 * np.eye(PEOPLE)).min() >= starts.MIN_DISTANCE - 1e-5
+    boxes = scenario.environment.obstacles
+    for first, *others in MEMBERS:
+        for other in others:
+            assert gap[first, other] <= walking_groups.MAX_SPAWN_DISTANCE + 1e-5
+            p, q = people.position[first], people.position[other]
+            assert not np.asarray(crosses_box(*p, *q, boxes, 0.0)).any()
+        assert len(set(people.preferred_speed[[first, *others]].tolist())) == 1
+    np.testing.assert_array_equal(
+        people.walking_group, [-1] * 10 + [walking_group[0] for walking_group in MEMBERS for _ in walking_group]
+    )
+
+
+def test_walking_groups_are_slower_by_as_much_as_their_companions_take_off(mixed):
+    """The same draw of speeds, with and without the slowness."""
+    scenario, start, _ = mixed
+    slowness = float(scenario.forces.walking.companion_slowdown)
+    quick = scenario.replace(forces=scenario.forces.tree_replace({"walking.companion_slowdown": 0.0}))
+    free = np.asarray(reset(quick, jax.random.key(3)).pedestrians.preferred_speed)
+    less = free - np.asarray(start.pedestrians.preferred_speed)
+    np.testing.assert_allclose(less, slowness * np.array([0] * 10 + [1] * 8 + [2] * 6), atol=1e-6)
+
+
+def test_followers_have_the_leaders_goal_and_walking_groups_take_no_seats(mixed):
+    scenario, _, (people, memory) = mixed
+    for first, *others in MEMBERS:
+        for other in others:
+            np.testing.assert_array_equal(memory.goal[:, first], memory.goal[:, other])
+    led = [walking_group[0] for walking_group in MEMBERS]
+    assert (memory.goal[0, led] != memory.goal[-1, led]).any()  # some have arrived, and gone on together
+    if scenario.behavior.name == "graph":
+        assert (memory.seat[:, 10:] == -1).all() and (people.group[:, 10:] == -1).all()
+        assert (people.group[:, :10] >= 0).any()
+        assert not np.asarray(scenario.behavior.data.graph.is_group)[memory.goal[:, 10:]].any()
+
+
+def test_walking_groups_stay_together_side_by_side(mixed):
+    """As measured, spacing .71-.92 m and more than 60 degrees off in 63-89 %, with room for few people and corners."""
+    scenario, _, (people, _) = mixed
+    found = walkers.together(people.position[100:], people.velocity[100:], np.asarray(scenario.behavior.companions))
+    assert 0.6 < found[2]["spacing"] < 0.95 and 0.6 < found[3]["spacing"] < 0.95
+    assert found[2]["beside"] > 0.5 and found[3]["beside"] > 0.3
+    assert found[2]["apart"] < 0.05 and found[3]["apart"] < 0.15
+
+
+def test_walking_groups_in_the_open_walk_abreast_at_the_measured_distance_and_speed():
+    parameters = social_forces.preset("helbing1995")
+    found = {size: walkers.together(*walkers.in_the_open(parameters, size, 32, 25.0))[size] for size in (1, 2, 3)}
+    for size in (2, 3):
+        assert 0.71 <= found[size]["spacing"] <= 0.92
+        assert found[size]["beside"] > 0.89 and found[size]["apart"] == 0.0
+    assert 0.04 <= found[1]["speed"] - found[2]["speed"] <= 0.15
+    assert found[3]["speed"] < found[2]["speed"]
+
+
+def test_cohesion_of_strength_zero_is_none():
+    names = ("cohesion.gaze", "cohesion.attraction", "cohesion.repulsion", "contact.stiffness")
+    parameters = social_forces.preset("helbing1995").tree_replace(dict.fromkeys(names, 0.0))
+    people = walkers.walkers(jnp.array([[0.0, 0.0], [3.0, 0.3], [0.1, 0.2]]), jnp.ones((3, 2)))
+    companions = jnp.array([[1, 2], [0, 2], [0, 1]], jnp.int32)
+    crowd = Crowd(parameters, people, *people.heading.T, None, None, None, 0.0, companions)
+    force = parameters.cohesion.person(crowd)
+    np.testing.assert_array_equal(np.asarray(force), 0.0)
+
+
+def test_who_is_absent_is_nobodys_company():
+    parameters = social_forces.preset("helbing1995")
+    people = walkers.walkers(jnp.array([[0.0, 0.0], [3.0, 0.3], [0.1, 0.2]]), jnp.ones((3, 2)))
+    people = people.replace(present=jnp.array([True, False, False]))
+    companions = jnp.array([[1, 2], [0, 2], [0, 1]], jnp.int32)
+    crowd = Crowd(parameters, people, *people.heading.T, None, None, None, 0.0, companions)
+    force = parameters.cohesion.person(crowd)
+    np.testing.assert_array_equal(np.asarray(force)[:, 0], 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("behavior", list(TASKS))
+def test_walking_groups_among_other_people(behavior):
+    """The warehouse's own number of people, half of them in walking groups."""
+    scenario = sean_jax.make(behavior=behavior, task=TASKS[behavior], dynamics="twin", walking_groups=(0.3, 0.3))
+    found = walkers.together(*walkers.in_scenario(scenario, 8))
+    assert 0.54 <= found[2]["spacing"] <= 0.92 and 0.54 <= found[3]["spacing"] <= 0.92
+    assert 0.63 <= found[2]["beside"] <= 0.89
+    assert found[2]["apart"] < 0.02 and found[3]["apart"] < 0.05
+    assert found[1]["speed"] > found[2]["speed"] > found[3]["speed"]
