@@ -278,8 +278,7 @@ class Family:
 
     variants: tuple[type[Component], ...]
     singular: str | None = None  # of a field with several, the option that adds one
-
-    several: bool = False
+    several: bool = False  # also without such an option, as tasks that take turns
 
     def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
         tagged = [Annotated[each, Tag(each.__name__)] for each in (*self.variants, OwnPart, Value)]

@@ -328,3 +328,15 @@ def test_ever_so_many_batches_are_no_list():
         scenario: Any = SimpleNamespace(time_limit=1.0)
         config = RunConfig(episodes=2**31 - 1, batch=1)
         evaluation._episodes([scenario], asked, config, Progress(), asked, None)
+
+
+def test_a_resumed_run_replaces_the_parts_of_its_earlier_report(tmp_path):
+    """Own parts lie in a folder, which a report at Ctrl-C has written already."""
+    for text in ("old", "new"):
+        run = unfinished.Unfinished(tmp_path, RunConfig())
+        with run.results(complete=text == "new") as stage:
+            (stage / "parts").mkdir()
+            (stage / "parts" / "mine.py").write_text(text)
+        (tmp_path / unfinished.PLACE).mkdir(exist_ok=True)
+        (tmp_path / unfinished.PLACE / unfinished.ABOUT).write_text(json.dumps(run.about))
+    assert (tmp_path / "parts" / "mine.py").read_text() == "new"

@@ -114,6 +114,8 @@ class Unfinished:
         stage.mkdir(parents=True)
         yield stage
         for file in sorted(stage.iterdir()):
+            if (self.folder / file.name).is_dir():  # parts of one's own, of a report that was written at Ctrl-C
+                shutil.rmtree(self.folder / file.name)
             os.replace(file, self.folder / file.name)
         self.complete = complete
         if complete:
