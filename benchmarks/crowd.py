@@ -69,7 +69,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--sizes", nargs="+", default=["1x62", "256x62", "1x1000"], metavar="BxN")
     arguments.add_argument("--walls", nargs="+", type=int, default=[0, 32])
-    arguments.add_argument("--presets", nargs="+", default=["helbing1995", "sean2"])
+    arguments.add_argument("--presets", nargs="+", default=["calibrated", "helbing1995", "sean2"])
     arguments.add_argument("--no-loop", action="store_true", help="leave out the float64 loop")
     chosen = arguments.parse_args()
     print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, step {STEP} s")

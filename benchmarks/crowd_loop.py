@@ -66,6 +66,41 @@ def contact(d, w, v, p):
     return push
 
 
+def sidestep(d, w, v, look, p):
+    """Accelerations (n, 2) to the right of those who come towards one."""
+    c = p["sidestep"]
+    bearing = -(d @ look) / length(d)
+    oncoming = ((w - v) @ look < 0) & (bearing >= c["cosine"]) & (length(d) < c["range"])
+    return np.where(oncoming, c["preference"] * bearing, 0.0)[:, None] * np.array([look[1], -look[0]])
+
+
+def in_the_way(d, w, look, p):
+    """Share of the desired velocity that somebody at -d takes."""
+    c = p["headway"]
+    ahead, aside = -(d @ look), d[0] * look[1] - d[1] * look[0]
+    gap = length(d) - 2 * p["walking"]["radius"]
+    near, before = (c["range"] - gap) / (c["range"] - c["length"]), 1 - (aside / c["width"]) ** 2
+    oncoming = ramp(-(w @ look))
+    return ramp(ahead / c["ramp"]) * (1 - oncoming) * (max(near, 0.0) * max(before, 0.0)) ** 2
+
+
+def closer(d, w, v):
+    """Those of the others who come closer: where they are, their velocities and one's own."""
+    return [(one, other, v) for one, other in zip(d, w, strict=True) if one @ (v - other) < 0]
+
+
+def step_aside(d, w, v, look, p):
+    """Share of the push to the right, away from the closest approach to one other, if both keep their velocities."""
+    c = p["evasion"]
+    u = v - w
+    time = -(d @ u) / (u @ u + c["speed"] ** 2)
+    offset = d + u * time
+    right = offset @ np.array([look[1], -look[0]]) + c["side"]
+    closing = u @ u / (u @ u + c["speed"] ** 2)
+    soon, near = max(1 - time / c["horizon"], 0.0), max(1 - offset @ offset / c["width"] ** 2, 0.0)
+    return c["gain"] * ramp(-(d @ look) / c["ramp"]) * closing * (soon * near) ** 2 * right / c["width"]
+
+
 def ramp(share):
     """0 below 0, 1 above 1."""
     return min(max(share, 0.0), 1.0)
@@ -107,12 +142,18 @@ def step(x, v, heading, desired, preferred, boxes, p, law, dt, walking_groups=()
         look = desired[i] / speed_wanted if speed_wanted > 0 else heading[i]
         push = repulsion(d, w, v[i], p)
         force = sight(push, d, look, p, law)[:, None] * push
-        bearing = -(d @ look) / length(d)
-        oncoming = ((w - v[i]) @ look < 0) & (bearing >= p["sidestep"]["cosine"]) & (length(d) < p["sidestep"]["range"])
-        right = np.array([look[1], -look[0]])
-        force = force + np.where(oncoming, p["sidestep"]["preference"] * bearing, 0.0)[:, None] * right
+        if "sidestep" in p:
+            force = force + sidestep(d, w, v[i], look, p)
         force = force + np.array([contact(one, other, v[i], p) for one, other in zip(d, w, strict=True)]).reshape(-1, 2)
-        total = force[length(d) < p["walking"]["perception"]].sum(0)
+        felt = length(d) < p["walking"]["perception"]
+        total = force[felt].sum(0)
+        if "headway" in p:
+            share = min(sum(in_the_way(*one, look, p) for one in zip(d[felt], w[felt], strict=True)), 0.95)
+            total = total - share * desired[i] / p["walking"]["relaxation_time"]
+        if "evasion" in p:
+            share = sum(step_aside(one, *both, look, p) for one, *both in closer(d[felt], w[felt], v[i]))
+            right = np.array([look[1], -look[0]])
+            total = total + p["evasion"]["strength"] * share / np.sqrt(1 + share**2) * right
         if len(boxes[2]):
             distance, normal = from_boxes(x[i], boxes)
             near = distance < p["walking"]["perception"]

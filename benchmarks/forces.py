@@ -9,25 +9,40 @@ import argparse
 import jax
 import jax.numpy as jnp
 import numpy as np
-from walkers import bottleneck, doorway, flow, in_scenario, in_the_open, right_share, robot_gaps, together
+from walkers import (
+    bottleneck,
+    doorway,
+    flow,
+    in_scenario,
+    in_the_open,
+    right_share,
+    robot_gaps,
+    side_preference,
+    together,
+)
 
 import sean_jax
 from sean_jax import social_forces
 
-PREFERENCES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2, 1.6)  # m/s2
+PREFERENCES = {
+    "sidestep.preference": (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2, 1.6),  # m/s2
+    "evasion.side": (0.0, 0.01, 0.02, 0.03, 0.05, 0.1, 0.15, 0.2, 0.3),  # m
+}
 FACTORS = (0.5, 1.0, 2.0, 4.0, 8.0)  # of the repulsion by the robot
 
 
 def print_passing(presets) -> None:
     """Share of right-hand passes by side preference."""
-    print("passing: share of head-on meetings in which both keep right, by sidestep.preference [m/s2] (1000 each)")
-    print(f"{'':>14}" + "".join(f"{value:7.1f}" for value in PREFERENCES) + "   own value")
+    print("passing: share of head-on meetings in which both keep right, by side preference (1000 each)")
     for name in presets:
         parameters = social_forces.preset(name)
+        side = side_preference(parameters)
+        term, field = side.split(".")
+        print(f"{side:>20}" + "".join(f"{value:7.2f}" for value in PREFERENCES[side]) + "   own value")
         for sign in (1.0, -1.0):
-            share = np.nanmean(right_share(parameters, sign * np.array(PREFERENCES)), axis=1)
-            own = f"   {float(parameters.sidestep.preference):9.2f}" if sign > 0 else ""
-            print(f"{name if sign > 0 else '  mirrored':>14}" + "".join(f"{one:7.3f}" for one in share) + own)
+            share = np.nanmean(right_share(parameters, sign * np.array(PREFERENCES[side])), axis=1)
+            own = f"   {float(getattr(getattr(parameters, term), field)):9.2f}" if sign > 0 else ""
+            print(f"{name if sign > 0 else '  mirrored':>20}" + "".join(f"{one:7.3f}" for one in share) + own)
 
 
 def print_robot(presets) -> None:

@@ -59,7 +59,7 @@ def main() -> None:
     arguments.add_argument("--batches", nargs="+", type=int, default=[64])
     arguments.add_argument("--people", type=int, default=62)
     arguments.add_argument("--dynamics", nargs="+", default=["mjx", "twin"])
-    arguments.add_argument("--forces", default="helbing1995")
+    arguments.add_argument("--forces", default="calibrated")
     arguments.add_argument("--only", nargs="+", default=None, help="names of parts")
     chosen = arguments.parse_args()
     print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, {chosen.people} people, {chosen.forces}")

@@ -37,8 +37,13 @@ def walkers(position: Array, desired: Array, robot_distance: Array | float = 0.0
     )
 
 
+def side_preference(parameters: social_forces.Forces) -> str:
+    """The parameter that says which side people pass on: of ``Evasion`` [m], or of ``Sidestep`` [m/s2]."""
+    return "sidestep.preference" if parameters.get(social_forces.Evasion) is None else "evasion.side"
+
+
 def right_share(parameters: social_forces.Forces, preferences, meetings: int = 1000, seed: int = 0) -> np.ndarray:
-    """(P,) share of head-on meetings in which both keep to their right, for each ``sidestep.preference`` [m/s2].
+    """(P,) share of head-on meetings in which both keep to their right, for each side preference.
 
     Two people walk towards one another from 8 m apart on parallel lines that are up to 0.3 m apart, either way, with
     speeds drawn as for any crowd.
@@ -52,7 +57,7 @@ def right_share(parameters: social_forces.Forces, preferences, meetings: int = 1
             jnp.stack([jnp.stack([jnp.float32(-4.0), offset]), jnp.stack([jnp.float32(4.0), -offset])]),
             jnp.stack([speed, jnp.zeros(2, jnp.float32)], -1) * jnp.array([[1.0], [-1.0]]),
         )
-        chosen = parameters.tree_replace({"sidestep.preference": preference})
+        chosen = parameters.tree_replace({side_preference(parameters): preference})
 
         def step(people, _):
             after = social_forces.integrate(chosen, people, None, None, None, STEP)

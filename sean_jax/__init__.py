@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sean_jax import sensors
+    from sean_jax import gradients, inverse_graph, scenes, sensors
     from sean_jax.assembly import make, with_task
     from sean_jax.base import (
         Behavior,
@@ -54,7 +54,9 @@ if TYPE_CHECKING:
     from sean_jax.evaluation import Evaluation, evaluate
     from sean_jax.metrics import METRICS, Metric, aggregate
     from sean_jax.pedestrian_models import MODELS
+    from sean_jax.people import pedestrians_at
     from sean_jax.policies import POLICIES
+    from sean_jax.prediction import predict
     from sean_jax.robots import ROBOTS
     from sean_jax.runner import Record, Runner
     from sean_jax.scenario import observe, place, reset, results, step
@@ -80,7 +82,9 @@ _PUBLIC = {
     "evaluation": "Evaluation evaluate",
     "metrics": "METRICS Metric aggregate",
     "pedestrian_models": "MODELS",
+    "people": "pedestrians_at",
     "policies": "POLICIES",
+    "prediction": "predict",
     "robots": "ROBOTS",
     "runner": "Record Runner",
     "scenario": "observe place reset results step",
@@ -90,7 +94,7 @@ _PUBLIC = {
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
-_ROOMS = ("sensors",)  # public as a whole
+_ROOMS = ("gradients", "inverse_graph", "scenes", "sensors")  # public as a whole
 
 __all__ = [
     "BEHAVIORS",
@@ -145,17 +149,22 @@ __all__ = [
     "build_task",
     "congestion",
     "evaluate",
+    "gradients",
     "init_policy",
+    "inverse_graph",
     "make",
     "observe",
+    "pedestrians_at",
     "place",
     "policy_step",
+    "predict",
     "preset",
     "reset",
     "reset_pool",
     "results",
     "rollout",
     "rollout_autoreset",
+    "scenes",
     "sense",
     "sensors",
     "simulate",

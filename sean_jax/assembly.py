@@ -273,8 +273,7 @@ def _forces(config: ScenarioConfig) -> social_forces.Forces:
     terms: list[Any] = []
     for part in config.forces:
         if isinstance(part, Named):
-            components.resolve(part, social_forces.PRESETS, "forces")
-            terms += social_forces.preset(part.kind)
+            terms += social_forces.build(part.kind)
         else:
             term = components.resolve(part, {}, "forces")
             terms += term if isinstance(term, list | tuple | social_forces.Forces) else [term]

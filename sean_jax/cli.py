@@ -194,6 +194,29 @@ def _keeping(options: Any, work: Any) -> int:
     return 0
 
 
+def _calibrate(options: config.CalibrateConfig) -> int:
+    def work(console: "Console") -> None:
+        from sean_jax import calibration
+
+        folder = calibration.run(options, console)
+        _say(console, "report: ", folder / "report.html")
+        _say(console, "next: ", shlex.join(["sean", "run", "--forces", str(folder / "forces.yaml")]))
+
+    return _keeping(options, work)
+
+
+def _fit_graph(options: config.FitGraphConfig) -> int:
+    check_new_folder(options.folder)
+    console = _console(options.quiet)
+    with console.status("importing JAX"):
+        from sean_jax import inverse_graph
+    for line in inverse_graph.run(options, console):
+        _say(console, line, "")
+    _say(console, "written: ", options.folder)
+    _say(console, "next: ", shlex.join(["sean", "run", "--environment", str(options.folder), "--behavior", "graph"]))
+    return 0
+
+
 def _draw(options: config.DrawConfig) -> int:
     if options.graph == options.handcrafted:
         return _fail("draw: give either --graph or --handcrafted.", WRONG)
@@ -224,6 +247,21 @@ def _bench(options: config.BenchConfig) -> int:
     folder = bench.run(options, console)
     _say(console, "picture: ", folder / "bench.png")
     return 0
+
+
+def _validate(options: config.ValidateConfig) -> int:
+    failed: list[str] = []
+
+    def work(console: "Console") -> None:
+        with console.status("importing JAX"):
+            from sean_jax import validation
+        failed.extend(validation.run(options, console))
+        _say(console, "report: ", options.folder / "report.html")
+
+    code = _keeping(options, work)
+    if code == 0 and failed and options.strict:
+        return _fail(f"{len(failed)} checks fail: {', '.join(failed)}.", FAILED)
+    return code
 
 
 def _import_map(options: config.ImportMapConfig) -> int:
@@ -261,9 +299,12 @@ _DO: dict[str, Any] = {
     "train": _train,
     "experiment": _experiment,
     "export": _export,
+    "fit-graph": _fit_graph,
+    "calibrate": _calibrate,
     "draw": _draw,
     "import-map": _import_map,
     "bench": _bench,
+    "validate": _validate,
     "list": _list,
     "schema": _schema,
 }

@@ -122,6 +122,9 @@ Distance = Annotated[float, Number(0.0, 10_000.0, "m")]
 Coordinate = Annotated[float, Number(-1e6, 1e6)]  # m or degrees
 Congestion = Annotated[float, Number(0.0, 1e6, "m2")]
 FrameRate = Annotated[float, Number(0.001, 1e4, "frames a second")]
+Minutes = Annotated[float, Number(0.1, 60.0 * MAX_HOURS, "min")]
+RouteTemperature = Annotated[float, Number(0.0, 1e3, "m")]
+Temperature = Annotated[float, Number(1e-3, 1e3, "m")]
 Hours = Annotated[float, Number(1e-6, MAX_HOURS, "h")]
 HoursOfMinutes = Annotated[float, Number(0.0166, MAX_HOURS, "h")]
 WalkingSpeed = Annotated[float, Number(0.0, 100.0, "m/s")]
@@ -221,8 +224,12 @@ class GraphBehavior(Component):
     kind: Literal["graph"] = "graph"
     routing: Literal["whole", "edge"] = "whole"
     """whole: the way to a goal is kept; edge: people choose anew at each node, as in SEAN 2.0's code."""
+    members: Literal["turnover", "permanent"] = "turnover"
+    """turnover: members of groups come and go; permanent: who starts in a group stays, as in SEAN 2.0's code."""
     congestion_cost: Congestion = 0.0
     """How much people avoid crowded edges: for each person per m2 an edge costs so many times more; try 10."""
+    temperature: RouteTemperature = 0.0
+    """How freely people choose their ways: one that costs so many metres more is taken e times less often; 0: never."""
     walking_groups: tuple[Share, Share] = (0.0, 0.0)
     """Shares of the people who walk in pairs and in triples."""
 
@@ -388,6 +395,10 @@ Tasks = Annotated[tuple[Component, ...], Family((CustomTask, Named), several=Tru
 # ------------------------------------------------------------------ descriptions
 
 
+DEFAULT_FORCES = "calibrated"
+"""The social forces of people, where none are named."""
+
+
 class ScenarioConfig(Config):
     """A physical environment, a pedestrian behavior and a robot task (section IV-B), and all that belongs to them."""
 
@@ -406,7 +417,7 @@ class ScenarioConfig(Config):
     """Number of people; the environment's own number by default (62 in the warehouse)."""
     model: Part = Named(kind="social_forces")
     """How people move."""
-    forces: Forces = (Named(kind="helbing1995"),)
+    forces: Forces = (Named(kind=DEFAULT_FORCES),)
     """Social forces: the terms of a preset, and further ones."""
     situations: Situations = (Named(kind="paper"),)
     """Which social situations are told apart: a set, and further ones."""
@@ -700,6 +711,105 @@ class BenchConfig(Config):
         return self.out or Path(f"sean-bench-{datetime.datetime.now():%Y%m%d-%H%M%S}")
 
 
+class ValidateConfig(Config):
+    """Check the people against what is known of real ones: standards, measured diagrams, recordings."""
+
+    quick: bool = False
+    """Small enough for a CPU and five minutes: fewer seeds, and without the checks of a thousand people."""
+    only: Text | None = None
+    """Checks, separated by commas; rimea-* stands for all whose names begin so. All by default."""
+    models: Text | None = None
+    """Who moves people, separated by commas: presets of forces, models, or FILE.py:NAME. The default forces alone, if
+    none is named."""
+    data: Path | None = None
+    """Folder of recordings; checks that need them are skipped without."""
+    strict: Annotated[bool, Incidental()] = False
+    """Exit code 1 if a check fails."""
+    out: Annotated[Path | None, Incidental()] = None
+    """Folder for the results, runs/validate by default. What it holds of the same checks and models is kept."""
+    quiet: Annotated[bool, Incidental()] = False
+    """Print nothing but errors."""
+
+    @property
+    def folder(self) -> Path:
+        """Where the results go."""
+        return self.out or Path("runs") / ("validate-quick" if self.quick else "validate")
+
+
+class CalibrateConfig(Config):
+    """Fit the constants of the social forces to recorded people, by gradient. A fit that was stopped is continued."""
+
+    data: Path
+    """Folder of recordings: scenes of ETH and UCY, runs of Juelich's corridors."""
+    forces: Text = DEFAULT_FORCES
+    """Where the fit begins: a preset of social forces, or a YAML file of constants."""
+    fit: tuple[Text, ...] = ()
+    """Constants to fit, such as repulsion.range; by default all that have bounds."""
+    leave_out: tuple[Text, ...] = ()
+    """Scenes of prediction, each left out by a fit of its own that is judged by it; all by default, or none."""
+    steps: Count = 60
+    """Steps of the descent."""
+    starts: Count = 1
+    """Starts of each fit, side by side: the first from the constants given. On a GPU try 64."""
+    batch: Count = 8
+    """Windows of each scene of prediction in a step; of corridors a sixteenth of that, at least one."""
+    seed: Seed = 0
+    """The same seed gives the same constants."""
+    out: Annotated[Path | None, Incidental()] = None
+    """Folder for the results, runs/calibration by default."""
+    quiet: Annotated[bool, Incidental()] = False
+    """Print nothing but errors."""
+
+    @property
+    def folder(self) -> Path:
+        """Where the results go."""
+        return self.out or Path("runs") / "calibration"
+
+
+class FitGraphConfig(Config):
+    """Propose a behavior graph for an environment, or fit one to recorded or simulated people."""
+
+    environment: Annotated[Text, Positional()]
+    """Physical environment: a name, or the folder of your own."""
+    recording: Path | None = None
+    """People to fit to: a CSV file with the columns frame, id, x and y in metres."""
+    recording_format: Literal["eth_ucy", "juelich", "groups", "csv"] | None = None
+    """Format of the recording; recognised by default if it tells velocities."""
+    frame_rate: FrameRate | None = None
+    """Frames a second of the recording; those of its format by default."""
+    simulate: bool = False
+    """Fit to people simulated on the environment's own graph, to see whether it is found again."""
+    propose: bool = False
+    """Propose nodes and edges even if the environment has a graph; without people to fit to, nothing else is done."""
+    graph: Path | None = None
+    """A graph.yaml whose nodes and edges are taken; the environment's own by default."""
+    people: People | None = None
+    """Number of simulated people; the environment's own number by default."""
+    routing: Literal["whole", "edge"] = "whole"
+    """Of simulated people: as in sean run."""
+    minutes: Minutes = 20.0
+    """Minutes to simulate for the fit; as many others judge it."""
+    temperature: Temperature = 0.25
+    """How strictly people take the cheapest way: ways that cost so many metres more are taken e times less often."""
+    seed: Seed = 0
+    """The same seed gives the same results."""
+    out: Annotated[Path | None, Incidental()] = None
+    """Folder to write, runs/graph-ENVIRONMENT by default; it must be new or empty. It is an environment of its own."""
+    quiet: Annotated[bool, Incidental()] = False
+    """Print nothing but errors."""
+
+    @pydantic.model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if self.recording is not None and self.simulate:
+            raise ValueError("simulate: a recording is given as well; leave one of them out")
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """The folder to write."""
+        return self.out or Path("runs") / f"graph-{Path(self.environment).name}"
+
+
 class DrawConfig(Config):
     """Draw what people do in the environments: their behavior graphs, or all handcrafted sets."""
 
@@ -742,9 +852,12 @@ COMMANDS: dict[str, type[Config]] = {
     "train": TrainConfig,
     "experiment": ExperimentConfig,
     "export": ExportConfig,
+    "fit-graph": FitGraphConfig,
+    "calibrate": CalibrateConfig,
     "draw": DrawConfig,
     "import-map": ImportMapConfig,
     "bench": BenchConfig,
+    "validate": ValidateConfig,
     "list": ListConfig,
     "schema": SchemaConfig,
 }

@@ -16,11 +16,19 @@ from jaxtyping import PyTree
 
 from sean_jax import prng
 from sean_jax.base import Array, PolicyLike, Scenario, State, as_policy
+from sean_jax.errors import InputError
 from sean_jax.scenario import frame, reset, step
 
 
 def rollout(
-    scenario: Scenario, policy: PolicyLike, key: Array, steps: int, record: Callable = frame
+    scenario: Scenario,
+    policy: PolicyLike,
+    key: Array,
+    steps: int,
+    record: Callable = frame,
+    *,
+    checkpoint_every: int | None = None,
+    between: Callable[[State], State] | None = None,
 ) -> tuple[State, PyTree]:
     """An episode from its reset.
 
@@ -30,16 +38,30 @@ def rollout(
         key: () typed PRNG key of the episode.
         steps: how many steps of control; static.
         record: (before, after, action) -> what is kept of a step, a pytree; ``base.Trajectory`` unless told otherwise.
+        checkpoint_every: steps of a block of which reverse mode keeps only the first state; best a divisor of ``steps``
+            near their root. None: reverse mode keeps something of every step, and computes each once.
+        between: state -> state after each step, as ``gradients.truncate``, ``damp`` and ``clip`` are.
 
     Returns:
         The last state, and what was recorded, stacked (steps, ...). An episode that has ended goes on with its metrics
         standing still: ``Trajectory.active`` tells.
+
+    Raises:
+        InputError: ``checkpoint_every`` is no positive number.
     """
-    return simulate(scenario, policy, init_policy(scenario, policy, reset(scenario, key)), steps, record)
+    state = init_policy(scenario, policy, reset(scenario, key))
+    return simulate(scenario, policy, state, steps, record, checkpoint_every=checkpoint_every, between=between)
 
 
 def simulate(
-    scenario: Scenario, policy: PolicyLike, state: State, steps: int, record: Callable = frame
+    scenario: Scenario,
+    policy: PolicyLike,
+    state: State,
+    steps: int,
+    record: Callable = frame,
+    *,
+    checkpoint_every: int | None = None,
+    between: Callable[[State], State] | None = None,
 ) -> tuple[State, PyTree]:
     """As ``rollout``, from a state that holds the memory of the policy.
 
@@ -49,17 +71,22 @@ def simulate(
         state: where to begin; ``init_policy`` puts the memory of a policy there.
         steps: how many steps of control; static.
         record: (before, after, action) -> what is kept of a step.
+        checkpoint_every: as in ``rollout``.
+        between: as in ``rollout``.
 
     Returns:
         The last state, and what was recorded, stacked (steps, ...).
+
+    Raises:
+        InputError: ``checkpoint_every`` is no positive number.
     """
     policy = as_policy(policy)
 
     def one(before: State, _) -> tuple[State, PyTree]:
         after, action = policy_step(scenario, policy, before)
-        return after, record(before, after, action)
+        return after if between is None else between(after), record(before, after, action)
 
-    return jax.lax.scan(one, state, length=steps)
+    return _scan(one, state, steps, checkpoint_every)
 
 
 def init_policy(scenario: Scenario, policy: PolicyLike, state: State) -> State:
@@ -155,7 +182,15 @@ def draw_start(pool: ResetPool, choice_key: Array, streams_key: Array) -> State:
 
 
 def rollout_autoreset(
-    scenario: Scenario, policy: PolicyLike, pool: ResetPool, state: State, steps: int, record: Callable = frame
+    scenario: Scenario,
+    policy: PolicyLike,
+    pool: ResetPool,
+    state: State,
+    steps: int,
+    record: Callable = frame,
+    *,
+    checkpoint_every: int | None = None,
+    between: Callable[[State], State] | None = None,
 ) -> tuple[State, PyTree]:
     """As ``simulate``, but episodes follow one another: who trains a policy steps like this.
 
@@ -167,14 +202,39 @@ def rollout_autoreset(
         steps: how many steps of control; static.
         record: (before, after, action) -> what is kept of a step. It sees the last step of an episode before the reset,
             so ``after`` tells how it ended; ``Trajectory.active`` is true throughout.
+        checkpoint_every: as in ``rollout``.
+        between: as in ``rollout``.
 
     Returns:
         The last state, and what was recorded, stacked (steps, ...).
+
+    Raises:
+        InputError: ``checkpoint_every`` is no positive number.
     """
     policy = as_policy(policy)
 
     def one(before: State, _) -> tuple[State, PyTree]:
         after, action = policy_step(scenario, policy, before)
-        return autoreset(pool, after), record(before, after, action)
+        following = autoreset(pool, after)
+        return following if between is None else between(following), record(before, after, action)
 
-    return jax.lax.scan(one, state, length=steps)
+    return _scan(one, state, steps, checkpoint_every)
+
+
+def _scan(one: Callable, state: State, steps: int, checkpoint_every: int | None) -> tuple[State, PyTree]:
+    """``jax.lax.scan`` of (state, None) -> (state, record), in blocks that reverse mode computes again."""
+    if checkpoint_every is None:
+        return jax.lax.scan(one, state, length=steps)
+    if checkpoint_every < 1:
+        raise InputError(f"checkpoint_every: {checkpoint_every} must be a number of steps, 1 or more.")
+
+    def block(length: int) -> Callable:
+        return jax.checkpoint(lambda state, _: jax.lax.scan(one, state, length=length), prevent_cse=False)
+
+    blocks, rest = divmod(steps, checkpoint_every)
+    state, record = jax.lax.scan(block(checkpoint_every), state, length=blocks)
+    record = jax.tree.map(lambda leaf: leaf.reshape(blocks * checkpoint_every, *leaf.shape[2:]), record)
+    if rest:
+        state, last = block(rest)(state, None)
+        record = jax.tree.map(lambda *parts: jnp.concatenate(parts), record, last)
+    return state, record

@@ -4,6 +4,8 @@ Most functions take scalars, or arrays that broadcast, and not vectors with a tr
 decides the speed of a pairwise law.
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -77,6 +79,22 @@ def sum_vectors(x: Array, y: Array, axis: int) -> tuple[Array, Array]:
     """
     total = jax.lax.complex(x, y).sum(axis)
     return total.real, total.imag
+
+
+def sum_in_pairs(parts: Sequence[Array], axis: int) -> tuple[Array, ...]:
+    """Sum each of several arrays along an axis, two at a time as ``sum_vectors`` does.
+
+    Args:
+        parts: (...) each, of any unit.
+        axis: along which to sum.
+
+    Returns:
+        The sums, in the order of the parts.
+    """
+    parts = tuple(parts)
+    sums = [sum_vectors(parts[i], parts[i + 1], axis) for i in range(0, len(parts) - 1, 2)]
+    last = (parts[-1].sum(axis),) if len(parts) % 2 else ()
+    return (*(part for pair in sums for part in pair), *last)
 
 
 def unit_vectors(vectors: Float[Array, "*batch 2"], default: Float[Array, "*default 2"]) -> Float[Array, "*batch 2"]:

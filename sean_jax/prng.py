@@ -24,7 +24,12 @@ USES = (
     "figure4",  # episodes in which its policies are measured
     "bench",
     "bench starts",
+    "fit-graph",  # people to fit a graph to, and to judge it by
+    "calibrate",  # where fits start
+    "calibrate windows",  # which windows a step of a fit sees
     "draw",  # people on a contact sheet
+    "groups",  # episodes in which it is measured whether groups last
+    "scene",  # what differs between the people of a scene
 )
 """The uses of a seed that a user gives, by name."""
 

@@ -254,7 +254,7 @@ def test_a_force_pushes(scenario):
     alone = jnp.full(2, -1, jnp.int32)
     people = Pedestrians(jnp.array([[0.0, 0.0], [1.0, 0.0]], jnp.float32), still, facing, still,
                          alone, alone, jnp.ones(2, bool), both, both)  # fmt: skip
-    changes = {"repulsion.law": magnetic, "sidestep.preference": 0.0, "walking.backward_scale": 1.0}
+    changes = {"repulsion.law": magnetic, "walking.backward_scale": 1.0}
     forces = scenario.forces.tree_replace(changes)
     after = jax.jit(lambda people: social_forces.integrate(forces, people, None, None, None, 0.01))(people)
     push = float(forces.repulsion.strength * forces.repulsion.range**2)

@@ -53,9 +53,9 @@ def double():
         yield in_double(scenario), in_double(state)
 
 
-def distance_left(scenario, state, policy):
+def distance_left(scenario, state, policy, **options):
     """Distance [m] of the robot from its goal after the rollout."""
-    last, _ = sean_jax.simulate(scenario, policy, state, STEPS)
+    last, _ = sean_jax.simulate(scenario, policy, state, STEPS, **options)
     gap = last.robot.position - state.task.goal
     return jnp.sqrt((gap * gap).sum())
 
@@ -87,7 +87,7 @@ def test_with_respect_to_actions(double):
 
 def test_with_respect_to_force_parameters(double):
     scenario, state = double
-    names = ("repulsion.strength", "repulsion.range", "walking.relaxation_time", "sidestep.preference")
+    names = ("repulsion.strength", "repulsion.range", "walking.relaxation_time", "evasion.strength")
     at = jnp.stack([operator.attrgetter(name)(scenario.forces) for name in names])
 
     def value(constants):
@@ -97,3 +97,17 @@ def test_with_respect_to_force_parameters(double):
     gradient = jax.jit(jax.grad(value))(at)
     assert np.isfinite(np.asarray(gradient)).all() and np.abs(np.asarray(gradient)).max() > 1e-4
     agree(jax.jit(value), gradient, at, list(jnp.eye(len(names))))
+
+
+def test_forward_mode_equals_reverse_mode_in_blocks(double):
+    """Through people, graph and robot."""
+    scenario, state = double
+
+    def value(constants, every=None):
+        forces = scenario.forces.tree_replace({"repulsion.strength": constants[0], "walls.range": constants[1]})
+        return distance_left(scenario.replace(forces=forces), state, go_to_goal, checkpoint_every=every)
+
+    at = jnp.stack([scenario.forces.repulsion.strength, scenario.forces.walls.range])
+    forward, reverse = jax.jit(lambda at: (jax.jacfwd(value)(at), jax.grad(value)(at, 16)))(at)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-8)
+    assert np.abs(np.asarray(forward)).min() > 1e-6

@@ -194,8 +194,9 @@ def test_flows_and_weights_mean_the_papers_pairs(tmp_path):
     assert [whole.flow_of(edge) for edge in edges] == list(words)
     by_weights = [annotation.Edge(between=("gate", "hall"), weights=tuple(pair)) for pair in words.values()]
     assert [whole.flow_of(edge) for edge in by_weights] == list(words)
-    with pytest.raises(ValueError, match="belong to no flow"):
-        whole.flow_of(annotation.Edge(between=("gate", "hall"), weights=(3.0, 4.0)))
+    for pair, nearest in (((0.9, 1.2), "medium"), ((30.0, 0.9), "backward"), ((40.0, 900.0), "low")):
+        edge = annotation.Edge(between=("gate", "hall"), weights=pair)
+        assert whole.flow_of(edge) == nearest and whole.factors_of(edge) == pair
     assert [list(whole.flow_factors()[whole.flow_of(edge)]) for edge in edges] == list(words.values())
 
 
@@ -210,7 +211,9 @@ def test_flows_and_weights_mean_the_papers_pairs(tmp_path):
         (", stay: [5, 10]", "", "dock: {", "nodes.dock.stay: is missing; a group needs one in seconds, such as"),
         ("[5, 10]", "[10, 5]", "[10, 5]", "nodes.dock.stay: [10, 5] is not ordered; give the shorter time first."),
         ("radius: 1}", "radius: 1, capacity: 29}", "29}", "nodes.hall.capacity: only a group has one and this is a"),
-        ("[0.2, 0.2]", "[1, 0.5]", "[1, 0.5]", "edges[1].weights: [1, 0.5] is not one of medium [1, 1], high [0.2"),
+        ("[0.2, 0.2]", "[1, 5e-4]", "5e-4]", "edges[1].weights[1]: 0.0005 is less than 0.001, the least allowed."),
+        ("capacity: 3", "weight: 2, capacity: 3", "2, cap", "nodes.dock.weight: only a waypoint has one and this is a"),
+        ("radius: 1}", "radius: 1, weight: -1}", "-1}", "nodes.hall.weight: -1 is less than 0, the least allowed."),
         ("flow: forward", "flow: low, weights: [1, 1]", "[1, 1]", "edges[0].weights: flow is given as well; remove"),
         ("c_min: 0.2", "c_min: -7", "-7", "c_min: -7 is less than 0.001, the least allowed."),
         ("c_min: 0.2", "c_min: 1", "1\nc_max", "c_min: 1 is not less than 1."),

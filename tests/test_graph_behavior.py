@@ -7,8 +7,7 @@ import pytest
 
 import sean_jax
 from sean_jax import scenario as stages
-from sean_jax.behaviors import graph_goals
-from sean_jax.behaviors.graph_goals import Memory
+from sean_jax.behaviors import graph_behavior, graph_goals, successors
 
 
 @pytest.fixture(scope="module")
@@ -41,46 +40,25 @@ def test_groups_are_full_at_the_start_and_never_over_capacity(scenario, history)
         assert ((group == g).sum(-1) <= capacity[g]).all()
 
 
-def test_no_seat_is_given_twice(history):
-    seat = np.sort(history[0].seat, axis=-1)
-    same = (seat[..., 1:] == seat[..., :-1]) & (seat[..., 1:] >= 0)
-    assert not same.any()
-
-
-def test_people_without_a_goal_take_empty_seats_first(scenario):
-    graph = scenario.behavior.data.graph
-    people, seats = 16, 11
-    nobody = jnp.full(people, -1, jnp.int32)
-    at = jnp.full(people, int(graph.waypoints[0]), jnp.int32)
-    memory = Memory(
-        at, at, at, jnp.zeros((people, 2)), nobody, jnp.zeros(people), jnp.zeros((seats, 2)), jnp.zeros((seats, 2))
-    )
-    chance = jnp.linspace(0.0, 0.999, people, dtype=jnp.float32)
-    free = jnp.ones(people, bool)
-    given = graph_goals.assign(graph, memory, free, chance, jnp.ones_like(free))
-    assert np.asarray(given.seat).tolist() == [*range(seats), *[-1] * (people - seats)]
-    goals = np.asarray(given.goal)
-    assert (goals[:seats] == np.asarray(graph.groups)[np.asarray(graph.seat_group)]).all()
-    assert np.isin(goals[seats:], np.asarray(graph.waypoints)).all() and (goals[seats:] != int(at[0])).all()
-    # with all seats taken, everybody else goes to a waypoint, all of which but one's own are drawn
-    others = graph_goals.assign(graph, given, free & (given.seat < 0), chance, jnp.ones_like(free))
-    assert np.asarray(others.seat).tolist() == np.asarray(given.seat).tolist()
+def test_a_seat_has_one_holder_and_one_successor_at_most(history):
+    memory = history[0]
+    for who in (memory.stay > 0, memory.stay == 0):
+        seat = np.sort(np.where(who, memory.seat, -1), axis=-1)
+        assert not ((seat[..., 1:] == seat[..., :-1]) & (seat[..., 1:] >= 0)).any()
 
 
 def test_waypoint_goals_are_drawn_uniformly_from_all_but_the_own(scenario):
     graph, people = scenario.behavior.data.graph, 1200
     own = int(graph.waypoints[4])
-    at = jnp.full(people, own, jnp.int32)
-    taken = jnp.full(people, -1, jnp.int32).at[:11].set(jnp.arange(11, dtype=jnp.int32))
-    memory = Memory(
-        at, at, at, jnp.zeros((people, 2)), taken, jnp.zeros(people), jnp.zeros((11, 2)), jnp.zeros((11, 2))
-    )
-    chance = jax.random.uniform(jax.random.key(0), (people,), jnp.float32)
-    goals = np.asarray(graph_goals.assign(graph, memory, taken < 0, chance, jnp.ones(people, bool)).goal)[11:]
+    goals = np.asarray(graph_goals._other_waypoint(graph, jnp.full(people, own, jnp.int32), uniform(people)))
     counts = np.bincount(goals, minlength=15)
     assert counts[own] == 0
     others = counts[np.setdiff1d(np.asarray(graph.waypoints), own)]
     assert others.min() > 0.6 * others.mean() and others.max() < 1.4 * others.mean()
+
+
+def uniform(count: int):
+    return jax.random.uniform(jax.random.key(0), (count,), jnp.float32)
 
 
 def test_hops_follow_the_table_and_aim_inside_the_disc(scenario, history):
@@ -100,7 +78,8 @@ def test_stays_last_as_drawn_and_members_face_inward(scenario, history):
     standing = memory.stay > 0
     begins = standing[:, 1:] & ~standing[:, :-1]
     drawn = memory.stay[:, 1:][begins]
-    assert begins.sum() >= 3 and (drawn >= 50).all() and (drawn <= 100).all()
+    waiting = round(successors.MAX_WAIT / scenario.time_step)
+    assert begins.sum() >= 3 and (drawn >= 50 + waiting).all() and (drawn <= 100 + waiting).all()
     assert (people.group[standing] >= 0).all() and (people.group[~standing] == -1).all()
     center = graph.position[graph.groups][people.group[standing]]
     inward = center - people.position[standing]
@@ -115,7 +94,21 @@ def test_stays_last_as_drawn_and_members_face_inward(scenario, history):
         )[standing],
         axis=-1,
     )
-    assert np.quantile(gap, 0.95) < 0.35
+    assert np.median(gap) < 0.2 and np.quantile(gap, 0.99) < successors.HAND_OVER + 0.2
+
+
+def test_a_stay_ends_when_the_successor_is_there_or_after_some_waiting(scenario, history):
+    memory, waiting = history[0], round(successors.MAX_WAIT / scenario.time_step)
+    before, after = (jax.tree.map(lambda leaf: leaf[:, part], memory) for part in (slice(None, -1), slice(1, None)))  # noqa: B023
+    relieved = 0
+    for episode, tick, person in np.argwhere((before.stay > 0) & (after.stay == 0)):
+        left, seat = before.stay[episode, tick, person] - 1, before.seat[episode, tick, person]
+        assert left <= waiting
+        if left > 0:
+            (new,) = np.flatnonzero((after.seat[episode, tick] == seat) & (after.stay[episode, tick] > 0))
+            assert before.seat[episode, tick, new] == seat and before.stay[episode, tick, new] == 0
+            relieved += 1
+    assert relieved >= 5
 
 
 @pytest.mark.slow
@@ -137,25 +130,35 @@ def test_few_people_fill_the_groups_first():
     assert (np.asarray(state.pedestrians.group) >= 0).all()
 
 
-def test_a_seat_goes_over_to_a_much_nearer_walker(scenario):
-    graph = scenario.behavior.data.graph
-    names = {name: index for index, name in enumerate(graph.names)}
-    dock, near, far = names["dock"], names["tables_1"], names["west_aisle_2"]
-    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
-    people = state.pedestrians
-    nobody = jnp.full(16, -1, jnp.int32)
-    seat = nobody.at[0].set(0)  # person 0 is on the way to a seat at the dock from the far corner
-    hop = jnp.full(16, far, jnp.int32).at[1].set(near).at[2].set(near)
-    goal = jnp.full(16, names["tables_4"], jnp.int32).at[0].set(dock)
-    zeros = jnp.zeros(16, jnp.float32)
-    memory = Memory(goal, hop, hop, people.position, seat, zeros, state.memory.seat_position, state.memory.seat_heading)
-    chance = jnp.full(16, 0.3, jnp.float32)
+def test_permanent_members_never_leave_and_visitors_come_besides(scenario):
+    """Whoever starts in a group stays; the last seat of each group is empty at first, and its members change."""
+    lasting = sean_jax.make(people=16, members="permanent", dynamics="twin")
 
-    def hand_over(onward):
-        return graph_goals.hand_over(graph, people, memory, onward, chance)
+    def one(state, _):
+        after = stages.direct_pedestrians(lasting, state, jax.random.fold_in(state.streams.people, state.tick))
+        return stages.move_pedestrians(lasting, after).replace(tick=state.tick + 1), after.pedestrians.group
 
-    after = hand_over(jnp.arange(16) == 1)
-    assert int(after.seat[1]) == 0 and int(after.goal[1]) == dock
-    assert int(after.seat[0]) == -1 and not bool(graph.is_group[after.goal[0]])
-    unchanged = hand_over(jnp.arange(16) == 3)  # who is at the far node as well has no shorter way
-    assert (np.asarray(unchanged.seat) == np.asarray(seat)).all()
+    run = jax.jit(lambda key: jax.lax.scan(one, sean_jax.reset(lasting, key), length=600)[1])
+    group = np.asarray(run(jax.random.key(2)))
+    assert [(group[0] == g).sum() for g in range(3)] == [4, 2, 2]
+    first = group[0] >= 0
+    assert (group[:, first] == group[0, first]).all()
+    assert len({tuple(np.flatnonzero(row >= 0)) for row in group}) > 4
+    assert (group[-300:] == 0).sum(-1).max() == 5
+
+
+def test_the_rest_of_a_stay_is_as_at_a_random_moment_of_many_stays():
+    """Against stays one after the other, looked at now and then."""
+    draw = np.random.default_rng(0)
+    for shortest, longest in ((5.0, 10.0), (0.0, 4.0), (3.0, 3.0), (86400.0, 86400.0)):
+        ends = np.cumsum(draw.uniform(shortest, longest, 40_000))
+        moments = draw.uniform(0.0, ends[-2], 20_000)
+        expected = ends[np.searchsorted(ends, moments)] - moments
+        limits = jnp.tile(jnp.asarray([shortest, longest], jnp.float32), (20_000, 1))
+        chance = jax.random.uniform(jax.random.key(1), (2, 20_000), jnp.float32)
+        found = graph_behavior._rest_of_stay(limits, chance)
+        shares = [0.1, 0.5, 0.9]
+        np.testing.assert_allclose(
+            np.quantile(found, shares), np.quantile(expected, shares), rtol=0.01, atol=0.015 * longest
+        )
+    assert not np.asarray(graph_behavior._rest_of_stay(jnp.zeros((3, 2)), jnp.ones((2, 3)))).any()

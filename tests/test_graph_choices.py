@@ -214,6 +214,28 @@ def test_whoever_finds_the_group_full_goes_on_to_a_waypoint(choosers):
     assert int(third.hop[11]) == int(graph.next_hop[near, third.goal[11]]) != dock
 
 
+def test_waypoints_are_drawn_by_their_weights(scenario):
+    """As often as their weights say, and if all are equal, exactly as by whole numbers of others."""
+    shipped = scenario.behavior.data.graph
+    waypoints, draw = np.asarray(shipped.waypoints), np.random.default_rng(0)
+    choose = jax.jit(graph_goals._other_waypoint)
+    hop = jnp.asarray(draw.integers(0, 15, 20_000), jnp.int32)
+    chance = jnp.asarray(draw.random(20_000), jnp.float32)
+    goal = np.asarray(choose(shipped, hop, chance))
+    for at in range(15):
+        here, others = np.asarray(hop) == at, waypoints[waypoints != at]
+        index = (np.asarray(chance)[here] * np.float32(len(others))).astype(int)
+        assert (goal[here] == others[index]).all()
+    weight = np.where(np.asarray(shipped.is_group), 0.0, draw.uniform(0.0, 3.0, 15)).astype(np.float32)
+    weight[waypoints[3]] = 0.0
+    goal = np.asarray(choose(shipped.replace(weight=jnp.asarray(weight)), jnp.full_like(hop, waypoints[0]), chance))
+    odds = np.where(np.arange(15) == waypoints[0], 0.0, weight)
+    np.testing.assert_allclose(np.bincount(goal, minlength=15) / len(goal), odds / odds.sum(), atol=0.012)
+    alone = jnp.zeros(15).at[waypoints[0]].set(1.0)  # who is there has to go elsewhere
+    goal = np.asarray(choose(shipped.replace(weight=alone), jnp.full_like(hop, waypoints[0]), chance))
+    assert set(goal) == set(waypoints[1:])
+
+
 def test_choices_of_a_graph_are_refused_elsewhere():
     for option, value in (("routing", "edge"), ("congestion_cost", 2.0)):
         with pytest.raises(ValueError, match=f"{option}: behavior 'random' has no such option; choose .*'graph'"):
@@ -378,9 +400,10 @@ def test_odd_graphs_and_numbers_of_people(kind, hall):
         run = jax.jit(lambda key, one=one, scenario=scenario: jax.lax.scan(one, begun(scenario, key), length=120)[1])
         memory, crowd = jax.tree.map(np.asarray, run(jax.random.key(0)))
         graph = jax.tree.map(np.asarray, scenario.behavior.data.graph)
-        assert all(np.isfinite(leaf).all() for leaf in (*jax.tree.leaves(crowd), *memory))
-        seat = np.sort(memory.seat, axis=1)
-        assert not ((seat[:, 1:] == seat[:, :-1]) & (seat[:, 1:] >= 0)).any()
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((crowd, memory)))
+        for whose in (memory.stay > 0, memory.stay == 0):  # a seat has one holder and one successor at most
+            seat = np.sort(np.where(whose, memory.seat, -1), axis=1)
+            assert not ((seat[:, 1:] == seat[:, :-1]) & (seat[:, 1:] >= 0)).any()
         before, after = memory.hop[:-1], memory.hop[1:]
         moved = before != after
         assert np.isfinite(graph.edge_cost[before[moved], after[moved]]).all()
@@ -434,11 +457,12 @@ def test_five_minutes_of_each_environment(name, routing):
     np.add.at(meant, (origin[:, :-1][done], hop[:, :-1][done]), 1)
     np.fill_diagonal(meant, 0)
     if name != "lab":  # where two nodes are so near that one can turn round between them
-        np.testing.assert_allclose(walks.sum(), meant.sum(), rtol=0.03)
+        np.testing.assert_allclose(walks.sum(), meant.sum(), rtol=0.04)
         assert np.abs(walks - meant).max() <= 4 + 0.05 * meant.max()
     group = np.asarray(frames.group)
     joined = ((group[:, 1:] >= 0) & (group[:, :-1] < 0)).sum()
     assert joined >= 20 and ((group[:, 1:] < 0) & (group[:, :-1] >= 0)).sum() >= 20
     for index, node in enumerate(graph.groups):
         members = (group == index).sum(-1)
-        assert members.max() == graph.capacity[node] and members.min() < graph.capacity[node]
+        assert members.max() == graph.capacity[node]
+        assert routing == "whole" or members.min() < graph.capacity[node]  # where successors may keep a group full

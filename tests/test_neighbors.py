@@ -1,6 +1,7 @@
 """Neighbors in large crowds: nobody near is missed, and forces and gradients are those of all pairs."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,8 @@ import pytest
 
 from sean_jax import social_forces
 from sean_jax.bench import workload
-from sean_jax.social_forces import Crowd, Pair, model, neighbors
+from sean_jax.social_forces import Crowd, Pair, model, neighbors, pair_sums
+from sean_jax.social_forces.pair_sums import sum_pairs
 from sean_jax.social_forces.walking import look_direction
 
 NUMBER = 303  # enough that neighbors are looked for, and no multiple of the blocks
@@ -120,14 +122,28 @@ def test_sums_have_forward_mode_too():
     weight = people.present.astype(jnp.float32)
 
     def sums(shift, strength):
-        own, other = places.at[:, 1].add(shift[0]), jnp.stack([*places.at[:, 2].add(shift[1]), weight])
-        return jnp.stack(neighbors.sum_pairs(pull, near, strength, own, other))
+        own, other = tuple(places.at[:, 1].add(shift[0])), (*places.at[:, 2].add(shift[1]), weight)
+        return jnp.stack(sum_pairs(pull, near, strength, own, other))
 
     at = jnp.zeros((2, 2), jnp.float32), jnp.float32(0.5)
     both = jax.jit(lambda *at: (jax.jacfwd(sums, (0, 1))(*at), jax.jacrev(sums, (0, 1))(*at)))
     for forward, backward in zip(*both(*at), strict=True):
         np.testing.assert_allclose(forward, backward, atol=1e-4, rtol=1e-4)
         assert np.abs(forward).max() > 0.1
+
+
+def test_both_forms_of_going_back_agree():
+    """The one that stores all pairs, on CPUs, and the two sums of other devices."""
+    random = np.random.default_rng(2)
+    own = tuple(jnp.asarray(random.normal(size=(2, 9)), jnp.float32))
+    other = (*own, jnp.asarray(random.random(9), jnp.float32))
+    pulls = tuple(jnp.asarray(random.normal(size=(2, 9)), jnp.float32))
+    both = [jax.jit(partial(form, pull)) for form in (pair_sums._pull_back_at_once, pair_sums._pull_back_in_two)]
+    stored, summed = (form(jnp.float32(0.5), own, other, pulls) for form in both)
+    assert jax.tree.structure(stored) == jax.tree.structure(summed)
+    for one, two in zip(jax.tree.leaves(stored), jax.tree.leaves(summed), strict=True):
+        np.testing.assert_allclose(one, two, rtol=1e-4, atol=1e-4)
+        assert np.abs(one).max() > 0.1
 
 
 @pytest.mark.slow

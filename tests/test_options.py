@@ -88,6 +88,7 @@ FITTING = {"thresholds": None, "task_distance": (1.0, 2.0), "time_step": 0.1, "t
         ("experiment", {"which": "table1"}),
         ("experiment", {"which": "figure4"}),
         ("bench", {"only": "step,crowd"}),
+        ("validate", {"only": "rimea-*", "models": "sean2,my.py:f", "data": Path("a b")}),
     ],
 )
 def test_the_command_gives_the_same_description_to_the_bit(word, fixed):
@@ -207,6 +208,10 @@ bench --batches 0 | --batches: 0 must be
 bench --seconds inf | --seconds: inf must be
 bench --environment moon --only step | environment 'moon'; give one of them
 bench --out full | --out; the folder full is not empty; new folder
+validate --only rimea-99 | --only: 'rimea-99' is not one of
+validate --models nobody | model: 'nobody' is not one of
+validate --data nope | --data: nope is no folder
+validate --only rimea-1 --out full | full holds something else; --out
 draw | draw: give either --graph or --handcrafted
 draw --graph --out full | --out: full is a folder; the name of a file
 draw --graph --out "" | --out is an empty text

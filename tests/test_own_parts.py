@@ -99,7 +99,7 @@ def test_values_are_evaluated_as_their_file_is(run, folder):
         "lab", people=4, dynamics="twin", time_limit=2.0, robot="my_robot.xml", task=mine["across"],
         situations={**sean_jax.SITUATIONS, "crowd": mine["crowd"]},
         metrics={**sean_jax.METRICS, "near_time": mine["near_time"]},
-        forces=[*sean_jax.preset("helbing1995"), mine["distancing"]],
+        forces=[*sean_jax.preset("calibrated"), mine["distancing"]],
     )  # fmt: skip
     found = sean_jax.evaluate(scenario, mine["drive"], episodes=3, seed=5, out=folder / "values")
     for name in ("near_time", "path_length"):

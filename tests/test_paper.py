@@ -20,6 +20,7 @@ from sean_jax import classifiers, files, metrics
 from sean_jax import environment as environments
 from sean_jax.assembly import with_task
 from sean_jax.behaviors import BEHAVIORS
+from sean_jax.behaviors.successors import MAX_WAIT
 from sean_jax.classifiers import predicates
 from sean_jax.environment import clearance
 from sean_jax.graph import annotation, routes
@@ -349,7 +350,8 @@ def test_4d_graph_people_start_at_nodes_drawn_by_chance(scenario, joining):
 def test_4d_groups_fill_first_and_the_rest_go_to_waypoints(scenario, joining):
     """Nobody without a goal is sent to a waypoint while a seat is free, but for one who has just risen from it.
 
-    Ours is that a seat may go over to a nearer walker: who gives it away then walks to a waypoint, one a step.
+    Ours is that people go to seats whose holders are about to leave as well. Of those who ask for the same seat in one
+    step, one gets it and the others go on to a waypoint.
     """
     graph = jax.tree.map(np.asarray, scenario.behavior.data.graph)
     memory, seats = joining[3], len(graph.seat_group)
@@ -361,7 +363,7 @@ def test_4d_groups_fill_first_and_the_rest_go_to_waypoints(scenario, joining):
     assert sent.sum() > 10
     full = (taken | risen).all(-1)
     took_over = ((before.seat != after.seat) & (after.seat >= 0)).any(-1)
-    assert full[sent.any(-1) & ~took_over].all() and sent.sum(-1)[~full].max() == 1
+    assert full[sent.any(-1) & ~took_over].all()
     assert (sent.any(-1) & full).sum() > 10
     to_group = (before.seat < 0) & (after.seat >= 0)
     assert to_group.sum() >= 3 and graph.is_group[after.goal[to_group]].all()
@@ -383,6 +385,7 @@ def test_4d_groups_never_hold_more_than_their_capacity_and_stand_for_the_given_t
             edges = np.flatnonzero(np.diff(standing.astype(int)))
             lasted += [(b - a) * STEP for a, b in zip(edges, edges[1:], strict=False) if standing[a + 1]]
     assert len(lasted) > 8
+    most += MAX_WAIT  # ours: for a successor, so that the group lasts
     assert min(lasted) >= least - STEP and max(lasted) <= most + STEP and np.std(lasted) > 0.5
 
 

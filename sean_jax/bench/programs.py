@@ -12,6 +12,7 @@ from sean_jax import devices, episodes, prng, sensors, social_forces
 from sean_jax.base import Array, Scenario, State
 from sean_jax.bench import workload
 from sean_jax.bench.timing import Program
+from sean_jax.config import DEFAULT_FORCES
 from sean_jax.geometry import rotate
 from sean_jax.scenario import reset
 from sean_jax.social_forces import model
@@ -109,7 +110,7 @@ def images(scenario: Scenario, name: str, batch: int, width: int, height: int, t
     return Program(jax.jit(run, donate_argnums=1), (scenario,), (states, blank), batch, turns)
 
 
-def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = "helbing1995") -> Program:
+def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = DEFAULT_FORCES) -> Program:
     """Steps of 0.05 s of the social forces alone, in a hall with walls.
 
     Each call begins with the same crowds. Otherwise they would meet in the middle of the hall, and the result would

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html as markup
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import sean_jax.report as reports
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from sean_jax.experiments.table1 import Cell
     from sean_jax.metrics import Estimate
 
-STYLE = Path(reports.__file__).with_name("style.css")
+STYLE = "td:nth-child(2){font-weight:400}td.ours{font-weight:650}td.text,th.text{text-align:left;white-space:normal}"
 
 
 def document(title: str, kicker: str, sections: list[tuple[str, str]], options: ExperimentConfig) -> str:
@@ -40,14 +39,8 @@ def document(title: str, kicker: str, sections: list[tuple[str, str]], options: 
     again = f"<pre>{markup.escape(command('experiment', options))}</pre>"
     facts = "".join(f"<dt>{markup.escape(k)}</dt><dd>{markup.escape(str(v))}</dd>" for k, v in origin.items())
     sections = [*sections, ("How to get this again", again + f"<dl>{facts}</dl>")]
-    body = "\n".join(f"<section><h2>{name}</h2>\n{text}</section>" for name, text in sections)
-    return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{markup.escape(title)}</title>'
-        f"<style>\n{STYLE.read_text(encoding='utf-8')}td:nth-child(2){{font-weight:400}}td.ours{{font-weight:650}}"
-        f"td.text,th.text{{text-align:left;white-space:normal}}</style></head>\n<body><main><header>"
-        f"<p class=kicker>{kicker}</p><h1>{markup.escape(title)}</h1></header>\n{body}\n</main></body></html>\n"
-    )
+    body = (f"<section><h2>{name}</h2>\n{text}</section>" for name, text in sections)
+    return reports.page(title, kicker, body, STYLE)
 
 
 def _cell(text: str, small: str = "", kind: str = "") -> str:

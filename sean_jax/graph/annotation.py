@@ -1,5 +1,6 @@
 """The annotation of a Behavior Graph (section IV-D): what graph.yaml may say, and the graph that it means."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
@@ -18,6 +19,7 @@ from sean_jax.platforms import to_device
 from sean_jax.quantities import Coordinate, Duration, Radius, RelativeChance
 
 NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge
+Factor = Annotated[float, pydantic.Field(ge=1e-3, le=1e3)]  # by which the length of an edge is multiplied
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
 MIN_SPAWN = 1e-3  # one that is much smaller is 0 in single precision
 
@@ -31,6 +33,7 @@ class Node(pydantic.BaseModel):
     position: tuple[Coordinate, Coordinate]  # m
     radius: Radius  # m
     spawn: RelativeChance = 0.0  # chance with which somebody starts here, relative to the other nodes
+    weight: RelativeChance | None = None  # chance with which a waypoint is a goal, relative to the others; None: 1
     capacity: Annotated[int, pydantic.Field(ge=2, le=32)] | None = None  # people, of a group
     stay: tuple[Duration, Duration] | None = None  # s, minimum and maximum, of a group
     id: Annotated[int, pydantic.Field(ge=-(2**31), lt=2**31)] | None = (
@@ -39,13 +42,13 @@ class Node(pydantic.BaseModel):
 
 
 class Edge(pydantic.BaseModel):
-    """Two directed edges between a pair of nodes, with one of the paper's pairs of weights <c_uv, c_vu>."""
+    """Two directed edges between a pair of nodes, with the paper's pair of weights <c_uv, c_vu>."""
 
     model_config = STRICT
 
     between: tuple[str, str]
     flow: Literal["medium", "high", "low", "forward", "backward"] | None = None  # medium if weights is absent too
-    weights: tuple[float, float] | None = None  # there and back, instead of flow: one of the pairs of flow_factors
+    weights: tuple[Factor, Factor] | None = None  # there and back, instead of flow
 
 
 class Annotation(pydantic.BaseModel):
@@ -77,17 +80,28 @@ class Annotation(pydantic.BaseModel):
             edge: of this annotation.
 
         Returns:
-            One of ``FLOWS``.
-
-        Raises:
-            ValueError: its weights are not one of ``flow_factors``; ``check`` finds that before.
+            One of ``FLOWS``: the word, or that whose factors are nearest to the weights, as ratios.
         """
-        if edge.weights is None:
+        weights = edge.weights
+        if weights is None:
             return edge.flow or "medium"
-        for flow, factors in self.flow_factors().items():
-            if edge.weights == factors:
-                return flow
-        raise ValueError(f"edge {edge.between}: weights {edge.weights} belong to no flow; give one of flow_factors.")
+
+        def away(factors: tuple[float, float]) -> float:
+            return sum(math.log(own / other) ** 2 for own, other in zip(weights, factors, strict=True))
+
+        pairs = self.flow_factors()
+        return min(pairs, key=lambda flow: away(pairs[flow]))
+
+    def factors_of(self, edge: Edge) -> tuple[float, float]:
+        """The factors by which the length of an edge is multiplied.
+
+        Args:
+            edge: of this annotation.
+
+        Returns:
+            There and back: its weights, or those of its flow.
+        """
+        return edge.weights or self.flow_factors()[self.flow_of(edge)]
 
 
 def read(path: Path | str, environment: Environment) -> BehaviorGraph:
@@ -132,6 +146,7 @@ def build(annotation: Annotation, environment: Environment, seed: int = 0) -> Be
         capacity=capacity,
         stay=np.array([node.stay or (0.0, 0.0) for node in nodes], float),
         spawn=np.array([node.spawn for node in nodes], float),
+        weight=np.array([0.0 if node.kind == "group" else _weight(node) for node in nodes], float),
         flow=flow,
         edge_cost=edge_cost,
         cost=cost,
@@ -145,18 +160,21 @@ def build(annotation: Annotation, environment: Environment, seed: int = 0) -> Be
     return BehaviorGraph(**to_device(arrays), names=tuple(annotation.nodes))
 
 
+def _weight(node: Node) -> float:
+    return 1.0 if node.weight is None else node.weight
+
+
 def _edges(annotation: Annotation, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(M, M) category of flow of each directed edge, and (M, M) m its cost."""
     index = {name: number for number, name in enumerate(annotation.nodes)}
     flow = np.full((len(index), len(index)), NO_EDGE, np.int32)
     cost = np.full((len(index), len(index)), np.inf)
     reverse = {"forward": "backward", "backward": "forward"}
-    factors = annotation.flow_factors()
     for edge in annotation.edges:
         a, b = (index[name] for name in edge.between)
         length = float(np.hypot(*(position[a] - position[b])))
         category = annotation.flow_of(edge)
-        there, back = factors[category]
+        there, back = annotation.factors_of(edge)
         cost[a, b], cost[b, a] = length * there, length * back
         flow[a, b] = FLOWS.index(category)
         flow[b, a] = FLOWS.index(reverse.get(category, category))
@@ -176,6 +194,8 @@ def check(annotation: Annotation) -> Iterator[files.Problem]:
         if node.kind == "group":
             if node.capacity is None:
                 yield ("nodes", name, "capacity"), "is missing; a group needs one, such as 'capacity: 4'"
+            if node.weight is not None:
+                yield ("nodes", name, "weight"), "only a waypoint has one and this is a group; remove it"
             if node.stay is None:
                 yield ("nodes", name, "stay"), "is missing; a group needs one in seconds, such as 'stay: [5, 10]'"
             elif node.stay[0] > node.stay[1]:
@@ -190,6 +210,8 @@ def check(annotation: Annotation) -> Iterator[files.Problem]:
                     yield ("nodes", name, key), f"only a group has one and this is a waypoint; {cure}"
     if not any(node.kind == "waypoint" for node in annotation.nodes.values()):
         yield ("nodes",), "none is a waypoint; people need at least one to go to when the groups are full"
+    elif not any(_weight(node) >= MIN_SPAWN for node in annotation.nodes.values() if node.kind == "waypoint"):
+        yield ("nodes",), f"no waypoint has a weight of {MIN_SPAWN:g} or more; give at least one 'weight: 1'"
     if not any(node.spawn >= MIN_SPAWN for node in annotation.nodes.values()):
         yield ("nodes",), f"no spawn is {MIN_SPAWN:g} or more; give at least one node 'spawn: 1'"
     edge_of: dict[frozenset[str], int] = {}
@@ -208,9 +230,6 @@ def check(annotation: Annotation) -> Iterator[files.Problem]:
         edge_of.setdefault(pair, number)
         if edge.weights is not None and edge.flow is not None:
             yield (*here, "weights"), "flow is given as well; remove one of them"
-        elif edge.weights is not None and edge.weights not in annotation.flow_factors().values():
-            sets = ", ".join(f"{name} [{a:g}, {b:g}]" for name, (a, b) in annotation.flow_factors().items())
-            yield (*here, "weights"), f"[{edge.weights[0]:g}, {edge.weights[1]:g}] is not one of {sets}"
     if all(name in annotation.nodes for edge in annotation.edges for name in edge.between):
         yield from _unreachable(annotation)  # a misspelt name would seem to cut nodes off
 

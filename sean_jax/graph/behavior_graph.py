@@ -23,6 +23,7 @@ class BehaviorGraph:
     capacity: Int[Array, "M"]  # seats of a group, 0 for a waypoint
     stay: Float[Array, "M 2"]  # s, minimum and maximum of the time spent at a group, 0 for a waypoint
     spawn: Float[Array, "M"]  # chance with which somebody starts at the node, relative to the other nodes
+    weight: Float[Array, "M"]  # chance with which a waypoint is drawn as a goal, relative to the others; 0 for a group
     flow: Int[Array, "M M"]  # index into FLOWS of the edge from row to column, NO_EDGE without an edge
     edge_cost: Float[Array, "M M"]  # m, length times factor of the edge from row to column, inf without an edge
     cost: Float[Array, "M M"]  # m, of the cheapest path that passes through waypoints only

@@ -4,7 +4,6 @@ In the paper an author directs people away from a congested area by edge weights
 it by themselves.
 """
 
-import math
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -13,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 from sean_jax.base import Array
 from sean_jax.geometry import length
 from sean_jax.graph.behavior_graph import BehaviorGraph
+from sean_jax.graph.route_choice import cheapest_paths
 
 MIN_AREA = 1.0  # m2, of an edge between nodes that coincide
 
@@ -56,8 +56,7 @@ def add_congestion_cost(
 ) -> BehaviorGraph:
     """The graph with edges that cost more where people are, and the cheapest paths over them.
 
-    An edge costs ``1 + congestion_cost * density`` times as much. The tables of paths are those of ``routes``, found by
-    repeated squaring in the min-plus algebra.
+    An edge costs ``1 + congestion_cost * density`` times as much. The tables of paths are those of ``routes``.
 
     Args:
         graph: M nodes.
@@ -68,15 +67,5 @@ def add_congestion_cost(
         The graph with new ``edge_cost``, ``cost`` and ``next_hop``.
     """
     edge_cost = graph.edge_cost * (1.0 + congestion_cost * density)
-    count = edge_cost.shape[0]
-    itself = jnp.eye(count, dtype=bool)
-    # Paths whose nodes but the last are waypoints: nobody walks through a group.
-    onward = jnp.where(itself, 0.0, jnp.where(graph.is_group[:, None], jnp.inf, edge_cost))
-    for _ in range(math.ceil(math.log2(max(count - 1, 1)))):
-        onward = jnp.min(onward[:, :, None] + onward[None, :, :], axis=1)
-    ways = jnp.where(itself, jnp.inf, edge_cost)[:, :, None] + onward[None, :, :]
-    first = jnp.argmin(ways, axis=1).astype(jnp.int32)
-    cost = jnp.where(itself, 0.0, jnp.min(ways, axis=1))
-    next_hop = jnp.where(jnp.isfinite(cost), first, -1)
-    own = jnp.broadcast_to(jnp.arange(count, dtype=jnp.int32)[:, None], (count, count))
-    return replace(graph, edge_cost=edge_cost, cost=cost, next_hop=jnp.where(itself, own, next_hop))
+    cost, next_hop = cheapest_paths(edge_cost, graph.is_group)
+    return replace(graph, edge_cost=edge_cost, cost=cost, next_hop=next_hop)

@@ -66,7 +66,7 @@ def next_corner(
     index_max = jnp.asarray(table.first_arc.shape[:2], jnp.int32) - 1
     cell = jnp.clip(jnp.floor((position - navigation.origin) / CELL).astype(jnp.int32), 0, index_max)
     arc, tangent = _next_arc(navigation, table, position, index, table.first_arc[cell[0], cell[1], index])
-    aim = _extend(position, tangent.point, tangent.direction)
+    aim = _past(navigation, jnp.minimum(arc, navigation.arcs.side.shape[0] - 1), position, tangent)
     return jnp.where(arc < navigation.arcs.side.shape[0], aim, table.point[index])
 
 
@@ -102,13 +102,25 @@ def next_point_approx(
     clear = segments_are_free(boxes, position, x, y, CLOSE * radius)
     chosen = index[jnp.argmax(clear[:-1])]  # the best one if none is in sight
     tangent = tangent_to_arc(navigation.arcs, chosen, spot, radius)
-    return jnp.where(clear[-1] | no_path, goal, _extend(position, tangent.point, tangent.direction))
+    return jnp.where(clear[-1] | no_path, goal, _past(navigation, chosen, position, tangent))
 
 
-def _extend(position: Array, touch: Array, direction: Array) -> Array:
-    """(2,) [m] where the tangent from a position (2,) touches, or ``MIN_AHEAD`` from there along it, if farther."""
-    gap = touch - position
-    return touch + jnp.maximum(MIN_AHEAD - length(gap[0], gap[1]), 0.0) * direction
+def _past(navigation: Navigation, arc: Array, position: Array, tangent: Tangent) -> Array:
+    """(2,) [m] a place past a corner, as far ahead as where the tangent touches, ``MIN_AHEAD`` at least.
+
+    The tangent from a place at a distance d from the corner turns infinitely fast with that place where it touches the
+    circle of radius r: it leads (d^2 - r^2)^(1/2) towards the corner and r past it. Here (d^2 - r^2) / d takes the
+    place of the root. So the way bends a little wider and comes to the circle smoothly, from either side, and its
+    derivative is at most about 2 / r.
+    """
+    corner, radius = navigation.arcs.corner[arc], navigation.radius
+    out = position - corner
+    away = jnp.maximum(length(out[0], out[1]), 0.1 * radius)
+    past = navigation.arcs.side[arc] * jnp.stack([-out[1], out[0]])
+    direction = (radius / away - away / radius) * out + past  # times d / r
+    gap = tangent.point - position
+    far = jnp.maximum(length(gap[0], gap[1]), MIN_AHEAD)
+    return position + far / jnp.maximum(length(direction[0], direction[1]), 1e-6) * direction
 
 
 def _next_arc(

@@ -85,6 +85,23 @@ def read(path: str | Path, recording_format: str | None = None, frame_rate: floa
     return recorded
 
 
+def columns(path: str | Path) -> set[str]:
+    """Which columns of a recording a CSV file has, by our names: the keys of ``NAMES``.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        Names; none if it is no recording.
+
+    Raises:
+        FileError: the file cannot be read.
+    """
+    first = read_text(Path(path), MAX_BYTES).partition("\n")[0]
+    header = {name.strip().strip('"').lower() for name in first.split(",")}
+    return {ours for ours, theirs in NAMES.items() if header & set(theirs)}
+
+
 def check_clock(recording_format: str | None, frame_rate: float | None) -> None:
     """Refuse a format that does not exist, or a frame rate with which nobody records.
 

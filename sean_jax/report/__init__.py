@@ -7,6 +7,7 @@ Situations and metrics are those of the scenario, the user's own included.
 import dataclasses
 import html as markup
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,14 +67,27 @@ def html(report: Report) -> str:
         _section("How to get this again", _again(report)),
         _section("What the numbers mean", _definitions(report)),
     ]
-    title = markup.escape(report.title)
+    return page(report.title, "sean_jax · report of a run", sections)
+
+
+def page(title: str, kicker: str, sections: Iterable[str], style: str = "") -> str:
+    """A page of the package's looks, whole in one file.
+
+    Args:
+        title: plain text.
+        kicker: small line above the title, HTML.
+        sections: HTML.
+        style: further rules of CSS.
+
+    Returns:
+        HTML that refers to nothing outside itself.
+    """
+    body, title = "\n".join(sections), markup.escape(title)
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title}</title>'
-        f"<style>\n{STYLE.read_text(encoding='utf-8')}</style></head>\n<body><main><header>"
-        f"<p class=kicker>sean_jax · report of a run</p><h1>{title}</h1></header>\n"
-        + "\n".join(sections)
-        + "\n</main></body></html>\n"
+        f"<style>\n{STYLE.read_text(encoding='utf-8')}{style}</style></head>\n<body><main><header>"
+        f"<p class=kicker>{kicker}</p><h1>{title}</h1></header>\n{body}\n</main></body></html>\n"
     )
 
 

@@ -188,7 +188,9 @@ def _simulate(
 
 
 def _simulate_twin(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
-    return _simulate(twin.substep, steps, model, surroundings, motion, targets)
+    """The motion after that many steps of the twin. Reverse mode computes them again rather than store all of them."""
+    simulate = jax.checkpoint(functools.partial(_simulate, twin.substep, steps), prevent_cse=False)
+    return simulate(model, surroundings, motion, targets)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -199,7 +201,5 @@ def _physics(steps: int, model: RobotModel, surroundings: Surroundings, motion: 
 
 @_physics.defjvp
 def _physics_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple:
-    # The MJX model itself is constant. Reverse mode computes the twin again rather than store all of its physics steps.
-    values, changes = ((replace(model, data=()), *rest) for model, *rest in (primals, tangents))
-    twin_of_it = jax.checkpoint(functools.partial(_simulate_twin, steps), prevent_cse=False)
-    return _physics(steps, *primals), jax.jvp(twin_of_it, values, changes)[1]
+    values, changes = ((replace(model, data=()), *rest) for model, *rest in (primals, tangents))  # MJX's is constant
+    return _physics(steps, *primals), jax.jvp(functools.partial(_simulate_twin, steps), values, changes)[1]

@@ -4,14 +4,17 @@ A sum of terms (``terms``), each with parameters of its own: ``[*preset("helbing
 """
 
 from sean_jax.social_forces.cohesion import Cohesion
+from sean_jax.social_forces.constants import build
 from sean_jax.social_forces.contact import SUBSTEP, Contact, longest_step, substeps
+from sean_jax.social_forces.evasion import Evasion
 from sean_jax.social_forces.groups import GroupSpace
+from sean_jax.social_forces.headway import Headway
 from sean_jax.social_forces.model import draw_traits, integrate, move
-from sean_jax.social_forces.presets import PRESETS, build, preset
+from sean_jax.social_forces.presets import PRESETS, preset
 from sean_jax.social_forces.repulsion import Repulsion
 from sean_jax.social_forces.robot_repulsion import RobotRepulsion
 from sean_jax.social_forces.sidestep import Sidestep
-from sean_jax.social_forces.terms import Crowd, Forces, Pair, PairTerm, PersonTerm, Term
+from sean_jax.social_forces.terms import Crowd, Forces, GatherTerm, Pair, PairTerm, PersonTerm, Term
 from sean_jax.social_forces.walking import Walking
 from sean_jax.social_forces.walls import Walls
 
@@ -21,8 +24,11 @@ __all__ = [
     "Cohesion",
     "Contact",
     "Crowd",
+    "Evasion",
     "Forces",
+    "GatherTerm",
     "GroupSpace",
+    "Headway",
     "Pair",
     "PairTerm",
     "PersonTerm",

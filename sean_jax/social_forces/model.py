@@ -1,26 +1,25 @@
 """The social force model (section IV-D [28][44][45]): the sum of its terms, integrated by semi-implicit Euler steps."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Float, Int
 
 from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot, Scenario, State
-from sean_jax.geometry import sum_vectors
-from sean_jax.platforms import by_platform
 from sean_jax.social_forces.cohesion import Cohesion
 from sean_jax.social_forces.contact import Contact
-from sean_jax.social_forces.neighbors import MIN_PEOPLE, Neighbors, find, sum_pairs
+from sean_jax.social_forces.neighbors import MIN_PEOPLE, Neighbors, find
+from sean_jax.social_forces.pair_sums import ABSENT, sum_pairs
 from sean_jax.social_forces.repulsion import Repulsion
 from sean_jax.social_forces.robot_repulsion import RobotRepulsion
-from sean_jax.social_forces.terms import Crowd, Force, Forces, Pair, sum_pair_terms
+from sean_jax.social_forces.terms import Crowd, Force, Forces, Pair, gather, sum_pair_terms
 from sean_jax.social_forces.walking import look_direction, turn
 from sean_jax.social_forces.walls import project_velocity
 
-ABSENT = -2  # marks who is not there where a group index is -1 for nobody's member
+SUMS = "pair sums"  # what reverse mode keeps of a step, beside the state; the rest is computed anew
 WALKING_GROUPS = 1 << 20  # added to the number of a walking group where it stands among those of groups
 
 
@@ -67,6 +66,8 @@ def move(scenario: Scenario, state: State) -> Pedestrians:
         after = integrate(scenario.forces, people, grid, state.groups, state.robot, time_step, radius, companions, near)
         return after, None
 
+    keep = jax.checkpoint_policies.save_only_these_names(SUMS)
+    substep = jax.checkpoint(substep, prevent_cse=False, policy=keep)
     return jax.lax.scan(substep, state.pedestrians, length=scenario.substeps)[0]
 
 
@@ -133,7 +134,7 @@ def cutoff(forces: Forces) -> Float[Array, ""] | None:
     Returns:
         () m; None if there is no pair term, or one of them does not say.
     """
-    functions = [getattr(term, "cutoff", None) for term in forces.pair_terms]
+    functions = [getattr(term, "cutoff", None) for term in (*forces.pair_terms, *forces.gather_terms)]
     cutoffs = [function(forces.walking) for function in functions if function is not None]
     known = [distance for distance in cutoffs if distance is not None]
     if not known or len(known) < len(functions):
@@ -160,7 +161,7 @@ def neighbors(forces: Forces, people: Pedestrians, time: float) -> Neighbors | N
 
 
 def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> Force | None:
-    """What each person feels from all other people: the pair terms, in one sum.
+    """What each person feels from all other people: the pair terms and the gather terms, in one sum.
 
     Standing members of one group do not feel one another: their formation holds them apart (section IV-D). Nor do those
     who walk together, if there is ``Cohesion``, which holds them together and apart.
@@ -170,54 +171,38 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> Force | None:
         near: of a large crowd, who feels whom; pairs of others are left out.
 
     Returns:
-        (N,) x and y parts [m/s2]; None if there are no pair terms.
+        (N,) x and y parts [m/s2]; None if there are no such terms. To gather terms the robot is one of the others.
     """
     forces, people = crowd.forces, crowd.people
-    if not forces.pair_terms:
+    if not forces.pair_terms and not forces.gather_terms:
         return None
 
     def law(shared, own, other):
-        terms, radius, perception = shared
+        pair_terms, gather_terms, radius, perception = shared
         (px, py, vx, vy, group, look_x, look_y, standing), (qx, qy, wx, wy, other_group) = own, other
         dx, dy = px - qx, py - qy
         pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, 2.0 * radius, standing.astype(bool))
-        fx, fy = sum_pair_terms(terms, pair)
+        force = sum_pair_terms(pair_terms, pair) if pair_terms else None
+        numbers = force, gather(gather_terms, pair)
         dd = dx * dx + dy * dy
         together = (group >= 0) & (group == other_group)
         felt = (other_group > ABSENT) & (dd > 0.0) & (dd < perception * perception) & ~together
-        return jnp.where(felt, fx, 0.0), jnp.where(felt, fy, 0.0)
+        return jax.tree.map(lambda number: jnp.where(felt, number, 0.0), numbers)
 
     group = people.group
     if crowd.companions is not None and forces.get(Cohesion) is not None:
         group = jnp.where((group < 0) & (people.walking_group >= 0), WALKING_GROUPS + people.walking_group, group)
     group = jnp.where(people.present, group, ABSENT).astype(float)
     other = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1], group
-    own = *other, crowd.look_x, crowd.look_y, people.group >= 0
-    shared = forces.pair_terms, forces.walking.radius, forces.walking.perception
-    if near is not None:
-        return sum_pairs(law, near, shared, jnp.stack([row.astype(float) for row in own]), jnp.stack(other))
-    return _sum_over_all(law, shared, own, other)
-
-
-def _sum_over_all(law: Callable, shared: tuple, own: tuple, other: tuple) -> Force:
-    """(N,) x and y: the sums over all others of the law of one pair.
-
-    On a GPU each thread takes two others, so it reads what is one's own half as often: a fifth less time.
-    """
-
-    def in_turns(turns: int, shared, own, other):
-        nobody = (0, -len(other[0]) % turns)
-        other = tuple(jnp.pad(row, nobody, constant_values=ABSENT).reshape(turns, -1) for row in other)
-
-        def several(shared, own, others):
-            turn = lambda total, one: (_add(total, law(shared, own, one)), None)  # noqa: E731
-            nothing = jnp.zeros_like(own[0]), jnp.zeros_like(own[0])
-            return jax.lax.scan(turn, nothing, others, unroll=turns)[0]
-
-        each = jax.vmap(jax.vmap(several, in_axes=(None, None, 1)), in_axes=(None, 0, None))
-        return sum_vectors(*each(shared, own, other), 1)
-
-    return by_platform(partial(in_turns, 1), partial(in_turns, 2))(shared, own, other)
+    own = *other, crowd.look_x, crowd.look_y, (people.group >= 0).astype(float)
+    shared = forces.pair_terms, forces.gather_terms, forces.walking.radius, forces.walking.perception
+    force, gathered = checkpoint_name(sum_pairs(law, near, shared, own, other), SUMS)
+    robot = forces.get(RobotRepulsion)
+    by_robot = None if robot is None or not gathered else robot.gathered(crowd)
+    if by_robot is not None:
+        gathered = jax.tree.map(jnp.add, gathered, by_robot)
+    acts = [term.act(crowd, *numbers) for term, numbers in zip(forces.gather_terms, gathered, strict=True)]
+    return _add_up([force, *acts])
 
 
 def _add_up(parts: Iterable[Force | None]) -> Force | None:

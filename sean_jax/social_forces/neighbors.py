@@ -7,7 +7,7 @@ needs. So no crowd is too dense, and a throng in one place does not slow down th
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import partial, reduce
 from typing import NamedTuple
 
 import jax
@@ -16,7 +16,7 @@ from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax.base import Array
-from sean_jax.social_forces.linear import linear_call
+from sean_jax.geometry import sum_in_pairs
 
 MIN_PEOPLE = 256  # in smaller crowds it is quicker to sum all pairs
 PART = 8  # people of each run who are summed together, a power of two
@@ -81,64 +81,65 @@ def _from_min(values: Array, present: Array) -> Array:
     return jnp.where(present, values - minimum, 0.0)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def sum_pairs(
+def sum_near(
     law: Callable, near: Neighbors, shared: PyTree, own: Float[Array, "A N"], other: Float[Array, "B N"]
-) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
-    """Sums a law of one pair over the neighbors of each person.
-
-    Derivatives, forward and reverse, go along the same runs: if one person is a neighbor of another, that one is a
-    neighbor of the first.
+) -> PyTree:
+    """Sums a law of one pair over the neighbors of each person. Reverse mode needs ``pull_back_near``.
 
     Args:
-        law: ``law(shared, own (A,), other (B,)) -> (x, y)``, whose rows come as a sequence; zero for a person with
-            itself, for absent people, and beyond the distance of ``near``.
+        law: ``law(shared, own (A,), other (B,)) -> numbers``, whose rows come as a sequence; a pytree of numbers, zero
+            for a person with itself, for absent people, and beyond the distance of ``near``.
         near: who is near whom.
         shared: a pytree of floats, such as the parameters of the law.
         own: (A, N) of those who feel.
         other: (B, N) of those who are felt.
 
     Returns:
-        (N,) x and y.
+        The numbers as arrays (N,).
     """
-    return _sum(law, near, shared, own, other)
-
-
-def _sum(law: Callable, near: Neighbors, shared: PyTree, own: Array, other: Array) -> tuple[Array, Array]:
     sorted_other = other[:, near.order]
+    numbers, structure = jax.tree.flatten(jax.eval_shape(law, shared, own[:, 0], other[:, 0]))
 
     def block(runs: Runs, own: Array) -> tuple:
         def add(part: Array, sums: tuple) -> tuple:
-            x, y = _sum_part(law, shared, own, *_window(runs, sorted_other, part))
-            return sums[0] + x, sums[1] + y
+            return jax.tree.map(jnp.add, sums, _sum_part(law, shared, own, *_window(runs, sorted_other, part)))
 
-        return _over_parts(runs, add, (jnp.zeros_like(own[0]), jnp.zeros_like(own[0]))), None
+        return _over_parts(runs, add, tuple(jnp.zeros_like(own[0]) for _ in numbers)), None
 
-    (x, y), _ = _over_blocks(near, block, own)
-    return x[near.rank], y[near.rank]
-
-
-@sum_pairs.defjvp
-def _jvp(law: Callable, primals: tuple, tangents: tuple) -> tuple:
-    sums = sum_pairs(law, *primals)
-    change = linear_call(partial(_forward, law), partial(_backward, law), primals, tangents[1:], sums)
-    return sums, change
+    rows, _ = _over_blocks(near, block, own)
+    return structure.unflatten([row[near.rank] for row in rows])
 
 
-def _forward(law: Callable, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    return jax.jvp(partial(_sum, law, primals[0]), primals[1:], tangents)[1]
+def pull_back_near(
+    law: Callable,
+    near: Neighbors,
+    shared: PyTree,
+    own: Float[Array, "A N"],
+    other: Float[Array, "B N"],
+    pulls: Float[Array, "C N"],
+) -> tuple[PyTree, Float[Array, "A N"], Float[Array, "B N"]]:
+    """The transpose of the derivative of ``sum_near``.
 
+    It goes along the same runs: if one person is a neighbor of another, that one is a neighbor of the first. So what
+    others feel of a person is a sum over the neighbors as well.
 
-def _backward(law: Callable, primals: tuple, cotangents: tuple[Array, Array]) -> tuple:
-    """Cotangents of shared, own and other; that of other sums over those who feel the person, in the same runs."""
-    near, shared, own, other = primals
+    Args:
+        law: as in ``sum_near``.
+        near: as in ``sum_near``.
+        shared: as in ``sum_near``.
+        own: (A, N) of those who feel.
+        other: (B, N) of those who are felt.
+        pulls: (C, N) cotangents of the C numbers of the law.
+
+    Returns:
+        Cotangents of shared, own and other.
+    """
     own_rows, other_rows = len(own), len(other)
-    pulls = jnp.stack(cotangents)
     sorted_other, sorted_own = other[:, near.order], jnp.concatenate([own, pulls])[:, near.order]
 
-    def pulled_back(shared: PyTree, other: Array, own: tuple) -> tuple[Array, Array]:
-        x, y = law(shared, own[:-2], other)
-        return x * own[-2] + y * own[-1], jnp.zeros_like(x)
+    def pulled_back(shared: PyTree, other: Array, own: tuple) -> Array:
+        numbers = jax.tree.leaves(law(shared, own[:own_rows], other))
+        return reduce(jnp.add, map(jnp.multiply, numbers, own[own_rows:]))
 
     def block(runs: Runs, rows: Array) -> tuple:
         own, other, pulls = rows[:own_rows], rows[own_rows : own_rows + other_rows], rows[own_rows + other_rows :]
@@ -146,10 +147,10 @@ def _backward(law: Callable, primals: tuple, cotangents: tuple[Array, Array]) ->
         def add(part: Array, sums: tuple) -> tuple:
             others, valid = _window(runs, sorted_other, part)
             _, pull = jax.vjp(lambda shared, own: _sum_part(law, shared, own, others, valid), shared, own)
-            d_shared, d_own = pull((pulls[0], pulls[1]))
+            d_shared, d_own = pull(tuple(pulls))
             owns, valid = _window(runs, sorted_own, part)
             _, pull = jax.vjp(lambda other: _sum_part(pulled_back, shared, other, owns, valid), other)
-            (d_other,) = pull((jnp.ones_like(pulls[0]), jnp.zeros_like(pulls[0])))
+            (d_other,) = pull((jnp.ones_like(pulls[0]),))
             return jax.tree.map(jnp.add, sums, ((*d_own, *d_other), d_shared))
 
         return _over_parts(runs, add, jax.tree.map(jnp.zeros_like, ((*own, *other), shared)))
@@ -214,15 +215,18 @@ def _window(runs: Runs, rows: Array, part: Array) -> tuple[tuple[Array, ...], Ar
     return tuple(cut(row).reshape(-1, 3 * PART) for row in padded), valid.reshape(-1, 3 * PART)
 
 
-def _sum_part(
-    law: Callable, shared: PyTree, own: Array, window: tuple[Array, ...], valid: Array
-) -> tuple[Array, Array]:
-    """(N,) x and y: the law summed over a part of everybody's runs."""
+def _sum_part(law: Callable, shared: PyTree, own: Array, window: tuple[Array, ...], valid: Array) -> tuple[Array, ...]:
+    """(N,) each number of the law, summed over a part of everybody's runs."""
     others = jax.vmap(law, in_axes=(None, None, 0))
-    x, y = jax.vmap(others, in_axes=(None, 1, 0))(shared, own, window)
-    pushes = jax.lax.complex(jnp.where(valid, x, 0.0), jnp.where(valid, y, 0.0))
-    total = jax.lax.platform_dependent(pushes, cpu=_sum_by_halves, default=lambda pushes: pushes.sum(1))
-    return total.real, total.imag
+    numbers = jax.tree.leaves(jax.vmap(others, in_axes=(None, 1, 0))(shared, own, window))
+    numbers = tuple(jnp.where(valid, number, 0.0) for number in numbers)
+
+    def sum_by_halves(numbers: tuple[Array, ...]) -> tuple[Array, ...]:
+        pairs = [jax.lax.complex(*numbers[i : i + 2]) for i in range(0, len(numbers) - 1, 2)]
+        totals = [part for pair in pairs for total in [_sum_by_halves(pair)] for part in (total.real, total.imag)]
+        return (*totals, *([_sum_by_halves(numbers[-1])] if len(numbers) % 2 else []))
+
+    return jax.lax.platform_dependent(numbers, cpu=sum_by_halves, default=lambda numbers: sum_in_pairs(numbers, 1))
 
 
 def _sum_by_halves(pushes: Array) -> Array:

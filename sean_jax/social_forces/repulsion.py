@@ -32,7 +32,7 @@ class Repulsion:
     back_weight: Float[Array, ""]  # 1, weight of what is not in sight: c of [HM95], lambda of [J07]
     sight_cosine: Float[Array, ""]  # 1, cosine of the half angle of sight of [HM95]
     law: Callable = struct.field(pytree_node=False)  # (parameters, pair) -> (fx, fy) m/s2: elliptical or circular
-    sight: Callable = struct.field(pytree_node=False)  # (parameters, pair, fx, fy) -> weight: in_cone or in_front
+    sight: Callable = struct.field(pytree_node=False)  # (parameters, pair, fx, fy) -> weight, such as in_cone
 
     def pair(self, pair: Pair) -> Force:
         """The law's push, weighted by sight and, if the other is a robot that moves, by the pair's scale.
@@ -160,3 +160,20 @@ def in_front(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> Array:
     dx, dy = pair.dx, pair.dy
     cosine = -(dx * pair.look_x + dy * pair.look_y) * jax.lax.rsqrt(dx * dx + dy * dy + TINY)
     return parameters.back_weight + (1.0 - parameters.back_weight) * 0.5 * (1.0 + cosine)
+
+
+def all_round(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> float:
+    """Weight of a push that people feel from all sides alike: 1.
+
+    So a uniform crowd, however dense, pushes nobody back.
+
+    Args:
+        parameters: not used.
+        pair: not used.
+        fx: not used.
+        fy: not used.
+
+    Returns:
+        The weight.
+    """
+    return 1.0

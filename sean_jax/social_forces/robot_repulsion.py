@@ -1,5 +1,9 @@
 """Repulsion by the robot (section IV-D [45]): it acts on people as a person does, from farther away while it moves."""
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -7,12 +11,12 @@ from jaxtyping import Float
 
 from sean_jax.base import Array
 from sean_jax.social_forces.repulsion import Repulsion
-from sean_jax.social_forces.terms import Crowd, Force, Pair, sum_pair_terms
+from sean_jax.social_forces.terms import Crowd, Force, Pair, gather, sum_pair_terms
 
 
 @struct.dataclass
 class RobotRepulsion:
-    """All pair terms between each person and the robot. Without this term people do not notice the robot.
+    """All terms of pairs between each person and the robot. Without this term people do not notice the robot.
 
     A factor f of the repulsion A exp(-b / B) is drawn for each person and acts while the robot moves. It equals a
     distance of B ln(f), which is what ``Pedestrians.robot_distance`` says.
@@ -31,8 +35,24 @@ class RobotRepulsion:
         Returns:
             (N,) x and y parts [m/s2]; None without a robot or pair terms.
         """
-        terms, robot, people = crowd.forces.pair_terms, crowd.robot, crowd.people
-        if robot is None or not terms:
+        terms = crowd.forces.pair_terms
+        return self._felt(crowd, partial(sum_pair_terms, terms)) if terms else None
+
+    def gathered(self, crowd: Crowd) -> tuple[tuple[Array, ...], ...] | None:
+        """What the robot adds to the sums of the gather terms.
+
+        Args:
+            crowd: the people and what is around them.
+
+        Returns:
+            (N,) each, a tuple for each term; None without a robot.
+        """
+        return self._felt(crowd, partial(gather, crowd.forces.gather_terms))
+
+    def _felt(self, crowd: Crowd, law: Callable) -> Any:
+        """(N,) each: what ``law`` gives for the pair of each person and the robot; None without a robot."""
+        robot, people = crowd.robot, crowd.people
+        if robot is None:
             return None
         wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
         moving = jnp.abs(robot.speed) > self.moving_speed
@@ -42,7 +62,7 @@ class RobotRepulsion:
             dx, dy = px - robot.position[0], py - robot.position[1]
             scale = None if repulsion is None else jnp.where(moving, jnp.exp(distance / repulsion.range), 1.0)
             pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing, True, scale)
-            return sum_pair_terms(terms, pair)
+            return law(pair)
 
         one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
         return jax.vmap(push)(*one, crowd.look_x, crowd.look_y, people.group >= 0, people.robot_distance)

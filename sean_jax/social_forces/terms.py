@@ -1,10 +1,13 @@
 """The social force is a sum of terms (section IV-D, low level): what a term is, what it may read, and their collection.
 
-A term is a ``flax.struct.dataclass`` whose fields are its parameters. It has one or both of these methods:
+A term is a ``flax.struct.dataclass`` whose fields are its parameters. It has one or more of these methods:
 
 - ``pair(self, pair: Pair) -> (fx, fy)``: the acceleration [m/s2] of one person by one other, written for one pair in
   scalars. All pair terms are evaluated together, in one fused sum over the others. The robot acts on people through
   the same terms, if there is a ``RobotRepulsion``.
+- ``gather(self, pair: Pair) -> tuple`` and ``act(self, crowd: Crowd, *sums) -> (fx, fy)``: numbers that are summed over
+  all others, the robot among them, and the accelerations (N,) [m/s2] that follow from the sums. So a law can depend on
+  the others together: how much room they leave ahead, say. ``gather`` is part of the same fused sum.
 - ``person(self, crowd: Crowd) -> (fx, fy) | None``: the accelerations (N,) [m/s2] of all people; None if the term does
   not apply, so that nothing is computed.
 
@@ -13,7 +16,7 @@ The package's own terms and a user's are the same thing. docs/social_forces.md h
 
 import dataclasses
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 import jax
@@ -82,6 +85,25 @@ class PairTerm(Protocol):
 
 
 @runtime_checkable
+class GatherTerm(Protocol):
+    """A term that sums numbers over all others before it acts. It may have a ``cutoff``, as a ``PairTerm``."""
+
+    def gather(self, pair: Pair) -> tuple[Array, ...]:
+        """What one other adds to the sums.
+
+        Args:
+            pair: the two.
+
+        Returns:
+            () each, of any unit.
+        """
+        ...
+
+    act: Callable[..., Force]
+    """``act(crowd, *sums)``: the accelerations (N,) [m/s2] of all people, by the sums (N,) of what ``gather`` gave."""
+
+
+@runtime_checkable
 class PersonTerm(Protocol):
     """A term that acts on each person.
 
@@ -100,7 +122,7 @@ class PersonTerm(Protocol):
         ...
 
 
-Term = Walking | PairTerm | PersonTerm
+Term = Walking | PairTerm | GatherTerm | PersonTerm
 
 
 @jax.tree_util.register_pytree_with_keys_class
@@ -141,6 +163,11 @@ class Forces:
     def pair_terms(self) -> tuple[PairTerm, ...]:
         """The terms that act between two people, in their order."""
         return tuple(term for term in self.terms if isinstance(term, PairTerm))
+
+    @property
+    def gather_terms(self) -> tuple[GatherTerm, ...]:
+        """The terms that sum numbers over all others before they act, in their order."""
+        return tuple(term for term in self.terms if isinstance(term, GatherTerm))
 
     @property
     def person_terms(self) -> tuple[PersonTerm, ...]:
@@ -243,6 +270,19 @@ def sum_pair_terms(terms: tuple[PairTerm, ...], pair: Pair) -> Force:
     return fx, fy
 
 
+def gather(terms: tuple[GatherTerm, ...], pair: Pair) -> tuple[tuple[Array, ...], ...]:
+    """What one other adds to the sums of the gather terms.
+
+    Args:
+        terms: any number of gather terms.
+        pair: the two.
+
+    Returns:
+        () each, a tuple for each term.
+    """
+    return tuple(tuple(term.gather(pair)) for term in terms)
+
+
 def collect(terms: Iterable[Term]) -> Forces:
     """Forces that are the sum of these terms.
 
@@ -256,16 +296,16 @@ def collect(terms: Iterable[Term]) -> Forces:
         InputError: what is given is no collection of terms, a name stands twice, there is no ``Walking``, or a
             parameter is not finite.
     """
-    if isinstance(terms, PairTerm | PersonTerm) or not isinstance(terms, Iterable):
+    if isinstance(terms, PairTerm | GatherTerm | PersonTerm) or not isinstance(terms, Iterable):
         raise InputError(
             f"forces: {quantities.short_repr(terms)} must be the name of a preset or a list of terms, such as "
             "[*preset('helbing1995'), term]."
         )
     terms = tuple(terms)
     for term in terms:
-        if isinstance(term, type) or not isinstance(term, Walking | PairTerm | PersonTerm):
+        if isinstance(term, type) or not isinstance(term, Term):
             text = quantities.short_repr(term)
-            raise InputError(f"forces: {text} is no term; a term has a method 'pair' or 'person'.")
+            raise InputError(f"forces: {text} is no term; a term has a method 'pair', 'gather' or 'person'.")
         if not dataclasses.is_dataclass(term) or any(leaf is term for leaf in jax.tree.leaves(term)):
             raise InputError(f"forces: {type(term).__name__} must be a flax.struct.dataclass.")
     names = [term_name(term) for term in terms]

@@ -1,0 +1,152 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Gradients and calibration
+# Everything that moves can be differentiated by everything that it depends on. Here the constants of a crowd are found
+# again from how people walk; then we look at how derivatives grow with the horizon, and at what rollouts offer against
+# that. `docs/gradients.md` has the figures, and `sean calibrate` fits the constants to recordings of yours.
+#
+# On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
+
+# %%
+import subprocess
+import sys
+
+if "google.colab" in sys.modules:
+    install = [sys.executable, "-m", "pip", "install", "--quiet", "./sean_jax", "-c", "./sean_jax/constraints.txt"]
+    subprocess.run(install, check=True)
+
+# %%
+# %matplotlib inline
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+
+import sean_jax
+from sean_jax import gradients
+
+PEOPLE = 16  # of a scene, and in the lab
+EPISODES = 8  # scenes, and rollouts at once
+STEPS = 150  # of 0.1 s in the lab
+
+# %% [markdown]
+# ## A recording
+# Two streams of people meet. We make it up with constants that the fit is not told: in each scene people are seen in
+# two frames of 0.4 s, and then for eight more.
+
+# %%
+FRAME, SEEN_LATER = 0.4, 8
+HIDDEN = {"evasion.strength": 4.0, "walking.relaxation_time": 0.3}
+random = np.random.default_rng(0)
+side = np.where(np.arange(PEOPLE) % 2, 1.0, -1.0)
+begin = np.stack(
+    [side * random.uniform(1.0, 6.0, (EPISODES, PEOPLE)), random.uniform(-1.5, 1.5, (EPISODES, PEOPLE))], -1
+)
+velocity = np.stack([-side * random.uniform(0.9, 1.4, (EPISODES, PEOPLE)), np.zeros((EPISODES, PEOPLE))], -1)
+seen = jnp.asarray(np.stack([begin, begin + FRAME * velocity], 1), float)  # (EPISODES, 2, PEOPLE, 2) m
+
+
+@jax.jit
+def walk(constants):
+    """Positions [m] of everybody in the frames after those seen, with two constants of the social forces."""
+    forces = sean_jax.preset("calibrated").tree_replace(dict(zip(HIDDEN, constants, strict=True)))
+    return sean_jax.predict(forces, seen, FRAME, SEEN_LATER)
+
+
+recorded = walk(jnp.asarray(list(HIDDEN.values())))
+
+# %% [markdown]
+# ## Calibration
+# Two constants and many positions: forward mode gives the whole Jacobian at the cost of two rollouts, and Gauss and
+# Newton's method needs a handful of them. (`sean calibrate` has more constants and real people, and descends by Adam in
+# reverse mode.)
+
+# %%
+jacobian = jax.jit(jax.jacfwd(walk))
+constants = jnp.asarray([2.5, 0.5])
+for _ in range(6):
+    apart = walk(constants) - recorded
+    print(f"{constants[0]:.3f} m/s2  {constants[1]:.3f} s   apart {1e3 * jnp.abs(apart).mean():.3f} mm on average")
+    slope = jacobian(constants).reshape(-1, constants.size)
+    constants = jnp.maximum(constants - jnp.linalg.lstsq(slope, apart.reshape(-1))[0], 0.1)
+print("hidden:", *HIDDEN.values())
+
+# %% [markdown]
+# ## How far a derivative carries
+# In a rollout of a crowd, a derivative grows with time: two people who meet head-on pass left or right by centimetres.
+# Here is how much everybody's position changes with the strength of the repulsion, in the lab, step by step.
+# `between` is what the state goes through between two steps: `gradients.damp` multiplies the derivative by a factor
+# there, `truncate` ends it now and then, and `clip` bounds it for each body in reverse mode. None of them changes what
+# happens.
+
+# %%
+lab = sean_jax.make("lab", people=PEOPLE, forces="calibrated", dynamics="twin")
+drive = lambda scenario, state, key: jnp.asarray([0.3, 0.1])  # noqa: E731
+where = lambda before, after, action: after.pedestrians.position  # noqa: E731
+
+
+@partial(jax.jit, static_argnames="steps")
+@partial(jax.vmap, in_axes=(0, None, None))
+def sensitivity(key, factor, steps):
+    """(steps,) norm of the derivative [m per m/s2] of all positions, damped by a factor a step."""
+
+    def positions(strength):
+        scenario = lab.replace(forces=lab.forces.tree_replace({"repulsion.strength": strength}))
+        return sean_jax.rollout(
+            scenario, drive, key, steps, where, between=lambda state: gradients.damp(state, factor)
+        )[1]
+
+    strength = lab.forces.repulsion.strength
+    change = jax.jvp(positions, (strength,), (jnp.ones_like(strength),))[1]
+    return jnp.sqrt((change**2).sum((1, 2)))
+
+
+keys = jax.random.split(jax.random.key(0), EPISODES)
+figure, panel = plt.subplots(figsize=(6, 3.5), layout="constrained")
+for factor in (1.0, 0.98, 0.9):
+    norms = sensitivity(keys, factor, STEPS)
+    panel.semilogy(0.1 * np.arange(1, STEPS + 1), jnp.median(norms, 0) + 1e-6, label=f"damped by {factor:g} a step")
+panel.set(xlabel="horizon [s]", ylabel="median norm [m per m/s2]")
+panel.legend()
+plt.show()
+
+# %% [markdown]
+# ## Reverse mode and memory
+# One number by many: how close does the robot come to people, by each of its commands? With `checkpoint_every` reverse
+# mode keeps one state for each block of steps, and computes the steps again on the way back. A few steps down the slope
+# make the robot give way.
+
+
+# %%
+def crowding(commands):
+    """Mean over the steps of exp(-distance to the nearest person), of the robot that takes the commands (STEPS, 2)."""
+    policy = lambda scenario, state, key: commands[state.tick]  # noqa: E731
+
+    def close(before, after, action):
+        gap = after.pedestrians.position - after.robot.position
+        return jnp.exp(-jnp.sqrt((gap**2).sum(-1) + 1e-6).min())
+
+    return sean_jax.rollout(lab, policy, keys[0], STEPS, close, checkpoint_every=10)[1].mean()
+
+
+commands = jnp.tile(jnp.asarray([0.3, 0.0]), (STEPS, 1))
+program = jax.jit(jax.value_and_grad(crowding)).lower(commands).compile()
+print(f"{program.memory_analysis().temp_size_in_bytes / 2**20:.1f} MiB for {STEPS} steps")
+for _ in range(5):
+    value, slope = program(commands)
+    print(f"crowding {value:.4f}")
+    commands = commands - 0.05 * slope / (jnp.abs(slope).max() + 1e-9)

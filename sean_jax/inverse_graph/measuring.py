@@ -1,0 +1,179 @@
+"""What people do on a graph, told from where they are alone: ways, stays at groups, and the speeds that they prefer.
+
+The same is measured of simulated and of recorded people. A person has walked the edge from u to v as ``congestion``
+counts it. What they do next at v, which is a *turn*, tells more than the flow of edges does: who turns round there had
+v as a goal.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from sean_jax.base import Array
+from sean_jax.crowding import NO_NODE, track_nodes
+from sean_jax.graph import BehaviorGraph
+
+STANDING = 0.3  # m/s, below which somebody stands
+WALKING = 0.5  # m/s, above which somebody walks
+SPEED_TIME = 0.5  # s, over which a speed is measured
+SHORTEST_STAY = 1.0  # s; a shorter one is a hesitation
+SHIFT = 1.5  # s, for which somebody in a group may move, to make room for another, and still stay
+UNHINDERED = 0.7  # share of the time walked at less than the preferred speed, for others are in the way at times
+MIN_WALK = 3.0  # s, of walking from which a preferred speed is told
+
+
+@dataclass(frozen=True)
+class FlowMeasure:
+    """What people did on a graph of M nodes with G groups. Two of them add up to that of both."""
+
+    edges: Float[np.ndarray, "M M"]  # people who walked from the row's node to the column's
+    turns: Float[np.ndarray, "U M U"]  # people who came from the first node over the second to the third, U = M + 1:
+    # index M stands for somebody who has just come into being, or who is gone afterwards
+    stays: tuple[np.ndarray, ...]  # (K,) s, of each group: stays that were seen from begin to end
+    members: tuple[np.ndarray, ...]  # (K,) s, of each group: for how long so many stood there, from 0 on
+    speeds: Float[np.ndarray, "P"]  # m/s, the preferred speed of each person who walked for long enough
+    seconds: float  # measured
+
+    def __add__(self, other: "FlowMeasure") -> "FlowMeasure":
+        return FlowMeasure(
+            self.edges + other.edges,
+            self.turns + other.turns,
+            tuple(np.concatenate(pair) for pair in zip(self.stays, other.stays, strict=True)),
+            tuple(_added(*pair) for pair in zip(self.members, other.members, strict=True)),
+            np.concatenate([self.speeds, other.speeds]),
+            self.seconds + other.seconds,
+        )
+
+    @property
+    def flow(self) -> Float[np.ndarray, "M M"]:
+        """(M, M) people per minute from the row's node to the column's."""
+        return self.edges * (60.0 / self.seconds)
+
+
+def measure_flows(
+    graph: BehaviorGraph,
+    position: Float[np.ndarray, "T N 2"],
+    present: Bool[np.ndarray, "T N"],
+    time_step: float,
+) -> FlowMeasure:
+    """Ways, stays and speeds of people on a graph.
+
+    Args:
+        graph: M nodes with G groups.
+        position: (T, N, 2) m, of a simulation's frames or of a recording.
+        present: (T, N) who is there; whoever is absent for a row is somebody else afterwards.
+        time_step: s, between rows.
+
+    Returns:
+        The measure.
+    """
+    last, walked = (np.asarray(part) for part in _nodes(graph, jnp.asarray(position, float), jnp.asarray(present)))
+    edges, turns = _ways(last, walked, present, len(graph.names))
+    speed = _speeds(position, present, time_step)
+    stands = present & (speed < STANDING)
+    stays, members = [], []
+    for node in np.asarray(graph.groups):
+        away = np.linalg.norm(position - np.asarray(graph.position, float)[node], axis=-1)
+        within = present & (away < float(graph.radius[node]))
+        here = _joined(within & stands, within, round(SHIFT / time_step))
+        stays.append(_stays(here, present, time_step))
+        members.append(np.bincount(here.sum(1)) * time_step)
+    return FlowMeasure(
+        edges, turns, tuple(stays), tuple(members), _preferred(speed, present, time_step), len(present) * time_step
+    )
+
+
+@jax.jit
+def _nodes(
+    graph: BehaviorGraph, position: Float[Array, "T N 2"], present: Bool[Array, "T N"]
+) -> tuple[Int[Array, "T N"], Bool[Array, "T N"]]:
+    """(T, N) the node at which each person was last, and whether they have just walked an edge to it."""
+
+    def step(last, row):
+        now, walked = track_nodes(graph, last, *row)
+        return now, (now, walked)
+
+    return jax.lax.scan(step, jnp.full(position.shape[1], NO_NODE, jnp.int32), (position, present))[1]
+
+
+def _ways(last: np.ndarray, walked: np.ndarray, present: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """(M, M) walks along edges, and (M + 1, M, M + 1) turns, of (T, N) nodes."""
+    edges, turns = np.zeros((nodes, nodes)), np.zeros((nodes + 1, nodes, nodes + 1))
+    for column in range(last.shape[1]):
+        for begin, end in _runs(present[:, column]):
+            row = last[begin:end, column]
+            changes = np.flatnonzero((np.diff(row, prepend=NO_NODE) != 0) & (row != NO_NODE))
+            before, arrived = nodes, -1  # where they came from, and where they are since
+            for index in changes:
+                node = row[index]
+                if arrived >= 0 and walked[begin + index, column]:
+                    edges[arrived, node] += 1
+                    if before >= 0:
+                        turns[before, arrived, node] += 1
+                    before, arrived = arrived, node
+                else:  # the first node, or one to which no edge leads
+                    before, arrived = nodes if arrived < 0 else -1, node
+            if 0 <= before < nodes:
+                turns[before, arrived, nodes] += 1
+    return edges, turns
+
+
+def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """Begin and end of each run of true in (T,)."""
+    change = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    return [(int(begin), int(end)) for begin, end in change.reshape(-1, 2)]
+
+
+def _speeds(position: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
+    """(T, N) m/s, over half a second about each row, or as much of it as somebody is there."""
+    half = max(1, round(SPEED_TIME / 2 / time_step))
+    speed = np.zeros(present.shape)
+    for column in range(present.shape[1]):
+        for begin, end in _runs(present[:, column]):
+            row = np.arange(begin, end)
+            after, before = np.minimum(row + half, end - 1), np.maximum(row - half, begin)
+            gap = np.linalg.norm(position[after, column] - position[before, column], axis=-1)
+            speed[row, column] = gap / np.maximum((after - before) * time_step, time_step)
+    return speed
+
+
+def _joined(here: np.ndarray, within: np.ndarray, longest: int) -> np.ndarray:
+    """(T, N) who is here, or was and will be and is within reach (T, N) in the meantime, for so many rows at most."""
+    joined = here.copy()
+    for column in range(here.shape[1]):
+        for begin, end in _runs(~here[:, column]):
+            if begin > 0 and end < len(here) and end - begin <= longest and within[begin:end, column].all():
+                joined[begin:end, column] = True
+    return joined
+
+
+def _stays(here: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
+    """(K,) s, for how long people stood; without stays that had begun before, or ended after, what was measured."""
+    found = []
+    for column in range(here.shape[1]):
+        for begin, end in _runs(here[:, column]):
+            whole = begin > 0 and end < len(here) and present[begin - 1, column] and present[end, column]
+            if whole and (end - begin) * time_step >= SHORTEST_STAY:
+                found.append((end - begin) * time_step)
+    return np.array(found)
+
+
+def _preferred(speed: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
+    """(P,) m/s, of each person at whose walking speeds most of the time is spent."""
+    found = []
+    for column in range(speed.shape[1]):
+        for begin, end in _runs(present[:, column]):
+            walking = speed[begin:end, column]
+            walking = walking[walking > WALKING]
+            if len(walking) * time_step >= MIN_WALK:
+                found.append(np.quantile(walking, UNHINDERED))
+    return np.array(found)
+
+
+def _added(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The sum of two arrays, of which the shorter has zeros at its end."""
+    size = max(len(a), len(b))
+    return np.pad(a, (0, size - len(a))) + np.pad(b, (0, size - len(b)))

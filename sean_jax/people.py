@@ -1,0 +1,75 @@
+"""People from positions: whoever has places of people, drawn, computed or recorded, has ``Pedestrians``."""
+
+import jax.numpy as jnp
+from jaxtyping import Bool, Float
+
+from sean_jax.base import Array, Pedestrians
+from sean_jax.errors import InputError
+from sean_jax.geometry import length, unit
+
+PREFERRED_SPEED = 1.34  # m/s, Helbing & Molnar, Phys. Rev. E 51, 4282 (1995)
+
+
+def pedestrians_at(
+    position: Float[Array, "N 2"],
+    velocity: Float[Array, "N 2"] | None = None,
+    *,
+    goal: Float[Array, "N 2"] | Float[Array, "2"] | None = None,
+    desired_velocity: Float[Array, "N 2"] | None = None,
+    preferred_speed: Float[Array, "N"] | Float[Array, ""] | float | None = None,
+    heading: Float[Array, "N 2"] | None = None,
+    present: Bool[Array, "N"] | None = None,
+) -> Pedestrians:
+    """People at these positions, of no group, each of whom walks alone.
+
+    What is not given follows from what is. People with a goal desire to walk straight to it at their preferred speed;
+    people without one desire the velocity that they have.
+
+    Args:
+        position: (N, 2) m.
+        velocity: (N, 2) m/s; the desired velocity if None.
+        goal: (N, 2) m, or (2,) one for all; not together with ``desired_velocity``.
+        desired_velocity: (N, 2) m/s.
+        preferred_speed: (N,) m/s, or one for all; if None, the speed that they desire, and 1.34 of people with a goal
+            and of those who desire to stand, for nobody is faster than some multiple of it.
+        heading: (N, 2) unit vectors; if None, along the velocity, of who stands along the desired one, else (1, 0).
+        present: (N,) who is there; all if None.
+
+    Returns:
+        N people. To direct them on the way, replace ``desired_velocity``.
+
+    Raises:
+        InputError: both a goal and a desired velocity are given.
+    """
+    if goal is not None and desired_velocity is not None:
+        raise InputError("goal: a desired velocity is given as well; give one of the two.")
+    position = jnp.asarray(position, float)
+    number = position.shape[0]
+    if goal is not None:
+        usual = PREFERRED_SPEED if preferred_speed is None else preferred_speed
+        preferred_speed = jnp.broadcast_to(jnp.asarray(usual, float), (number,))
+        way = jnp.asarray(goal, float).reshape(-1, 2) - position
+        desired = jnp.stack(unit(way[:, 0], way[:, 1]), -1) * preferred_speed[:, None]
+    else:
+        known = velocity if desired_velocity is None else desired_velocity
+        desired = jnp.zeros_like(position) if known is None else jnp.asarray(known, float)
+    velocity = desired if velocity is None else jnp.asarray(velocity, float)
+    if preferred_speed is None:
+        speed = length(desired[:, 0], desired[:, 1])
+        preferred_speed = jnp.where(speed > 0.0, speed, PREFERRED_SPEED)
+    if heading is None:
+        moves = ((velocity != 0.0).any(-1))[:, None]
+        along = jnp.where(moves, velocity, desired)
+        along = jnp.where((along != 0.0).any(-1)[:, None], along, jnp.asarray([[1.0, 0.0]], float))
+        heading = jnp.stack(unit(along[:, 0], along[:, 1]), -1)
+    return Pedestrians(
+        position=position,
+        velocity=velocity,
+        heading=jnp.asarray(heading, float),
+        desired_velocity=desired,
+        group=jnp.full(number, -1, jnp.int32),
+        walking_group=jnp.full(number, -1, jnp.int32),
+        present=jnp.ones(number, bool) if present is None else jnp.asarray(present, bool),
+        preferred_speed=jnp.broadcast_to(jnp.asarray(preferred_speed, float), (number,)),
+        robot_distance=jnp.zeros(number, float),
+    )

@@ -1,0 +1,340 @@
+"""Predicted people: seen positions in, the tracks of a pedestrian model out (section IV-D, low level).
+
+What people want is not recorded. A person goes on as they were last seen to go: their velocity, and the one that they
+desire, is that of the last step seen, or a weighted mean of the last few. The model does the rest.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
+from jaxtyping import Bool, Float, Int
+
+from sean_jax import obstacle_grid, social_forces
+from sean_jax.base import (
+    Array,
+    Behavior,
+    Environment,
+    ObstacleGrid,
+    Obstacles,
+    Pedestrians,
+    Robot,
+    RobotModel,
+    Scenario,
+    State,
+)
+from sean_jax.config import DEFAULT_FORCES
+from sean_jax.errors import InputError
+from sean_jax.files import unknown_name
+from sean_jax.geometry import length
+from sean_jax.pedestrian_models import MODELS
+from sean_jax.people import pedestrians_at
+from sean_jax.social_forces import PRESETS, SUBSTEP, Cohesion, Forces, Term, constants
+
+CONTROL_STEP = 0.1  # s, at most, in which a pedestrian model moves people
+MARGIN = 50.0  # m of open floor around walls
+MOST_SETTLED = 0.1  # share of the velocity seen by which people may desire another
+COMPANION_DISTANCE = 1.2  # m, within which people who walk together stay
+UNLIKE_SPEED = 0.25  # m/s, by which their mean velocities differ at most
+WALKING_SPEED = 0.3  # m/s; slower people stand
+FAR = 1e4  # m, where the robot stands that no recording has
+
+HABITS = {"weights": (0.98,), "settled": 0.5}  # of ``predict``; about what ``sean calibrate`` finds in all scenes
+T = TypeVar("T")
+Model = str | Iterable[Term] | Callable[[Scenario, State], Pedestrians]
+
+
+def predict(
+    model: Model,
+    seen: Float[Array, "*batch T N 2"],
+    time_step: float,
+    steps: int,
+    *,
+    present: Bool[Array, "*batch T N"] | None = None,
+    walls: Obstacles | ObstacleGrid | None = None,
+    weights: Float[Array, "K"] | tuple[float, ...] = (1.0,),
+    least_speed: Float[Array, ""] | float = 0.0,
+    desired_velocity: Float[Array, "*batch N 2"] | None = None,
+    others: Float[Array, "*batch moments M 2"] | None = None,
+    settled: Float[Array, ""] | float = 0.0,
+) -> Float[Array, "*batch steps N 2"]:
+    """Where recorded people go by a pedestrian model.
+
+    Differentiable by the positions, by the weights, and by the parameters of forces, step by step computed again on the
+    way back. Batch axes are scenes that know nothing of each other.
+
+    Args:
+        model: a key of ``PRESETS``, a YAML file of constants, or forces of one's own; a key of ``MODELS``, or a
+            function (scenario, state) -> Pedestrians as they are.
+        seen: (..., T, N, 2) m, in the order of time; NaN where somebody was not seen.
+        time_step: s between the seen positions, and between the predicted ones.
+        steps: how many are predicted.
+        present: (..., T, N) who was seen, if NaN does not tell.
+        walls: obstacles around the people; none if None.
+        weights: (K,) of the velocities in the last K steps, the latest first. What was not seen does not count. People
+            start with the mean of these, and desire it times the sum of the weights: ``(0.97,)`` are people who get a
+            little slower.
+        least_speed: m/s, the preferred speed of slower people, which limits how fast they can give way.
+        desired_velocity: (..., N, 2) m/s, what people want, where it is known; else it is the velocity seen.
+        others: (..., steps + 1, M, 2) m, at the last moment seen and those predicted: people who are not predicted but
+            walk as they were recorded, such as those who come later; NaN where they are absent.
+        settled: share of what the model makes people do at the last moment seen that is taken for what they were
+            doing anyway: those who follow somebody, or walk side by side, go as they are seen to *because* of that,
+            and desire another velocity, which differs by a tenth at most. Zero: what is seen is what they desire. Of
+            social forces alone.
+
+    Returns:
+        (..., steps, N, 2) m. Who was not seen at the last moment stays as given there.
+
+    Raises:
+        InputError: no model has that name, or the terms do not make forces.
+    """
+    seen = jnp.asarray(seen, float)
+    known = jnp.isfinite(seen).all(-1)
+    if present is not None:
+        known = known & jnp.asarray(present, bool)
+    move, forces = _resolve(model)
+    grid = grid_around(walls) if isinstance(walls, Obstacles) else walls
+    control = math.ceil(time_step / CONTROL_STEP - 1e-6)
+    substeps = math.ceil(time_step / control / SUBSTEP - 1e-6)
+    if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(forces)):
+        substeps = social_forces.substeps(forces, time_step / control)
+    walk = partial(_walk, move, control, substeps, steps, time_step)
+    each = (
+        seen,
+        known,
+        None if desired_velocity is None else jnp.asarray(desired_velocity, float),
+        None if others is None else jnp.asarray(others, float),
+    )
+    for _ in range(seen.ndim - 3):
+        walk = jax.vmap(walk, in_axes=(None, None, None, None, None, 0))
+    plain = isinstance(settled, int | float) and settled == 0.0
+    undone = None if plain or move is not social_forces.move else jnp.asarray(settled, float)
+    return walk(forces, grid, jnp.asarray(weights, float), jnp.asarray(least_speed, float), undone, each)
+
+
+def observed_people(
+    seen: Float[Array, "T N 2"],
+    present: Bool[Array, "T N"],
+    time_step: float,
+    weights: Float[Array, "K"] | tuple[float, ...] = (1.0,),
+    least_speed: Float[Array, ""] | float = 0.0,
+) -> Pedestrians:
+    """People as they were last seen, who desire to go on like that.
+
+    Args:
+        seen: (T, N, 2) m.
+        present: (T, N) who was seen when.
+        time_step: s between the moments.
+        weights: (K,) of the velocities in the last K steps, the latest first. What was not seen does not count. People
+            start with the mean of these, and desire it times the sum of the weights.
+        least_speed: m/s, the preferred speed of slower people.
+
+    Returns:
+        N people; there are those who were seen at the last moment. Who was not seen before it stands.
+    """
+    weights = jnp.asarray(weights, float)
+    count = min(weights.shape[0], seen.shape[0] - 1)
+    both = present[1:] & present[:-1]
+    steps = jnp.where(both[..., None], seen[1:] - seen[:-1], 0.0) / time_step
+    share = weights[:count, None] * both[::-1][:count].astype(float)  # the latest first
+    total = share.sum(0)
+    share = share / jnp.where(total > 0.0, total, 1.0)[None, :]
+    velocity = (share[..., None] * steps[::-1][:count]).sum(0)
+    there = present[-1]
+    speed = length(velocity[:, 0], velocity[:, 1])
+    return pedestrians_at(
+        jnp.where(there[:, None], seen[-1], 0.0),
+        velocity,
+        desired_velocity=weights.sum() * velocity,
+        preferred_speed=jnp.maximum(speed, least_speed),
+        present=there,
+    )
+
+
+def walking_companions(
+    seen: Float[Array, "T N 2"], present: Bool[Array, "T N"], time_step: float
+) -> tuple[Int[Array, "N"], Int[Array, "N 2"]]:
+    """Who walks with whom: people who stayed near one another and walked alike whenever both were seen.
+
+    Those who walk together do not repel or evade one another, as walking groups in simulations.
+
+    Args:
+        seen: (T, N, 2) m.
+        present: (T, N) who was seen when.
+        time_step: s between the moments.
+
+    Returns:
+        (N,) the lowest index of one's group, -1 for who walks alone; and (N, 2) indices of two companions, -1 none.
+    """
+    count = seen.shape[1]
+    place = jnp.where(present[..., None], jax.lax.stop_gradient(seen), 0.0)
+    both = present[:, :, None] & present[:, None, :]
+    apart = jnp.linalg.norm(place[:, :, None] - place[:, None, :], axis=-1)
+    near = (jnp.where(both, apart, 0.0).max(0) < COMPANION_DISTANCE) & both[-1]
+    moment = jnp.arange(seen.shape[0], dtype=jnp.int32)
+    first = jnp.argmax(both, axis=0)  # since when both were seen
+    since = jnp.maximum(moment[-1] - first, 1).astype(float) * time_step
+    index = jnp.arange(count, dtype=jnp.int32)
+    walked = (place[-1][:, None] - place[first, index[:, None]]) / since[..., None]
+    unlike = jnp.linalg.norm(walked - jnp.swapaxes(walked, 0, 1), axis=-1)
+    walking = jnp.linalg.norm(walked, axis=-1) > WALKING_SPEED
+    together = near & walking & walking.T & (unlike < UNLIKE_SPEED) & (first < moment[-1] - 1)
+    together = together & (index[:, None] != index[None, :])
+    linked = together | (index[:, None] == index[None, :])
+    for _ in range(2):  # friends of friends, of friends
+        linked = (linked.astype(float) @ linked.astype(float)) > 0.5
+    linked = linked & (linked.sum(1) > 1)[:, None]
+    label = jnp.where(linked.any(1), jnp.argmax(linked, axis=1).astype(jnp.int32), -1)
+    others = linked & (index[:, None] != index[None, :])
+    one = jnp.argmax(others, axis=1).astype(jnp.int32)
+    rest = others & (index[None, :] != one[:, None])
+    two = jnp.argmax(rest, axis=1).astype(jnp.int32)
+    companions = jnp.stack([jnp.where(others.any(1), one, -1), jnp.where(rest.any(1), two, -1)], -1)
+    return label, companions
+
+
+def grid_around(obstacles: Obstacles) -> ObstacleGrid:
+    """The grid of some walls on a floor with much room around them. Runs on the host.
+
+    Args:
+        obstacles: W boxes.
+
+    Returns:
+        The grid.
+    """
+    reach = jnp.hypot(obstacles.half_extent[:, 0], obstacles.half_extent[:, 1])[:, None]
+    lower, upper = (obstacles.center - reach).min(0), (obstacles.center + reach).max(0)
+    return obstacle_grid.build(obstacles, jnp.concatenate([lower - MARGIN, upper + MARGIN]))
+
+
+def _resolve(model: Model) -> tuple[Callable[[Scenario, State], Pedestrians], Forces]:
+    """The function that moves people, and the forces that it reads."""
+    if isinstance(model, str):
+        if model in MODELS:
+            return MODELS[model], social_forces.preset(DEFAULT_FORCES)
+        if model not in PRESETS and not constants.is_file(model):
+            raise InputError(unknown_name("model", model, {**PRESETS, **MODELS}))
+        return social_forces.move, social_forces.build(model)
+    if isinstance(model, Forces):
+        return social_forces.move, model  # parameters may be traced
+    if callable(model):
+        return model, social_forces.preset(DEFAULT_FORCES)
+    return social_forces.move, social_forces.build(model)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))
+def _walk(
+    move: Callable,
+    control: int,
+    substeps: int,
+    steps: int,
+    time_step: float,
+    forces: Forces,
+    grid: ObstacleGrid | None,
+    weights: Array,
+    least_speed: Array,
+    settled: Array | None,
+    each: tuple[Array, Array, Array | None, Array | None],
+) -> Array:
+    """(steps, N, 2) of one scene."""
+    seen, present, desired, others = each
+    people = observed_people(seen, present, time_step, weights, least_speed)
+    if desired is not None:
+        speed = jnp.maximum(length(desired[:, 0], desired[:, 1]), least_speed)
+        people = replace(people, desired_velocity=desired, preferred_speed=speed)
+    number = seen.shape[1]
+    label, companions = walking_companions(seen, present, time_step)
+    people = replace(people, walking_group=label)
+    if forces.get(Cohesion) is not None:  # what draws companions together in simulations is in their tracks already
+        kept = {f"cohesion.{name}": 0.0 for name in ("gaze", "attraction", "repulsion")}
+        forces = forces.tree_replace(kept)
+    tracks = None
+    if others is not None:
+        there = jnp.isfinite(others).all(-1)
+        tracks = jnp.where(there[..., None], others, 0.0), there
+        people = jax.tree.map(lambda *parts: jnp.concatenate(parts), people, pedestrians_at(tracks[0][0]))
+        nobody = jnp.full((tracks[1].shape[1], 2), -1, companions.dtype)
+        companions = jnp.concatenate([companions, nobody])
+    scenario, state = _world(move, forces, people, companions, grid, time_step / control, substeps)
+    if settled is not None and desired is None:
+        still = replace(people, desired_velocity=people.velocity)
+        change = (move(scenario, replace(state, pedestrians=still)).velocity - people.velocity) * (control / time_step)
+        undone = settled * forces.walking.relaxation_time * change
+        size = length(undone[:, 0], undone[:, 1])
+        most = MOST_SETTLED * length(people.velocity[:, 0], people.velocity[:, 1])
+        share = jnp.where(size > most, most / jnp.where(size > most, size, 1.0), 1.0)[:, None]
+        people = replace(people, desired_velocity=people.desired_velocity - share * undone)
+
+    def frame(people: Pedestrians, index: Array) -> tuple[Pedestrians, Array]:
+        @jax.checkpoint
+        def turn(people: Pedestrians, part: Array) -> tuple[Pedestrians, None]:
+            if tracks is not None:
+                people = _replay(people, *tracks, index, part.astype(float) / control, time_step)
+            return move(scenario, replace(state, pedestrians=people)), None
+
+        people = jax.lax.scan(turn, people, jnp.arange(control, dtype=jnp.int32))[0]
+        return people, people.position[:number]
+
+    places = jax.lax.scan(frame, people, jnp.arange(steps, dtype=jnp.int32))[1]
+    return jnp.where(people.present[None, :number, None], places, seen[-1][None])
+
+
+def _replay(
+    people: Pedestrians, places: Array, there: Array, index: Array, share: Array, time_step: float
+) -> Pedestrians:
+    """People with the last ones where they were recorded, a share of a step after the moment of that index."""
+    before, after = places[index], places[index + 1]
+    present = there[index] & there[index + 1]
+    velocity = jnp.where(present[:, None], after - before, 0.0) / time_step
+    position = before + velocity * (share * time_step)
+    speed = length(velocity[:, 0], velocity[:, 1])
+    own = pedestrians_at(position, velocity, preferred_speed=speed, present=present)
+    number = people.position.shape[0] - present.shape[0]
+    return jax.tree.map(lambda all_of_them, last: jnp.concatenate([all_of_them[:number], last]), people, own)
+
+
+def _world(
+    move: Callable,
+    forces: Forces,
+    people: Pedestrians,
+    companions: Array,
+    grid: ObstacleGrid | None,
+    time_step: float,
+    substeps: int,
+) -> tuple[Scenario, State]:
+    """A scenario and a state with all that pedestrian models read, and nothing else."""
+    robot = None
+    if move is not social_forces.move:  # others expect obstacles and a robot
+        grid = _no_obstacles() if grid is None else grid
+        still = jnp.zeros((), float)
+        robot = Robot(jnp.full(2, FAR, float), jnp.asarray([1.0, 0.0], float), still, still, None)
+    scenario = _blank(
+        Scenario,
+        environment=_blank(Environment, obstacle_grid=grid),
+        behavior=_blank(Behavior, companions=companions),
+        forces=forces,
+        robot=_blank(RobotModel, radius=0.0),
+        move=move,
+        time_step=time_step,
+        substeps=substeps,
+        people=people.position.shape[0],
+    )
+    return scenario, _blank(State, pedestrians=people, robot=robot)
+
+
+def _blank(kind: type[T], **known: Any) -> T:
+    """A value of a data type that has only some of its fields."""
+    return kind(**{**dict.fromkeys(field.name for field in dataclasses.fields(kind)), **known})  # pyright: ignore
+
+
+def _no_obstacles() -> ObstacleGrid:
+    """A grid that holds no obstacle."""
+    rows = jnp.zeros((1, 1, 1, 6), float).at[..., :2].set(FAR).at[..., 4].set(1.0)
+    return ObstacleGrid(rows, jnp.zeros(2, float), jnp.asarray(1.0, float))

@@ -1,0 +1,436 @@
+"""Walkers: people who start somewhere, at some time, and pass one gate after the other, until they vanish.
+
+A pedestrian behavior (section IV-D, high level) of a few arrays. A source is a number of walkers who enter as soon as
+it is their time and there is room; a sink is the last gate of a route. Who can choose between exits takes the one
+through which they expect to be out first.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Bool, Float, Int
+
+from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
+from sean_jax.errors import InputError
+from sean_jax.geometry import length, unit
+from sean_jax.people import pedestrians_at
+from sean_jax.social_forces import draw_traits
+
+Point = tuple[float, float]  # m
+
+MARGIN = 0.3  # m from the ends of a gate, nobody aims at a point nearer to them: a body and some room
+AHEAD = 0.3  # m behind the line of a gate, where people aim
+DEPTH = 2.0  # m behind the line, within which a gate counts as passed
+ROOM = 0.5  # m, free around the place where somebody enters
+EXIT_FLOW = 1.9  # people/s/m through a door: Juelich bottlenecks, Seyfried et al., Transp. Sci. 43, 395 (2009)
+PATIENCE = 0.8  # share of the expected time that another exit must promise, for people to turn to it
+TURNS = 10  # ticks in which everybody looks once at the other exits
+SPEED = 1.34, 0.26  # m/s, mean and deviation: Helbing & Molnar, Phys. Rev. E 51, 4282 (1995)
+TRIES = 20_000  # places tried by ``spread`` at a time
+NEVER = 1e9  # s, when who pads the arrays enters
+
+
+class Gate(NamedTuple):
+    """A line to walk through. Whoever walks through it has one end on the left hand and one on the right hand."""
+
+    left: Point
+    right: Point
+
+
+@struct.dataclass
+class Walkers:
+    """N people and what they are to do. Those of a ``Scene`` are numpy arrays."""
+
+    start: Float[Array, "N 2"]  # m
+    velocity: Float[Array, "N 2"]  # m/s, when they enter
+    preferred_speed: Float[Array, "N"]  # m/s
+    entry_time: Float[Array, "N"]  # s, from which they enter, as soon as there is room
+    reaction_time: Float[Array, "N"]  # s, from which they walk
+    route: Int[Array, "N R"]  # indices of gates, in their order, -1 none; after the last one they vanish
+    companion: Int[Array, "N 2"]  # indices of whom each walks with, -1 none
+
+
+@struct.dataclass
+class Plan:
+    """The tables of the behavior."""
+
+    walkers: Walkers
+    gates: Float[Array, "G 2 2"]  # m, left and right end
+    is_exit: Bool[Array, "G"]  # whether people choose between this gate and the others of which that is true
+    period: Float[Array, ""]  # m along x, of a periodic scene
+    sources: bool = struct.field(pytree_node=False)  # whether somebody enters later than at the start
+    choice: bool = struct.field(pytree_node=False)  # whether there are exits to choose between
+
+
+class Memory(NamedTuple):
+    """How far each person is."""
+
+    leg: Int[Array, "N"]  # how many gates they have passed
+    gate: Int[Array, "N"]  # to which they walk, -1 none is left
+    entered: Bool[Array, "N"]
+
+
+def walkers(
+    start: Float[np.ndarray, "N 2"],
+    *,
+    route: Sequence[int] = (),
+    speed: float | Float[np.ndarray, "N"] | None = None,
+    seed: int = 0,
+    velocity: Point = (0.0, 0.0),
+    entry_time: float | Float[np.ndarray, "N"] = 0.0,
+    reaction_time: float | Float[np.ndarray, "N"] = 0.0,
+    together: bool = False,
+) -> Walkers:
+    """People of one route.
+
+    Args:
+        start: (N, 2) m, such as ``spread`` gives.
+        route: indices of gates, in their order; people vanish at the last one. Without a route they stand.
+        speed: preferred speed [m/s], one for all or (N,); drawn from N(1.34, 0.26) if None.
+        seed: of that draw.
+        velocity: at the start [m/s].
+        entry_time: s, one for all or (N,).
+        reaction_time: s, likewise.
+        together: whether they are a walking group: each keeps to those before and after, and all prefer the speed of
+            the slowest.
+
+    Returns:
+        N walkers as numpy arrays.
+    """
+    start = np.asarray(start, float).reshape(-1, 2)
+    number = len(start)
+    if speed is None:
+        speed = np.clip(np.random.default_rng([seed, 7]).normal(*SPEED, number), 0.5, 2.2)
+    companion = np.full((number, 2), -1, np.int32)
+    if together:
+        speed = float(np.min(speed))
+        companion[1:, 0], companion[:-1, 1] = np.arange(number - 1), np.arange(1, number)
+    made: Any = dict(
+        start=start,
+        velocity=np.broadcast_to(np.asarray(velocity, float), (number, 2)),
+        preferred_speed=np.broadcast_to(np.asarray(speed, float), (number,)),
+        entry_time=np.broadcast_to(np.asarray(entry_time, float), (number,)),
+        reaction_time=np.broadcast_to(np.asarray(reaction_time, float), (number,)),
+        route=np.broadcast_to(np.asarray(route, np.int32), (number, len(route))),
+        companion=companion,
+    )
+    return Walkers(**made)
+
+
+def join(*parts: Walkers) -> Walkers:
+    """People of several routes.
+
+    Args:
+        *parts: of ``walkers``.
+
+    Returns:
+        All of them, in this order.
+    """
+    legs = max(part.route.shape[1] for part in parts)
+    found: list[Walkers] = []
+    before = 0
+    for part in parts:
+        route = np.pad(np.asarray(part.route), ((0, 0), (0, legs - part.route.shape[1])), constant_values=-1)
+        companion = np.where(np.asarray(part.companion) >= 0, np.asarray(part.companion) + before, -1)
+        found.append(replace(part, route=route, companion=companion))
+        before += len(part.start)
+    return jax.tree.map(lambda *rows: np.concatenate(rows), *found)
+
+
+def source(
+    gate: Gate, number: int, rate: float, *, route: Sequence[int], speed: float | None = None, seed: int = 0
+) -> Walkers:
+    """People who enter through a gate, one after the other.
+
+    Args:
+        gate: through which they enter; their first velocity is across it.
+        number: of people, N.
+        rate: people/s; who finds no room waits outside.
+        route: indices of gates.
+        speed: preferred speed [m/s]; drawn if None.
+        seed: of the draws.
+
+    Returns:
+        N walkers as numpy arrays.
+    """
+    generator = np.random.default_rng([seed, 11])
+    left, right = np.asarray(gate.left, float), np.asarray(gate.right, float)
+    inset = min(MARGIN / max(np.hypot(*(left - right)), 1e-9), 0.5)
+    place = left + generator.uniform(inset, 1.0 - inset, (number, 1)) * (right - left)
+    people = walkers(place, route=route, speed=speed, seed=seed, entry_time=np.arange(number) / rate)
+    across = np.array([left[1] - right[1], right[0] - left[0]])
+    across = across / max(np.hypot(*across), 1e-9)
+    return replace(people, velocity=across * np.asarray(people.preferred_speed)[:, None])
+
+
+def spread(lower: Point, upper: Point, number: int, seed: int = 0, apart: float = 0.42) -> Float[np.ndarray, "N 2"]:
+    """Random places in a rectangle, no two of them too near to each other.
+
+    If the rectangle is too full for a random draw, they lie on a grid, moved at random.
+
+    Args:
+        lower: corner with the smallest x and y [m].
+        upper: corner with the largest ones [m].
+        number: of places, N.
+        seed: the same one gives the same places.
+        apart: m, least distance of two places; smaller if they do not fit otherwise.
+
+    Returns:
+        (N, 2) m.
+    """
+    generator = np.random.default_rng([seed, 3])
+    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    size = high - low
+    chosen = np.zeros((0, 2))
+    if number * apart**2 < 0.5 * float(np.prod(size)):
+        for spot in generator.uniform(low, high, (TRIES, 2)):
+            if len(chosen) == number:
+                break
+            if not len(chosen) or np.square(chosen - spot).sum(1).min() >= apart**2:
+                chosen = np.concatenate([chosen, spot[None]])
+    if len(chosen) < number:
+        columns = max(1, int(np.ceil(np.sqrt(number * size[0] / max(size[1], 1e-9)))))
+        rows = int(np.ceil(number / columns))
+        step = size / (columns, rows)
+        cells = generator.permutation(columns * rows)[:number]
+        room = np.maximum(step - apart, 0.0) / 2
+        middle = low + (np.stack([cells % columns, cells // columns], 1) + 0.5) * step
+        chosen = middle + generator.uniform(-1.0, 1.0, (number, 2)) * room
+    return chosen
+
+
+def walkers_behavior(
+    people: Walkers,
+    gates: Sequence[Gate] | Float[np.ndarray, "G 2 2"],
+    *,
+    exits: Sequence[int] = (),
+    period: float = 0.0,
+    sources: bool | None = None,
+) -> Behavior:
+    """The behavior of walkers.
+
+    Args:
+        people: N walkers.
+        gates: G of them.
+        exits: indices of gates between which people choose.
+        period: m along x, of a periodic scene.
+        sources: whether somebody enters later than at the start; found out if None.
+
+    Returns:
+        The behavior; its companions are None if nobody walks in company.
+
+    Raises:
+        InputError: a route names a gate that does not exist.
+    """
+    table = np.asarray([tuple(gate) for gate in gates], float).reshape(-1, 2, 2)
+    if np.asarray(people.route).max(initial=-1) >= len(table):
+        raise InputError(f"route: names gate {np.asarray(people.route).max()}, but there are {len(table)} gates.")
+    is_exit = np.isin(np.arange(len(table)), np.asarray(exits, int))
+    if sources is None:
+        late = np.asarray(people.entry_time)
+        sources = bool(((late > 0.0) & (late < NEVER)).any())
+    companions = people.companion if (np.asarray(people.companion) >= 0).any() else None
+    arrays = jax.device_put((people, table, is_exit, np.asarray(period, float)))
+    arrays = jax.tree.map(lambda leaf: leaf.astype(float) if leaf.dtype.kind == "f" else leaf, arrays)
+    return Behavior(
+        data=Plan(*arrays, sources=sources, choice=bool(is_exit.any())),
+        name="walkers",
+        reset=reset,
+        direct=direct,
+        companions=None if companions is None else jnp.asarray(companions, jnp.int32),
+        people=len(people.start),
+    )
+
+
+def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
+    """Everybody at the start; those are present who enter at once.
+
+    Args:
+        scenario: of this behavior.
+        key: of the draw of how far people keep from a moving robot.
+
+    Returns:
+        N people, no groups, and how far each is on the route.
+    """
+    people: Walkers = scenario.behavior.data.walkers
+    present = people.entry_time <= 0.0
+    pedestrians = pedestrians_at(
+        people.start,
+        people.velocity,
+        preferred_speed=people.preferred_speed,
+        present=present,
+        heading=_heading(scenario.behavior.data),
+    )
+    number = people.start.shape[0]
+    leader = jnp.full(number, -1, jnp.int32)
+    if scenario.behavior.companions is not None:
+        leader = _leaders(scenario.behavior.companions)
+    pedestrians = replace(
+        pedestrians, robot_distance=draw_traits(scenario.forces, key, number)[1], walking_group=leader
+    )
+    pairs, none = jnp.zeros((0, 2), float), jnp.zeros(0, float)
+    groups = Groups(center=pairs, radius=none, opening=pairs, present=jnp.zeros(0, bool))
+    first = people.route[:, 0] if people.route.shape[1] else jnp.full(number, -1, jnp.int32)
+    return pedestrians, groups, Memory(jnp.zeros(number, jnp.int32), first, present)
+
+
+def direct(scenario: Scenario, state: State, key: Array) -> State:
+    """Who has passed a gate walks to the next; who has passed the last one vanishes; who is due enters.
+
+    Args:
+        scenario: of this behavior.
+        state: before the step.
+        key: not used.
+
+    Returns:
+        The state with new desired velocities, present people and memory.
+    """
+    plan: Plan = scenario.behavior.data
+    people, memory, table = state.pedestrians, state.memory, plan.walkers
+    time = state.tick.astype(float) * scenario.time_step
+    going = memory.gate >= 0
+    crossed = people.present & going & passed(plan.gates[jnp.maximum(memory.gate, 0)], people.position)
+    leg = memory.leg + crossed.astype(jnp.int32)
+    legs = table.route.shape[1]
+    own = jnp.arange(leg.shape[0], dtype=jnp.int32)
+    following = table.route[own, jnp.minimum(leg, legs - 1)] if legs else memory.gate
+    following = jnp.where(leg < legs, following, -1)
+    gate = jnp.where(crossed, following, memory.gate)
+    people = replace(people, present=people.present & ~(crossed & (gate < 0)))
+    if plan.choice:
+        gate = choose_exit(plan, people, gate, state.tick)
+    entered = memory.entered
+    if plan.sources:
+        enters = _enters(table, people, entered, time)
+        position = jnp.where(enters[:, None], table.start, people.position)
+        people = replace(people, present=people.present | enters, position=position)
+        entered = entered | enters
+    aim = aim_at(plan.gates[jnp.maximum(gate, 0)], people.position)
+    way = aim - people.position
+    walks = (gate >= 0) & (time >= table.reaction_time) & people.present
+    speed = jnp.where(walks, people.preferred_speed, 0.0)
+    velocity = jnp.stack(unit(way[:, 0], way[:, 1]), -1) * speed[:, None]
+    people = replace(people, desired_velocity=velocity)
+    return replace(state, pedestrians=people, memory=Memory(leg, gate, entered))
+
+
+def passed(gate: Float[Array, "N 2 2"], position: Float[Array, "N 2"]) -> Bool[Array, "N"]:
+    """Whether people are behind the line of a gate.
+
+    Args:
+        gate: (N, 2, 2) m, of each person.
+        position: (N, 2) m.
+
+    Returns:
+        (N,) true a little beside the ends as well, where a crowd may have pushed somebody.
+    """
+    along, across, wide = _in_frame_of(gate, position)
+    return (across > 0.0) & (across < DEPTH) & (along > -MARGIN) & (along < wide + MARGIN)
+
+
+def aim_at(gate: Float[Array, "N 2 2"], position: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
+    """Where people aim: at the nearest point of their gate, a little behind its line.
+
+    Args:
+        gate: (N, 2, 2) m, of each person.
+        position: (N, 2) m.
+
+    Returns:
+        (N, 2) m; not nearer than ``MARGIN`` to the ends, in the middle of a gate that is too narrow for that.
+    """
+    along, _, wide = _in_frame_of(gate, position)
+    margin = jnp.minimum(MARGIN, 0.5 * wide)
+    along = jnp.clip(along, margin, wide - margin)
+    ux, uy = unit(gate[:, 1, 0] - gate[:, 0, 0], gate[:, 1, 1] - gate[:, 0, 1])
+    x = gate[:, 0, 0] + along * ux - AHEAD * uy
+    y = gate[:, 0, 1] + along * uy + AHEAD * ux
+    return jnp.stack([x, y], -1)
+
+
+def choose_exit(plan: Plan, people: Pedestrians, gate: Int[Array, "N"], tick: Int[Array, ""]) -> Int[Array, "N"]:
+    """The exit through which each expects to be out first: after the walk there, or after those who are nearer to it.
+
+    Everybody looks once in ``TURNS`` ticks, and turns only for a clear gain, so that crowds do not swing to and fro.
+
+    Args:
+        plan: with the exits.
+        people: N of them.
+        gate: (N,) to which they walk now; only those who walk to an exit choose.
+        tick: () of the episode.
+
+    Returns:
+        (N,) the gate to which each walks.
+    """
+    number, gates = gate.shape[0], plan.gates.shape[0]
+    own = jnp.arange(number, dtype=jnp.int32)
+    every = jnp.broadcast_to(plan.gates[None], (number, gates, 2, 2)).reshape(-1, 2, 2)
+    aim = aim_at(every, jnp.repeat(people.position, gates, axis=0)).reshape(number, gates, 2)
+    gap = aim - people.position[:, None]
+    far = length(gap[..., 0], gap[..., 1])  # (N, G)
+    there = (gate[:, None] == jnp.arange(gates, dtype=jnp.int32)[None]) & people.present[:, None]
+    queue = jnp.sort(jnp.where(there, far, jnp.inf), axis=0)  # distances of those who walk to each gate
+    ahead = jax.vmap(lambda row, mine: jnp.searchsorted(row, mine), in_axes=1, out_axes=1)(queue, far)
+    side = plan.gates[:, 1] - plan.gates[:, 0]
+    wide = length(side[:, 0], side[:, 1])
+    time = far / jnp.maximum(people.preferred_speed, 1e-3)[:, None]
+    time = jnp.maximum(time, ahead.astype(float) / (EXIT_FLOW * jnp.maximum(wide, 1e-3))[None])
+    time = jnp.where(plan.is_exit[None], time, jnp.inf)
+    best = jnp.argmin(time, axis=1).astype(jnp.int32)
+    now = time[own, jnp.maximum(gate, 0)]
+    looks = (own % TURNS == tick % TURNS) & (gate >= 0) & plan.is_exit[jnp.maximum(gate, 0)]
+    return jnp.where(looks & (time[own, best] < PATIENCE * now), best, gate)
+
+
+def _in_frame_of(gate: Array, position: Array) -> tuple[Array, Array, Array]:
+    """(N,) along each gate from its left end, and behind its line; and its width [m]."""
+    side, gap = gate[:, 1] - gate[:, 0], position - gate[:, 0]
+    ux, uy = unit(side[:, 0], side[:, 1])
+    along, behind = gap[:, 0] * ux + gap[:, 1] * uy, gap[:, 1] * ux - gap[:, 0] * uy
+    return along, behind, length(side[:, 0], side[:, 1])
+
+
+def _heading(plan: Plan) -> Array:
+    """(N, 2) along the velocity at the start; of who stands, towards the first gate."""
+    people = plan.walkers
+    first = people.route[:, 0] if people.route.shape[1] else jnp.full(people.start.shape[0], -1, jnp.int32)
+    way = (
+        aim_at(plan.gates[jnp.maximum(first, 0)], people.start) - people.start if plan.gates.shape[0] else people.start
+    )
+    moving = (people.velocity != 0.0).any(-1)
+    way = jnp.where(
+        moving[:, None], people.velocity, jnp.where(first[:, None] >= 0, way, jnp.asarray([[1.0, 0.0]], float))
+    )
+    x, y = unit(way[:, 0], way[:, 1])
+    return jnp.where(((x == 0.0) & (y == 0.0))[:, None], jnp.asarray([[1.0, 0.0]], float), jnp.stack([x, y], -1))
+
+
+def _enters(table: Walkers, people: Pedestrians, entered: Array, time: Array) -> Array:
+    """(N,) who enters now: whose time it is, if nobody is there and nobody before them waits for the same place."""
+    due = ~entered & (table.entry_time <= time)
+    gap_x = table.start[:, None, 0] - people.position[None, :, 0]
+    gap_y = table.start[:, None, 1] - people.position[None, :, 1]
+    taken = people.present[None] & (gap_x * gap_x + gap_y * gap_y < ROOM * ROOM)
+    gap_x = table.start[:, None, 0] - table.start[None, :, 0]
+    gap_y = table.start[:, None, 1] - table.start[None, :, 1]
+    own = jnp.arange(due.shape[0], dtype=jnp.int32)
+    before = due[None] & (own[None] < own[:, None]) & (gap_x * gap_x + gap_y * gap_y < ROOM * ROOM)
+    return due & ~(taken | before).any(1)
+
+
+def _leaders(companions: Array) -> Array:
+    """(N,) the lowest index of each chain of companions, -1 of who walks alone."""
+    number = companions.shape[0]
+    own = jnp.arange(number, dtype=jnp.int32)
+    lowest = jnp.where((companions >= 0).any(1), own, number)
+
+    def spread_lowest(_, lowest):
+        near = jnp.where(companions >= 0, lowest[jnp.maximum(companions, 0)], number).min(1)
+        return jnp.minimum(lowest, near)
+
+    lowest = jax.lax.fori_loop(0, number, spread_lowest, lowest)
+    return jnp.where(lowest < number, lowest, -1)

@@ -1,0 +1,104 @@
+"""Prediction: how far recorded people are from where a model predicts them, and how often predicted people collide.
+
+[G18] A. Gupta et al., "Social GAN", CVPR 2018: windows, errors. [S20] C. Schoeller et al., IEEE RA-L 5(2), 2020:
+constant velocity. [K21] P. Kothari, S. Kreiss & A. Alahi, IEEE T-ITS 23, 7386 (2021): figures of Social GAN.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from sean_jax.prediction import HABITS, evaluate, read_windows
+from sean_jax.prediction.benchmark import Scores
+from sean_jax.social_forces import move
+from sean_jax.validation.check import Check, Curve, Finding, Laboratory, Skipped, judge
+
+FEWER = 50.0  # times fewer collisions than with constant velocity
+PUBLISHED = 0.64, 1.40  # m, mean ADE and FDE over all scenes of Social GAN [K21]
+
+
+def prediction(laboratory: Laboratory) -> Finding:
+    """Errors and collisions of each recorded scene, beside those of constant velocity.
+
+    Args:
+        laboratory: with the model and the recordings.
+
+    Returns:
+        The finding.
+
+    Raises:
+        Skipped: there are no recordings.
+    """
+    paths = _scenes(laboratory.recordings())
+    if not paths:
+        raise Skipped("no recordings in eth_ucy; give a folder with eth_ucy/eth.csv and others with --data.")
+    model = laboratory.model
+    chosen = model.forces if model.move is move else model.move
+    own: dict[str, Scores] = {}
+    mark: dict[str, Scores] = {}
+    for done, path in enumerate(paths):
+        windows = read_windows(path)
+        own[path.stem] = evaluate(chosen, windows, **(HABITS if model.move is move else {}))
+        mark[path.stem] = evaluate("constant_velocity", windows)
+        if laboratory.tell is not None:
+            laboratory.tell((done + 1) / len(paths))
+    return compare(own, mark)
+
+
+def compare(own: dict[str, Scores], mark: dict[str, Scores]) -> Finding:
+    """The finding of the errors of a model.
+
+    Args:
+        own: of the model, by scene.
+        mark: of constant velocity in the same scenes.
+
+    Returns:
+        The finding.
+    """
+    worse = [name for name in own if own[name].ade > mark[name].ade or own[name].fde > mark[name].fde]
+    collisions, usual = (np.mean([each.collisions for each in scores.values()]) for scores in (own, mark))
+    ade, fde = (float(np.mean([each[k] for each in own.values()])) for k in (0, 1))
+    published = ade <= PUBLISHED[0] and fde <= PUBLISHED[1]
+    words = "; ".join(
+        f"{name} {each.ade:.3f}/{each.fde:.3f} (constant velocity {mark[name].ade:.3f}/{mark[name].fde:.3f})"
+        for name, each in own.items()
+    )
+    numbers = {f"{key}_{name}": float(getattr(each, key)) for name, each in own.items() for key in Scores._fields[:3]}
+    number = tuple(float(k) for k in range(1, len(own) + 1))
+    return judge(
+        not worse and bool(collisions * FEWER <= usual) and published,
+        f"{words}; {100 * collisions:.2f} % of tracks collide (constant velocity {100 * usual:.2f} %)",
+        f"at most the errors of constant velocity{' (worse: ' + ', '.join(worse) + ')' if worse else ''}, {FEWER:g} "
+        f"times fewer collisions, on average at most {PUBLISHED[0]:g}/{PUBLISHED[1]:g} m",
+        numbers=numbers,
+        curves=(
+            Curve("ADE", number, tuple(each.ade for each in own.values())),
+            Curve("FDE", number, tuple(each.fde for each in own.values())),
+            Curve("ADE, constant velocity", number, tuple(each.ade for each in mark.values()), reference=True),
+            Curve("FDE, constant velocity", number, tuple(each.fde for each in mark.values()), reference=True),
+        ),
+        axes=("scene: " + ", ".join(f"{k + 1} {name}" for k, name in enumerate(own)), "error [m]"),
+    )
+
+
+def _scenes(folder: Path) -> list[Path]:
+    return sorted((folder / "eth_ucy").glob("*.csv"))
+
+
+CHECKS = (
+    Check(
+        name="prediction",
+        title="Recorded people are predicted, without collisions",
+        setup="All recordings in eth_ucy of the folder of --data, in windows of 8 seen and 12 predicted moments 0.4 s "
+        "apart; people go on as in their last step, without walls, by social forces with the habits of "
+        "sean_jax.prediction. The constants are the model's, whatever they are "
+        "fitted to; `sean calibrate --leave-out SCENE` makes some that have not seen a scene.",
+        measure="mean distance over all predicted moments (ADE) and at the last one (FDE); share of tracks in which a "
+        "predicted pair comes within 0.2 m",
+        criterion="ADE and FDE at most those of constant velocity in every scene, 50 times fewer collisions, and on "
+        "average at most 0.64 and 1.40 m, those of Social GAN",
+        source="A. Gupta et al., CVPR 2018; C. Schoeller et al., IEEE RA-L 5(2), 2020; P. Kothari et al., IEEE T-ITS "
+        "23, 7386 (2021)",
+        function=prediction,
+    ),
+)

@@ -1,0 +1,338 @@
+"""``sean validate``: descriptions that hold together, measures of motion that is known, models that are broken."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sean_jax import InputError, cli, validation
+from sean_jax.config import ValidateConfig
+from sean_jax.recordings import Tracks
+from sean_jax.scenes import Gate, model
+from sean_jax.validation import CHECKS, GATES, Finding, Laboratory, Skipped, guidelines, page, plans, results, suite
+from sean_jax.validation.check import Check
+from sean_jax.validation.crossings import crossing_times, flow, trajectory_data, vanishing_times
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def straight(scenario, state, share: float = 1.0):
+    """Everybody as desired, through everybody and every wall."""
+    people = state.pedestrians
+    velocity = jnp.where(people.present[:, None], share * people.desired_velocity, 0.0)
+    return people.replace(position=people.position + scenario.time_step * velocity, velocity=velocity)
+
+
+def half(scenario, state):
+    """Half as fast as desired."""
+    return straight(scenario, state, 0.5)
+
+
+def still(scenario, state):
+    """Nobody moves."""
+    return straight(scenario, state, 0.0)
+
+
+def eager(scenario, state):
+    """Everybody walks to the right from the start, whatever is desired."""
+    people = state.pedestrians
+    velocity = jnp.where(people.present[:, None], jnp.asarray([[1.33, 0.0]]), 0.0)
+    return people.replace(position=people.position + scenario.time_step * velocity, velocity=velocity)
+
+
+def tracks_of(position: np.ndarray, present: np.ndarray | None = None) -> Any:
+    """People at these places (T, N, 2), a tenth of a second apart."""
+    there = np.ones(position.shape[:2], bool) if present is None else present
+    number = np.where(there, np.arange(there.shape[1]), -1)
+    group = np.full(there.shape, -1)
+    facing = np.broadcast_to([1.0, 0.0], position.shape)
+    return Tracks(position, facing, group, there, number, np.arange(len(there)), time_step=0.1)  # pyright: ignore
+
+
+def finding(name: str, moved_by) -> Finding:
+    return CHECKS[name].function(Laboratory(model(moved_by), quick=True))
+
+
+# ------------------------------------------------------------------ descriptions
+
+
+def test_every_check_is_described_and_belongs_to_a_gate():
+    for name, check in CHECKS.items():
+        assert name == check.name and " " not in name
+        for text in (check.title, check.setup, check.measure, check.criterion, check.source):
+            assert text and text == text.strip(), name
+        assert callable(check.function)
+    found = [name for gate in GATES for pattern in gate.checks for name in suite.matches(pattern)]
+    assert len(found) == len(set(found))
+    for gate in GATES:
+        assert gate.title and gate.promise and any(suite.matches(pattern) for pattern in gate.checks), gate.title
+
+
+def test_the_tests_of_the_guidelines_are_all_there():
+    wanted = {f"rimea-{number}" for number in (1, 4, 5, 6, 7, 9, 10, 11, 12, 14, 15, 16)}
+    wanted |= {f"imo-{number}" for number in (1, 4, 5, 6, 7, 8, 9, 10)} | {f"iso-{number}" for number in (12, 13, 16)}
+    wanted |= {f"nist-{number}" for number in ("2.1", "2.3", "2.4", "2.8", "2.9", "3.1", "5.1", "5.2")}
+    assert wanted <= set(CHECKS)
+
+
+def test_checks_are_chosen_by_name_and_by_the_beginning_of_a_name():
+    assert [check.name for check in suite.chosen("nist-2.1,rimea-1")] == ["rimea-1", "nist-2.1"]
+    assert {check.name for check in suite.chosen("iso-*")} == {"iso-12", "iso-13", "iso-16"}
+    quick = {check.name for check in suite.chosen(None, True)}
+    assert quick < set(CHECKS) and "rimea-9" not in quick
+    assert "rimea-9" not in {check.name for check in suite.chosen("rimea-*", True)}
+    assert [check.name for check in suite.chosen("rimea-9", True)] == ["rimea-9"]
+    with pytest.raises(InputError, match="--only: 'rimea-99'"):
+        suite.chosen("rimea-99")
+
+
+def test_plans_have_the_people_and_doors_that_they_say():
+    scene = plans.cabins()
+    assert len(scene.walkers.start) == 23
+    assert (np.asarray(scene.walkers.route)[:, 1] == 13).sum() == 7
+    for number, doors in ((1000, 4), (400, 2)):
+        hall = plans.hall(number, doors)
+        start, route = np.asarray(hall.walkers.start), np.asarray(hall.walkers.route)[:, 0]
+        assert len(start) == number and set(route) == set(range(doors))
+        middle = np.array([np.mean(gate, axis=0) for gate in hall.gates])
+        gaps = np.linalg.norm(start[:, None] - middle[None], axis=-1)
+        np.testing.assert_array_equal(gaps.argmin(1), route)
+    assert len(plans.counterflow(50).walkers.start) == 150
+    for density in (0.5, 3.0, 6.0):
+        start = np.asarray(plans.ring(26.0, 2.0, round(52 * density), 1.0).walkers.start)
+        gap = np.linalg.norm(start[:, None] - start[None], axis=-1) + 9 * np.eye(len(start))
+        assert gap.min() > 0.25, density
+
+
+# ------------------------------------------------------------------ measures
+
+
+def test_crossings_of_people_who_walk_evenly():
+    draw = np.random.default_rng(0)
+    speed, begin = draw.uniform(0.5, 2.0, 40), draw.uniform(-9.0, -1.0, 40)
+    time = np.arange(300)[:, None] * 0.1
+    position = np.stack([begin + speed * time, np.broadcast_to(draw.uniform(0.1, 1.9, 40), (300, 40))], -1)
+    gate = Gate((2.0, 2.0), (2.0, 0.0))
+    expected = (2.0 - begin) / speed
+    np.testing.assert_allclose(crossing_times(tracks_of(position), gate), expected, atol=1e-6)
+    assert np.isinf(crossing_times(tracks_of(position), Gate(gate.right, gate.left))).all()
+    assert np.isinf(crossing_times(tracks_of(position + [0.0, 5.0]), gate)).all()
+    present = time < 0.5 * expected.max()
+    present = np.broadcast_to(present, position.shape[:2])
+    found = crossing_times(tracks_of(position, present), gate)
+    np.testing.assert_array_equal(np.isfinite(found), expected <= present[:, 0].sum() * 0.1)
+    np.testing.assert_allclose(vanishing_times(tracks_of(position, present)), present[:, 0].sum() * 0.1)
+
+
+def test_flow_is_people_over_time_without_those_who_never_come():
+    times = np.concatenate([np.arange(101) / 2.5, [np.inf] * 7])
+    assert flow(np.random.default_rng(1).permutation(times)) == pytest.approx(2.5)
+    assert np.isnan(flow(np.array([1.0, 2.0, np.inf])))
+
+
+def test_speeds_and_densities_of_an_even_stream():
+    x = (np.arange(52)[None] * 0.5 + 0.9 * np.arange(400)[:, None] * 0.1) % 26.0
+    tracks = tracks_of(np.stack([x, np.ones_like(x)], -1))
+    assert guidelines.speed_in_squares(tracks, 26.0) == pytest.approx(0.9)
+    assert guidelines.speed_in_zone(tracks, 26.0) == pytest.approx(0.9)
+    assert guidelines.density(tracks, (4.0, 0.0), (14.0, 2.0), (5.0, 35.0)) == pytest.approx(1.0, rel=0.02)
+
+
+def test_trajectories_for_pedpy_begin_anew_where_people_come_around():
+    pytest.importorskip("pedpy")
+    x = np.array([[9.0], [9.8], [0.6], [1.4]])
+    table = trajectory_data(tracks_of(np.stack([x, 0 * x], -1)), 10.0)
+    assert table.frame_rate == pytest.approx(10.0)
+    assert table.data.id.tolist() == [0, 0, 1, 1] and table.data.x.tolist() == x[:, 0].tolist()
+    assert trajectory_data(tracks_of(np.stack([x, 0 * x], -1))).data.id.tolist() == [0] * 4
+
+
+def test_bodies_inside_walls_are_found():
+    scene = plans.corner()
+    place = np.array([[[5.0, 1.0], [9.9, 1.85]]])
+    assert guidelines.penetration(scene, tracks_of(place[:, :1]), 0.2) < 0.0
+    assert guidelines.penetration(scene, tracks_of(place), 0.2) == pytest.approx(0.05, abs=1e-4)
+
+
+# ------------------------------------------------------------------ models that are right or broken
+
+
+def test_who_walks_as_desired_passes_what_one_person_can_show():
+    for name in ("rimea-1", "imo-1", "nist-2.1", "rimea-5", "rimea-7", "nist-2.4", "rimea-10", "nist-2.9"):
+        assert finding(name, straight).passed, finding(name, straight)
+
+
+def test_who_walks_half_as_fast_fails_on_speed():
+    for name in ("rimea-1", "imo-1", "nist-2.1", "rimea-7", "nist-2.4"):
+        made = finding(name, half)
+        assert not made.passed and "wanted" in made.reason, name
+    assert finding("nist-2.1", half).numbers["speed"] == pytest.approx(0.5, rel=0.01)
+
+
+def test_who_walks_through_walls_fails_at_a_corner():
+    for moved_by in (straight, eager):
+        made = finding("rimea-6", moved_by)
+        assert not made.passed and made.numbers["penetration"] > 0.1
+    assert finding("rimea-6", "constant_velocity").passed
+
+
+def test_who_heeds_nobody_is_as_fast_in_a_crowd():
+    made = finding("rimea-4", straight)
+    assert not made.passed and made.numbers["speed at 4"] == pytest.approx(made.numbers["speed at 0.5"], rel=0.1)
+    assert finding("iso-13", straight).passed
+
+
+def test_who_does_not_wait_or_does_not_go_fails():
+    assert not finding("rimea-5", eager).passed
+    for name in ("rimea-1", "rimea-5", "rimea-6", "rimea-10", "nist-2.9", "nist-5.2", "iso-12"):
+        made = finding(name, still)
+        assert not made.passed and made.reason, name
+
+
+# ------------------------------------------------------------------ the command
+
+
+def _check(name: str, function: Any, quick: bool = True) -> Check:
+    return Check(name, "Title <b>", "set-up", "measure", "criterion", "source", function, quick)
+
+
+@pytest.fixture
+def table(monkeypatch) -> dict[str, list[str]]:
+    """Three checks in place of all: one passes, one fails, one cannot be done; and who was asked, by model."""
+    asked: dict[str, list[str]] = {}
+
+    def passes(laboratory):
+        asked.setdefault("rimea-1", []).append(laboratory.model.name)
+        (tracks,) = laboratory.simulate(replace(plans.one_walker(1.0), seconds=1.0), "a <step>")
+        curve = validation.Curve("speed", (0.0, 1.0), (1.0, float("nan")))
+        return Finding(True, "fine", numbers={"rows": float(len(tracks.frame)), "none": float("inf")}, curves=(curve,))
+
+    def fails(laboratory):
+        asked.setdefault("rimea-4", []).append(laboratory.model.name)
+        return Finding(False, "3 m", "3 m & more")
+
+    def cannot(laboratory):
+        asked.setdefault("prediction", []).append(laboratory.model.name)
+        laboratory.recordings()
+
+    made = {check.name: check for check in map(_check, ("rimea-1", "rimea-4", "prediction"), (passes, fails, cannot))}
+    monkeypatch.setattr(suite, "CHECKS", made)
+    return asked
+
+
+OWN = """
+def straight(scenario, state):
+    people = state.pedestrians
+    step = people.desired_velocity * people.present[:, None].astype(float)
+    return people.replace(position=people.position + scenario.time_step * step, velocity=step)
+"""
+
+
+def test_a_run_keeps_its_rows_and_does_only_what_is_missing(table, tmp_path, monkeypatch, capsys):
+    (tmp_path / "own.py").write_text(OWN)
+    own = f"{tmp_path / 'own.py'}:straight"
+    options = ValidateConfig(models=own, out=tmp_path / "out")
+    assert validation.run(options) == ["rimea-4"]
+    content = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert [row["verdict"] for row in content["rows"]] == ["passes", "fails", "skipped"]
+    assert content["rows"][0]["numbers"] == {"rows": 11.0, "none": None}
+    assert "--data" in content["rows"][2]["reason"] and own in content["command"]
+    text = (tmp_path / "out" / "report.html").read_text()
+    for word in ("Title &lt;b&gt;", "3 m &amp; more", "a &lt;step&gt;", "straight", "<svg", "RiMEA, IMO, NIST, ISO"):
+        assert word in text, word
+    assert "http" not in text.replace("https://", "") or "src=" not in text
+
+    table_text = (tmp_path / "out" / "table.md").read_text()
+    assert "| rimea-1 | passes: fine |" in table_text
+    assert "| RiMEA, IMO, NIST, ISO | all pass | fails: 1 of 2: rimea-4 |" in table_text
+
+    validation.run(options.replace(models=f"{own},constant_velocity"))
+    assert table["rimea-1"] == ["straight", "constant_velocity"]  # the first was kept
+    assert table["prediction"] == ["straight", "straight", "constant_velocity"]  # what was skipped is tried again
+    monkeypatch.setattr(results, "_code", lambda: "other")
+    validation.run(options)
+    assert table["rimea-1"][-1] == "straight" and len(table["rimea-1"]) == 3
+
+
+def test_a_stopped_run_goes_on(table, tmp_path, monkeypatch):
+    def stop(laboratory):
+        raise KeyboardInterrupt
+
+    whole = dict(suite.CHECKS)
+    monkeypatch.setitem(suite.CHECKS, "rimea-4", _check("rimea-4", stop))
+    arguments = ["validate", "--models", "constant_velocity", "--out", str(tmp_path / "out"), "--quiet"]
+    assert cli.main(arguments) == 130
+    monkeypatch.setattr(suite, "CHECKS", whole)
+    assert cli.main(arguments) == 0
+    assert cli.main([*arguments, "--strict"]) == 1
+    assert len(table["rimea-1"]) == 1
+
+
+def test_guidelines_that_share_a_test_share_its_simulation(table, tmp_path, monkeypatch):
+    monkeypatch.setitem(suite.CHECKS, "imo-1", _check("imo-1", suite.CHECKS["rimea-1"].function))
+    validation.run(ValidateConfig(models="constant_velocity", out=tmp_path / "out"))
+    assert table["rimea-1"] == ["constant_velocity"]
+    rows = json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
+    assert [row["check"] for row in rows if row["measured"] == "fine"] == ["rimea-1", "imo-1"]
+
+
+def test_gates_are_what_their_checks_are(monkeypatch):
+    names = ("rimea-1", "rimea-4", "doors")
+    monkeypatch.setattr(suite, "CHECKS", {name: _check(name, None) for name in names})
+
+    def verdicts(**kinds: str) -> dict[str, str]:
+        rows = [
+            results.Row(name.replace("_", "-"), "m", verdict, "1 m", "why", {}, (), ("", ""), (), 0.0)
+            for name, verdict in kinds.items()
+        ]
+        return {title: verdict for title, _, verdict, _ in page.gates(rows, "m")}
+
+    standards, doors = "RiMEA, IMO, NIST, ISO", "one person, doors of .7 m and wider"
+    found = verdicts(rimea_1="passes", rimea_4="passes", doors="fails")
+    assert found[standards] == "passes" and found[doors] == "fails" and found["group occupancy"] == "skipped"
+    assert verdicts(rimea_1="passes")[standards] == "partly"
+    assert verdicts(rimea_1="passes", rimea_4="fails")[standards] == "fails"
+    assert verdicts(rimea_1="skipped", rimea_4="skipped")[standards] == "skipped"
+
+
+def test_what_cannot_be_asked_is_told_before_anything_is_written(tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("mine")
+    for options, words in (
+        (dict(only="nope"), "--only: 'nope'"),
+        (dict(models="nobody"), "model: 'nobody'"),
+        (dict(models="nope.py:f"), "nope.py"),
+        (dict(data=tmp_path / "nothing"), "--data: "),
+    ):
+        with pytest.raises(InputError, match=words):
+            validation.run(ValidateConfig(out=tmp_path / "new", **options))  # pyright: ignore[reportArgumentType]
+        assert not (tmp_path / "new").exists()
+    with pytest.raises(InputError, match="something else"):
+        validation.run(ValidateConfig(only="rimea-1", out=tmp_path / "full"))
+    with pytest.raises(Skipped, match="--data"):
+        Laboratory(model(straight)).recordings()
+
+
+def test_the_page_of_the_docs_has_every_check_and_only_those():
+    text = (ROOT / "docs" / "validation.md").read_text(encoding="utf-8")
+    described = re.findall(r"^\| `([a-z0-9.-]+)` \|", text, re.M)
+    assert sorted(described) == sorted(CHECKS)
+    slow = {name for name, check in CHECKS.items() if not check.quick}
+    left_out = re.search(r"leaves out (.*?)\.\s", text, re.S)
+    assert left_out and set(re.findall(r"`([a-z0-9.-]+)`", left_out[1])) == slow
+
+
+@pytest.mark.slow
+def test_the_quick_suite_of_the_default_people(tmp_path):
+    """Whatever a gate promises is kept, or its row says why not; and no check breaks."""
+    validation.run(ValidateConfig(quick=True, out=tmp_path / "out"))
+    rows = json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
+    assert [row["check"] for row in rows] == [check.name for check in suite.chosen(None, True)]
+    for row in rows:
+        assert row["measured"] or row["verdict"] == "skipped", row
+        assert row["verdict"] == "passes" or row["reason"], row

@@ -1,0 +1,152 @@
+"""What is measured of tracks, against closed forms, loops, and figures published of recordings."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from sean_jax import recordings as recorded
+from sean_jax.scenes import Gate
+from sean_jax.validation import crossing_times, diagrams, flow, measures
+from sean_jax.validation.lanes import recorded_order
+
+DOOR = Gate((0.0, 0.6), (0.0, -0.6))  # crossed along +x
+
+
+def walkers(start, velocity, rows=81, step=0.1):
+    """(T, N, 2) of people who walk straight on."""
+    time = step * np.arange(rows)[:, None, None]
+    return np.asarray(start, float) + time * np.asarray(velocity, float)
+
+
+def tracks_of(position, present=None, step=0.1):
+    shape = position.shape[:2]
+    present = np.ones(shape, bool) if present is None else present
+    return recorded.Tracks(
+        position=position,
+        facing=np.broadcast_to(np.array([1.0, 0.0]), position.shape),
+        group=np.full(shape, -1, np.int32),
+        present=present,
+        person=np.where(present, np.arange(shape[1], dtype=np.int32), -1).astype(np.int32),
+        frame=np.arange(shape[0], dtype=np.int32),
+        time_step=step,
+    )
+
+
+def test_crossings_are_counted_one_way_and_between_moments():
+    rng = np.random.default_rng(0)
+    start = rng.uniform([-4, -0.3], [1, 0.3], (300, 2))
+    velocity = rng.uniform([-1, -0.02], [2, 0.02], (300, 2))
+    position = walkers(start, velocity)
+    when = -start[:, 0] / velocity[:, 0]
+    through = (velocity[:, 0] > 0) & (start[:, 0] <= 0) & (when < 8)
+    assert 50 < through.sum() < 250
+    times = crossing_times(tracks_of(position), DOOR)
+    np.testing.assert_allclose(times, np.where(through, when, np.inf), atol=1e-6)
+    mirrored = crossing_times(tracks_of(position * [-1, 1]), Gate(*DOOR[::-1]))
+    np.testing.assert_allclose(mirrored, times, atol=1e-6)
+    away = crossing_times(tracks_of(position + [0.0, 5.0]), DOOR)
+    assert np.isinf(away).all()
+
+
+def test_flow_is_that_of_the_middle_of_the_crossings():
+    steady = 3.0 + 0.4 * np.arange(101)
+    assert flow(steady) == pytest.approx(2.5)
+    late = steady.copy()
+    late[:15], late[90:] = 1.0, late[90:] + 20.0  # a rush at first and stragglers at last do not count
+    assert flow(late) == pytest.approx(2.5)
+    assert flow(np.append(late, np.inf), (0.0, 1.0)) < 2.0
+
+
+def test_lanes_are_in_order_and_a_random_mix_is_not():
+    rng = np.random.default_rng(1)
+    direction = np.where(rng.random(60) < 0.5, 1.0, -1.0)
+    present = rng.random((40, 60)) < 0.8
+    mixed = rng.uniform(0, 3.6, (40, 60))
+    lanes = np.where(direction > 0, rng.uniform(0, 1.6, (40, 60)), rng.uniform(2.0, 3.6, (40, 60)))
+    np.testing.assert_allclose(measures.lane_order(lanes, direction, present), 1.0)
+    order = measures.lane_order(mixed, direction, present)
+    for t in (0, 17, 39):
+        own = []
+        for i in np.flatnonzero(present[t]):
+            near = [j for j in np.flatnonzero(present[t]) if abs(mixed[t, i] - mixed[t, j]) < 0.3]
+            same = sum(direction[j] == direction[i] for j in near)
+            own.append(((2 * same - len(near)) / len(near)) ** 2)
+        assert order[t] == pytest.approx(np.mean(own))
+    assert 0.02 < order.mean() < 0.3
+    assert np.isnan(measures.lane_order(mixed[:1], direction, present[:1] & False)).all()
+
+
+def test_separation_is_exact_between_rows():
+    rng = np.random.default_rng(2)
+    start, velocity = rng.normal(0, 3, (2, 200, 2)), rng.normal(0, 1.3, (2, 200, 2))
+    one, other = walkers(start[0], velocity[0], 9, 1.0), walkers(start[1], velocity[1], 9, 1.0)
+    gap, drift = start[0] - start[1], velocity[0] - velocity[1]
+    when = np.clip(-(gap * drift).sum(-1) / (drift**2).sum(-1), 0.0, 8.0)
+    exact = np.hypot(*(gap + when[:, None] * drift).T)
+    np.testing.assert_allclose(measures.separation(one, other), exact, atol=1e-9)
+    at_rows = np.hypot(*np.moveaxis(one - other, -1, 0)).min(0)
+    assert (at_rows > exact + 0.1).mean() > 0.1  # rows alone would miss many of these encounters
+    np.testing.assert_array_equal(measures.separation(one, one), 0.0)
+
+
+def test_a_single_file_has_the_density_of_its_people():
+    rng = np.random.default_rng(3)
+    even = (np.arange(12) * 2.0 + np.arange(5)[:, None]) % 24.0
+    density, speed = measures.single_file(even, np.full((5, 12), 0.7), 24.0)
+    np.testing.assert_allclose(density, 0.5)
+    np.testing.assert_allclose(speed, 0.7)
+    along = rng.uniform(-50, 50, (6, 9))
+    density, speed = measures.single_file(along, along, 24.0)
+    np.testing.assert_allclose((1.0 / density).sum(1), 24.0)  # cells fill the loop
+    assert (np.diff(speed % 24.0, axis=1) >= 0.0).all()
+
+
+def test_a_lattice_that_moves_has_its_density_and_speed():
+    pytest.importorskip("pedpy")
+    x, y = np.meshgrid(np.arange(10) + 0.5, np.arange(4) * 0.5 + 0.25)
+    start = np.stack([x.ravel(), y.ravel()], -1)
+    position = walkers(start, [0.8, 0.0], rows=60)
+    position[..., 0] %= 10.0  # a periodic corridor: everybody is set back once or not at all
+    floor, area = (0.0, 0.0, 10.0, 2.0), (3.0, 0.0, 7.0, 2.0)
+    means = measures.area_means(tracks_of(position), floor, area, slice(20, 40, 5), period=10.0)
+    np.testing.assert_allclose(means, (2.0, 0.8), rtol=1e-3)
+    lower = np.broadcast_to(np.arange(40) < 20, (60, 40))
+    half = measures.area_means(tracks_of(position, lower), (0.0, 0.0, 10.0, 1.0), (3.0, 0.0, 7.0, 1.0), period=10.0)
+    np.testing.assert_allclose(half, (2.0, 0.8), rtol=1e-3)
+    nobody = measures.area_means(tracks_of(position, lower & False), floor, area)
+    assert nobody.density == 0.0 and np.isnan(nobody.speed)
+
+
+@pytest.mark.parametrize("run", diagrams.STEADY)
+def test_recorded_corridors_have_their_published_density_and_speed(recordings, run):
+    """PedPy's figures of the same runs at 16 frames a second; here there are 4."""
+    pytest.importorskip("pedpy")
+    tracks = read(recordings, run)
+    with (recordings / "fundamental_diagram" / "fd_means_uo180.csv").open() as file:
+        known = next(row for row in csv.DictReader(file) if row["exp"] == run)
+    rows = slice(*np.searchsorted(np.asarray(tracks.frame), diagrams.STEADY[run]))
+    means = measures.area_means(tracks, (0.0, -4.0, 1.8, 4.0), (0.0, -2.0, 1.8, 0.0), rows)
+    assert means.density == pytest.approx(float(known["rho"]), rel=0.01)
+    assert means.speed == pytest.approx(float(known["v"]), rel=0.04)
+
+
+@pytest.mark.parametrize(("run", "known"), [("uo-180-180-095", 1.76), ("uo-180-180-180", 2.84)])
+def test_recorded_exits_have_their_published_flow(recordings, run, known):
+    """Through an exit of 0.95 m, with a jam before it, and out of a corridor of 1.8 m without one."""
+    times = crossing_times(read(recordings, run), Gate((2.3, -4.0), (-0.5, -4.0)))
+    assert flow(times) == pytest.approx(known, rel=0.03)
+
+
+@pytest.mark.parametrize("run", ["bo-360-090-090", "bo-360-160-160"])
+def test_recorded_lanes_are_in_order(recordings, run):
+    tracks = read(recordings, run)
+    assert recorded_order(tracks) > 0.95
+    position = np.asarray(tracks.position).copy()
+    odd = np.arange(position.shape[1]) % 2 == 1
+    position[:, odd] *= [1.0, -1.0]  # every second person walks the other way instead
+    assert recorded_order(tracks.replace(position=position)) < 0.7
+
+
+def read(folder, run):
+    return recorded.read_juelich(next((folder / "juelich").glob(f"{run}_4of16fps.csv")))
