@@ -4,8 +4,8 @@
 (2007), the elliptical specification II fitted to video. [S2] SEAN 2.0's published code (yale-sean/social_sim_unity,
 SFAgent.cs and Parameters.cs), forces divided by its body mass of 80 kg. [M09] Moussaid et al., Proc. R. Soc. B 276,
 2755 (2009). [M10] Moussaid et al., PLoS ONE 5, e10047 (2010). [H00] Helbing, Farkas & Vicsek, Nature 407, 487 (2000).
-[K90] Kendon, Conducting Interaction (1990). [C] One set of constants for all checks of docs/validation.md, found by an
-evolution strategy and rounded: docs/social_forces.md says of what, and what it was not judged by.
+[K90] Kendon, Conducting Interaction (1990). [C] Found by an evolution strategy and rounded; docs/social_forces.md
+lists what entered its loss.
 """
 
 from dataclasses import replace
@@ -143,7 +143,7 @@ _SEAN2 = _HELBING_1995.tree_replace({
     "walls.distance_factor": 1.0,  # [S2]
 })  # fmt: skip
 
-_HASTE = 0.5 / 0.18  # by which the calibrated drive is stronger than that of [HM95]; what others' laws push against it
+_HASTE = 0.5 / 0.18  # ratio of relaxation times: terms made for the drive of [HM95] are scaled to the stronger one
 
 _CALIBRATED = Forces((
     replace(_HELBING_1995.walking, **_arrays(
