@@ -719,8 +719,8 @@ class ValidateConfig(Config):
     only: Text | None = None
     """Checks, separated by commas; rimea-* stands for all whose names begin so. All by default."""
     models: Text | None = None
-    """Who moves people, separated by commas: presets of forces, files of constants, models, or FILE.py:NAME. The
-    default forces alone, if none is named."""
+    """Who moves people, separated by commas: presets of forces, files of constants, models, or FILE.py:NAME; the
+    default forces if none is named."""
     data: Path | None = None
     """Folder of recordings; checks that need them are skipped without."""
     strict: Annotated[bool, Incidental()] = False

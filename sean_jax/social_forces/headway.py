@@ -22,9 +22,9 @@ class Headway:
     """Takes a share of the desired velocity for each person in the way: ((range - gap) / (range - length))^2.
 
     The gap is between the surfaces of the bodies: at ``range`` people walk freely, at ``length`` they stand still. Who
-    is aside of the line of sight is less in the way, by (1 - (aside / width)^2)^2. Who comes towards the person is less in
-    the way, the faster they come: ``Evasion`` deals with them. The shares of all others add up to 95 % of the desired
-    velocity at most, so people in a queue shuffle on.
+    is aside of the line of sight is less in the way, by (1 - (aside / width)^2)^2. Who comes towards the person is less
+    in the way, the faster they come: ``Evasion`` deals with them. The shares of all others add up to 95 % of the
+    desired velocity at most, so people in a queue shuffle on.
     """
 
     length: Float[Array, ""]  # m, the gap at which people stand still
