@@ -743,10 +743,11 @@ class CalibrateConfig(Config):
     """Folder of recordings: scenes of ETH and UCY, runs of Juelich's corridors."""
     forces: Text = DEFAULT_FORCES
     """Where the fit begins: a preset of social forces, or a YAML file of constants."""
-    fit: tuple[Text, ...] = ()
-    """Constants to fit, such as repulsion.range; by default all that have bounds."""
-    leave_out: tuple[Text, ...] = ()
-    """Scenes of prediction, each left out by a fit of its own that is judged by it; all by default, or none."""
+    fit: Text | None = None
+    """Constants to fit, separated by commas, such as repulsion.range; by default all that have bounds."""
+    leave_out: Text | None = None
+    """Scenes of prediction, separated by commas, each left out by a fit of its own that is judged by it; all by
+    default, or none."""
     steps: Count = 60
     """Steps of the descent."""
     starts: Count = 1

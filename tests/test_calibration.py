@@ -184,7 +184,7 @@ def test_known_constants_are_found_again():
 
 
 def options(scenes, folder, **others):
-    given = dict(data=scenes, forces="helbing1995", fit=tuple(NAMES[1:]), steps=4, batch=2, out=folder, quiet=True)
+    given = dict(data=scenes, forces="helbing1995", fit=",".join(NAMES[1:]), steps=4, batch=2, out=folder, quiet=True)
     return CalibrateConfig(**{**given, **others})
 
 
@@ -236,8 +236,8 @@ def test_a_fit_that_was_stopped_goes_on(scenes, tmp_path, monkeypatch):
 
 def test_what_cannot_be_fitted_is_refused_and_leaves_no_trace(scenes, tmp_path):
     for wrong, message in (
-        (dict(leave_out=("east",)), "leave_out: 'east' is not one of north, south"),
-        (dict(fit=("repulsion.size",)), "fit: 'repulsion.size'"),
+        (dict(leave_out="north, east"), "leave_out: 'east' is not one of north, south"),
+        (dict(fit="repulsion.size"), "fit: 'repulsion.size'"),
         (dict(forces="helbing"), "helbing1995"),
         (dict(data=tmp_path), "has no recordings"),
     ):
@@ -248,7 +248,7 @@ def test_what_cannot_be_fitted_is_refused_and_leaves_no_trace(scenes, tmp_path):
 
 @pytest.mark.slow
 def test_recorded_scenes_are_predicted_better_by_fitted_constants(recordings, tmp_path):
-    given = options(recordings, tmp_path / "real", fit=(), leave_out=("none",), steps=10, forces="helbing1995")
+    given = options(recordings, tmp_path / "real", fit=None, leave_out="none", steps=10, forces="helbing1995")
     results = json.loads((calibration.run(given) / "results.json").read_text())
     before, after = (results["errors"][what] for what in ("before", "all"))
     assert sum(after.values()) < sum(before.values())

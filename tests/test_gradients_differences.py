@@ -149,10 +149,7 @@ def test_presets(room, name):
     check(*found, smooth=not jumps(PRESETS[name]))
 
 
-WRONG = pytest.mark.xfail(reason="ORCA's derivatives agree with differences at 60 % of the places only", strict=True)
-
-
-@pytest.mark.parametrize("name", [pytest.param(name, marks=WRONG) if name == "orca" else name for name in MODELS])
+@pytest.mark.parametrize("name", MODELS)
 def test_models(room, name):
     constants, put = floats(room[0].forces)
 

@@ -259,6 +259,13 @@ def test_a_run_keeps_its_rows_and_does_only_what_is_missing(table, tmp_path, mon
     assert table["rimea-1"][-1] == "straight" and len(table["rimea-1"]) == 3
 
 
+def test_a_file_of_constants_in_another_folder_moves_people(table, tmp_path):
+    (tmp_path / "mine.yaml").write_text("preset: calibrated\nparameters:\n  repulsion.strength: 4.0\n")
+    options = ValidateConfig(models=str(tmp_path / "mine.yaml"), out=tmp_path / "out")
+    assert validation.run(options) == validation.run(options)
+    assert len(table["rimea-1"]) == 1  # kept, whatever the path
+
+
 def test_a_stopped_run_goes_on(table, tmp_path, monkeypatch):
     def stop(laboratory):
         raise KeyboardInterrupt

@@ -8,7 +8,7 @@ robot and obstacles wholly, for these need not reciprocate.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.geometry import length, unit
@@ -24,6 +24,7 @@ SPACE = 0.1  # m, kept between two bodies; ours
 PARALLEL = 1e-6  # sine of the angle below which two borders count as parallel
 TOLERANCE = 1e-5  # m/s
 HALVINGS = 18  # of the interval in which the smallest violation is searched for
+SEARCHED = 1e-4  # m/s; the search errs by less
 UNBOUNDED = -1e6  # m/s: c of a half-plane that holds every velocity
 
 
@@ -166,10 +167,25 @@ def nearest(
     free_x, free_y = px * slower, py * slower
     is_free = (nx * free_x + ny * free_y >= c - TOLERANCE).all()
 
+    lower, upper, possible = _left_of_borders(nx, ny, c, limit)
+    t = jnp.clip(px * -ny + py * nx, lower, jnp.maximum(lower, upper))
+    x, y = c * nx - t * ny, c * ny + t * nx
+    away = jnp.where(possible, (x - px) ** 2 + (y - py) ** 2, jnp.inf)
+    best = jnp.argmin(away)
+    return jnp.where(is_free, free_x, x[best]), jnp.where(is_free, free_y, y[best]), is_free | possible[best]
+
+
+def _left_of_borders(
+    nx: Float[Array, "M"], ny: Float[Array, "M"], c: Float[Array, "M"], limit: Float[Array, ""]
+) -> tuple[Float[Array, "M"], Float[Array, "M"], Bool[Array, "M"]]:
+    """What the other half-planes and the top speed leave of each border: from where to where, and whether anything.
+
+    A point of border i is c n + t (-ny, nx).
+    """
     chord = limit * limit - c * c
     crosses = chord > 0.0
     half = jnp.sqrt(jnp.where(crosses, chord, 1.0))
-    # Along the border of i, c n + t (-ny, nx), half-plane j says rate t >= rest.
+    # There, half-plane j says rate t >= rest.
     rate = ny[None, :] * nx[:, None] - nx[None, :] * ny[:, None]  # (i, j)
     rest = c[None, :] - c[:, None] * (nx[:, None] * nx[None, :] + ny[:, None] * ny[None, :])
     itself = jnp.eye(c.shape[0], dtype=bool)
@@ -178,12 +194,7 @@ def nearest(
     lower = jnp.where(slope & (rate > 0.0) & ~itself, bound, -jnp.inf).max(1)
     upper = jnp.where(slope & (rate < 0.0) & ~itself, bound, jnp.inf).min(1)
     lower, upper = jnp.maximum(lower, -half), jnp.minimum(upper, half)
-    possible = crosses & (lower <= upper + TOLERANCE) & (slope | itself | (rest <= TOLERANCE)).all(1)
-    t = jnp.clip(px * -ny + py * nx, lower, jnp.maximum(lower, upper))
-    x, y = c * nx - t * ny, c * ny + t * nx
-    away = jnp.where(possible, (x - px) ** 2 + (y - py) ** 2, jnp.inf)
-    best = jnp.argmin(away)
-    return jnp.where(is_free, free_x, x[best]), jnp.where(is_free, free_y, y[best]), is_free | possible[best]
+    return lower, upper, crosses & (lower <= upper + TOLERANCE) & (slope | itself | (rest <= TOLERANCE)).all(1)
 
 
 def best_velocity(
@@ -210,18 +221,52 @@ def best_velocity(
         x and y parts [m/s].
     """
     x, y, exists = nearest(nx, ny, c, px, py, limit)
+    fixed_nx, fixed_ny, fixed_c, fixed_limit = jax.lax.stop_gradient((nx, ny, c, limit))
 
     def halve(carry: tuple, _) -> tuple:
-        low, high, x, y = carry
+        low, high = carry
         middle = 0.5 * (low + high)
-        new_x, new_y, is_enough = nearest(nx, ny, jnp.where(hard, c, c - middle), px, py, limit)
-        after = jnp.where(is_enough, low, middle), jnp.where(is_enough, middle, high)
-        return (*after, jnp.where(is_enough, new_x, x), jnp.where(is_enough, new_y, y)), None
+        eased = jnp.where(hard, fixed_c, fixed_c - middle)
+        is_enough = _left_of_borders(fixed_nx, fixed_ny, eased, fixed_limit)[2].any()
+        return (jnp.where(is_enough, low, middle), jnp.where(is_enough, middle, high)), None
 
-    zero = jnp.zeros_like(x)
-    violation = jnp.maximum(jnp.max(jnp.where(hard, UNBOUNDED, c)), 0.0)  # of the zero velocity
-    violating = jax.lax.scan(halve, (zero, violation, zero, zero), length=HALVINGS)[0]
-    return jnp.where(exists, x, violating[2]), jnp.where(exists, y, violating[3])
+    most = jnp.maximum(jnp.max(jnp.where(hard, UNBOUNDED, fixed_c)), 0.0)  # violation by the zero velocity
+    (_, violation), _ = jax.lax.scan(halve, (jnp.zeros_like(most), most), length=HALVINGS)
+    violation, border = _with_derivative(violation, nx, ny, c, hard, limit)
+    eased = jnp.where(hard, c, c - violation)
+    lower, upper, _ = _left_of_borders(nx, ny, eased, limit)
+    t, bx, by, b = 0.5 * (lower + upper)[border], nx[border], ny[border], eased[border]
+    return jnp.where(exists, x, b * bx - t * by), jnp.where(exists, y, b * by + t * bx)
+
+
+def _with_derivative(
+    violation: Float[Array, ""],
+    nx: Float[Array, "M"],
+    ny: Float[Array, "M"],
+    c: Float[Array, "M"],
+    hard: Bool[Array, "M"],
+    limit: Float[Array, ""],
+) -> tuple[Float[Array, ""], Int[Array, ""]]:
+    """The least violation, from what a search found, and a border of which it leaves one point.
+
+    What is left of that border shrinks to nothing there. One step of Newton's method on its width makes the violation
+    exact and gives it derivatives; those of the search itself are wrong.
+    """
+
+    def left(violation: Array, nx: Array, ny: Array, c: Array, limit: Array) -> tuple[Array, Array]:
+        lower, upper, possible = _left_of_borders(nx, ny, jnp.where(hard, c, c - violation), limit)
+        return upper - lower, possible
+
+    half_planes = nx, ny, c, limit
+    fixed = jax.lax.stop_gradient(half_planes)
+    width, growth, possible = jax.jvp(
+        lambda each: left(each, *fixed), (violation,), (jnp.ones_like(violation),), has_aux=True
+    )
+    border = jnp.argmin(jnp.where(possible, jnp.abs(width), jnp.inf))
+    width, growth = left(violation, *half_planes)[0][border], growth[border]
+    grows = growth > 0.0
+    change = jnp.where(grows, width / jnp.where(grows, growth, 1.0), 0.0)
+    return violation - jnp.clip(change, -SEARCHED, SEARCHED), border
 
 
 def _neighbors(people: Pedestrians) -> Array:

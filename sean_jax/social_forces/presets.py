@@ -4,8 +4,8 @@
 (2007), the elliptical specification II fitted to video. [S2] SEAN 2.0's published code (yale-sean/social_sim_unity,
 SFAgent.cs and Parameters.cs), forces divided by its body mass of 80 kg. [M09] Moussaid et al., Proc. R. Soc. B 276,
 2755 (2009). [M10] Moussaid et al., PLoS ONE 5, e10047 (2010). [H00] Helbing, Farkas & Vicsek, Nature 407, 487 (2000).
-[K90] Kendon, Conducting Interaction (1990). [C] Found by an evolution strategy and rounded; docs/social_forces.md
-lists what entered its loss.
+[K90] Kendon, Conducting Interaction (1990). [C] Fitted to recordings by ``sean calibrate``, and rounded. [D] Found
+before that, to meet measured diagrams of speed and density and distances from a robot; docs/calibration.md tells of both.
 """
 
 from dataclasses import replace
@@ -143,30 +143,38 @@ _SEAN2 = _HELBING_1995.tree_replace({
     "walls.distance_factor": 1.0,  # [S2]
 })  # fmt: skip
 
-_HASTE = 0.5 / 0.18  # ratio of relaxation times: terms made for the drive of [HM95] are scaled to the stronger one
+_HASTE = 0.5 / 0.2  # ratio of relaxation times: terms made for the drive of [HM95] are scaled to the stronger one
 
 _CALIBRATED = Forces((
     replace(_HELBING_1995.walking, **_arrays(
-        relaxation_time=0.18,  # [C]
-        perception=8.5,  # beyond what Evasion sees: people who close at 2.8 m/s for its horizon
+        relaxation_time=0.2,  # [C]
+        perception=6.5,  # beyond what Evasion sees: people who close at 2.8 m/s for its horizon
     )),
     Repulsion(law=circular, sight=all_round, **_arrays(
-        strength=5.0,  # [C]
-        range=0.1,  # [C]
+        strength=6.0,  # [C]
+        range=0.09,  # [C]
         reach=0.2 + 0.2,  # both radii
         anticipation=0.0,
         own_motion=0.0,
         back_weight=1.0,
         sight_cosine=-1.0,
     )),
-    Headway(**_arrays(length=-0.22, range=1.8, width=0.45, ramp=0.15)),  # [C]
-    Evasion(**_arrays(strength=5.0, gain=6.5, horizon=3.0, width=0.63, side=0.05, speed=0.23, ramp=0.13)),  # [C]
+    Headway(**_arrays(length=-0.22, range=1.8, width=0.45, ramp=0.15)),  # [D]
+    Evasion(**_arrays(
+        strength=5.4,  # [C]
+        gain=5.7,  # [C]
+        horizon=2.1,  # [C]
+        width=0.73,  # [C]
+        side=0.05,  # [D]
+        speed=0.23,  # [D]
+        ramp=0.13,  # [D]
+    )),
     _HELBING_1995.contact,
-    replace(_HELBING_1995.robot_repulsion, **_arrays(factor_max=24.0)),  # [C]
+    replace(_HELBING_1995.robot_repulsion, **_arrays(factor_max=24.0)),  # [D]
     replace(_HELBING_1995.group_space, **_arrays(strength=1.0 * _HASTE)),
     Walls(**_arrays(
-        strength=2.0,  # [C]
-        range=0.2,  # [C]
+        strength=2.1,  # [C]
+        range=0.11,  # [C]
         reach=0.2,  # the radius
         distance_factor=0.0,
     )),

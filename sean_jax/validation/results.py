@@ -5,6 +5,7 @@ import functools
 import hashlib
 import json
 import math
+import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -134,7 +135,8 @@ def write(folder: Path, options: ValidateConfig, rows: Sequence[Row]) -> None:
 
 
 def _part(folder: Path, check: Check, moved_by: Model) -> Path:
-    return folder / PARTS / f"{check.name}--{moved_by.name}.json"
+    model = re.sub(r"[^\w.-]", "-", moved_by.name)  # a path, where a file of constants or of one's own moves people
+    return folder / PARTS / f"{check.name}--{model}.json"
 
 
 def _made_with(moved_by: Model, options: ValidateConfig) -> dict[str, Any]:
