@@ -6,7 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sean_jax import social_forces
 from sean_jax.prediction.benchmark import Scores
+from sean_jax.prediction.left_out import fitted_without
 from sean_jax.scenes import model
 from sean_jax.validation import Laboratory, Skipped, diagrams, doorways, encounters, forecasts, groups, lanes
 from sean_jax.validation.group_occupancy import group_occupancy
@@ -162,6 +164,22 @@ def test_prediction_row_is_the_benchmark_of_recordings(recordings):
     assert not found.passed and "worse" not in found.reason  # no errors above its own, but its collisions
     assert found.numbers["ade_hotel"] == pytest.approx(0.323, abs=0.01)
     assert found.numbers["fde_hotel"] == pytest.approx(0.617, abs=0.01)
+
+
+def test_a_scene_judges_constants_that_have_not_seen_it():
+    forces = social_forces.preset("calibrated")
+    for scene in ("eth", "hotel", "zara01"):
+        others, habits = fitted_without(scene, forces)
+        assert others.repulsion.strength != forces.repulsion.strength and others.headway == forces.headway
+        assert 0.9 < habits["weights"][0] < 1.0 and 0.0 < habits["settled"] < 1.0
+    assert fitted_without("univ", forces) is None  # nothing was fitted to it
+    assert fitted_without("eth", forces.tree_replace({"repulsion.strength": 5.0})) is None
+    assert fitted_without("eth", social_forces.preset("helbing1995")) is None
+
+
+@pytest.mark.slow
+def test_the_default_crowd_predicts_every_scene_better_than_constant_velocity(recordings):
+    assert forecasts.prediction(laboratory("calibrated", data=recordings)).passed
 
 
 def test_groups_pass_that_are_full_and_whose_members_change():

@@ -49,7 +49,7 @@ def test_people_keep_farther_from_a_moving_robot_the_greater_their_robot_distanc
     gap, slope = (np.asarray(part) for part in robot_gaps(parameters, distances, 0.5))
     assert (np.diff(gap.mean(axis=1)) > 0).all()
     assert np.isfinite(slope).all() and (slope > 1e-4).all()
-    # A distance hardly matters where repulsion is weak over 3.22 m, nor where people evade a robot before it repels them.
+    # It hardly matters where repulsion is weak over 3.22 m, nor where people evade a robot before it repels them.
     if preset not in ("johansson2007", "calibrated"):
         assert (slope[1:] > 0.2).all() and gap.mean(axis=1)[-1] > 1.2 * gap.mean(axis=1)[1]
 

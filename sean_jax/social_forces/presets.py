@@ -5,7 +5,7 @@
 SFAgent.cs and Parameters.cs), forces divided by its body mass of 80 kg. [M09] Moussaid et al., Proc. R. Soc. B 276,
 2755 (2009). [M10] Moussaid et al., PLoS ONE 5, e10047 (2010). [H00] Helbing, Farkas & Vicsek, Nature 407, 487 (2000).
 [K90] Kendon, Conducting Interaction (1990). [C] Fitted to recordings by ``sean calibrate``, and rounded. [D] Found
-before that, to meet measured diagrams of speed and density and distances from a robot; docs/calibration.md tells of both.
+before that, to meet measured diagrams of speed and density, and distances from a robot. docs/calibration.md tells how.
 """
 
 from dataclasses import replace
@@ -151,7 +151,7 @@ _CALIBRATED = Forces((
         perception=6.5,  # beyond what Evasion sees: people who close at 2.8 m/s for its horizon
     )),
     Repulsion(law=circular, sight=all_round, **_arrays(
-        strength=6.0,  # [C]
+        strength=5.5,  # [C]
         range=0.09,  # [C]
         reach=0.2 + 0.2,  # both radii
         anticipation=0.0,
