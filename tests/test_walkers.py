@@ -10,6 +10,7 @@ import walkers
 from quick import quick
 
 from sean_jax import social_forces
+from sean_jax.base import Robot
 
 PRESETS = list(social_forces.PRESETS)
 # m/s2, docs/social_forces.md
@@ -60,6 +61,31 @@ def test_a_standing_robot_is_passed_like_a_person():
     gap, slope = robot_gaps(parameters, distances, 0.0)
     np.testing.assert_allclose(gap, np.broadcast_to(gap[1], gap.shape), atol=1e-5)
     np.testing.assert_array_equal(slope, 0.0)
+
+
+def test_a_robot_that_sets_off_is_felt_at_once_or_over_a_ramp():
+    """The speed of somebody 0.6 m before a robot, by the speed of the robot."""
+    one = walkers.walkers(jnp.array([[-0.6, 0.0]]), jnp.array([[1.0, 0.0]]), 0.3)
+
+    def after(parameters, speed):
+        robot = Robot(jnp.zeros(2), jnp.array([0.0, 1.0]), speed, jnp.float32(0.0), ())
+        return social_forces.integrate(parameters, one, None, None, robot, 0.05, 0.16).velocity[0, 0]
+
+    parameters = social_forces.preset("helbing1995")
+    speeds = jnp.array([0.0, 0.049, 0.08, 0.12, 0.151, 0.5])
+    found = {}
+    for ramp in (0.0, 1e-6, 0.1):
+        own = parameters.tree_replace({"robot_repulsion.ramp": ramp, "repulsion.anticipation": 0.0})
+        value, slope = (np.asarray(part) for part in jax.vmap(jax.value_and_grad(functools.partial(after, own)))(speeds))
+        assert np.isfinite(slope).all()
+        found[ramp] = value, slope
+    switched, slope = found[0.0]
+    assert (switched[:3] == switched[0]).all() and (switched[3:] == switched[-1]).all() and switched[0] > switched[-1]
+    assert (slope == 0.0).all()
+    np.testing.assert_array_equal(found[1e-6][0], switched)  # the switch is the limit of the ramp
+    ramped, slope = found[0.1]
+    assert (ramped[:2] == switched[0]).all() and (ramped[4:] == switched[-1]).all()
+    assert switched[0] > ramped[2] > ramped[3] > switched[-1] and (slope[2:4] < 0.0).all()
 
 
 def test_sixty_people_get_through_a_bottleneck_without_walking_into_one_another():

@@ -69,6 +69,7 @@ _HELBING_1995 = Forces((
         factor_min=1.0,  # ours, up to 0.6 m farther than from a person: Vassallo et al. (2017) saw people
         factor_max=8.0,  # pass a robot at 0.83 +- 0.27 m
         moving_speed=0.1,  # [S2]
+        ramp=0.0,
     )),
     GroupSpace(**_arrays(
         strength=1.0,  # ours: bends a path around the ring, does not stop a member who comes to stand on it
@@ -170,7 +171,7 @@ _CALIBRATED = Forces((
         ramp=0.13,  # [D]
     )),
     _HELBING_1995.contact,
-    replace(_HELBING_1995.robot_repulsion, **_arrays(factor_max=24.0)),  # [D]
+    replace(_HELBING_1995.robot_repulsion, **_arrays(factor_max=24.0, ramp=0.1)),  # [D]
     replace(_HELBING_1995.group_space, **_arrays(strength=1.0 * _HASTE)),
     Walls(**_arrays(
         strength=2.1,  # [C]

@@ -25,6 +25,7 @@ class RobotRepulsion:
     factor_min: Float[Array, ""]  # 1, of the repulsion by a moving robot, drawn uniformly per person ...
     factor_max: Float[Array, ""]  # 1, ... up to here
     moving_speed: Float[Array, ""]  # m/s, a slower robot is avoided like a person
+    ramp: Float[Array, ""]  # m/s around it over which a robot comes to be felt as moving; 0: all at once
 
     def person(self, crowd: Crowd) -> Force | None:
         """The push of the robot on everybody.
@@ -55,12 +56,15 @@ class RobotRepulsion:
         if robot is None:
             return None
         wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
-        moving = jnp.abs(robot.speed) > self.moving_speed
+        faster = jnp.abs(robot.speed) - self.moving_speed
+        smooth = self.ramp > 0.0
+        ramped = jnp.clip(0.5 + faster / jnp.where(smooth, self.ramp, 1.0), 0.0, 1.0)
+        moving = jnp.where(smooth, ramped, (faster > 0.0).astype(float))
         repulsion, radii = crowd.forces.get(Repulsion), crowd.forces.walking.radius + crowd.robot_radius
 
         def push(px, py, vx, vy, look_x, look_y, standing, distance):
             dx, dy = px - robot.position[0], py - robot.position[1]
-            scale = None if repulsion is None else jnp.where(moving, jnp.exp(distance / repulsion.range), 1.0)
+            scale = None if repulsion is None else jnp.exp(moving * distance / repulsion.range)
             pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing, True, scale)
             return law(pair)
 
