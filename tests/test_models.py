@@ -69,6 +69,16 @@ def test_best_velocities_equal_those_of_a_general_solver():
     assert 20 < feasible < 100
 
 
+def test_between_two_who_come_from_opposite_sides_people_go_on_as_they_would_along_the_gap():
+    """Both half-planes are violated by as much, wherever along the gap; the third leaves all of it or not."""
+    normals = jnp.asarray([[1.0, 0.0], [-1.0, 0.0], [0.0, -1.0]], jnp.float32)
+    hard = jnp.zeros(3, bool)
+    for third, wanted in ((-2.0, 0.8), (0.0, 0.5)):  # eased by 0.5 like the others
+        bounds = jnp.asarray([0.4, 0.6, third], jnp.float32)
+        x, y = best_velocity(*normals.T, bounds, hard, jnp.float32(0.2), jnp.float32(0.8), jnp.float32(1.5))
+        np.testing.assert_allclose([x, y], [-0.1, wanted], atol=1e-3)
+
+
 def touches(d, v, reach, horizon):
     """Whether a disc moved by v s [m] comes nearer than ``reach`` to the one at d, for any 0 <= s <= horizon."""
     moment = np.clip((v @ d) / np.maximum((v * v).sum(-1), 1e-12), 0, horizon)

@@ -76,7 +76,9 @@ def test_a_robot_that_sets_off_is_felt_at_once_or_over_a_ramp():
     found = {}
     for ramp in (0.0, 1e-6, 0.1):
         own = parameters.tree_replace({"robot_repulsion.ramp": ramp, "repulsion.anticipation": 0.0})
-        value, slope = (np.asarray(part) for part in jax.vmap(jax.value_and_grad(functools.partial(after, own)))(speeds))
+        value, slope = (
+            np.asarray(part) for part in jax.vmap(jax.value_and_grad(functools.partial(after, own)))(speeds)
+        )
         assert np.isfinite(slope).all()
         found[ramp] = value, slope
     switched, slope = found[0.0]

@@ -8,7 +8,7 @@ robot and obstacles wholly, for these need not reciprocate.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.geometry import length, unit
@@ -167,12 +167,24 @@ def nearest(
     free_x, free_y = px * slower, py * slower
     is_free = (nx * free_x + ny * free_y >= c - TOLERANCE).all()
 
+    x, y, away = _nearest_on_borders(nx, ny, c, px, py, limit)
+    best = jnp.argmin(away)
+    return jnp.where(is_free, free_x, x[best]), jnp.where(is_free, free_y, y[best]), is_free | (away[best] < jnp.inf)
+
+
+def _nearest_on_borders(
+    nx: Float[Array, "M"],
+    ny: Float[Array, "M"],
+    c: Float[Array, "M"],
+    px: Float[Array, ""],
+    py: Float[Array, ""],
+    limit: Float[Array, ""],
+) -> tuple[Float[Array, "M"], Float[Array, "M"], Float[Array, "M"]]:
+    """The point nearest to a preferred one of what is left of each border, and the square of how far it is to there."""
     lower, upper, possible = _left_of_borders(nx, ny, c, limit)
     t = jnp.clip(px * -ny + py * nx, lower, jnp.maximum(lower, upper))
     x, y = c * nx - t * ny, c * ny + t * nx
-    away = jnp.where(possible, (x - px) ** 2 + (y - py) ** 2, jnp.inf)
-    best = jnp.argmin(away)
-    return jnp.where(is_free, free_x, x[best]), jnp.where(is_free, free_y, y[best]), is_free | possible[best]
+    return x, y, jnp.where(possible, (x - px) ** 2 + (y - py) ** 2, jnp.inf)
 
 
 def _left_of_borders(
@@ -221,52 +233,42 @@ def best_velocity(
         x and y parts [m/s].
     """
     x, y, exists = nearest(nx, ny, c, px, py, limit)
-    fixed_nx, fixed_ny, fixed_c, fixed_limit = jax.lax.stop_gradient((nx, ny, c, limit))
+    fixed = jax.lax.stop_gradient((nx, ny, c, limit))
+    violation = _least_violation(*fixed, hard)
+    eased = jnp.where(hard, fixed[2], fixed[2] - violation)
+    border = jnp.argmin(_nearest_on_borders(*fixed[:2], eased, px, py, limit)[2])
+
+    def width(violation: Array, nx: Array, ny: Array, c: Array, limit: Array) -> Array:
+        lower, upper, _ = _left_of_borders(nx, ny, jnp.where(hard, c, c - violation), limit)
+        return (upper - lower)[border]
+
+    # What is left of that border shrinks to nothing at the least violation, however the half-planes lie. A step of
+    # Newton's method makes the violation exact and gives it derivatives; those of the search would be wrong.
+    growth = jax.grad(width)(violation, *fixed)
+    grows = growth > 0.0
+    change = jnp.where(grows, width(violation, nx, ny, c, limit) / jnp.where(grows, growth, 1.0), 0.0)
+    violation = violation - jnp.clip(change, -SEARCHED, SEARCHED)
+    least_x, least_y, _ = _nearest_on_borders(nx, ny, jnp.where(hard, c, c - violation), px, py, limit)
+    return jnp.where(exists, x, least_x[border]), jnp.where(exists, y, least_y[border])
+
+
+def _least_violation(
+    nx: Float[Array, "M"],
+    ny: Float[Array, "M"],
+    c: Float[Array, "M"],
+    limit: Float[Array, ""],
+    hard: Bool[Array, "M"],
+) -> Float[Array, ""]:
+    """By how much the half-planes that are not hard must be eased, so that some velocity is in all; by halvings."""
 
     def halve(carry: tuple, _) -> tuple:
         low, high = carry
         middle = 0.5 * (low + high)
-        eased = jnp.where(hard, fixed_c, fixed_c - middle)
-        is_enough = _left_of_borders(fixed_nx, fixed_ny, eased, fixed_limit)[2].any()
+        is_enough = _left_of_borders(nx, ny, jnp.where(hard, c, c - middle), limit)[2].any()
         return (jnp.where(is_enough, low, middle), jnp.where(is_enough, middle, high)), None
 
-    most = jnp.maximum(jnp.max(jnp.where(hard, UNBOUNDED, fixed_c)), 0.0)  # violation by the zero velocity
-    (_, violation), _ = jax.lax.scan(halve, (jnp.zeros_like(most), most), length=HALVINGS)
-    violation, border = _with_derivative(violation, nx, ny, c, hard, limit)
-    eased = jnp.where(hard, c, c - violation)
-    lower, upper, _ = _left_of_borders(nx, ny, eased, limit)
-    t, bx, by, b = 0.5 * (lower + upper)[border], nx[border], ny[border], eased[border]
-    return jnp.where(exists, x, b * bx - t * by), jnp.where(exists, y, b * by + t * bx)
-
-
-def _with_derivative(
-    violation: Float[Array, ""],
-    nx: Float[Array, "M"],
-    ny: Float[Array, "M"],
-    c: Float[Array, "M"],
-    hard: Bool[Array, "M"],
-    limit: Float[Array, ""],
-) -> tuple[Float[Array, ""], Int[Array, ""]]:
-    """The least violation, from what a search found, and a border of which it leaves one point.
-
-    What is left of that border shrinks to nothing there. One step of Newton's method on its width makes the violation
-    exact and gives it derivatives; those of the search itself are wrong.
-    """
-
-    def left(violation: Array, nx: Array, ny: Array, c: Array, limit: Array) -> tuple[Array, Array]:
-        lower, upper, possible = _left_of_borders(nx, ny, jnp.where(hard, c, c - violation), limit)
-        return upper - lower, possible
-
-    half_planes = nx, ny, c, limit
-    fixed = jax.lax.stop_gradient(half_planes)
-    width, growth, possible = jax.jvp(
-        lambda each: left(each, *fixed), (violation,), (jnp.ones_like(violation),), has_aux=True
-    )
-    border = jnp.argmin(jnp.where(possible, jnp.abs(width), jnp.inf))
-    width, growth = left(violation, *half_planes)[0][border], growth[border]
-    grows = growth > 0.0
-    change = jnp.where(grows, width / jnp.where(grows, growth, 1.0), 0.0)
-    return violation - jnp.clip(change, -SEARCHED, SEARCHED), border
+    most = jnp.maximum(jnp.max(jnp.where(hard, UNBOUNDED, c)), 0.0)  # of the zero velocity
+    return jax.lax.scan(halve, (jnp.zeros_like(most), most), length=HALVINGS)[0][1]
 
 
 def _neighbors(people: Pedestrians) -> Array:
