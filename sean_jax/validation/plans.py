@@ -303,8 +303,9 @@ def wide_ways() -> dict[str, Scene]:
             box((40.0, -0.5), (40.5, wide + 30.0)),
         ]
     )
-    gates = Gate((20.0, wide), (40.0, 0.0)), Gate((20.0, wide + 30.0), (40.0, wide + 30.0))
-    scenes["corner"] = Scene(walls=walls, gates=gates, walkers=walkers(start, route=(0, 1)), seconds=250.0)
+    before = Gate((20.0, wide), (20.0, 0.0))  # until there they walk side by side, as along a straight way
+    gates = before, Gate((20.0, wide), (40.0, 0.0)), Gate((20.0, wide + 30.0), (40.0, wide + 30.0))
+    scenes["corner"] = Scene(walls=walls, gates=gates, walkers=walkers(start, route=(0, 1, 2)), seconds=250.0)
     return scenes
 
 
