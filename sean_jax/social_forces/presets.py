@@ -171,7 +171,11 @@ _CALIBRATED = Forces((
         ramp=0.13,  # [D]
     )),
     _HELBING_1995.contact,
-    replace(_HELBING_1995.robot_repulsion, **_arrays(factor_max=24.0, moving_speed=0.05, ramp=0.1)),  # [D]
+    replace(_HELBING_1995.robot_repulsion, **_arrays(
+        factor_max=24.0,  # [D]
+        moving_speed=0.05,  # ours, with the ramp: from 0.1 m/s on, as in [S2], a robot is felt as moving
+        ramp=0.1,
+    )),
     replace(_HELBING_1995.group_space, **_arrays(strength=1.0 * _HASTE)),
     Walls(**_arrays(
         strength=2.1,  # [C]
