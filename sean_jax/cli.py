@@ -63,7 +63,8 @@ def _main(arguments: list[str]) -> int:
         from sean_jax import compiler
 
         compiler.configure()
-        return _DO[word](options)
+        with interrupts.unwrapped():
+            return _DO[word](options)
     except InputError as error:
         return _fail(str(error), WRONG)
     except (IncompleteError, FloatingPointError) as error:
@@ -184,7 +185,8 @@ def _export(options: config.ExportConfig) -> int:
 def _keeping(options: Any, work: Any) -> int:
     """Work that keeps what is done when something goes wrong, or at Ctrl-C."""
     try:
-        work(_console(options.quiet))
+        with interrupts.unwrapped():
+            work(_console(options.quiet))
     except (OSError, KeyboardInterrupt) as error:
         kept = f"what was finished until then is in {options.folder}, and the same command goes on"
         kept = f"{kept if contents(options.folder) else 'nothing was written'}."

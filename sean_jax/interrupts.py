@@ -1,6 +1,7 @@
 """How long work is interrupted: SIGTERM, by which schedulers end a job, does what Ctrl-C does."""
 
 import contextlib
+import gc
 import os
 import signal
 import threading
@@ -15,9 +16,9 @@ COMPILER_THREAD = "sean-compiler"  # name of the thread that compiles; nothing c
 def interruptible() -> Iterator[list[int]]:
     """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the main thread until the block ends.
 
-    In a callback of ``weakref``, of which JAX's caches have many, Python would print the exception and drop it: there
-    it is put off. A signal that is ignored, or that has a handler outside Python, is left alone. In other
-    threads, where no signal arrives, the block runs as it is.
+    In a callback of ``weakref``, of which JAX's caches have many, or of the garbage collector, and in ``__del__``,
+    Python would print the exception and drop it: there it is put off. A signal that is ignored, or that has a handler
+    outside Python, is left alone. In other threads, where no signal arrives, the block runs as it is.
 
     Yields:
         The signals received so far.
@@ -28,7 +29,7 @@ def interruptible() -> Iterator[list[int]]:
     def stop(number: int, frame: FrameType | None) -> None:
         if number in kinds:
             received.append(number)
-        if again and _in_weakref_callback(frame):
+        if again and _is_dropped(frame):
             pending.append(number)
             signal.setitimer(signal.ITIMER_REAL, RETRY_INTERVAL)
         else:
@@ -51,9 +52,33 @@ def interruptible() -> Iterator[list[int]]:
             signal.signal(kind, handler)
 
 
-def _in_weakref_callback(frame: FrameType | None) -> bool:
+@contextlib.contextmanager
+def unwrapped() -> Iterator[None]:
+    """Raise the block's KeyboardInterrupt as itself, where code in C made another exception of it.
+
+    An interrupt can come while JAX's C++ compares two objects by their ``__eq__`` in Python; what is raised then is a
+    SystemError or ValueError, whose cause is the interrupt.
+
+    Raises:
+        KeyboardInterrupt: the block was interrupted.
+    """
+    try:
+        yield
+    except Exception as error:
+        cause = error.__cause__
+        while cause is not None and not isinstance(cause, KeyboardInterrupt):
+            cause = cause.__cause__
+        if cause is None:
+            raise
+        raise KeyboardInterrupt from error
+
+
+def _is_dropped(frame: FrameType | None) -> bool:
+    """Whether Python drops what is raised there."""
+    callbacks = [getattr(callback, "__code__", None) for callback in gc.callbacks]
     while frame is not None:
-        if os.path.basename(frame.f_code.co_filename) == "weakref.py":
+        code = frame.f_code
+        if os.path.basename(code.co_filename) == "weakref.py" or code.co_name == "__del__" or code in callbacks:
             return True
         frame = frame.f_back
     return False

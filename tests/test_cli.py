@@ -16,6 +16,8 @@ from sean_jax import assembly, bench, cache, cli, compiler, learning
 from sean_jax.bench import page, parts
 
 SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
+WRAPPED = ValueError("an interrupt, as code in C passes it on")
+WRAPPED.__cause__ = KeyboardInterrupt()
 
 
 def run(*arguments: str, capsys) -> tuple[int, str]:
@@ -174,6 +176,7 @@ def test_a_refused_command_leaves_no_trace(commands, capsys, monkeypatch, tmp_pa
         (OSError(28, "No space left on device", "episodes.csv"), 1, "the disk is full (episodes.csv); nothing was"),
         (FloatingPointError("1 of 4 episodes hold numbers that are not finite: 2."), 1, "finite: 2. Nothing was"),
         (KeyboardInterrupt(), 130, "stopped"),
+        (WRAPPED, 130, "stopped"),
     ],
 )
 def test_what_goes_wrong_midway_ends_in_one_sentence(raised, code, said, capsys, monkeypatch, tmp_path):
@@ -300,7 +303,7 @@ def test_alarms_of_the_compiler_reach_nobody(imported, monkeypatch):
     assert ("slow_operation_alarm" in said) != imported
 
 
-@pytest.mark.parametrize("raised", [OSError(28, "No space left on device", "shard"), KeyboardInterrupt()])
+@pytest.mark.parametrize("raised", [OSError(28, "No space left on device", "shard"), KeyboardInterrupt(), WRAPPED])
 @pytest.mark.parametrize("kept", [True, False])
 def test_what_is_kept_of_learning_is_told(raised, kept, capsys, monkeypatch, tmp_path):
     folder = tmp_path / "made"
@@ -314,7 +317,7 @@ def test_what_is_kept_of_learning_is_told(raised, kept, capsys, monkeypatch, tmp
     monkeypatch.setattr(learning, "collect", fail)
     code = cli.main(["collect", "--out", str(folder)])
     error = capsys.readouterr().err
-    assert code == (130 if isinstance(raised, KeyboardInterrupt) else 1) and len(error.splitlines()) == 1
+    assert code == (1 if isinstance(raised, OSError) else 130) and len(error.splitlines()) == 1
     assert ("the disk is full (shard); " if code == 1 else "stopped; ") in error
     assert (f"finished until then is in {folder}, and the same command goes on" in error) is kept
     assert ("nothing was written" in error) is not kept

@@ -1,11 +1,13 @@
 """Ctrl-C and SIGTERM stop the work, wherever it is."""
 
+import gc
 import signal
 import time
 import weakref
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import pytest
 
 from sean_jax import interrupts
@@ -36,6 +38,65 @@ def test_a_signal_is_not_lost_in_a_callback(kind):
             signal.raise_signal(kind)
         assert received == [kind, kind]
     assert signal.getsignal(kind) == before
+
+
+def test_a_signal_is_not_lost_while_memory_is_swept():
+    """In a callback of the garbage collector, of which JAX has one, and where an object is deleted."""
+
+    class Deleted:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    def callback(phase, info):
+        if phase == "stop":
+            signal.raise_signal(signal.SIGINT)
+
+    def collect():
+        gc.callbacks.append(callback)
+        gc.collect()
+        gc.callbacks.remove(callback)
+
+    with interrupts.interruptible() as received:
+        for number, sweep in enumerate((Deleted, collect), start=1):
+            with pytest.raises(KeyboardInterrupt):
+                sweep()
+                assert received == [signal.SIGINT] * number
+                time.sleep(60)
+
+
+class Metadata:
+    """Of a pytree; Ctrl-C comes while it is compared."""
+
+    def __eq__(self, other):
+        signal.raise_signal(signal.SIGINT)
+        return True
+
+    __hash__ = object.__hash__
+
+
+@jax.tree_util.register_pytree_node_class
+class Node:
+    def tree_flatten(self):
+        return (), Metadata()
+
+    @classmethod
+    def tree_unflatten(cls, metadata, leaves):
+        return cls()
+
+
+def test_an_interrupt_of_c_code_is_an_interrupt():
+    """JAX makes a ValueError of what is raised while it compares."""
+    compare = lambda: jax.tree.structure(Node()) == jax.tree.structure(Node())  # noqa: E731
+    with interrupts.interruptible():
+        with pytest.raises(ValueError, match="equality"):
+            compare()
+        with pytest.raises(KeyboardInterrupt), interrupts.unwrapped():
+            compare()
+    with pytest.raises(OSError, match="full"), interrupts.unwrapped():  # what goes wrong while one stops is told
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            raise OSError("full")  # noqa: B904
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no alarms")

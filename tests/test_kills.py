@@ -76,7 +76,7 @@ def killed(
             os.kill(process, kind)
             code = sean.wait(process)
             said = (place / "said.txt").read_text()
-            # A signal in the midst of a callback of the garbage collector is told and forgotten by Python.
+            # A signal in a callback of code in C, where it cannot be put off, is told and forgotten by Python.
             assert "Traceback" not in re.sub(r"Exception ignored in.*\nTraceback", "", said), said
             assert code in (0, *CODES[kind]), (code, kind, said)
             now, over = finished(folder / "made"), code == 0 or is_over(folder / "made")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from sean_jax import assembly, drawing, robots, sensors, writing
+from sean_jax import assembly, drawing, interrupts, robots, sensors, writing
 from sean_jax.base import Policy, PolicyLike, Scenario, Trajectory
 from sean_jax.config import OwnPart, RunConfig, Value
 from sean_jax.errors import InputError
@@ -286,7 +286,8 @@ def _episodes(
                     tell.update(done, f"{done:.0f} s of each episode · {speed:,.0f} simulated s per s")
 
                 start, count = time.perf_counter(), min(size, episodes - base)
-                batch = runner.run(config.seed, base, count, watch=Watch(advanced=advanced), keep_rows=base == 0)
+                with interrupts.unwrapped():
+                    batch = runner.run(config.seed, base, count, watch=Watch(advanced=advanced), keep_rows=base == 0)
                 finished = _finished(first, batch, base, time.perf_counter() - start)
                 if unfinished is not None:
                     unfinished.save(base, finished)

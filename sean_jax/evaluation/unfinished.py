@@ -19,7 +19,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from sean_jax import components, writing
+from sean_jax import components, interrupts, writing
 from sean_jax.base import Policy, Scenario, Trajectory
 from sean_jax.config import RunConfig
 from sean_jax.errors import IncompleteError, InputError
@@ -126,7 +126,8 @@ class Unfinished:
     def explained(self) -> Iterator[None]:
         """Whatever ends the block too early is raised with a sentence on what is kept; what is half-written goes."""
         try:
-            yield
+            with interrupts.unwrapped():
+                yield
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"stopped; {self._message()}") from error
         except FloatingPointError as error:
