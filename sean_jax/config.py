@@ -26,7 +26,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from sean_jax.errors import InputError
-from sean_jax.files.reading import suggest
+from sean_jax.files.reading import listed, suggest
 
 # The most that datasets and networks may hold: options go no further, and files that do are refused.
 MAX_HOURS = 1e6
@@ -320,7 +320,7 @@ class Family:
     def _read_several(self, value: object) -> object:
         """Several components: a mapping has names of values, and a text commas between names."""
         if isinstance(value, str):
-            return [part.strip() for part in value.split(",") if part.strip()]
+            return listed(value)
         if isinstance(value, Mapping) and "kind" not in value:
             named = value.items()
             return [each if isinstance(each, str) else Value(value=each, name=str(name)) for name, each in named]
@@ -695,8 +695,8 @@ class BenchConfig(Config):
     @pydantic.field_validator("only")
     @classmethod
     def _known(cls, value: str) -> str:
-        known = cls.model_fields["only"].default.split(",")
-        for part in [part.strip() for part in value.split(",") if part.strip()] or ["nothing"]:
+        known = listed(cls.model_fields["only"].default)
+        for part in listed(value) or ["nothing"]:
             if part not in known:
                 raise ValueError(f"{part!r} is not one of {', '.join(known)}{suggest(part, known)}")
         return value
@@ -704,7 +704,7 @@ class BenchConfig(Config):
     @property
     def parts(self) -> list[str]:
         """The names in ``only``."""
-        return [part.strip() for part in self.only.split(",") if part.strip()]
+        return listed(self.only)
 
     def folder(self) -> Path:
         """Where the results go."""

@@ -27,6 +27,7 @@ from sean_jax.config import (
     gather,
     validate,
 )
+from sean_jax.files.reading import listed
 
 SETTINGS = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
 
@@ -187,7 +188,7 @@ def read(model: type[Described], given: object, base: Mapping[str, object] | Non
 def _add(data: dict, name: str, default: tuple, chosen: str | None, further: Sequence[str]) -> None:
     """Put the parts of a field with several together."""
     if chosen is not None:
-        data[name] = [part.strip() for part in chosen.split(",") if part.strip()]
+        data[name] = listed(chosen)
     if further:
         data[name] = [*data.get(name, [each.kind for each in default]), *further]
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from sean_jax import writing
 from sean_jax.config import CalibrateConfig
 from sean_jax.errors import InputError
-from sean_jax.files import unknown_name
+from sean_jax.files import listed, unknown_name
 from sean_jax.flags import flag
 from sean_jax.progress import progress
 from sean_jax.versions import version_mismatch, versions
@@ -60,7 +60,7 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
         from sean_jax.social_forces import build
 
         forces = build(options.forces)
-        names = names_of(forces, _listed(options.fit))
+        names = names_of(forces, listed(options.fit))
         prediction, corridors = recorded.find(options.data)
         left_out = _left_out(options, list(prediction))
         kinds = [recorded.prediction_scenes(prediction)] if prediction else []
@@ -82,18 +82,13 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
 
 def _left_out(options: CalibrateConfig, scenes: list[str]) -> list[str | None]:
     """The scene that each fit leaves out; the first none."""
-    chosen = _listed(options.leave_out)
+    chosen = listed(options.leave_out)
     if chosen == ["none"]:
         return [None]
     for name in chosen:
         if name not in scenes:
             raise InputError(unknown_name("leave_out", name, scenes))
     return [None, *(chosen or scenes if len(scenes) > 1 else [])]
-
-
-def _listed(text: str | None) -> list[str]:
-    """Names separated by commas."""
-    return [name.strip() for name in (text or "").split(",") if name.strip()]
 
 
 def _descend(fit: Fit, options: CalibrateConfig, left_out: list, bar: Any) -> tuple[Descent, np.ndarray]:

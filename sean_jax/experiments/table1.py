@@ -24,6 +24,7 @@ from sean_jax.experiments import page, parts, pictures, shares
 from sean_jax.experiments.rollouts import MINUTE, Chains
 from sean_jax.experiments.shares import BEHAVIORS, Shares
 from sean_jax.experiments.together import Once, Part, together
+from sean_jax.files import listed
 from sean_jax.flags import number
 from sean_jax.learning import choice, protocol
 from sean_jax.learning.protocol import streams
@@ -80,7 +81,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     Source: section V-B, Table I.
     """
     options = options.complete()
-    policies = list(dict.fromkeys(name.strip() for name in options.policies.split(",") if name.strip()))
+    policies = list(dict.fromkeys(listed(options.policies)))
     if not policies:
         raise InputError("--policies names no policy; try --policies go_to_goal.")
     for name in policies:

@@ -17,7 +17,16 @@ import yaml
 from sean_jax.errors import FileError
 from sean_jax.files import nodes
 from sean_jax.files.nodes import Location
-from sean_jax.files.reading import MAX_DEPTH, read_bytes, read_json, read_text, short_name, suggest, unknown_name
+from sean_jax.files.reading import (
+    MAX_DEPTH,
+    listed,
+    read_bytes,
+    read_json,
+    read_text,
+    short_name,
+    suggest,
+    unknown_name,
+)
 
 __all__ = [
     "MAX_DEPTH",
@@ -26,6 +35,7 @@ __all__ = [
     "Problem",
     "check_json",
     "read_bytes",
+    "listed",
     "load",
     "read_json",
     "short_name",

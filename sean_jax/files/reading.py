@@ -18,6 +18,18 @@ MAX_BYTES = 2_000_000  # of a file that people write; readers of other files giv
 MAX_DEPTH = 60  # of values within values
 
 
+def listed(text: str | None) -> list[str]:
+    """The names in a text.
+
+    Args:
+        text: names separated by commas; None has none.
+
+    Returns:
+        The names in order, without space around them.
+    """
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
+
+
 def suggest(word: str, choices: Iterable[str]) -> str:
     """The end of a message about an unknown name.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from sean_jax import writing
 from sean_jax.config import OwnPart, ValidateConfig, is_own_part
 from sean_jax.errors import InputError
+from sean_jax.files import listed
 from sean_jax.progress import Progress, progress
 from sean_jax.scenes import Model, model
 from sean_jax.validation import page, results
@@ -102,9 +103,8 @@ def models_of(names: str | None) -> list[Model]:
     Raises:
         InputError: there is none of a name, or a file gives no model.
     """
-    listed = [name.strip() for name in (names or "").split(",") if name.strip()]
     found = []
-    for name in listed:
+    for name in listed(names):
         if is_own_part(name):
             from sean_jax.components import load
 

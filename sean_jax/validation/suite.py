@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from sean_jax.errors import InputError
-from sean_jax.files import unknown_name
+from sean_jax.files import listed, unknown_name
 from sean_jax.validation import diagrams, doorways, encounters, forecasts, groups, lanes, standards
 from sean_jax.validation.check import Check
 
@@ -59,7 +59,7 @@ def chosen(names: str | None, quick: bool = False) -> list[Check]:
     if names is None:
         return [check for check in CHECKS.values() if check.quick or not quick]
     found: set[str] = set()
-    for name in [name.strip() for name in names.split(",") if name.strip()] or ["nothing"]:
+    for name in listed(names) or ["nothing"]:
         matching = matches(name)
         if not matching:
             raise InputError(unknown_name("--only", name, CHECKS))
