@@ -19,7 +19,8 @@ __all__ = ["plot", "svg", "trajectories"]
 PATHS = 60  # of people who are drawn
 STRIDE = 5  # moments between two points of a path
 RADIUS = 0.2  # m, of the discs at the last moment that is drawn
-BORDER = 1.5  # m of floor around what happens
+BORDER = 1.5  # m of floor around people
+NEAR = 3.0  # m from people within which corners of walls are shown
 WIDTH, TALLEST = 6.4, 6.4  # inches
 
 
@@ -39,7 +40,14 @@ def trajectories(scene: Scene, tracks: Tracks) -> "Figure":
     position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
     seen = position[present]
     lower, upper = (seen.min(0), seen.max(0)) if len(seen) else (np.zeros(2), np.ones(2))
+    boxes = np.asarray(scene.walls).reshape(-1, 5)
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * boxes[:, None, 2:4]
+    cosine, sine = np.cos(boxes[:, None, 4]), np.sin(boxes[:, None, 4])
+    x, y = corners[..., 0] * cosine - corners[..., 1] * sine, corners[..., 0] * sine + corners[..., 1] * cosine
+    corners = np.stack([x, y], -1) + boxes[:, None, :2]
+    near = corners[((corners > lower - NEAR) & (corners < upper + NEAR)).all(-1)]
     lower, upper = lower - BORDER, upper + BORDER
+    lower, upper = np.min([lower, *near], axis=0), np.max([upper, *near], axis=0)
     wide, tall = upper - lower
     height = min(max(WIDTH * tall / wide, 0.8), TALLEST)
     figure = Figure(figsize=(WIDTH, height), facecolor=colors.PAPER)
@@ -48,11 +56,7 @@ def trajectories(scene: Scene, tracks: Tracks) -> "Figure":
     axes.set_ylim(lower[1], upper[1])
     axes.set_aspect("equal")
     axes.set_axis_off()
-    boxes = np.asarray(scene.walls).reshape(-1, 5)
-    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * boxes[:, None, 2:4]
-    cosine, sine = np.cos(boxes[:, None, 4]), np.sin(boxes[:, None, 4])
-    x, y = corners[..., 0] * cosine - corners[..., 1] * sine, corners[..., 0] * sine + corners[..., 1] * cosine
-    axes.add_collection(PolyCollection(list(np.stack([x, y], -1) + boxes[:, None, :2]), facecolors=colors.OBSTACLE))
+    axes.add_collection(PolyCollection(list(corners), facecolors=colors.OBSTACLE))
     gates = [gate for gate in scene.gates if np.abs(np.asarray(gate)).max() < 1e3]
     axes.add_collection(LineCollection(gates, colors=colors.FLOW, linewidths=1.6, linestyles="dashed", zorder=2))
     shown = np.linspace(0, present.shape[1] - 1, min(PATHS, present.shape[1])).astype(int)

@@ -104,7 +104,7 @@ def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Ro
     lines = ["| check | " + " | ".join(names) + " |", "|---" * (1 + len(names)) + "|"]
     for check in checks:
         cells = (found[check.name, name] for name in names)
-        texts = (f"{row.verdict}: {row.measured or row.reason}".replace("|", "/") for row in cells)
+        texts = (f"{row.verdict}: {row.reason or row.measured}".replace("|", "/") for row in cells)
         lines.append(f"| {check.name} | " + " | ".join(texts) + " |")
     lines += ["", f"| gate | promise | {names[0]} |", "|---|---|---|"]
     for title, promise, verdict, why in gates(rows, names[0]):
@@ -156,7 +156,7 @@ def _verdicts(checks: Sequence[Check], models: Sequence[Model], found: dict) -> 
         cells = ""
         for model in models:
             row = found[check.name, model.name]
-            cells += f"<td>{_verdict(row.verdict)}<small>{markup.escape(row.measured or row.reason)}</small></td>"
+            cells += f"<td>{_verdict(row.verdict)}<small>{markup.escape(row.reason or row.measured)}</small></td>"
         criterion = f"<td>{markup.escape(check.criterion)}</td>"
         body.append(f"<tr><th>{check.name}<br><small>{markup.escape(check.title)}</small></th>{criterion}{cells}</tr>")
     table = f"<table><thead><tr><th></th><th>criterion</th>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
