@@ -107,7 +107,9 @@ def test_route_choice_is_the_cheapest_path_when_it_is_cold_and_a_logit_choice_wh
 # --- The flow model ---
 
 
-def walked(graph, weights, temperature: float, closed: bool, walks: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def walked(
+    graph, weights, temperature: float, closed: bool, walks: int, seed: int, replaced: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Shares of edges and of turns, by people who draw goals and ways one after the other: an oracle with dice."""
     draw, count = np.random.default_rng(seed), len(graph.names)
     place = inverse_graph.layout(graph)
@@ -118,6 +120,8 @@ def walked(graph, weights, temperature: float, closed: bool, walks: int, seed: i
     odds = np.zeros((count, count))
     odds[:, np.asarray(graph.groups)] = np.exp(np.asarray(weights.sent, float))
     np.fill_diagonal(odds, 0.0)
+    gives_up = np.zeros((count, count))
+    gives_up[:, np.asarray(graph.groups)] = 0.0 if replaced is None else replaced
     edges, turns = np.zeros((count, count)), np.zeros((count + 1, count, count + 1))
 
     def goal_from(node: int) -> int:
@@ -130,6 +134,8 @@ def walked(graph, weights, temperature: float, closed: bool, walks: int, seed: i
         if goal < 0 and not closed:
             here, before = int(draw.choice(count, p=start / start.sum())), count
         if closed:
+            if goal >= 0 and not group[here] and draw.random() < gives_up[here, goal]:
+                goal = -1
             free = goal < 0 or not group[goal]
             called = odds[here] / (1.0 + odds[here].sum())
             if free and draw.random() < called.sum():
@@ -151,12 +157,18 @@ def walked(graph, weights, temperature: float, closed: bool, walks: int, seed: i
     return edges / edges.sum(), turns / turns.sum()
 
 
-@pytest.mark.parametrize(("groups", "closed", "temperature"), [(2, True, 2.0), (0, True, COLD), (0, False, 1.0)])
-def test_expected_flows_are_those_of_people_with_dice(rings, groups, closed, temperature):
+@pytest.mark.parametrize(
+    ("groups", "closed", "temperature", "replaced"),
+    [(2, True, 2.0, 0.0), (2, True, 2.0, 0.8), (0, True, COLD, 0.0), (0, False, 1.0, 0.0)],
+)
+def test_expected_flows_are_those_of_people_with_dice(rings, groups, closed, temperature, replaced):
     graph = rings[groups]
     weights = hidden(graph, 3)
-    found = flows_of(inverse_graph.layout(graph), weights, temperature, closed)
-    edges, turns = walked(graph, weights, temperature, closed, 10_000, seed=5)
+    chance = replaced * np.random.default_rng(1).uniform(size=weights.sent.shape).astype(np.float32)
+    if replaced:
+        weights = weights.replace(sent=weights.sent + 3.0)  # so that many are on the way to groups
+    found = flows_of(inverse_graph.layout(graph), weights, temperature, closed, jnp.asarray(chance))
+    edges, turns = walked(graph, weights, temperature, closed, 10_000, 5, chance)
     assert np.abs(np.asarray(found.edges) / np.asarray(found.edges).sum() - edges).sum() < 0.07
     assert np.abs(np.asarray(found.turns) / np.asarray(found.turns).sum() - turns).sum() < 0.12
 
@@ -257,13 +269,32 @@ def test_ways_stays_and_speeds_of_people_who_walk_as_told(rings):
     assert both.members[1][1] == 2 * found.members[1][1] > 0
 
 
-def test_uniform_stays_are_told_by_two_moments():
+def test_uniform_stays_are_told_by_their_quartiles():
     stays = np.random.default_rng(0).uniform(4.0, 11.0, 4000)
     members = np.array([10.0, 30.0, 59.0, 1.0])
     measured = inverse_graph.FlowMeasure(np.zeros((1, 1)), np.zeros((2, 1, 2)), (stays,), (members,), stays, 100.0)
     stay, capacity = fitting._groups(measured)
     np.testing.assert_allclose(stay[0], [4.0, 11.0], atol=0.3)
     assert capacity[0] == 2  # three of them for a moment are no capacity
+
+
+def test_calls_to_groups_are_those_that_people_follow():
+    """Counted in people's memory; compared with where they go and stay."""
+    scenario = sean_jax.make("lab", behavior="graph", dynamics="twin")
+    graph = scenario.behavior.data.graph
+    simulate = jax.jit(lambda key: inverse_graph.people_called(scenario, graph, key, 3000))
+    position, present, calls = simulate(jax.random.key(0))
+    measured = inverse_graph.measure_flows(graph, np.asarray(position), np.asarray(present), scenario.time_step)
+    calls = jax.tree.map(np.asarray, calls)
+    assert (calls.chance_sent.sum(1) <= 1.0).all() and (calls.chance_replaced <= 1.0).all()
+    begun = calls.sent.sum() - calls.replaced.sum()
+    assert begun > 30 and begun == pytest.approx(len(measured.stays[0]), abs=4)
+    left = (calls.asked + calls.kept.sum(1)).sum()
+    assert left == pytest.approx(measured.edges.sum(), rel=0.2)  # who turns round at once walks no edge
+    both = calls + calls
+    np.testing.assert_array_equal(both.sent, 2 * calls.sent)
+    alone = jax.jit(lambda key: inverse_graph.people_alone(scenario, key, 3000))(jax.random.key(0))
+    np.testing.assert_allclose(alone[0][:100], position[:100], atol=1e-4)
 
 
 # --- The fit ---

@@ -10,9 +10,10 @@ from sean_jax.inverse_graph.fitting import GraphFit, fit_flows, flow_error
 from sean_jax.inverse_graph.flow_model import FlowWeights, expected_flows, layout, weights_of
 from sean_jax.inverse_graph.measuring import FlowMeasure, measure_flows
 from sean_jax.inverse_graph.proposal import propose
-from sean_jax.inverse_graph.simulating import people_alone
+from sean_jax.inverse_graph.simulating import Calls, people_alone, people_called
 
 __all__ = [
+    "Calls",
     "FlowMeasure",
     "FlowWeights",
     "GraphFit",
@@ -22,6 +23,7 @@ __all__ = [
     "layout",
     "measure_flows",
     "people_alone",
+    "people_called",
     "propose",
     "run",
     "weights_of",

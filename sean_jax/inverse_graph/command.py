@@ -1,6 +1,8 @@
 """What ``sean fit-graph`` does: read or simulate people, fit a graph to them, and check it on others."""
 
+import functools
 import json
+import operator
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +22,7 @@ from sean_jax.inverse_graph import annotating, page
 from sean_jax.inverse_graph.fitting import GraphFit, fit_flows, flow_error
 from sean_jax.inverse_graph.measuring import FlowMeasure, measure_flows
 from sean_jax.inverse_graph.proposal import propose
-from sean_jax.inverse_graph.simulating import people_alone
+from sean_jax.inverse_graph.simulating import Calls, people_called
 from sean_jax.progress import Progress, progress
 from sean_jax.recordings import read
 from sean_jax.versions import versions
@@ -34,6 +36,8 @@ EVERY = 2  # control steps from one row of a simulation to the next
 ROW = 0.1  # s, between rows of a recording
 HELD_OUT = "held out"
 FEWEST = 20  # walks along edges, from which anything is fitted
+ROUNDS = 2  # of simulating how a fitted graph calls people to its groups, and fitting it again
+SEEN, OTHERS, ANEW, CALLED = range(4)  # random numbers of each simulation; each round has its own, from the last on
 
 
 class Evidence(NamedTuple):
@@ -78,13 +82,18 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
         if walks < FEWEST:
             what = f"people walk {walks:.0f} times along edges of the graph, and {FEWEST} are the fewest to fit it to"
             raise InputError(f"{options.recording or options.environment}: {what}; look at --graph and at the units.")
-        fit = fit_flows(graph, evidence.seen, closed, options.temperature, progress=told)
         what = f"recording {options.recording.name}" if options.recording else "people simulated on its own graph"
-        words = annotating.fitted(words, fit, closed, f"fitted by sean fit-graph to {what}")
-        _write(folder / GRAPH, words)
+        source = f"fitted by sean fit-graph to {what}"
+        fit = fit_flows(graph, evidence.seen, closed, options.temperature, progress=told)
+        _write(folder / GRAPH, annotating.fitted(words, fit, closed, source))
+        for turn in range(ROUNDS if closed and graph.groups.shape[0] else 0):
+            title = "simulating how groups call people"
+            _, calls = _episodes(_scenario(options, folder), options, CALLED + turn, told, title)
+            fit = fit_flows(graph, evidence.seen, closed, options.temperature, calls, progress=told)
+            _write(folder / GRAPH, annotating.fitted(words, fit, closed, source))
         panels = _panels(evidence, fit)
         if closed:
-            again = _episodes(_scenario(options, folder), options, 2 * _number(options), told, "simulating the fit")
+            again, _ = _episodes(_scenario(options, folder), options, ANEW, told, "simulating the fit")
             panels["simulated anew"] = again.flow
         errors = {name: flow_error(flow, panels[HELD_OUT]) for name, flow in panels.items() if name != HELD_OUT}
         lines += [f"{name}, against people held out: flows differ by {100 * e:.1f} %" for name, e in errors.items()]
@@ -129,11 +138,9 @@ def _recorded(options: FitGraphConfig, graph: BehaviorGraph, told: Progress) -> 
 def _simulated(options: FitGraphConfig, told: Progress) -> Evidence:
     """Episodes on the environment's own graph, and as many others."""
     scenario = _scenario(options, environments.find(options.environment))
-    measured = [
-        _episodes(scenario, options, part, told, words)
-        for part, words in enumerate(("simulating people", "simulating people to check it by"))
-    ]
-    return Evidence(*measured)
+    seen, _ = _episodes(scenario, options, SEEN, told, "simulating people")
+    held_out, _ = _episodes(scenario, options, OTHERS, told, "simulating people to check it by")
+    return Evidence(seen, held_out)
 
 
 def _scenario(options: FitGraphConfig, folder: Path) -> Scenario:
@@ -154,22 +161,24 @@ def _number(options: FitGraphConfig) -> int:
     return max(1, round(options.minutes * 60.0 / EPISODE))
 
 
-def _episodes(scenario: Scenario, options: FitGraphConfig, part: int, told: Progress, words: str) -> FlowMeasure:
-    """What people do in the episodes of one part."""
+def _episodes(
+    scenario: Scenario, options: FitGraphConfig, part: int, told: Progress, words: str
+) -> tuple[FlowMeasure, Calls]:
+    """What people do in the episodes of one part, and how they are called to groups."""
     graph = graph_of(scenario)
     assert graph is not None  # it is of the behavior "graph"
     number, steps = _number(options), round(min(EPISODE, options.minutes * 60.0) / scenario.time_step)
-    simulate: Callable = jax.jit(lambda key: people_alone(scenario, key, steps, EVERY))
+    simulate: Callable = jax.jit(lambda key: people_called(scenario, graph, key, steps, EVERY))
     key = jax.random.fold_in(prng.key("fit-graph", options.seed), part)
-    total: FlowMeasure | None = None
+    found: list[tuple[FlowMeasure, Calls]] = []
     told.start(words, number)
     for episode in range(number):
-        position, present = jax.tree.map(np.asarray, simulate(jax.random.fold_in(key, episode)))
-        measured = measure_flows(graph, position, present, scenario.time_step * EVERY)
-        total = measured if total is None else total + measured
+        position, present, calls = simulate(jax.random.fold_in(key, episode))
+        measured = measure_flows(graph, np.asarray(position), np.asarray(present), scenario.time_step * EVERY)
+        found.append((measured, calls))
         told.update(episode + 1)
-    assert total is not None
-    return total
+    flows, called = zip(*found, strict=True)
+    return functools.reduce(operator.add, flows), functools.reduce(operator.add, called)
 
 
 def _panels(evidence: Evidence, fit: GraphFit) -> dict[str, np.ndarray]:

@@ -2,10 +2,10 @@
 
 Weights follow the gradient of the likelihood of what was measured (``flow_model``), with a temperature that falls from
 several metres to a fraction of one: at first all ways say what they would change, and in the end people walk as the
-behavior has them walk. Stays and speeds need no gradient: their distributions are told by two moments.
+behavior has them walk. Stays and speeds need no gradient: their distributions are told by a few numbers.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -21,9 +21,11 @@ from sean_jax.inverse_graph.flow_model import (
     expected_flows,
     layout,
     log_likelihood,
+    log_odds,
     weights_of,
 )
 from sean_jax.inverse_graph.measuring import FlowMeasure
+from sean_jax.inverse_graph.simulating import Calls
 from sean_jax.progress import Progress
 
 WARM = 4.0  # m, temperature at the beginning
@@ -53,6 +55,7 @@ def fit_flows(
     measured: FlowMeasure,
     closed: bool = True,
     temperature: float = TEMPERATURE,
+    calls: Calls | None = None,
     steps: int = STEPS,
     progress: Progress | None = None,
 ) -> GraphFit:
@@ -65,6 +68,7 @@ def fit_flows(
         measured: what people did on it.
         closed: whether people go on from goal to goal, as in a simulation, or enter and leave, as in a recording.
         temperature: m, of route choice in the end.
+        calls: how people were called to groups, if that is known and not to be fitted, in a closed population.
         steps: of gradient descent.
         progress: is told how far the fit is.
 
@@ -74,6 +78,7 @@ def fit_flows(
     import optax
 
     place, progress = layout(graph), progress or Progress()
+    replaced = None if calls is None else calls.chance_replaced
     edges, turns = (jnp.asarray(part, float) for part in (measured.edges, measured.turns))
     count = edges.shape[0]
     if closed:  # who enters or leaves does so because the measurement begins or ends
@@ -83,8 +88,11 @@ def fit_flows(
     schedule = WARM * (temperature / WARM) ** np.minimum(np.arange(part * PARTS) / (0.8 * part * PARTS), 1.0)
     optimizer = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, part * PARTS, 0.1))
 
+    def with_calls(weights: FlowWeights) -> FlowWeights:
+        return weights if calls is None else replace(weights, sent=log_odds(calls.chance_sent))
+
     def loss(weights: FlowWeights, warmth: Array) -> Array:
-        flows = expected_flows(place, weights, warmth, closed)
+        flows = expected_flows(place, with_calls(weights), warmth, closed, replaced)
         spread = [
             jnp.var(weights.goal),
             jnp.var(weights.start),
@@ -114,9 +122,10 @@ def fit_flows(
         progress.update(number + 1, f"loss {values[-1][-1]:.4f}")
     stay, capacity = _groups(measured)
     speeds = measured.speeds
+    weights = with_calls(carry[0])
     return GraphFit(
-        weights=carry[0],
-        flows=jax.jit(expected_flows, static_argnums=3)(place, carry[0], temperature, closed),
+        weights=weights,
+        flows=jax.jit(expected_flows, static_argnums=3)(place, weights, temperature, closed, replaced),
         stay=stay,
         capacity=capacity,
         speed=(float(np.mean(speeds)), float(np.std(speeds))) if len(speeds) else (np.nan, np.nan),
@@ -127,8 +136,8 @@ def fit_flows(
 def _groups(measured: FlowMeasure) -> tuple[np.ndarray, np.ndarray]:
     """(G, 2) s stays, and (G,) capacities.
 
-    Stays are uniform between two times: those are the mean and 1.73 standard deviations to either side. A few stays
-    that were broken off change them less than they would change the shortest stay.
+    Stays are uniform between two times: those are the median and the distance of the quartiles to either side. Stays
+    that were broken off, or that ended late, change them less than they would change the shortest or the longest stay.
     """
     stays = [_limits(each) if len(each) >= FEWEST_STAYS else (np.nan, np.nan) for each in measured.stays]
     capacity = [
@@ -139,8 +148,8 @@ def _groups(measured: FlowMeasure) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _limits(stays: np.ndarray) -> tuple[float, float]:
-    middle, half = float(np.median(stays)), float(np.sqrt(3) * np.std(stays))
-    return max(middle - half, 0.0), middle + half
+    lower, middle, upper = (float(value) for value in np.quantile(stays, [0.25, 0.5, 0.75]))
+    return max(middle - (upper - lower), 0.0), middle + (upper - lower)
 
 
 def flow_error(expected: np.ndarray, measured: np.ndarray) -> float:

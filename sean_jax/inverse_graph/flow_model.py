@@ -1,9 +1,10 @@
 """The flows that a graph makes people have: a Markov chain of people with goals, differentiable by its weights.
 
 A person at a node has a goal and goes on to it as ``graph.route_choice`` says, with a temperature. Whoever is at the
-goal draws another one, and whoever is at any waypoint may be sent to a group instead. So the expected number of walks
-along each edge, and of each turn, follows from linear equations. The behavior ``graph`` is this chain with temperature
-0: how often somebody is sent to a group comes of the time for which people stay there.
+goal draws another one, and whoever is at any waypoint may be sent to a group instead. On the way there somebody else
+may take the place; then a goal is drawn at the next node. So the expected number of walks along each edge, and of each
+turn, follows from linear equations. The behavior ``graph`` is this chain with temperature 0: how often somebody is sent
+to a group comes of the time for which people stay there.
 
 Two kinds of population: in a *closed* one people stay and go on from goal to goal, as in a simulation, and as many go
 to a node in the long run as leave it. In an *open* one people enter at their start and leave at their goal, as in most
@@ -89,7 +90,11 @@ def weights_of(graph: BehaviorGraph) -> FlowWeights:
 
 
 def expected_flows(
-    place: Layout, weights: FlowWeights, temperature: Float[Array, ""] | float, closed: bool = True
+    place: Layout,
+    weights: FlowWeights,
+    temperature: Float[Array, ""] | float,
+    closed: bool = True,
+    replaced: Float[Array, "M G"] | None = None,
 ) -> Flows:
     """The flows that people have in the long run.
 
@@ -98,6 +103,8 @@ def expected_flows(
         weights: of the graph.
         temperature: m, of ``route_choice``.
         closed: whether people go on from goal to goal, or enter and leave.
+        replaced: (M, G) with what chance somebody who comes to a node on the way to a group is not wanted there any
+            more, in a closed population; never if None.
 
     Returns:
         Expected numbers of walks along each edge and of turns.
@@ -107,7 +114,9 @@ def expected_flows(
     cost, _ = cheapest_paths(edge_cost, place.is_group)
     chances = jnp.exp(hop_log_chances(edge_cost, cost, place.is_group, temperature))
     onward = chances.transpose(1, 0, 2)  # (goal, node, next)
-    return _closed(place, weights, onward) if closed else _open(place, weights, onward)
+    if not closed:
+        return _open(place, weights, onward)
+    return _closed(place, weights, onward, jnp.zeros_like(weights.sent) if replaced is None else replaced)
 
 
 def _open(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"]) -> Flows:
@@ -126,26 +135,32 @@ def _open(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"]) ->
     return Flows(jnp.sum(walks, axis=0), turns)
 
 
-def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"]) -> Flows:
-    """People who go on from goal to goal. Shares are for one goal that is reached."""
+def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"], replaced: Float[Array, "M G"]) -> Flows:
+    """People who go on from goal to goal. Shares are for one goal that is reached, or given up."""
     count, group = place.is_group.shape[0], place.is_group
     itself = jnp.eye(count, dtype=bool)
     drawn = _goal_chances(place, jnp.where(group, -jnp.inf, weights.goal))  # (node, goal): waypoints alone
     sent = _sent_chances(place, weights.sent)  # (node, goal): groups alone
     keeps = 1.0 - jnp.sum(sent, axis=1)  # (node,)
+    gives_up = jnp.zeros((count, count)).at[place.groups].set(replaced.T)  # (goal, node)
+    gives_up = jnp.where(itself | group[None, :], 0.0, gives_up)
 
     # Departures towards h are what begins at a node and what passes there without being sent elsewhere.
-    passes = jnp.where(itself, 0.0, jnp.where(group[:, None], 1.0, keeps[None, :]))  # (goal, node)
+    passes = jnp.where(itself, 0.0, jnp.where(group[:, None], 1.0 - gives_up, keeps[None, :]))  # (goal, node)
     balance = jnp.eye(count)[None] - passes[:, :, None] * onward.transpose(0, 2, 1)
     departures = jnp.linalg.inv(balance)  # (goal, node, node where it began)
     arrivals = jnp.einsum("huv,hub->hvb", onward, departures)  # (goal, node, node where it began)
 
-    # Goals reached, from one to the next: the stationary state of a chain of nodes.
+    # Goals reached or given up, from one to the next: the stationary state of a chain of nodes.
     begins = drawn * keeps[:, None]  # (node, goal) of who has reached the node
     met = jnp.einsum("hvb,bh->vb", arrivals, begins)  # waypoints met on the way to the next goal, that one included
     called = jnp.where(group[:, None], jnp.eye(count), met)  # (node, node where it began): chances to be sent there
+    again = jnp.einsum("vh,hwv,hw->wv", sent, arrivals, gives_up)  # (node, node where they were sent before)
+    called = jnp.linalg.solve(jnp.eye(count) - again, called)
     reached = jnp.einsum("hhb,bh->hb", arrivals, begins)  # (goal, node where it began)
-    reached = jnp.where(group[:, None], sent.T @ called, reached)
+    calls = sent[:, :, None] * called[:, None, :]  # (node, goal, node where it began)
+    ends = jnp.where(itself[:, :, None], 1.0, gives_up[:, :, None]) * arrivals  # (goal, node, node where it began)
+    reached = jnp.where(group[:, None], 0.0, reached) + jnp.einsum("hwv,vhb->wb", ends, calls)
     system = jnp.concatenate([(reached - jnp.eye(count))[:-1], jnp.ones((1, count))])
     goals = jnp.linalg.solve(system, jnp.zeros(count).at[-1].set(1.0))
 
@@ -153,9 +168,11 @@ def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"]) 
     leaving = jnp.einsum("hvb,bh->hv", departures, source)
     walks = leaving[:, :, None] * onward  # (goal, node, next)
     arriving = jnp.diagonal(walks, axis1=0, axis2=2)  # (node before, node that was the goal)
-    asked = jnp.where(group[None, :], arriving, jnp.sum(jnp.where(group[:, None, None], 0.0, walks), axis=0))
+    given_up = jnp.einsum("huv,hv->uv", walks, gives_up)  # (node before, node)
+    free = jnp.sum(jnp.where(group[:, None, None], 0.0, walks), axis=0) + given_up  # of those without a group to go to
+    asked = jnp.where(group[None, :], arriving, free)
     turns = jnp.einsum("huv,hv,hvw->uvw", walks, passes, onward)
-    turns = turns + arriving[:, :, None] * jnp.einsum("vh,hvw->vw", begins, onward)[None]
+    turns = turns + (arriving + given_up)[:, :, None] * jnp.einsum("vh,hvw->vw", begins, onward)[None]
     turns = turns + asked[:, :, None] * jnp.einsum("vh,hvw->vw", sent, onward)[None]
     whole = jnp.zeros((count + 1, count, count + 1)).at[:count, :, :count].set(turns)
     return Flows(jnp.sum(walks, axis=0), whole)
@@ -173,6 +190,19 @@ def _sent_chances(place: Layout, log_odds: Float[Array, "M G"]) -> Float[Array, 
     count = place.is_group.shape[0]
     odds = jnp.where(place.trips[:, place.groups], jnp.exp(log_odds), 0.0)
     return jnp.zeros((count, count)).at[:, place.groups].set(odds / (1.0 + jnp.sum(odds, axis=1, keepdims=True)))
+
+
+def log_odds(chances: Float[Array, "M G"]) -> Float[Array, "M G"]:
+    """The logarithms of odds, against being sent nowhere, of which ``FlowWeights.sent`` consists.
+
+    Args:
+        chances: (M, G) to be sent to each group.
+
+    Returns:
+        (M, G) odds; of chances of 0 they are as small as can be.
+    """
+    rest = jnp.maximum(1.0 - jnp.sum(chances, axis=1, keepdims=True), RARE)
+    return jnp.log(jnp.maximum(chances, RARE) / rest)
 
 
 def log_likelihood(flows: Flows, edges: Float[Array, "M M"], turns: Float[Array, "U M U"]) -> Float[Array, ""]:
