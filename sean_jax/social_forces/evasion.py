@@ -10,6 +10,7 @@ from flax import struct
 from jaxtyping import Float
 
 from sean_jax.base import Array
+from sean_jax.social_forces.headway import SHORTEST
 from sean_jax.social_forces.terms import Crowd, Force, Pair
 from sean_jax.social_forces.walking import Walking
 
@@ -33,13 +34,13 @@ class Evasion:
     ramp: Float[Array, ""]  # m, ahead, over which somebody comes in sight
 
     def gather(self, pair: Pair) -> tuple[Array]:
-        """By how much to step to the right for one other.
+        """By how much to step to the right for one other. ``act`` multiplies what is the same for all others.
 
         Args:
             pair: who comes closer to whom.
 
         Returns:
-            () share of the push, negative to the left.
+            () m6 s2, the share of the push, negative to the left, times ``_scale``.
         """
         dx, dy, look_x, look_y = pair.dx, pair.dy, pair.look_x, pair.look_y
         ux, uy = pair.vx - pair.wx, pair.vy - pair.wy
@@ -48,26 +49,34 @@ class Evasion:
         approach = -(dx * ux + dy * uy)
         time = jnp.maximum(approach, 0.0) * inverse
         mx, my = dx + ux * time, dy + uy * time
-        soon = jnp.maximum(1.0 - time * (1.0 / self.horizon), 0.0)
-        near = jnp.maximum(1.0 - (mx * mx + my * my) * (1.0 / (self.width * self.width)), 0.0)
-        seen = jnp.clip(-(dx * look_x + dy * look_y) * (1.0 / self.ramp), 0.0, 1.0)
+        soon = jnp.maximum(self.horizon - time, 0.0)
+        near = jnp.maximum(self.width * self.width - (mx * mx + my * my), 0.0)
+        seen = jnp.clip(-(dx * look_x + dy * look_y), 0.0, self._ramp())
         right = mx * look_y - my * look_x + self.side
         closing = jnp.where(approach > 0.0, uu * inverse, 0.0)
-        return (seen * closing * (soon * near) ** 2 * (self.gain / self.width) * right,)
+        return (seen * closing * (soon * near) ** 2 * right,)
 
     def act(self, crowd: Crowd, share: Float[Array, "N"]) -> Force:
         """The push to the side, ``strength`` at most.
 
         Args:
             crowd: the people and what is around them.
-            share: (N,) the sum of the shares of all others.
+            share: (N,) the sum of what ``gather`` gives of all others.
 
         Returns:
             (N,) x and y parts [m/s2].
         """
+        share = share * (self.gain / self._scale())
         push = self.strength * share * jax.lax.rsqrt(1.0 + share * share)
         push = jnp.where(crowd.people.group >= 0, 0.0, push)
         return push * crowd.look_y, -push * crowd.look_x
+
+    def _ramp(self) -> Array:
+        return jnp.maximum(self.ramp, SHORTEST)
+
+    def _scale(self) -> Array:
+        """As in ``Headway``."""
+        return self._ramp() * self.horizon**2 * jnp.maximum(self.width, SHORTEST) ** 5
 
     def cutoff(self, walking: Walking) -> Array:
         """The distance beyond which nobody can come near within the horizon.

@@ -14,6 +14,7 @@ from sean_jax.social_forces.repulsion import TINY
 from sean_jax.social_forces.terms import Crowd, Force, Pair
 from sean_jax.social_forces.walking import Walking
 
+SHORTEST = 1e-4  # m, of a ramp or a width that is divided by
 MAX_SHARE = 0.95  # of the desired velocity; single files of 1.9 people/m still move at 0.05 m/s or more
 
 
@@ -33,37 +34,43 @@ class Headway:
     ramp: Float[Array, ""]  # m, ahead, over which somebody comes to be in the way
 
     def gather(self, pair: Pair) -> tuple[Array]:
-        """The share of the desired velocity that one other takes.
+        """The share of the desired velocity that one other takes. ``act`` multiplies what is the same for all others.
 
         Args:
             pair: who is ahead of whom.
 
         Returns:
-            () share.
+            () m7, the share times ``_scale``.
         """
         dx, dy = pair.dx, pair.dy
         dd = dx * dx + dy * dy + TINY
-        gap = dd * jax.lax.rsqrt(dd) - pair.radii
+        near = jnp.maximum(self.range + pair.radii - dd * jax.lax.rsqrt(dd), 0.0)
         ahead = -(dx * pair.look_x + dy * pair.look_y)
         aside = dx * pair.look_y - dy * pair.look_x
-        near = jnp.maximum((self.range - gap) * (1.0 / (self.range - self.length)), 0.0)
-        before = jnp.maximum(1.0 - aside * aside * (1.0 / (self.width * self.width)), 0.0)
-        oncoming = jnp.clip(-(pair.wx * pair.look_x + pair.wy * pair.look_y), 0.0, 1.0)
-        return (jnp.clip(ahead * (1.0 / self.ramp), 0.0, 1.0) * (1.0 - oncoming) * (near * before) ** 2,)
+        before = jnp.maximum(self.width * self.width - aside * aside, 0.0)
+        following = jnp.clip(1.0 + (pair.wx * pair.look_x + pair.wy * pair.look_y), 0.0, 1.0)
+        return (jnp.clip(ahead, 0.0, self._ramp()) * following * (near * before) ** 2,)
 
     def act(self, crowd: Crowd, share: Float[Array, "N"]) -> Force:
         """The braking that takes that share from the desired velocity.
 
         Args:
             crowd: the people and what is around them.
-            share: (N,) the sum of the shares of all others.
+            share: (N,) the sum of what all others take.
 
         Returns:
             (N,) x and y parts [m/s2].
         """
-        rate = -jnp.minimum(share, MAX_SHARE) / crowd.forces.walking.relaxation_time
+        rate = -jnp.minimum(share * (1.0 / self._scale()), MAX_SHARE) / crowd.forces.walking.relaxation_time
         desired = crowd.people.desired_velocity
         return rate * desired[:, 0], rate * desired[:, 1]
+
+    def _ramp(self) -> Array:
+        return jnp.maximum(self.ramp, SHORTEST)
+
+    def _scale(self) -> Array:
+        """By what the sum over others is divided once, so that a GPU has a sixth less to do for each of them."""
+        return self._ramp() * (self.range - self.length) ** 2 * jnp.maximum(self.width, SHORTEST) ** 4
 
     def cutoff(self, walking: Walking) -> Array:
         """The distance within which somebody is in the way.

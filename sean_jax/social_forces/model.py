@@ -20,6 +20,7 @@ from sean_jax.social_forces.walking import look_direction, turn
 from sean_jax.social_forces.walls import project_velocity
 
 SUMS = "pair sums"  # what reverse mode keeps of a step, beside the state; the rest is computed anew
+ALONE = -2  # group of those who feel and are in none; those who are felt have -1, so both are not together
 WALKING_GROUPS = 1 << 20  # added to the number of a walking group where it stands among those of groups
 
 
@@ -185,17 +186,19 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> Force | None:
         force = sum_pair_terms(pair_terms, pair) if pair_terms else None
         numbers = force, gather(gather_terms, pair)
         dd = dx * dx + dy * dy
-        together = (group >= 0) & (group == other_group)
-        felt = (other_group > ABSENT) & (dd > 0.0) & (dd < perception * perception) & ~together
+        felt = (dd > 0.0) & (dd < perception * perception) & (group != other_group)
         return jax.tree.map(lambda number: jnp.where(felt, number, 0.0), numbers)
 
     group = people.group
     if crowd.companions is not None and forces.get(Cohesion) is not None:
         group = jnp.where((group < 0) & (people.walking_group >= 0), WALKING_GROUPS + people.walking_group, group)
-    group = jnp.where(people.present, group, ABSENT).astype(float)
-    other = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1], group
-    own = *other, crowd.look_x, crowd.look_y, (people.group >= 0).astype(float)
-    shared = forces.pair_terms, forces.gather_terms, forces.walking.radius, forces.walking.perception
+    position, velocity = people.position, people.velocity
+    rows = position[:, 0], position[:, 1], velocity[:, 0], velocity[:, 1], group.astype(float)
+    other = tuple(jnp.where(people.present, row, ABSENT) for row in rows)
+    own_group = jnp.where(group >= 0, group, ALONE).astype(float)
+    own = *other[:-1], own_group, crowd.look_x, crowd.look_y, (people.group >= 0).astype(float)
+    perception = jnp.minimum(forces.walking.perception, 0.1 * ABSENT)
+    shared = forces.pair_terms, forces.gather_terms, forces.walking.radius, perception
     force, gathered = checkpoint_name(sum_pairs(law, near, shared, own, other), SUMS)
     robot = forces.get(RobotRepulsion)
     by_robot = None if robot is None or not gathered else robot.gathered(crowd)

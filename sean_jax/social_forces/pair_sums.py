@@ -17,7 +17,7 @@ from sean_jax.platforms import by_platform
 from sean_jax.social_forces.linear import linear_call
 from sean_jax.social_forces.neighbors import Neighbors, pull_back_near, sum_near
 
-ABSENT = -2  # what all rows of somebody who is felt hold where nobody is; the law gives 0 for it
+ABSENT = 1e7  # what all rows of somebody who is felt hold where nobody is: far from everybody, and of no group
 TURNS = 4  # others over whom each thread of a GPU sums first, if the law gives more than two numbers
 
 Rows = tuple[Float[Array, "N"], ...]

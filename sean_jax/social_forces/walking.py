@@ -8,7 +8,7 @@ from flax import struct
 from jaxtyping import Float
 
 from sean_jax.base import Array, Pedestrians
-from sean_jax.geometry import angle_between, length, rotate, unit
+from sean_jax.geometry import length, rotate, unit
 
 MIN_SPEED = 0.1  # m/s: a slower body does not turn into its direction of motion
 
@@ -94,8 +94,13 @@ def turn(
     Returns:
         (N, 2) unit vectors.
     """
-    angle = angle_between(people.heading, velocity)
+    x, y = people.heading[:, 0], people.heading[:, 1]
+    goal_x, goal_y = unit(velocity[:, 0], velocity[:, 1])
+    cosine, sine = x * goal_x + y * goal_y, x * goal_y - y * goal_x  # of the angle between both, without trigonometry
+    most = jnp.minimum(max_angle, jnp.pi)
+    within = cosine >= jnp.cos(most)
+    cosine = jnp.where(within, cosine, jnp.cos(most))
+    sine = jnp.where(within, sine, jnp.where(sine < 0.0, -jnp.sin(most), jnp.sin(most)))
     walking = (people.group < 0) & (length(velocity[:, 0], velocity[:, 1]) > MIN_SPEED)
-    angle = jnp.where(walking, jnp.clip(angle, -max_angle, max_angle), 0.0)
-    x, y = rotate(people.heading[:, 0], people.heading[:, 1], jnp.cos(angle), jnp.sin(angle))
+    x, y = rotate(x, y, jnp.where(walking, cosine, 1.0), jnp.where(walking, sine, 0.0))
     return jnp.stack(unit(x, y), -1)
