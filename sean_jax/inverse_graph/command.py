@@ -37,7 +37,7 @@ ROW = 0.1  # s, between rows of a recording
 HELD_OUT = "held out"
 FEWEST = 20  # walks along edges, from which anything is fitted
 ROUNDS = 2  # of simulating how a fitted graph calls people to its groups, and fitting it again
-SEEN, OTHERS, ANEW, CALLED = range(4)  # random numbers of each simulation; each round has its own, from the last on
+SEEN, OTHERS, ANEW, CALLED = range(4)  # each simulation has its own chance; of the rounds each, from CALLED on
 
 
 class Evidence(NamedTuple):

@@ -27,7 +27,7 @@ class Calls:
     asked: Float[Array, "M"]  # people who went on from there and were not on the way to a group
     sent: Float[Array, "M G"]  # those of them who were sent to a group
     kept: Float[Array, "M G"]  # people who went on from there to the group to which they were on the way
-    replaced: Float[Array, "M G"]  # people on the way there to whom the group was taken from
+    replaced: Float[Array, "M G"]  # people on the way there in whose place somebody else is sent
 
     def __add__(self, other: "Calls") -> "Calls":
         return jax.tree.map(jnp.add, self, other)
