@@ -505,6 +505,32 @@ def test_gradients_are_finite_in_degenerate_cases(preset, companions):
     assert np.abs(gradient[1]).max() > 0.1
 
 
+@pytest.mark.parametrize("term", ["headway", "evasion"])
+def test_a_ramp_without_length_is_a_switch_and_a_width_of_zero_nobody(term):
+    """On random crowds, in which some stand exactly beside others, where a division by the ramp has no value."""
+    draw, usual = np.random.default_rng(0), social_forces.preset("calibrated")
+    place, desired = draw.uniform(0.0, 4.0, (16, 20, 2)), draw.normal(0.0, 1.0, (16, 20, 2))
+    desired[:, :4], place[:, 1] = [1.0, 0.0], place[:, 0] + [0.0, 0.6]
+    crowds = [crowd(each, wanted, velocity=wanted) for each, wanted in zip(place, desired, strict=True)]
+    people = jax.tree.map(lambda *leaves: jnp.stack(leaves), *crowds)
+
+    @jax.jit
+    def pushed(ramp, width):
+        forces = usual.tree_replace({f"{term}.ramp": ramp, f"{term}.width": width})
+        return jax.vmap(lambda one: jnp.stack(pair_forces(around(forces, one)), -1))(people)
+
+    width = float(getattr(usual, term).width)
+    switch, steep, off = (np.asarray(pushed(ramp, wide)) for ramp, wide in ((0.0, width), (1e-4, width), (0.1, 0.0)))
+    np.testing.assert_allclose(switch, steep, rtol=1e-5, atol=1e-5)
+    without = social_forces.build([each for each in usual if each is not getattr(usual, term)])
+    missing = jax.vmap(lambda one: jnp.stack(pair_forces(around(without, one)), -1))(people)
+    np.testing.assert_allclose(off, missing, rtol=1e-4, atol=1e-4)
+    assert np.abs(switch - missing).max() > 0.1
+    for ramp, wide in ((0.0, width), (0.1, 0.0)):
+        slopes = jax.jit(jax.grad(lambda *both: jnp.sum(jnp.sin(pushed(*both))), (0, 1)))(ramp, wide)
+        assert np.isfinite(slopes).all()
+
+
 def test_one_person_alone_and_gradients_without_obstacles():
     people = crowd([(0.0, 0.0)], [(0.0, 0.0)])
     parameters = social_forces.preset("helbing1995")

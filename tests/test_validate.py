@@ -14,7 +14,19 @@ from sean_jax import InputError, cli, validation
 from sean_jax.config import ValidateConfig
 from sean_jax.recordings import Tracks
 from sean_jax.scenes import Gate, model
-from sean_jax.validation import CHECKS, GATES, Finding, Laboratory, Skipped, guidelines, page, plans, results, suite
+from sean_jax.validation import (
+    CHECKS,
+    GATES,
+    Finding,
+    Laboratory,
+    Skipped,
+    figures,
+    guidelines,
+    page,
+    plans,
+    results,
+    suite,
+)
 from sean_jax.validation.check import Check
 from sean_jax.validation.crossings import crossing_times, flow, trajectory_data, vanishing_times
 
@@ -157,6 +169,17 @@ def test_bodies_inside_walls_are_found():
     place = np.array([[[5.0, 1.0], [9.9, 1.85]]])
     assert guidelines.penetration(scene, tracks_of(place[:, :1]), 0.2) < 0.0
     assert guidelines.penetration(scene, tracks_of(place), 0.2) == pytest.approx(0.05, abs=1e-4)
+
+
+def test_a_picture_has_the_room_around_people_but_no_wall_far_away():
+    away = np.array([[60.0, 60.0, 1.0, 1.0, 0.0]])
+    room = plans.full_room()
+    scene = replace(room, walls=np.concatenate([np.asarray(room.walls), away]))
+    path = np.linspace([1.0, 1.0], [7.0, 4.0], 30)[:, None]
+    (axes,) = figures.trajectories(scene, tracks_of(path)).axes
+    outer = np.abs(np.asarray(room.walls)[:, :2]).max() + np.asarray(room.walls)[:, 2:4].max()
+    lower, upper = np.transpose([axes.get_xlim(), axes.get_ylim()])
+    assert (lower < 0.0).all() and (upper > [8.0, 5.0]).all() and (upper < outer + 3.0).all()
 
 
 # ------------------------------------------------------------------ models that are right or broken

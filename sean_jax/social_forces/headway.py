@@ -14,7 +14,7 @@ from sean_jax.social_forces.repulsion import TINY
 from sean_jax.social_forces.terms import Crowd, Force, Pair
 from sean_jax.social_forces.walking import Walking
 
-SHORTEST = 1e-4  # m, of a ramp or a width that is divided by
+SHORTEST = 1e-3  # m, of a ramp or a width that is divided by; its tenth power is still a float
 MAX_SHARE = 0.95  # of the desired velocity; single files of 1.9 people/m still move at 0.05 m/s or more
 
 
@@ -69,7 +69,7 @@ class Headway:
         return jnp.maximum(self.ramp, SHORTEST)
 
     def _scale(self) -> Array:
-        """By what the sum over others is divided once, so that a GPU has a sixth less to do for each of them."""
+        """By what the sum over all others is divided once, rather than each of them."""
         return self._ramp() * (self.range - self.length) ** 2 * jnp.maximum(self.width, SHORTEST) ** 4
 
     def cutoff(self, walking: Walking) -> Array:

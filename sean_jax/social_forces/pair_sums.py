@@ -90,7 +90,8 @@ def _sum_by_two(law: Callable, shared: PyTree, own: Rows, other: Rows) -> PyTree
 
     Each thread takes two others, so it reads what is one's own half as often: a fifth less time. XLA makes one kernel
     of two numbers of all pairs and their sums, but writes more numbers to memory for each pair. So each two of them are
-    a kernel of its own, in which a thread takes ``TURNS`` others; barriers keep what kernels share inside them.
+    a sum of its own behind a barrier, in which a thread takes ``TURNS`` others. XLA then makes one kernel of these sums
+    as well, and writes no pair (``benchmarks/kernels.py`` shows it).
     """
     pair = [tuple(jax.ShapeDtypeStruct((), row.dtype) for row in rows) for rows in (own, other)]
     structure = jax.tree.structure(jax.eval_shape(law, shared, *pair))
@@ -114,9 +115,9 @@ def _pull_back_at_once(law: Callable, shared: PyTree, own: Rows, other: Rows, pu
 
 
 def _pull_back_in_two(law: Callable, shared: PyTree, own: Rows, other: Rows, pulls: PyTree) -> tuple:
-    """The cotangents by two sums, over those who are felt and over those who feel, neither of which stores a pair.
+    """The cotangents by two sums, over those who are felt and over those who feel, each in one reduction.
 
-    XLA for a GPU makes a kernel of each, as long as it is one reduction.
+    XLA for a GPU writes less of each pair than ``_pull_back_at_once`` has it write, but still what both sums share.
     """
 
     def of_pair(own: Rows, other: Rows, pulls: PyTree) -> tuple:
