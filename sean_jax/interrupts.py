@@ -4,6 +4,7 @@ import contextlib
 import gc
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from types import FrameType
@@ -17,8 +18,10 @@ def interruptible() -> Iterator[list[int]]:
     """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the main thread until the block ends.
 
     In a callback of ``weakref``, of which JAX's caches have many, or of the garbage collector, and in ``__del__``,
-    Python would print the exception and drop it: there it is put off. A signal that is ignored, or that has a handler
-    outside Python, is left alone. In other threads, where no signal arrives, the block runs as it is.
+    Python would print the exception and drop it: there it is put off. So it is until a loop of ``asyncio`` that the
+    block has begun is done: orbax reads and writes in one, and threads that it has left behind would complain of a
+    closed loop. A signal that is ignored, or that has a handler outside Python, is left alone. In other threads, where
+    no signal arrives, the block runs as it is.
 
     Yields:
         The signals received so far.
@@ -29,7 +32,7 @@ def interruptible() -> Iterator[list[int]]:
     def stop(number: int, frame: FrameType | None) -> None:
         if number in kinds:
             received.append(number)
-        if again and _is_dropped(frame):
+        if again and _has_to_wait(frame, owner):
             pending.append(number)
             signal.setitimer(signal.ITIMER_REAL, RETRY_INTERVAL)
         else:
@@ -38,6 +41,7 @@ def interruptible() -> Iterator[list[int]]:
     if threading.current_thread() is not threading.main_thread():  # where no signal arrives
         yield received
         return
+    owner = sys._getframe(2)  # of the block; 1 is contextlib's
     kinds = (signal.SIGINT, signal.SIGTERM)
     alarmed = hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) is not None
     again = (signal.SIGALRM,) if alarmed else ()
@@ -73,12 +77,14 @@ def unwrapped() -> Iterator[None]:
         raise KeyboardInterrupt from error
 
 
-def _is_dropped(frame: FrameType | None) -> bool:
-    """Whether Python drops what is raised there."""
+def _has_to_wait(frame: FrameType | None, owner: FrameType) -> bool:
+    """Whether Python drops what is raised there, or an event loop is open in the block of the owner."""
     callbacks = [getattr(callback, "__code__", None) for callback in gc.callbacks]
-    while frame is not None:
+    while frame is not None and frame is not owner:
         code = frame.f_code
         if os.path.basename(code.co_filename) == "weakref.py" or code.co_name == "__del__" or code in callbacks:
+            return True
+        if code.co_name == "run_until_complete":
             return True
         frame = frame.f_back
     return False

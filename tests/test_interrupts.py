@@ -1,5 +1,6 @@
 """Ctrl-C and SIGTERM stop the work, wherever it is."""
 
+import asyncio
 import gc
 import signal
 import time
@@ -62,6 +63,35 @@ def test_a_signal_is_not_lost_while_memory_is_swept():
                 sweep()
                 assert received == [signal.SIGINT] * number
                 time.sleep(60)
+
+
+def test_a_signal_waits_for_an_open_loop():
+    """As when orbax reads a checkpoint: what runs in the loop comes to its end, and the interrupt after it."""
+    done = []
+
+    async def read():
+        signal.raise_signal(signal.SIGINT)
+        await asyncio.sleep(3 * interrupts.RETRY_INTERVAL)
+        done.append("read")
+
+    def block():
+        with interrupts.interruptible() as received, pytest.raises(KeyboardInterrupt):
+            loop = asyncio.new_event_loop()
+            loop.run_until_complete(read())
+            loop.close()
+            done.append("closed")
+            assert received == [signal.SIGINT]
+            time.sleep(60)
+
+    block()
+    assert done[0] == "read"
+
+    async def notebook():
+        """A loop that was there before the block, as in Jupyter, is none of its own."""
+        with interrupts.interruptible(), pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+    asyncio.new_event_loop().run_until_complete(notebook())
 
 
 class Metadata:
