@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sean_jax import gradients, inverse_graph, scenes, sensors
+    from sean_jax import gradients, inverse_graph, mdp, registry, scenes, sensors
     from sean_jax.assembly import make, with_task
     from sean_jax.base import (
         Behavior,
@@ -30,9 +30,11 @@ if TYPE_CHECKING:
     from sean_jax.config import (
         CollectConfig,
         CustomTask,
+        EnvConfig,
         GraphBehavior,
         HandcraftedBehavior,
         PlaybackBehavior,
+        PPOConfig,
         RandomBehavior,
         RunConfig,
         ScenarioConfig,
@@ -52,6 +54,7 @@ if TYPE_CHECKING:
     )
     from sean_jax.errors import FileError, IncompleteError, InputError, SeanError, WriteError
     from sean_jax.evaluation import Evaluation, evaluate
+    from sean_jax.mdp import Env, EnvState, make_env
     from sean_jax.metrics import METRICS, Metric, aggregate
     from sean_jax.pedestrian_models import MODELS
     from sean_jax.people import pedestrians_at
@@ -73,13 +76,14 @@ _PUBLIC = {
     "Scenario Sensor State Trajectory as_policy",
     "behaviors": "BEHAVIORS Place",
     "classifiers": "SITUATIONS SITUATION_SETS Thresholds",
-    "config": "CollectConfig CustomTask GraphBehavior HandcraftedBehavior PlaybackBehavior RandomBehavior RunConfig "
-    "ScenarioConfig TrainConfig",
+    "config": "CollectConfig CustomTask EnvConfig GraphBehavior HandcraftedBehavior PPOConfig PlaybackBehavior "
+    "RandomBehavior RunConfig ScenarioConfig TrainConfig",
     "crowding": "congestion",
     "drawing": "view",
     "episodes": "ResetPool autoreset init_policy policy_step reset_pool rollout rollout_autoreset simulate",
     "errors": "FileError IncompleteError InputError SeanError WriteError",
     "evaluation": "Evaluation evaluate",
+    "mdp": "Env EnvState make_env",
     "metrics": "METRICS Metric aggregate",
     "pedestrian_models": "MODELS",
     "people": "pedestrians_at",
@@ -94,13 +98,16 @@ _PUBLIC = {
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
-_ROOMS = ("gradients", "inverse_graph", "scenes", "sensors")  # public as a whole
+_ROOMS = ("gradients", "inverse_graph", "mdp", "registry", "scenes", "sensors")  # public as a whole
 
 __all__ = [
     "BEHAVIORS",
     "Behavior",
     "CollectConfig",
     "CustomTask",
+    "Env",
+    "EnvConfig",
+    "EnvState",
     "Environment",
     "Evaluation",
     "FileError",
@@ -116,6 +123,7 @@ __all__ = [
     "Moment",
     "Observation",
     "POLICIES",
+    "PPOConfig",
     "PRESETS",
     "Pedestrians",
     "Place",
@@ -153,12 +161,15 @@ __all__ = [
     "init_policy",
     "inverse_graph",
     "make",
+    "make_env",
+    "mdp",
     "observe",
     "pedestrians_at",
     "place",
     "policy_step",
     "predict",
     "preset",
+    "registry",
     "reset",
     "reset_pool",
     "results",

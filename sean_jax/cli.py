@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sean_jax import config, interrupts
-from sean_jax.config import COMMANDS, Config
+from sean_jax.config import COMMANDS, METHODS, Config
 from sean_jax.errors import IncompleteError, InputError
 from sean_jax.writing import atomic_file, broken, check_file, check_new_folder, contents
 
@@ -105,6 +105,8 @@ def _read(word: str, arguments: list[str]) -> Any:
     from sean_jax import flags
 
     model, configurable = COMMANDS[word], word == "run"
+    if word == "train":
+        model = _method(arguments)
     given = flags.parse(word, model, arguments, configurable)
     base = None
     if configurable and given.config is not None:
@@ -116,6 +118,21 @@ def _read(word: str, arguments: list[str]) -> Any:
         except InputError as error:
             raise InputError(f"{given.config}: {error}") from None
     return flags.read(model, given, base)
+
+
+def _method(arguments: list[str]) -> type[Config]:
+    """The description of a way to train, by its name, the first word after ``train``."""
+    from sean_jax.files.reading import suggest
+
+    name = arguments[0] if arguments else ""
+    if name in METHODS:
+        return METHODS[name]
+    lines = "\n".join(f"  sean train {word:<10} {_summary(model)}" for word, model in METHODS.items())
+    if name in ("--help", "-h"):
+        print(f"usage: sean train METHOD [OPTIONS]\n\n{lines}\n\n`sean train METHOD --help` tells its options.")
+        raise SystemExit(0)
+    cure = suggest(name, METHODS) or "; `sean train --help` tells what they do."
+    raise InputError(f"train: '{name}' is not one of {', '.join(METHODS)}{cure}")
 
 
 def _refuse_empty(arguments: list[str]) -> None:
@@ -149,13 +166,18 @@ def _collect(options: config.CollectConfig) -> int:
     return _keeping(options, work)
 
 
-def _train(options: config.TrainConfig) -> int:
+def _train(options: config.TrainConfig | config.PPOConfig) -> int:
     def work(console: "Console") -> None:
         from sean_jax import learning
 
-        state = learning.train(options, console)
-        best = f"smallest loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
-        _say(console, f"{int(state.epoch)} epochs, {best}: ", options.folder)
+        if isinstance(options, config.TrainConfig):
+            state = learning.train(options, console)
+            best = f"smallest loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
+            _say(console, f"{int(state.epoch)} epochs, {best}: ", options.folder)
+        else:
+            state = learning.ppo.train(options, console)
+            best = f"best return in an evaluation {float(state.best):.2f} after {int(state.best_update)}"
+            _say(console, f"{int(state.update)} updates, {best}: ", options.folder)
         _say(console, "next: ", shlex.join(["sean", "run", "--policy", str(options.folder)]))
 
     return _keeping(options, work)

@@ -384,6 +384,8 @@ Forces = Annotated[tuple[Component, ...], Family((Named,), "force")]
 Situations = Annotated[tuple[Component, ...], Family((Named,), "situation")]
 Metrics = Annotated[tuple[Component, ...], Family((Named,), "metric")]
 Sensors = Annotated[tuple[Component, ...], Family((Named,), "sensor")]
+Observations = Annotated[tuple[Component, ...], Family((Named,), "observation")]
+Rewards = Annotated[tuple[Component, ...], Family((Named,), "reward")]
 BehaviorPart = Annotated[
     GraphBehavior | RandomBehavior | HandcraftedBehavior | PlaybackBehavior | Named | OwnPart | Value,
     Family((GraphBehavior, RandomBehavior, HandcraftedBehavior, PlaybackBehavior, Named)),
@@ -394,6 +396,9 @@ Tasks = Annotated[tuple[Component, ...], Family((CustomTask, Named), several=Tru
 
 # ------------------------------------------------------------------ descriptions
 
+
+OBSERVED = ("goal", "goal_heading", "path", "distance", "speeds", "time", "obstacles", "people")
+"""The terms of an agent's observation, where none are named."""
 
 DEFAULT_FORCES = "calibrated"
 """The social forces of people, where none are named."""
@@ -595,6 +600,85 @@ class TrainConfig(Config):
     def folder(self) -> Path:
         """The folder for checkpoints and metrics."""
         return self.out or Path("runs") / f"imitation-{self.dataset.resolve().name}-{self.seed}"
+
+
+class EnvConfig(ScenarioConfig):
+    """A scenario as an environment of reinforcement learning: what the agent sees, and what it is rewarded for."""
+
+    dynamics: Literal["mjx", "twin"] = "twin"
+    """How the robot moves: twin, its closed form, or mjx."""
+    observations: Observations = tuple(Named(kind=name) for name in OBSERVED)
+    """What the agent sees: terms of `sean list`, and further ones."""
+    rewards: Rewards = (Named(kind="default"),)
+    """What it is rewarded for: default, terms of `sean list`, and further ones."""
+    terminations: Text | None = None
+    """What ends an episode beside completion, separated by commas: collision, obstacle, intimate."""
+
+
+class PPOConfig(EnvConfig):
+    """Train a network by reinforcement learning, with proximal policy optimization. A folder that has a training of the
+    same options is continued."""
+
+    method: Annotated[Literal["ppo"], Positional(), Incidental()]
+    """How: proximal policy optimization."""
+    scenarios: BatchSize = 64
+    """Scenarios that step together; on a GPU try 8192."""
+    steps: Count = 2_000_000
+    """Scenario-steps of the whole training, over which the learning rate falls to 0."""
+    horizon: Count = 32
+    """Steps of each scenario between two updates."""
+    epochs: Count = 4
+    """How often an update goes through what was seen."""
+    minibatches: Count = 8
+    """Parts of it, each of which makes a step of the optimizer."""
+    learning_rate: LearningRate = 5e-4
+    """Learning rate of Adam at the beginning."""
+    discount: Share = 0.99
+    """What a reward is worth one step later."""
+    advantage_decay: Share = 0.95
+    """Lambda of the generalized advantage estimate."""
+    clip: Share = 0.2
+    """How far an update may change the probability of an action."""
+    entropy: Share = 0.002
+    """Weight of the entropy of actions."""
+    width: Width = 256
+    """Width of the hidden layers."""
+    layers: Count = 2
+    """Hidden layers of the actor and of the critic."""
+    recurrent: bool = False
+    """Give the network a memory, a gated recurrent unit."""
+    pool: BatchSize = 1024
+    """Starts of episodes that are drawn beforehand."""
+    pretrained: Path | None = None
+    """Folder of a training whose agent goes on to learn."""
+    evaluate_every: Annotated[Count, Incidental()] = 50
+    """Updates between two evaluations, each with a checkpoint."""
+    evaluation_episodes: Annotated[EpisodeCount, Incidental()] = 64
+    """Episodes of an evaluation, in which the agent takes the mean of its actions."""
+    seed: Seed = 0
+    """The same seed gives the same agent."""
+    out: Annotated[Path | None, Incidental()] = None
+    """Folder for checkpoints and metrics, runs/ppo-<environment>-<behavior>-<seed> by default. If it holds a training
+    of the same options, that is continued."""
+    quiet: Annotated[bool, Incidental()] = False
+    """Print nothing but errors."""
+
+    @pydantic.model_validator(mode="after")
+    def _check_sizes(self) -> "PPOConfig":
+        if self.scenarios % self.minibatches:
+            text = f"{self.scenarios} scenarios do not make {self.minibatches} minibatches of equal size"
+            raise ValueError(f"minibatches: {text}; choose a divisor")
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """The folder for checkpoints and metrics."""
+        names = Path(self.environment).name, Path(self.behavior.kind).stem, str(self.seed)
+        return self.out or Path("runs") / "-".join(("ppo", *names))
+
+
+METHODS: dict[str, type[Config]] = {"imitation": TrainConfig, "ppo": PPOConfig}
+"""Word after ``sean train`` -> what it is told."""
 
 
 class ExportConfig(Config):

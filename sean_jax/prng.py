@@ -9,6 +9,7 @@ import zlib
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from sean_jax.base import Array, Streams
 
@@ -18,6 +19,8 @@ USES = (
     "record",  # demonstrations of a learning.Recorder
     "weights",  # of a network, before it is trained
     "order",  # of the examples in an epoch
+    "training",  # episodes and updates of reinforcement learning
+    "evaluation",  # episodes in which an agent in training is judged
     "validation",  # which episodes are held out
     "table1",  # chains of episodes
     "table1 starts",  # what they restart from
@@ -88,3 +91,32 @@ def streams(key: Array) -> Streams:
         One key for each stream.
     """
     return Streams(*jax.random.split(key, 4))
+
+
+def as_numbers(tree: PyTree) -> PyTree:
+    """A tree with its typed keys as plain numbers, which files and quick calls can hold.
+
+    Args:
+        tree: of arrays.
+
+    Returns:
+        The same tree with uint32 in place of keys.
+    """
+    return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if _is_key(leaf) else leaf, tree)
+
+
+def as_keys(tree: PyTree, like: PyTree) -> PyTree:
+    """The inverse of ``as_numbers``.
+
+    Args:
+        tree: of ``as_numbers``.
+        like: a tree of the same structure, or its shapes, with typed keys.
+
+    Returns:
+        The tree with keys where ``like`` has them.
+    """
+    return jax.tree.map(lambda leaf, one: jax.random.wrap_key_data(leaf) if _is_key(one) else leaf, tree, like)
+
+
+def _is_key(leaf: Array) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)

@@ -17,7 +17,7 @@ DYNAMICS = {
 
 
 def print_choices() -> None:
-    """Every option of ``sean run`` that takes a name, each of its names and one line on it."""
+    """Every option of ``sean run`` and ``sean train`` that takes a name, each of its names and one line on it."""
     console = Console()
     for option, choices in offered():
         console.print(Text(f"--{option}", "bold"))
@@ -43,7 +43,17 @@ def _print(console: Console, name: str, text: str) -> None:
 
 def offered() -> Iterator[tuple[str, dict[str, str]]]:
     """Option and {name: line} for each."""
-    from sean_jax import behaviors, classifiers, environment, pedestrian_models, policies, robots, social_forces, tasks
+    from sean_jax import (
+        behaviors,
+        classifiers,
+        environment,
+        mdp,
+        pedestrian_models,
+        policies,
+        robots,
+        social_forces,
+        tasks,
+    )
 
     yield "environment", {name: _environment(environment.find(name)) for name in environment.available()}
     yield "behavior", {name: _documented(value) for name, value in behaviors.BEHAVIORS.items()}
@@ -54,6 +64,8 @@ def offered() -> Iterator[tuple[str, dict[str, str]]]:
     yield "model", {name: _documented(value) for name, value in pedestrian_models.MODELS.items()}
     yield "forces", {name: _forces(value) for name, value in social_forces.PRESETS.items()}
     yield "situations", {name: ", ".join(held) for name, held in classifiers.SITUATION_SETS.items()}
+    yield "observations", {name: _sentence(term.definition) for name, term in mdp.OBSERVATIONS.items()}
+    yield "rewards", {name: _sentence(term.definition) for name, term in mdp.REWARDS.items()}
     yield "dynamics", {name: DYNAMICS.get(name, "") for name in robots.DYNAMICS}
 
 

@@ -7,10 +7,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from sean_jax.learning import ppo
+    from sean_jax.learning.choice import load
     from sean_jax.learning.collection import collect
     from sean_jax.learning.dataset import Dataset, open_dataset
     from sean_jax.learning.examples import Example, Recording, example
-    from sean_jax.learning.learned import load, policy
+    from sean_jax.learning.learned import policy
     from sean_jax.learning.lerobot import export
     from sean_jax.learning.loader import Loader, Token
     from sean_jax.learning.network import Network
@@ -27,7 +29,7 @@ _HOMES = {
     "collect": "collection",
     "example": "examples",
     "export": "lerobot",
-    "load": "learned",
+    "load": "choice",
     "open_dataset": "dataset",
     "policy": "learned",
     "record": "recorder",
@@ -36,15 +38,17 @@ _HOMES = {
 
 __all__ = [
     "Dataset", "Example", "Loader", "Network", "Recording", "Token", "collect", "example", "export", "load",
-    "open_dataset", "policy", "record", "train",
+    "open_dataset", "policy", "ppo", "record", "train",
 ]  # fmt: skip
 
 
 def __getattr__(name: str):
+    if name == "ppo":
+        return import_module(f"{__name__}.ppo")
     if name in _HOMES:
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+    return sorted({*globals(), *_HOMES, "ppo"})

@@ -8,6 +8,7 @@ from sean_jax.base import Policy, PolicyLike, Scenario, as_policy
 from sean_jax.classifiers import SITUATION_SETS
 from sean_jax.config import Component, Named, RunConfig, ScenarioConfig, validate
 from sean_jax.errors import InputError
+from sean_jax.learning.manifests import read_method
 from sean_jax.policies import POLICIES
 
 
@@ -27,16 +28,36 @@ def policy(given: PolicyLike | Component | str, scenario: Scenario, option: str 
     """
     description = _described(given)
     if isinstance(description, Named) and description.kind not in POLICIES:
-        from sean_jax import learning
-
         if not Path(description.kind).is_dir():
             raise InputError(_unknown(description.kind, option))
-        return learning.load(description.kind, scenario)
+        return load(description.kind, scenario)
     part = components.resolve(description, POLICIES, option)
     try:
         return as_policy(part)
     except TypeError as error:
         raise InputError(str(error)) from error
+
+
+def load(folder: Path | str, scenario: Scenario) -> Policy:
+    """The best policy that a training has found so far.
+
+    Args:
+        folder: that ``sean train`` has written, or is writing.
+        scenario: where it will drive.
+
+    Returns:
+        The policy, named after the folder.
+
+    Raises:
+        InputError: the folder has no trained network, or one that does not fit to the scenario.
+        IncompleteError: the checkpoint cannot be read.
+    """
+    from sean_jax.learning import driving, learned, ppo
+
+    folder = Path(folder)
+    if read_method(folder) == "imitation":
+        return learned.load(folder, scenario)
+    return driving.policy(*ppo.load(folder, scenario), name=folder.name)
 
 
 def check(given: PolicyLike | Component | str, config: ScenarioConfig, option: str = "policy") -> None:
@@ -60,6 +81,8 @@ def check(given: PolicyLike | Component | str, config: ScenarioConfig, option: s
             raise InputError(_unknown(description.kind, option))
         from sean_jax.learning.network import read_network
 
+        if read_method(Path(description.kind)) != "imitation":
+            return
         sets = [part.kind for part in config.situations if isinstance(part, Named)]
         if len(sets) == len(config.situations) == 1 and sets[0] in SITUATION_SETS:
             read_network(Path(description.kind), list(SITUATION_SETS[sets[0]]))

@@ -11,7 +11,8 @@ from typing import Annotated, Any
 import pydantic
 
 from sean_jax import files
-from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_SHARD, MAX_SIDE
+from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_SHARD, MAX_SIDE, METHODS
+from sean_jax.errors import FileError
 from sean_jax.quantities import MAX_DURATION
 
 LOOSE = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
@@ -110,6 +111,28 @@ def read_network_config(path: Path) -> NetworkConfig:
             yield ("image",), f"has more than {MAX_PIXELS:,} pixels"
 
     return files.check_json(path, files.read_json(path), NetworkConfig, check_size)
+
+
+def read_method(folder: Path) -> str:
+    """How the network in a folder is trained.
+
+    Args:
+        folder: that ``sean train`` has written.
+
+    Returns:
+        A word after ``sean train``; imitation where the folder does not say.
+
+    Raises:
+        FileError: its config.json cannot be read, or names a method that is none.
+    """
+    path = folder / CONFIG
+    if not path.is_file():
+        return "imitation"
+    data = files.read_json(path)
+    method = data.get("method", "imitation") if isinstance(data, dict) else "imitation"
+    if method not in METHODS:
+        raise FileError(f"{path}: method: {str(method)[:40]!r} is not one of {', '.join(METHODS)}.")
+    return method
 
 
 def _relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[files.Problem]:

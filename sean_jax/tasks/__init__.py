@@ -4,6 +4,7 @@ from sean_jax.tasks.ab_tasks import busy_ab_nav, random_ab_nav
 from sean_jax.tasks.custom import custom, poses
 from sean_jax.tasks.group_tasks import join_group, leave_group
 from sean_jax.tasks.handcrafted_task import handcrafted, pair
+from sean_jax.tasks.mixture import Mixture
 from sean_jax.tasks.task import build_task, check_requirement, requirement, requires
 
 TASKS = {
@@ -19,4 +20,4 @@ TASKS = {
 A task that not every behavior can serve says so with ``requires``.
 """
 
-__all__ = ["TASKS", "build_task", "check_requirement", "pair", "poses", "requirement", "requires"]
+__all__ = ["TASKS", "Mixture", "build_task", "check_requirement", "pair", "poses", "requirement", "requires"]

@@ -1,0 +1,8 @@
+"""``python -m sean_jax`` is ``sean``."""
+
+import sys
+
+from sean_jax.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,93 @@
+"""Brax's interface: ``reset(rng) -> State`` and ``step(State, action) -> State``, for its wrappers and trainers.
+
+An episode that has ended has ``done`` and waits for a wrapper to begin another; ``info["truncation"]`` is 1 where the
+time limit ended it. Observations are vectors, or with ``flat=False`` dicts.
+"""
+
+# pyright: reportMissingImports=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportInvalidTypeArguments=false
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from brax.envs import base
+
+from sean_jax import mdp, registry
+from sean_jax.base import Array
+from sean_jax.mdp import observations
+
+
+class SocialNavigation(base.Env):
+    """A scenario as an environment of Brax."""
+
+    def __init__(self, env: mdp.Env | str, flat: bool = True, **config: Any):
+        """Make the environment.
+
+        Args:
+            env: of ``make_env``, or a name of ``registry.ALL_ENVS``.
+            flat: give observations as one vector, without images.
+            config: of a name, fields of its description.
+
+        Raises:
+            InputError: one sentence that names the value and the cure.
+        """
+        self.env = registry.load(env, config_overrides=config) if isinstance(env, str) else env
+        self.flat = flat
+
+    def reset(self, rng: Array) -> base.State:
+        """Begin an episode.
+
+        Args:
+            rng: () PRNG key, typed or not.
+
+        Returns:
+            The state.
+        """
+        key = rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
+        observation, state = self.env.reset(key)
+        nothing = jnp.zeros((), jnp.float32)
+        parts = {f"reward/{name}": nothing for name, _ in self.env.rewards}
+        metrics = parts | {"completed": nothing}
+        return base.State(state, self._given(observation), nothing, nothing, metrics, {"truncation": nothing})
+
+    def step(self, state: base.State, action: Array) -> base.State:
+        """One step of control.
+
+        Args:
+            state: before the step.
+            action: (2,) from -1 to 1.
+
+        Returns:
+            The state after it, with all keys of ``metrics`` and ``info`` that it had.
+        """
+        after, observation, reward, terminated, truncated, info = self.env.advance(state.pipeline_state, action)
+        parts = {f"reward/{name}": part.astype(jnp.float32) for name, part in info["rewards"].items()}
+        metrics = state.metrics | parts | {"completed": info["completed"].astype(jnp.float32)}
+        return state.replace(
+            pipeline_state=after,
+            obs=self._given(observation),
+            reward=reward.astype(jnp.float32),
+            done=(terminated | truncated).astype(jnp.float32),
+            metrics=metrics,
+            info=state.info | {"truncation": truncated.astype(jnp.float32)},
+        )
+
+    def _given(self, observation: dict[str, Array]) -> Any:
+        return observations.flatten(self.env.observations, observation) if self.flat else observation
+
+    @property
+    def observation_size(self) -> Any:
+        """Numbers of an observation, or the shapes of its parts."""
+        shapes = jax.eval_shape(self.reset, jax.random.key(0)).obs
+        return shapes.shape[-1] if self.flat else {name: part.shape for name, part in shapes.items()}
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action."""
+        return 2
+
+    @property
+    def backend(self) -> str:
+        """What moves the robot."""
+        return "mjx"

@@ -1,0 +1,218 @@
+"""The network of reinforcement learning: an actor and a critic, of vectors and images, with or without a memory.
+
+Numbers of an observation are normalized by their running mean and deviation. Images are cut into squares and go through
+dense layers, as in ``network``, after distances have become nearness. The memory is a gated recurrent unit.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import linen as nn
+from flax import struct
+from flax.typing import VariableDict
+from jaxtyping import Bool, Float, Int
+
+from sean_jax.base import Array
+from sean_jax.learning.network import PATCHES, squares
+from sean_jax.mdp import observations
+from sean_jax.mdp.spaces import Dict
+
+CLIP = 10.0  # deviations, at which normalized numbers are clipped
+INITIAL_LOG_STD = -0.7  # of actions from -1 to 1
+
+
+class Answer(NamedTuple):
+    """What the network says to an observation."""
+
+    mean: Float[Array, "*batch 2"]  # of the action
+    log_std: Float[Array, "*batch 2"]  # of the action
+    value: Float[Array, "*batch"]  # expected return
+    memory: Float[Array, "*batch M"]  # for the next step; M = 0 without a memory
+
+
+class ActorCritic(nn.Module):
+    """An actor and a critic. Networks of equal sizes are equal values, so compiled programs are reused."""
+
+    width: int = 256  # of hidden layers
+    layers: int = 2
+    images: tuple[str, ...] = ()  # names of the parts of the observation that are images
+    recurrent: bool = False
+
+    @property
+    def memory_size(self) -> int:
+        """Numbers that the network remembers."""
+        return self.width if self.recurrent else 0
+
+    @nn.compact
+    def __call__(
+        self,
+        vector: Float[Array, "*batch F"],
+        images: dict[str, Array],
+        memory: Float[Array, "*batch M"],
+        start: Bool[Array, "*batch"],
+    ) -> Answer:
+        """Answer to observations.
+
+        Args:
+            vector: (..., F) normalized numbers.
+            images: name -> (..., H, W) m, or (..., H, W, C).
+            memory: (..., M) of the step before.
+            start: (...) whether an episode begins here, so that what is remembered is of another.
+
+        Returns:
+            The answer.
+        """
+        features = jnp.concatenate([vector, *(_Images(self.width)(images[name]) for name in self.images)], -1)
+        if self.recurrent:
+            memory = jnp.where(start[..., None], 0.0, memory)
+            features = nn.tanh(_dense(self.width)(features))
+            memory, features = nn.GRUCell(self.width)(memory, features)
+        actor, critic = features, features
+        for _ in range(self.layers):
+            actor, critic = nn.tanh(_dense(self.width)(actor)), nn.tanh(_dense(self.width)(critic))
+        mean, value = _dense(2, 0.01)(actor), _dense(1, 1.0)(critic)
+        log_std = self.param("log_std", nn.initializers.constant(INITIAL_LOG_STD), (2,))
+        return Answer(mean, jnp.broadcast_to(log_std, mean.shape), value[..., 0], memory)
+
+
+class _Images(nn.Module):
+    """(..., H, W) m or (..., H, W, C) to (..., width)."""
+
+    width: int
+
+    @nn.compact
+    def __call__(self, image: Array) -> Array:
+        values = 1.0 / (1.0 + image[..., None]) if image.shape[-1] > 4 else image  # near things matter most
+        for side, features in PATCHES:
+            values = nn.relu(_dense(features)(squares(values, side)))
+        return nn.relu(_dense(self.width)(values.reshape(*values.shape[:-3], -1)))
+
+
+def _dense(features: int, gain: float = np.sqrt(2.0)) -> nn.Dense:
+    return nn.Dense(features, kernel_init=nn.initializers.orthogonal(gain))
+
+
+@struct.dataclass
+class Statistics:
+    """Running mean and variance of the numbers of an observation."""
+
+    mean: Float[Array, "F"]
+    variance: Float[Array, "F"]
+    count: Float[Array, ""]
+
+
+@struct.dataclass
+class Agent:
+    """What a training learns."""
+
+    parameters: VariableDict
+    statistics: Statistics
+
+
+def init_agent(network: ActorCritic, terms: observations.Terms, space: Dict, key: Array) -> Agent:
+    """The agent before training.
+
+    Args:
+        network: what is trained.
+        terms: of the observation.
+        space: of the observation.
+        key: () typed PRNG key.
+
+    Returns:
+        The agent.
+    """
+    empty = {name: jnp.zeros(box.shape, jnp.float32) for name, box in space.items()}
+    vector = observations.flatten(terms, empty).astype(jnp.float32)
+    start = jnp.ones((), bool)
+    memory = jnp.zeros(network.memory_size, jnp.float32)
+    parameters = network.init(key, vector, {name: empty[name] for name in network.images}, memory, start)
+    statistics = Statistics(jnp.zeros_like(vector), jnp.ones_like(vector), jnp.full((), 1e-4, jnp.float32))
+    return Agent(parameters, statistics)
+
+
+def answer(
+    network: ActorCritic,
+    agent: Agent,
+    vector: Float[Array, "*batch F"],
+    images: dict[str, Array],
+    memory: Float[Array, "*batch M"],
+    start: Bool[Array, "*batch"],
+) -> Answer:
+    """What the agent says to observations.
+
+    Args:
+        network: whose parameters the agent has.
+        agent: its parameters, and the statistics by which numbers are normalized.
+        vector: (..., F) of ``observations.flatten``.
+        images: name -> images.
+        memory: (..., M) of the step before.
+        start: (...) whether an episode begins.
+
+    Returns:
+        The answer.
+    """
+    mean, variance = (jnp.broadcast_to(row, vector.shape) for row in (agent.statistics.mean, agent.statistics.variance))
+    scaled = (vector - mean) * jax.lax.rsqrt(variance + 1e-8)
+    call: Callable = network.apply
+    return call(agent.parameters, jnp.clip(scaled, -CLIP, CLIP), images, memory, start)
+
+
+def update_statistics(before: Statistics, vectors: Float[Array, "K F"]) -> Statistics:
+    """Statistics with further observations.
+
+    Args:
+        before: of those until now.
+        vectors: (K, F) further ones.
+
+    Returns:
+        Of all together.
+
+    Source: T. Chan et al., "Updating formulae and a pairwise algorithm for computing sample variances", 1979.
+    """
+    number = jnp.asarray(vectors.shape[0], jnp.float32)
+    mean, variance = vectors.mean(0), vectors.var(0)
+    total = before.count + number
+    gap = mean - before.mean
+    squares_sum = before.variance * before.count + variance * number + gap * gap * before.count * number / total
+    return Statistics(before.mean + gap * number / total, squares_sum / total, total)
+
+
+def log_density(answered: Answer, action: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
+    """Logarithm of the density with which an action is taken.
+
+    Args:
+        answered: to the observation.
+        action: (..., 2).
+
+    Returns:
+        (...).
+    """
+    gap = (action - answered.mean) * jnp.exp(-answered.log_std)
+    return -(0.5 * gap * gap + answered.log_std + 0.5 * np.log(2.0 * np.pi)).sum(-1)
+
+
+def entropy(answered: Answer) -> Float[Array, "*batch"]:
+    """Entropy of the actions.
+
+    Args:
+        answered: to the observation.
+
+    Returns:
+        (...) nats.
+    """
+    return (answered.log_std + 0.5 * np.log(2.0 * np.pi * np.e)).sum(-1)
+
+
+def count(parameters: VariableDict) -> Int[np.ndarray, ""]:
+    """How many numbers a network has.
+
+    Args:
+        parameters: of the network.
+
+    Returns:
+        The number.
+    """
+    return np.asarray(sum(leaf.size for leaf in jax.tree.leaves(parameters)))

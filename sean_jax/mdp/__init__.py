@@ -1,0 +1,31 @@
+"""A scenario as a Markov decision process: what the agent sees, does and is rewarded for."""
+
+from sean_jax.config import OBSERVED
+from sean_jax.mdp.actions import to_action, to_command
+from sean_jax.mdp.env import TERMINATIONS, Env, EnvState, Pool, make_env
+from sean_jax.mdp.observations import OBSERVATIONS, ObservationTerm, as_term, delayed, flatten, stacked
+from sean_jax.mdp.rewards import REWARDS, RewardTerm, in_situations, of_metric
+from sean_jax.mdp.spaces import Box, Dict
+
+__all__ = [
+    "OBSERVATIONS",
+    "OBSERVED",
+    "REWARDS",
+    "TERMINATIONS",
+    "Box",
+    "Dict",
+    "Env",
+    "EnvState",
+    "ObservationTerm",
+    "Pool",
+    "RewardTerm",
+    "as_term",
+    "delayed",
+    "flatten",
+    "in_situations",
+    "make_env",
+    "of_metric",
+    "stacked",
+    "to_action",
+    "to_command",
+]

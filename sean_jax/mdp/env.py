@@ -1,0 +1,294 @@
+"""A scenario as an environment of reinforcement learning: observations, actions, rewards and ends of episodes.
+
+``reset`` and ``step`` are pure functions of one scenario, to be vmapped. An episode that has ended is followed by
+another in the same step. A whole reset in each step would triple its time, so ``with_pool`` draws starts beforehand and
+``step`` copies one of them.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Bool, Float, Int, PyTree
+
+from sean_jax import files, prng
+from sean_jax.base import Array, Scenario, State
+from sean_jax.config import OBSERVED
+from sean_jax.errors import InputError
+from sean_jax.mdp import observations as seen
+from sean_jax.mdp import rewards as rewarded
+from sean_jax.mdp.actions import to_command
+from sean_jax.mdp.observations import ObservationLike
+from sean_jax.mdp.rewards import RewardLike
+from sean_jax.mdp.spaces import Box, Dict
+from sean_jax.scenario import reset, results, step
+
+Randomization = Callable[[Array, Scenario], Scenario]  # (key, scenario) -> the scenario of an episode
+
+
+@struct.dataclass
+class EnvState:
+    """Everything on which the rest of an episode depends."""
+
+    simulation: State
+    randomization: Array  # () typed PRNG key, of which the scenario of this episode is made
+    observed: PyTree  # memory of the terms of the observation
+    potentials: dict[str, Float[Array, ""]]  # of the terms of the reward that have one
+    commands: Float[Array, "L 2"]  # m/s, rad/s: the last commands, newest first
+    late: Int[Array, ""]  # steps of control by which commands are late in this episode
+    episode_return: Float[Array, ""]  # sum of the rewards so far
+    episode_length: Int[Array, ""]  # steps so far
+
+
+@struct.dataclass
+class Pool:
+    """Starts of episodes, with their first observations."""
+
+    states: EnvState  # (K, ...)
+    observations: dict[str, Array]  # (K, ...)
+
+
+@struct.dataclass
+class Env:
+    """A scenario with an observation and a reward. ``make_env`` makes one.
+
+    It is a pytree: ``jax.jit(Env.step)(env, key, state, action)`` passes its tables as arguments, and
+    ``jax.jit(env.step)`` holds them as constants of the program.
+    """
+
+    scenario: Scenario
+    pool: Pool | None  # None: episodes are followed by a new reset, which is computed in each step
+    observations: seen.Terms = struct.field(pytree_node=False)
+    rewards: rewarded.Terms = struct.field(pytree_node=False)
+    terminations: tuple[tuple[str, Callable], ...] = struct.field(pytree_node=False)
+    randomization: Randomization | None = struct.field(pytree_node=False, default=None)
+    action_delay: tuple[int, int] = struct.field(pytree_node=False, default=(0, 0))  # steps of control, least and most
+    transition_gradients: bool = struct.field(pytree_node=False, default=False)
+
+    # ------------------------------------------------------------------ spaces
+
+    @property
+    def action_space(self) -> Box:
+        """(2,) from -1 to 1: shares of the top speed and of the top turn rate."""
+        return Box(-1.0, 1.0, (2,))
+
+    @property
+    def observation_space(self) -> Dict:
+        """A box for each term of the observation."""
+        shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), self.scenario)
+        return seen.space(self.observations, self.scenario, shapes)
+
+    # ------------------------------------------------------------------ episodes
+
+    def reset(self, key: Array) -> tuple[dict[str, Array], EnvState]:
+        """The beginning of an episode.
+
+        Args:
+            key: () typed PRNG key, from which all chance of the episode comes.
+
+        Returns:
+            The observation, and the state.
+        """
+        episode_key, randomization, delay_key = jax.random.split(key, 3)
+        scenario = self._scenario(randomization)
+        simulation = reset(scenario, episode_key)
+        first, second = jax.random.split(delay_key)
+        observation, memory = seen.begin(self.observations, scenario, simulation, first)
+        least, most = self.action_delay
+        state = EnvState(
+            simulation=simulation,
+            randomization=randomization,
+            observed=memory,
+            potentials=rewarded.potentials(self.rewards, scenario, simulation),
+            commands=jnp.zeros((most + 1, 2), float),
+            late=jax.random.randint(second, (), least, most + 1, jnp.int32),
+            episode_return=jnp.zeros((), float),
+            episode_length=jnp.zeros((), jnp.int32),
+        )
+        return observation, state
+
+    def step(
+        self, key: Array, state: EnvState, action: Float[Array, "2"]
+    ) -> tuple[dict[str, Array], EnvState, Float[Array, ""], Bool[Array, ""], Bool[Array, ""], dict[str, Any]]:
+        """One step of control; if it ends the episode, what it gives is the beginning of the next.
+
+        Args:
+            key: () typed PRNG key of the episode that follows, if this one ends: within an episode all chance comes
+                from its state.
+            state: before the step.
+            action: (2,) from -1 to 1.
+
+        Returns:
+            The observation, the state, the reward, whether the episode is ``terminated``, whether it is ``truncated``
+            by the time limit, and a dict: ``final_observation`` before a reset, ``rewards`` by term, ``command``,
+            ``situations``, and, of the episode so far, ``completed``, ``episode_return``, ``episode_length`` and
+            ``metrics``.
+        """
+        ended, observation, reward, terminated, truncated, info = self.advance(state, action)
+        over = terminated | truncated
+        first, start = self._start(key)
+        following = jax.tree.map(lambda old, new: jnp.where(over, new, old), ended, start)
+        given = jax.tree.map(lambda old, new: jnp.where(over, new, old), observation, first)
+        return given, following, reward, terminated, truncated, info | {"final_observation": observation}
+
+    def advance(
+        self, state: EnvState, action: Float[Array, "2"]
+    ) -> tuple[EnvState, dict[str, Array], Float[Array, ""], Bool[Array, ""], Bool[Array, ""], dict[str, Any]]:
+        """As ``step``, without what follows an episode: who ends episodes on their own uses it.
+
+        Args:
+            state: before the step.
+            action: (2,) from -1 to 1.
+
+        Returns:
+            The state, the observation, the reward, ``terminated``, ``truncated``, and the dict.
+        """
+        scenario, before = self._scenario(state.randomization), state.simulation
+        command = to_command(scenario.robot, jnp.asarray(action, before.robot.position.dtype))
+        commands = jnp.concatenate([command[None], state.commands[:-1]])
+        after = step(scenario, before, commands[state.late])
+        potentials = rewarded.potentials(self.rewards, scenario, after)
+        parts = rewarded.of_step(self.rewards, scenario, before, after, state.potentials, potentials)
+        reward = jnp.stack(list(parts.values())).sum()
+        with jax.named_scope("observe"):
+            observation, memory = seen.observe(self.observations, scenario, after, state.observed)
+        ends = [condition(scenario, before, after) for _, condition in self.terminations]
+        terminated = jnp.stack([after.completed, *ends]).any()
+        truncated = after.timed_out & ~terminated
+        state = EnvState(
+            simulation=after,
+            randomization=state.randomization,
+            observed=memory,
+            potentials=potentials,
+            commands=commands,
+            late=state.late,
+            episode_return=state.episode_return + reward,
+            episode_length=state.episode_length + 1,
+        )
+        if not self.transition_gradients:
+            observation, state = jax.lax.stop_gradient((observation, state))
+        info = {
+            "rewards": parts,
+            "command": command,
+            "completed": after.completed,
+            "situations": after.situations,
+            "episode_return": state.episode_return,
+            "episode_length": state.episode_length,
+            "metrics": results(scenario, after),
+        }
+        return state, observation, reward, terminated, truncated, info
+
+    # ------------------------------------------------------------------ other environments of the same parts
+
+    def with_pool(self, key: Array, size: int) -> "Env":
+        """The environment with starts that are drawn now; wrap it in ``jax.jit`` with ``size`` static.
+
+        Starts are taken at random, and what happens afterwards is each episode's own chance. The noise of a first
+        observation is that of the start.
+
+        Args:
+            key: () typed PRNG key.
+            size: how many starts.
+
+        Returns:
+            The environment, whose ``step`` is quicker by a reset.
+        """
+        observations, states = jax.vmap(replace(self, pool=None).reset)(jax.random.split(key, size))
+        return replace(self, pool=Pool(states, observations))
+
+    def with_transition_gradients(self) -> "Env":
+        """The environment whose observations and states can be differentiated, as gymnax words it.
+
+        Elsewhere the derivative ends with each step: that of a reward by the action that led to it is what is left.
+
+        Returns:
+            The environment.
+        """
+        return replace(self, transition_gradients=True)
+
+    # ------------------------------------------------------------------
+
+    def _scenario(self, key: Array) -> Scenario:
+        """The scenario of an episode. It is made anew in each step, so that a state need not hold what differs."""
+        return self.scenario if self.randomization is None else self.randomization(key, self.scenario)
+
+    def _start(self, key: Array) -> tuple[dict[str, Array], EnvState]:
+        if self.pool is None:
+            return self.reset(key)
+        choice_key, streams_key = jax.random.split(key)
+        number = self.pool.states.late.shape[0]
+        chosen = jax.random.randint(choice_key, (), 0, number, jnp.int32)
+        observation, state = jax.tree.map(lambda leaf: leaf[chosen], (self.pool.observations, self.pool.states))
+        return observation, replace(state, simulation=replace(state.simulation, streams=prng.streams(streams_key)))
+
+
+# ------------------------------------------------------------------ ends
+
+
+def _grown(name: str) -> Callable:
+    term = rewarded.of_metric(name).step
+    assert term is not None
+    return lambda scenario, before, after: term(scenario, before, after) > 0.0
+
+
+TERMINATIONS: dict[str, Callable[[Scenario, State, State], Array]] = {
+    "collision": _grown("collision_robot_on_person"),
+    "obstacle": _grown("collision_with_obstacle"),
+    "intimate": _grown("intimate_robot_on_person"),
+}
+"""What can end an episode early, by name: (scenario, before, after) -> () bool."""
+
+
+def make_env(
+    scenario: Scenario,
+    observations: Mapping[str, ObservationLike] | Sequence[str] = OBSERVED,
+    rewards: Mapping[str, RewardLike] | None = None,
+    *,
+    terminations: Sequence[str | Callable] = (),
+    randomization: Randomization | None = None,
+    action_delay: int | tuple[int, int] = 0,
+) -> Env:
+    """An environment of reinforcement learning.
+
+    Args:
+        scenario: of ``make``.
+        observations: what the agent sees: names in ``OBSERVATIONS``, or name -> term.
+        rewards: name -> weight of the term of that name in ``REWARDS``, or your own term; ``mdp.rewards.DEFAULT`` if
+            None.
+        terminations: what ends episodes beside completion: names in ``TERMINATIONS``, or functions
+            (scenario, before, after) -> () bool.
+        randomization: (key, scenario) -> scenario with other leaves, drawn for each episode.
+        action_delay: steps of control by which commands are late: a number, or (least, most), drawn for each episode.
+
+    Returns:
+        The environment, without a pool.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    least, most = (action_delay, action_delay) if isinstance(action_delay, int) else action_delay
+    if not 0 <= least <= most:
+        raise InputError(f"action_delay: {least} to {most} steps must be a lesser and a greater number, 0 or more.")
+    env = Env(
+        scenario=scenario,
+        pool=None,
+        observations=seen.as_terms(observations if isinstance(observations, Mapping) else tuple(observations)),
+        rewards=rewarded.as_terms(rewarded.DEFAULT if rewards is None else rewards),
+        terminations=tuple(_termination(each) for each in terminations),
+        randomization=randomization,
+        action_delay=(least, most),
+    )
+    _ = env.observation_space  # says now what a term lacks
+    return env
+
+
+def _termination(value: str | Callable) -> tuple[str, Callable]:
+    if callable(value):
+        return getattr(value, "__name__", "own"), value
+    if value not in TERMINATIONS:
+        hint = files.suggest(value, TERMINATIONS) or "."
+        raise InputError(f"terminations: '{value}' is not one of {', '.join(TERMINATIONS)}{hint}")
+    return value, TERMINATIONS[value]

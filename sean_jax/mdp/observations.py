@@ -1,0 +1,492 @@
+"""What the agent sees: terms of an observation, each an array of the robot's frame with bounds.
+
+A term is an ``ObservationTerm``, and a plain function (scenario, state) -> array is one without bounds of its own. An
+observation is a dict of terms: those of ``OBSERVATIONS`` by their names, and yours beside them. ``delayed`` makes a
+term late, and ``stacked`` gives its last readings together.
+"""
+
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float, PyTree
+
+from sean_jax import files, navigation, obstacle_grid, sensors
+from sean_jax.base import Array, Scenario, State
+from sean_jax.errors import InputError
+from sean_jax.geometry import from_rectangle, length, rotate
+from sean_jax.mdp.spaces import Box, Dict
+
+NEAREST = 12  # people of the term "people"
+REACH = 8.0  # m, within which they are seen
+SURFACES = 3  # of obstacles of the term "obstacles"
+MAX_SPEED = 3.0  # m/s, of people in an observation
+FAR_GOAL = 30.0  # m, beyond which a goal looks as if it were so far
+UNBOUNDED = 1e3  # bounds of a term that states none
+WIDTH, HEIGHT = 64, 48  # pixels, of images
+RAYS = 72  # of the lidar
+
+
+def _nothing(scenario: Scenario, state: State) -> tuple:
+    return ()
+
+
+@dataclasses.dataclass(frozen=True)
+class ObservationTerm:
+    """A part of an observation.
+
+    Args:
+        read: ``(scenario, state, prepared) -> array``, clipped to the bounds.
+        low: least number of the array.
+        high: greatest number of the array.
+        prepare: ``(scenario, state) -> prepared``, made once at the start of an episode; nothing unless told otherwise.
+        delay: steps of control by which readings are late: a number, or (least, most), drawn for each episode.
+        stack: how many readings of different steps an observation holds, newest first, along a first axis; 0 for one
+            without that axis.
+        people: whether it tells where people are, so that a table can say what an agent knew.
+        image: whether it is a picture, (height, width) or with colors, which ``flatten`` leaves out.
+    """
+
+    read: Callable[[Scenario, State, Any], Array]
+    low: float = -UNBOUNDED
+    high: float = UNBOUNDED
+    prepare: Callable[[Scenario, State], PyTree] = _nothing
+    delay: tuple[int, int] = (0, 0)
+    stack: int = 0
+    people: bool = False
+    image: bool = False
+
+    @property
+    def definition(self) -> str:
+        """What it is, in a sentence."""
+        return inspect.getdoc(getattr(self.read, "func", getattr(self.read, "function", self.read))) or ""
+
+    @property
+    def kept(self) -> int:
+        """How many readings have to be kept."""
+        return self.delay[1] + max(self.stack, 1)
+
+
+ObservationLike = ObservationTerm | Callable[[Scenario, State], Array] | str
+"""What is accepted wherever a term is: an ``ObservationTerm``, a function, or a name in ``OBSERVATIONS``."""
+
+
+# ------------------------------------------------------------------ terms
+
+
+def _in_frame(state: State, vectors: Array) -> Array:
+    hx, hy = state.robot.heading[0], state.robot.heading[1]
+    return jnp.stack(rotate(vectors[..., 0], vectors[..., 1], hx, -hy), -1)
+
+
+def _shortened(vector: Array) -> Array:
+    """A vector (2,) that is no longer than ``FAR_GOAL``."""
+    far = jnp.maximum(length(vector[0], vector[1]), FAR_GOAL)
+    return vector * (FAR_GOAL / far)
+
+
+def _goal(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """Where the goal is: (2,) m."""
+    return _shortened(_in_frame(state, state.task.goal - state.robot.position))
+
+
+def _goal_heading(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """How the robot shall look at the goal: (2,) unit vector."""
+    return _in_frame(state, state.task.goal_heading)
+
+
+def _path(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The next corner of the shortest path, or the goal: (2,) m."""
+    robot, task = state.robot, state.task
+    ahead = navigation.next_point(scenario.navigation, robot.position, task.goal, task.paths_to_goal)
+    return _shortened(_in_frame(state, ahead - robot.position))
+
+
+def _distance(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """Length of the shortest path that is left: (1,) m."""
+    left = navigation.geodesic(scenario.navigation, state.robot.position, state.task.goal, state.task.paths_to_goal)
+    return left[None]
+
+
+def _speeds(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The robot's speed and turn rate: (2,) m/s, rad/s."""
+    return jnp.stack([state.robot.speed, state.robot.turn_rate])
+
+
+def _time(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """Share of the time limit that has passed, and of the hold at the goal: (2,)."""
+    passed = state.tick.astype(float) * scenario.time_step / scenario.time_limit
+    held = state.ticks_at_goal.astype(float) * scenario.time_step / jnp.maximum(scenario.hold_time, scenario.time_step)
+    return jnp.stack([passed, held])
+
+
+def _situations(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """Which social situations occur: (S,) 0 or 1."""
+    return state.situations.astype(float)
+
+
+def people(nearest: int = NEAREST, reach: float = REACH) -> ObservationTerm:
+    """The nearest people, the nearest first.
+
+    Args:
+        nearest: how many.
+        reach: m, within which people are seen.
+
+    Returns:
+        A term of (nearest, 5): where somebody is (x ahead, y to the left) [m], their velocity over the ground [m/s],
+        and 1; all 0 if there is nobody.
+    """
+    return ObservationTerm(functools.partial(_people, nearest, reach), -reach, reach, people=True)
+
+
+def _people(nearest: int, reach: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The nearest people: where, how fast and whether there is one, (k, 5) m, m/s and 0 or 1."""
+    persons = state.pedestrians
+    gap = persons.position - state.robot.position[None, :]
+    square = jnp.where(persons.present, (gap * gap).sum(1), jnp.inf)
+    number = min(nearest, square.shape[0])
+    _, index = jax.lax.top_k(-square, number)
+    seen = square[index] <= reach * reach
+    velocity = jnp.clip(_in_frame(state, persons.velocity[index]), -MAX_SPEED, MAX_SPEED)
+    rows = jnp.concatenate([_in_frame(state, gap[index]), velocity, jnp.ones((number, 1), float)], 1)
+    rows = jnp.where(seen[:, None], rows, 0.0)
+    return jnp.pad(rows, ((0, nearest - number), (0, 0)))
+
+
+def obstacles(nearest: int = SURFACES, reach: float = 3.0) -> ObservationTerm:
+    """The nearest obstacles, the nearest first, as the robot's map has them.
+
+    Args:
+        nearest: how many.
+        reach: m, within which they are seen, at most that of the environment's grid.
+
+    Returns:
+        A term of (nearest, 3): the direction to the nearest point of each (a unit vector) and its distance [m]; all 0
+        but the distance, which is ``reach``, if there is none.
+    """
+    return ObservationTerm(functools.partial(_obstacles, nearest, reach), -reach, reach)
+
+
+def _obstacles(nearest: int, reach: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The nearest obstacles: direction and distance of each, (k, 3) of a unit vector and m."""
+    x, y = state.robot.position[0], state.robot.position[1]
+    rows = obstacle_grid.lookup(scenario.environment.obstacle_grid, x, y)
+    distance, nx, ny = from_rectangle(x, y, *(rows[:, column] for column in range(6)))
+    number = min(nearest, distance.shape[0])
+    near, index = jax.lax.top_k(-distance, number)
+    seen = -near < reach
+    way = _in_frame(state, -jnp.stack([nx[index], ny[index]], -1))
+    found = jnp.concatenate([jnp.where(seen[:, None], way, 0.0), jnp.minimum(-near, reach)[:, None]], 1)
+    missing = jnp.tile(jnp.array([[0.0, 0.0, reach]], float), (nearest - number, 1))
+    return jnp.concatenate([found, missing])
+
+
+def plan(points: int = 10, apart: float = 0.5) -> ObservationTerm:
+    """The next points of the shortest path, as a global planner gives them (section V-B).
+
+    Args:
+        points: how many.
+        apart: m, from one to the next.
+
+    Returns:
+        A term of (points, 2) m.
+    """
+    reach = points * apart
+    return ObservationTerm(functools.partial(_plan, points, apart), -reach, reach, prepare=_last_arc)
+
+
+def _plan(points: int, apart: float, scenario: Scenario, state: State, last_arc: Array) -> Array:
+    """The next points of the shortest path: (points, 2) m."""
+    where = state.robot.position, state.task.goal, state.task.paths_to_goal, last_arc
+    ahead = navigation.plan(scenario.navigation, *where, points=points, apart=apart)
+    return _in_frame(state, ahead - state.robot.position[None, :])
+
+
+def _last_arc(scenario: Scenario, state: State) -> Array:
+    return navigation.last_arc_to_goal(scenario.navigation, state.task.goal)
+
+
+def sensor(name: str, low: float, high: float, image: bool = False) -> ObservationTerm:
+    """The reading of one of ``scenario.sensors``, with its noise.
+
+    Args:
+        name: of the sensor.
+        low: least number of a reading.
+        high: greatest number of a reading.
+        image: as of ``ObservationTerm``.
+
+    Returns:
+        A term of the reading's shape.
+    """
+    return ObservationTerm(functools.partial(_sensor, name), low, high, image=image)
+
+
+def _sensor(name: str, scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The reading of a sensor of the scenario."""
+    known = {each.name: each for each in scenario.sensors}
+    if name not in known:
+        listed = ", ".join(known) or "none"
+        raise InputError(f"observations: the scenario has no sensor '{name}', but {listed}; give make that sensor.")
+    return sensors.sense(dataclasses.replace(scenario, sensors=(known[name],)), state)[name]
+
+
+def depth(width: int = WIDTH, height: int = HEIGHT, far: float = 10.0) -> ObservationTerm:
+    """The robot's depth camera, without noise; ``sensor("depth", ...)`` is one with noise.
+
+    Args:
+        width: pixels.
+        height: pixels.
+        far: m, beyond which nothing is seen.
+
+    Returns:
+        A term of (height, width) m.
+    """
+    return ObservationTerm(functools.partial(_depth, width, height, far), 0.0, far, image=True)
+
+
+def _depth(width: int, height: int, far: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The robot's depth camera: (height, width) m."""
+    return sensors.depth(scenario, state, sensors.camera(scenario, "depth", width=width, height=height, far=far))
+
+
+def rgb(width: int = WIDTH, height: int = HEIGHT) -> ObservationTerm:
+    """The robot's color camera that looks ahead.
+
+    Args:
+        width: pixels.
+        height: pixels.
+
+    Returns:
+        A term of (height, width, 3) from 0 to 1.
+    """
+    return ObservationTerm(functools.partial(_rgb, width, height), 0.0, 1.0, image=True)
+
+
+def _rgb(width: int, height: int, scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The robot's color camera that looks ahead: (height, width, 3) from 0 to 1."""
+    return sensors.render(scenario, state, sensors.camera(scenario, "first_person", width=width, height=height)).rgb
+
+
+def lidar(rays: int = RAYS, far: float = 6.0) -> ObservationTerm:
+    """The robot's lidar, without noise.
+
+    Args:
+        rays: how many, all around.
+        far: m, beyond which nothing is seen.
+
+    Returns:
+        A term of (rays,) m.
+    """
+    return ObservationTerm(functools.partial(_lidar, rays, far), 0.0, far)
+
+
+def _lidar(rays: int, far: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The robot's lidar: (rays,) m."""
+    return sensors.scan(scenario, state, sensors.lidar(scenario, count=rays, far=far))
+
+
+OBSERVATIONS: dict[str, ObservationTerm] = {
+    "goal": ObservationTerm(_goal, -FAR_GOAL, FAR_GOAL),
+    "goal_heading": ObservationTerm(_goal_heading, -1.0, 1.0),
+    "path": ObservationTerm(_path, -FAR_GOAL, FAR_GOAL),
+    "distance": ObservationTerm(_distance, 0.0, 10 * FAR_GOAL),
+    "speeds": ObservationTerm(_speeds, -10.0, 10.0),
+    "time": ObservationTerm(_time, 0.0, 1.0),
+    "situations": ObservationTerm(_situations, 0.0, 1.0),
+    "people": people(),
+    "obstacles": obstacles(),
+    "plan": plan(),
+    "lidar": lidar(),
+    "depth": depth(),
+    "rgb": rgb(),
+}
+"""Terms of observations by name."""
+
+
+# ------------------------------------------------------------------ dicts of terms
+
+
+def delayed(term: ObservationLike, least: int, most: int | None = None) -> ObservationTerm:
+    """A term whose readings are late.
+
+    Args:
+        term: any.
+        least: steps of control.
+        most: steps of control; each episode draws its delay. As ``least`` if None.
+
+    Returns:
+        The term with that delay.
+
+    Raises:
+        InputError: it would show the future.
+    """
+    most = least if most is None else most
+    if not 0 <= least <= most:
+        raise InputError(f"delay: {least} to {most} steps must be a lesser and a greater number, 0 or more.")
+    return dataclasses.replace(as_term(term), delay=(least, most))
+
+
+def stacked(term: ObservationLike, number: int) -> ObservationTerm:
+    """The last readings of a term together.
+
+    Args:
+        term: any.
+        number: of readings, one for each step of control.
+
+    Returns:
+        The term, of (number, ...), newest first.
+
+    Raises:
+        InputError: there is no reading.
+    """
+    if number < 1:
+        raise InputError(f"stack: {number} readings show nothing; give 1 or more.")
+    return dataclasses.replace(as_term(term), stack=number)
+
+
+def as_term(value: ObservationLike) -> ObservationTerm:
+    """The term that a value stands for.
+
+    Args:
+        value: an ``ObservationTerm``, a function (scenario, state) -> array, or a name in ``OBSERVATIONS``.
+
+    Returns:
+        The term.
+
+    Raises:
+        InputError: it is none of these.
+    """
+    if isinstance(value, ObservationTerm):
+        return value
+    if isinstance(value, str):
+        if value in OBSERVATIONS:
+            return OBSERVATIONS[value]
+        known = ", ".join(OBSERVATIONS)
+        raise InputError(f"observations: '{value}' is not one of {known}{files.suggest(value, OBSERVATIONS) or '.'}")
+    if callable(value):
+        return ObservationTerm(_Plain(value))
+    raise InputError(f"observations: {value!r:.60} must be a term, a function (scenario, state), or a name.")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Plain:
+    """``ObservationTerm.read`` of a function of two arguments; equal for equal functions."""
+
+    function: Callable[[Scenario, State], Array]
+
+    def __call__(self, scenario: Scenario, state: State, prepared: tuple) -> Array:
+        return jnp.asarray(self.function(scenario, state), float)
+
+
+Terms = tuple[tuple[str, ObservationTerm], ...]
+"""Name and term, of each part of an observation."""
+
+
+def as_terms(values: Mapping[str, ObservationLike] | tuple[str, ...] | list[str]) -> Terms:
+    """The terms that a dict, or a list of names, stands for.
+
+    Args:
+        values: name -> term, or names in ``OBSERVATIONS``.
+
+    Returns:
+        The terms, in the same order.
+
+    Raises:
+        InputError: there is none, or one is refused by ``as_term``.
+    """
+    named = values.items() if isinstance(values, Mapping) else [(name, name) for name in values]
+    terms = tuple((name, as_term(value)) for name, value in named)
+    if not terms:
+        raise InputError("observations: there is none; give at least one, such as 'goal'.")
+    return terms
+
+
+def begin(terms: Terms, scenario: Scenario, state: State, key: Array) -> tuple[dict[str, Array], PyTree]:
+    """The first observation of an episode: what was before it is taken to be that of now.
+
+    Args:
+        terms: of the observation.
+        scenario: what is simulated.
+        state: the first of the episode.
+        key: () typed PRNG key, which draws the delays.
+
+    Returns:
+        The observation, and the memory for ``observe``.
+    """
+    prepared = {name: term.prepare(scenario, state) for name, term in terms}
+    now = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
+    lines = {
+        name: jnp.broadcast_to(now[name][None], (term.kept, *now[name].shape)) for name, term in terms if term.kept > 1
+    }
+    late = {
+        name: jax.random.randint(jax.random.fold_in(key, number), (), term.delay[0], term.delay[1] + 1, jnp.int32)
+        for number, (name, term) in enumerate(terms)
+        if term.kept > 1
+    }
+    memory = prepared, lines, late
+    return {name: _of_line(term, now[name], name, lines, late) for name, term in terms}, memory
+
+
+def observe(terms: Terms, scenario: Scenario, state: State, memory: PyTree) -> tuple[dict[str, Array], PyTree]:
+    """The observation of a later state.
+
+    Args:
+        terms: of the observation.
+        scenario: what is simulated.
+        state: one step of control after that of the memory.
+        memory: of ``begin``, or of the observation before.
+
+    Returns:
+        The observation, and the new memory.
+    """
+    prepared, lines, late = memory
+    now = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
+    lines = {name: jnp.concatenate([now[name][None], line[:-1]]) for name, line in lines.items()}
+    return {name: _of_line(term, now[name], name, lines, late) for name, term in terms}, (prepared, lines, late)
+
+
+def _read(term: ObservationTerm, scenario: Scenario, state: State, prepared: PyTree) -> Array:
+    return jnp.clip(jnp.asarray(term.read(scenario, state, prepared), float), term.low, term.high)
+
+
+def _of_line(term: ObservationTerm, now: Array, name: str, lines: dict, late: dict) -> Array:
+    """What an observation holds of a term."""
+    if name not in lines:
+        return now[None] if term.stack == 1 else now
+    part = jax.lax.dynamic_slice_in_dim(lines[name], late[name], max(term.stack, 1), 0)
+    return part if term.stack else part[0]
+
+
+def space(terms: Terms, scenario: Scenario, state: State) -> Dict:
+    """The values that observations may have.
+
+    Args:
+        terms: of the observation.
+        scenario: what is simulated.
+        state: any, or the shapes of one.
+
+    Returns:
+        A box for each term.
+    """
+    shapes = jax.eval_shape(
+        lambda scenario, state: begin(terms, scenario, state, jax.random.key(0))[0], scenario, state
+    )
+    return Dict(tuple((name, Box(term.low, term.high, shapes[name].shape)) for name, term in terms))
+
+
+def flatten(terms: Terms, observation: Mapping[str, Float[Array, "..."]]) -> Float[Array, "size"]:
+    """The parts of an observation that are no images, as one vector.
+
+    Args:
+        terms: of the observation.
+        observation: a dict of arrays.
+
+    Returns:
+        (size,) in the order of the terms.
+    """
+    parts = [jnp.ravel(observation[name]) for name, term in terms if not term.image]
+    return jnp.concatenate(parts) if parts else jnp.zeros(0, float)

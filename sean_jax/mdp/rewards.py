@@ -1,0 +1,292 @@
+"""What the agent is rewarded for: terms of a reward, each a number of one step with a weight.
+
+A term is a ``RewardTerm``, and a plain function (scenario, before, after) -> number is one of weight 1. A reward is a
+dict of terms: those of ``REWARDS`` by their names, with the weight beside them, and yours. The reward of a step is the
+sum of weight times number. Terms that read what a robot's sensors cannot tell, such as where people are whom it does
+not see, are ``privileged``: a simulator may use them to train, and a robot could not compute them.
+"""
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from sean_jax import files, metrics, navigation
+from sean_jax.base import Array, Scenario, State
+from sean_jax.errors import InputError
+from sean_jax.geometry import length
+from sean_jax.metrics.proximity import PERSONAL
+from sean_jax.scenario import moment
+
+Reward = Callable[[Scenario, State, State], Array]  # (scenario, before, after) -> () number of the step
+Potential = Callable[[Scenario, State], Array]  # (scenario, state) -> () number
+
+
+@dataclasses.dataclass(frozen=True)
+class RewardTerm:
+    """A part of a reward. It has a reward of each step, or a potential.
+
+    Args:
+        step: ``(scenario, before, after) -> number`` of a step.
+        potential: ``(scenario, state) -> number``: the reward of a step is how much it grows. It is computed once a
+            step, and leaves the best policy as it is, but for the discount
+            (A. Ng et al., "Policy invariance under reward transformations", ICML 1999).
+        weight: by which the number is multiplied.
+        privileged: it reads what the robot's sensors cannot tell.
+        definition: one sentence; that of the function's docstring if empty.
+    """
+
+    step: Reward | None = None
+    potential: Potential | None = None
+    weight: float = 1.0
+    privileged: bool = False
+    definition: str = ""
+
+    def __post_init__(self) -> None:
+        if (self.step is None) == (self.potential is None):
+            raise InputError("rewards: a term has either a reward of each step or a potential; give one of them.")
+        if not self.definition:
+            object.__setattr__(self, "definition", inspect.getdoc(self.step or self.potential) or "")
+
+
+RewardLike = RewardTerm | Reward | float
+"""What is accepted wherever a term is: a ``RewardTerm``, a function, or the weight of the term of that name."""
+
+Terms = tuple[tuple[str, RewardTerm], ...]
+"""Name and term, of each part of a reward."""
+
+
+# ------------------------------------------------------------------ the task
+
+
+def _minus_distance(scenario: Scenario, state: State) -> Array:
+    """How much shorter the path that is left becomes, in metres along the shortest one."""
+    left = navigation.geodesic(scenario.navigation, state.robot.position, state.task.goal, state.task.paths_to_goal)
+    return -jnp.where(jnp.isfinite(left), left, 0.0)
+
+
+def _completed(scenario: Scenario, before: State, after: State) -> Array:
+    """One at the step with which the task is completed: the goal has been held."""
+    return (after.completed & ~before.completed).astype(float)
+
+
+def _at_goal(scenario: Scenario, before: State, after: State) -> Array:
+    """Seconds spent within the goal's radius."""
+    return jnp.where(after.ticks_at_goal > 0, scenario.time_step, 0.0)
+
+
+def _time(scenario: Scenario, before: State, after: State) -> Array:
+    """Seconds that pass; give it a negative weight."""
+    return jnp.asarray(scenario.time_step, float)
+
+
+# ------------------------------------------------------------------ motion
+
+
+def _acceleration(scenario: Scenario, before: State, after: State) -> Array:
+    """Squared change of the speed, as a share of the top speed."""
+    change = (after.robot.speed - before.robot.speed) / scenario.robot.max_speed
+    return change * change
+
+
+def _turn_acceleration(scenario: Scenario, before: State, after: State) -> Array:
+    """Squared change of the turn rate, as a share of the greatest."""
+    change = (after.robot.turn_rate - before.robot.turn_rate) / scenario.robot.max_turn_rate
+    return change * change
+
+
+def _reverse(scenario: Scenario, before: State, after: State) -> Array:
+    """Metres that the robot drives backward."""
+    return jnp.maximum(-after.robot.speed, 0.0) * scenario.time_step
+
+
+# ------------------------------------------------------------------ people
+
+
+def _personal_space(scenario: Scenario, before: State, after: State) -> Array:
+    """Seconds within 1.2 m of people, each counted by the square of how deep: 1 at no distance, 0 at 1.2 m."""
+    people = after.pedestrians
+    x, y = (people.position - after.robot.position[None, :]).T
+    depth = jnp.maximum(1.0 - length(x, y) / PERSONAL, 0.0)
+    return jnp.where(people.present, depth * depth, 0.0).sum() * scenario.time_step
+
+
+def _o_space(scenario: Scenario, before: State, after: State) -> Array:
+    """Seconds inside the o-space of groups that the task has nothing to do with, by how deep."""
+    groups, task = after.groups, after.task
+    x, y = (groups.center - after.robot.position[None, :]).T
+    depth = jnp.maximum(1.0 - length(x, y) / jnp.maximum(groups.radius, 0.1), 0.0)
+    number = jnp.arange(groups.present.shape[0], dtype=jnp.int32)
+    other = groups.present & (number != task.start_group) & (number != task.goal_group)
+    return jnp.where(other, depth, 0.0).sum() * scenario.time_step
+
+
+def of_metric(name: str, metric: metrics.Metric | None = None, weight: float = 1.0) -> RewardTerm:
+    """How much a metric grows in a step: a term for whatever is counted or summed.
+
+    Args:
+        name: of a metric in ``METRICS``.
+        metric: another one.
+        weight: of the term.
+
+    Returns:
+        The term; it is privileged, for metrics read all people.
+
+    Raises:
+        InputError: there is no metric of that name.
+    """
+    if metric is None:
+        if name not in metrics.METRICS:
+            known = ", ".join(metrics.METRICS)
+            hint = files.suggest(name, metrics.METRICS) or "."
+            raise InputError(f"rewards: '{name}' is no metric, of {known}{hint}")
+        metric = metrics.METRICS[name]
+    return RewardTerm(step=_Growth(metric), weight=weight, privileged=True, definition=metric.definition)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Growth:
+    """``RewardTerm.step`` of a metric; equal for equal metrics."""
+
+    metric: metrics.Metric
+
+    def __call__(self, scenario: Scenario, before: State, after: State) -> Array:
+        then, now = moment(scenario, before), moment(scenario, after)
+        nothing = self.metric.init(then)
+        grown = self.metric.compute(self.metric.update(nothing, then, now)) - self.metric.compute(nothing)
+        return grown.reshape(-1)[0]
+
+
+def in_situations(term: RewardTerm, names: Sequence[str]) -> RewardTerm:
+    """A term that counts only while one of some social situations occurs.
+
+    Args:
+        term: of each step.
+        names: of situations of the scenario.
+
+    Returns:
+        The term, 0 at steps that end in none of them.
+
+    Raises:
+        InputError: the term has a potential, which cannot be counted at times.
+    """
+    if term.step is None:
+        raise InputError("in_situations: a potential cannot count at times; give a term of each step.")
+    return dataclasses.replace(term, step=_InSituations(term.step, tuple(names)), privileged=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class _InSituations:
+    step: Reward
+    names: tuple[str, ...]
+
+    def __call__(self, scenario: Scenario, before: State, after: State) -> Array:
+        known = [name for name, _ in scenario.situations]
+        for name in self.names:
+            if name not in known:
+                listed = ", ".join(known)
+                raise InputError(f"in_situations: '{name}' is not one of {listed}{files.suggest(name, known) or '.'}")
+        occurs = jnp.stack([after.situations[known.index(name)] for name in self.names]).any()
+        return jnp.where(occurs, self.step(scenario, before, after), 0.0)
+
+
+REWARDS: dict[str, RewardTerm] = {
+    "progress": RewardTerm(potential=_minus_distance),
+    "completed": RewardTerm(step=_completed),
+    "at_goal": RewardTerm(step=_at_goal),
+    "time": RewardTerm(step=_time),
+    "acceleration": RewardTerm(step=_acceleration),
+    "turn_acceleration": RewardTerm(step=_turn_acceleration),
+    "reverse": RewardTerm(step=_reverse),
+    "personal_space": RewardTerm(step=_personal_space, privileged=True),
+    "o_space": RewardTerm(step=_o_space, privileged=True),
+    **{name: of_metric(name) for name, metric in metrics.METRICS.items() if metric.kind == "count"},
+}
+"""Terms of rewards by name; those that count have the names of the metrics that count the same."""
+
+DEFAULT = {
+    "progress": 1.0,
+    "completed": 10.0,
+    "time": -0.1,
+    "acceleration": -0.1,
+    "turn_acceleration": -0.05,
+    "personal_space": -1.0,
+    "o_space": -0.5,
+    "intimate_robot_on_person": -5.0,
+    "intimate_person_on_robot": -4.0,
+    "collision_with_obstacle": -2.0,
+}
+"""The weights of a reward where none are given."""
+
+
+def as_terms(values: Mapping[str, RewardLike]) -> Terms:
+    """The terms that a dict stands for.
+
+    Args:
+        values: name -> weight of the term of that name in ``REWARDS``, a ``RewardTerm``, or a function
+            (scenario, before, after) -> number.
+
+    Returns:
+        The terms, in the same order.
+
+    Raises:
+        InputError: there is none, or a value is none of these.
+    """
+    terms = tuple((name, _as_term(name, value)) for name, value in values.items())
+    if not terms:
+        raise InputError("rewards: there is none; give at least one, such as progress.")
+    return terms
+
+
+def _as_term(name: str, value: RewardLike) -> RewardTerm:
+    if isinstance(value, RewardTerm):
+        return value
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if name not in REWARDS:
+            hint = files.suggest(name, REWARDS) or "."
+            raise InputError(f"rewards: '{name}' is not one of {', '.join(REWARDS)}{hint}")
+        return dataclasses.replace(REWARDS[name], weight=float(value))
+    if callable(value):
+        return RewardTerm(step=value)
+    raise InputError(f"rewards: {name} is {value!r:.60}; give a weight, a RewardTerm, or a function.")
+
+
+def potentials(terms: Terms, scenario: Scenario, state: State) -> dict[str, Float[Array, ""]]:
+    """The potentials of a state.
+
+    Args:
+        terms: of the reward.
+        scenario: what is simulated.
+        state: any.
+
+    Returns:
+        name -> () of the terms that have one.
+    """
+    return {name: term.potential(scenario, state) for name, term in terms if term.potential is not None}
+
+
+def of_step(
+    terms: Terms, scenario: Scenario, before: State, after: State, then: dict[str, Array], now: dict[str, Array]
+) -> dict[str, Float[Array, ""]]:
+    """The parts of the reward of a step.
+
+    Args:
+        terms: of the reward.
+        scenario: what is simulated.
+        before: the state before the step.
+        after: the state after it.
+        then: potentials of the former.
+        now: potentials of the latter.
+
+    Returns:
+        name -> () weight times number. Their sum is the reward.
+    """
+    with jax.named_scope("reward"):
+        numbers = {
+            name: now[name] - then[name] if term.step is None else term.step(scenario, before, after)
+            for name, term in terms
+        }
+        return {name: term.weight * jnp.asarray(numbers[name], float) for name, term in terms}

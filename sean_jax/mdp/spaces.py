@@ -1,0 +1,92 @@
+"""What values observations and actions may have: a box of numbers, or a dict of boxes."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from sean_jax.base import Array
+
+
+@dataclasses.dataclass(frozen=True)
+class Box:
+    """Arrays of one shape whose numbers lie within bounds."""
+
+    low: float
+    high: float
+    shape: tuple[int, ...]
+
+    def sample(self, key: Array) -> Float[Array, "*shape"]:
+        """Draw an array.
+
+        Args:
+            key: () typed PRNG key.
+
+        Returns:
+            An array of the box, uniform within its bounds.
+        """
+        return jax.random.uniform(key, self.shape, float, self.low, self.high)
+
+    def contains(self, value: Float[Array, "..."]) -> Array:
+        """Whether a value is of the box.
+
+        Args:
+            value: an array.
+
+        Returns:
+            () bool; False for another shape, and for what is not finite.
+        """
+        if np.shape(value) != self.shape:
+            return jnp.zeros((), bool)
+        return ((value >= self.low) & (value <= self.high)).all()
+
+
+@dataclasses.dataclass(frozen=True)
+class Dict:
+    """A dict of arrays, each of a box of its own."""
+
+    spaces: tuple[tuple[str, Box], ...]
+
+    def __getitem__(self, name: str) -> Box:
+        return dict(self.spaces)[name]
+
+    def items(self) -> tuple[tuple[str, Box], ...]:
+        """The boxes with their names.
+
+        Returns:
+            (name, box) of each, in the order of the dict.
+        """
+        return self.spaces
+
+    def sample(self, key: Array) -> dict[str, Array]:
+        """Draw a dict of arrays.
+
+        Args:
+            key: () typed PRNG key.
+
+        Returns:
+            An array of each box.
+        """
+        keys = jax.random.split(key, len(self.spaces))
+        return {name: box.sample(own) for own, (name, box) in zip(keys, self.spaces, strict=True)}
+
+    def contains(self, value: dict[str, Array]) -> Array:
+        """Whether a dict is of the space.
+
+        Args:
+            value: a dict of arrays.
+
+        Returns:
+            () bool.
+        """
+        if not isinstance(value, dict) or value.keys() != dict(self.spaces).keys():
+            return jnp.zeros((), bool)
+        return jnp.stack([box.contains(value[name]) for name, box in self.spaces]).all()
+
+    @property
+    def size(self) -> int:
+        """How many numbers a dict holds."""
+        return sum(math.prod(box.shape) for _, box in self.spaces)

@@ -1,0 +1,143 @@
+"""Environments of reinforcement learning by name, as in MuJoCo Playground: ``registry.load(name, config_overrides=)``.
+
+A name such as Warehouse-Graph-JoinGroup-v0 is that of a place, of a pedestrian behavior and of a robot task. ``Mixed``
+stands for the tasks that take turns in the paper's protocol (section V-B).
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from sean_jax import assembly, components, files, mdp, tasks
+from sean_jax.config import USUAL_TASKS, EnvConfig, Named, gather, validate
+from sean_jax.errors import InputError
+from sean_jax.files.reading import listed
+from sean_jax.mdp import observations, rewards
+
+PLACES = ("warehouse", "lab", "outdoor")
+TASKS = {
+    "graph": ("mixed", "join_group", "leave_group", "random_ab_nav"),
+    "random": ("random_ab_nav",),
+    "handcrafted": ("handcrafted",),
+}
+"""behavior -> the tasks of names; mixed stands for the usual ones in turn."""
+
+
+def _word(name: str) -> str:
+    return "".join(part.capitalize() for part in name.split("_"))
+
+
+_OPTIONS: dict[str, dict[str, Any]] = {
+    f"{_word(place)}-{_word(behavior)}-{_word(task)}-v0": {
+        "environment": place,
+        "behavior": behavior,
+        "task": ",".join(USUAL_TASKS[behavior]) if task == "mixed" else task,
+    }
+    for place in PLACES
+    for behavior, names in TASKS.items()
+    for task in names
+}
+
+ALL_ENVS = tuple(_OPTIONS)
+"""The names."""
+
+
+def get_default_config(name: str) -> EnvConfig:
+    """The description of an environment.
+
+    Args:
+        name: one of ``ALL_ENVS``.
+
+    Returns:
+        Its description; ``config.replace(people=20)`` is that of another.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    if name not in _OPTIONS:
+        hint = files.suggest(name, ALL_ENVS) or f"; there are {', '.join(ALL_ENVS)}."
+        raise InputError(f"env: '{name}' is no environment{hint}")
+    return validate(EnvConfig, gather(EnvConfig, _OPTIONS[name]))
+
+
+def load(name: str, config: EnvConfig | None = None, config_overrides: Mapping[str, Any] | None = None) -> mdp.Env:
+    """An environment by its name.
+
+    Args:
+        name: one of ``ALL_ENVS``.
+        config: its description, if it is not that of the name.
+        config_overrides: field -> value, such as ``{"people": 20, "rewards.progress": 2.0}``.
+
+    Returns:
+        The environment, without a pool.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    config = get_default_config(name) if config is None else config
+    overrides = dict(config_overrides or {})
+    weights = {key: overrides.pop(key) for key in list(overrides) if key.startswith("rewards.")}
+    for key in overrides:
+        if key not in EnvConfig.model_fields:
+            raise InputError(
+                f"config_overrides: '{key}' is no field{files.suggest(key, EnvConfig.model_fields) or '.'}"
+            )
+    env = build(validate(EnvConfig, {**{key: getattr(config, key) for key in EnvConfig.model_fields}, **overrides}))
+    if weights:
+        changed = rewards.as_terms({key.removeprefix("rewards."): weight for key, weight in weights.items()})
+        env = replace(env, rewards=tuple((dict(env.rewards) | dict(changed)).items()))
+    return env
+
+
+def build(config: EnvConfig) -> mdp.Env:
+    """The environment of a description; several tasks are drawn anew for each episode.
+
+    Args:
+        config: the description.
+
+    Returns:
+        The environment, without a pool.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    scenarios = assembly.build(config)
+    scenario = scenarios[0]
+    if len(scenarios) > 1:
+        mixed = tasks.Mixture(tuple(each.task for each in scenarios))
+        scenario = replace(scenario, task=mixed, task_name=",".join(each.task_name for each in scenarios))
+    terms = dict(observation_terms(config))
+    return mdp.make_env(scenario, terms, _rewards(config), terminations=listed(config.terminations or ""))
+
+
+def observation_terms(config: EnvConfig) -> observations.Terms:
+    """The terms of the observation of a description.
+
+    Args:
+        config: the description.
+
+    Returns:
+        Name and term of each.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    found = {}
+    for part in config.observations:
+        found[_name(part)] = components.resolve(part, observations.OBSERVATIONS, "observations")
+    return observations.as_terms(found)
+
+
+def _rewards(config: EnvConfig) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for part in config.rewards:
+        if isinstance(part, Named) and part.kind == "default":
+            found |= rewards.DEFAULT
+            continue
+        term = components.resolve(part, {"default": None, **rewards.REWARDS}, "rewards")
+        found |= term if isinstance(term, dict) else {_name(part): term}
+    return found
+
+
+def _name(part: Any) -> str:
+    return part.kind if isinstance(part, Named) else part.name
