@@ -171,7 +171,10 @@ def _train(options: config.TrainConfig | config.PPOConfig) -> int:
         from sean_jax import learning
 
         if isinstance(options, config.TrainConfig):
-            state = learning.train(options, console)
+            if isinstance(options, config.DaggerConfig):
+                state = learning.dagger.train(options, console)
+            else:
+                state = learning.train(options, console)
             best = f"smallest loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
             _say(console, f"{int(state.epoch)} epochs, {best}: ", options.folder)
         else:

@@ -522,6 +522,8 @@ class CollectConfig(ScenarioConfig):
     """Nothing is measured while demonstrations are recorded."""
     policy: Part = Named(kind="expert")
     """Who drives: a name, or the folder that `sean train` has written."""
+    labels: Part | None = None
+    """Who says what should be done, while the policy drives: it is recorded in place of the policy's commands."""
     hours: Annotated[Hours, Incidental()] = 1.0
     """Hours of demonstrations; several tasks get the same time, and so do the five situations of handcrafted people."""
     width: Side = 64
@@ -568,6 +570,10 @@ class TrainConfig(Config):
     """How: imitation of what the demonstrations do."""
     dataset: Annotated[Path, Positional(), Incidental()]
     """Folder that `sean collect` has written."""
+    further: Annotated[tuple[Path, ...], Incidental()] = ()
+    """Folders of further datasets, which are learned from as well."""
+    pretrained: Path | None = None
+    """Folder of a training whose best network goes on to learn."""
     flags: bool = False
     """Let the network know which social situations occur."""
     balance: bool = False
@@ -600,6 +606,24 @@ class TrainConfig(Config):
     def folder(self) -> Path:
         """The folder for checkpoints and metrics."""
         return self.out or Path("runs") / f"imitation-{self.dataset.resolve().name}-{self.seed}"
+
+
+class DaggerConfig(TrainConfig):
+    """Train networks in turn: each drives, an expert says what should have been done, and the next learns from it."""
+
+    method: Annotated[Literal["dagger"], Positional(), Incidental()]  # pyright: ignore
+    """How: imitation of an expert in the network's own states."""
+    expert: Part = Named(kind="expert")
+    """Who says what should be done: a name, or FILE.py:NAME."""
+    rounds: Count = 5
+    """Networks after that of the dataset alone."""
+    hours: Hours = 0.25
+    """Hours that each network drives."""
+
+    @property
+    def folder(self) -> Path:
+        """The folder for all networks and what they drove."""
+        return self.out or Path("runs") / f"dagger-{self.dataset.resolve().name}-{self.seed}"
 
 
 class EnvConfig(ScenarioConfig):
@@ -677,7 +701,7 @@ class PPOConfig(EnvConfig):
         return self.out or Path("runs") / "-".join(("ppo", *names))
 
 
-METHODS: dict[str, type[Config]] = {"imitation": TrainConfig, "ppo": PPOConfig}
+METHODS: dict[str, type[Config]] = {"imitation": TrainConfig, "dagger": DaggerConfig, "ppo": PPOConfig}
 """Word after ``sean train`` -> what it is told."""
 
 

@@ -37,11 +37,13 @@ class Record(NamedTuple):
     ``init(scenario, states)`` gives the sum before the first step; ``update(scenario, before, after, actions, active,
     sum)`` gives the new sum and what is stacked, every ``every`` steps of control. ``before`` and ``after`` are states
     (B, ...), ``actions`` the commands (every, B, 2) in between, ``active`` (B,) whether an episode had not yet ended.
+    ``command(state)`` tells another command of each step than the one that was given, from the state after it.
     """
 
     init: Callable[[Scenario, State], PyTree]
     update: Callable[[Scenario, State, State, Array, Array, PyTree], tuple[PyTree, PyTree]]
     every: int = 1
+    command: Callable[[State], Array] | None = None
 
 
 def nothing(*arguments: PyTree) -> tuple:
@@ -295,7 +297,8 @@ def _advance(record: Record, turns: int, fixed: tuple, running: Running, index: 
     scenario, varying, policy = fixed
 
     def step(state: State, turn: Array) -> tuple[State, Array]:
-        return policy_step(_select(scenario, varying, turn), policy, state)
+        after, action = policy_step(_select(scenario, varying, turn), policy, state)
+        return after, action if record.command is None else record.command(after)
 
     def tick(carry: tuple, _: None) -> tuple[tuple, Array]:
         before, steps, faulty = carry

@@ -24,6 +24,9 @@ IMAGES = ["--width", "8", "--height", "8", "--policy", "go_to_goal"]
 COLLECT = ["collect", *SMALL, "--time-limit", "2", "--hours", "0.008", "--batch", "2", *IMAGES, "--out", "made"]
 TRAIN = ["train", "imitation", "../data/made", "--width", "4", "--batch", "8", "--epochs", "12", "--validation", "0.3"]
 TRAIN += ["--seed", "3", "--quiet", "--out", "made"]
+PPO = ["train", "ppo", *SMALL, "--time-limit", "2", "--scenarios", "4", "--horizon", "4", "--minibatches", "2"]
+PPO += ["--epochs", "1", "--width", "4", "--pool", "4", "--steps", "192", "--evaluate-every", "2"]
+PPO += ["--evaluation-episodes", "2", "--observations", "goal,speeds", "--rewards", "progress,time", "--out", "made"]
 CODES = {  # of who was killed before it could answer, and of who answered
     signal.SIGKILL: (-signal.SIGKILL,), signal.SIGTERM: (-signal.SIGTERM, 143), signal.SIGINT: (-signal.SIGINT, 130),
 }  # fmt: skip
@@ -183,3 +186,34 @@ def test_train(sean, tmp_path):
         }
 
     killed(sean, tmp_path / "jobs", TRAIN, finished, result, 3)
+
+
+def test_ppo(sean, tmp_path):
+    """Stopped again and again, reinforcement learning comes to the same curve and the same agent."""
+    import orbax.checkpoint as ocp
+
+    from sean_jax.learning.checkpoints import Checkpoints
+
+    def steps(folder: Path) -> list[int]:
+        names = os.listdir(folder / "checkpoints") if (folder / "checkpoints").is_dir() else []
+        return sorted(int(name) for name in names if name.isdigit())
+
+    def finished(folder: Path) -> dict[str, bytes]:
+        return {f"update {number}": b"" for number in range(1, max(steps(folder), default=0) + 1)}
+
+    def result(folder: Path) -> dict:
+        manager, kept = Checkpoints(folder).manager, {}
+        for step in steps(folder):
+            state = manager.restore(step, args=ocp.args.Composite(state=ocp.args.PyTreeRestore()))["state"]
+            kept[step] = [np.asarray(leaf).tobytes() for leaf in _leaves(state)]
+        lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+        curve = [{name: line[name] for name in line if name not in ("time", "per_second")} for line in lines]
+        return {"names": sorted(os.listdir(folder)), "curve": curve, "states": kept}
+
+    killed(sean, tmp_path, PPO, finished, result, 4)
+
+
+def _leaves(tree) -> list:
+    import jax
+
+    return jax.tree.leaves(tree)

@@ -186,6 +186,7 @@ def test_randomization_is_of_the_key(scenario):
     assert np.std(tops) > 0.02
 
 
+@pytest.mark.slow
 def test_ends_of_ones_own(scenario):
     """A wall ends the episode when the robot has touched it, and so does a function."""
 
@@ -208,6 +209,7 @@ def test_ends_of_ones_own(scenario):
     assert not bool(truncated) and not bool(info["completed"])
 
 
+@pytest.mark.slow
 def test_gradients_by_actions_through_people(scenario):
     """Through robot, people and depth: finite, and equal to differences in float64 elsewhere (test_gradients)."""
     weights = {"progress": 1.0, "personal_space": -1.0, "acceleration": -0.1}

@@ -136,6 +136,7 @@ def _until(numbers, last):
     return call
 
 
+@pytest.mark.slow
 def test_it_drives_as_it_was_evaluated(trained):
     """The policy of the folder, in ``evaluate``, and in an env step by step: the same commands."""
     _, folder = trained
@@ -185,6 +186,20 @@ def test_bad_words(words, message, capsys, tmp_path, monkeypatch):
     assert cli.main(words) == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_it_goes_on_with_another_agent(trained, tmp_path):
+    state, folder = trained
+    config = options(tmp_path / "next", pretrained=folder, learning_rate=1e-12, steps=8 * 8, evaluate_every=1)
+    agent = ppo.train(config).agent
+    best = learning.load(folder, registry.build(config).scenario).params.agent
+    for one, other in zip(*map(jax.tree.leaves, (agent.parameters, best.parameters)), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
+    with pytest.raises(InputError, match="width 16, not 32"):
+        ppo.train(options(tmp_path / "wide", pretrained=folder, width=32))
+    with pytest.raises(InputError, match="no trained agent"):
+        ppo.train(options(tmp_path / "none", pretrained=tmp_path))
 
 
 def test_other_options_are_refused_in_its_folder(trained):

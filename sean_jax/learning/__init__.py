@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sean_jax.learning import ppo
+    from sean_jax.learning import dagger, ppo
     from sean_jax.learning.choice import load
     from sean_jax.learning.collection import collect
     from sean_jax.learning.dataset import Dataset, open_dataset
@@ -37,18 +37,18 @@ _HOMES = {
 }
 
 __all__ = [
-    "Dataset", "Example", "Loader", "Network", "Recording", "Token", "collect", "example", "export", "load",
+    "Dataset", "Example", "Loader", "Network", "Recording", "Token", "collect", "dagger", "example", "export", "load",
     "open_dataset", "policy", "ppo", "record", "train",
 ]  # fmt: skip
 
 
 def __getattr__(name: str):
-    if name == "ppo":
-        return import_module(f"{__name__}.ppo")
+    if name in ("dagger", "ppo"):
+        return import_module(f"{__name__}.{name}")
     if name in _HOMES:
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES, "ppo"})
+    return sorted({*globals(), *_HOMES, "dagger", "ppo"})

@@ -52,11 +52,14 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
         InputError: the folder has no trained network, or one that does not fit to the scenario.
         IncompleteError: the checkpoint cannot be read.
     """
-    from sean_jax.learning import driving, learned, ppo
+    from sean_jax.learning import dagger, driving, learned, ppo
 
     folder = Path(folder)
-    if read_method(folder) == "imitation":
+    method = read_method(folder)
+    if method == "imitation":
         return learned.load(folder, scenario)
+    if method == "dagger":
+        return dagger.load(folder, scenario)
     return driving.policy(*ppo.load(folder, scenario), name=folder.name)
 
 

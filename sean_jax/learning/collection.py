@@ -22,7 +22,7 @@ from sean_jax.base import Policy, Scenario
 from sean_jax.config import CollectConfig
 from sean_jax.errors import InputError
 from sean_jax.flags import command, flag, number
-from sean_jax.learning import choice, demonstrations
+from sean_jax.learning import choice, demonstrations, labels
 from sean_jax.learning import dataset as datasets
 from sean_jax.learning.dataset import Dataset
 from sean_jax.learning.protocol import check, next_stream, seconds_of_each, streams
@@ -64,7 +64,10 @@ def _collect(config: CollectConfig, console: Console | Callable[[float], None] |
     """In a folder that nobody else writes."""
     parts = streams(config)
     scenarios = list(parts.values())
-    policy = choice.policy(config.policy, scenarios[0])
+    policy, command_of = choice.policy(config.policy, scenarios[0]), None
+    if config.labels is not None:
+        policy = labels.labelled(policy, choice.policy(config.labels, scenarios[0], "labels"))
+        command_of = labels.label
     try:
         camera = sensors.camera(scenarios[0], "depth", width=config.width, height=config.height)
     except ValueError as error:
@@ -79,7 +82,7 @@ def _collect(config: CollectConfig, console: Console | Callable[[float], None] |
             f"{data.folder} was begun with --batch {data.batch}, which does not spread evenly over {mesh.size} devices"
         )
         raise InputError(f"{text}; choose another --out.")
-    record = demonstrations.record(scenarios[0], camera)
+    record = demonstrations.record(scenarios[0], camera, command_of)
     runner = Runner(scenarios, policy, data.batch, "collect", record, mesh)
     wanted = seconds_of_each(config.hours, len(parts))
     total = wanted * len(parts)

@@ -29,17 +29,18 @@ class Batch:
     completed: np.ndarray  # (B,) bool
 
 
-def record(scenario: Scenario, camera: sensors.Camera) -> Record:
+def record(scenario: Scenario, camera: sensors.Camera, command: Callable[[State], Array] | None = None) -> Record:
     """What a collection keeps of episodes: a row of each second.
 
     Args:
         scenario: what is simulated.
         camera: of the depth images.
+        command: tells the command that is recorded, from the state after a step; the one that was given if None.
 
     Returns:
         The record for a ``Runner``.
     """
-    return Record(_init, functools.partial(_update, camera), every=round(1.0 / scenario.time_step))
+    return Record(_init, functools.partial(_update, camera), every=round(1.0 / scenario.time_step), command=command)
 
 
 def simulate(runner: Runner, seed: int, shard: int, stream: int, watch: Callable[[int], None] | None = None) -> Batch:

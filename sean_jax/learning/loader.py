@@ -12,7 +12,7 @@ how much its situations are short of an equal share.
 
 import dataclasses
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -20,7 +20,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from sean_jax import prng
-from sean_jax.learning.dataset import Dataset, Episode
 from sean_jax.learning.examples import Example, Recording, Row, example
 
 FITTING_TURNS = 500
@@ -37,8 +36,8 @@ class Token(NamedTuple):
 class Loader:
     """Batches of the examples of some episodes."""
 
-    dataset: Dataset
-    episodes: list[Episode]
+    dataset: Any  # Dataset or Several
+    episodes: Sequence[Any]  # of it: Episode or Member
     batch: int = 1024  # examples
     seed: int = 0
     window: int = 64  # episodes that are shuffled together

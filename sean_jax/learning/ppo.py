@@ -92,7 +92,7 @@ class Programs(NamedTuple):
 
     begin: Callable  # (env, agent) -> TrainState
     update: Callable  # (env, state) -> (state, numbers for the log)
-    evaluate: Callable  # (scenario, agent) -> numbers for the log
+    evaluate: Callable  # (scenario, agent, env) -> numbers for the log
 
 
 def train(options: PPOConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
@@ -288,8 +288,7 @@ def _learn(
         gain = (gain - gain.mean()) / (gain.std() + FEW)
         clipped = jnp.clip(ratio, 1.0 - options.clip, 1.0 + options.clip)
         actor = -jnp.minimum(ratio * gain, clipped * gain).mean()
-        moved = steps.value + jnp.clip(said.value - steps.value, -options.clip * 10, options.clip * 10)
-        critic = 0.5 * jnp.maximum((said.value - wanted) ** 2, (moved - wanted) ** 2).mean()
+        critic = 0.5 * ((said.value - wanted) ** 2).mean()
         spread = entropy(said).mean()
         total = actor + VALUE_WEIGHT * critic - options.entropy * spread
         told = {
@@ -406,7 +405,7 @@ def _train(
         tell.stage("drawing starts")
         agent = init_agent(network, env.observations, env.observation_space, prng.key("weights", options.seed))
         if options.pretrained is not None:
-            agent = Checkpoints(options.pretrained).best("agent", agent)
+            agent = _pretrained(options, agent)
         pool_key = jax.random.fold_in(prng.key("training", options.seed), 2**31 - 1)
         env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, pool_key, options.pool)
         state = run.begin(env, agent)
@@ -515,15 +514,31 @@ def load(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observat
         InputError: there is no checkpoint, or the agent learned from observations of another size.
         IncompleteError: the checkpoint cannot be read.
     """
-    saved = files.read_json(folder / CONFIG)
-    try:
-        fields = {name: value for name, value in saved.items() if name in PPOConfig.model_fields}
-        options = validate(PPOConfig, fields)
-    except InputError as error:
-        raise InputError(f"{folder / CONFIG}: {error}") from None
+    options = _read_options(folder)
     known = registry.observation_terms(options)
     network = _network(options, known)
     shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), scenario)
     space = observations.space(known, scenario, shapes)
     agent = jax.eval_shape(lambda: init_agent(network, known, space, jax.random.key(0)))
     return network, Checkpoints(folder).best("agent", agent), known
+
+
+def _read_options(folder: Path) -> PPOConfig:
+    """Those of the training in a folder."""
+    if not (folder / CONFIG).is_file():
+        raise InputError(f"{folder} has no trained agent; make one with `sean train ppo --out {folder}`.")
+    saved = files.read_json(folder / CONFIG)
+    try:
+        return validate(PPOConfig, {name: saved[name] for name in saved if name in PPOConfig.model_fields})
+    except InputError as error:
+        raise InputError(f"{folder / CONFIG}: {error}") from None
+
+
+def _pretrained(options: PPOConfig, agent: Agent) -> Agent:
+    """The best agent of another training, which must have seen the same and be of the same size."""
+    folder = Path(str(options.pretrained))
+    had, asked = _read_options(folder).decisive(), options.decisive()
+    for name in ("observations", "width", "layers", "recurrent"):
+        if had[name] != asked[name]:
+            raise InputError(f"pretrained: {folder} has {name} {had[name]}, not {asked[name]}; ask for the same.")
+    return Checkpoints(folder).best("agent", agent)

@@ -27,6 +27,8 @@ def check(config: CollectConfig) -> None:
         InputError: one sentence that names the value and the cure.
     """
     choice.check(config.policy, config)
+    if config.labels is not None:
+        choice.check(config.labels, config, "labels")
     assembly.check(config)
     if isinstance(config.robot, OwnPart | Value):
         return

@@ -29,11 +29,12 @@ from sean_jax.config import TrainConfig
 from sean_jax.errors import InputError
 from sean_jax.flags import command
 from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
-from sean_jax.learning.dataset import Dataset, Episode, on_device, open_dataset, split
+from sean_jax.learning.dataset import on_device
 from sean_jax.learning.examples import Example, Recording, example
 from sean_jax.learning.loader import Loader, Token, balanced_probabilities
 from sean_jax.learning.logs import Log
-from sean_jax.learning.network import Decision, Network, Weights, init_weights
+from sean_jax.learning.network import Decision, Network, Weights, init_weights, read_network
+from sean_jax.learning.several import Member, Several, open_datasets, split_each
 from sean_jax.progress import progress
 from sean_jax.versions import versions
 
@@ -90,8 +91,8 @@ def train(options: TrainConfig, console: Console | Callable[[float], None] | Non
         IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
         FloatingPointError: the loss is not finite. The checkpoints stay.
     """
-    data = open_dataset(options.dataset)
-    training, validation = split(data, options.validation, options.seed)
+    data = open_datasets([options.dataset, *options.further])
+    training, validation = split_each(data, options.validation, options.seed)
     network = Network(options.width, options.flags, data.image_shape)
     config = _config(options, data, network)
     check_config(options.folder, config)  # refuses before anything is written
@@ -239,9 +240,9 @@ def _optimizer(options: TrainConfig) -> optax.GradientTransformation:
 def _train(
     options: TrainConfig,
     console: Console | Callable[[float], None] | None,
-    data: Dataset,
-    training: list[Episode],
-    validation: list[Episode],
+    data: Several,
+    training: list[Member],
+    validation: list[Member],
     network: Network,
     config: dict[str, Any],
 ) -> TrainState:
@@ -250,6 +251,8 @@ def _train(
     epoch = _epoch(data, training, validation, network, options, mesh)
     commands = jnp.asarray(data.read(training, ("command",))["command"])
     state = jax.jit(init_state, static_argnums=(0, 1, 2))(network, len(data.manifest["situations"]), options, commands)
+    if options.pretrained is not None:
+        state = replace(state, weights=_pretrained(options, network, state.weights, data))
     if not resumes:
         write_config(options.folder, config)
     checkpoints = Checkpoints(options.folder, writes=True)
@@ -276,10 +279,19 @@ def _train(
     return state
 
 
+def _pretrained(options: TrainConfig, network: Network, weights: Weights, data: Several) -> Weights:
+    """The best weights of another training of the same network, with its scale of commands."""
+    folder = Path(str(options.pretrained))
+    had, _ = read_network(folder, data.manifest["situations"])
+    if had != network:
+        raise InputError(f"pretrained: {folder} has another network, {had}, not {network}; ask for the same.")
+    return Checkpoints(folder).best("weights", weights)
+
+
 def _epoch(
-    data: Dataset,
-    training: list[Episode],
-    validation: list[Episode],
+    data: Several,
+    training: list[Member],
+    validation: list[Member],
     network: Network,
     options: TrainConfig,
     mesh: Mesh,
@@ -335,7 +347,7 @@ def _as_dict(losses: Losses) -> dict[str, float]:
     return {name: float(value) for name, value in losses._asdict().items()}
 
 
-def _config(options: TrainConfig, data: Dataset, network: Network) -> dict[str, Any]:
+def _config(options: TrainConfig, data: Several, network: Network) -> dict[str, Any]:
     if data.example_count < 2:
         raise InputError(f"{data.folder} has {data.example_count} examples, too few to learn from; collect more.")
     return {

@@ -1,0 +1,156 @@
+"""Several datasets that are learned from together, read as if they were one."""
+
+import dataclasses
+import hashlib
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sean_jax.errors import InputError
+from sean_jax.learning.dataset import Dataset, Episode, open_dataset, split
+from sean_jax.learning.examples import Recording, Row
+
+
+@dataclasses.dataclass(frozen=True)
+class Member:
+    """An episode of one of the datasets."""
+
+    part: int  # index of the dataset
+    episode: Episode
+
+    @property
+    def length(self) -> int:
+        """Number of rows."""
+        return self.episode.length
+
+
+@dataclasses.dataclass
+class Several:
+    """Datasets of the same cameras and situations. It has what training asks of a ``Dataset``."""
+
+    parts: list[Dataset]
+
+    @property
+    def folder(self) -> Path:
+        """That of the first."""
+        return self.parts[0].folder
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """That of the first."""
+        return self.parts[0].manifest
+
+    @property
+    def image_shape(self) -> tuple[int, int]:
+        """Height and width of the depth images [pixels]."""
+        return self.parts[0].image_shape
+
+    @property
+    def fields(self) -> dict[str, tuple[tuple[int, ...], str]]:
+        """Shape and type of each field of a row."""
+        return self.parts[0].fields
+
+    @property
+    def row_bytes(self) -> int:
+        """Size of a row in memory [bytes]."""
+        return self.parts[0].row_bytes
+
+    @property
+    def example_count(self) -> int:
+        """Number of examples of all."""
+        return sum(part.example_count for part in self.parts)
+
+    def fingerprint(self) -> str:
+        """Hash of everything that decides what the examples are.
+
+        Returns:
+            16 hexadecimal digits; those of the dataset, if there is one alone.
+        """
+        prints = [part.fingerprint() for part in self.parts]
+        return prints[0] if len(prints) == 1 else hashlib.sha256(" ".join(prints).encode()).hexdigest()[:16]
+
+    def read(self, episodes: Sequence[Member], names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+        """Read fields of rows.
+
+        Args:
+            episodes: which episodes.
+            names: of the fields; all if None.
+
+        Returns:
+            Name -> (R, ...) the rows of one episode after the other.
+
+        Raises:
+            IncompleteError: a file is missing or damaged.
+        """
+        found = []
+        for part, members in itertools.groupby(episodes, lambda member: member.part):
+            found.append(self.parts[part].read([member.episode for member in members], names))
+        if len(found) == 1:
+            return found[0]
+        if not found:
+            return self.parts[0].read([], names)
+        return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+
+    def recording(self, episodes: Sequence[Member]) -> Recording:
+        """Read whole episodes.
+
+        Args:
+            episodes: which episodes.
+
+        Returns:
+            A recording of numpy arrays, R rows.
+
+        Raises:
+            IncompleteError: a file is missing or damaged.
+        """
+        lengths = np.array([episode.length for episode in episodes], np.int64)
+        ends = np.cumsum(lengths)
+        first, end = np.repeat(ends - lengths, lengths), np.repeat(ends, lengths)
+        rows: Any = Row(**self.read(episodes))  # pyright: ignore[reportArgumentType]
+        return Recording(rows, first.astype(np.int32), end.astype(np.int32))  # pyright: ignore[reportArgumentType]
+
+
+def open_datasets(folders: Sequence[Path]) -> Several:
+    """Open datasets to learn from them together.
+
+    Args:
+        folders: that ``sean collect`` or a ``Recorder`` has written.
+
+    Returns:
+        The datasets.
+
+    Raises:
+        InputError: one is none, or has other images or situations than the first.
+    """
+    parts = [open_dataset(folder) for folder in folders]
+    for part in parts[1:]:
+        for name in ("camera", "situations"):
+            had, wanted = part.manifest[name], parts[0].manifest[name]
+            if had != wanted:
+                raise InputError(f"{part.folder} has {name} {had}, and {parts[0].folder} {wanted}; collect the same.")
+    return Several(parts)
+
+
+def split_each(several: Several, share: float, seed: int) -> tuple[list[Member], list[Member]]:
+    """Split the episodes of each dataset: what validates one training also validates the next, with more datasets.
+
+    Args:
+        several: the datasets.
+        share: of the episodes that validate; at least one of each dataset does.
+        seed: decides which.
+
+    Returns:
+        Training episodes and validation episodes.
+
+    Raises:
+        InputError: a dataset has fewer than two episodes.
+    """
+    training: list[Member] = []
+    validation: list[Member] = []
+    for number, part in enumerate(several.parts):
+        for members, episodes in zip((training, validation), split(part, share, seed), strict=True):
+            members += [Member(number, episode) for episode in episodes]
+    return training, validation
