@@ -174,7 +174,7 @@ def test_it_learns_to_go_to_the_goal(tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["train"], "train: '' is not one of imitation, ppo"),
+        (["train"], "train: '' is not one of imitation, dagger, ppo"),
         (["train", "poo"], "did you mean 'ppo'"),
         (["train", "ppo", "--scenarios", "10", "--minibatches", "4"], "10 scenarios do not make 4 minibatches"),
         (["train", "ppo", "--observations", "gaol"], "gaol"),

@@ -52,14 +52,11 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
         InputError: the folder has no trained network, or one that does not fit to the scenario.
         IncompleteError: the checkpoint cannot be read.
     """
-    from sean_jax.learning import dagger, driving, learned, ppo
+    from sean_jax.learning import driving, learned, ppo
 
     folder = Path(folder)
-    method = read_method(folder)
-    if method == "imitation":
+    if read_method(folder) in ("imitation", "dagger"):
         return learned.load(folder, scenario)
-    if method == "dagger":
-        return dagger.load(folder, scenario)
     return driving.policy(*ppo.load(folder, scenario), name=folder.name)
 
 

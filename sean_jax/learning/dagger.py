@@ -16,11 +16,9 @@ from typing import Any
 from rich.console import Console
 
 from sean_jax import writing
-from sean_jax.base import Policy, Scenario
 from sean_jax.config import CollectConfig, DaggerConfig, TrainConfig, validate
-from sean_jax.errors import InputError
 from sean_jax.flags import command
-from sean_jax.learning import collection, learned, training
+from sean_jax.learning import collection, training
 from sean_jax.learning.checkpoints import check_config, write_config
 from sean_jax.learning.dataset import Dataset, open_dataset
 from sean_jax.learning.training import TrainState
@@ -60,27 +58,6 @@ def train(options: DaggerConfig, console: Console | Callable[[float], None] | No
             before = out
     assert state is not None
     return state
-
-
-def load(folder: Path, scenario: Scenario) -> Policy:
-    """The network of the last round that has one.
-
-    Args:
-        folder: that ``train`` has written, or is writing.
-        scenario: where it will drive.
-
-    Returns:
-        The policy, named after the folder.
-
-    Raises:
-        InputError: there is none.
-        IncompleteError: the checkpoint cannot be read.
-    """
-    rounds = [each for each in folder.glob("round-*") if (each / "checkpoints").is_dir()]
-    if not rounds:
-        raise InputError(f"{folder} has no trained network yet; go on with `sean train dagger`.")
-    last = max(rounds, key=lambda each: int(each.name.rpartition("-")[2]))
-    return learned.load(last, scenario).replace(name=folder.name)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _driving(options: DaggerConfig, first: Dataset, number: int) -> CollectConfig:

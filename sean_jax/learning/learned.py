@@ -17,8 +17,10 @@ from jaxtyping import Float
 
 from sean_jax import navigation, sensors
 from sean_jax.base import Array, Policy, Scenario, State
+from sean_jax.errors import InputError
 from sean_jax.learning.checkpoints import Checkpoints
 from sean_jax.learning.examples import SECONDS, depth_image, plan_ahead
+from sean_jax.learning.manifests import read_method
 from sean_jax.learning.network import Decision, Network, Weights, init_weights, read_network
 
 
@@ -61,7 +63,7 @@ def policy(network: Network, weights: Weights, scenario: Scenario, name: str = "
 
 
 def load(folder: Path | str, scenario: Scenario) -> Policy:
-    """Load the policy with the lowest validation loss so far.
+    """Load the policy with the lowest validation loss so far; of a training in rounds, that of the last round.
 
     Args:
         folder: the folder that ``sean train`` has written, or is writing.
@@ -74,11 +76,21 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
         InputError: the folder has no trained network, or one that receives the flags of other social situations.
         IncompleteError: the checkpoint cannot be read.
     """
-    folder = Path(folder)
-    network, situations = read_network(folder, [name for name, _ in scenario.situations])
+    name, folder = Path(folder).name, _last_round(Path(folder))
+    network, situations = read_network(folder, [each for each, _ in scenario.situations])
     shapes = jax.eval_shape(functools.partial(init_weights, network, situations), jax.random.key(0))
     weights = Checkpoints(folder).best("weights", shapes)
-    return policy(network, weights, scenario, name=folder.name)
+    return policy(network, weights, scenario, name=name)
+
+
+def _last_round(folder: Path) -> Path:
+    """The last network that ``sean train dagger`` has made in a folder; other folders as they are."""
+    if read_method(folder) != "dagger":
+        return folder
+    rounds = [each for each in folder.glob("round-*") if (each / "checkpoints").is_dir()]
+    if not rounds:
+        raise InputError(f"{folder} has no trained network yet; go on with `sean train dagger`.")
+    return max(rounds, key=lambda each: int(each.name.rpartition("-")[2]))
 
 
 def init(scenario: Scenario, params: PolicyParams, state: State) -> PolicyState:
