@@ -33,6 +33,14 @@ def test_crowd():
 
 
 @pytest.mark.slow
+def test_adapters():
+    pytest.importorskip("gymnasium")
+    small = "--name", "Lab-Random-RandomAbNav-v0", "--rows", "2", "--seconds", "0.01"
+    first, second = run("benchmarks/adapters.py", *small)
+    assert "one environment" in first and second.split()[:2] == ["2", "rows"] and second.endswith("steps/s")
+
+
+@pytest.mark.slow
 def test_peers(tmp_path):
     """The project's rows, and those of a peer that a path names; ratios are of the two."""
     peer = tmp_path / "slowpoke.py"
