@@ -13,7 +13,7 @@ import numpy as np
 from flax import linen as nn
 from flax import struct
 from flax.typing import VariableDict
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from sean_jax.base import Array
 from sean_jax.learning.network import PATCHES, squares
@@ -204,15 +204,3 @@ def entropy(answered: Answer) -> Float[Array, "*batch"]:
         (...) nats.
     """
     return (answered.log_std + 0.5 * np.log(2.0 * np.pi * np.e)).sum(-1)
-
-
-def count(parameters: VariableDict) -> Int[np.ndarray, ""]:
-    """How many numbers a network has.
-
-    Args:
-        parameters: of the network.
-
-    Returns:
-        The number.
-    """
-    return np.asarray(sum(leaf.size for leaf in jax.tree.leaves(parameters)))

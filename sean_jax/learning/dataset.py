@@ -153,11 +153,7 @@ class Dataset:
         Raises:
             IncompleteError: a file is missing or damaged.
         """
-        lengths = np.array([episode.length for episode in episodes], np.int64)
-        ends = np.cumsum(lengths)
-        first, end = np.repeat(ends - lengths, lengths), np.repeat(ends, lengths)
-        rows: Any = Row(**self.read(episodes))  # pyright: ignore[reportArgumentType]
-        return Recording(rows, first.astype(np.int32), end.astype(np.int32))  # pyright: ignore[reportArgumentType]
+        return recording_of(self.read(episodes), [episode.length for episode in episodes])
 
     def commit(self, stream: int, batch: Batch, shard: int | None = None) -> None:
         """Write a batch of episodes as a shard, then name it in the manifest.
@@ -229,6 +225,23 @@ class Dataset:
         if self._size(name, shard, dimensions) != self.manifest["shards"][shard]["bytes"][name]:
             file = store.path(self.folder, name, shard, dimensions)
             raise IncompleteError(f"the file {file} is missing or damaged; {store.CURE}")
+
+
+def recording_of(fields: dict[str, np.ndarray], lengths: list[int]) -> Recording:
+    """Put the fields of whole episodes together.
+
+    Args:
+        fields: name -> (R, ...) the rows of one episode after the other.
+        lengths: rows of each episode.
+
+    Returns:
+        A recording of numpy arrays, R rows.
+    """
+    each = np.array(lengths, np.int64)
+    ends = np.cumsum(each)
+    first, end = np.repeat(ends - each, each), np.repeat(ends, each)
+    rows: Any = Row(**fields)  # pyright: ignore[reportArgumentType]
+    return Recording(rows, first.astype(np.int32), end.astype(np.int32))  # pyright: ignore[reportArgumentType]
 
 
 def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[int, ...], str]]:

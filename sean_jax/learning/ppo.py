@@ -427,11 +427,12 @@ def _train(
                 rate = options.scenarios * options.horizon / took
                 line = {"epoch": done, "steps": done * options.scenarios * options.horizon, "per_second": rate}
                 line |= {part: _numbers(each) for part, each in numbers.items()}
-                if done % options.evaluate_every == 0 or done == number:
-                    state, told = _judge(run, scenario, env, state, tell)
-                    line["evaluation"] = told
-                    checkpoints.save(_plain(state), done, -told["return"])
-                log.add(line | {"time": time.time()})
+                due = done % options.evaluate_every == 0 or done == number
+                if due:
+                    state, line["evaluation"] = _judge(run, scenario, env, state)
+                log.add(line | {"time": time.time()})  # before the checkpoint: what follows it is dropped at a restart
+                if due:
+                    checkpoints.save(_plain(state), done, -line["evaluation"]["return"])
                 episodes, best = numbers["episodes"], f"best {float(state.best):.1f}"
                 note = f"return {float(episodes['return']):.1f}, completed {float(episodes['completed']):.0%}, {best}"
                 tell.update(done, f"update {done} · {note}, {rate:,.0f} steps/s")
@@ -440,11 +441,10 @@ def _train(
     return state
 
 
-def _judge(run: Programs, scenario: Scenario, env: mdp.Env, state: TrainState, tell: Any) -> tuple[TrainState, dict]:
+def _judge(run: Programs, scenario: Scenario, env: mdp.Env, state: TrainState) -> tuple[TrainState, dict]:
     """The state with its best evaluation, and what this one found."""
     found = jax.tree.map(np.asarray, run.evaluate(scenario, state.agent, replace(env, pool=None)))
-    better = float(found["return"]) > float(state.best)
-    if better:
+    if float(found["return"]) > float(state.best):
         state = replace(state, best=jnp.asarray(found["return"], jnp.float32), best_update=state.update + 0)
     names = ["", *(f" in {name}" for name, _ in scenario.situations)]
     told = {}

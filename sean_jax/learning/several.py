@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from sean_jax.errors import InputError
-from sean_jax.learning.dataset import Dataset, Episode, open_dataset, split
-from sean_jax.learning.examples import Recording, Row
+from sean_jax.learning.dataset import Dataset, Episode, open_dataset, recording_of, split
+from sean_jax.learning.examples import Recording
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,11 +106,7 @@ class Several:
         Raises:
             IncompleteError: a file is missing or damaged.
         """
-        lengths = np.array([episode.length for episode in episodes], np.int64)
-        ends = np.cumsum(lengths)
-        first, end = np.repeat(ends - lengths, lengths), np.repeat(ends, lengths)
-        rows: Any = Row(**self.read(episodes))  # pyright: ignore[reportArgumentType]
-        return Recording(rows, first.astype(np.int32), end.astype(np.int32))  # pyright: ignore[reportArgumentType]
+        return recording_of(self.read(episodes), [episode.length for episode in episodes])
 
 
 def open_datasets(folders: Sequence[Path]) -> Several:

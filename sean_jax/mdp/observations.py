@@ -44,7 +44,7 @@ class ObservationTerm:
         low: least number of the array.
         high: greatest number of the array.
         prepare: ``(scenario, state) -> prepared``, made once at the start of an episode; nothing unless told otherwise.
-        delay: steps of control by which readings are late: a number, or (least, most), drawn for each episode.
+        delay: steps of control by which readings are late, (least, most), drawn for each episode.
         stack: how many readings of different steps an observation holds, newest first, along a first axis; 0 for one
             without that axis.
         people: whether it tells where people are, so that a table can say what an agent knew.
