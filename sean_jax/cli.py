@@ -166,7 +166,7 @@ def _collect(options: config.CollectConfig) -> int:
     return _keeping(options, work)
 
 
-def _train(options: config.TrainConfig | config.PPOConfig) -> int:
+def _train(options: config.TrainConfig | config.ReinforcementConfig) -> int:
     def work(console: "Console") -> None:
         from sean_jax import learning
 
@@ -178,8 +178,10 @@ def _train(options: config.TrainConfig | config.PPOConfig) -> int:
             best = f"smallest loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
             _say(console, f"{int(state.epoch)} epochs, {best}: ", options.folder)
         else:
-            state = learning.ppo.train(options, console)
-            best = f"best return in an evaluation {float(state.best):.2f} after {int(state.best_update)}"
+            state = learning.reinforcement.train(options, console)
+            chosen = int(state.best.value.argmax())
+            best, after = float(state.best.value[chosen]), int(state.best.update[chosen])
+            best = f"best return in an evaluation {best:.2f} after {after}"
             _say(console, f"{int(state.update)} updates, {best}: ", options.folder)
         _say(console, "next: ", shlex.join(["sean", "run", "--policy", str(options.folder)]))
 

@@ -17,7 +17,7 @@ from functools import partial, reduce
 from numbers import Integral, Real
 from operator import or_
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import pydantic
 from pydantic import BeforeValidator, Discriminator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, Tag
@@ -639,42 +639,46 @@ class EnvConfig(ScenarioConfig):
     """What ends an episode beside completion, separated by commas: collision, obstacle, intimate."""
 
 
-class PPOConfig(EnvConfig):
-    """Train a network by reinforcement learning, with proximal policy optimization. A folder that has a training of the
-    same options is continued."""
+class ReinforcementConfig(EnvConfig):
+    """What all ways of reinforcement learning are told."""
 
-    method: Annotated[Literal["ppo"], Positional(), Incidental()]
-    """How: proximal policy optimization."""
+    SWEPT: ClassVar[tuple[str, ...]] = ("learning_rate", "discount", "advantage_decay")
+    """Numbers in which agents that are trained side by side may differ."""
+
+    method: Annotated[str, Positional(), Incidental()]
+    """How."""
+    critic: Annotated[tuple[Component, ...], Family((Named,), "critic_term")] = ()
+    """What the critic sees beside the observations, such as people: it does not drive, so it may see anything."""
     scenarios: BatchSize = 64
-    """Scenarios that step together; on a GPU try 8192."""
+    """Scenarios that step together, of each agent; on a GPU try 8192."""
     steps: Count = 2_000_000
-    """Scenario-steps of the whole training, over which the learning rate falls to 0."""
+    """Scenario-steps of the whole training of an agent, over which the learning rate falls to 0."""
     horizon: Count = 32
     """Steps of each scenario between two updates."""
-    epochs: Count = 4
-    """How often an update goes through what was seen."""
     minibatches: Count = 8
-    """Parts of it, each of which makes a step of the optimizer."""
+    """Parts of what was seen, each of which makes a step of the optimizer."""
     learning_rate: LearningRate = 5e-4
     """Learning rate of Adam at the beginning."""
     discount: Share = 0.99
     """What a reward is worth one step later."""
     advantage_decay: Share = 0.95
     """Lambda of the generalized advantage estimate."""
-    clip: Share = 0.2
-    """How far an update may change the probability of an action."""
-    entropy: Share = 0.002
-    """Weight of the entropy of actions."""
     width: Width = 256
     """Width of the hidden layers."""
     layers: Count = 2
     """Hidden layers of the actor and of the critic."""
     recurrent: bool = False
     """Give the network a memory, a gated recurrent unit."""
+    bfloat16: bool = False
+    """Keep and encode images in half precision: quicker on a GPU, slower on a CPU."""
     pool: BatchSize = 1024
     """Starts of episodes that are drawn beforehand."""
     pretrained: Path | None = None
     """Folder of a training whose agent goes on to learn."""
+    seeds: Count = 1
+    """Agents that are trained side by side, with seeds that follow one another."""
+    sweep: tuple[Text, ...] = ()
+    """Numbers in which agents differ, such as learning_rate=0.001,0.0003; all combinations are trained side by side."""
     evaluate_every: Annotated[Count, Incidental()] = 50
     """Updates between two evaluations, each with a checkpoint."""
     evaluation_episodes: Annotated[EpisodeCount, Incidental()] = 64
@@ -682,26 +686,84 @@ class PPOConfig(EnvConfig):
     seed: Seed = 0
     """The same seed gives the same agent."""
     out: Annotated[Path | None, Incidental()] = None
-    """Folder for checkpoints and metrics, runs/ppo-<environment>-<behavior>-<seed> by default. If it holds a training
-    of the same options, that is continued."""
+    """Folder for checkpoints and metrics, runs/METHOD-<environment>-<behavior>-<seed> by default. If it holds a
+    training of the same options, that is continued."""
     quiet: Annotated[bool, Incidental()] = False
     """Print nothing but errors."""
 
     @pydantic.model_validator(mode="after")
-    def _check_sizes(self) -> "PPOConfig":
+    def _check_numbers(self) -> "ReinforcementConfig":
         if self.scenarios % self.minibatches:
             text = f"{self.scenarios} scenarios do not make {self.minibatches} minibatches of equal size"
             raise ValueError(f"minibatches: {text}; choose a divisor")
+        _ = self.agents
         return self
+
+    @property
+    def agents(self) -> list[dict[str, float]]:
+        """What each agent has for itself: its seed, and a number for each name in ``SWEPT``.
+
+        Raises:
+            ValueError: the sweep names something else, or an impossible number.
+        """
+        found = [{name: float(getattr(self, name)) for name in self.SWEPT}]
+        for text in self.sweep:
+            name, _, values = text.partition("=")
+            if name not in self.SWEPT:
+                raise ValueError(f"sweep: '{name}' cannot be swept; {', '.join(self.SWEPT)} can, as in {name}=0.1,0.2")
+            possible = pydantic.TypeAdapter(Annotated[float, *type(self).model_fields[name].metadata])
+            try:
+                numbers = [possible.validate_python(float(part)) for part in values.split(",")]
+            except ValueError:
+                raise ValueError(f"sweep: {name}={values} must be numbers that --{name} may have") from None
+            found = [{**agent, name: number} for agent in found for number in numbers]
+        return [{"seed": self.seed + more, **agent} for agent in found for more in range(self.seeds)]
 
     @property
     def folder(self) -> Path:
         """The folder for checkpoints and metrics."""
         names = Path(self.environment).name, Path(self.behavior.kind).stem, str(self.seed)
-        return self.out or Path("runs") / "-".join(("ppo", *names))
+        return self.out or Path("runs") / "-".join((self.method, *names))
 
 
-METHODS: dict[str, type[Config]] = {"imitation": TrainConfig, "dagger": DaggerConfig, "ppo": PPOConfig}
+class PPOConfig(ReinforcementConfig):
+    """Train a network by reinforcement learning, with proximal policy optimization. A folder that has a training of the
+    same options is continued."""
+
+    SWEPT = (*ReinforcementConfig.SWEPT, "clip", "entropy")
+
+    method: Annotated[Literal["ppo"], Positional(), Incidental()]  # pyright: ignore
+    """How: proximal policy optimization."""
+    epochs: Count = 4
+    """How often an update goes through what was seen."""
+    clip: Share = 0.2
+    """How far an update may change the probability of an action."""
+    entropy: Share = 0.002
+    """Weight of the entropy of actions."""
+
+
+class APGConfig(ReinforcementConfig):
+    """Train a network with the derivatives of the simulator itself over short horizons, and a critic for what follows
+    (SHAC). A folder that has a training of the same options is continued."""
+
+    method: Annotated[Literal["apg"], Positional(), Incidental()]  # pyright: ignore
+    """How: analytic policy gradients over short horizons."""
+    horizon: Count = 16
+    """Steps of each scenario between two updates, through which derivatives are taken."""
+    critic_epochs: Count = 4
+    """How often the critic goes through what was seen."""
+    through_people: bool = False
+    """Take derivatives through people as well, who make way for the robot."""
+    target_share: Share = 0.2
+    """How far the critic that tells what follows moves to the learned one with each update."""
+
+
+METHODS: dict[str, type[Config]] = {
+    "imitation": TrainConfig,
+    "dagger": DaggerConfig,
+    "ppo": PPOConfig,
+    "apg": APGConfig,
+}
 """Word after ``sean train`` -> what it is told."""
 
 

@@ -4,12 +4,12 @@ A name such as Warehouse-Graph-JoinGroup-v0 is that of a place, of a pedestrian 
 stands for the tasks that take turns in the paper's protocol (section V-B).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from sean_jax import assembly, components, files, mdp, tasks
-from sean_jax.config import USUAL_TASKS, EnvConfig, Named, gather, validate
+from sean_jax.config import USUAL_TASKS, Component, EnvConfig, Named, gather, validate
 from sean_jax.errors import InputError
 from sean_jax.files.reading import listed
 from sean_jax.mdp import observations, rewards
@@ -106,15 +106,16 @@ def build(config: EnvConfig) -> mdp.Env:
     if len(scenarios) > 1:
         mixed = tasks.Mixture(tuple(each.task for each in scenarios))
         scenario = replace(scenario, task=mixed, task_name=",".join(each.task_name for each in scenarios))
-    terms = dict(observation_terms(config))
+    terms = dict(observation_terms(config.observations))
     return mdp.make_env(scenario, terms, _rewards(config), terminations=listed(config.terminations or ""))
 
 
-def observation_terms(config: EnvConfig) -> observations.Terms:
-    """The terms of the observation of a description.
+def observation_terms(parts: Sequence[Component], option: str = "observations") -> observations.Terms:
+    """The terms of an observation.
 
     Args:
-        config: the description.
+        parts: names in ``OBSERVATIONS``, or parts of a user's own.
+        option: what asks for them, for messages.
 
     Returns:
         Name and term of each.
@@ -123,9 +124,9 @@ def observation_terms(config: EnvConfig) -> observations.Terms:
         InputError: there is none of that name.
     """
     found = {}
-    for part in config.observations:
-        found[_name(part)] = components.resolve(part, observations.OBSERVATIONS, "observations")
-    return observations.as_terms(found)
+    for part in parts:
+        found[_name(part)] = components.resolve(part, observations.OBSERVATIONS, option)
+    return observations.as_terms(found) if found else ()
 
 
 def _rewards(config: EnvConfig) -> dict[str, Any]:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import cli, learning, registry
-from sean_jax.config import PPOConfig
+from sean_jax import cli, learning, mdp, registry
+from sean_jax.config import APGConfig, PPOConfig
 from sean_jax.errors import InputError
-from sean_jax.learning import actor_critic, ppo
+from sean_jax.learning import actor_critic, reinforcement, rollouts
 from sean_jax.learning.actor_critic import ActorCritic, Agent, Statistics
 
 SMALL = dict(
@@ -26,11 +26,16 @@ def options(out, **others) -> PPOConfig:
     return PPOConfig(**{**SMALL, "out": out, **others})  # pyright: ignore[reportArgumentType]
 
 
+def analytic(out, **others) -> APGConfig:
+    fields = {name: value for name, value in SMALL.items() if name != "epochs"} | {"method": "apg", "out": out}
+    return APGConfig(**(fields | others))  # pyright: ignore[reportArgumentType]
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """A training of six updates, and its folder."""
     folder = tmp_path_factory.mktemp("ppo") / "whole"
-    return ppo.train(options(folder)), folder
+    return reinforcement.train(options(folder)), folder
 
 
 def curve(folder) -> list[dict]:
@@ -42,15 +47,14 @@ def test_advantages_are_those_of_the_definition():
     """Against the sum of discounted errors as printed, in float64; truncated ends are bootstrapped, others are not."""
     rng = np.random.default_rng(0)
     steps, rows = 12, 5
-    config = options(None, discount=0.9, advantage_decay=0.8)
     reward, value, final = rng.normal(size=(3, steps, rows))
     over = rng.random((steps, rows)) < 0.2
     final = np.where(over & (rng.random((steps, rows)) < 0.5), final, 0.0)
     last = rng.normal(size=rows)
     zero = jnp.zeros((steps, rows))
-    seen = ppo.Seen((), {}, zero, zero, zero, jnp.asarray(value), jnp.asarray(reward), jnp.asarray(over),
+    seen = rollouts.Seen((), {}, zero, zero, zero, jnp.asarray(value), jnp.asarray(reward), jnp.asarray(over),
                     jnp.asarray(final), {})  # fmt: skip
-    found = ppo._advantages(seen, jnp.asarray(last), config)
+    found = rollouts.advantages(seen, jnp.asarray(last), 0.9, 0.8)
     for row in range(rows):
         for begin in range(steps):
             total, weight = 0.0, 1.0
@@ -104,7 +108,7 @@ def test_a_training_has_its_files(trained):
     assert ["evaluation" in line for line in lines] == [False, True] * 3
     assert lines[-1]["steps"] == 8 * 8 * 6 and 0.0 <= lines[-1]["evaluation"]["completed"] <= 1.0
     assert "mean_speed in empty" in lines[-1]["evaluation"]
-    assert float(state.best) == pytest.approx(max(line["evaluation"]["return"] for line in lines[1::2]))
+    assert float(state.best.value[0]) == pytest.approx(max(line["evaluation"]["return"] for line in lines[1::2]))
     assert (folder / "config.json").is_file() and list(folder.glob("events.*"))
 
 
@@ -113,18 +117,18 @@ def test_a_stopped_training_goes_on_to_the_same_curve(trained, tmp_path, monkeyp
     """Stopped before and after checkpoints, it ends with the same numbers and the same agent."""
     folder = tmp_path / "run"
     for last in (1, 5):
-        monkeypatch.setattr(ppo, "_numbers", _until(ppo._numbers, last))
+        monkeypatch.setattr(reinforcement, "_numbers", _until(reinforcement._numbers, last))
         with pytest.raises(KeyboardInterrupt):
-            ppo.train(options(folder))
+            reinforcement.train(options(folder))
         monkeypatch.undo()
-    state = ppo.train(options(folder))
+    state = reinforcement.train(options(folder))
     assert curve(folder) == curve(trained[1])
     for one, other in zip(jax.tree.leaves(state.agent), jax.tree.leaves(trained[0].agent), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def _until(numbers, last):
-    """``ppo._numbers``, which is called three times an update, until Ctrl-C in update ``last`` of this process."""
+    """``reinforcement._numbers``, called three times an update, until Ctrl-C in update ``last`` of this process."""
     calls = []
 
     def call(values):
@@ -166,7 +170,7 @@ def test_it_learns_to_go_to_the_goal(tmp_path):
         steps=400_000, evaluate_every=100, evaluation_episodes=32, task_distance=(2.0, 4.0), pool=256, hold_time=1.0,
         observations=["goal", "path", "distance", "speeds"], rewards=["default"], metrics=["path_length"],
     )  # fmt: skip
-    ppo.train(config)
+    reinforcement.train(config)
     found = [line["evaluation"]["completed"] for line in curve(tmp_path / "run") if "evaluation" in line]
     assert max(found) > 0.5
 
@@ -174,7 +178,7 @@ def test_it_learns_to_go_to_the_goal(tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["train"], "train: '' is not one of imitation, dagger, ppo"),
+        (["train"], "train: '' is not one of imitation, dagger, ppo, apg"),
         (["train", "poo"], "did you mean 'ppo'"),
         (["train", "ppo", "--scenarios", "10", "--minibatches", "4"], "10 scenarios do not make 4 minibatches"),
         (["train", "ppo", "--observations", "gaol"], "gaol"),
@@ -192,19 +196,19 @@ def test_bad_words(words, message, capsys, tmp_path, monkeypatch):
 def test_it_goes_on_with_another_agent(trained, tmp_path):
     state, folder = trained
     config = options(tmp_path / "next", pretrained=folder, learning_rate=1e-12, steps=8 * 8, evaluate_every=1)
-    agent = ppo.train(config).agent
+    agent = reinforcement.train(config).agent
     best = learning.load(folder, registry.build(config).scenario).params.agent
     for one, other in zip(*map(jax.tree.leaves, (agent.parameters, best.parameters)), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
     with pytest.raises(InputError, match="width 16, not 32"):
-        ppo.train(options(tmp_path / "wide", pretrained=folder, width=32))
+        reinforcement.train(options(tmp_path / "wide", pretrained=folder, width=32))
     with pytest.raises(InputError, match="no trained agent"):
-        ppo.train(options(tmp_path / "none", pretrained=tmp_path))
+        reinforcement.train(options(tmp_path / "none", pretrained=tmp_path))
 
 
 def test_other_options_are_refused_in_its_folder(trained):
     with pytest.raises(InputError, match="discount"):
-        ppo.train(options(trained[1], discount=0.5))
+        reinforcement.train(options(trained[1], discount=0.5))
 
 
 def test_a_config_of_another_version_is_refused(trained, tmp_path):
@@ -218,3 +222,103 @@ def test_a_config_of_another_version_is_refused(trained, tmp_path):
         (tmp_path / "config.json").write_text(json.dumps(config | change))
         with pytest.raises(ValueError, match=message):
             learning.load(tmp_path, scenario)
+
+
+@pytest.fixture(scope="module")
+def several(tmp_path_factory):
+    """Two seeds and two learning rates side by side, with a critic that sees more."""
+    folder = tmp_path_factory.mktemp("ppo") / "several"
+    return reinforcement.train(options(folder, **SEVERAL)), folder
+
+
+SEVERAL = dict(seeds=2, seed=3, sweep=["learning_rate=1e-3,1e-5"], critic=["people"], steps=8 * 8 * 2)
+
+
+@pytest.mark.slow
+def test_agents_side_by_side_are_those_that_would_be_trained_alone(several, tmp_path):
+    state, folder = several
+    assert [agent["seed"] for agent in options(folder, **SEVERAL).agents] == [3, 4, 3, 4]
+    assert state.agent.statistics.mean.shape[0] == 4
+    alone = reinforcement.train(
+        options(tmp_path / "alone", **(SEVERAL | dict(seeds=1, seed=4, sweep=[], learning_rate=1e-5)))
+    )
+    last = jax.tree.map(lambda part: part[3], state.agent.parameters)
+    pairs = zip(jax.tree.leaves(last), jax.tree.leaves(alone.agent.parameters), strict=True)
+    assert max(np.abs(one - other[0]).max() for one, other in pairs) < 1e-3  # of another pool, from the same weights
+    line = curve(folder)[-1]
+    assert {"agent 0", "agent 3", "evaluation"} <= set(line)
+    returns = [line[f"agent {number}"]["return"] for number in range(4)]
+    assert line["evaluation"]["return"] == pytest.approx(np.mean(returns), abs=1e-4)
+    scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=4.0)
+    driver = learning.load(folder, scenario)
+    best = jax.tree.map(lambda part: part[int(state.best.value.argmax())], state.best.agent)
+    for one, other in zip(*map(jax.tree.leaves, (driver.params.agent, best)), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.slow
+def test_what_the_critic_alone_sees_never_reaches_the_actor(several):
+    _, folder = several
+    scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=4.0)
+    driver = learning.load(folder, scenario).params
+    private = driver.network.private
+    assert private == 12 * 5
+    key = jax.random.key(0)
+    vector = jax.random.normal(key, (4 + private,))
+    other = vector.at[4:].set(jax.random.normal(jax.random.key(1), (private,)))
+    say = lambda numbers: actor_critic.answer(  # noqa: E731
+        driver.network, driver.agent, numbers, {}, jnp.zeros(0), jnp.ones((), bool)
+    )
+    assert jnp.array_equal(say(vector).mean, say(other).mean)
+    assert float(say(vector).value) != float(say(other).value)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--sweep", "width=3,4"], "'width' cannot be swept"),
+        (["--sweep", "clip=0.1,many"], "sweep: clip=0.1,many must be numbers"),
+        (["--sweep", "clip=0.1,7"], "sweep: clip=0.1,7 must be numbers"),
+        (["--critic", "depth"], "critic: depth is an image"),
+        (["--critic", "goal"], "critic: goal is what the actor sees already"),
+    ],
+)
+def test_bad_agents(words, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["train", "ppo", "--environment", "lab", "--people", "2", *words]) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.slow
+def test_analytic_gradients_are_those_of_differences():
+    """The derivative of what an actor gets in some steps by a weight of its last layer, in people that are held."""
+    from sean_jax.learning import shac
+
+    config = analytic(None, horizon=4, scenarios=2)
+    _, env, network = reinforcement.build(config)
+    env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, jax.random.key(1), 4).with_transition_gradients()
+    agent = actor_critic.init_agent(network, env.observations, env.observation_space, jax.random.key(2))
+    rows = jax.jit(rollouts.begin, static_argnums=(1, 3))(env, network, jax.random.key(3), 2)
+
+    def lost(change):
+        last = f"Dense_{2 * config.layers}"
+        parameters = jax.tree.map(lambda leaf: leaf, agent.parameters)
+        bias = parameters["params"][last]["bias"]
+        parameters["params"][last]["bias"] = bias.at[0].add(change)
+        acting = replace(agent, parameters=parameters)
+        return shac._lost(env, network, acting, agent, rows, 4, jax.random.key(4), jnp.asarray(0.99))[0]
+
+    found = jax.jit(jax.grad(lost))(0.3)
+    step = 1e-2
+    wanted = (jax.jit(lost)(0.3 + step) - jax.jit(lost)(0.3 - step)) / (2 * step)
+    assert float(found) == pytest.approx(float(wanted), rel=0.05, abs=1e-4) and float(found) != 0.0
+
+
+@pytest.mark.slow
+def test_apg_trains_and_goes_on_from_ppo(trained, tmp_path):
+    config = analytic(tmp_path / "apg", pretrained=trained[1], steps=8 * 8 * 3)
+    state = reinforcement.train(config)
+    assert int(state.update) == 3 and np.isfinite(float(state.best.value[0]))
+    lines = curve(tmp_path / "apg")
+    assert all(line["train"]["lost"] == 0.0 and line["train"]["gradient"] > 0.0 for line in lines)
+    assert learning.load(tmp_path / "apg", registry.build(config).scenario).name == "apg"

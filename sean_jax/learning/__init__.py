@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sean_jax.learning import dagger, ppo
+    from sean_jax.learning import dagger, reinforcement
     from sean_jax.learning.choice import load
     from sean_jax.learning.collection import collect
     from sean_jax.learning.dataset import Dataset, open_dataset
@@ -38,12 +38,12 @@ _HOMES = {
 
 __all__ = [
     "Dataset", "Example", "Loader", "Network", "Recording", "Token", "collect", "dagger", "example", "export", "load",
-    "open_dataset", "policy", "ppo", "record", "train",
+    "open_dataset", "policy", "record", "reinforcement", "train",
 ]  # fmt: skip
 
 
 def __getattr__(name: str):
-    if name in ("dagger", "ppo"):
+    if name in ("dagger", "reinforcement"):
         return import_module(f"{__name__}.{name}")
     if name in _HOMES:
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
@@ -51,4 +51,4 @@ def __getattr__(name: str):
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES, "dagger", "ppo"})
+    return sorted({*globals(), *_HOMES, "dagger", "reinforcement"})

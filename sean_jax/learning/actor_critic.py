@@ -5,7 +5,7 @@ dense layers, as in ``network``, after distances have become nearness. The memor
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,11 +40,18 @@ class ActorCritic(nn.Module):
     layers: int = 2
     images: tuple[str, ...] = ()  # names of the parts of the observation that are images
     recurrent: bool = False
+    private: int = 0  # numbers at the end of the vector that the critic alone sees
+    bfloat16: bool = False  # of images
 
     @property
     def memory_size(self) -> int:
         """Numbers that the network remembers."""
         return self.width if self.recurrent else 0
+
+    @property
+    def image_dtype(self) -> Any:
+        """In which images are kept and encoded."""
+        return jnp.bfloat16 if self.bfloat16 else jnp.float32
 
     @nn.compact
     def __call__(
@@ -57,7 +64,7 @@ class ActorCritic(nn.Module):
         """Answer to observations.
 
         Args:
-            vector: (..., F) normalized numbers.
+            vector: (..., F) normalized numbers, the last of which may be for the critic alone.
             images: name -> (..., H, W) m, or (..., H, W, C).
             memory: (..., M) of the step before.
             start: (...) whether an episode begins here, so that what is remembered is of another.
@@ -65,12 +72,16 @@ class ActorCritic(nn.Module):
         Returns:
             The answer.
         """
-        features = jnp.concatenate([vector, *(_Images(self.width)(images[name]) for name in self.images)], -1)
+        shared = vector.shape[-1] - self.private
+        vector, private = vector[..., :shared], vector[..., shared:]
+        features = jnp.concatenate(
+            [vector, *(_Images(self.width, self.image_dtype)(images[name]) for name in self.images)], -1
+        )
         if self.recurrent:
             memory = jnp.where(start[..., None], 0.0, memory)
             features = nn.tanh(_dense(self.width)(features))
             memory, features = nn.GRUCell(self.width)(memory, features)
-        actor, critic = features, features
+        actor, critic = features, jnp.concatenate([features, private], -1)
         for _ in range(self.layers):
             actor, critic = nn.tanh(_dense(self.width)(actor)), nn.tanh(_dense(self.width)(critic))
         mean, value = _dense(2, 0.01)(actor), _dense(1, 1.0)(critic)
@@ -82,17 +93,18 @@ class _Images(nn.Module):
     """(..., H, W) m or (..., H, W, C) to (..., width)."""
 
     width: int
+    dtype: Any
 
     @nn.compact
     def __call__(self, image: Array) -> Array:
         values = 1.0 / (1.0 + image[..., None]) if image.shape[-1] > 4 else image  # near things matter most
         for side, features in PATCHES:
-            values = nn.relu(_dense(features)(squares(values, side)))
-        return nn.relu(_dense(self.width)(values.reshape(*values.shape[:-3], -1)))
+            values = nn.relu(_dense(features, dtype=self.dtype)(squares(values, side)))
+        return nn.relu(_dense(self.width, dtype=self.dtype)(values.reshape(*values.shape[:-3], -1))).astype(jnp.float32)
 
 
-def _dense(features: int, gain: float = np.sqrt(2.0)) -> nn.Dense:
-    return nn.Dense(features, kernel_init=nn.initializers.orthogonal(gain))
+def _dense(features: int, gain: float = np.sqrt(2.0), dtype: Any = jnp.float32) -> nn.Dense:
+    return nn.Dense(features, dtype=dtype, kernel_init=nn.initializers.orthogonal(gain))
 
 
 @struct.dataclass

@@ -52,12 +52,12 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
         InputError: the folder has no trained network, or one that does not fit to the scenario.
         IncompleteError: the checkpoint cannot be read.
     """
-    from sean_jax.learning import driving, learned, ppo
+    from sean_jax.learning import driving, learned, reinforcement
 
     folder = Path(folder)
     if read_method(folder) in ("imitation", "dagger"):
         return learned.load(folder, scenario)
-    return driving.policy(*ppo.load(folder, scenario), name=folder.name)
+    return driving.policy(*reinforcement.load(folder, scenario), name=folder.name)
 
 
 def check(given: PolicyLike | Component | str, config: ScenarioConfig, option: str = "policy") -> None:

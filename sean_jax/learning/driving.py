@@ -77,7 +77,8 @@ def apply(scenario: Scenario, params: DriverParams, state: State, key: Array) ->
     before: DriverState = state.policy_state
     seen, observed = observations.observe(params.terms, scenario, state, before.observed)
     vector = observations.flatten(params.terms, seen).astype(jnp.float32)
-    images = {name: seen[name].astype(jnp.float32) for name in params.network.images}
+    vector = jnp.pad(vector, (0, params.network.private))  # of what the critic alone sees; it is not asked
+    images = {name: seen[name].astype(params.network.image_dtype) for name in params.network.images}
     said = answer(params.network, params.agent, vector, images, before.memory, before.start)
     after = DriverState(observed, said.memory, jnp.zeros((), bool))
     return to_command(scenario.robot, said.mean.astype(state.robot.position.dtype)), after

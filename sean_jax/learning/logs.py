@@ -58,10 +58,10 @@ class Log:
             epochs: number of epochs done.
         """
         self.folder = folder
-        lines = [line for line in _lines(folder / LINES) if line["epoch"] <= epochs]
-        writing.write(folder / LINES, "".join(json.dumps(line) + "\n" for line in lines))
-        first = _event(lines[0]["time"] if lines else 0.0, version="brain.Event:2")
-        writing.write(folder / EVENTS, first + b"".join(_events(line) for line in lines))
+        self.lines = [line for line in _lines(folder / LINES) if line["epoch"] <= epochs]  # of before
+        writing.write(folder / LINES, "".join(json.dumps(line) + "\n" for line in self.lines))
+        first = _event(self.lines[0]["time"] if self.lines else 0.0, version="brain.Event:2")
+        writing.write(folder / EVENTS, first + b"".join(_events(line) for line in self.lines))
 
     def add(self, line: dict[str, Any]) -> None:
         """Append the metrics of an epoch.

@@ -155,8 +155,7 @@ class Env:
         reward = jnp.stack(list(parts.values())).sum()
         with jax.named_scope("observe"):
             observation, memory = seen.observe(self.observations, scenario, after, state.observed)
-        ends = [condition(scenario, before, after) for _, condition in self.terminations]
-        terminated = jnp.stack([after.completed, *ends]).any()
+        terminated = jnp.stack([after.completed, *self.ends(scenario, before, after)]).any()
         truncated = after.timed_out & ~terminated
         state = EnvState(
             simulation=after,
@@ -180,6 +179,19 @@ class Env:
             "metrics": results(scenario, after),
         }
         return state, observation, reward, terminated, truncated, info
+
+    def ends(self, scenario: Scenario, before: State, after: State) -> list[Bool[Array, ""]]:
+        """Whether a step ends an episode, beside completion and the time limit.
+
+        Args:
+            scenario: of the episode.
+            before: the state before the step.
+            after: the state after it.
+
+        Returns:
+            What each termination says.
+        """
+        return [condition(scenario, before, after) for _, condition in self.terminations]
 
     # ------------------------------------------------------------------ other environments of the same parts
 

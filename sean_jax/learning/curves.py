@@ -1,0 +1,79 @@
+"""The learning curve of a training: in a word, and as a picture."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from sean_jax import writing
+from sean_jax.learning.logs import LINES
+
+CURVE = "curve.png"
+BLOCKS = "▁▂▃▄▅▆▇█"
+WIDTH = 16  # characters of a curve in a word
+
+
+def sparkline(values: Sequence[float]) -> str:
+    """A curve in a word.
+
+    Args:
+        values: of the curve.
+
+    Returns:
+        A block for each value, as high as it is between the least and the greatest; if there are many, for means of as
+        many in a row.
+    """
+    if not len(values):
+        return ""
+    means = np.array([part.mean() for part in np.array_split(np.asarray(values, float), min(len(values), WIDTH))])
+    share = (means - means.min()) / max(float(np.ptp(means)), 1e-9)
+    return "".join(BLOCKS[int(part * (len(BLOCKS) - 1) + 0.5)] for part in share)
+
+
+def draw_curve(folder: Path) -> None:
+    """Write the picture of a training: return, completed tasks and violations in evaluations, by steps and by time.
+
+    Args:
+        folder: of the training, with its log.
+    """
+    import io
+
+    from matplotlib.figure import Figure
+
+    lines = [json.loads(text) for text in (folder / LINES).read_text(encoding="utf-8").splitlines()]
+    seconds = np.cumsum([_step_count(lines, number) / line["per_second"] for number, line in enumerate(lines)])
+    judged = [(line, took) for line, took in zip(lines, seconds, strict=True) if "evaluation" in line]
+    if not judged:
+        return
+    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+    for axes, (name, what) in zip(figure.subplots(1, 3), SHOWN, strict=True):
+        for part in sorted({key for key in judged[-1][0] if key.startswith("agent ")}):
+            axes.plot(*_points(judged, part, name), color="#1a6faf", alpha=0.3, linewidth=1.0)
+        axes.plot(*_points(judged, "evaluation", name), color="#1a6faf")
+        axes.set(xlabel="million scenario-steps of an agent", title=what)
+        axes.grid(alpha=0.3)
+    figure.suptitle(f"{len(judged)} evaluations, {judged[-1][1]:,.0f} s of training", fontsize="medium")
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=110, format="png")
+    writing.write(folder / CURVE, picture.getvalue())
+
+
+SHOWN = (
+    ("return", "return of an episode"),
+    ("completed", "share of tasks completed"),
+    ("intimate_robot_on_person", "intimate violations by the robot"),
+)
+"""Name in an evaluation, and what it is."""
+
+
+def _step_count(lines: list[dict], number: int) -> float:
+    """Steps of all agents in an update."""
+    before = lines[number - 1]["steps"] if number else 0
+    agents = max(1, sum(key.startswith("agent ") for key in next((ln for ln in lines if "evaluation" in ln), {})))
+    return agents * (lines[number]["steps"] - before)
+
+
+def _points(judged: list, part: str, name: str) -> tuple[list[float], list[float]]:
+    found = [(line["steps"] / 1e6, line[part][name]) for line, _ in judged if name in line.get(part, {})]
+    return [x for x, _ in found], [y for _, y in found]

@@ -1,0 +1,439 @@
+"""``sean train ppo`` and ``sean train apg``: training from rewards, with checkpoints, evaluations and several agents.
+
+An update is one compiled program: all scenarios take some steps, and the agent learns from them (``ppo``, ``shac``).
+Agents of different seeds and numbers are trained side by side, along a leading axis A. Chance depends on (seed, update)
+and on the states of the scenarios, which checkpoints hold, so a training that was stopped goes on to the same curve.
+"""
+
+import dataclasses
+import math
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Float, Int, PyTree
+from rich.console import Console
+
+from sean_jax import devices, files, mdp, prng, registry, writing
+from sean_jax.base import Array, Policy, Scenario
+from sean_jax.config import METHODS, ReinforcementConfig, validate
+from sean_jax.episodes import init_policy, policy_step
+from sean_jax.errors import InputError
+from sean_jax.flags import command
+from sean_jax.learning import driving, ppo, rollouts, shac
+from sean_jax.learning.actor_critic import ActorCritic, Agent, init_agent
+from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
+from sean_jax.learning.curves import draw_curve, sparkline
+from sean_jax.learning.logs import Log
+from sean_jax.learning.manifests import CONFIG
+from sean_jax.learning.rollouts import Rows
+from sean_jax.mdp import observations, rewards
+from sean_jax.progress import progress
+from sean_jax.scenario import reset, results
+from sean_jax.versions import versions
+
+TRAINERS = {"ppo": ppo, "apg": shac}
+"""Method -> the module that has its ``init`` and ``update``."""
+
+
+@struct.dataclass
+class Best:
+    """The agents that did best in an evaluation so far."""
+
+    agent: Agent  # (A, ...)
+    value: Float[Array, "A"]  # return in that evaluation
+    update: Int[Array, "A"]  # after which it was
+
+
+@struct.dataclass
+class TrainState:
+    """Everything on which the rest of a training depends. The field names are those of the checkpoints on disk."""
+
+    agent: Agent  # (A, ...)
+    optimizer: PyTree  # (A, ...)
+    rows: Rows  # (A, B, ...)
+    best: Best
+    update: Int[Array, ""]  # updates done
+
+
+class Programs(NamedTuple):
+    """The compiled functions of a training. Each compiles at its first call."""
+
+    begin: Callable  # (env, agents) -> TrainState
+    update: Callable  # (env, state) -> (state, numbers for the log, (A, ...))
+    evaluate: Callable  # (scenario, env, agents) -> numbers for the log, (A, ...)
+
+
+def train(options: ReinforcementConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
+    """Train agents, or continue their training, in the folder of the options.
+
+    Args:
+        options: what to train.
+        console: shows the progress; a function receives the fraction done instead, and None shows nothing.
+
+    Returns:
+        The state after the last update. ``learning.load`` reads the best agent from the folder.
+
+    Raises:
+        InputError: the options are impossible, or the folder holds something else.
+        WriteError: another process trains in the folder.
+        IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
+        FloatingPointError: the loss is not finite. The checkpoints stay.
+    """
+    config = _config(options)
+    check_config(options.folder, config)  # refuses before anything is written
+    scenario, env, network = build(options)
+    with writing.folder_lock(options.folder):
+        return _train(options, console, scenario, env, network, config)
+
+
+def build(options: ReinforcementConfig) -> tuple[Scenario, mdp.Env, ActorCritic]:
+    """What is trained, and where.
+
+    Args:
+        options: of the training.
+
+    Returns:
+        The scenario of evaluations, the environment of the training, without a pool, and the network.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    seen, private = terms(options)
+    env = replace(registry.build(options), observations=(*seen, *private))
+    shapes = dict(env.observation_space.items())
+    hidden = sum(math.prod(shapes[name].shape) for name, _ in private)
+    return env.scenario, replace(env, scenario=replace(env.scenario, metrics=())), _network(options, seen, hidden)
+
+
+def terms(options: ReinforcementConfig) -> tuple[observations.Terms, observations.Terms]:
+    """What the agent sees.
+
+    Args:
+        options: of the training.
+
+    Returns:
+        The terms that the actor sees, and those that the critic sees besides.
+
+    Raises:
+        InputError: there is no term of a name, or the critic's are images or the actor's.
+    """
+    seen = registry.observation_terms(options.observations)
+    private = registry.observation_terms(options.critic, "critic")
+    for name, term in private:
+        if term.image or name in dict(seen):
+            why = "is an image" if term.image else "is what the actor sees already"
+            raise InputError(f"critic: {name} {why}; choose another term.")
+    return seen, private
+
+
+def _network(options: ReinforcementConfig, seen: observations.Terms, private: int) -> ActorCritic:
+    images = tuple(name for name, term in seen if term.image)
+    return ActorCritic(options.width, options.layers, images, options.recurrent, private, options.bfloat16)
+
+
+def updates(options: ReinforcementConfig) -> int:
+    """How many updates a training has.
+
+    Args:
+        options: of the training.
+
+    Returns:
+        The number.
+    """
+    return max(1, math.ceil(options.steps / (options.scenarios * options.horizon)))
+
+
+def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> Programs:
+    """The compiled functions of a training.
+
+    Args:
+        options: sizes, numbers and seeds.
+        network: what is trained.
+        over: the devices, on which scenarios are spread.
+
+    Returns:
+        Functions, of which ``update`` reuses (donates) the memory of the state that it receives.
+    """
+    trainer: Any = TRAINERS[options.method]
+    agents = options.agents
+    keys = jnp.stack([prng.key("training", int(agent["seed"])) for agent in agents])
+    numbers = {name: jnp.asarray([agent[name] for agent in agents], jnp.float32) for name in options.SWEPT}
+    number = updates(options)
+
+    def begin(env: mdp.Env, agents: Agent) -> TrainState:
+        def one(agent: Agent, key: Array) -> tuple[PyTree, Rows]:
+            rows = rollouts.begin(env, network, jax.random.fold_in(key, 0), options.scenarios)
+            return trainer.init(agent), rows
+
+        optimizer, rows = jax.vmap(one)(agents, keys)
+        count = keys.shape[0]
+        best = Best(agents, jnp.full(count, -jnp.inf, jnp.float32), jnp.zeros(count, jnp.int32))
+        return TrainState(agents, optimizer, rows, best, jnp.zeros((), jnp.int32))
+
+    def update(env: mdp.Env, state: TrainState) -> tuple[TrainState, dict[str, Any]]:
+        done = state.update + 1
+        left = 1.0 - state.update.astype(jnp.float32) / number
+
+        def one(agent: Agent, optimizer: PyTree, rows: Rows, key: Array, own: dict[str, Array]) -> tuple:
+            own = own | {"learning_rate": own["learning_rate"] * left}
+            return trainer.update(options, own, env, network, agent, optimizer, rows, jax.random.fold_in(key, done))
+
+        agent, optimizer, rows, told = jax.vmap(one)(state.agent, state.optimizer, state.rows, keys, numbers)
+        return replace(state, agent=agent, optimizer=optimizer, rows=rows, update=done), told
+
+    def evaluate(scenario: Scenario, env: mdp.Env, agents: Agent) -> dict[str, Any]:
+        chosen = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
+        seen, _ = terms(options)
+        return jax.vmap(lambda agent: _evaluate(scenario, env, driving.policy(network, agent, seen), chosen))(agents)
+
+    whole = NamedSharding(over, PartitionSpec())
+    return Programs(
+        jax.jit(begin),
+        jax.jit(update, donate_argnums=1, out_shardings=(_shardings(over), whole)),
+        jax.jit(evaluate, out_shardings=whole),
+    )
+
+
+def _shardings(over: Mesh) -> TrainState:
+    """Scenarios on all devices, and all else on each."""
+    whole, split = (NamedSharding(over, PartitionSpec(*axes)) for axes in ((), (None, devices.AXIS)))
+    return TrainState(agent=whole, optimizer=whole, rows=split, best=whole, update=whole)  # pyright: ignore
+
+
+def _evaluate(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Array) -> dict[str, Any]:
+    """Means over episodes in which the agent takes the mean of its actions: return, and all metrics."""
+    steps = math.ceil(scenario.time_limit / scenario.time_step) + 1
+
+    def episode(key: Array) -> tuple[Array, Array, dict[str, Array]]:
+        state = init_policy(scenario, policy, reset(scenario, key))
+        potentials = rewards.potentials(env.rewards, scenario, state)
+
+        def one(carry: tuple, _) -> tuple[tuple, None]:
+            before, then, total, going = carry
+            after, _ = policy_step(scenario, policy, before)
+            now = rewards.potentials(env.rewards, scenario, after)
+            parts = rewards.of_step(env.rewards, scenario, before, after, then, now)
+            total += jnp.where(going, jnp.stack(list(parts.values())).sum(), 0.0)
+            ends = jnp.stack([after.completed, after.timed_out, *env.ends(scenario, before, after)])
+            if env.terminations:  # an episode that was completed or timed out stands still by itself
+                after = jax.tree.map(lambda old, new: jnp.where(going, new, old), before, after)
+            return (after, now, total, going & ~ends.any()), None
+
+        carry = state, potentials, jnp.zeros((), float), jnp.ones((), bool)
+        (last, _, total, _), _ = jax.lax.scan(one, carry, length=steps)
+        return total, last.completed, results(scenario, last)
+
+    total, completed, measured = jax.vmap(episode)(keys)
+    numbers = {"return": total.mean(), "completed": completed.mean(dtype=jnp.float32)}
+    return numbers | {name: jnp.nanmean(value, 0) for name, value in measured.items()}
+
+
+# ------------------------------------------------------------------ the training
+
+
+def _train(
+    options: ReinforcementConfig,
+    console: Console | Callable[[float], None] | None,
+    scenario: Scenario,
+    env: mdp.Env,
+    network: ActorCritic,
+    config: dict[str, Any],
+) -> TrainState:
+    """Train in a folder that this process has locked."""
+    resumes, over, number = check_config(options.folder, config), devices.mesh(), updates(options)
+    if options.scenarios % over.size:
+        text = f"scenarios: {options.scenarios} do not spread evenly over {over.size} devices"
+        raise InputError(f"{text}; take a multiple.")
+    run = programs(options, network, over)
+    with progress(console) as tell:
+        tell.stage("drawing starts")
+        pool_key = jax.random.fold_in(prng.key("training", options.seed), 2**31 - 1)
+        env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, pool_key, options.pool)
+        state = run.begin(env, _agents(options, network, env))
+        if not resumes:
+            write_config(options.folder, config)
+        checkpoints = Checkpoints(options.folder, writes=True)
+        saved = checkpoints.latest(_plain(state)) if resumes else None
+        state = state if saved is None else _typed(saved, state)
+        env, state = devices.replicate(over, env), jax.device_put(state, _placed(state, _shardings(over)))
+        log = Log(options.folder, int(state.update))
+        curve = [float(line["evaluation"]["return"]) for line in log.lines if "evaluation" in line]
+        tell.start("training", number)
+        try:
+            while int(state.update) < number:
+                begun = time.time()
+                state, told = run.update(env, state)
+                done, told = int(state.update), jax.tree.map(np.asarray, told)
+                _check_finite(told, done, options)
+                each = options.scenarios * options.horizon
+                rate = len(options.agents) * each / (time.time() - begun)
+                line = {"epoch": done, "steps": done * each, "per_second": rate}
+                line |= {part: _numbers(values) for part, values in told.items()}
+                due = done % options.evaluate_every == 0 or done == number
+                if due:
+                    state, evaluation = _judge(run, scenario, env, state)
+                    line |= evaluation
+                    curve.append(evaluation["evaluation"]["return"])
+                log.add(line | {"time": time.time()})  # before the checkpoint: what follows it is dropped at a restart
+                if due:
+                    checkpoints.save(_plain(state), done, -float(np.sum(state.best.value)))
+                    draw_curve(options.folder)
+                episodes = line["episodes"]
+                note = f"return {episodes.get('return', math.nan):.1f}, completed {episodes.get('completed', 0.0):.0%}"
+                tell.update(done, f"update {done} · {note} · {sparkline(curve)} · {rate:,.0f} steps/s")
+        finally:
+            checkpoints.wait()
+    return state
+
+
+def _agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.Env) -> Agent:
+    """The agents before the first update, (A, ...)."""
+    keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
+    space = env.observation_space
+    agents = jax.jit(jax.vmap(lambda key: init_agent(network, env.observations, space, key)))(keys)
+    if options.pretrained is None:
+        return agents
+    other = _pretrained(options)
+    return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), other)
+
+
+def _judge(run: Programs, scenario: Scenario, env: mdp.Env, state: TrainState) -> tuple[TrainState, dict[str, dict]]:
+    """The state with its best agents, and what this evaluation found: of all, and of each if there are several."""
+    found = jax.tree.map(np.asarray, run.evaluate(scenario, replace(env, pool=None), state.agent))
+    value = jnp.asarray(found["return"], jnp.float32)
+    better = value > state.best.value
+    now = Best(state.agent, value, jnp.broadcast_to(state.update, value.shape))
+    best = jax.tree.map(
+        lambda old, new: jnp.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old), state.best, now
+    )
+    names = ["", *(f" in {name}" for name, _ in scenario.situations)]
+    rows = [_row(names, {name: one[number] for name, one in found.items()}) for number in range(value.shape[0])]
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # a situation that never occurred
+        mean = _row(names, {name: np.nanmean(one, 0) for name, one in found.items()})
+    told = {"evaluation": mean}
+    if len(rows) > 1:
+        told |= {f"agent {number}": row for number, row in enumerate(rows)}
+    return replace(state, best=best), told
+
+
+def _row(names: list[str], found: dict[str, np.ndarray]) -> dict[str, float]:
+    """What is finite, by name and by situation."""
+    told = {}
+    for name, value in found.items():
+        for column, part in zip(names, value.reshape(-1), strict=False):
+            if np.isfinite(part):
+                told[name + column] = float(part)
+    return told
+
+
+def _numbers(values: dict[str, np.ndarray]) -> dict[str, float]:
+    """Means over agents of what is finite, as JSON has words for."""
+    finite = {name: value[np.isfinite(value)] for name, value in values.items()}
+    return {name: float(value.mean()) for name, value in finite.items() if value.size}
+
+
+def _check_finite(numbers: dict[str, Any], done: int, options: ReinforcementConfig) -> None:
+    if not np.isfinite(numbers["train"]["loss"]).all():
+        where = f"the loss is not finite in update {done}; {options.folder} keeps the checkpoints until then"
+        raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
+
+
+def _plain(tree: PyTree) -> PyTree:
+    """What checkpoints can hold: keys as numbers, and one number for an array of none."""
+    return jax.tree.map(lambda leaf: leaf if leaf.size else jnp.zeros(1, leaf.dtype), prng.as_numbers(tree))
+
+
+def _typed(plain: PyTree, like: PyTree) -> PyTree:
+    """The inverse of ``_plain``."""
+    return prng.as_keys(jax.tree.map(lambda leaf, one: leaf if one.size else one, plain, like), like)
+
+
+def _placed(state: TrainState, shardings: TrainState) -> TrainState:
+    """The sharding of each array of a state."""
+    parts = {
+        field.name: jax.tree.map(lambda _, name=field.name: getattr(shardings, name), getattr(state, field.name))
+        for field in dataclasses.fields(state)  # pyright: ignore[reportArgumentType]
+    }
+    return TrainState(**parts)
+
+
+def _config(options: ReinforcementConfig) -> dict[str, Any]:
+    return {
+        "command": command("train", options),
+        "method": options.method,
+        **options.decisive(),
+        "devices": len(jax.devices()),
+        "versions": versions(),
+    }
+
+
+# ------------------------------------------------------------------ what was trained
+
+
+def load(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
+    """The best agent of a training.
+
+    Args:
+        folder: of the training.
+        scenario: where it will drive.
+
+    Returns:
+        The network, the agent, and the terms of its observation.
+
+    Raises:
+        InputError: there is no checkpoint, or the agent learned from observations of another size.
+        IncompleteError: the checkpoint cannot be read.
+    """
+    options = _read_options(folder)
+    seen, private = terms(options)
+    shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), scenario)
+    space = observations.space((*seen, *private), scenario, shapes)
+    hidden = sum(math.prod(dict(space.items())[name].shape) for name, _ in private)
+    network = _network(options, seen, hidden)
+    return network, _best(folder, options, network, (*seen, *private), space), seen
+
+
+def _best(folder: Path, options: ReinforcementConfig, network: ActorCritic, known: observations.Terms, space: Any):
+    """The agent with the highest return in an evaluation."""
+    count = len(options.agents)
+
+    def empty() -> Best:
+        agents = jax.vmap(lambda key: init_agent(network, known, space, key))(
+            jax.random.split(jax.random.key(0), count)
+        )
+        return Best(agents, jnp.zeros(count, jnp.float32), jnp.zeros(count, jnp.int32))
+
+    best = Checkpoints(folder).best("best", jax.eval_shape(empty))
+    chosen = int(np.argmax(best.value))
+    return jax.tree.map(lambda part: part[chosen], best.agent)
+
+
+def _read_options(folder: Path) -> ReinforcementConfig:
+    """Those of the training in a folder."""
+    if not (folder / CONFIG).is_file():
+        raise InputError(f"{folder} has no trained agent; make one with `sean train ppo --out {folder}`.")
+    saved = files.read_json(folder / CONFIG)
+    try:
+        model: Any = METHODS[saved["method"]]
+        return validate(model, {name: saved[name] for name in saved if name in model.model_fields})
+    except (InputError, KeyError) as error:
+        raise InputError(f"{folder / CONFIG}: {error}") from None
+
+
+def _pretrained(options: ReinforcementConfig) -> Agent:
+    """The best agent of another training, which must have seen the same and be of the same size."""
+    folder = Path(str(options.pretrained))
+    had, asked = _read_options(folder).decisive(), options.decisive()
+    for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16"):
+        if had[name] != asked[name]:
+            raise InputError(f"pretrained: {folder} has {name} {had[name]}, not {asked[name]}; ask for the same.")
+    return load(folder, build(options)[0])[1]

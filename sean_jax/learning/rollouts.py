@@ -1,0 +1,205 @@
+"""What an agent of reinforcement learning does and sees while it learns: steps of many scenarios, and their advantages.
+
+Source: J. Schulman et al., "High-dimensional continuous control using generalized advantage estimation", ICLR 2016.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Bool, Float
+
+from sean_jax import mdp
+from sean_jax.base import Array
+from sean_jax.learning.actor_critic import ActorCritic, Agent, Answer, answer, log_density
+from sean_jax.mdp import observations
+
+TOLD = ("rewards", "completed", "episode_return", "episode_length")  # of a step's info, for the log
+
+
+@struct.dataclass
+class Rows:
+    """Scenarios that step together, between two updates."""
+
+    envs: mdp.EnvState  # (B, ...)
+    observation: dict[str, Array]  # (B, ...)
+    memory: Float[Array, "B M"]  # of the network
+    start: Bool[Array, "B"]  # whether the observation is the first of an episode
+
+
+class Seen(NamedTuple):
+    """What a step of a scenario gives, or stacked (T, B, ...)."""
+
+    vector: Float[Array, "F"]
+    images: dict[str, Array]
+    start: Bool[Array, ""]
+    action: Float[Array, "2"]
+    log_density: Float[Array, ""]
+    value: Float[Array, ""]
+    reward: Float[Array, ""]
+    over: Bool[Array, ""]  # the episode ended with this step
+    final_value: Float[Array, ""]  # of what followed a truncation; 0 where none was
+    told: dict[str, Any]  # for the log
+
+
+def begin(env: mdp.Env, network: ActorCritic, key: Array, number: int) -> Rows:
+    """Scenarios at the start of their first episodes.
+
+    Args:
+        env: what is trained on.
+        network: what is trained.
+        key: () typed PRNG key.
+        number: of scenarios, B.
+
+    Returns:
+        The scenarios.
+    """
+    observation, envs = jax.vmap(env.reset)(jax.random.split(key, number))
+    return Rows(envs, observation, jnp.zeros((number, network.memory_size), jnp.float32), jnp.ones(number, bool))
+
+
+def vectors(terms: observations.Terms, observation: dict[str, Array]) -> Float[Array, "B F"]:
+    """The numbers of observations, without images.
+
+    Args:
+        terms: of the observation.
+        observation: (B, ...) of each term.
+
+    Returns:
+        (B, F).
+    """
+    return jax.vmap(functools.partial(observations.flatten, terms))(observation).astype(jnp.float32)
+
+
+def say(
+    network: ActorCritic, agent: Agent, terms: observations.Terms, observation: dict, memory: Array, start: Array
+) -> Answer:
+    """The answer to observations of many scenarios.
+
+    Args:
+        network: whose parameters the agent has.
+        agent: what answers.
+        terms: of the observation.
+        observation: (B, ...) of each term.
+        memory: (B, M) of the network.
+        start: (B,) whether an episode begins.
+
+    Returns:
+        The answer, (B, ...).
+    """
+    images = {name: observation[name].astype(network.image_dtype) for name in network.images}
+    return answer(network, agent, vectors(terms, observation), images, memory, start)
+
+
+def collect(env: mdp.Env, network: ActorCritic, agent: Agent, rows: Rows, steps: int, key: Array) -> tuple[Rows, Seen]:
+    """Let the agent drive, with the noise of its actions.
+
+    Args:
+        env: what is trained on, with a pool.
+        network: whose parameters the agent has.
+        agent: who drives.
+        rows: B scenarios.
+        steps: T of each.
+        key: () typed PRNG key of the noise and of the episodes that begin.
+
+    Returns:
+        The scenarios afterwards, and (T, B) of what was seen.
+    """
+    terms = env.observations
+
+    def one(rows: Rows, tick: Array) -> tuple[Rows, Seen]:
+        action_key, next_key = jax.random.split(jax.random.fold_in(key, tick))
+        said = say(network, agent, terms, rows.observation, rows.memory, rows.start)
+        action = said.mean + jnp.exp(said.log_std) * jax.random.normal(action_key, said.mean.shape, said.mean.dtype)
+        keys = jax.random.split(next_key, rows.start.shape[0])
+        following, envs, reward, terminated, truncated, info = jax.vmap(env.step)(keys, rows.envs, action)
+        over = terminated | truncated
+        final = say(network, agent, terms, info["final_observation"], said.memory, jnp.zeros_like(over))
+        seen = Seen(
+            vector=vectors(terms, rows.observation),
+            images={name: rows.observation[name].astype(network.image_dtype) for name in network.images},
+            start=rows.start,
+            action=action,
+            log_density=log_density(said, action),
+            value=said.value,
+            reward=reward.astype(jnp.float32),
+            over=over,
+            final_value=jnp.where(truncated, final.value, 0.0),
+            told={name: info[name] for name in TOLD},
+        )
+        return Rows(envs, following, said.memory, over), seen
+
+    return jax.lax.scan(one, rows, jnp.arange(steps, dtype=jnp.int32))
+
+
+def advantages(seen: Seen, last_value: Float[Array, "B"], discount: Array, decay: Array) -> Float[Array, "T B"]:
+    """Generalized advantage estimates; an episode that was truncated is worth what followed.
+
+    Args:
+        seen: (T, B) of the scenarios.
+        last_value: (B,) of what they see after these steps.
+        discount: what a reward is worth one step later.
+        decay: lambda of the estimate.
+
+    Returns:
+        (T, B).
+    """
+
+    def back(carry: tuple[Array, Array], step: Seen) -> tuple[tuple[Array, Array], Array]:
+        advantage, following = carry
+        following = jnp.where(step.over, step.final_value, following)
+        error = step.reward + discount * following - step.value
+        advantage = error + jnp.where(step.over, 0.0, discount * decay) * advantage
+        return (advantage, step.value), advantage
+
+    nothing = jnp.zeros_like(last_value)
+    _, found = jax.lax.scan(back, (nothing, last_value), seen._replace(vector=(), images={}, told={}), reverse=True)
+    return found
+
+
+def unroll(network: ActorCritic, agent: Agent, seen: Seen, memory: Float[Array, "B M"]) -> Answer:
+    """Answers to observations in a row.
+
+    Args:
+        network: whose parameters the agent has.
+        agent: what answers.
+        seen: (T, B) of the scenarios.
+        memory: (B, M) of the network before the first.
+
+    Returns:
+        The answers, (T, B, ...).
+    """
+    if not network.recurrent:
+        empty = jnp.zeros((*seen.start.shape, 0), jnp.float32)
+        return answer(network, agent, seen.vector, seen.images, empty, seen.start)
+
+    def one(memory: Array, step: Seen) -> tuple[Array, Answer]:
+        said = answer(network, agent, step.vector, step.images, memory, step.start)
+        return said.memory, said
+
+    return jax.lax.scan(one, memory, seen)[1]
+
+
+def of_episodes(seen: Seen) -> dict[str, Array]:
+    """Of the episodes that ended in an update: how many, and means, which are NaN if none did.
+
+    Args:
+        seen: (T, B) of the scenarios.
+
+    Returns:
+        Numbers by name.
+    """
+    over = seen.over.astype(jnp.float32)
+    number = over.sum()
+
+    def mean(values: Array) -> Array:
+        return (values.astype(jnp.float32) * over).sum() / number
+
+    return {
+        "number": number,
+        "return": mean(seen.told["episode_return"]),
+        "steps": mean(seen.told["episode_length"]),
+        "completed": mean(seen.told["completed"]),
+    }
