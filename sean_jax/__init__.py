@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from sean_jax.behaviors import BEHAVIORS, Place
     from sean_jax.classifiers import SITUATION_SETS, SITUATIONS, Thresholds
     from sean_jax.config import (
+        APGConfig,
         CollectConfig,
         CustomTask,
         EnvConfig,
@@ -76,7 +77,7 @@ _PUBLIC = {
     "Scenario Sensor State Trajectory as_policy",
     "behaviors": "BEHAVIORS Place",
     "classifiers": "SITUATIONS SITUATION_SETS Thresholds",
-    "config": "CollectConfig CustomTask EnvConfig GraphBehavior HandcraftedBehavior PPOConfig PlaybackBehavior "
+    "config": "APGConfig CollectConfig CustomTask EnvConfig GraphBehavior HandcraftedBehavior PPOConfig PlaybackBehavior "
     "RandomBehavior RunConfig ScenarioConfig TrainConfig",
     "crowding": "congestion",
     "drawing": "view",
@@ -101,6 +102,7 @@ _HOMES = {name: module for module, names in _PUBLIC.items() for name in names.sp
 _ROOMS = ("gradients", "inverse_graph", "mdp", "registry", "scenes", "sensors")  # public as a whole
 
 __all__ = [
+    "APGConfig",
     "BEHAVIORS",
     "Behavior",
     "CollectConfig",

@@ -309,7 +309,7 @@ def test_analytic_gradients_are_those_of_differences():
         return shac._lost(env, network, acting, agent, rows, 4, jax.random.key(4), jnp.asarray(0.99))[0]
 
     found = jax.jit(jax.grad(lost))(0.3)
-    step = 1e-2
+    step = 1e-3  # at 1e-2 limits of the robot come in between
     wanted = (jax.jit(lost)(0.3 + step) - jax.jit(lost)(0.3 - step)) / (2 * step)
     assert float(found) == pytest.approx(float(wanted), rel=0.05, abs=1e-4) and float(found) != 0.0
 
