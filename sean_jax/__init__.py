@@ -77,8 +77,8 @@ _PUBLIC = {
     "Scenario Sensor State Trajectory as_policy",
     "behaviors": "BEHAVIORS Place",
     "classifiers": "SITUATIONS SITUATION_SETS Thresholds",
-    "config": "APGConfig CollectConfig CustomTask EnvConfig GraphBehavior HandcraftedBehavior PPOConfig PlaybackBehavior "
-    "RandomBehavior RunConfig ScenarioConfig TrainConfig",
+    "config": "APGConfig CollectConfig CustomTask EnvConfig GraphBehavior HandcraftedBehavior PPOConfig "
+    "PlaybackBehavior RandomBehavior RunConfig ScenarioConfig TrainConfig",
     "crowding": "congestion",
     "drawing": "view",
     "episodes": "ResetPool autoreset init_policy policy_step reset_pool rollout rollout_autoreset simulate",
