@@ -150,12 +150,13 @@ def _split(shape: _Shape, operands: Sequence[Array]) -> Callable:
         split = next((each.sharding for each, one in zip(given, of_all, strict=True) if not one), given[0].sharding)
         return tuple(split for _ in results)
 
-    names = [f"{f'one{i}' if one else 'scenarios'} column{i}" for i, one in enumerate(of_all)]
-    results = ["scenarios ray" for _ in range(1 + shape.numbers)]
-    alone = [f"column{i}" for i in range(len(of_all))] + [f"one{i}" for i, one in enumerate(of_all) if one] + ["ray"]
-    rule = f"{', '.join(names)} -> {', '.join(results)}"
+    given = [(f"one{i}" if one else "scenarios", f"column{i}") for i, one in enumerate(of_all)]
+    factors = ", ".join(" ".join(names) for names in given)
+    results = ", ".join(["scenarios ray"] * (1 + shape.numbers))
+    alone = [name for names in given for name in names if name != "scenarios"]
+    rule = f"{factors} -> {results}"
     call.def_partition(
-        partition, infer_sharding_from_operands=infer, sharding_rule=rule, need_replication_factors=tuple(alone)
+        partition, infer_sharding_from_operands=infer, sharding_rule=rule, need_replication_factors=(*alone, "ray")
     )
     return call
 
