@@ -1,7 +1,7 @@
 """The first body that each ray meets, on a GPU: one kernel, written in Pallas (Triton).
 
-Each program of the kernel has up to ``WIDTH`` rays of one tile in registers, goes through the bodies that the tile has in
-sight, and writes its result once. So the loops end on the GPU. A loop of XLA's whose end depends on data ends on the
+Each program of the kernel has up to ``WIDTH`` rays of one tile in registers, goes through the bodies that the tile has
+in sight, and writes its result once. So the loops end on the GPU. A loop of XLA's whose end depends on data ends on the
 host, which reads a flag after every turn: a busy host then holds up the card.
 """
 
@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.experimental.custom_partitioning import custom_partitioning
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Bool
 
 from sean_jax.base import Array
@@ -23,6 +24,7 @@ from sean_jax.raycast.rays import Beams, Rays
 
 WARP = 32  # threads of a GPU that run together; rays of a program are a multiple of it
 WIDTH = 4 * WARP  # rays of a program at most; one warp has them all
+AMPERE = 8.0  # compute capability of the first GPUs for which XLA takes Triton's kernels
 BITS = 32  # bodies in a word, of which each bit says whether a tile has a body in sight
 
 
@@ -48,14 +50,19 @@ class _Shape(NamedTuple):
 
 @cache
 def available() -> bool:
-    """Whether this JAX has Pallas for GPUs.
+    """Whether the kernel runs on the GPU of this machine. Without a GPU it is asked for another machine: yes.
 
     Returns:
         True or False.
     """
+    if importlib.util.find_spec("jax.experimental.pallas.triton") is None:
+        return False
+    device = jax.devices()[0]
+    if device.platform == "cpu":
+        return True
     try:
-        return importlib.util.find_spec("jax.experimental.pallas.triton") is not None
-    except ImportError:
+        return float(device.compute_capability) >= AMPERE
+    except (AttributeError, ValueError):  # not one of NVIDIA's
         return False
 
 
@@ -106,7 +113,7 @@ def _words(in_sight: Array) -> Array:
 
 
 def _launch(shape: _Shape) -> Callable:
-    """A function of operands (1, ...) that can be batched: it makes (scenarios, ...) of them, and one launch of that."""
+    """A function of operands (1, ...). Under ``vmap`` they become (scenarios, ...), which are one launch."""
 
     @jax.custom_batching.custom_vmap
     def launch(*operands: Array) -> tuple[Array, ...]:
@@ -132,37 +139,23 @@ def _launch(shape: _Shape) -> Callable:
 
 
 def _split(shape: _Shape, operands: Sequence[Array]) -> Callable:
-    """The kernel as a function whose scenarios are split over devices; XLA cannot see that it may split them."""
+    """The kernel for devices that share the scenarios. XLA, which cannot look into it, would run all on each device."""
     call = custom_partitioning(lambda *operands: _call(shape, *operands))
     of_all = [operand.shape[0] == 1 for operand in operands]
 
-    def partition(mesh: Any, given: Sequence, results: Sequence) -> tuple:
+    def partition(mesh: Mesh, given: Sequence, results: Sequence) -> tuple:
         split = results[0].sharding
-        whole = split.get_replicated(split._device_assignment) if mesh.empty else _whole(mesh)
-        return (
-            mesh,
-            partial(_call, shape),
-            tuple(split for _ in results),
-            tuple(whole if one else split for one in of_all),
-        )
+        whole = NamedSharding(split.mesh, PartitionSpec())
+        arguments = tuple(whole if one else split for one in of_all)
+        return mesh, partial(_call, shape), tuple(split for _ in results), arguments
 
-    def infer(mesh: Any, given: Sequence, results: Sequence) -> tuple:
-        split = next((each.sharding for each, one in zip(given, of_all, strict=True) if not one), given[0].sharding)
-        return tuple(split for _ in results)
-
-    given = [(f"one{i}" if one else "scenarios", f"column{i}") for i, one in enumerate(of_all)]
-    factors = ", ".join(" ".join(names) for names in given)
-    results = ", ".join(["scenarios ray"] * (1 + shape.numbers))
-    alone = [name for names in given for name in names if name != "scenarios"]
-    rule = f"{factors} -> {results}"
-    call.def_partition(
-        partition, infer_sharding_from_operands=infer, sharding_rule=rule, need_replication_factors=(*alone, "ray")
+    axes = [(f"one{i}" if one else "scenarios", f"column{i}") for i, one in enumerate(of_all)]
+    arguments, results = (
+        ", ".join(" ".join(each) for each in side) for side in (axes, [("scenarios", "ray")] * (1 + shape.numbers))
     )
+    whole = [name for each in axes for name in each if name != "scenarios"]
+    call.def_partition(partition, sharding_rule=f"{arguments} -> {results}", need_replication_factors=(*whole, "ray"))
     return call
-
-
-def _whole(mesh: Any) -> jax.sharding.NamedSharding:
-    return jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec())
 
 
 def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
@@ -173,16 +166,16 @@ def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Arr
     scenarios = max(operand.shape[0] for operand in operands)
     programs = shape.rays.tiles * shape.parts
 
-    def block(operand: Array, blocks: int) -> pallas.BlockSpec:
-        one, each = operand.shape[0] == 1, operand.shape[1] // blocks
-        of_tile = {1: 0, shape.rays.tiles: shape.parts, programs: 1}[blocks] if blocks > 1 else 0
+    def block(operand: Array | jax.ShapeDtypeStruct, share: int) -> pallas.BlockSpec:
+        """What a program has of an operand, of which this many programs in a row have the same."""
+        one = operand.shape[0] == 1
 
         def place(scenario: Any, program: Any) -> tuple:
-            return 0 if one else scenario, program // of_tile if of_tile else 0
+            return 0 if one else scenario, program // share
 
-        return pallas.BlockSpec((None, each), place)
+        return pallas.BlockSpec((None, operand.shape[1] * share // programs), place)
 
-    blocks = [programs, 1] + [number for _ in shape.laws for number in (1, shape.rays.tiles)]
+    shares = [1, programs] + [share for _ in shape.laws for share in (programs, shape.parts)]
     kinds = (operands[0].dtype, jnp.int32)[: 1 + shape.numbers]
     out = tuple(jax.ShapeDtypeStruct((scenarios, programs * shape.width), kind) for kind in kinds)
     return tuple(
@@ -190,8 +183,8 @@ def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Arr
             partial(_kernel, shape),
             name="raycast",
             grid=(scenarios, programs),
-            in_specs=[block(operand, number) for operand, number in zip(operands, blocks, strict=True)],
-            out_specs=tuple(pallas.BlockSpec((None, shape.width), lambda scenario, program: (scenario, program)) for _ in out),
+            in_specs=[block(operand, share) for operand, share in zip(operands, shares, strict=True)],
+            out_specs=tuple(block(each, 1) for each in out),
             out_shape=out,
             compiler_params=triton.CompilerParams(num_warps=1, num_stages=1),
             interpret=interpret,
@@ -235,7 +228,7 @@ def _nearer(found: tuple[Array, ...], distance: Array, number: Any) -> tuple[Arr
 
 
 def _load(shape: _Shape, reference: Any, start: int, size: int) -> Beams:
-    columns = [reference[i * shape.width + start : i * shape.width + start + size] for i in range(reference.shape[0] // shape.width)]
+    columns = [reference[first : first + size] for first in range(start, reference.shape[0], shape.width)]
     offset = None if shape.rays.offset is None else tuple(columns[5:8])
     return Beams(tuple(columns[:3]), columns[3], columns[4], offset)
 
