@@ -41,6 +41,16 @@ def test_adapters():
 
 
 @pytest.mark.slow
+def test_rays_on_host():
+    small = "--environment", "lab", "--batches", "2", "--people", "4", "--dynamics", "twin", "--seconds", "0.01"
+    lines = run("benchmarks/rays_on_host.py", *small)
+    assert "100.000 % of the pixels are equal" in lines[1]  # on a CPU both forms are the same
+    rows = [line.split() for line in lines[-3:-1]]
+    assert [row[:2] for row in rows] == [["2", "loops"], ["2", "kernel"]]
+    assert all(float(number) > 0 for row in rows for number in row[2:])
+
+
+@pytest.mark.slow
 def test_peers(tmp_path):
     """The project's rows, and those of a peer that a path names; ratios are of the two."""
     peer = tmp_path / "slowpoke.py"

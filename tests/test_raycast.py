@@ -1,5 +1,10 @@
 """Rays against MuJoCo's own, the gradients of distances, and what tiles leave out."""
 
+import os
+import re
+import subprocess
+import sys
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -11,7 +16,7 @@ from quick import quick
 
 from sean_jax import environment, raycast
 from sean_jax.base import Solids
-from sean_jax.raycast import laws
+from sean_jax.raycast import intersect, kernel, laws
 
 mujoco: Any = import_module("mujoco")  # Any, for it has no type stubs
 RADIUS = 0.2  # m, of people
@@ -216,3 +221,132 @@ def test_who_else_is_in_the_batch_changes_nothing():
     nested = jax.jit(jax.vmap(jax.vmap(image)))(people.reshape(2, 2, 30, 2)).reshape(batch.shape)
     assert np.allclose(batch, alone, rtol=2e-6, atol=0)
     assert np.array_equal(nested, batch)
+
+
+@pytest.fixture
+def interpreted(monkeypatch):
+    """The kernel for GPUs, run step by step on a CPU."""
+    monkeypatch.setattr(kernel, "_call", partial(kernel._call, interpret=True))
+
+
+def cluttered(random):
+    """A yard with all kinds of bodies, more boxes than bits of a word."""
+    turn = random.uniform(0, 6, 40)
+    size = random.uniform(0.1, 0.6, (40, 3))
+    boxes = np.column_stack([random.uniform(-8, 8, (40, 2)), size[:, 2], size, np.cos(turn), np.sin(turn)])
+    axis = random.normal(size=(3, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    cylinders = np.column_stack([random.uniform(-6, 6, (3, 3)), axis, random.uniform(0.1, 0.5, (3, 2))])
+    return yard(boxes, cylinders, np.column_stack([random.uniform(-6, 6, (2, 3)), [0.3, 0.5]]))
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_a_gpu_finds_what_a_cpu_finds(interpreted, parallel):
+    """Distances to rounding and the same bodies: alone, and in a batch of batches of which each has one crowd."""
+    random = np.random.default_rng(11)
+    solids = cluttered(random)
+    across, down = np.linspace(-0.8, 0.8, 10)[None], np.linspace(0.4, -0.4, 18)[:, None]
+    ways = np.stack(np.broadcast_arrays(1.0, across, down), -1)
+    starts = np.stack(np.broadcast_arrays(0.0, 3 * across, 3 * down), -1)
+    # In parallel all rays are one tile of 180, two programs of 96; else there are four tiles of 50, one of 64 each.
+    rays = raycast.bundle([0.0, 0.0, 0.4], ways, (10, 5), 50.0)
+    if parallel:
+        rays = raycast.bundle([0.0, 0.0, 1.4], np.broadcast_to([1.0, 0.0, -0.01], ways.shape), (18, 10), 50.0, starts)
+    crowds = jnp.asarray(random.uniform([0.6, -6.0], [9.0, 6.0], (2, 34, 2)), jnp.float32)
+    angle = random.uniform(0, 2 * np.pi, 3)
+    ahead = jnp.asarray(np.stack([np.cos(angle), np.sin(angle)], -1), jnp.float32)
+
+    def by(form, people, heading):
+        return form(rays, seen_from(rays, solids, people, heading=heading))
+
+    for cpu, numbers in ((intersect._nearest_of_all, False), (intersect._first_of_all, True)):
+        gpu = partial(intersect._in_a_kernel, rays, numbers)
+        loops, launch = partial(by, cpu), partial(by, lambda _, view, gpu=gpu: gpu(view))
+        expected = jax.jit(jax.vmap(jax.vmap(loops, (None, 0)), (0, None)))(crowds, ahead)
+        nested = jax.jit(jax.vmap(jax.vmap(launch, (None, 0)), (0, None)))(crowds, ahead)
+        assert 0.2 < (np.asarray(expected[0]) < 40.0).mean()
+        found = [(nested, slice(None))]
+        if numbers:
+            found.append((jax.jit(launch)(crowds[1], ahead[2]), (1, 2)))
+        for image, of in found:
+            assert np.allclose(image[0], np.asarray(expected[0])[of], rtol=2e-6, atol=0)
+            assert not numbers or np.array_equal(image[1], np.asarray(expected[1])[of])
+
+
+def lowered_for_gpu(function, *arguments):
+    """The program as XLA gets it for an H200."""
+    h200 = jax.sharding.AbstractDevice(device_kind="NVIDIA H200", num_cores=None, platform="cuda")
+    with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), (), abstract_device=h200)):
+        return jax.jit(function).trace(*arguments).lower(lowering_platforms=("cuda",)).as_text()
+
+
+def test_no_loop_is_left_to_the_host_of_a_gpu():
+    """Distances, numbers and gradients are launches of the kernel; the rays are there once for the whole batch."""
+    solids = cluttered(np.random.default_rng(3))
+    ways = np.stack(np.broadcast_arrays(1.0, np.linspace(-0.5, 0.5, 8)[None], np.linspace(0.4, -0.4, 8)[:, None]), -1)
+    rays = raycast.bundle([0.0, 0.0, 0.5], ways, (8, 4), 50.0)
+
+    def view(people):
+        return seen_from(rays, solids, people)
+
+    def total(people):
+        return jnp.minimum(raycast.distance(view(people), rays), 50.0).sum()
+
+    people = jax.ShapeDtypeStruct((7, 5, 2), jnp.float32)
+    programs = (
+        jax.vmap(lambda people: raycast.distance(view(people), rays)),
+        jax.vmap(lambda people: raycast.search(view(people), rays)),
+        jax.vmap(jax.grad(total)),
+        jax.vmap(jax.grad(jax.jit(jax.checkpoint(total)))),
+    )
+    for program in programs:
+        text = lowered_for_gpu(program, people)
+        assert "stablehlo.while" not in text
+        launches = re.findall(r"custom_call @__gpu\$xla.gpu.triton.* : \((.*)\) ->", text)
+        assert len(launches) == 1
+        sizes = re.findall(r"tensor<(\d+)x(\d+)x", launches[0])
+        assert sizes[0] == ("1", str(2 * 5 * 32)) and ("7", str(5 * 2)) in sizes
+    with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):
+        double = jax.ShapeDtypeStruct((7, 5, 2), jnp.float64)
+        exact = lowered_for_gpu(jax.vmap(lambda people: intersect.nearest(in_double(view(people)), rays)), double)
+    assert "stablehlo.while" in exact and "triton" not in exact
+
+
+def in_double(view):
+    return jax.tree.map(lambda leaf: leaf.astype(jnp.float64), view)
+
+
+SPLIT = """
+import re
+from functools import partial
+import jax, jax.numpy as jnp, numpy as np
+from test_raycast import RADIUS, cluttered
+from sean_jax import devices, raycast
+from sean_jax.raycast import intersect, kernel
+kernel._call = partial(kernel._call, interpret=True)
+random = np.random.default_rng(4)
+ways = np.stack(np.broadcast_arrays(1.0, np.linspace(-0.5, 0.5, 8)[None], np.linspace(0.4, -0.4, 8)[:, None]), -1)
+rays = raycast.bundle([0.0, 0.0, 0.5], ways, (8, 4), 50.0)
+def image(solids, people):
+    place, way = jnp.zeros(2, jnp.float32), jnp.asarray([1.0, 0.0], jnp.float32)
+    present = jnp.ones(5, bool)
+    view = raycast.make_view(solids, people, present, jnp.float32(RADIUS), place, way, rays.origin)
+    return intersect._in_a_kernel(rays, True, view)
+over, solids = devices.mesh(), cluttered(random)
+people = jnp.asarray(random.uniform(1.0, 5.0, (4, 5, 2)), jnp.float32)
+compiled = devices.shard_jit(over, image).lower(devices.replicate(over, solids), (people,)).compile()
+assert not re.search("all-gather|all-reduce|all-to-all|collective-permute", compiled.as_text())
+halves = jax.device_put(people, jax.sharding.NamedSharding(over, jax.sharding.PartitionSpec(devices.AXIS)))
+found = compiled(devices.replicate(over, solids), (halves,))
+assert [part.data.shape[0] for part in found[0].addressable_shards] == [2, 2]
+alone = jax.jit(jax.vmap(image, (None, 0)))(solids, people)
+assert np.allclose(found[0], alone[0], rtol=2e-6, atol=0) and np.array_equal(found[1], alone[1])
+"""
+
+
+@pytest.mark.slow
+def test_devices_share_the_scenarios_of_the_kernel():
+    """Each of two devices makes its own half of the images, and they exchange nothing."""
+    flags = "--xla_force_host_platform_device_count=2"
+    place = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run([sys.executable, "-c", SPLIT], env=place, check=True, timeout=300)

@@ -6,6 +6,7 @@ computes the distance to the nearest body again.
 """
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,9 @@ from jaxtyping import Float, Int
 
 from sean_jax.base import Array
 from sean_jax.geometry import length
-from sean_jax.raycast import laws
+from sean_jax.platforms import by_platform
+from sean_jax.raycast import kernel, laws
+from sean_jax.raycast.kernel import Family
 from sean_jax.raycast.rays import Beams, Rays
 from sean_jax.raycast.view import View
 
@@ -35,12 +38,7 @@ def nearest(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
     Returns:
         (tiles, rays) m; ``laws.MISS`` where a ray meets no body.
     """
-    beams = Beams.of(rays)
-    distance = laws.ground(view.height, beams.direction[2], beams.inverse_rise)
-    for _, table, law, in_sight in _families(view, rays):
-        if table.shape[0]:
-            distance = _nearest(law, table, in_sight, beams, distance)
-    return distance
+    return by_platform(partial(_nearest_of_all, rays), partial(_in_a_kernel, rays, False))(view)[0]
 
 
 def search(view: View, rays: Rays) -> tuple[Float[Array, "tiles rays"], Int[Array, "tiles rays"]]:
@@ -53,13 +51,33 @@ def search(view: View, rays: Rays) -> tuple[Float[Array, "tiles rays"], Int[Arra
     Returns:
         (tiles, rays) m, ``laws.MISS`` where a ray meets no body; and (tiles, rays) the number in the view.
     """
+    return by_platform(partial(_first_of_all, rays), partial(_in_a_kernel, rays, True))(view)
+
+
+def _nearest_of_all(rays: Rays, view: View) -> tuple[Array]:
+    """``nearest`` in loops of XLA's, for CPUs."""
+    beams = Beams.of(rays)
+    distance = laws.ground(view.height, beams.direction[2], beams.inverse_rise)
+    for family in _families(view, rays):
+        distance = _nearest(_law(family, view), family.table, family.in_sight, beams, distance)
+    return (distance,)
+
+
+def _first_of_all(rays: Rays, view: View) -> tuple[Array, Array]:
+    """``search`` in loops of XLA's, for CPUs."""
     beams, floor = Beams.of(rays), _starts(view)[4]
     distance = laws.ground(view.height, beams.direction[2], beams.inverse_rise)
     first = distance, jnp.where(distance < laws.MISS, floor, floor + 1).astype(jnp.int32)
-    for start, table, law, in_sight in _families(view, rays):
-        if table.shape[0]:
-            first = _first(law, table, in_sight, start, beams, first)
+    for family in _families(view, rays):
+        first = _first(_law(family, view), family.table, family.in_sight, family.start, beams, first)
     return first
+
+
+def _in_a_kernel(rays: Rays, numbers: bool, view: View) -> tuple[Array, ...]:
+    """``nearest``, or with ``numbers`` ``search``, for GPUs."""
+    if any(leaf.dtype != jnp.float32 for leaf in jax.tree.leaves(view)) or not kernel.available():
+        return (_first_of_all if numbers else _nearest_of_all)(rays, view)
+    return kernel.first(rays, list(_families(view, rays)), view.radius, view.height, _starts(view)[4], numbers)
 
 
 def _starts(view: View) -> tuple[int, int, int, int, int]:
@@ -68,8 +86,12 @@ def _starts(view: View) -> tuple[int, int, int, int, int]:
     return 0, boxes, boxes + cylinders, boxes + cylinders + spheres, boxes + cylinders + spheres + people
 
 
-def _families(view: View, rays: Rays) -> Iterator[tuple[int, Array, Law, Array]]:
-    """(number of the first body, table (K, F), law, (tiles, K) which tiles have each body in sight)."""
+def _law(family: Family, view: View) -> Law:
+    return lambda row, beams: family.law(row, beams, view.radius, view.height)
+
+
+def _families(view: View, rays: Rays) -> Iterator[Family]:
+    """The kinds of bodies that are there."""
     first_of = _starts(view)
     boxes, cylinders, spheres, people = view.boxes, view.cylinders, view.spheres, view.people
 
@@ -81,18 +103,24 @@ def _families(view: View, rays: Rays) -> Iterator[tuple[int, Array, Law, Array]]
     v = boxes[:, 6] * boxes[:, 1] - boxes[:, 7] * boxes[:, 0]
     zero = jnp.zeros((), float)
     away = length(jnp.maximum(jnp.abs(u) - boxes[:, 3], zero), jnp.maximum(jnp.abs(v) - boxes[:, 4], zero))
-    yield first_of[0], boxes, _box, _in_sight(rays, boxes, box_extent, away, boxes[:, 2] + boxes[:, 5])
+    if len(boxes):
+        in_sight = _in_sight(rays, boxes, box_extent, away, boxes[:, 2] + boxes[:, 5])
+        yield Family(first_of[0], boxes, _box, in_sight)
 
     flat = length(cylinders[:, 3], cylinders[:, 4]) * cylinders[:, 7]
     out = cylinders[:, 6] + flat
     top = cylinders[:, 2] + jnp.abs(cylinders[:, 5]) * cylinders[:, 7] + cylinders[:, 6]
-    yield first_of[1], cylinders, _cylinder, _round_in_sight(rays, cylinders, out, top)
+    if len(cylinders):
+        yield Family(first_of[1], cylinders, _cylinder, _round_in_sight(rays, cylinders, out, top))
 
     out = spheres[:, 3]
-    yield first_of[2], spheres, _sphere, _round_in_sight(rays, spheres, out, spheres[:, 2] + out)
+    if len(spheres):
+        yield Family(first_of[2], spheres, _sphere, _round_in_sight(rays, spheres, out, spheres[:, 2] + out))
 
     out = jnp.broadcast_to(view.radius, people.shape[:1])
-    yield first_of[3], people, _person(rays.low, view), _round_in_sight(rays, people, out, PERSON_HEIGHT - view.height)
+    if len(people):
+        in_sight = _round_in_sight(rays, people, out, PERSON_HEIGHT - view.height)
+        yield Family(first_of[3], people, _person_low if rays.low else _person, in_sight)
 
 
 def _round_in_sight(rays: Rays, table: Array, radius: Array, top: Array) -> Array:
@@ -212,7 +240,7 @@ def surface(
         (view.boxes, _box, _normal_of_box),
         (view.cylinders, _cylinder, _normal_of_cylinder),
         (view.spheres, _sphere, _normal_of_sphere),
-        (view.people, _person(rays.low, view), lambda row, x, y, z: _normal_of_person(row, x, y, z, view)),
+        (view.people, _person_low if rays.low else _person, lambda row, x, y, z: _normal_of_person(row, x, y, z, view)),
     )
     for start, (table, law, normal) in zip(first_of[:4], families, strict=True):
         if not table.shape[0]:
@@ -220,7 +248,7 @@ def surface(
         of_family = (number >= start) & (number < start + table.shape[0])
         index = jnp.clip(number - start, 0, table.shape[0] - 1)
         row = tuple(column[index] for column in table.T)
-        there = law(row, beams)
+        there = law(row, beams, view.radius, view.height)
         distance = jnp.where(of_family, there, distance)
         at = jnp.where(of_family & (there < laws.MISS), there, 1.0)
         facing = normal(row, *along(rays, at))
@@ -253,29 +281,29 @@ def _from_ray(beams: Beams, x: Array, y: Array, z: Array) -> tuple[Array, Array,
     return x - beams.offset[0], y - beams.offset[1], z - beams.offset[2]
 
 
-def _box(row: Row, beams: Beams) -> Array:
+def _box(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     x, y, z = _from_ray(beams, row[0], row[1], row[2])
     return laws.box(x, y, z, row[3], row[4], row[5], row[6], row[7], *beams.direction, beams.inverse_rise)
 
 
-def _cylinder(row: Row, beams: Beams) -> Array:
+def _cylinder(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     x, y, z = _from_ray(beams, row[0], row[1], row[2])
     return laws.cylinder(x, y, z, row[3], row[4], row[5], row[6], row[7], *beams.direction)
 
 
-def _sphere(row: Row, beams: Beams) -> Array:
+def _sphere(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     x, y, z = _from_ray(beams, row[0], row[1], row[2])
     return laws.sphere(x, y, z, row[3], *beams.direction)
 
 
-def _person(low: bool, view: View) -> Law:
-    shape = laws.person_lower_body if low else laws.person
+def _person(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
+    x, y, z = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-height, row[0].shape))
+    return laws.person(x, y, z, radius, *beams.direction, beams.inverse_run)
 
-    def law(row: Row, beams: Beams) -> Array:
-        x, y, z = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-view.height, row[0].shape))
-        return shape(x, y, z, view.radius, *beams.direction, beams.inverse_run)
 
-    return law
+def _person_low(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
+    x, y, z = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-height, row[0].shape))
+    return laws.person_lower_body(x, y, z, radius, *beams.direction, beams.inverse_run)
 
 
 def _normal_of_box(row, x, y, z):

@@ -1,0 +1,135 @@
+"""Steps with depth images on a GPU, by the kernel and by loops of XLA's, on an idle host and on a busy one.
+
+    python benchmarks/rays_on_host.py                      # on a GPU, about two minutes
+    python benchmarks/rays_on_host.py --batches 2 --dynamics twin --seconds 0.1
+
+Loops of XLA's end on the host, so they wait for it: a busy host has one process on each of its cores that computes
+nothing. Before that, the images of both forms are compared.
+"""
+
+import argparse
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import jax
+import numpy as np
+
+import sean_jax
+from sean_jax import sensors
+from sean_jax.bench import parts, programs
+from sean_jax.bench.timing import Program
+from sean_jax.raycast import kernel
+
+FORMS = "loops", "kernel"
+COMPARED = 256  # scenarios whose images are compared
+
+
+def choose(form: str) -> None:
+    """Rays on a GPU take this form in all that is traced from now on."""
+    jax.clear_caches()
+    kernel.available = lambda: form == "kernel"
+
+
+@contextlib.contextmanager
+def busy_host() -> Iterator[int]:
+    """Every core of this process has another one to serve."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    others = [subprocess.Popen([sys.executable, "-S", "-c", "while True: pass"]) for _ in range(cores)]
+    try:
+        time.sleep(0.5)  # until they run
+        yield cores
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+
+
+def compare(scenario: Any) -> None:
+    """Print how far the images of the two forms are apart."""
+    camera = sensors.camera(scenario, "depth", width=parts.IMAGE[0], height=parts.IMAGE[1])
+    keys = jax.random.split(jax.random.key(0), COMPARED)
+    states = jax.jit(jax.vmap(sean_jax.reset, (None, 0)))(scenario, keys)
+    images = []
+    for form in FORMS:
+        choose(form)
+        images.append(np.asarray(jax.jit(jax.vmap(lambda state: sensors.depth(scenario, state, camera)))(states)))
+    apart = np.abs(images[0] - images[1])
+    print(
+        f"{COMPARED} images: {100 * (apart == 0).mean():.3f} % of the pixels are equal to the bit, "
+        f"{(apart > 1e-4 * images[0]).sum()} of {apart.size} differ by more than 1e-4 of themselves, "
+        f"at most {apart.max():.2g} m; {100 * (images[0] < camera.far).mean():.0f} % see something",
+        flush=True,
+    )
+
+
+def steps_per_second(run: Callable, program: Program, carried: Any, seconds: float) -> tuple[float, Any]:
+    """Median of five timings, and what the next call goes on from."""
+    carried = jax.block_until_ready(run(*program.fixed, carried))
+    began = time.perf_counter()
+    carried = jax.block_until_ready(run(*program.fixed, carried))
+    calls = max(1, round(seconds / (time.perf_counter() - began)))
+    spent = []
+    for _ in range(5):
+        began = time.perf_counter()
+        for _ in range(calls):
+            carried = run(*program.fixed, carried)
+        jax.block_until_ready(carried)
+        spent.append((time.perf_counter() - began) / calls)
+    return program.count * program.turns / float(np.median(spent)), carried
+
+
+def main() -> None:
+    """Print the table."""
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--environment", default="warehouse")
+    arguments.add_argument("--batches", nargs="+", type=int, default=[1, 1024, 8192])
+    arguments.add_argument("--people", type=int, default=62)
+    arguments.add_argument("--dynamics", default="mjx", choices=("mjx", "twin"))
+    arguments.add_argument("--seconds", type=float, default=0.25, help="of each of five timings, about")
+    chosen = arguments.parse_args()
+    began = time.perf_counter()
+    scenario = sean_jax.make(chosen.environment, people=chosen.people, dynamics=chosen.dynamics)
+    print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, {chosen.environment}, {chosen.people} people")
+    compare(scenario)
+    timed = {
+        batch: programs.stepping(scenario, batch, min(parts.turns(batch), 100), parts.IMAGE) for batch in chosen.batches
+    }
+    compiled: dict[tuple[int, str], Future] = {}
+    with ThreadPoolExecutor() as pool:  # XLA compiles them side by side
+        for form in FORMS:
+            choose(form)
+            for batch, program in timed.items():
+                lowered = program.run.lower(*program.fixed, program.carried)
+                compiled[batch, form] = pool.submit(lowered.compile)
+    print(f"compiled after {time.perf_counter() - began:.0f} s", flush=True)
+    carried = {batch: program.carried for batch, program in timed.items()}
+    found: dict[tuple[int, str, str], float] = {}
+
+    def measure(host: str) -> None:
+        for batch, program in timed.items():
+            for form in FORMS:
+                run = compiled[batch, form].result()
+                speed, carried[batch] = steps_per_second(run, program, carried[batch], chosen.seconds)
+                found[batch, form, host] = speed
+                print(f"{host} host, B = {batch}, {form}: {speed:.4g} steps/s", flush=True)
+
+    measure("idle")
+    with busy_host() as cores:
+        measure("busy")
+    print(f"{'B':>7}  {'form':<8}{'steps/s, idle':>15}{f'{cores} cores busy':>16}{'share':>8}{'idle / loops':>14}")
+    for batch in timed:
+        for form in FORMS:
+            idle, busy = (found[batch, form, host] for host in ("idle", "busy"))
+            gain = idle / found[batch, "loops", "idle"]
+            print(f"{batch:7d}  {form:<8}{idle:15.4g}{busy:16.4g}{busy / idle:8.2f}{gain:14.2f}")
+    print(f"{time.perf_counter() - began:.0f} s in all")
+
+
+if __name__ == "__main__":
+    main()

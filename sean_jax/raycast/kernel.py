@@ -1,0 +1,243 @@
+"""The first body that each ray meets, on a GPU: one kernel, written in Pallas (Triton).
+
+Each program of the kernel has up to ``WIDTH`` rays of one tile in registers, goes through the bodies that the tile has
+in sight, and writes its result once. So the loops end on the GPU. A loop of XLA's whose end depends on data ends on the
+host, which reads a flag after every turn: a busy host then holds up the card.
+"""
+
+import importlib.util
+import math
+from collections.abc import Callable, Sequence
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental.custom_partitioning import custom_partitioning
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Bool
+
+from sean_jax.base import Array
+from sean_jax.raycast import laws
+from sean_jax.raycast.rays import Beams, Rays
+
+WARP = 32  # threads of a GPU that run together; rays of a program are a multiple of it
+WIDTH = 4 * WARP  # rays of a program at most; one warp has them all
+AMPERE = 8.0  # compute capability of the first GPUs for which XLA takes Triton's kernels
+BITS = 32  # bodies in a word, of which each bit says whether a tile has a body in sight
+
+
+class Family(NamedTuple):
+    """Bodies of one kind."""
+
+    start: int  # number of the first
+    table: Array  # (K, F), one row for each body
+    law: Callable  # (row, beams, (radius, height) of the view) -> distances
+    in_sight: Bool[Array, "tiles K"]
+
+
+class _Shape(NamedTuple):
+    """What is fixed in a kernel."""
+
+    rays: Rays
+    laws: tuple[tuple[int, int, Callable], ...]  # (number of the first body, columns of its table, law) of each family
+    floor: int  # number of the floor
+    numbers: bool  # whether the numbers of bodies are wanted as well
+    parts: int  # programs of a tile
+    width: int  # rays of a program
+
+
+@cache
+def available() -> bool:
+    """Whether the kernel runs on the GPU of this machine. Without a GPU it is asked for another machine: yes.
+
+    Returns:
+        True or False.
+    """
+    if importlib.util.find_spec("jax.experimental.pallas.triton") is None:
+        return False
+    device = jax.devices()[0]
+    if device.platform == "cpu":
+        return True
+    try:
+        return float(device.compute_capability) >= AMPERE
+    except (AttributeError, ValueError):  # not one of NVIDIA's
+        return False
+
+
+def first(
+    rays: Rays, families: Sequence[Family], radius: Array, height: Array, floor: int, numbers: bool
+) -> tuple[Array, ...]:
+    """The distance along each ray to the first body; and its number, if that is wanted.
+
+    Args:
+        rays: the rays.
+        families: the bodies, none of them empty.
+        radius: () m, of a person's body.
+        height: () m, of the sensor above the floor.
+        floor: the number of the floor; the sky has the next.
+        numbers: whether the numbers are wanted.
+
+    Returns:
+        (tiles, rays) m, ``laws.MISS`` where a ray meets no body; and with ``numbers`` (tiles, rays) int32.
+    """
+    tiles, count = rays.direction.shape[1:]
+    warps = -(-count // WARP)
+    parts = -(-warps * WARP // WIDTH)
+    width = -(-warps // parts) * WARP
+    fixed = tuple((family.start, family.table.shape[1], family.law) for family in families)
+    shape = _Shape(rays, fixed, floor, numbers, parts, width)
+    operands = [_beams(shape), jnp.stack([radius, height])[None]]
+    for family in families:
+        operands += [family.table.reshape(1, -1), _words(family.in_sight).reshape(1, -1)]
+    return tuple(out.reshape(tiles, parts * width)[:, :count] for out in _launch(shape)(*operands))
+
+
+def _beams(shape: _Shape) -> Array:
+    """(1, tiles * parts * columns * width) of the rays; the last is repeated up to the width."""
+    rays = shape.rays
+    columns = [*rays.direction, rays.inverse_rise, rays.inverse_run, *(() if rays.offset is None else rays.offset)]
+    tiles, count = columns[0].shape
+    more = np.pad(np.stack(columns, 1), ((0, 0), (0, 0), (0, shape.parts * shape.width - count)), mode="edge")
+    apart = more.reshape(tiles, len(columns), shape.parts, shape.width).swapaxes(1, 2)
+    return jnp.asarray(apart.reshape(1, -1), float)
+
+
+def _words(in_sight: Array) -> Array:
+    """(tiles, words) int32, whose bits say which bodies (tiles, K) are in sight."""
+    tiles, count = in_sight.shape
+    padded = jnp.pad(in_sight, ((0, 0), (0, -count % BITS))).reshape(tiles, -1, BITS)
+    bit = jax.lax.bitcast_convert_type(np.uint32(1) << np.arange(BITS, dtype=np.uint32), jnp.int32)
+    return jnp.where(padded, bit[None, None, :], 0).sum(-1, dtype=jnp.int32)
+
+
+def _launch(shape: _Shape) -> Callable:
+    """A function of operands (1, ...). Under ``vmap`` they become (scenarios, ...), which are one launch."""
+
+    @jax.custom_batching.custom_vmap
+    def launch(*operands: Array) -> tuple[Array, ...]:
+        return _split(shape, operands)(*operands)
+
+    @launch.def_vmap
+    def _(size: int, batched: list[bool], *operands: Array) -> tuple[tuple[Array, ...], tuple[bool, ...]]:
+        inner = max(
+            operand.shape[1] if one else operand.shape[0] for operand, one in zip(operands, batched, strict=True)
+        )
+        merged = []
+        for operand, one in zip(operands, batched, strict=True):
+            if not one and operand.shape[0] == 1:  # it stays one for all, and is not copied
+                merged.append(operand)
+                continue
+            operand = operand if one else operand[None]
+            all_of_batch = jnp.broadcast_to(operand, (size, inner, operand.shape[-1]))
+            merged.append(all_of_batch.reshape(size * inner, -1))
+        found = tuple(out.reshape(size, inner, -1) for out in launch(*merged))
+        return found, tuple(True for _ in found)
+
+    return launch
+
+
+def _split(shape: _Shape, operands: Sequence[Array]) -> Callable:
+    """The kernel for devices that share the scenarios. XLA, which cannot look into it, would run all on each device."""
+    call = custom_partitioning(lambda *operands: _call(shape, *operands))
+    of_all = [operand.shape[0] == 1 for operand in operands]
+
+    def partition(mesh: Mesh, given: Sequence, results: Sequence) -> tuple:
+        split = results[0].sharding
+        whole = NamedSharding(split.mesh, PartitionSpec())
+        arguments = tuple(whole if one else split for one in of_all)
+        return mesh, partial(_call, shape), tuple(split for _ in results), arguments
+
+    axes = [(f"one{i}" if one else "scenarios", f"column{i}") for i, one in enumerate(of_all)]
+    arguments, results = (
+        ", ".join(" ".join(each) for each in side) for side in (axes, [("scenarios", "ray")] * (1 + shape.numbers))
+    )
+    whole = [name for each in axes for name in each if name != "scenarios"]
+    call.def_partition(partition, sharding_rule=f"{arguments} -> {results}", need_replication_factors=(*whole, "ray"))
+    return call
+
+
+def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
+    """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
+    from jax.experimental import pallas
+    from jax.experimental.pallas import triton
+
+    scenarios = max(operand.shape[0] for operand in operands)
+    programs = shape.rays.tiles * shape.parts
+
+    def block(operand: Array | jax.ShapeDtypeStruct, share: int) -> pallas.BlockSpec:
+        """What a program has of an operand, of which this many programs in a row have the same."""
+        one = operand.shape[0] == 1
+
+        def place(scenario: Any, program: Any) -> tuple:
+            return 0 if one else scenario, program // share
+
+        return pallas.BlockSpec((None, operand.shape[1] * share // programs), place)
+
+    shares = [1, programs] + [share for _ in shape.laws for share in (programs, shape.parts)]
+    kinds = (operands[0].dtype, jnp.int32)[: 1 + shape.numbers]
+    out = tuple(jax.ShapeDtypeStruct((scenarios, programs * shape.width), kind) for kind in kinds)
+    return tuple(
+        pallas.pallas_call(
+            partial(_kernel, shape),
+            name="raycast",
+            grid=(scenarios, programs),
+            in_specs=[block(operand, share) for operand, share in zip(operands, shares, strict=True)],
+            out_specs=tuple(block(each, 1) for each in out),
+            out_shape=out,
+            compiler_params=triton.CompilerParams(num_warps=1, num_stages=1),
+            interpret=interpret,
+        )(*operands)
+    )
+
+
+def _kernel(shape: _Shape, beams_of: Any, numbers_of: Any, *references: Any) -> None:
+    """One program: up to ``WIDTH`` rays of one tile."""
+    bodies, results = references[: 2 * len(shape.laws)], references[2 * len(shape.laws) :]
+    radius, height = numbers_of[0], numbers_of[1]
+    slices = _powers_of_two(shape.width)
+    beams = [_load(shape, beams_of, start, size) for start, size in slices]
+    nearest = [laws.ground(height, rays.direction[2], rays.inverse_rise) for rays in beams]
+    first = [jnp.where(distance < laws.MISS, shape.floor, shape.floor + 1).astype(jnp.int32) for distance in nearest]
+    found = list(zip(nearest, first, strict=True)) if shape.numbers else [(distance,) for distance in nearest]
+    for (start, columns, law), table, words in zip(shape.laws, bodies[::2], bodies[1::2], strict=True):
+
+        def test(_, carry: tuple, word: Any, start=start, columns=columns, law=law, table=table) -> tuple:
+            bits, found = carry
+            body = word * BITS + (BITS - 1) - jax.lax.clz(bits & -bits)  # that of the lowest bit
+            row = tuple(table[body * columns + column] for column in range(columns))
+            new = [law(row, rays, radius, height) for rays in beams]
+            return bits & (bits - 1), [_nearer(*pair, start + body) for pair in zip(found, new, strict=True)]
+
+        def of_word(word: Any, found: list, words=words, test=test) -> list:
+            bits = words[word]
+            return jax.lax.fori_loop(0, jax.lax.population_count(bits), partial(test, word=word), (bits, found))[1]
+
+        found = jax.lax.fori_loop(0, words.shape[0], of_word, found)
+    for (start, size), each in zip(slices, found, strict=True):
+        for result, values in zip(results, each, strict=True):
+            result[start : start + size] = values
+
+
+def _nearer(found: tuple[Array, ...], distance: Array, number: Any) -> tuple[Array, ...]:
+    if len(found) == 1:
+        return (jnp.minimum(found[0], distance),)
+    nearer = distance < found[0]
+    return jnp.where(nearer, distance, found[0]), jnp.where(nearer, number, found[1])
+
+
+def _load(shape: _Shape, reference: Any, start: int, size: int) -> Beams:
+    columns = [reference[first : first + size] for first in range(start, reference.shape[0], shape.width)]
+    offset = None if shape.rays.offset is None else tuple(columns[5:8])
+    return Beams(tuple(columns[:3]), columns[3], columns[4], offset)
+
+
+def _powers_of_two(width: int) -> list[tuple[int, int]]:
+    """(start, size) of parts that make up the width; Triton's arrays have such sizes."""
+    parts, start = [], 0
+    while start < width:
+        size = 1 << int(math.log2(width - start))
+        parts.append((start, size))
+        start += size
+    return parts
