@@ -207,7 +207,7 @@ def test_ppo(sean, tmp_path):
             state = manager.restore(step, args=ocp.args.Composite(state=ocp.args.PyTreeRestore()))["state"]
             kept[step] = [np.asarray(leaf).tobytes() for leaf in _leaves(state)]
         lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
-        curve = [{name: line[name] for name in line if name not in ("time", "per_second")} for line in lines]
+        curve = [{name: line[name] for name in line if name not in ("time", "seconds", "per_second")} for line in lines]
         return {"names": sorted(os.listdir(folder)), "curve": curve, "states": kept}
 
     killed(sean, tmp_path, PPO, finished, result, 4)

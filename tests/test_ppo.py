@@ -40,7 +40,9 @@ def trained(tmp_path_factory):
 
 def curve(folder) -> list[dict]:
     lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
-    return [{name: part for name, part in line.items() if name not in ("time", "per_second")} for line in lines]
+    return [
+        {name: part for name, part in line.items() if name not in ("time", "seconds", "per_second")} for line in lines
+    ]
 
 
 def test_advantages_are_those_of_the_definition():

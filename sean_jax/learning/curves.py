@@ -1,13 +1,12 @@
 """The learning curve of a training: in a word, and as a picture."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from sean_jax import writing
-from sean_jax.learning.logs import LINES
+from sean_jax.learning.logs import read_lines
 
 CURVE = "curve.png"
 BLOCKS = "▁▂▃▄▅▆▇█"
@@ -41,19 +40,17 @@ def draw_curve(folder: Path) -> None:
 
     from matplotlib.figure import Figure
 
-    lines = [json.loads(text) for text in (folder / LINES).read_text(encoding="utf-8").splitlines()]
-    seconds = np.cumsum([_step_count(lines, number) / line["per_second"] for number, line in enumerate(lines)])
-    judged = [(line, took) for line, took in zip(lines, seconds, strict=True) if "evaluation" in line]
-    if not judged:
-        return
+    lines = read_lines(folder)
+    seconds = np.cumsum([line["seconds"] for line in lines])
+    judged = [line for line in lines if "evaluation" in line]
     figure = Figure(figsize=(9.0, 3.2), layout="constrained")
     for axes, (name, what) in zip(figure.subplots(1, 3), SHOWN, strict=True):
-        for part in sorted({key for key in judged[-1][0] if key.startswith("agent ")}):
+        for part in sorted({key for key in judged[-1] if key.startswith("agent ")}):
             axes.plot(*_points(judged, part, name), color="#1a6faf", alpha=0.3, linewidth=1.0)
         axes.plot(*_points(judged, "evaluation", name), color="#1a6faf")
         axes.set(xlabel="million scenario-steps of an agent", title=what)
         axes.grid(alpha=0.3)
-    figure.suptitle(f"{len(judged)} evaluations, {judged[-1][1]:,.0f} s of training", fontsize="medium")
+    figure.suptitle(f"{len(judged)} evaluations, {seconds[-1]:,.0f} s of training", fontsize="medium")
     picture = io.BytesIO()
     figure.savefig(picture, dpi=110, format="png")
     writing.write(folder / CURVE, picture.getvalue())
@@ -67,13 +64,6 @@ SHOWN = (
 """Name in an evaluation, and what it is."""
 
 
-def _step_count(lines: list[dict], number: int) -> float:
-    """Steps of all agents in an update."""
-    before = lines[number - 1]["steps"] if number else 0
-    agents = max(1, sum(key.startswith("agent ") for key in next((ln for ln in lines if "evaluation" in ln), {})))
-    return agents * (lines[number]["steps"] - before)
-
-
-def _points(judged: list, part: str, name: str) -> tuple[list[float], list[float]]:
-    found = [(line["steps"] / 1e6, line[part][name]) for line, _ in judged if name in line.get(part, {})]
+def _points(judged: list[dict], part: str, name: str) -> tuple[list[float], list[float]]:
+    found = [(line["steps"] / 1e6, line[part][name]) for line in judged if name in line.get(part, {})]
     return [x for x, _ in found], [y for _, y in found]

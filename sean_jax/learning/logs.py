@@ -58,7 +58,7 @@ class Log:
             epochs: number of epochs done.
         """
         self.folder = folder
-        self.lines = [line for line in _lines(folder / LINES) if line["epoch"] <= epochs]  # of before
+        self.lines = [line for line in read_lines(folder) if line["epoch"] <= epochs]  # of before
         writing.write(folder / LINES, "".join(json.dumps(line) + "\n" for line in self.lines))
         first = _event(self.lines[0]["time"] if self.lines else 0.0, version="brain.Event:2")
         writing.write(folder / EVENTS, first + b"".join(_events(line) for line in self.lines))
@@ -83,9 +83,16 @@ class Log:
             ) from error
 
 
-def _lines(file: Path) -> list[dict[str, Any]]:
-    """The complete lines of the file; a kill may have cut the last one."""
-    lines = []
+def read_lines(folder: Path) -> list[dict[str, Any]]:
+    """The metrics of a training until now.
+
+    Args:
+        folder: of the training.
+
+    Returns:
+        The complete lines of its log; a kill may have cut the last one.
+    """
+    file, lines = folder / LINES, []
     for text in file.read_text(encoding="utf-8").splitlines() if file.exists() else []:
         try:
             lines.append(json.loads(text))

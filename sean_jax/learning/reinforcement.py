@@ -275,8 +275,9 @@ def _train(
                 done, told = int(state.update), jax.tree.map(np.asarray, told)
                 _check_finite(told, done, options)
                 each = options.scenarios * options.horizon
-                rate = len(options.agents) * each / (time.time() - begun)
-                line = {"epoch": done, "steps": done * each, "per_second": rate}
+                took = time.time() - begun
+                rate = len(options.agents) * each / took
+                line = {"epoch": done, "steps": done * each, "seconds": took, "per_second": rate}
                 line |= {part: _numbers(values) for part, values in told.items()}
                 due = done % options.evaluate_every == 0 or done == number
                 if due:
