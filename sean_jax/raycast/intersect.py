@@ -1,8 +1,9 @@
 """The first body that each ray of a bundle meets (section IV-F), exact, without testing bodies out of sight.
 
-For each tile of rays, the bodies within its sector, reach and slopes are candidates. One loop goes through the
-candidates of all tiles, so it takes as long as there is work. The search has no gradient and needs none: ``surface``
-computes the distance to the nearest body again.
+For each tile of rays, the bodies within its sector, reach and slopes are candidates. On a CPU one loop goes through the
+candidates of all tiles, so it takes as long as there is work; on a GPU each tile has a loop of its own, in one kernel
+(``raycast.kernel``). The search has no gradient and needs none: ``surface`` computes the distance to the nearest body
+again.
 """
 
 from collections.abc import Callable, Iterator
