@@ -76,7 +76,7 @@ def _first_of_all(rays: Rays, view: View) -> tuple[Array, Array]:
 
 def _in_a_kernel(rays: Rays, numbers: bool, view: View) -> tuple[Array, ...]:
     """``nearest``, or with ``numbers`` ``search``, for GPUs."""
-    if any(leaf.dtype != jnp.float32 for leaf in jax.tree.leaves(view)) or not kernel.available():
+    if any(leaf.dtype.itemsize > 4 for leaf in jax.tree.leaves(view)) or not kernel.available():
         return (_first_of_all if numbers else _nearest_of_all)(rays, view)
     return kernel.first(rays, list(_families(view, rays)), view.radius, view.height, _starts(view)[4], numbers)
 
