@@ -265,7 +265,7 @@ def test_a_gpu_finds_what_a_cpu_finds(interpreted, parallel):
         expected = jax.jit(jax.vmap(jax.vmap(loops, (None, 0)), (0, None)))(crowds, ahead)
         nested = jax.jit(jax.vmap(jax.vmap(launch, (None, 0)), (0, None)))(crowds, ahead)
         assert 0.2 < (np.asarray(expected[0]) < 40.0).mean()
-        found = [(nested, slice(None))]
+        found: list[tuple[Any, Any]] = [(nested, slice(None))]
         if numbers:
             found.append((jax.jit(launch)(crowds[1], ahead[2]), (1, 2)))
         for image, of in found:

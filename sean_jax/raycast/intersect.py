@@ -1,8 +1,9 @@
 """The first body that each ray of a bundle meets (section IV-F), exact, without testing bodies out of sight.
 
-For each tile of rays, the bodies within its sector, reach and slopes are candidates. One loop goes through the
-candidates of all tiles, so it takes as long as there is work. The search has no gradient and needs none: ``surface``
-computes the distance to the nearest body again.
+For each tile of rays, the bodies within its sector, reach and slopes are candidates. On a CPU one loop goes through the
+candidates of all tiles, so it takes as long as there is work; on a GPU each tile has a loop of its own, in one kernel
+(``raycast.kernel``). The search has no gradient and needs none: ``surface`` computes the distance to the nearest body
+again.
 """
 
 from collections.abc import Callable, Iterator
@@ -75,7 +76,7 @@ def _first_of_all(rays: Rays, view: View) -> tuple[Array, Array]:
 
 def _in_a_kernel(rays: Rays, numbers: bool, view: View) -> tuple[Array, ...]:
     """``nearest``, or with ``numbers`` ``search``, for GPUs."""
-    if any(leaf.dtype != jnp.float32 for leaf in jax.tree.leaves(view)) or not kernel.available():
+    if any(leaf.dtype.itemsize > 4 for leaf in jax.tree.leaves(view)) or not kernel.available():
         return (_first_of_all if numbers else _nearest_of_all)(rays, view)
     return kernel.first(rays, list(_families(view, rays)), view.radius, view.height, _starts(view)[4], numbers)
 

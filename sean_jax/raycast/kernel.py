@@ -5,10 +5,9 @@ in sight, and writes its result once. So the loops end on the GPU. A loop of XLA
 host, which reads a flag after every turn: a busy host then holds up the card.
 """
 
-import importlib.util
-import math
 from collections.abc import Callable, Sequence
 from functools import cache, partial
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import jax
@@ -55,7 +54,9 @@ def available() -> bool:
     Returns:
         True or False.
     """
-    if importlib.util.find_spec("jax.experimental.pallas.triton") is None:
+    try:
+        import_module("jax.experimental.pallas.triton")
+    except ImportError:
         return False
     device = jax.devices()[0]
     if device.platform == "cpu":
@@ -237,7 +238,7 @@ def _powers_of_two(width: int) -> list[tuple[int, int]]:
     """(start, size) of parts that make up the width; Triton's arrays have such sizes."""
     parts, start = [], 0
     while start < width:
-        size = 1 << int(math.log2(width - start))
+        size = 1 << ((width - start).bit_length() - 1)
         parts.append((start, size))
         start += size
     return parts
