@@ -27,13 +27,13 @@ from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Bool, Float, PyTree
 from rich.console import Console
 
-from sean_jax import devices, files, mdp, prng, registry, writing
+from sean_jax import devices, mdp, prng, registry, writing
 from sean_jax.base import Array, Scenario
-from sean_jax.config import PPOConfig, validate
+from sean_jax.config import PPOConfig
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 from sean_jax.flags import command
-from sean_jax.learning import driving
+from sean_jax.learning import agents, driving
 from sean_jax.learning.actor_critic import (
     ActorCritic,
     Agent,
@@ -46,7 +46,6 @@ from sean_jax.learning.actor_critic import (
 )
 from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
 from sean_jax.learning.logs import Log
-from sean_jax.learning.manifests import CONFIG
 from sean_jax.mdp import observations, rewards
 from sean_jax.progress import progress
 from sean_jax.scenario import reset, results
@@ -131,12 +130,8 @@ def build(options: PPOConfig) -> tuple[Scenario, mdp.Env, ActorCritic]:
         InputError: one sentence that names the value and the cure.
     """
     env = registry.build(options)
-    return env.scenario, replace(env, scenario=replace(env.scenario, metrics=())), _network(options, env.observations)
-
-
-def _network(options: PPOConfig, terms: observations.Terms) -> ActorCritic:
-    images = tuple(name for name, term in terms if term.image)
-    return ActorCritic(options.width, options.layers, images, options.recurrent)
+    network = agents.network(options, env.observations)
+    return env.scenario, replace(env, scenario=replace(env.scenario, metrics=())), network
 
 
 def updates(options: PPOConfig) -> int:
@@ -514,31 +509,18 @@ def load(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observat
         InputError: there is no checkpoint, or the agent learned from observations of another size.
         IncompleteError: the checkpoint cannot be read.
     """
-    options = _read_options(folder)
-    known = registry.observation_terms(options)
-    network = _network(options, known)
-    shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), scenario)
-    space = observations.space(known, scenario, shapes)
-    agent = jax.eval_shape(lambda: init_agent(network, known, space, jax.random.key(0)))
-    return network, Checkpoints(folder).best("agent", agent), known
-
-
-def _read_options(folder: Path) -> PPOConfig:
-    """Those of the training in a folder."""
-    if not (folder / CONFIG).is_file():
-        raise InputError(f"{folder} has no trained agent; make one with `sean train ppo --out {folder}`.")
-    saved = files.read_json(folder / CONFIG)
-    try:
-        return validate(PPOConfig, {name: saved[name] for name in saved if name in PPOConfig.model_fields})
-    except InputError as error:
-        raise InputError(f"{folder / CONFIG}: {error}") from None
+    options, checkpoints = agents.read_options(folder), Checkpoints(folder)
+    network, agent, terms = agents.outline(options, scenario)
+    agents.check_sizes(folder, options, checkpoints.shapes("agent"), agent)
+    return network, checkpoints.best("agent", agent), terms
 
 
 def _pretrained(options: PPOConfig, agent: Agent) -> Agent:
     """The best agent of another training, which must have seen the same and be of the same size."""
     folder = Path(str(options.pretrained))
-    had, asked = _read_options(folder).decisive(), options.decisive()
+    its = agents.read_options(folder)
+    had, asked = its.decisive(), options.decisive()
     for name in ("observations", "width", "layers", "recurrent"):
         if had[name] != asked[name]:
             raise InputError(f"pretrained: {folder} has {name} {had[name]}, not {asked[name]}; ask for the same.")
-    return Checkpoints(folder).best("agent", agent)
+    return agents.restore(folder, its, agent) if agents.is_packed(folder) else Checkpoints(folder).best("agent", agent)
