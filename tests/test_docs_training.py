@@ -37,11 +37,25 @@ def test_rewards_are_told():
     assert {name for name, term in mdp.REWARDS.items() if not term.privileged} <= set(told)
 
 
+def examples() -> list[str]:
+    return re.findall(r"```python\n(.*?)```", TEXT, re.S)
+
+
 @pytest.mark.slow
 def test_examples_run(tmp_path, monkeypatch):
     pytest.importorskip("gymnasium")
     monkeypatch.chdir(tmp_path)
     scope: dict = {}
-    for block in re.findall(r"```python\n(.*?)```", TEXT, re.S):
-        exec(block, scope)  # noqa: S102
+    for block in examples():
+        if "stable_baselines3" not in block:
+            exec(block, scope)  # noqa: S102
     assert scope["reward"].shape == (16,) and scope["driver"].name == "short" and scope["many"].num_envs == 16
+
+
+@pytest.mark.slow
+def test_the_example_of_stable_baselines_runs():
+    pytest.importorskip("stable_baselines3")
+    (block,) = [block for block in examples() if "stable_baselines3" in block]
+    scope: dict = {}
+    exec(block.replace("80_000", "64 * 32").replace("verbose=1", "verbose=0"), scope)  # noqa: S102
+    assert scope["model"].num_timesteps == 64 * 32
