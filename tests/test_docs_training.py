@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from sean_jax import config, mdp
+from sean_jax.learning.agents import AGENTS
 from sean_jax.mdp import rewards
 
 TEXT = (Path(__file__).parent.parent / "docs" / "training.md").read_text(encoding="utf-8")
@@ -39,6 +40,10 @@ def test_rewards_are_told():
 
 def examples() -> list[str]:
     return re.findall(r"```python\n(.*?)```", TEXT, re.S)
+
+
+def test_agents_of_the_package_are_told():
+    assert {name for cells in table("name | made by") for name in names(cells[0])} == set(AGENTS)
 
 
 @pytest.mark.slow

@@ -23,7 +23,6 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import struct
-from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Bool, Float, PyTree
 from rich.console import Console
 
@@ -476,10 +475,9 @@ def _spread(mesh: Any, state: TrainState, scenarios: int) -> TrainState:
     """The scenarios on all devices, and all else on each."""
     if scenarios % mesh.size:
         raise InputError(f"scenarios: {scenarios} do not spread evenly over {mesh.size} devices; take a multiple.")
-    split, whole = NamedSharding(mesh, PartitionSpec(devices.AXIS)), NamedSharding(mesh, PartitionSpec())
     own = {"envs", "observation", "memory", "start"}
     parts = {
-        field.name: jax.device_put(getattr(state, field.name), split if field.name in own else whole)
+        field.name: (devices.split if field.name in own else devices.replicate)(mesh, getattr(state, field.name))
         for field in dataclasses.fields(state)  # pyright: ignore[reportArgumentType]
     }
     return TrainState(**parts)
