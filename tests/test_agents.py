@@ -80,7 +80,11 @@ def test_damaged_weights_are_told(lab, tmp_path):
     for name in ("config.json", agents.WEIGHTS):
         (folder / name).write_bytes((AGENTS["ppo"] / name).read_bytes())
     weights = folder / agents.WEIGHTS
-    weights.write_bytes(weights.read_bytes()[:-5000])
+    for wrong in (np.array(["a"]), np.array([np.nan])):
+        np.savez(weights, **{"statistics/mean": wrong})
+        with pytest.raises(InputError, match="statistics/mean has what is no finite number"):
+            learning.load(folder, lab)
+    weights.write_bytes((AGENTS["ppo"] / agents.WEIGHTS).read_bytes()[:-5000])
     with pytest.raises(FileError, match="ppo/weights.npz: cannot be read: .* get the file anew"):
         learning.load(folder, lab)
     bomb = io.BytesIO()

@@ -197,6 +197,9 @@ def restore(folder: Path, options: Any, expected: Agent) -> Agent:
         InputError: it has other shapes, or cannot be read.
     """
     found = files.read_arrays(folder / WEIGHTS, MAX_BYTES)
+    for name, value in found.items():
+        if value.dtype.kind != "f" or not np.isfinite(value).all():
+            raise InputError(f"{folder / WEIGHTS}: {name[:60]} has what is no finite number; pack the agent anew.")
     check_sizes(folder, options, {name: value.shape for name, value in found.items()}, expected)
     leaves = [jnp.asarray(found[name], jnp.float32) for name in _named(expected)]
     return jax.tree.unflatten(jax.tree.structure(expected), leaves)
