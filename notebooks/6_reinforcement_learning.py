@@ -47,7 +47,7 @@ from sean_jax.policies import go_to_goal
 PEOPLE = 5  # in the lab
 EPISODES = 64  # to compare drivers on
 STEPS = 400  # of 0.1 s in each
-UPDATES = 200  # of the training, with 2,048 scenario-steps each
+UPDATES = 120  # of the training, with 2,048 scenario-steps each
 folder = Path(mkdtemp()) / "ppo"
 
 # %% [markdown]
@@ -99,13 +99,15 @@ left.plot(*now["path"], "o", color="#f58a07", label="next corner of the path")
 left.plot(*now["goal"], "*", ms=14, color="#f58a07", label="goal")
 left.plot(0, 0, ">", ms=10, color="#1c2333", label="robot")
 left.set(aspect="equal", xlabel="ahead [m]", ylabel="to the left [m]")
-left.legend(frameon=False, fontsize=7)
+left.legend(frameon=False, fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)
 for name, values in told.items():
-    right.plot(0.1 * np.arange(last), values[:last].cumsum(), label=name)
+    if values[:last].any():
+        right.plot(0.1 * np.arange(last), values[:last].cumsum(), label=name)
 right.set(xlabel="time [s]", ylabel="sum of the rewards")
 right.set_yscale("symlog", linthresh=0.5)
-right.legend(frameon=False, fontsize=7)
+right.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
 plt.show()
+print("without effect here:", ", ".join(name for name, values in told.items() if not values[:last].any()))
 
 # %% [markdown]
 # ## Training
@@ -114,7 +116,7 @@ plt.show()
 # %%
 asked = PPOConfig(
     method="ppo", environment="lab", task="join_group", people=PEOPLE, time_limit=STEPS / 10, minibatches=4,
-    pool=256, steps=UPDATES * 64 * 32, evaluate_every=40, evaluation_episodes=32, out=folder,
+    pool=256, steps=UPDATES * 64 * 32, evaluate_every=20, evaluation_episodes=32, out=folder,
 )  # fmt: skip
 shown = set()
 
@@ -137,11 +139,13 @@ ended = [line for line in log if line["episodes"]["number"] > 0]
 judged = [line for line in log if "evaluation" in line]
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3), layout="constrained")
 for panel, name in ((left, "return"), (right, "completed")):
-    steps = [line["steps"] for line in ended]
+    steps = [line["steps"] / 1000 for line in ended]
     panel.plot(steps, [line["episodes"][name] for line in ended], color="#8d99b3", label="episodes of the training")
     found = [line["evaluation"][name] for line in judged]
-    panel.plot([line["steps"] for line in judged], found, "o-", color="#f58a07", label="evaluations, without chance")
-    panel.set(xlabel="scenario-steps", ylabel=name)
+    panel.plot(
+        [line["steps"] / 1000 for line in judged], found, "o-", color="#f58a07", label="evaluations, without chance"
+    )
+    panel.set(xlabel="1000 scenario-steps", ylabel=name)
 left.legend(frameon=False, fontsize=8)
 plt.show()
 print(f"{log[-1]['steps']:,} scenario-steps at {np.median([line['per_second'] for line in log]):,.0f} a second")
@@ -163,7 +167,7 @@ for panel, (name, driver) in zip(panels, drivers.items(), strict=True):
     final, frames = drives[name] = drive(keys)
     parts.draw_obstacles(panel, scenario.environment)
     for number in range(len(keys)):
-        way = np.asarray(frames.robot[number])[np.asarray(frames.active[number])]
+        way = np.asarray(frames.position[number])[np.asarray(frames.active[number])]
         (line,) = panel.plot(*way.T, lw=1.2)
         panel.plot(*way[0], ".", color=line.get_color())
         panel.plot(*final.task.goal[number], "*", ms=9, color=line.get_color())
