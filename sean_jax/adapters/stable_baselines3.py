@@ -105,6 +105,9 @@ class VecSocialNavigation(VecEnv):
         Args:
             method_name, arguments, indices, named: of a call.
 
+        Returns:
+            Never.
+
         Raises:
             NotImplementedError: always.
         """
