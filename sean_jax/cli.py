@@ -183,9 +183,14 @@ def _train(options: config.TrainConfig | config.ReinforcementConfig) -> int:
             best, after = float(state.best.value[chosen]), int(state.best.update[chosen])
             best = f"best return in an evaluation {best:.2f} after {after}"
             _say(console, f"{int(state.update)} updates, {best}: ", options.folder)
-        _say(console, "next: ", shlex.join(["sean", "run", "--policy", str(options.folder)]))
+        _say(console, "next: ", _drive(options.folder))
 
     return _keeping(options, work)
+
+
+def _drive(folder: Path) -> str:
+    """The command that lets the policy in a folder drive, whose name alone could be that of a policy of the package."""
+    return shlex.join(["sean", "run", "--policy", str(folder) if folder.name != str(folder) else f"./{folder}"])
 
 
 def _experiment(options: config.ExperimentConfig) -> int:
@@ -204,7 +209,10 @@ def _export(options: config.ExportConfig) -> int:
     def work(console: "Console") -> None:
         from sean_jax import learning
 
-        _say(console, "written: ", learning.export(options.dataset, options.out))
+        write = learning.pack if options.format == "agent" else learning.export
+        _say(console, "written: ", write(options.source, options.out))
+        if options.format == "agent":
+            _say(console, "next: ", _drive(options.out))
 
     return _keeping(options, work)
 

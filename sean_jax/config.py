@@ -476,7 +476,7 @@ class RunConfig(ScenarioConfig):
     """Simulate a batch of episodes and write a table, a report and an animation. `sean list` names the choices."""
 
     policy: Part = Named(kind="go_to_goal")
-    """Who drives the robot: a name, or the folder that `sean train` has written."""
+    """Who drives the robot: a name, or the folder that `sean train` or `sean export agent` has written."""
     episodes: EpisodeCount = 64
     """Number of episodes."""
     seed: Seed = 0
@@ -768,12 +768,12 @@ METHODS: dict[str, type[Config]] = {
 
 
 class ExportConfig(Config):
-    """Write a dataset in another project's format."""
+    """Write a dataset in another project's format, or the best agent of a training as a small folder."""
 
-    format: Annotated[Literal["lerobot"], Positional()]
-    """Which: lerobot is LeRobotDataset v3.0."""
-    dataset: Annotated[Path, Positional()]
-    """Folder that `sean collect` has written."""
+    format: Annotated[Literal["lerobot", "agent"], Positional()]
+    """Which: lerobot is a dataset as LeRobotDataset v3.0, agent a trained agent in two small files."""
+    source: Annotated[Path, Positional()]
+    """Folder that `sean collect` has written, or, for agent, `sean train ppo`."""
     out: Path
     """Folder to write; it must be new or empty."""
     quiet: bool = False

@@ -64,7 +64,33 @@ def replicate(over: Mesh, tree: PyTree) -> PyTree:
     Returns:
         The same arrays, on all devices.
     """
-    return jax.device_put(tree, NamedSharding(over, PartitionSpec()))
+    return _put(tree, NamedSharding(over, PartitionSpec()))
+
+
+def split(over: Mesh, tree: PyTree, axis: int = 0) -> PyTree:
+    """Arrays of all scenarios, each device with its own part of them.
+
+    Args:
+        over: the mesh.
+        tree: arrays with an axis of the scenarios, a multiple of the number of devices; the same in every process.
+        axis: which.
+
+    Returns:
+        The same arrays, split over the devices.
+    """
+    return _put(tree, NamedSharding(over, PartitionSpec(*axis * (None,), AXIS)))
+
+
+def _put(tree: PyTree, sharding: NamedSharding) -> PyTree:
+    """The arrays placed; keys go as numbers, since jax (0.10.2) places no keys on the devices of other processes."""
+
+    def put(leaf: Array) -> Array:
+        if not (isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)):
+            return jax.device_put(leaf, sharding)
+        numbers = jax.device_put(jax.random.key_data(leaf), sharding)
+        return jax.random.wrap_key_data(numbers, impl=jax.random.key_impl(leaf))
+
+    return jax.tree.map(put, tree)
 
 
 def shard(over: Mesh, function: Callable, donate: bool = False) -> Callable:

@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import importlib.metadata
 import platform
+import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,9 +15,10 @@ def versions() -> dict[str, str]:
     """Versions of Python and of the packages that results depend on.
 
     Returns:
-        Name to version, without packages that are not installed.
+        Name to version, without packages that are not installed; a checkout says its own.
     """
-    found = {"python": platform.python_version()}
+    own = sys.modules[__name__.partition(".")[0]].__version__
+    found = {"python": platform.python_version(), "sean-jax": own}
     for package in PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             found[package] = importlib.metadata.version(package)

@@ -231,6 +231,19 @@ def load_policy(folder: Path) -> Any:
     return learned.load(folder, scenario).params
 
 
+def load_agent(folder: Path) -> Any:
+    from sean_jax.learning import agents
+
+    return agents.load(folder, _lab())[1]
+
+
+@functools.cache
+def _lab() -> Any:
+    import sean_jax
+
+    return sean_jax.make("lab", behavior="random", people=2, dynamics="twin")
+
+
 OPTIONS = {
     "time_step": 0.1, "time_limit": 60.0, "goal_radius": 1.2, "hold_time": 5.0, "task_distance": [1.0, 6.0],
     "people": 4, "walking_groups": [0.5, 0.0], "congestion_cost": 1.0, "substeps": 2,
@@ -270,7 +283,9 @@ def load_config(folder: Path) -> Any:
 def kinds(folder: Path) -> dict[str, Kind]:
     """Every kind of input, each with how many of a hundred mutants are of it."""
     from sean_jax.environment import ENVS
+    from sean_jax.learning.agents import AGENTS
 
+    agent = {name: (AGENTS["ppo"] / name).read_bytes() for name in ("config.json", "weights.npz")}
     read = lambda *names: {name: (ENVS / "lab" / name).read_bytes() for name in names}  # noqa: E731
     settings = "image: map.png\nresolution: 0.1\norigin: [-2.0, -1.5, 0.0]\nnegate: 0\noccupied_thresh: 0.65\n"
     chart = {"map.yaml": f"{settings}free_thresh: 0.196\nmode: trinary\n".encode(), "map.png": image()}
@@ -285,6 +300,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "map": Kind(chart, ("map.yaml", "map.yaml", "map.png"), load_map, 10),
         "manifest": Kind(dataset(folder / "dataset"), ("dataset.json",), load_dataset, 9),
         "policy": Kind(trained, ("config.json",), load_policy, 6),
+        "agent": Kind(agent, ("config.json", "weights.npz"), load_agent, 6),
         "config": Kind({"config.yaml": described()}, ("config.yaml",), load_config, 6),
         "options": Kind({"options.json": json.dumps(OPTIONS, indent=1).encode()}, ("options.json",), load_options, 6),
     }
@@ -303,7 +319,7 @@ def mutated(chance: random.Random, name: str, given: bytes) -> bytes | Path | No
                  given + b"\n" + BOMB.encode(), b"<" * 1000, b"<a>" * 3000, b"{" * 100_000, b"a: " * 2000,
                  given.replace(b"\n", b"\r\n"), given.replace(b"\n", b"\r")]  # fmt: skip
         return chance.choice(whole)
-    if name.endswith(".png"):
+    if name.endswith((".png", ".npz")):
         return in_bytes(chance, given)
     result = given
     for _ in range(chance.choice((1, 1, 1, 2, 3))):

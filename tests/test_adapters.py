@@ -129,3 +129,42 @@ def test_brax(env):
         assert jax.tree.structure(after) == jax.tree.structure(state)
         state = after
         assert bool(state.done) == (tick == 14) == bool(state.info["truncation"])
+
+
+def test_stable_baselines_checker_finds_nothing_wrong():
+    """It advises to flatten what has two axes, which its own policy of dicts does."""
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    from sean_jax.adapters.gymnasium import SocialNavigation
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", "Your observation people has an unconventional shape")
+        checker.check_env(SocialNavigation(NAME, **SMALL))
+
+
+def test_rows_of_stable_baselines_are_those_of_gymnasium(env):
+    """Over the ends of episodes, of which a time limit is told apart from a completed task."""
+    pytest.importorskip("stable_baselines3")
+    from sean_jax.adapters.gymnasium import VectorSocialNavigation
+    from sean_jax.adapters.stable_baselines3 import VecSocialNavigation
+
+    rows, vector = VecSocialNavigation(env, 2), VectorSocialNavigation(env, 2)
+    rows.seed(7)
+    seen, wanted = rows.reset(), vector.reset(seed=7)[0]
+    ends = 0
+    for action in np.random.default_rng(0).uniform(-1, 1, (40, 2, 2)).astype(np.float32):
+        for name, part in wanted.items():
+            np.testing.assert_array_equal(seen[name], part)
+        seen, reward, over, infos = rows.step(action)
+        wanted, expected, terminated, truncated, told = vector.step(action)
+        np.testing.assert_array_equal(reward, expected)
+        np.testing.assert_array_equal(over, terminated | truncated)
+        for row, info in enumerate(infos):
+            assert bool(info) == over[row]
+            if info:
+                ends += 1
+                assert info["TimeLimit.truncated"] == truncated[row] and info["is_success"] == told["completed"][row]
+                for name, part in told["final_obs"].items():
+                    np.testing.assert_array_equal(info["terminal_observation"][name], part[row])
+    assert ends >= 4
+    assert rows.get_attr("num_envs", [0]) == [2] and rows.env_is_wrapped(object) == [False, False]

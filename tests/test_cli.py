@@ -137,6 +137,7 @@ REFUSED = [
     ["experiment", "figure4", "--demonstrator", "nope", "--out", "new"],
     ["experiment", "figure4", "--out", "kept"],
     ["export", "lerobot", "kept", "--out", "new"],
+    ["export", "agent", "kept", "--out", "new"],
     ["draw", "--graph", "--environment", "nope"],
     ["draw", "--graph", "--out", "new/sheet.png"],
     ["import-map", "none.yaml", "--out", "new"],

@@ -28,10 +28,15 @@ from sean_jax import devices
 from sean_jax.policies import go_to_goal
 scenario = sean_jax.make("lab", people=4, dynamics="twin")
 over = devices.mesh()
-run = devices.shard(over, lambda fixed, key: sean_jax.rollout(fixed, go_to_goal, key, 20)[0].pedestrians.position)
-found = run(devices.replicate(over, scenario), devices.keys(over, jax.random.key(3), 8))
+run = devices.shard(over, lambda fixed, key: sean_jax.rollout(fixed[0], go_to_goal, key, 20)[0].pedestrians.position)
+drawn = devices.keys(over, jax.random.key(3), 8)
+fixed = devices.replicate(over, (scenario, jax.random.key(3)))  # keys are replicated and split as other arrays are
+own = devices.split(over, jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(3), np.arange(8)))
+same = bool((jax.random.key_data(own) == jax.random.key_data(drawn)).all())
+same &= bool((jax.random.key_data(fixed[1]) == jax.random.key_data(jax.random.key(3))).all())
+found = run(fixed, own)
 mine = {str(part.index[0].start or 0): np.asarray(part.data).tolist() for part in found.addressable_shards}
-print(json.dumps({"devices": over.size, "shards": mine}))
+print(json.dumps({"devices": over.size if same else 0, "shards": mine}))
 """
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from sean_jax import config, mdp
+from sean_jax.learning.agents import AGENTS
 from sean_jax.mdp import rewards
 
 TEXT = (Path(__file__).parent.parent / "docs" / "training.md").read_text(encoding="utf-8")
@@ -37,11 +38,29 @@ def test_rewards_are_told():
     assert {name for name, term in mdp.REWARDS.items() if not term.privileged} <= set(told)
 
 
+def examples() -> list[str]:
+    return re.findall(r"```python\n(.*?)```", TEXT, re.S)
+
+
+def test_agents_of_the_package_are_told():
+    assert {name for cells in table("name | made by") for name in names(cells[0])} == set(AGENTS)
+
+
 @pytest.mark.slow
 def test_examples_run(tmp_path, monkeypatch):
     pytest.importorskip("gymnasium")
     monkeypatch.chdir(tmp_path)
     scope: dict = {}
-    for block in re.findall(r"```python\n(.*?)```", TEXT, re.S):
-        exec(block, scope)  # noqa: S102
+    for block in examples():
+        if "stable_baselines3" not in block:
+            exec(block, scope)  # noqa: S102
     assert scope["reward"].shape == (16,) and scope["driver"].name == "short" and scope["many"].num_envs == 16
+
+
+@pytest.mark.slow
+def test_the_example_of_stable_baselines_runs():
+    pytest.importorskip("stable_baselines3")
+    (block,) = [block for block in examples() if "stable_baselines3" in block]
+    scope: dict = {}
+    exec(block.replace("80_000", "64 * 32").replace("verbose=1", "verbose=0"), scope)  # noqa: S102
+    assert scope["model"].num_timesteps == 64 * 32

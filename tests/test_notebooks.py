@@ -10,7 +10,7 @@ import pytest
 FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
 SOURCES = sorted(FOLDER.glob("*.py"))
 SMALL = {"PEOPLE": 8, "EPISODES": 2, "STEPS": 20}
-SMALL_TOO = {"MINUTES": 2, "EPOCHS": 2}  # of some notebooks
+SMALL_TOO = {"MINUTES": 2, "EPOCHS": 2, "UPDATES": 2}  # of some notebooks
 
 
 def cells(notebook) -> list[tuple[str, str]]:

@@ -227,6 +227,8 @@ import-map map.yaml --out new --height nan | --height: nan must be
 import-map nope.yaml --out new | nope.yaml; there is no such file
 export lerobot nope --out full | --out; the folder full is not empty
 export lerobot nope --out file | --out; file is a file
+export agent nope --out full | --out; the folder full is not empty
+export agent nope --out new | nope has no trained agent; sean train ppo
 rn | 'rn' is not one of run, collect; did you mean 'run'
 """.strip().splitlines()
 

@@ -46,6 +46,7 @@ def test_wheel_holds_the_package_and_its_environments_and_no_more(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     data = {"environment.yaml", "scene.xml", "graph.yaml"}
     assert {f"sean_jax/envs/warehouse/{name}" for name in data} <= names
+    assert {f"sean_jax/learning/agents/ppo/{name}" for name in ("config.json", "weights.npz")} <= names
     assert {"sean_jax/envs/robots/kuri.xml", "sean_jax/py.typed", "sean_jax/cli.py"} <= names
     files = [path for path in (ROOT / "sean_jax").rglob("*") if path.is_file() and path.suffix != ".pyc"]
     sources = {path.relative_to(ROOT).as_posix() for path in files}

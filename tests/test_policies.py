@@ -18,6 +18,7 @@ import sean_jax
 from sean_jax import cli, episodes, navigation, robots
 from sean_jax.base import Policy
 from sean_jax.evaluation.choices import offered
+from sean_jax.learning.agents import AGENTS
 from sean_jax.pedestrian_models.constant_velocity import walk
 from sean_jax.policies import POLICIES, cost_to_go, prediction, social_costmap
 from sean_jax.policies.expert import plan_limits
@@ -325,7 +326,8 @@ def test_plans_keep_to_the_limits_of_every_robot():
 
 def test_each_is_documented_and_on_the_list():
     lines = dict(offered())["policy"]
-    assert set(lines) == set(POLICIES) and {"go_to_goal", "social_costmap", "orca", "expert"} <= set(lines)
+    assert set(lines) == {*POLICIES, *AGENTS}
+    assert {"go_to_goal", "social_costmap", "orca", "expert", "ppo"} <= set(lines)
     assert all(line for line in lines.values())
     for policy in POLICIES.values():
         for function in (policy.init, policy.apply) if isinstance(policy, Policy) else (policy,):

@@ -1,6 +1,7 @@
 """``sean train ppo``: its parts against plain loops, resuming to the same curve, driving, and failing in sentences."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import jax
@@ -324,3 +325,35 @@ def test_apg_trains_and_goes_on_from_ppo(trained, tmp_path):
     lines = curve(tmp_path / "apg")
     assert all(line["train"]["lost"] == 0.0 and line["train"]["gradient"] > 0.0 for line in lines)
     assert learning.load(tmp_path / "apg", registry.build(config).scenario).name == "apg"
+
+
+def test_a_packed_agent_drives_as_its_training(trained, tmp_path, capsys):
+    """Its commands are those of the checkpoint but for the rounding of the weights to 16 bits."""
+    folder, out = trained[1], tmp_path / "small"
+    assert cli.main(["export", "agent", str(folder), "--out", str(out), "--quiet"]) == 0
+    assert {path.name for path in out.iterdir()} == {"config.json", "weights.npz"}
+    told = json.loads((out / "config.json").read_text())
+    best = max(curve(folder)[1::2], key=lambda line: line["evaluation"]["return"])
+    assert told["agent"]["steps"] == best["steps"] and told["width"] == 16
+    assert told["agent"]["evaluation"]["return"] == best["evaluation"]["return"]
+    scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=4.0)
+    state = sean_jax.reset(scenario, jax.random.key(5))
+    driven = []
+    for driver in (learning.load(folder, scenario), learning.load(out, scenario)):
+        begun = replace(state, policy_state=driver.init(scenario, driver.params, state))
+        driven.append(driver.apply(scenario, driver.params, begun, jax.random.key(0))[0])
+    assert driver.name == "small" and 0 < np.abs(driven[0] - driven[1]).max() + 1e-9 < 1e-3
+    with pytest.raises(InputError, match="packed already"):
+        learning.pack(out, tmp_path / "again")
+    with pytest.raises(InputError, match="not empty"):
+        learning.pack(folder, out)
+
+
+def test_a_training_that_saw_something_else_is_refused(trained, tmp_path):
+    """Of this folder the observation is changed, as if a term gave other numbers than when it was trained."""
+    shutil.copytree(trained[1], tmp_path / "other")
+    file = tmp_path / "other" / "config.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"observations": ["goal", "situations"]}))
+    scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin")
+    with pytest.raises(InputError, match="sees 4 numbers, and this scenario shows 7 .goal, situations.; make"):
+        learning.load(tmp_path / "other", scenario)

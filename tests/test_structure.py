@@ -200,7 +200,7 @@ def test_optional_packages_stay_in_their_rooms():
         "orbax": {"learning"},
         "mujoco": {"files", "environment", "scenery", "robots", "drawing"},
     }
-    rooms |= dict.fromkeys(("gymnasium", "brax", "rclpy", "torch"), {"adapters"})
+    rooms |= dict.fromkeys(("gymnasium", "brax", "rclpy", "stable_baselines3", "torch"), {"adapters"})
     for path in MODULES:
         nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
         names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]

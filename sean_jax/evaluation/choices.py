@@ -54,13 +54,15 @@ def offered() -> Iterator[tuple[str, dict[str, str]]]:
         social_forces,
         tasks,
     )
+    from sean_jax.learning import agents
 
     yield "environment", {name: _environment(environment.find(name)) for name in environment.available()}
     yield "behavior", {name: _documented(value) for name, value in behaviors.BEHAVIORS.items()}
     yield "routing", {name: _documented(value) for name, value in behaviors.graph_behavior.ROUTINGS.items()}
     yield "task", {name: _documented(value) for name, value in tasks.TASKS.items()}
     yield "robot", {name: _robot(path) for name, path in robots.ROBOTS.items()}
-    yield "policy", {name: _documented(value) for name, value in policies.POLICIES.items()}
+    known = {name: _documented(value) for name, value in policies.POLICIES.items()}
+    yield "policy", known | {name: agents.described(folder) for name, folder in agents.AGENTS.items()}
     yield "model", {name: _documented(value) for name, value in pedestrian_models.MODELS.items()}
     yield "forces", {name: _forces(value) for name, value in social_forces.PRESETS.items()}
     yield "situations", {name: ", ".join(held) for name, held in classifiers.SITUATION_SETS.items()}

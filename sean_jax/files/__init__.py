@@ -20,6 +20,7 @@ from sean_jax.files.nodes import Location
 from sean_jax.files.reading import (
     MAX_DEPTH,
     listed,
+    read_arrays,
     read_bytes,
     read_json,
     read_text,
@@ -34,6 +35,7 @@ __all__ = [
     "Location",
     "Problem",
     "check_json",
+    "read_arrays",
     "read_bytes",
     "listed",
     "load",

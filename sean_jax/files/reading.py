@@ -5,9 +5,11 @@ a file that is too large for its kind is refused before memory is used for it.
 """
 
 import difflib
+import io
 import json
 import os
 import stat
+import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -175,3 +177,32 @@ def _similar_file(path: Path) -> str:
         return suggest(path.name, (item.name for item in path.parent.iterdir())) or "."
     except OSError:
         return "; its folder does not exist either."
+
+
+def read_arrays(path: Path | str, max_bytes: int) -> dict[str, Any]:
+    """Read a .npz file of numbers.
+
+    Args:
+        path: of the file.
+        max_bytes: that it may have, and may unpack to.
+
+    Returns:
+        Name to array of numpy.
+
+    Raises:
+        FileError: there is no such file, or it cannot be read, is too large, or is damaged.
+    """
+    import numpy as np  # here, as the command line reads its options without it
+
+    path = Path(path)
+    stream = io.BytesIO(read_bytes(path, max_bytes))
+    try:
+        size = sum(part.file_size for part in zipfile.ZipFile(stream).infolist())
+        if size > max_bytes:
+            raise ValueError(f"it unpacks to {size:,} bytes and at most {max_bytes:,} are read")
+        stream.seek(0)
+        with np.load(stream, allow_pickle=False) as opened:
+            return {name: opened[name] for name in opened.files}
+    except Exception as error:  # which one depends on the byte that is damaged
+        why = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")[:200]
+        raise FileError(f"{short_name(path)}: cannot be read: {why}; get the file anew.") from error

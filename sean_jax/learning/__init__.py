@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sean_jax.learning import dagger, reinforcement
+    from sean_jax.learning import agents, dagger, reinforcement
     from sean_jax.learning.choice import load
     from sean_jax.learning.collection import collect
     from sean_jax.learning.dataset import Dataset, open_dataset
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from sean_jax.learning.lerobot import export
     from sean_jax.learning.loader import Loader, Token
     from sean_jax.learning.network import Network
+    from sean_jax.learning.packing import pack
     from sean_jax.learning.recorder import record
     from sean_jax.learning.training import train
 
@@ -31,19 +32,20 @@ _HOMES = {
     "export": "lerobot",
     "load": "choice",
     "open_dataset": "dataset",
+    "pack": "packing",
     "policy": "learned",
     "record": "recorder",
     "train": "training",
 }
 
 __all__ = [
-    "Dataset", "Example", "Loader", "Network", "Recording", "Token", "collect", "dagger", "example", "export", "load",
-    "open_dataset", "policy", "record", "reinforcement", "train",
+    "Dataset", "Example", "Loader", "Network", "Recording", "Token", "agents", "collect", "dagger", "example", "export",
+    "load", "open_dataset", "pack", "policy", "record", "reinforcement", "train",
 ]  # fmt: skip
 
 
 def __getattr__(name: str):
-    if name in ("dagger", "reinforcement"):
+    if name in ("agents", "dagger", "reinforcement"):
         return import_module(f"{__name__}.{name}")
     if name in _HOMES:
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
@@ -51,4 +53,4 @@ def __getattr__(name: str):
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES, "dagger", "reinforcement"})
+    return sorted({*globals(), *_HOMES, "agents", "dagger", "reinforcement"})

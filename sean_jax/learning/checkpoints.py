@@ -133,6 +133,32 @@ class Checkpoints:
                     raise  # otherwise a running training has replaced it by a better one
         raise InputError(f"{self.folder} has no checkpoint; train a network with `sean train imitation`.")
 
+    def shapes(self, part: str) -> dict[str, tuple[int, ...]]:
+        """The shapes of one field of the checkpoint with the lowest validation loss.
+
+        Args:
+            part: as of ``best``.
+
+        Returns:
+            Name of an array, such as statistics/mean, to its shape.
+
+        Raises:
+            InputError: there is no checkpoint.
+            IncompleteError: it cannot be read.
+        """
+        step, previous = self._best_step(), None
+        while step is not None:
+            where = self.folder / "checkpoints" / str(step)
+            try:
+                tree = ocp.PyTreeCheckpointHandler().metadata(where / STATE).tree[part]  # pyright: ignore
+                leaves, _ = jax.tree.flatten_with_path(tree)
+                return {jax.tree_util.keystr(at, simple=True, separator="/"): tuple(leaf.shape) for at, leaf in leaves}
+            except (OSError, ValueError, KeyError, TypeError) as error:
+                step, previous = self._best_step(), step
+                if step == previous:
+                    raise IncompleteError(_unreadable(where, error)) from error
+        raise InputError(f"{self.folder} has no checkpoint; train a network with `sean train imitation`.")
+
     def _best_step(self) -> int | None:
         _retry(self.manager.reload)
         return self.manager.best_step()
@@ -147,10 +173,11 @@ class Checkpoints:
             content = self.manager.restore(step, args=ocp.args.Composite(**{STATE: request}))
             return content[STATE] if part is None else content[STATE][part]
         except (OSError, ValueError, KeyError, TypeError) as error:
-            where = self.folder / "checkpoints" / str(step)
-            raise IncompleteError(
-                f"{where} cannot be read ({writing.reason(error)}); remove it to go on from an earlier one."
-            ) from error
+            raise IncompleteError(_unreadable(self.folder / "checkpoints" / str(step), error)) from error
+
+
+def _unreadable(checkpoint: Path, error: Exception) -> str:
+    return f"{checkpoint} cannot be read ({writing.reason(error)}); remove it to go on from an earlier one."
 
 
 def check_config(folder: Path, config: dict[str, Any]) -> bool:

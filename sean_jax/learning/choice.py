@@ -8,7 +8,9 @@ from sean_jax.base import Policy, PolicyLike, Scenario, as_policy
 from sean_jax.classifiers import SITUATION_SETS
 from sean_jax.config import Component, Named, RunConfig, ScenarioConfig, validate
 from sean_jax.errors import InputError
-from sean_jax.learning.manifests import read_method
+from sean_jax.learning import agents
+from sean_jax.learning.agents import AGENTS
+from sean_jax.learning.manifests import CONFIG, read_method
 from sean_jax.policies import POLICIES
 
 
@@ -16,7 +18,8 @@ def policy(given: PolicyLike | Component | str, scenario: Scenario, option: str 
     """The policy that something stands for.
 
     Args:
-        given: a policy, a function, a name, the folder of a training, FILE.py:NAME, or a description of these.
+        given: a policy, a function, a name of ``POLICIES`` or ``AGENTS``, the folder of a training or a packed agent,
+            FILE.py:NAME, or a description of these.
         scenario: in which it will drive.
         option: what asks for it, for messages.
 
@@ -28,9 +31,7 @@ def policy(given: PolicyLike | Component | str, scenario: Scenario, option: str 
     """
     description = _described(given)
     if isinstance(description, Named) and description.kind not in POLICIES:
-        if not Path(description.kind).is_dir():
-            raise InputError(_unknown(description.kind, option))
-        return load(description.kind, scenario)
+        return load(_found(description.kind, option), scenario)
     part = components.resolve(description, POLICIES, option)
     try:
         return as_policy(part)
@@ -39,10 +40,11 @@ def policy(given: PolicyLike | Component | str, scenario: Scenario, option: str 
 
 
 def load(folder: Path | str, scenario: Scenario) -> Policy:
-    """The best policy that a training has found so far.
+    """The best policy that a training has found so far, a packed agent, or one that comes with the package.
 
     Args:
-        folder: that ``sean train`` has written, or is writing.
+        folder: that ``sean train`` has written, or is writing, or that ``sean export agent`` has; as text also a name
+            of ``AGENTS``, unless an agent's folder of that name is here, too.
         scenario: where it will drive.
 
     Returns:
@@ -52,9 +54,15 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
         InputError: the folder has no trained network, or one that does not fit to the scenario.
         IncompleteError: the checkpoint cannot be read.
     """
-    from sean_jax.learning import driving, learned, reinforcement
+    from sean_jax.learning import driving
 
+    if isinstance(folder, str) and folder in AGENTS:
+        folder = _found(folder, "folder")
     folder = Path(folder)
+    if agents.is_packed(folder):
+        return driving.policy(*agents.load(folder, scenario), name=folder.name)
+    from sean_jax.learning import learned, reinforcement  # which need the extra "learning"
+
     if read_method(folder) in ("imitation", "dagger"):
         return learned.load(folder, scenario)
     return driving.policy(*reinforcement.load(folder, scenario), name=folder.name)
@@ -77,21 +85,30 @@ def check(given: PolicyLike | Component | str, config: ScenarioConfig, option: s
         if not (isinstance(part, Policy) or callable(part)):
             raise InputError(f"{option}: {description.kind} must be a Policy or a function (scenario, state, key).")
     elif description.kind not in POLICIES:
-        if not Path(description.kind).is_dir():
-            raise InputError(_unknown(description.kind, option))
         from sean_jax.learning.network import read_network
 
-        if read_method(Path(description.kind)) != "imitation":
+        folder = _found(description.kind, option)
+        if agents.is_packed(folder) or read_method(folder) != "imitation":
             return
         sets = [part.kind for part in config.situations if isinstance(part, Named)]
         if len(sets) == len(config.situations) == 1 and sets[0] in SITUATION_SETS:
-            read_network(Path(description.kind), list(SITUATION_SETS[sets[0]]))
+            read_network(folder, list(SITUATION_SETS[sets[0]]))
 
 
 def _described(given: Any) -> Component:
     return given if isinstance(given, Component) else validate(RunConfig, {"policy": given}).policy
 
 
-def _unknown(name: str, option: str) -> str:
-    cure = files.suggest(name, POLICIES) or ", nor is it a folder that `sean train` has written."
-    return f"{option}: '{name}' is not one of {', '.join(POLICIES)}{cure}"
+def _found(name: str, option: str) -> Path:
+    """The folder of an agent of the package, or of one's own; a name that may mean both is refused."""
+    own = Path(name)
+    if name in AGENTS:
+        if (own / CONFIG).is_file():
+            both = f"'{name}' is an agent of the package and a folder here"
+            raise InputError(f"{option}: {both}; write ./{name} for the folder, {AGENTS[name]} for the other.")
+        return AGENTS[name]
+    if not own.is_dir():
+        known = [*POLICIES, *AGENTS]
+        cure = files.suggest(name, known) or ", nor is it a folder that `sean train` has written."
+        raise InputError(f"{option}: '{name}' is not one of {', '.join(known)}{cure}")
+    return own

@@ -5,7 +5,6 @@ Agents of different seeds and numbers are trained side by side, along a leading 
 and on the states of the scenarios, which checkpoints hold, so a training that was stopped goes on to the same curve.
 """
 
-import dataclasses
 import math
 import time
 import warnings
@@ -22,18 +21,17 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Float, Int, PyTree
 from rich.console import Console
 
-from sean_jax import devices, files, mdp, prng, registry, writing
+from sean_jax import devices, mdp, prng, registry, writing
 from sean_jax.base import Array, Policy, Scenario
-from sean_jax.config import METHODS, ReinforcementConfig, validate
+from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 from sean_jax.flags import command
-from sean_jax.learning import driving, ppo, rollouts, shac
+from sean_jax.learning import agents, driving, ppo, rollouts, shac
 from sean_jax.learning.actor_critic import ActorCritic, Agent, init_agent
 from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
 from sean_jax.learning.curves import draw_curve, sparkline
 from sean_jax.learning.logs import Log
-from sean_jax.learning.manifests import CONFIG
 from sean_jax.learning.rollouts import Rows
 from sean_jax.mdp import observations, rewards
 from sean_jax.progress import progress
@@ -107,37 +105,9 @@ def build(options: ReinforcementConfig) -> tuple[Scenario, mdp.Env, ActorCritic]
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    seen, private = terms(options)
-    env = replace(registry.build(options), observations=(*seen, *private))
-    shapes = dict(env.observation_space.items())
-    hidden = sum(math.prod(shapes[name].shape) for name, _ in private)
-    return env.scenario, replace(env, scenario=replace(env.scenario, metrics=())), _network(options, seen, hidden)
-
-
-def terms(options: ReinforcementConfig) -> tuple[observations.Terms, observations.Terms]:
-    """What the agent sees.
-
-    Args:
-        options: of the training.
-
-    Returns:
-        The terms that the actor sees, and those that the critic sees besides.
-
-    Raises:
-        InputError: there is no term of a name, or the critic's are images or the actor's.
-    """
-    seen = registry.observation_terms(options.observations)
-    private = registry.observation_terms(options.critic, "critic")
-    for name, term in private:
-        if term.image or name in dict(seen):
-            why = "is an image" if term.image else "is what the actor sees already"
-            raise InputError(f"critic: {name} {why}; choose another term.")
-    return seen, private
-
-
-def _network(options: ReinforcementConfig, seen: observations.Terms, private: int) -> ActorCritic:
-    images = tuple(name for name, term in seen if term.image)
-    return ActorCritic(options.width, options.layers, images, options.recurrent, private, options.bfloat16)
+    env = replace(registry.build(options), observations=sum(agents.terms(options), ()))
+    network = agents.network(options, env.observation_space)
+    return env.scenario, replace(env, scenario=replace(env.scenario, metrics=())), network
 
 
 def updates(options: ReinforcementConfig) -> int:
@@ -164,20 +134,19 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
         Functions, of which ``update`` reuses (donates) the memory of the state that it receives.
     """
     trainer: Any = TRAINERS[options.method]
-    agents = options.agents
-    keys = jnp.stack([prng.key("training", int(agent["seed"])) for agent in agents])
-    numbers = {name: jnp.asarray([agent[name] for agent in agents], jnp.float32) for name in options.SWEPT}
+    keys = jnp.stack([prng.key("training", int(agent["seed"])) for agent in options.agents])
+    numbers = {name: jnp.asarray([agent[name] for agent in options.agents], jnp.float32) for name in options.SWEPT}
     number = updates(options)
 
-    def begin(env: mdp.Env, agents: Agent) -> TrainState:
+    def begin(env: mdp.Env, first: Agent) -> TrainState:
         def one(agent: Agent, key: Array) -> tuple[PyTree, Rows]:
             rows = rollouts.begin(env, network, jax.random.fold_in(key, 0), options.scenarios)
             return trainer.init(agent), rows
 
-        optimizer, rows = jax.vmap(one)(agents, keys)
+        optimizer, rows = jax.vmap(one)(first, keys)
         count = keys.shape[0]
-        best = Best(agents, jnp.full(count, -jnp.inf, jnp.float32), jnp.zeros(count, jnp.int32))
-        return TrainState(agents, optimizer, rows, best, jnp.zeros((), jnp.int32))
+        best = Best(first, jnp.full(count, -jnp.inf, jnp.float32), jnp.zeros(count, jnp.int32))
+        return TrainState(first, optimizer, rows, best, jnp.zeros((), jnp.int32))
 
     def update(env: mdp.Env, state: TrainState) -> tuple[TrainState, dict[str, Any]]:
         done = state.update + 1
@@ -190,23 +159,24 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
         agent, optimizer, rows, told = jax.vmap(one)(state.agent, state.optimizer, state.rows, keys, numbers)
         return replace(state, agent=agent, optimizer=optimizer, rows=rows, update=done), told
 
-    def evaluate(scenario: Scenario, env: mdp.Env, agents: Agent) -> dict[str, Any]:
+    def evaluate(scenario: Scenario, env: mdp.Env, several: Agent) -> dict[str, Any]:
         chosen = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
-        seen, _ = terms(options)
-        return jax.vmap(lambda agent: _evaluate(scenario, env, driving.policy(network, agent, seen), chosen))(agents)
+        seen, _ = agents.terms(options)
+        return jax.vmap(lambda agent: _evaluate(scenario, env, driving.policy(network, agent, seen), chosen))(several)
 
-    whole = NamedSharding(over, PartitionSpec())
+    whole, split = (NamedSharding(over, PartitionSpec(*axes)) for axes in ((), (None, devices.AXIS)))
+    placed: Any = TrainState(agent=whole, optimizer=whole, rows=split, best=whole, update=whole)  # pyright: ignore
     return Programs(
         jax.jit(begin),
-        jax.jit(update, donate_argnums=1, out_shardings=(_shardings(over), whole)),
+        jax.jit(update, donate_argnums=1, out_shardings=(placed, whole)),
         jax.jit(evaluate, out_shardings=whole),
     )
 
 
-def _shardings(over: Mesh) -> TrainState:
+def _spread(over: Mesh, state: TrainState) -> TrainState:
     """Scenarios on all devices, and all else on each."""
-    whole, split = (NamedSharding(over, PartitionSpec(*axes)) for axes in ((), (None, devices.AXIS)))
-    return TrainState(agent=whole, optimizer=whole, rows=split, best=whole, update=whole)  # pyright: ignore
+    whole = devices.replicate(over, replace(state, rows=None))
+    return replace(whole, rows=devices.split(over, state.rows, axis=1))
 
 
 def _evaluate(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Array) -> dict[str, Any]:
@@ -258,13 +228,13 @@ def _train(
         tell.stage("drawing starts")
         pool_key = jax.random.fold_in(prng.key("training", options.seed), 2**31 - 1)
         env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, pool_key, options.pool)
-        state = run.begin(env, _agents(options, network, env))
+        state = run.begin(env, _agents(options, network, env, scenario))
         if not resumes:
             write_config(options.folder, config)
         checkpoints = Checkpoints(options.folder, writes=True)
         saved = checkpoints.latest(_plain(state)) if resumes else None
         state = state if saved is None else _typed(saved, state)
-        env, state = devices.replicate(over, env), jax.device_put(state, _placed(state, _shardings(over)))
+        env, state = devices.replicate(over, env), _spread(over, state)
         log = Log(options.folder, int(state.update))
         curve = [float(line["evaluation"]["return"]) for line in log.lines if "evaluation" in line]
         tell.start("training", number)
@@ -296,14 +266,13 @@ def _train(
     return state
 
 
-def _agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.Env) -> Agent:
+def _agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.Env, scenario: Scenario) -> Agent:
     """The agents before the first update, (A, ...)."""
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     space = env.observation_space
-    agents = jax.jit(jax.vmap(lambda key: init_agent(network, env.observations, space, key)))(keys)
     if options.pretrained is None:
-        return agents
-    other = _pretrained(options)
+        return jax.jit(jax.vmap(lambda key: init_agent(network, env.observations, space, key)))(keys)
+    other = _pretrained(options, scenario)
     return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), other)
 
 
@@ -358,15 +327,6 @@ def _typed(plain: PyTree, like: PyTree) -> PyTree:
     return prng.as_keys(jax.tree.map(lambda leaf, one: leaf if one.size else one, plain, like), like)
 
 
-def _placed(state: TrainState, shardings: TrainState) -> TrainState:
-    """The sharding of each array of a state."""
-    parts = {
-        field.name: jax.tree.map(lambda _, name=field.name: getattr(shardings, name), getattr(state, field.name))
-        for field in dataclasses.fields(state)  # pyright: ignore[reportArgumentType]
-    }
-    return TrainState(**parts)
-
-
 def _config(options: ReinforcementConfig) -> dict[str, Any]:
     return {
         "command": command("train", options),
@@ -394,47 +354,23 @@ def load(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observat
         InputError: there is no checkpoint, or the agent learned from observations of another size.
         IncompleteError: the checkpoint cannot be read.
     """
-    options = _read_options(folder)
-    seen, private = terms(options)
-    shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), scenario)
-    space = observations.space((*seen, *private), scenario, shapes)
-    hidden = sum(math.prod(dict(space.items())[name].shape) for name, _ in private)
-    network = _network(options, seen, hidden)
-    return network, _best(folder, options, network, (*seen, *private), space), seen
-
-
-def _best(folder: Path, options: ReinforcementConfig, network: ActorCritic, known: observations.Terms, space: Any):
-    """The agent with the highest return in an evaluation."""
+    options, checkpoints = agents.read_options(folder), Checkpoints(folder)
+    network, one, seen = agents.outline(options, scenario)
     count = len(options.agents)
-
-    def empty() -> Best:
-        agents = jax.vmap(lambda key: init_agent(network, known, space, key))(
-            jax.random.split(jax.random.key(0), count)
-        )
-        return Best(agents, jnp.zeros(count, jnp.float32), jnp.zeros(count, jnp.int32))
-
-    best = Checkpoints(folder).best("best", jax.eval_shape(empty))
+    saved = {name: shape for name, shape in checkpoints.shapes("best").items() if name.startswith("agent/")}
+    agents.check_sizes(folder, options, {name[6:]: shape[1:] for name, shape in saved.items()}, one)
+    shape = jax.ShapeDtypeStruct
+    several = jax.tree.map(lambda leaf: shape((count, *leaf.shape), leaf.dtype), one)
+    best = checkpoints.best("best", Best(several, shape((count,), jnp.float32), shape((count,), jnp.int32)))  # pyright: ignore
     chosen = int(np.argmax(best.value))
-    return jax.tree.map(lambda part: part[chosen], best.agent)
+    return network, jax.tree.map(lambda part: part[chosen], best.agent), seen
 
 
-def _read_options(folder: Path) -> ReinforcementConfig:
-    """Those of the training in a folder."""
-    if not (folder / CONFIG).is_file():
-        raise InputError(f"{folder} has no trained agent; make one with `sean train ppo --out {folder}`.")
-    saved = files.read_json(folder / CONFIG)
-    try:
-        model: Any = METHODS[saved["method"]]
-        return validate(model, {name: saved[name] for name in saved if name in model.model_fields})
-    except (InputError, KeyError) as error:
-        raise InputError(f"{folder / CONFIG}: {error}") from None
-
-
-def _pretrained(options: ReinforcementConfig) -> Agent:
+def _pretrained(options: ReinforcementConfig, scenario: Scenario) -> Agent:
     """The best agent of another training, which must have seen the same and be of the same size."""
     folder = Path(str(options.pretrained))
-    had, asked = _read_options(folder).decisive(), options.decisive()
+    had, asked = agents.read_options(folder).decisive(), options.decisive()
     for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16"):
         if had[name] != asked[name]:
             raise InputError(f"pretrained: {folder} has {name} {had[name]}, not {asked[name]}; ask for the same.")
-    return load(folder, build(options)[0])[1]
+    return (agents.load if agents.is_packed(folder) else load)(folder, scenario)[1]

@@ -1,0 +1,129 @@
+"""Environments for Stable-Baselines3, whose vector environments are of a kind of their own: ``VecEnv``.
+
+Rows are those of ``adapters.gymnasium``, which step together in one compiled call. What an algorithm reads when an
+episode ends is there under the names it knows: ``terminal_observation``, ``TimeLimit.truncated`` (so that values are
+bootstrapped at the time limit) and ``is_success``.
+"""
+
+# The package is a further extra, which the type checker may not have.
+# pyright: reportMissingImports=false
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnv
+
+from sean_jax import mdp
+from sean_jax.adapters.gymnasium import VectorSocialNavigation
+
+
+class VecSocialNavigation(VecEnv):
+    """Many scenarios that step together, for ``PPO("MultiInputPolicy", VecSocialNavigation(...))``."""
+
+    def __init__(self, env: mdp.Env | str, num_envs: int = 1, **config: Any):
+        """Make the environments.
+
+        Args:
+            env: of ``make_env``, or a name of ``registry.ALL_ENVS``.
+            num_envs: how many.
+            config: of a name, fields of its description, such as ``people=20``.
+
+        Raises:
+            InputError: one sentence that names the value and the cure.
+        """
+        self.rows = VectorSocialNavigation(env, num_envs, **config)
+        self.render_mode = None
+        super().__init__(num_envs, self.rows.single_observation_space, self.rows.single_action_space)
+        self._actions = np.zeros((num_envs, 2), np.float32)
+
+    def reset(self) -> dict[str, np.ndarray]:
+        """Begin an episode in each row, with the seeds of ``seed`` if there were any.
+
+        Returns:
+            The observations (B, ...).
+        """
+        seeds = self._seeds if any(seed is not None for seed in self._seeds) else None
+        observation, _ = self.rows.reset(seed=seeds)
+        self._reset_seeds()
+        return observation
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep the actions for ``step_wait``.
+
+        Args:
+            actions: (B, 2) from -1 to 1.
+        """
+        self._actions = actions
+
+    def step_wait(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """One step of control in each row.
+
+        Returns:
+            The observations, rewards, whether an episode ended (B, ...), and a dict for each row.
+        """
+        observation, reward, terminated, truncated, told = self.rows.step(self._actions)
+        over = terminated | truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for row in np.flatnonzero(over):
+            infos[row] = {
+                "terminal_observation": {name: part[row] for name, part in told["final_obs"].items()},
+                "TimeLimit.truncated": bool(truncated[row] and not terminated[row]),
+                "is_success": bool(told["completed"][row]),
+            }
+        return observation, reward, over, infos
+
+    def close(self) -> None:
+        """Nothing is to be freed."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute, which all rows share.
+
+        Args:
+            attr_name: its name.
+            indices: of rows; all if None.
+
+        Returns:
+            Its value, once for each row.
+        """
+        return [getattr(self.rows, attr_name)] * len(self._rows(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: the rows are one program.
+
+        Args:
+            attr_name, value, indices: of an attribute.
+
+        Raises:
+            NotImplementedError: always.
+        """
+        raise NotImplementedError("rows of one program have no attributes of their own; make the environment anew.")
+
+    def env_method(self, method_name: str, *arguments: Any, indices: Any = None, **named: Any) -> list[Any]:
+        """Refused: the rows are one program.
+
+        Args:
+            method_name, arguments, indices, named: of a call.
+
+        Returns:
+            Never.
+
+        Raises:
+            NotImplementedError: always.
+        """
+        raise NotImplementedError("rows of one program have no methods of their own; call those of .rows.")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """Whether rows are wrapped.
+
+        Args:
+            wrapper_class: by what.
+            indices: of rows; all if None.
+
+        Returns:
+            False for each.
+        """
+        return [False] * len(self._rows(indices))
+
+    def _rows(self, indices: int | Sequence[int] | None) -> Sequence[int]:
+        return range(self.num_envs) if indices is None else [indices] if isinstance(indices, int) else indices

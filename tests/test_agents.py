@@ -1,0 +1,136 @@
+"""The agents that come with the package: small, described, found by name, and read without the extra ``learning``."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax import cli, learning
+from sean_jax.errors import FileError, InputError
+from sean_jax.learning import agents, choice
+from sean_jax.learning.agents import AGENTS
+
+WITHOUT = """
+import sys
+sys.modules.update(dict.fromkeys(("optax", "orbax", "tensorstore")))  # as if they were not installed
+from sean_jax import cli
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return sean_jax.make("lab", behavior="random", people=2, dynamics="twin")
+
+
+def test_each_is_small_and_says_what_it_is():
+    assert "ppo" in AGENTS
+    for folder in AGENTS.values():
+        assert {path.name for path in folder.iterdir()} == {agents.WEIGHTS, "config.json"}
+        assert sum(path.stat().st_size for path in folder.iterdir()) < 1_000_000
+        told = json.loads((folder / "config.json").read_text())
+        assert told["command"].startswith("sean train ") and "/" not in told["command"]
+        assert told["agent"]["steps"] > 0 and told["agent"]["weights"] == "float16"
+        assert 0.0 <= told["agent"]["evaluation"]["completed"] <= 1.0
+        assert "sean-jax" in told["versions"] or "sean-jax" in told["agent"]["packed_with"]
+
+
+def test_one_is_loaded_by_its_name(lab):
+    driver = learning.load("ppo", lab)
+    assert driver.name == "ppo"
+    assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(driver.params.agent))
+    with pytest.raises(InputError, match="'ppoo' is not one of .*; did you mean 'ppo'"):
+        choice.policy("ppoo", lab)
+
+
+def test_it_is_written_and_read(lab, tmp_path):
+    """Of numbers that 16 bits hold all come back; statistics keep 32, and what 16 cannot hold is refused."""
+    agent = learning.load("ppo", lab).params.agent
+    agent = replace(agent, statistics=replace(agent.statistics, variance=agent.statistics.variance * 1e6 + 1e-6))
+    config = json.loads((AGENTS["ppo"] / "config.json").read_text())
+    agents.save(tmp_path, agent, config)
+    _, found, _ = agents.load(tmp_path, lab)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(agent), strict=True):
+        np.testing.assert_array_equal(one, other)
+    huge = jax.tree.map(lambda leaf: leaf * 0.0 + 1e6, agent)
+    with pytest.raises(InputError, match="16 bits cannot hold"):
+        agents.save(tmp_path, huge, config)
+
+
+def test_it_is_refused_where_it_sees_something_else(lab, tmp_path):
+    config = json.loads((AGENTS["ppo"] / "config.json").read_text())
+    agents.save(tmp_path, learning.load("ppo", lab).params.agent, config | {"observations": ["goal", "situations"]})
+    with pytest.raises(InputError, match="agent sees 80 numbers, and this scenario shows 7 .goal, situations.; make"):
+        learning.load(tmp_path, lab)
+
+
+def test_damaged_weights_are_told(lab, tmp_path):
+    folder = tmp_path / "ppo"
+    folder.mkdir()
+    for name in ("config.json", agents.WEIGHTS):
+        (folder / name).write_bytes((AGENTS["ppo"] / name).read_bytes())
+    weights = folder / agents.WEIGHTS
+    for wrong in (np.array(["a"]), np.array([np.nan])):
+        np.savez(weights, **{"statistics/mean": wrong})
+        with pytest.raises(InputError, match="statistics/mean has what is no finite number"):
+            learning.load(folder, lab)
+    weights.write_bytes((AGENTS["ppo"] / agents.WEIGHTS).read_bytes()[:-5000])
+    with pytest.raises(FileError, match="ppo/weights.npz: cannot be read: .* get the file anew"):
+        learning.load(folder, lab)
+    bomb = io.BytesIO()
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.npy", bytes(agents.MAX_BYTES + 1))
+    weights.write_bytes(bomb.getvalue())
+    with pytest.raises(FileError, match="unpacks to"):
+        learning.load(folder, lab)
+
+
+def test_a_folder_of_that_name_is_not_shadowed(lab, tmp_path, monkeypatch):
+    """A name that may mean both is refused; a path means the folder."""
+    monkeypatch.chdir(tmp_path)
+    Path("ppo").mkdir()
+    assert learning.load("ppo", lab).name == "ppo"  # a folder without an agent is no rival
+    Path("ppo/config.json").write_text('{"method": "ppo", "width": -3}')
+    for load in (learning.load, lambda name, lab: choice.policy(name, lab)):
+        with pytest.raises(InputError, match="an agent of the package and a folder here; write ./ppo for the folder"):
+            load("ppo", lab)
+    with pytest.raises(InputError, match="ppo/config.json"):
+        choice.policy("./ppo", lab)
+    with pytest.raises(InputError, match="ppo/config.json"):
+        learning.load(Path("ppo"), lab)
+
+
+def test_the_next_command_names_the_folder():
+    assert cli._drive(Path("ppo")) == "sean run --policy ./ppo"
+    assert cli._drive(Path("runs/ppo")) == "sean run --policy runs/ppo"
+
+
+@pytest.mark.slow
+def test_it_drives_without_the_extra(tmp_path):
+    words = ["run", "--policy", "ppo", "--environment", "lab", "--people", "4", "--dynamics", "twin"]
+    words += ["--episodes", "2", "--time-limit", "3", "--out", "here", "--quiet"]
+    root = str(Path(__file__).resolve().parent.parent)
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT, *words], cwd=tmp_path, env=os.environ | {"PYTHONPATH": root},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert json.loads((tmp_path / "here" / "summary.json").read_text())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in AGENTS if name != "ppo_depth"])
+def test_it_completes_most_tasks(name):
+    scenario = sean_jax.make("lab", people=5, task="join_group", dynamics="twin", time_limit=60.0)
+    found = sean_jax.evaluate(scenario, name, episodes=16, seed=5)
+    assert np.mean(found.completed) > 0.7
