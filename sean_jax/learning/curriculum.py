@@ -131,6 +131,76 @@ def social_cost(parts: Mapping[str, Float[Array, "*batch"]]) -> Float[Array, "*b
     return sum((jnp.maximum(-part, 0.0) for part in social[1:]), jnp.maximum(-social[0], 0.0))
 
 
+# ------------------------------------------------------------------ of a training
+
+
+def plan(name: str) -> Plan | None:
+    """The plan of an option of a trainer.
+
+    Args:
+        name: "none", "situations" or "regret".
+
+    Returns:
+        The plan with its usual numbers; None for none.
+    """
+    return None if name == "none" else Plan(name)  # pyright: ignore[reportArgumentType]
+
+
+def prepare(env: mdp.Env, name: str) -> mdp.Env:
+    """An environment in which the plan of that name has something to vary.
+
+    Args:
+        env: without a pool.
+        name: "none", "situations" or "regret".
+
+    Returns:
+        The environment; by regret, with ``mdp.randomize_behavior()`` unless it has a randomization of its own.
+
+    Raises:
+        InputError: by situations, no term of the reward is about people.
+    """
+    if name == "situations":
+        social_cost({name: jnp.zeros(()) for name, _ in env.rewards})
+    if name == "regret" and env.randomization is None:
+        env = replace(env, randomization=mdp.randomize_behavior())
+    return env
+
+
+def follow(
+    env: mdp.Env, plan: Plan | None, curriculum: Curriculum | None, told: Mapping[str, PyTree], over: Bool[Array, "T B"]
+) -> tuple[Curriculum | None, dict[str, dict[str, Array]]]:
+    """The curriculum after an update of a trainer, and what its log tells of it.
+
+    Args:
+        env: where it happens.
+        plan: what it follows; None for none.
+        curriculum: before; None for none.
+        told: (T, B, ...) of the dicts of ``Env.step``: rewards, start, situations, episode_return.
+        over: (T, B) the episode ended with this step.
+
+    Returns:
+        The curriculum; and under its name, of how many starts the weights are worth, how often each has been replaced,
+        and the weights of situations, or the mean regret.
+    """
+    if plan is None or curriculum is None:
+        return None, {}
+    cost = social_cost(told["rewards"]) if plan.by == "situations" else jnp.zeros(over.shape, float)
+    record = Record(told["start"], told["situations"], cost, over, told["episode_return"])
+    after = observe(env, plan, curriculum, record)
+    return after, {"curriculum": _numbers(env, plan, after)}
+
+
+def _numbers(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> dict[str, Array]:
+    weights = curriculum.pool.weights.astype(jnp.float32)
+    size = weights.shape[0]
+    replacements = (curriculum.pool.states.start // size).astype(jnp.float32).mean()
+    told = {"starts": weights.sum() ** 2 / (weights * weights).sum(), "replaced": replacements}
+    if plan.by == "regret":
+        return told | {"regret": _mean_regret(curriculum)}
+    shares = situation_weights(env, plan, curriculum)
+    return told | {name: shares[index] for index, (name, _) in enumerate(env.scenario.situations)}
+
+
 # ------------------------------------------------------------------ begin, observe, refill
 
 
@@ -142,7 +212,7 @@ def init(env: mdp.Env, plan: Plan, key: Array, size: int, policy: PolicyLike | N
         plan: what it follows.
         key: () typed PRNG key.
         size: K, how many starts.
-        policy: who drives to find out which situations occur; None: that shows in the record alone.
+        policy: who drives to find out which situations occur; None: that shows in the record alone. Regret needs none.
 
     Returns:
         The curriculum.
@@ -384,7 +454,7 @@ def _check(env: mdp.Env, plan: Plan) -> None:
 def _occurrences(env: mdp.Env, plan: Plan, pool: mdp.Pool, policy: PolicyLike | None) -> tuple[Array, Array]:
     """(K, S) s that a policy spends in each situation, and (K,) s of all, from each start for a short while."""
     size, number = pool.weights.shape[0], len(env.scenario.situations)
-    if policy is None:
+    if policy is None or plan.by == "regret":
         return jnp.zeros((size, number), jnp.float32), jnp.zeros(size, jnp.float32)
     steps = max(1, round(plan.ahead / env.scenario.time_step))
 

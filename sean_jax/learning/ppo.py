@@ -33,6 +33,7 @@ from sean_jax.config import PPOConfig, validate
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 from sean_jax.flags import command
+from sean_jax.learning import curriculum as curricula
 from sean_jax.learning import driving
 from sean_jax.learning.actor_critic import (
     ActorCritic,
@@ -55,6 +56,7 @@ from sean_jax.versions import versions
 VALUE_WEIGHT = 0.5  # of the critic's loss
 MAX_GRADIENT_NORM = 0.5
 FEW = 1e-8
+TOLD = ("rewards", "completed", "episode_return", "episode_length", "start", "situations")
 
 
 @struct.dataclass
@@ -70,6 +72,7 @@ class TrainState:
     update: Array  # () int32, updates done
     best: Array  # () highest return in an evaluation so far
     best_update: Array  # () int32
+    curriculum: curricula.Curriculum | None = None  # None: all starts of the pool are alike
 
 
 class Seen(NamedTuple):
@@ -93,6 +96,7 @@ class Programs(NamedTuple):
     begin: Callable  # (env, agent) -> TrainState
     update: Callable  # (env, state) -> (state, numbers for the log)
     evaluate: Callable  # (scenario, agent, env) -> numbers for the log
+    refill: Callable  # (env, state) -> state with other starts
 
 
 def train(options: PPOConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
@@ -130,7 +134,7 @@ def build(options: PPOConfig) -> tuple[Scenario, mdp.Env, ActorCritic]:
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    env = registry.build(options)
+    env = curricula.prepare(registry.build(options), options.curriculum)
     return env.scenario, replace(env, scenario=replace(env.scenario, metrics=())), _network(options, env.observations)
 
 
@@ -161,12 +165,13 @@ def programs(options: PPOConfig, network: ActorCritic) -> Programs:
     Returns:
         Functions, of which ``update`` reuses (donates) the memory of the state that it receives.
     """
-    optimizer = _optimizer(options)
-    seed_key = prng.key("training", options.seed)
+    optimizer, plan = _optimizer(options), curricula.plan(options.curriculum)
+    seed_key, starts_key = prng.key("training", options.seed), prng.key("curriculum", options.seed)
 
     def begin(env: mdp.Env, agent: Agent) -> TrainState:
         keys = jax.random.split(jax.random.fold_in(seed_key, 0), options.scenarios)
         observation, envs = jax.vmap(env.reset)(keys)
+        driver, first_key = driving.policy(network, agent, env.observations), jax.random.fold_in(starts_key, 0)
         return TrainState(
             agent=agent,
             optimizer=optimizer.init(agent.parameters),
@@ -177,11 +182,13 @@ def programs(options: PPOConfig, network: ActorCritic) -> Programs:
             update=jnp.zeros((), jnp.int32),
             best=jnp.full((), -jnp.inf, jnp.float32),
             best_update=jnp.zeros((), jnp.int32),
+            curriculum=plan and curricula.init(env, plan, first_key, options.pool, driver),
         )
 
     def update(env: mdp.Env, state: TrainState) -> tuple[TrainState, dict[str, Any]]:
         key = jax.random.fold_in(seed_key, state.update + 1)
         first_memory = state.memory
+        env = env if state.curriculum is None else replace(env, pool=state.curriculum.pool)
         state, seen = _collect(env, network, state, options.horizon, key)
         last = _say(network, state.agent, env.observations, state.observation, state.memory, state.start)
         advantage = _advantages(seen, last.value, options)
@@ -194,6 +201,8 @@ def programs(options: PPOConfig, network: ActorCritic) -> Programs:
             "episodes": _of_episodes(seen),
             "rewards": {name: part.mean() for name, part in seen.told["rewards"].items()},
         }
+        curriculum, told = curricula.follow(env, plan, state.curriculum, seen.told, seen.over)
+        state, numbers = replace(state, curriculum=curriculum), numbers | told
         done = state.update + 1
         return replace(state, agent=agent, optimizer=optimizer_state, update=done), numbers
 
@@ -201,7 +210,14 @@ def programs(options: PPOConfig, network: ActorCritic) -> Programs:
         keys = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
         return _evaluate(scenario, env, driving.policy(network, agent, env.observations), keys)
 
-    return Programs(jax.jit(begin), jax.jit(update, donate_argnums=1), jax.jit(evaluate))
+    def refill(env: mdp.Env, state: TrainState) -> TrainState:
+        assert plan is not None and state.curriculum is not None
+        key = jax.random.fold_in(starts_key, state.update)
+        driver = driving.policy(network, state.agent, env.observations)
+        return replace(state, curriculum=curricula.refill(env, plan, state.curriculum, key, driver))
+
+    update = jax.jit(update, donate_argnums=1)
+    return Programs(jax.jit(begin), update, jax.jit(evaluate), jax.jit(refill, donate_argnums=1))
 
 
 # ------------------------------------------------------------------ an update
@@ -241,7 +257,7 @@ def _collect(env: mdp.Env, network: ActorCritic, state: TrainState, steps: int, 
             reward=reward.astype(jnp.float32),
             over=over,
             final_value=jnp.where(truncated, final.value, 0.0),
-            told={name: info[name] for name in ("rewards", "completed", "episode_return", "episode_length")},
+            told={name: info[name] for name in TOLD},
         )
         return (envs, following, said.memory, over), seen
 
@@ -407,7 +423,8 @@ def _train(
         if options.pretrained is not None:
             agent = _pretrained(options, agent)
         pool_key = jax.random.fold_in(prng.key("training", options.seed), 2**31 - 1)
-        env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, pool_key, options.pool)
+        if options.curriculum == "none":
+            env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, pool_key, options.pool)
         state = run.begin(env, agent)
         if not resumes:
             write_config(options.folder, config)
@@ -422,6 +439,8 @@ def _train(
                 begun = time.time()
                 state, numbers = run.update(env, state)
                 done, numbers = int(state.update), jax.tree.map(np.asarray, numbers)
+                if state.curriculum is not None and done % options.curriculum_every == 0:
+                    state = run.refill(env, state)
                 _check_finite(numbers, done, options)
                 took = time.time() - begun
                 rate = options.scenarios * options.horizon / took
