@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chisquare
 
 import sean_jax
-from sean_jax import mdp
+from sean_jax import mdp, prng
 from sean_jax.base import as_policy
 from sean_jax.errors import InputError
 from sean_jax.learning import curriculum as curricula
@@ -277,7 +277,6 @@ def test_starts_of_least_regret_are_replaced_by_others_like_the_best(env, by_reg
 
 def test_it_is_a_function_of_its_arrays(env, by_regret):
     """Through numbers, as a checkpoint keeps it, and on: the same to the bit; and one program serves all."""
-    from sean_jax import prng
 
     state = _regretted(env, by_regret, np.arange(SIZE) * 1.0)
     kept = jax.tree.map(np.asarray, prng.as_numbers(state))
@@ -322,3 +321,41 @@ def test_what_people_are_cost():
     np.testing.assert_allclose(curricula.social_cost(parts), [2.5])
     with pytest.raises(InputError, match="no term of the reward is about people"):
         curricula.social_cost({"progress": jnp.zeros(1)})
+
+
+# ------------------------------------------------------------------ in a training
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["situations", "regret"])
+def test_a_training_with_a_curriculum_goes_on_to_the_same_curve(kind, tmp_path, monkeypatch):
+    """Stopped between two draws of new starts, it ends with the same agent and the same starts."""
+    from sean_jax.config import PPOConfig
+    from sean_jax.learning import ppo
+
+    def options(out) -> PPOConfig:
+        return PPOConfig(
+            method="ppo", environment="lab", people=3, time_limit=1.0, scenarios=8, horizon=16, minibatches=2, epochs=1,
+            width=16, pool=8, evaluate_every=3, evaluation_episodes=2, steps=8 * 16 * 6, metrics=["mean_speed"],
+            observations=["goal", "speeds"], curriculum=kind, curriculum_every=2, out=out,
+        )  # fmt: skip
+
+    whole = ppo.train(options(tmp_path / "whole"))
+    assert whole.curriculum is not None
+    assert int(np.asarray(whole.curriculum.pool.states.start).max()) >= 8  # some have been replaced
+    numbers, calls = ppo._numbers, []
+
+    def until(values):
+        calls.append(values)
+        if len(calls) == 4 * 5:  # in the fifth update, after a checkpoint in the third
+            raise KeyboardInterrupt
+        return numbers(values)
+
+    monkeypatch.setattr(ppo, "_numbers", until)
+    with pytest.raises(KeyboardInterrupt):
+        ppo.train(options(tmp_path / "stopped"))
+    monkeypatch.undo()
+    again = ppo.train(options(tmp_path / "stopped"))
+    assert int(again.update) == 6
+    for one, other in zip(*(jax.tree.leaves(prng.as_numbers(each)) for each in (whole, again)), strict=True):
+        np.testing.assert_array_equal(one, other)
