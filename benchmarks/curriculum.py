@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax import files, learning, mdp, prng
+from sean_jax import files, mdp, prng
 from sean_jax.config import PPOConfig, validate
 from sean_jax.learning import driving, ppo
 from sean_jax.metrics import bootstrap
@@ -28,8 +28,8 @@ FEWEST = 30  # episodes in which a situation occurs, for it to be called the wor
 AT_ONCE = 256  # episodes
 
 
-def measure(scenario, policy, keys) -> dict[str, np.ndarray]:
-    """Of each episode: violations and minutes (E, 1 + S), overall and by situation; whether it was completed (E,)."""
+def measurement(scenario, network, observed):
+    """(agent, keys) -> of each episode: violations and minutes (E, 1 + S), overall and by situation; completed (E,)."""
     scenario = replace(scenario, metrics=())
     steps = round(scenario.time_limit / scenario.time_step)
     terms = [mdp.of_metric(name).step for name in VIOLATIONS]
@@ -39,7 +39,7 @@ def measure(scenario, policy, keys) -> dict[str, np.ndarray]:
         columns = going * jnp.concatenate([jnp.ones(1), after.situations.astype(float)])
         return sum(term(scenario, before, after) for term in terms) * columns, columns
 
-    def episode(key):
+    def episode(policy, key):
         last, (events, there) = sean_jax.rollout(scenario, policy, key, steps, record)
         return {
             "violations": events.sum(0),
@@ -47,7 +47,12 @@ def measure(scenario, policy, keys) -> dict[str, np.ndarray]:
             "completed": last.completed.astype(float),
         }
 
-    return jax.tree.map(np.asarray, jax.jit(lambda keys: jax.lax.map(episode, keys, batch_size=AT_ONCE))(keys))
+    @jax.jit
+    def all_of(agent, keys):
+        policy = driving.policy(network, agent, observed)
+        return jax.lax.map(lambda key: episode(policy, key), keys, batch_size=AT_ONCE)
+
+    return lambda agent, keys: jax.tree.map(np.asarray, all_of(agent, keys))
 
 
 def difference(one: dict, other: dict, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -90,16 +95,17 @@ def main() -> None:
 
     saved = files.read_json(chosen.folder / "config.json")
     options = validate(PPOConfig, {name: saved[name] for name in saved if name in PPOConfig.model_fields})
-    scenario, _, network = ppo.build(options)
+    scenario = ppo.build(options)[0]
+    network, given, observed = ppo.load(chosen.folder, scenario)
+    measure = measurement(scenario, network, observed)
     names = ["overall", *(name for name, _ in scenario.situations)]
     keys = jax.random.split(prng.key("run", 0), chosen.episodes)
-    given = learning.load(chosen.folder, scenario)
     # Chosen in episodes of its own: the worst of the same ones would look worse than it is.
-    first = measure(scenario, given, jax.random.split(prng.key("run", 1), chosen.episodes))
+    first = measure(given, jax.random.split(prng.key("run", 1), chosen.episodes))
     enough = (first["minutes"] > 0).sum(0) >= min(FEWEST, chosen.episodes // 4)
     rate = bootstrap.aggregate_ratio(first["violations"], first["minutes"]).mean
     worst = 1 + int(np.where(enough, rate, -1.0)[1:].argmax())
-    measured = {"before": [measure(scenario, given, keys)]}
+    measured = {"before": [measure(given, keys)]}
     for kind in ("none", chosen.curriculum):
         measured[kind] = []
         for seed in range(chosen.seeds):
@@ -109,8 +115,7 @@ def main() -> None:
                 learning_rate=chosen.learning_rate or options.learning_rate / 2, out=chosen.out / f"{kind}-{seed}",
             )  # fmt: skip
             agent = ppo.train(further).agent  # the last one: the best is chosen by its return, not by violations
-            driver = driving.policy(network, agent, ppo.load(chosen.folder, scenario)[2])
-            measured[kind].append(measure(scenario, driver, keys))
+            measured[kind].append(measure(agent, keys))
             print(f"trained {kind}, seed {further.seed}", flush=True)
 
     weights = bootstrap.resamples(chosen.episodes)
