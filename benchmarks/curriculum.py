@@ -32,7 +32,7 @@ def measurement(scenario, network, observed):
     """(agent, keys) -> of each episode: violations and minutes (E, 1 + S), overall and by situation; completed (E,)."""
     scenario = replace(scenario, metrics=())
     steps = round(scenario.time_limit / scenario.time_step)
-    terms = [mdp.of_metric(name).step for name in VIOLATIONS]
+    terms = [term for name in VIOLATIONS if (term := mdp.of_metric(name).step)]
 
     def record(before, after, _):
         going = jnp.where(before.completed | before.timed_out, 0.0, 1.0)
