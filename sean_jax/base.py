@@ -290,6 +290,7 @@ class Scenario:
     substeps: int = struct.field(pytree_node=False)  # of the social forces in a step of control
     task_name: str = struct.field(pytree_node=False)
     sensors: tuple[Sensor, ...] = ()  # of the robot, read by ``sensors.sense``
+    people_present: Int[Array, ""] | None = None  # the first so many are there, on the graph or anywhere; None: all
 
 
 @struct.dataclass

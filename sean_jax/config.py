@@ -673,6 +673,11 @@ class ReinforcementConfig(EnvConfig):
     """Keep and encode images in half precision: quicker on a GPU, slower on a CPU."""
     pool: BatchSize = 1024
     """Starts of episodes that are drawn beforehand."""
+    curriculum: Literal["none", "situations", "regret"] = "none"
+    """Which of them are taken more often: none, those of situations in which the agent costs people most, or those from
+    which it could do better, among people who behave otherwise in each episode."""
+    curriculum_every: Count = 20
+    """Updates until a curriculum draws new starts for those that have least to teach."""
     pretrained: Path | None = None
     """Folder of a training whose agent goes on to learn."""
     seeds: Count = 1

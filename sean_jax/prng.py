@@ -20,6 +20,7 @@ USES = (
     "weights",  # of a network, before it is trained
     "order",  # of the examples in an epoch
     "training",  # episodes and updates of reinforcement learning
+    "curriculum",  # starts from which its episodes begin
     "evaluation",  # episodes in which an agent in training is judged
     "validation",  # which episodes are held out
     "table1",  # chains of episodes

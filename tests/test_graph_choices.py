@@ -149,7 +149,7 @@ def choosers(scenario):
     graph = scenario.behavior.data.graph
     nobody = jax.eval_shape(functools.partial(sean_jax.reset, scenario), jax.random.key(0)).pedestrians
     nobody = jax.tree.map(lambda leaf: jnp.zeros((12, *leaf.shape[1:]), leaf.dtype), nobody)
-    nobody = dataclasses.replace(nobody, walking_group=jnp.full(12, -1, jnp.int32))
+    nobody = dataclasses.replace(nobody, walking_group=jnp.full(12, -1, jnp.int32), present=jnp.ones(12, bool))
 
     def at(hop, seat) -> graph_goals.Memory:
         hop, seat = jnp.asarray(hop, jnp.int32), jnp.asarray(seat, jnp.int32)

@@ -167,6 +167,9 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     node = jnp.concatenate([graph.seat_node[first_seats], tables.start_node[chosen]])
     seat = jnp.concatenate([first_seats, jnp.full(people - seated, -1, jnp.int32)])
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
+    present = starts.who_is_there(scenario)
+    if scenario.people_present is not None:
+        seat = jnp.where(present, seat, -1)
     pedestrians = Pedestrians(
         position=position,
         velocity=jnp.zeros_like(position),
@@ -174,7 +177,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         desired_velocity=jnp.zeros_like(position),
         group=jnp.where(seat >= 0, of_seat(graph.seat_group, seat), -1),
         walking_group=walking_group,
-        present=jnp.ones(people, bool),
+        present=present,
         preferred_speed=group_speeds(scenario, walking_group, preferred_speed),
         robot_distance=robot_distance,
     )
@@ -183,6 +186,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     stay = _stay(scenario, jnp.full_like(left, jnp.inf) if tables.permanent else left)
     stay = jnp.where(stay > 0, stay + tables.patience[first_seats], 0)
     stay = jnp.concatenate([stay, jnp.zeros(people - seated, jnp.int32)])
+    stay = jnp.where(seat >= 0, stay, 0)
     memory = Memory(node, node, node, position, seat, stay, seat_position, seat_heading)
     if tables.temperature is not None:
         memory = memory._replace(log_chance=jnp.zeros((), float))
@@ -215,7 +219,7 @@ def _send_at_start(scenario: Scenario, people: Pedestrians, memory: Memory) -> M
     """Successors for the first stays, as if the episode had begun long ago."""
     tables: Tables = scenario.behavior.data
     arrival = successors.arrival_times(tables.graph, tables.walk, people, memory)
-    seekers = people.walking_group < 0
+    seekers = people.present & (people.walking_group < 0)
 
     def one(_: Array, memory: Memory) -> Memory:
         seats = whose(memory, tables.patience, scenario.time_step)

@@ -49,7 +49,7 @@ def whole(
     Source: section IV-D.
     """
     onward = free | _passes(people, memory)
-    alone = people.walking_group < 0  # walking groups take no seats
+    alone = people.present & (people.walking_group < 0)  # walking groups take no seats
     given, loses = successors.send(graph, arrival, memory, seats, onward & alone, draws)
     aimless = (free & (given.seat < 0)) | loses
     goal = jnp.where(aimless, _other_waypoint(graph, memory.hop, chance[0]), given.goal)
@@ -94,7 +94,7 @@ def edge(
         lack = jnp.sum(of_group & empty[:, None], axis=0, dtype=jnp.int32)
         neediest = jnp.argmax(lack).astype(jnp.int32)
         node = graph.groups[neediest]
-        wants = onward & (people.walking_group < 0) & (lack[neediest] > 0) & (memory.hop != node)
+        wants = onward & people.present & (people.walking_group < 0) & (lack[neediest] > 0) & (memory.hop != node)
         near = wants & (graph.next_hop[memory.hop, node] == node)
         offered = empty & (graph.seat_group == neediest)
         succeeds, which = _in_turn(near, offered)

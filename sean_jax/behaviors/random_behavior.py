@@ -120,7 +120,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         desired_velocity=jnp.zeros_like(position),
         group=jnp.full(people, -1, jnp.int32),
         walking_group=walking_group,
-        present=jnp.ones(people, bool),
+        present=starts.who_is_there(scenario),
         preferred_speed=group_speeds(scenario, walking_group, preferred_speed),
         robot_distance=robot_distance,
     )

@@ -3,10 +3,10 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from sean_jax import cache
-from sean_jax.base import Array, Environment
+from sean_jax.base import Array, Environment, Scenario
 from sean_jax.geometry import signed_distances_on_host
 from sean_jax.navigation import CODE, Navigation, build_paths_to_goal, geodesic, inputs
 
@@ -14,6 +14,20 @@ MIN_DISTANCE = 0.55  # m between two places: bodies of 0.2 m and some room
 TRIES = 40  # candidates for each place that would fit
 FLOOR_TRIES = 10  # likewise, where a whole floor is filled
 MAX_TRIES = 500_000  # candidates in all
+
+
+def who_is_there(scenario: Scenario) -> Bool[Array, "N"]:
+    """Who of the people is present: the first ``people_present``, as if the scenario was made with so many.
+
+    Args:
+        scenario: of N people.
+
+    Returns:
+        (N,) true for everybody if the scenario does not say how many.
+    """
+    if scenario.people_present is None:
+        return jnp.ones(scenario.people, bool)
+    return jnp.arange(scenario.people, dtype=jnp.int32) < scenario.people_present
 
 
 def in_discs(

@@ -45,7 +45,7 @@ def update(
     optimizer: optax.OptState,
     rows: Rows,
     key: Array,
-) -> tuple[Agent, optax.OptState, Rows, dict[str, Any]]:
+) -> tuple[Agent, optax.OptState, Rows, Seen, dict[str, Any]]:
     """Let the agent drive, and learn from that.
 
     Args:
@@ -60,7 +60,7 @@ def update(
         key: () typed PRNG key of this update.
 
     Returns:
-        The agent, the state of the optimizer, the scenarios, and numbers for the log.
+        The agent, the state of the optimizer, the scenarios, what was seen, and numbers for the log.
     """
     memory = rows.memory
     rows, seen = collect(env, network, agent, rows, options.horizon, key)
@@ -75,7 +75,7 @@ def update(
         "episodes": of_episodes(seen),
         "rewards": {name: part.mean() for name, part in seen.told["rewards"].items()},
     }
-    return replace(agent, statistics=statistics), optimizer, rows, told
+    return replace(agent, statistics=statistics), optimizer, rows, seen, told
 
 
 def _learn(

@@ -28,8 +28,10 @@ from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 from sean_jax.flags import command
 from sean_jax.learning import agents, driving, ppo, rollouts, shac
+from sean_jax.learning import curriculum as curricula
 from sean_jax.learning.actor_critic import ActorCritic, Agent, init_agent
 from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
+from sean_jax.learning.curriculum import Curriculum
 from sean_jax.learning.curves import draw_curve, sparkline
 from sean_jax.learning.logs import Log
 from sean_jax.learning.rollouts import Rows
@@ -59,6 +61,7 @@ class TrainState:
     optimizer: PyTree  # (A, ...)
     rows: Rows  # (A, B, ...)
     best: Best
+    curriculum: Curriculum | None  # (A, ...); None: all starts of the pool are alike
     update: Int[Array, ""]  # updates done
 
 
@@ -68,6 +71,7 @@ class Programs(NamedTuple):
     begin: Callable  # (env, agents) -> TrainState
     update: Callable  # (env, state) -> (state, numbers for the log, (A, ...))
     evaluate: Callable  # (scenario, env, agents) -> numbers for the log, (A, ...)
+    refill: Callable  # (env, state) -> state with other starts
 
 
 def train(options: ReinforcementConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
@@ -105,7 +109,8 @@ def build(options: ReinforcementConfig) -> tuple[Scenario, mdp.Env, ActorCritic]
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    env = replace(registry.build(options), observations=sum(agents.terms(options), ()))
+    env = curricula.prepare(registry.build(options), options.curriculum)
+    env = replace(env, observations=sum(agents.terms(options), ()))
     network = agents.network(options, env.observation_space)
     return env.scenario, replace(env, scenario=replace(env.scenario, metrics=())), network
 
@@ -136,40 +141,56 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
     trainer: Any = TRAINERS[options.method]
     keys = jnp.stack([prng.key("training", int(agent["seed"])) for agent in options.agents])
     numbers = {name: jnp.asarray([agent[name] for agent in options.agents], jnp.float32) for name in options.SWEPT}
-    number = updates(options)
+    number, plan, (seen, _) = updates(options), curricula.plan(options.curriculum), agents.terms(options)
+    starts = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
 
     def begin(env: mdp.Env, first: Agent) -> TrainState:
-        def one(agent: Agent, key: Array) -> tuple[PyTree, Rows]:
+        def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, Rows, Curriculum | None]:
             rows = rollouts.begin(env, network, jax.random.fold_in(key, 0), options.scenarios)
-            return trainer.init(agent), rows
+            driver, start = driving.policy(network, agent, seen), jax.random.fold_in(start, 0)
+            return trainer.init(agent), rows, plan and curricula.init(env, plan, start, options.pool, driver)
 
-        optimizer, rows = jax.vmap(one)(first, keys)
+        optimizer, rows, curriculum = jax.vmap(one)(first, keys, starts)
         count = keys.shape[0]
         best = Best(first, jnp.full(count, -jnp.inf, jnp.float32), jnp.zeros(count, jnp.int32))
-        return TrainState(first, optimizer, rows, best, jnp.zeros((), jnp.int32))
+        return TrainState(first, optimizer, rows, best, curriculum, jnp.zeros((), jnp.int32))
 
     def update(env: mdp.Env, state: TrainState) -> tuple[TrainState, dict[str, Any]]:
         done = state.update + 1
         left = 1.0 - state.update.astype(jnp.float32) / number
 
-        def one(agent: Agent, optimizer: PyTree, rows: Rows, key: Array, own: dict[str, Array]) -> tuple:
+        def one(agent: Agent, optimizer: PyTree, rows: Rows, curriculum: Curriculum | None, key: Array, own: dict):
             own = own | {"learning_rate": own["learning_rate"] * left}
-            return trainer.update(options, own, env, network, agent, optimizer, rows, jax.random.fold_in(key, done))
+            where = env if curriculum is None else replace(env, pool=curriculum.pool)
+            key = jax.random.fold_in(key, done)
+            *changed, rows, seen, told = trainer.update(options, own, where, network, agent, optimizer, rows, key)
+            curriculum, more = curricula.follow(env, plan, curriculum, seen.told, seen.over)
+            return *changed, rows, curriculum, told | more
 
-        agent, optimizer, rows, told = jax.vmap(one)(state.agent, state.optimizer, state.rows, keys, numbers)
-        return replace(state, agent=agent, optimizer=optimizer, rows=rows, update=done), told
+        parts = state.agent, state.optimizer, state.rows, state.curriculum
+        agent, optimizer, rows, curriculum, told = jax.vmap(one)(*parts, keys, numbers)
+        state = replace(state, agent=agent, optimizer=optimizer, rows=rows, curriculum=curriculum, update=done)
+        return state, told
+
+    def refill(env: mdp.Env, state: TrainState) -> TrainState:
+        def one(agent: Agent, curriculum: Curriculum | None, start: Array) -> Curriculum:
+            driver, key = driving.policy(network, agent, seen), jax.random.fold_in(start, state.update)
+            assert plan is not None and curriculum is not None
+            return curricula.refill(env, plan, curriculum, key, driver)
+
+        return replace(state, curriculum=jax.vmap(one)(state.agent, state.curriculum, starts))
 
     def evaluate(scenario: Scenario, env: mdp.Env, several: Agent) -> dict[str, Any]:
         chosen = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
-        seen, _ = agents.terms(options)
         return jax.vmap(lambda agent: _evaluate(scenario, env, driving.policy(network, agent, seen), chosen))(several)
 
     whole, split = (NamedSharding(over, PartitionSpec(*axes)) for axes in ((), (None, devices.AXIS)))
-    placed: Any = TrainState(agent=whole, optimizer=whole, rows=split, best=whole, update=whole)  # pyright: ignore
+    placed: Any = TrainState(agent=whole, optimizer=whole, rows=split, best=whole, curriculum=whole, update=whole)  # pyright: ignore
     return Programs(
         jax.jit(begin),
         jax.jit(update, donate_argnums=1, out_shardings=(placed, whole)),
         jax.jit(evaluate, out_shardings=whole),
+        jax.jit(refill, donate_argnums=1, out_shardings=placed),
     )
 
 
@@ -227,7 +248,8 @@ def _train(
     with progress(console) as tell:
         tell.stage("drawing starts")
         pool_key = jax.random.fold_in(prng.key("training", options.seed), 2**31 - 1)
-        env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, pool_key, options.pool)
+        if options.curriculum == "none":
+            env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, pool_key, options.pool)
         state = run.begin(env, _agents(options, network, env, scenario))
         if not resumes:
             write_config(options.folder, config)
@@ -243,6 +265,8 @@ def _train(
                 begun = time.time()
                 state, told = run.update(env, state)
                 done, told = int(state.update), jax.tree.map(np.asarray, told)
+                if state.curriculum is not None and done % options.curriculum_every == 0:
+                    state = run.refill(env, state)
                 _check_finite(told, done, options)
                 each = options.scenarios * options.horizon
                 took = time.time() - begun

@@ -16,7 +16,7 @@ from sean_jax.base import Array
 from sean_jax.learning.actor_critic import ActorCritic, Agent, Answer, answer, log_density
 from sean_jax.mdp import observations
 
-TOLD = ("rewards", "completed", "episode_return", "episode_length")  # of a step's info, for the log
+TOLD = ("rewards", "completed", "episode_return", "episode_length", "start", "situations")  # of a step's info
 
 
 @struct.dataclass
@@ -41,7 +41,7 @@ class Seen(NamedTuple):
     reward: Float[Array, ""]
     over: Bool[Array, ""]  # the episode ended with this step
     final_value: Float[Array, ""]  # of what followed a truncation; 0 where none was
-    told: dict[str, Any]  # for the log
+    told: dict[str, Any]  # for the log and the curriculum
 
 
 def begin(env: mdp.Env, network: ActorCritic, key: Array, number: int) -> Rows:

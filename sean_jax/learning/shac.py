@@ -83,7 +83,7 @@ def update(
     optimizer: Optimizers,
     rows: Rows,
     key: Array,
-) -> tuple[Agent, Optimizers, Rows, dict[str, Any]]:
+) -> tuple[Agent, Optimizers, Rows, Seen, dict[str, Any]]:
     """Let the agent drive, improve the actor by the derivative of what it got, and then the critic.
 
     Args:
@@ -98,7 +98,7 @@ def update(
         key: () typed PRNG key of this update.
 
     Returns:
-        The agent, the optimizers, the scenarios, and numbers for the log.
+        The agent, the optimizers, the scenarios, what was seen, and numbers for the log.
     """
     env = env.with_transition_gradients()
     if not options.through_people:
@@ -136,7 +136,7 @@ def update(
         "rewards": {name: part.mean() for name, part in seen.told["rewards"].items()},
     }
     statistics = update_statistics(agent.statistics, seen.vector.reshape(-1, seen.vector.shape[-1]))
-    return replace(agent, statistics=statistics), Optimizers(actor, critic, target), rows, told
+    return replace(agent, statistics=statistics), Optimizers(actor, critic, target), rows, seen, told
 
 
 def _lost(

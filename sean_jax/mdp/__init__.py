@@ -4,20 +4,24 @@ from sean_jax.config import OBSERVED
 from sean_jax.mdp.actions import to_action, to_command
 from sean_jax.mdp.env import TERMINATIONS, Env, EnvState, Pool, make_env
 from sean_jax.mdp.observations import OBSERVATIONS, ObservationTerm, as_term, delayed, flatten, stacked
+from sean_jax.mdp.randomization import PARAMETERS, BehaviorRandomization, Randomization, randomize_behavior
 from sean_jax.mdp.rewards import REWARDS, RewardTerm, in_situations, of_metric
 from sean_jax.mdp.spaces import Box, Dict
 
 __all__ = [
     "OBSERVATIONS",
     "OBSERVED",
+    "PARAMETERS",
     "REWARDS",
     "TERMINATIONS",
+    "BehaviorRandomization",
     "Box",
     "Dict",
     "Env",
     "EnvState",
     "ObservationTerm",
     "Pool",
+    "Randomization",
     "RewardTerm",
     "as_term",
     "delayed",
@@ -25,6 +29,7 @@ __all__ = [
     "in_situations",
     "make_env",
     "of_metric",
+    "randomize_behavior",
     "stacked",
     "to_action",
     "to_command",

@@ -22,11 +22,12 @@ from sean_jax.mdp import observations as seen
 from sean_jax.mdp import rewards as rewarded
 from sean_jax.mdp.actions import to_command
 from sean_jax.mdp.observations import ObservationLike
+from sean_jax.mdp.randomization import Randomization, RandomizationLike, as_randomization
 from sean_jax.mdp.rewards import RewardLike
 from sean_jax.mdp.spaces import Box, Dict
 from sean_jax.scenario import reset, results, step
 
-Randomization = Callable[[Array, Scenario], Scenario]  # (key, scenario) -> the scenario of an episode
+CHANCES = 2**30  # into which the chance of all starts is divided; so their sums are exact, and 0 is never taken
 
 
 @struct.dataclass
@@ -34,7 +35,8 @@ class EnvState:
     """Everything on which the rest of an episode depends."""
 
     simulation: State
-    randomization: Array  # () typed PRNG key, of which the scenario of this episode is made
+    randomization: PyTree  # parameters of the scenario of this episode; () if there are none
+    start: Int[Array, ""]  # number of the start in its pool, K more for each start that was there before; -1: of none
     observed: PyTree  # memory of the terms of the observation
     potentials: dict[str, Float[Array, ""]]  # of the terms of the reward that have one
     commands: Float[Array, "L 2"]  # m/s, rad/s: the last commands, newest first
@@ -49,6 +51,7 @@ class Pool:
 
     states: EnvState  # (K, ...)
     observations: dict[str, Array]  # (K, ...)
+    weights: Float[Array, "K"]  # 0 or more, how likely each is taken, relative to the others
 
 
 @struct.dataclass
@@ -83,17 +86,20 @@ class Env:
 
     # ------------------------------------------------------------------ episodes
 
-    def reset(self, key: Array) -> tuple[dict[str, Array], EnvState]:
+    def reset(self, key: Array, randomization: PyTree = None) -> tuple[dict[str, Array], EnvState]:
         """The beginning of an episode.
 
         Args:
             key: () typed PRNG key, from which all chance of the episode comes.
+            randomization: parameters of the scenario; drawn by the key if None.
 
         Returns:
             The observation, and the state.
         """
-        episode_key, randomization, delay_key = jax.random.split(key, 3)
-        scenario = self._scenario(randomization)
+        episode_key, draw_key, delay_key = jax.random.split(key, 3)
+        if randomization is None:
+            randomization = () if self.randomization is None else self.randomization.draw(draw_key, self.scenario)
+        scenario = self.scenario_of(randomization)
         simulation = reset(scenario, episode_key)
         first, second = jax.random.split(delay_key)
         observation, memory = seen.begin(self.observations, scenario, simulation, first)
@@ -101,6 +107,7 @@ class Env:
         state = EnvState(
             simulation=simulation,
             randomization=randomization,
+            start=jnp.full((), -1, jnp.int32),
             observed=memory,
             potentials=rewarded.potentials(self.rewards, scenario, simulation),
             commands=jnp.zeros((most + 1, 2), float),
@@ -124,8 +131,8 @@ class Env:
         Returns:
             The observation, the state, the reward, whether the episode is ``terminated``, whether it is ``truncated``
             by the time limit, and a dict: ``final_observation`` before a reset, ``rewards`` by term, ``command``,
-            ``situations``, and, of the episode so far, ``completed``, ``episode_return``, ``episode_length`` and
-            ``metrics``.
+            ``situations``, and, of the episode so far, ``start`` (its number in the pool), ``completed``,
+            ``episode_return``, ``episode_length`` and ``metrics``.
         """
         ended, observation, reward, terminated, truncated, info = self.advance(state, action)
         over = terminated | truncated
@@ -146,7 +153,7 @@ class Env:
         Returns:
             The state, the observation, the reward, ``terminated``, ``truncated``, and the dict.
         """
-        scenario, before = self._scenario(state.randomization), state.simulation
+        scenario, before = self.scenario_of(state.randomization), state.simulation
         command = to_command(scenario.robot, jnp.asarray(action, before.robot.position.dtype))
         commands = jnp.concatenate([command[None], state.commands[:-1]])
         after = step(scenario, before, commands[state.late])
@@ -160,6 +167,7 @@ class Env:
         state = EnvState(
             simulation=after,
             randomization=state.randomization,
+            start=state.start,
             observed=memory,
             potentials=potentials,
             commands=commands,
@@ -174,6 +182,7 @@ class Env:
             "command": command,
             "completed": after.completed,
             "situations": after.situations,
+            "start": state.start,
             "episode_return": state.episode_return,
             "episode_length": state.episode_length,
             "metrics": results(scenario, after),
@@ -198,8 +207,8 @@ class Env:
     def with_pool(self, key: Array, size: int) -> "Env":
         """The environment with starts that are drawn now; wrap it in ``jax.jit`` with ``size`` static.
 
-        Starts are taken at random, and what happens afterwards is each episode's own chance. The noise of a first
-        observation is that of the start.
+        Starts are taken at random, by the ``weights`` of the pool, which are equal, and what happens afterwards is each
+        episode's own chance. The noise of a first observation is that of the start.
 
         Args:
             key: () typed PRNG key.
@@ -208,8 +217,22 @@ class Env:
         Returns:
             The environment, whose ``step`` is quicker by a reset.
         """
-        observations, states = jax.vmap(replace(self, pool=None).reset)(jax.random.split(key, size))
-        return replace(self, pool=Pool(states, observations))
+        return replace(self, pool=self.draw_pool(jax.random.split(key, size)))
+
+    def draw_pool(self, keys: Array, randomization: PyTree = None) -> Pool:
+        """Starts, each as likely as the others.
+
+        Args:
+            keys: (K,) typed PRNG keys.
+            randomization: (K, ...) parameters of their scenarios; drawn by the keys if None.
+
+        Returns:
+            The pool.
+        """
+        number = keys.shape[0]
+        observations, states = jax.vmap(self.reset, (0, None if randomization is None else 0))(keys, randomization)
+        states = replace(states, start=jnp.arange(number, dtype=jnp.int32))
+        return Pool(states, observations, jnp.ones(number, float))
 
     def with_transition_gradients(self) -> "Env":
         """The environment whose observations and states can be differentiated, as gymnax words it.
@@ -223,18 +246,32 @@ class Env:
 
     # ------------------------------------------------------------------
 
-    def _scenario(self, key: Array) -> Scenario:
-        """The scenario of an episode. It is made anew in each step, so that a state need not hold what differs."""
-        return self.scenario if self.randomization is None else self.randomization(key, self.scenario)
+    def scenario_of(self, randomization: PyTree) -> Scenario:
+        """The scenario of an episode. It is made anew in each step, so that a state need not hold what differs.
+
+        Args:
+            randomization: of its state.
+
+        Returns:
+            The scenario.
+        """
+        return self.scenario if self.randomization is None else self.randomization.apply(randomization, self.scenario)
 
     def _start(self, key: Array) -> tuple[dict[str, Array], EnvState]:
         if self.pool is None:
             return self.reset(key)
         choice_key, streams_key = jax.random.split(key)
-        number = self.pool.states.late.shape[0]
-        chosen = jax.random.randint(choice_key, (), 0, number, jnp.int32)
+        chosen = _choose(choice_key, self.pool.weights)
         observation, state = jax.tree.map(lambda leaf: leaf[chosen], (self.pool.observations, self.pool.states))
         return observation, replace(state, simulation=replace(state.simulation, streams=prng.streams(streams_key)))
+
+
+def _choose(key: Array, weights: Float[Array, "K"]) -> Int[Array, ""]:
+    """A start by its weight. Sums are of whole numbers: those of floats would now and then take a start of weight 0."""
+    parts = jnp.round(weights / weights.sum() * CHANCES).astype(jnp.int32)
+    below = jnp.cumsum(parts, dtype=jnp.int32)
+    drawn = jax.random.randint(key, (), 0, below[-1], jnp.int32)
+    return jnp.searchsorted(below, drawn, side="right", method="scan_unrolled").astype(jnp.int32)
 
 
 # ------------------------------------------------------------------ ends
@@ -260,7 +297,7 @@ def make_env(
     rewards: Mapping[str, RewardLike] | None = None,
     *,
     terminations: Sequence[str | Callable] = (),
-    randomization: Randomization | None = None,
+    randomization: RandomizationLike | None = None,
     action_delay: int | tuple[int, int] = 0,
 ) -> Env:
     """An environment of reinforcement learning.
@@ -272,7 +309,8 @@ def make_env(
             None.
         terminations: what ends episodes beside completion: names in ``TERMINATIONS``, or functions
             (scenario, before, after) -> () bool.
-        randomization: (key, scenario) -> scenario with other leaves, drawn for each episode.
+        randomization: what differs between episodes, such as ``randomize_behavior()``; or (key, scenario) -> scenario
+            with other leaves.
         action_delay: steps of control by which commands are late: a number, or (least, most), drawn for each episode.
 
     Returns:
@@ -290,7 +328,7 @@ def make_env(
         observations=seen.as_terms(observations if isinstance(observations, Mapping) else tuple(observations)),
         rewards=rewarded.as_terms(rewarded.DEFAULT if rewards is None else rewards),
         terminations=tuple(_termination(each) for each in terminations),
-        randomization=randomization,
+        randomization=as_randomization(randomization),
         action_delay=(least, most),
     )
     _ = env.observation_space  # says now what a term lacks

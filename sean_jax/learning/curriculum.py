@@ -1,0 +1,530 @@
+"""A curriculum: from which starts episodes begin, so that what an agent does worst occurs more often.
+
+``Env.with_pool`` takes all starts alike. A curriculum has a pool whose weights follow the agent's own record:
+
+- ``situations``: a situation weighs as much as the agent costs people in it, per second, and a start as much as it
+  leads to such situations. Starts that do so seldom make room for new ones that do so more.
+- ``regret``: a start weighs by how much better the agent has already done from it than it usually does. Starts that
+  have little to teach make room for new ones, and for others like the best: the same start among people who behave a
+  little differently (``mdp.randomize_behavior``).
+
+All functions are pure and of fixed shapes. A ``Curriculum`` is a pytree of arrays with all that the rest depends on,
+and all chance comes from keys: a training that was stopped goes on to the same curve.
+
+Source: M. Jiang, E. Grefenstette & T. Rocktaschel, "Prioritized level replay", ICML 2021; J. Parker-Holder et al.,
+"Evolving curricula with regret-based environment design", ICML 2022.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Bool, Float, Int, PyTree
+
+from sean_jax import files, mdp
+from sean_jax.base import Array, PolicyLike, State
+from sean_jax.episodes import init_policy, policy_step
+from sean_jax.errors import InputError
+
+SOCIAL = ("personal_space", "o_space", "personal_", "intimate_", "collision_")
+"""Beginnings of the names of rewards whose negative part is what an agent costs people."""
+FEW_EPISODES = 2  # from one start, before its regret is known
+PRIOR = 5.0  # s, for which a situation that has not been met counts as costly as all together
+TINY = 1e-9
+WHOLE = 2**30  # into which sums by start are divided
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a curriculum follows.
+
+    Args:
+        by: "situations" or "regret".
+        situations: weights of situations that are chosen, such as ``(("join_group", 1.0),)``; None: what they cost.
+        temperature: the weight of a situation is its cost to the power of 1 / temperature, and that of a start its rank
+            by regret to the power of -1 / temperature. Low: the worst alone; high: all alike.
+        floor: share of the episodes that begin anywhere in the pool.
+        replaced: share of the pool that is replaced at most at a time.
+        mutated: share of what takes its place, by regret, that is like the best.
+        ahead: s, how far it is looked from a start to see which situations occur.
+        memory: share of what is known that is kept when something is observed.
+    """
+
+    by: Literal["situations", "regret"] = "situations"
+    situations: tuple[tuple[str, float], ...] | None = None
+    temperature: float = 1.0
+    floor: float = 0.2
+    replaced: float = 0.25
+    mutated: float = 0.5
+    ahead: float = 10.0
+    memory: float = 0.95
+
+    def __post_init__(self) -> None:
+        if self.by not in ("situations", "regret"):
+            raise InputError(f"curriculum: by '{self.by}' is not one of situations, regret.")
+        if isinstance(self.situations, Mapping):
+            object.__setattr__(self, "situations", tuple(self.situations.items()))
+        for name in ("floor", "replaced", "mutated", "memory"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InputError(f"curriculum: {name} {getattr(self, name):g} must be a share from 0 to 1.")
+        for name in ("temperature", "ahead"):
+            if not 0.0 < getattr(self, name) < float("inf"):
+                raise InputError(f"curriculum: {name} {getattr(self, name):g} must be above 0.")
+        chosen = [weight for _, weight in self.situations or ()]
+        if self.situations is not None and not (sum(chosen) > 0.0 and min(chosen) >= 0.0):
+            raise InputError("curriculum: situations need weights of 0 or more, and one above 0.")
+
+
+@struct.dataclass
+class Curriculum:
+    """A pool, and what is known of its starts and of situations.
+
+    Sums of the record fade by ``Plan.memory`` as more comes.
+    """
+
+    pool: mdp.Pool
+    keys: Array  # (K,) typed PRNG keys, of which the starts were made
+    occurs: Float[Array, "K S"]  # s spent in each situation, from each start
+    seconds: Float[Array, "K"]  # s of it, all together
+    cost: Float[Array, "S"]  # of people, in each situation
+    time: Float[Array, "S"]  # s in each
+    total_cost: Float[Array, ""]  # anywhere
+    total_time: Float[Array, ""]
+    episodes: Float[Array, "K"]  # that have ended, from each start; it does not fade
+    best: Float[Array, "K"]  # highest return of those; 0 if there is none
+    returns: Float[Array, "K"]  # sum of their returns, which fades
+    ended: Float[Array, "K"]  # number of these
+    gain: Float[Array, "K"]  # sum of positive advantages, which fades
+    steps: Float[Array, "K"]  # number of these
+    guess: Float[Array, "K"]  # of the regret, until it is known
+
+
+class Record(NamedTuple):
+    """What T steps of B scenarios gave, of the episode that each step belongs to."""
+
+    start: Int[Array, "T B"]  # ``info["start"]``
+    situations: Bool[Array, "T B S"]  # ``info["situations"]``
+    cost: Float[Array, "T B"]  # of ``social_cost``
+    over: Bool[Array, "T B"]  # the episode ended with this step
+    episode_return: Float[Array, "T B"]  # ``info["episode_return"]``
+    advantage: Float[Array, "T B"] | None = None  # regret is its positive part if it is given, else best less mean
+
+
+def social_cost(parts: Mapping[str, Float[Array, "*batch"]]) -> Float[Array, "*batch"]:
+    """What an agent costs people: the negative parts of the terms of its reward that are about people and touching.
+
+    Args:
+        parts: ``info["rewards"]``.
+
+    Returns:
+        (...) 0 or more.
+
+    Raises:
+        InputError: there is no such term.
+    """
+    social = [part for name, part in parts.items() if name.startswith(SOCIAL)]
+    if not social:
+        raise InputError("curriculum: no term of the reward is about people; add one, such as personal_space.")
+    return sum((jnp.maximum(-part, 0.0) for part in social[1:]), jnp.maximum(-social[0], 0.0))
+
+
+# ------------------------------------------------------------------ of a training
+
+
+def plan(name: str) -> Plan | None:
+    """The plan of an option of a trainer.
+
+    Args:
+        name: "none", "situations" or "regret".
+
+    Returns:
+        The plan with its usual numbers; None for none.
+    """
+    return None if name == "none" else Plan(name)  # pyright: ignore[reportArgumentType]
+
+
+def prepare(env: mdp.Env, name: str) -> mdp.Env:
+    """An environment in which the plan of that name has something to vary.
+
+    Args:
+        env: without a pool.
+        name: "none", "situations" or "regret".
+
+    Returns:
+        The environment; by regret, with ``mdp.randomize_behavior()`` unless it has a randomization of its own.
+
+    Raises:
+        InputError: by situations, no term of the reward is about people.
+    """
+    if name == "situations":
+        social_cost({name: jnp.zeros(()) for name, _ in env.rewards})
+    if name == "regret" and env.randomization is None:
+        env = replace(env, randomization=mdp.randomize_behavior())
+    return env
+
+
+def follow(
+    env: mdp.Env, plan: Plan | None, curriculum: Curriculum | None, told: Mapping[str, PyTree], over: Bool[Array, "T B"]
+) -> tuple[Curriculum | None, dict[str, dict[str, Array]]]:
+    """The curriculum after an update of a trainer, and what its log tells of it.
+
+    Args:
+        env: where it happens.
+        plan: what it follows; None for none.
+        curriculum: before; None for none.
+        told: (T, B, ...) of the dicts of ``Env.step``: rewards, start, situations, episode_return.
+        over: (T, B) the episode ended with this step.
+
+    Returns:
+        The curriculum; and under its name, of how many starts the weights are worth, how often each has been replaced,
+        and the weights of situations, or the mean regret.
+    """
+    if plan is None or curriculum is None:
+        return None, {}
+    cost = social_cost(told["rewards"]) if plan.by == "situations" else jnp.zeros(over.shape, float)
+    record = Record(told["start"], told["situations"], cost, over, told["episode_return"])
+    after = observe(env, plan, curriculum, record)
+    return after, {"curriculum": _numbers(env, plan, after)}
+
+
+def _numbers(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> dict[str, Array]:
+    weights = curriculum.pool.weights.astype(jnp.float32)
+    size = weights.shape[0]
+    replacements = (curriculum.pool.states.start // size).astype(jnp.float32).mean()
+    told = {"starts": weights.sum() ** 2 / (weights * weights).sum(), "replaced": replacements}
+    if plan.by == "regret":
+        return told | {"regret": _mean_regret(curriculum)}
+    shares = situation_weights(env, plan, curriculum)
+    return told | {name: shares[index] for index, (name, _) in enumerate(env.scenario.situations)}
+
+
+# ------------------------------------------------------------------ begin, observe, refill
+
+
+def init(env: mdp.Env, plan: Plan, key: Array, size: int, policy: PolicyLike | None = None) -> Curriculum:
+    """A curriculum whose starts are drawn now; wrap it in ``jax.jit`` with ``plan`` and ``size`` static.
+
+    Args:
+        env: where it happens; ``replace(env, pool=curriculum.pool)`` trains on it.
+        plan: what it follows.
+        key: () typed PRNG key.
+        size: K, how many starts.
+        policy: who drives to find out which situations occur; None: that shows in the record alone. Regret needs none.
+
+    Returns:
+        The curriculum.
+
+    Raises:
+        InputError: a situation that is chosen is none of the scenario's.
+    """
+    _check(env, plan)
+    number = len(env.scenario.situations)
+    keys = jax.random.split(key, size)
+    pool = env.draw_pool(keys)
+    none, unknown = jnp.zeros(size, jnp.float32), jnp.zeros(number, jnp.float32)
+    zero = jnp.zeros((), jnp.float32)
+    curriculum = Curriculum(
+        pool, keys, *_occurrences(env, plan, pool, policy), unknown, unknown, zero, zero, *([none] * 7)
+    )
+    return _weighed(env, plan, curriculum)
+
+
+def observe(env: mdp.Env, plan: Plan, curriculum: Curriculum, record: Record) -> Curriculum:
+    """The curriculum after some steps of an agent, with new weights.
+
+    Args:
+        env: where it happens.
+        plan: what it follows.
+        curriculum: before.
+        record: of the steps. Episodes from starts that are no longer in the pool count for situations alone.
+
+    Returns:
+        The curriculum.
+    """
+    size = curriculum.keys.shape[0]
+    slot = jnp.maximum(record.start, 0) % size
+    known = (record.start >= 0) & (curriculum.pool.states.start[slot] == record.start)
+    second = jnp.asarray(env.scenario.time_step, jnp.float32)
+    occurs = record.situations.astype(jnp.float32) * second
+    cost = record.cost.astype(jnp.float32)
+    ends = (known & record.over).astype(jnp.float32)
+    returns = record.episode_return.astype(jnp.float32)
+    gain = jnp.zeros_like(cost) if record.advantage is None else jnp.maximum(record.advantage, 0.0).astype(jnp.float32)
+    counted = known.astype(jnp.float32)
+    columns = jnp.stack([counted * second, ends, ends * returns, counted * gain, counted], -1)
+    sums = _by_start(jnp.concatenate([columns, counted[..., None] * occurs], -1), slot, size)
+    highest = jnp.where(ends > 0.0, returns, -jnp.inf)
+    highest = jnp.full(size, -jnp.inf, jnp.float32).at[slot.reshape(-1)].max(highest.reshape(-1))
+    before = jnp.where(curriculum.episodes > 0.0, curriculum.best, highest)
+    best = jnp.maximum(before, highest)
+    keep = jnp.asarray(plan.memory, jnp.float32)
+    seen, ended = (jnp.where(sums[:, column] > 0.0, keep, 1.0) for column in (4, 1))  # else nothing takes its place
+    after = replace(
+        curriculum,
+        occurs=seen[:, None] * curriculum.occurs + sums[:, 5:],
+        seconds=seen * curriculum.seconds + sums[:, 0],
+        cost=keep * curriculum.cost + (cost[..., None] * record.situations.astype(jnp.float32)).sum((0, 1)),
+        time=keep * curriculum.time + occurs.sum((0, 1)),
+        total_cost=keep * curriculum.total_cost + cost.sum(),
+        total_time=keep * curriculum.total_time + second * cost.size,
+        episodes=curriculum.episodes + sums[:, 1],
+        best=jnp.where(jnp.isfinite(best), best, 0.0),
+        returns=ended * curriculum.returns + sums[:, 2],
+        ended=ended * curriculum.ended + sums[:, 1],
+        gain=seen * curriculum.gain + sums[:, 3],
+        steps=seen * curriculum.steps + (sums[:, 4] if record.advantage is not None else 0.0),
+    )
+    return _weighed(env, plan, after)
+
+
+def refill(
+    env: mdp.Env, plan: Plan, curriculum: Curriculum, key: Array, policy: PolicyLike | None = None
+) -> Curriculum:
+    """The curriculum with new starts in the places of those that weigh least; jit it with ``plan`` static.
+
+    By situations, of these and of as many that are drawn those remain that weigh most. By regret, those with the least
+    go whose regret is known, for others like the best and for new ones.
+
+    Args:
+        env: where it happens.
+        plan: what it follows.
+        curriculum: before.
+        key: () typed PRNG key, another one each time.
+        policy: as of ``init``.
+
+    Returns:
+        The curriculum. Episodes from the former starts go on.
+    """
+    size = curriculum.keys.shape[0]
+    number = int(plan.replaced * size)
+    if not number:
+        return curriculum
+    new_key, choice_key, parent_key, mutation_key = jax.random.split(key, 4)
+    keys = jax.random.split(new_key, number)
+    parameters, guess = None, jnp.zeros(number, jnp.float32)
+    if plan.by == "regret":
+        guess = jnp.full(number, _mean_regret(curriculum), jnp.float32)
+        if env.randomization is not None:
+            chances = jnp.log(jnp.maximum(_by_regret(plan, curriculum), 1e-30))
+            parent = jax.random.categorical(parent_key, chances, shape=(number,))
+            mutates = jax.random.uniform(choice_key, (number,), float) < plan.mutated
+            keys, parameters = _offspring(env, curriculum, keys, parent, mutates, mutation_key)
+            guess = jnp.where(mutates, regret(curriculum)[parent], guess)
+    pool = env.draw_pool(keys, parameters)
+    occurs, seconds = _occurrences(env, plan, pool, policy)
+    none = jnp.zeros(number, jnp.float32)
+    fresh = replace(
+        curriculum, pool=pool, keys=keys, occurs=occurs, seconds=seconds, episodes=none, best=none, returns=none,
+        ended=none, gain=none, steps=none, guess=guess,
+    )  # fmt: skip
+    if plan.by == "situations":
+        value, offered = _values(env, plan, curriculum, fresh)
+        out = jnp.argsort(value)[:number]
+        better = jnp.sort(offered)[::-1] > value[out]  # the best that is offered for the worst that goes
+        order = jnp.argsort(-offered)
+    else:
+        known = _is_known(curriculum)
+        out = jnp.argsort(jnp.where(known, regret(curriculum), jnp.inf))[:number]
+        better, order = known[out], jnp.arange(number, dtype=jnp.int32)
+    return _weighed(env, plan, _put(curriculum, fresh, out, order, better))
+
+
+# ------------------------------------------------------------------ what is known
+
+
+def situation_weights(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Float[Array, "S"]:
+    """How much each situation shall occur.
+
+    Args:
+        env: where it happens.
+        plan: what it follows.
+        curriculum: with the record so far.
+
+    Returns:
+        (S,) that add up to 1.
+    """
+    names = [name for name, _ in env.scenario.situations]
+    if plan.situations is not None:
+        chosen = dict(plan.situations)
+        weights = jnp.asarray([chosen.get(name, 0.0) for name in names], jnp.float32)
+        return weights / weights.sum()
+    overall = curriculum.total_cost / jnp.maximum(curriculum.total_time, TINY)
+    rate = (curriculum.cost + PRIOR * overall) / (curriculum.time + PRIOR)
+    return jax.nn.softmax(jnp.log(jnp.maximum(rate, TINY)) / plan.temperature)
+
+
+def occurrences(curriculum: Curriculum) -> Float[Array, "K S"]:
+    """Which situations occur from each start.
+
+    Args:
+        curriculum: with the record so far.
+
+    Returns:
+        (K, S) shares of the time; those of all starts together where nothing is known.
+    """
+    return _shares(curriculum.occurs, curriculum.seconds)
+
+
+def regret(curriculum: Curriculum) -> Float[Array, "K"]:
+    """How much the agent could do better from each start.
+
+    Args:
+        curriculum: with the record so far.
+
+    Returns:
+        (K,) the mean of positive advantages, if they were observed, else the best return less their mean; a guess where
+        too few episodes have ended.
+    """
+    mean = curriculum.returns / jnp.maximum(curriculum.ended, TINY)
+    gap = jnp.maximum(curriculum.best - mean, 0.0)
+    gain = curriculum.gain / jnp.maximum(curriculum.steps, 1.0)
+    score = jnp.where(curriculum.steps.sum() > 0.0, gain, gap)
+    return jnp.where(_is_known(curriculum), score, curriculum.guess)
+
+
+def _is_known(curriculum: Curriculum) -> Bool[Array, "K"]:
+    return curriculum.episodes >= FEW_EPISODES
+
+
+def _mean_regret(curriculum: Curriculum) -> Array:
+    known = _is_known(curriculum).astype(jnp.float32)
+    return (known * regret(curriculum)).sum() / jnp.maximum(known.sum(), 1.0)
+
+
+# ------------------------------------------------------------------ weights of starts
+
+
+def _weighed(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Curriculum:
+    """With the weights that follow from what is known, in the pool."""
+    if plan.by == "regret":
+        weights = _by_regret(plan, curriculum)
+    else:
+        share = occurrences(curriculum)
+        weights = _by_situations(share, share.sum(0), situation_weights(env, plan, curriculum))
+    size = weights.shape[0]
+    weights = (1.0 - plan.floor) * weights / jnp.maximum(weights.sum(), TINY) + plan.floor / size
+    return replace(curriculum, pool=replace(curriculum.pool, weights=weights.astype(float)))
+
+
+def _by_situations(share: Array, total: Float[Array, "S"], weights: Float[Array, "S"]) -> Array:
+    """(...) the chance that a start is drawn for a situation, by the shares (..., S) of time and their sums."""
+    met = total > TINY
+    each = jnp.where(met, weights / jnp.where(met, total, 1.0), 0.0)
+    nowhere = 1.0 - jnp.where(met, weights, 0.0).sum() / jnp.maximum(weights.sum(), TINY)  # goes to all alike
+    return share @ each + nowhere / share.shape[0]
+
+
+def _by_regret(plan: Plan, curriculum: Curriculum) -> Float[Array, "K"]:
+    score = regret(curriculum)
+    score = jnp.where(_is_known(curriculum) | (curriculum.guess > 0.0), score, _mean_regret(curriculum))
+    ordered = jnp.sort(score)
+    rank = score.shape[0] - jnp.searchsorted(ordered, score, side="right") + 1  # 1 for the greatest; equal for equals
+    weights = rank.astype(jnp.float32) ** (-1.0 / plan.temperature)
+    return weights / weights.sum()
+
+
+def _values(env: mdp.Env, plan: Plan, curriculum: Curriculum, fresh: Curriculum) -> tuple[Array, Array]:
+    """(K,) and (R,) what starts and those that are offered weigh, all in one pool."""
+    occurs = jnp.concatenate([curriculum.occurs, fresh.occurs])
+    share = _shares(occurs, jnp.concatenate([curriculum.seconds, fresh.seconds]))
+    values = _by_situations(share, share.sum(0), situation_weights(env, plan, curriculum))
+    size = curriculum.seconds.shape[0]
+    return values[:size], values[size:]
+
+
+def _shares(occurs: Float[Array, "K S"], seconds: Float[Array, "K"]) -> Float[Array, "K S"]:
+    overall = occurs.sum(0) / jnp.maximum(seconds.sum(), TINY)
+    return (occurs + overall[None, :]) / (seconds + 1.0)[:, None]  # as of a second more
+
+
+# ------------------------------------------------------------------ parts
+
+
+def _check(env: mdp.Env, plan: Plan) -> None:
+    known = [name for name, _ in env.scenario.situations]
+    for name, _ in plan.situations or ():
+        if name not in known:
+            hint = files.suggest(name, known) or "."
+            raise InputError(f"curriculum: situation '{name}' is not one of {', '.join(known)}{hint}")
+
+
+def _occurrences(env: mdp.Env, plan: Plan, pool: mdp.Pool, policy: PolicyLike | None) -> tuple[Array, Array]:
+    """(K, S) s that a policy spends in each situation, and (K,) s of all, from each start for a short while."""
+    size, number = pool.weights.shape[0], len(env.scenario.situations)
+    if policy is None or plan.by == "regret":
+        return jnp.zeros((size, number), jnp.float32), jnp.zeros(size, jnp.float32)
+    steps = max(1, round(plan.ahead / env.scenario.time_step))
+
+    def one(start: mdp.EnvState) -> tuple[Array, Array]:
+        scenario = env.scenario_of(start.randomization)
+
+        def further(carry: tuple[State, Array, Array], _) -> tuple[tuple, None]:
+            before, occurs, seconds = carry
+            after, _ = policy_step(scenario, policy, before)
+            going = jnp.where(before.completed | before.timed_out, 0.0, scenario.time_step).astype(jnp.float32)
+            return (after, occurs + going * after.situations.astype(jnp.float32), seconds + going), None
+
+        state = init_policy(scenario, policy, start.simulation)
+        carry = state, jnp.zeros(number, jnp.float32), jnp.zeros((), jnp.float32)
+        (_, occurs, seconds), _ = jax.lax.scan(further, carry, length=steps)
+        return occurs, seconds
+
+    return jax.vmap(one)(pool.states)
+
+
+def _offspring(
+    env: mdp.Env,
+    curriculum: Curriculum,
+    keys: Array,
+    parent: Int[Array, "R"],
+    mutates: Bool[Array, "R"],
+    key: Array,
+) -> tuple[Array, PyTree]:
+    """(R,) keys and (R, ...) parameters of starts that are new, or like their parents."""
+    randomization = env.randomization
+    assert randomization is not None
+    _, draw_keys, _ = jnp.moveaxis(jax.vmap(lambda key: jax.random.split(key, 3))(keys), 1, 0)
+    drawn = jax.vmap(lambda key: randomization.draw(key, env.scenario))(draw_keys)
+    mutate = jax.vmap(lambda key, parameters: randomization.mutate(key, parameters, env.scenario))
+    own = jax.tree.map(lambda leaf: leaf[parent], curriculum.pool.states.randomization)
+    moved = mutate(jax.random.split(key, parent.shape[0]), own)
+
+    def chosen(one: Array, other: Array) -> Array:
+        return jnp.where(mutates.reshape(-1, *[1] * (one.ndim - 1)), one, other)
+
+    return jnp.where(mutates, curriculum.keys[parent], keys), jax.tree.map(chosen, moved, drawn)
+
+
+def _put(
+    curriculum: Curriculum, fresh: Curriculum, out: Int[Array, "R"], order: Int[Array, "R"], better: Bool[Array, "R"]
+) -> Curriculum:
+    """The curriculum with ``fresh`` starts, in their order, in the slots ``out`` where they are ``better``."""
+    size = curriculum.keys.shape[0]
+
+    def put(old: Array, new: Array) -> Array:
+        chosen = better.reshape(-1, *[1] * (old.ndim - 1))
+        return old.at[out].set(jnp.where(chosen, new[order], old[out]))
+
+    number = curriculum.pool.states.start
+    numbers = jnp.where(better, number[out] + size, number[out])
+    changed = jax.tree.map(put, _of_starts(curriculum), _of_starts(fresh))
+    states = replace(changed["pool"].states, start=number.at[out].set(numbers))
+    return replace(curriculum, **changed | {"pool": replace(changed["pool"], states=states)})
+
+
+def _of_starts(curriculum: Curriculum) -> dict[str, PyTree]:
+    """The fields that have a row for each start."""
+    names = ("pool", "keys", "occurs", "seconds", "episodes", "best", "returns", "ended", "gain", "steps", "guess")
+    return {name: getattr(curriculum, name) for name in names}
+
+
+def _by_start(values: Float[Array, "T B C"], slot: Int[Array, "T B"], size: int) -> Float[Array, "K C"]:
+    """Sums by start, of whole numbers: those of floats would depend on the order in which a GPU adds them."""
+    rows = values.reshape(-1, values.shape[-1])
+    part = jnp.maximum(jnp.abs(rows).sum(0), TINY) / WHOLE
+    whole = jnp.round(rows / part[None, :]).astype(jnp.int32)
+    sums = jnp.zeros((size, rows.shape[-1]), jnp.int32).at[slot.reshape(-1)].add(whole)
+    return sums.astype(jnp.float32) * part[None, :]
