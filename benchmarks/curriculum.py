@@ -116,8 +116,6 @@ def main() -> None:
             )  # fmt: skip
             last = reinforcement.train(further).agent  # the best is chosen by its return, not by violations
             agent = jax.tree.map(lambda part: part[0], last)
-                lambda part: part[0], several
-            )  # the last one: the best is chosen by its return, not by violations
             measured[kind].append(measure(agent, keys))
             print(f"trained {kind}, seed {further.seed}", flush=True)
 
