@@ -215,9 +215,10 @@ DEFAULT = {
     "turn_acceleration": -0.05,
     "personal_space": -1.0,
     "o_space": -0.5,
-    "intimate_robot_on_person": -5.0,
-    "intimate_person_on_robot": -4.0,
-    "collision_with_obstacle": -2.0,
+    "intimate_robot_on_person": -20.0,
+    "intimate_person_on_robot": -10.0,
+    "collision_robot_on_person": -20.0,
+    "collision_with_obstacle": -10.0,
 }
 """The weights of a reward where none are given."""
 
