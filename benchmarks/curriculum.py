@@ -19,7 +19,7 @@ import numpy as np
 
 import sean_jax
 from sean_jax import mdp, prng
-from sean_jax.learning import agents, driving, reinforcement
+from sean_jax.learning import agents, driving, reinforcement, trained
 from sean_jax.metrics import bootstrap
 
 VIOLATIONS = ("intimate_robot_on_person", "intimate_person_on_robot")
@@ -94,7 +94,7 @@ def main() -> None:
 
     options = agents.read_options(chosen.folder)
     scenario = reinforcement.build(options)[0]
-    load = agents.load if agents.is_packed(chosen.folder) else reinforcement.load
+    load = agents.load if agents.is_packed(chosen.folder) else trained.load
     network, given, observed = load(chosen.folder, scenario)
     measure = measurement(scenario, network, observed)
     names = ["overall", *(name for name, _ in scenario.situations)]

@@ -680,6 +680,8 @@ class ReinforcementConfig(EnvConfig):
     """Updates until a curriculum draws new starts for those that have least to teach."""
     pretrained: Path | None = None
     """Folder of a training whose agent goes on to learn."""
+    imitate: Text | None = None
+    """Who is imitated at first: the name of a policy, or the folder of a training, such as sean train dagger's."""
     seeds: Count = 1
     """Agents that are trained side by side, with seeds that follow one another."""
     sweep: tuple[Text, ...] = ()
@@ -701,6 +703,8 @@ class ReinforcementConfig(EnvConfig):
         if self.scenarios % self.minibatches:
             text = f"{self.scenarios} scenarios do not make {self.minibatches} minibatches of equal size"
             raise ValueError(f"minibatches: {text}; choose a divisor")
+        if self.imitate is not None and self.pretrained is not None:
+            raise ValueError(f"imitate: {self.imitate} besides --pretrained {self.pretrained}; choose one")
         _ = self.agents
         return self
 

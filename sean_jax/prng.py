@@ -20,6 +20,7 @@ USES = (
     "weights",  # of a network, before it is trained
     "order",  # of the examples in an epoch
     "training",  # episodes and updates of reinforcement learning
+    "imitation",  # episodes in which an agent imitates a policy, before it learns from rewards
     "curriculum",  # starts from which its episodes begin
     "evaluation",  # episodes in which an agent in training is judged
     "validation",  # which episodes are held out

@@ -202,7 +202,7 @@ def test_it_goes_on_with_another_agent(trained, tmp_path):
     agent = reinforcement.train(config).agent
     best = learning.load(folder, registry.build(config).scenario).params.agent
     for one, other in zip(*map(jax.tree.leaves, (agent.parameters, best.parameters)), strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-6)
+        np.testing.assert_allclose(one[0], other, atol=1e-6)
     with pytest.raises(InputError, match="width 16, not 32"):
         reinforcement.train(options(tmp_path / "wide", pretrained=folder, width=32))
     with pytest.raises(InputError, match="no trained agent"):
@@ -315,6 +315,21 @@ def test_analytic_gradients_are_those_of_differences():
     step = 1e-3  # at 1e-2 limits of the robot come in between
     wanted = (jax.jit(lost)(0.3 + step) - jax.jit(lost)(0.3 - step)) / (2 * step)
     assert float(found) == pytest.approx(float(wanted), rel=0.05, abs=1e-4) and float(found) != 0.0
+
+
+@pytest.mark.slow
+def test_an_agent_begins_as_the_policy_that_it_imitates(tmp_path):
+    """In a lab without people it acts as ``go_to_goal`` does, before any reward: most of its tasks are completed."""
+    config = options(
+        tmp_path / "run", people=0, time_limit=40.0, scenarios=32, horizon=32, minibatches=4, width=64, pool=64,
+        steps=1, evaluate_every=1, evaluation_episodes=32, task_distance=(2.0, 4.0), hold_time=1.0, learning_rate=1e-3,
+        observations=["goal", "path", "distance", "speeds"], imitate="go_to_goal",
+    )  # fmt: skip
+    state = reinforcement.train(config)
+    assert int(state.update) == 1
+    assert curve(tmp_path / "run")[-1]["evaluation"]["completed"] > 0.6
+    with pytest.raises(InputError, match="imitate: 'nobody'"):
+        reinforcement.build(options(tmp_path / "other", imitate="nobody"))
 
 
 @pytest.mark.slow

@@ -61,11 +61,11 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
     folder = Path(folder)
     if agents.is_packed(folder):
         return driving.policy(*agents.load(folder, scenario), name=folder.name)
-    from sean_jax.learning import learned, reinforcement  # which need the extra "learning"
+    from sean_jax.learning import learned, trained  # which need the extra "learning"
 
     if read_method(folder) in ("imitation", "dagger"):
         return learned.load(folder, scenario)
-    return driving.policy(*reinforcement.load(folder, scenario), name=folder.name)
+    return driving.policy(*trained.load(folder, scenario), name=folder.name)
 
 
 def check(given: PolicyLike | Component | str, config: ScenarioConfig, option: str = "policy") -> None:

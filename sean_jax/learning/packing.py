@@ -5,7 +5,7 @@ from typing import Any
 
 from sean_jax import files, registry, writing
 from sean_jax.errors import InputError
-from sean_jax.learning import agents, reinforcement
+from sean_jax.learning import agents, trained
 from sean_jax.learning.logs import read_lines
 from sean_jax.learning.manifests import CONFIG
 from sean_jax.versions import versions
@@ -32,7 +32,7 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     options = agents.read_options(folder)
     if agents.is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
-    _, agent, _ = reinforcement.load(folder, registry.build(options).scenario)
+    _, agent, _ = trained.load(folder, registry.build(options).scenario)
     told = {**_best(folder), "weights": "float16", "packed_with": versions()}
     with writing.atomic_folder(out) as made:
         agents.save(made, agent, {**files.read_json(folder / CONFIG), "agent": told})

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Float, Int, PyTree
+from jaxtyping import Int, PyTree
 from rich.console import Console
 
 from sean_jax import devices, mdp, prng, registry, writing
@@ -27,7 +27,7 @@ from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 from sean_jax.flags import command
-from sean_jax.learning import agents, driving, ppo, rollouts, shac
+from sean_jax.learning import agents, choice, cloning, driving, ppo, rollouts, shac
 from sean_jax.learning import curriculum as curricula
 from sean_jax.learning.actor_critic import ActorCritic, Agent, init_agent
 from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
@@ -35,22 +35,14 @@ from sean_jax.learning.curriculum import Curriculum
 from sean_jax.learning.curves import draw_curve, sparkline
 from sean_jax.learning.logs import Log
 from sean_jax.learning.rollouts import Rows
-from sean_jax.mdp import observations, rewards
+from sean_jax.learning.trained import Best, load
+from sean_jax.mdp import rewards
 from sean_jax.progress import progress
 from sean_jax.scenario import reset, results
 from sean_jax.versions import versions
 
 TRAINERS = {"ppo": ppo, "apg": shac}
 """Method -> the module that has its ``init`` and ``update``."""
-
-
-@struct.dataclass
-class Best:
-    """The agents that did best in an evaluation so far."""
-
-    agent: Agent  # (A, ...)
-    value: Float[Array, "A"]  # return in that evaluation
-    update: Int[Array, "A"]  # after which it was
 
 
 @struct.dataclass
@@ -109,6 +101,8 @@ def build(options: ReinforcementConfig) -> tuple[Scenario, mdp.Env, ActorCritic]
     Raises:
         InputError: one sentence that names the value and the cure.
     """
+    if options.imitate is not None:
+        choice.check(options.imitate, options, "imitate")
     env = curricula.prepare(registry.build(options), options.curriculum)
     env = replace(env, observations=sum(agents.terms(options), ()))
     network = agents.network(options, env.observation_space)
@@ -250,6 +244,7 @@ def _train(
         pool_key = jax.random.fold_in(prng.key("training", options.seed), 2**31 - 1)
         if options.curriculum == "none":
             env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, pool_key, options.pool)
+        tell.stage("drawing starts" if options.imitate is None else f"imitating {options.imitate}")
         state = run.begin(env, _agents(options, network, env, scenario))
         if not resumes:
             write_config(options.folder, config)
@@ -295,9 +290,26 @@ def _agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.Env, sc
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     space = env.observation_space
     if options.pretrained is None:
-        return jax.jit(jax.vmap(lambda key: init_agent(network, env.observations, space, key)))(keys)
+        several = jax.jit(jax.vmap(lambda key: init_agent(network, env.observations, space, key)))(keys)
+        return several if options.imitate is None else _imitating(options, network, env, scenario, several)
     other = _pretrained(options, scenario)
     return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), other)
+
+
+def _imitating(
+    options: ReinforcementConfig, network: ActorCritic, env: mdp.Env, scenario: Scenario, several: Agent
+) -> Agent:
+    """The agents after they have learned from another policy, (A, ...)."""
+    teacher = choice.policy(str(options.imitate), scenario, "imitate")
+    keys = jnp.stack([prng.key("imitation", int(agent["seed"])) for agent in options.agents])
+
+    def one(env: mdp.Env, teacher: Policy, agent: Agent, key: Array) -> tuple[Agent, Array]:
+        return cloning.clone(options, env, network, agent, teacher, key)
+
+    taught, errors = jax.jit(jax.vmap(one, (None, None, 0, 0)))(replace(env, pool=None), teacher, several, keys)
+    if not np.isfinite(np.asarray(errors)).all():
+        raise FloatingPointError(f"imitate: what {teacher.name} does is not finite; choose another --imitate.")
+    return taught
 
 
 def _judge(run: Programs, scenario: Scenario, env: mdp.Env, state: TrainState) -> tuple[TrainState, dict[str, dict]]:
@@ -359,35 +371,6 @@ def _config(options: ReinforcementConfig) -> dict[str, Any]:
         "devices": len(jax.devices()),
         "versions": versions(),
     }
-
-
-# ------------------------------------------------------------------ what was trained
-
-
-def load(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
-    """The best agent of a training.
-
-    Args:
-        folder: of the training.
-        scenario: where it will drive.
-
-    Returns:
-        The network, the agent, and the terms of its observation.
-
-    Raises:
-        InputError: there is no checkpoint, or the agent learned from observations of another size.
-        IncompleteError: the checkpoint cannot be read.
-    """
-    options, checkpoints = agents.read_options(folder), Checkpoints(folder)
-    network, one, seen = agents.outline(options, scenario)
-    count = len(options.agents)
-    saved = {name: shape for name, shape in checkpoints.shapes("best").items() if name.startswith("agent/")}
-    agents.check_sizes(folder, options, {name[6:]: shape[1:] for name, shape in saved.items()}, one)
-    shape = jax.ShapeDtypeStruct
-    several = jax.tree.map(lambda leaf: shape((count, *leaf.shape), leaf.dtype), one)
-    best = checkpoints.best("best", Best(several, shape((count,), jnp.float32), shape((count,), jnp.int32)))  # pyright: ignore
-    chosen = int(np.argmax(best.value))
-    return network, jax.tree.map(lambda part: part[chosen], best.agent), seen
 
 
 def _pretrained(options: ReinforcementConfig, scenario: Scenario) -> Agent:
