@@ -685,7 +685,8 @@ class ReinforcementConfig(EnvConfig):
     seeds: Count = 1
     """Agents that are trained side by side, with seeds that follow one another."""
     sweep: tuple[Text, ...] = ()
-    """Numbers in which agents differ, such as learning_rate=0.001,0.0003; all combinations are trained side by side."""
+    """Numbers in which agents differ, such as learning_rate=0.001,0.0003 or rewards.time=-0.1,-0.2; all combinations
+    are trained side by side."""
     evaluate_every: Annotated[Count, Incidental()] = 50
     """Updates between two evaluations, each with a checkpoint."""
     evaluation_episodes: Annotated[EpisodeCount, Incidental()] = 64
@@ -710,7 +711,7 @@ class ReinforcementConfig(EnvConfig):
 
     @property
     def agents(self) -> list[dict[str, float]]:
-        """What each agent has for itself: its seed, and a number for each name in ``SWEPT``.
+        """What each agent has for itself: its seed, a number for each name in ``SWEPT``, and weights of rewards.
 
         Raises:
             ValueError: the sweep names something else, or an impossible number.
@@ -718,9 +719,11 @@ class ReinforcementConfig(EnvConfig):
         found = [{name: float(getattr(self, name)) for name in self.SWEPT}]
         for text in self.sweep:
             name, _, values = text.partition("=")
-            if name not in self.SWEPT:
-                raise ValueError(f"sweep: '{name}' cannot be swept; {', '.join(self.SWEPT)} can, as in {name}=0.1,0.2")
-            possible = pydantic.TypeAdapter(Annotated[float, *type(self).model_fields[name].metadata])
+            if name not in self.SWEPT and not name.startswith("rewards."):
+                known = ", ".join((*self.SWEPT, "rewards.NAME"))
+                raise ValueError(f"sweep: '{name}' cannot be swept; {known} can, as in {self.SWEPT[0]}=0.1,0.2")
+            limits = type(self).model_fields[name].metadata if name in self.SWEPT else [pydantic.AllowInfNan(False)]
+            possible = pydantic.TypeAdapter(Annotated[float, *limits])
             try:
                 numbers = [possible.validate_python(float(part)) for part in values.split(",")]
             except ValueError:

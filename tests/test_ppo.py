@@ -282,6 +282,8 @@ def test_what_the_critic_alone_sees_never_reaches_the_actor(several):
         (["--sweep", "width=3,4"], "'width' cannot be swept"),
         (["--sweep", "clip=0.1,many"], "sweep: clip=0.1,many must be numbers"),
         (["--sweep", "clip=0.1,7"], "sweep: clip=0.1,7 must be numbers"),
+        (["--sweep", "rewards.time=inf"], "sweep: rewards.time=inf must be numbers"),
+        (["--sweep", "rewards.tine=1"], "rewards: 'tine' is not one of progress"),
         (["--critic", "depth"], "critic: depth is an image"),
         (["--critic", "goal"], "critic: goal is what the actor sees already"),
     ],

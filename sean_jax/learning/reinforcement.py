@@ -41,6 +41,8 @@ from sean_jax.progress import progress
 from sean_jax.scenario import reset, results
 from sean_jax.versions import versions
 
+REWARDS = "rewards."  # what numbers of a sweep begin with that are weights
+
 TRAINERS = {"ppo": ppo, "apg": shac}
 """Method -> the module that has its ``init`` and ``update``."""
 
@@ -105,6 +107,7 @@ def build(options: ReinforcementConfig) -> tuple[Scenario, mdp.Env, ActorCritic]
         choice.check(options.imitate, options, "imitate")
     env = curricula.prepare(registry.build(options), options.curriculum)
     env = replace(env, observations=sum(agents.terms(options), ()))
+    rewards.reweighted(env.rewards, _weights(options.agents[0]))  # refuses what is none of its terms
     network = agents.network(options, env.observation_space)
     return env.scenario, replace(env, scenario=replace(env.scenario, metrics=())), network
 
@@ -134,7 +137,11 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
     """
     trainer: Any = TRAINERS[options.method]
     keys = jnp.stack([prng.key("training", int(agent["seed"])) for agent in options.agents])
-    numbers = {name: jnp.asarray([agent[name] for agent in options.agents], jnp.float32) for name in options.SWEPT}
+    numbers = {
+        name: jnp.asarray([agent[name] for agent in options.agents], jnp.float32)
+        for name in options.agents[0]
+        if name != "seed"
+    }
     number, plan, (seen, _) = updates(options), curricula.plan(options.curriculum), agents.terms(options)
     starts = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
 
@@ -156,6 +163,7 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
         def one(agent: Agent, optimizer: PyTree, rows: Rows, curriculum: Curriculum | None, key: Array, own: dict):
             own = own | {"learning_rate": own["learning_rate"] * left}
             where = env if curriculum is None else replace(env, pool=curriculum.pool)
+            where = replace(where, rewards=rewards.reweighted(where.rewards, _weights(own)))
             key = jax.random.fold_in(key, done)
             *changed, rows, seen, told = trainer.update(options, own, where, network, agent, optimizer, rows, key)
             curriculum, more = curricula.follow(env, plan, curriculum, seen.told, seen.over)
@@ -186,6 +194,11 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
         jax.jit(evaluate, out_shardings=whole),
         jax.jit(refill, donate_argnums=1, out_shardings=placed),
     )
+
+
+def _weights(own: dict[str, Any]) -> dict[str, Any]:
+    """Those of rewards, of what an agent has for itself."""
+    return {name.removeprefix(REWARDS): value for name, value in own.items() if name.startswith(REWARDS)}
 
 
 def _spread(over: Mesh, state: TrainState) -> TrainState:

@@ -255,6 +255,25 @@ def _as_term(name: str, value: RewardLike) -> RewardTerm:
     raise InputError(f"rewards: {name} is {value!r:.60}; give a weight, a RewardTerm, or a function.")
 
 
+def reweighted(terms: Terms, weights: Mapping[str, Float[Array, ""] | float]) -> Terms:
+    """The terms with other weights, which may be arrays where the terms go no further than a traced function.
+
+    Args:
+        terms: of the reward.
+        weights: name -> weight of a term.
+
+    Returns:
+        The terms.
+
+    Raises:
+        InputError: there is no such term.
+    """
+    for name in weights:
+        if name not in dict(terms):
+            raise InputError(f"rewards: '{name}' is not one of {', '.join(dict(terms))}; add it to the rewards first.")
+    return tuple((name, dataclasses.replace(term, weight=weights.get(name, term.weight))) for name, term in terms)
+
+
 def potentials(terms: Terms, scenario: Scenario, state: State) -> dict[str, Float[Array, ""]]:
     """The potentials of a state.
 
