@@ -208,7 +208,9 @@ def _join() -> int:
         jax.distributed.initialize()
     except (ValueError, RuntimeError) as error:
         why = str(error).splitlines()[0].rstrip(".")
-        raise InputError(f"distributed: no other processes were found ({why}); start all of them by srun or mpirun.") from error
+        raise InputError(
+            f"distributed: no other processes were found ({why}); start all of them by srun or mpirun."
+        ) from error
     return jax.process_index()
 
 
