@@ -208,9 +208,8 @@ def _join() -> int:
         jax.distributed.initialize()
     except (ValueError, RuntimeError) as error:
         why = str(error).splitlines()[0].rstrip(".")
-        raise InputError(
-            f"distributed: no other processes were found ({why}); start all of them by srun or mpirun."
-        ) from error
+        text = f"--distributed: no other processes were found ({why})"
+        raise InputError(f"{text}; start all of them by srun or mpirun, or leave it out.") from error
     return jax.process_index()
 
 

@@ -171,17 +171,15 @@ if last:
     before, reinforcement._numbers = reinforcement._numbers, numbers
 sys.exit(cli.main(sys.argv[2:]))
 """
-SMALL = (
-    "--environment lab --behavior random --people 2 --dynamics twin --time-limit 2 --scenarios 4 --horizon 4".split()
-)
-SMALL += "--minibatches 2 --epochs 1 --width 4 --pool 4 --steps 64 --evaluate-every 2 --evaluation-episodes 2".split()
-SMALL += ["--observations", "goal,speeds", "--rewards", "progress,time", "--metrics", "mean_speed"]
+SMALL = "--environment lab --behavior random --people 2 --dynamics twin --time-limit 2 --scenarios 4 --horizon 4"
+SMALL += " --minibatches 2 --epochs 1 --width 4 --pool 4 --steps 64 --evaluate-every 2 --evaluation-episodes 2"
+SMALL += " --observations goal,speeds --rewards progress,time --metrics mean_speed"
 
 
 def train(folder, last, number=None, port=0):
     """Four updates, or until Ctrl-C in update ``last``, alone on two devices or as a process of two with one each."""
     environment = {**os.environ, "JAX_PLATFORMS": "cpu", "XLA_FLAGS": ""}
-    words = ["train", "ppo", *SMALL, "--out", str(folder)]
+    words = ["train", "ppo", *SMALL.split(), "--out", str(folder)]
     if number is None:
         environment["XLA_FLAGS"] = "--xla_force_host_platform_device_count=2"
     else:  # as SLURM starts them

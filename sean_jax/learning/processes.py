@@ -1,4 +1,4 @@
-"""Several processes that train together, such as one on each host: who writes, and that none goes on without the others.
+"""Several processes that train together, such as one on each host: who writes, and that none goes on alone.
 
 Every process computes the same numbers, each on its own devices; process 0 alone has the lock and the log. Where one
 refuses, all must hear of it: the others would wait for it forever.
