@@ -44,7 +44,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             thread.name == interrupts.COMPILER_THREAD for thread in threading.enumerate()
         ):
             os._exit(code)  # the compiler cannot be interrupted, and the interpreter would wait for it
+        if code in (FAILED, STOPPED, TERMINATED) and _is_joined():
+            sys.stdout.flush()
+            os._exit(code)  # the others may wait for numbers of this process, and it at its end for them
     return code
+
+
+def _is_joined() -> bool:
+    """Whether this process is one of several that train together."""
+    jax = sys.modules.get("jax")
+    return jax is not None and jax.distributed.is_initialized()
 
 
 def _main(arguments: list[str]) -> int:
@@ -168,6 +177,8 @@ def _collect(options: config.CollectConfig) -> int:
 
 def _train(options: config.TrainConfig | config.ReinforcementConfig) -> int:
     def work(console: "Console") -> None:
+        if isinstance(options, config.ReinforcementConfig) and options.distributed:
+            console.quiet |= _join() > 0
         from sean_jax import learning
 
         if isinstance(options, config.TrainConfig):
@@ -178,14 +189,28 @@ def _train(options: config.TrainConfig | config.ReinforcementConfig) -> int:
             best = f"smallest loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
             _say(console, f"{int(state.epoch)} epochs, {best}: ", options.folder)
         else:
+            import numpy as np
+
             state = learning.reinforcement.train(options, console)
-            chosen = int(state.best.value.argmax())
-            best, after = float(state.best.value[chosen]), int(state.best.update[chosen])
-            best = f"best return in an evaluation {best:.2f} after {after}"
+            value, after = map(np.asarray, (state.best.value, state.best.update))
+            best = f"best return in an evaluation {value.max():.2f} after {after[value.argmax()]}"
             _say(console, f"{int(state.update)} updates, {best}: ", options.folder)
         _say(console, "next: ", _drive(options.folder))
 
     return _keeping(options, work)
+
+
+def _join() -> int:
+    """Wait for the other processes of the training; the number of this one. No device may have been used before."""
+    import jax
+
+    try:
+        jax.distributed.initialize()
+    except (ValueError, RuntimeError) as error:
+        why = str(error).splitlines()[0].rstrip(".")
+        text = f"--distributed: no other processes were found ({why})"
+        raise InputError(f"{text}; start all of them by srun or mpirun, or leave it out.") from error
+    return jax.process_index()
 
 
 def _drive(folder: Path) -> str:

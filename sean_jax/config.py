@@ -696,6 +696,8 @@ class ReinforcementConfig(EnvConfig):
     out: Annotated[Path | None, Incidental()] = None
     """Folder for checkpoints and metrics, runs/METHOD-<environment>-<behavior>-<seed> by default. If it holds a
     training of the same options, that is continued."""
+    distributed: Annotated[bool, Incidental()] = False
+    """This process is one of several that train together, on one or more hosts, as SLURM and MPI start them."""
     quiet: Annotated[bool, Incidental()] = False
     """Print nothing but errors."""
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
 
@@ -86,9 +87,14 @@ def _put(tree: PyTree, sharding: NamedSharding) -> PyTree:
 
     def put(leaf: Array) -> Array:
         if not (isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)):
+            return place(leaf)
+        return jax.random.wrap_key_data(place(jax.random.key_data(leaf)), impl=jax.random.key_impl(leaf))
+
+    def place(leaf: Array) -> Array:
+        if sharding.is_fully_addressable or (isinstance(leaf, jax.Array) and not leaf.is_fully_addressable):
             return jax.device_put(leaf, sharding)
-        numbers = jax.device_put(jax.random.key_data(leaf), sharding)
-        return jax.random.wrap_key_data(numbers, impl=jax.random.key_impl(leaf))
+        own = np.asarray(jnp.asarray(leaf))  # device_put would gather it from all processes, and refuse NaN
+        return jax.make_array_from_callback(own.shape, sharding, lambda index: own[index])
 
     return jax.tree.map(put, tree)
 

@@ -246,6 +246,15 @@ def _words(name: str, value: object) -> list[str]:
     return [flag(name), *words]
 
 
+def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
+    """Refuse a flag that is given twice, of which the parser would drop the first."""
+    several = {family.singular for field in model.model_fields.values() if (family := family_of(field)) is not None}
+    names = [word.split("=")[0].lstrip("-").replace("-", "_") for word in arguments if word.startswith("--")]
+    for name in names:
+        if names.count(name) > 1 and name not in several:
+            raise InputError(f"{flag(name)} is given more than once; give it once, with all of its values.")
+
+
 def parse(word: str, model: type[Config], arguments: Sequence[str], configurable: bool = False) -> Any:
     """An instance of ``parser(model)`` from the words after the command; the parser's own exit if they are wrong.
 
@@ -257,6 +266,10 @@ def parse(word: str, model: type[Config], arguments: Sequence[str], configurable
 
     Returns:
         What was given.
+
+    Raises:
+        InputError: a flag that may stand once is given twice.
     """
     made = parser(model, configurable)
+    _check_once(model, arguments)
     return tyro.cli(made, prog=f"sean {word}", description=model.__doc__, args=list(arguments), config=SETTINGS)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import devices, episodes, prng
+from sean_jax import devices, episodes, learning, prng
 from sean_jax.base import Policy
 from sean_jax.policies import go_to_goal
 
@@ -40,6 +40,12 @@ print(json.dumps({"devices": over.size if same else 0, "shards": mine}))
 """
 
 
+def free_port():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
 def run(*arguments, count=1):
     flags = f"--xla_force_host_platform_device_count={count}"
     environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
@@ -58,9 +64,7 @@ def shards(process):
 
 @pytest.mark.slow
 def test_four_devices_and_two_processes_equal_one():
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{free.getsockname()[1]}"
+    address = f"127.0.0.1:{free_port()}"
     count, alone = shards(run())
     assert count == 1 and alone[0].shape == (8, 4, 2)
     count, four = shards(run(count=4))
@@ -149,3 +153,67 @@ def test_a_running_episode_is_left_alone(starts):
 
 def jax_data(leaf):
     return jax.random.key_data(leaf) if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf
+
+
+TRAIN = """
+import sys
+from sean_jax import cli
+calls, last = [], int(sys.argv[1])
+
+def numbers(values):
+    calls.append(values)
+    if len(calls) == 3 * last:  # three calls an update
+        raise KeyboardInterrupt
+    return before(values)
+
+if last:
+    from sean_jax.learning import reinforcement
+    before, reinforcement._numbers = reinforcement._numbers, numbers
+sys.exit(cli.main(sys.argv[2:]))
+"""
+SMALL = "--environment lab --behavior random --people 2 --dynamics twin --time-limit 2 --scenarios 4 --horizon 4"
+SMALL += " --minibatches 2 --epochs 1 --width 4 --pool 4 --steps 64 --evaluate-every 2 --evaluation-episodes 2"
+SMALL += " --observations goal,speeds --rewards progress,time --metrics mean_speed"
+
+
+def train(folder, last, number=None, port=0):
+    """Four updates, or until Ctrl-C in update ``last``, alone on two devices or as a process of two with one each."""
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu", "XLA_FLAGS": ""}
+    words = ["train", "ppo", *SMALL.split(), "--out", str(folder)]
+    if number is None:
+        environment["XLA_FLAGS"] = "--xla_force_host_platform_device_count=2"
+    else:  # as SLURM starts them
+        environment |= {"SLURM_JOB_ID": "1", "SLURM_STEP_NODELIST": "127.0.0.1", "SLURM_NTASKS": "2"}
+        environment |= {"SLURM_PROCID": str(number), "SLURM_LOCALID": "0", "JAX_COORDINATOR_PORT": str(port)}
+        words.append("--distributed")
+    pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen([sys.executable, "-c", TRAIN, str(last), *words], env=environment, **pipes)
+
+
+def curve(folder):
+    lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    parts = [name for name in lines[-1] if isinstance(lines[-1][name], dict)]
+    return [{f"{part} {name}": line[part][name] for part in parts for name in line.get(part, {})} for line in lines]
+
+
+@pytest.mark.slow
+def test_two_processes_train_as_one_with_two_devices(tmp_path):
+    """Stopped and given again, they come to the same curve, and leave the same files, each once."""
+    alone, both = tmp_path / "alone", tmp_path / "both"
+    process = train(alone, 0)
+    said = process.communicate(timeout=300)
+    assert process.returncode == 0, said
+    for last, code in ((3, 130), (0, 0)):
+        port = free_port()
+        pair = [train(both, last, number, port) for number in range(2)]
+        said = [process.communicate(timeout=300) for process in pair]
+        assert pair[0].returncode == code, said
+        assert pair[1].returncode == code or (code and pair[1].returncode), said  # or ended as the first one had
+        assert len(curve(both)) == (4 if last == 0 else 2)
+    assert "4 updates" in said[0][0] and "updates" not in said[1][0]
+    assert {path.name for path in both.iterdir()} == {path.name for path in alone.iterdir()}
+    assert [path.name for path in (both / "checkpoints").iterdir()] == ["4"]
+    for one, other in zip(curve(both), curve(alone), strict=True):
+        assert one == pytest.approx(other, rel=1e-3, abs=1e-5)
+    driver = learning.load(both, sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=2.0))
+    assert driver.name == "both"  # one process reads what two have written

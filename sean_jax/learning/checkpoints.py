@@ -17,6 +17,7 @@ from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, L
 
 from sean_jax import files, writing
 from sean_jax.errors import FileError, IncompleteError, InputError
+from sean_jax.learning import processes
 from sean_jax.learning.manifests import CONFIG
 
 STATE = "state"
@@ -35,7 +36,8 @@ def _negative_loss(metrics: dict[str, float]) -> float:
 class Checkpoints:
     """The checkpoints in a folder, each named by its number of epochs.
 
-    A writer must hold the lock of the folder (``writing.folder_lock``), because opening for writing removes what a
+    Where several processes train together, all of them open, save and wait. A writer, or the first of them, must hold
+    the lock of the folder (``writing.folder_lock``), because opening for writing removes what a
     killed process left. A reader changes nothing. A kill may leave a checkpoint half deleted, which orbax still counts.
     Only checkpoints that are neither the latest nor the best are ever deleted, and only the latest and the best are
     read.
@@ -75,13 +77,16 @@ class Checkpoints:
             IncompleteError: this checkpoint or the one before could not be written.
         """
         size = 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(state)) + RESERVE
-        if shutil.disk_usage(self.folder).free < size:  # after a failed write, threads of orbax print pages
-            raise IncompleteError(f"{self.folder}: {writing.DISK_FULL}; {UNCHANGED}")
+        processes.by_first(lambda: self._check_space(size))
         try:
             content = ocp.args.Composite(**{STATE: ocp.args.PyTreeSave(state)})  # pyright: ignore
             self.manager.save(epoch, args=content, metrics={"loss": loss}, force=True)
         except (OSError, ValueError) as error:
             raise IncompleteError(f"{self.folder}: {writing.reason(error)}; {UNCHANGED}") from error
+
+    def _check_space(self, size: int) -> None:
+        if shutil.disk_usage(self.folder).free < size:  # after a failed write, threads of orbax print pages
+            raise IncompleteError(f"{self.folder}: {writing.DISK_FULL}; {UNCHANGED}")
 
     def wait(self) -> None:
         """Wait until all checkpoints are on disk.
@@ -164,7 +169,7 @@ class Checkpoints:
         return self.manager.best_step()
 
     def _restore(self, step: int, like: Tree, part: str | None = None) -> Tree:
-        sharding = jax.sharding.SingleDeviceSharding(jax.devices()[0])
+        sharding = jax.sharding.SingleDeviceSharding(jax.local_devices()[0])  # each process reads all of it
         shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), like)
         target = shapes if part is None else {part: shapes}
         try:

@@ -3,8 +3,10 @@
 An update is one compiled program: all scenarios take some steps, and the agent learns from them (``ppo``, ``shac``).
 Agents of different seeds and numbers are trained side by side, along a leading axis A. Chance depends on (seed, update)
 and on the states of the scenarios, which checkpoints hold, so a training that was stopped goes on to the same curve.
+Processes that ``jax.distributed`` has joined train together: scenarios are spread over the devices of all of them.
 """
 
+import contextlib
 import math
 import time
 import warnings
@@ -27,7 +29,7 @@ from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 from sean_jax.flags import command
-from sean_jax.learning import agents, choice, cloning, driving, ppo, rollouts, shac
+from sean_jax.learning import agents, choice, cloning, driving, ppo, processes, rollouts, shac
 from sean_jax.learning import curriculum as curricula
 from sean_jax.learning.actor_critic import ActorCritic, Agent, init_agent
 from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
@@ -85,9 +87,10 @@ def train(options: ReinforcementConfig, console: Console | Callable[[float], Non
         FloatingPointError: the loss is not finite. The checkpoints stay.
     """
     config = _config(options)
-    check_config(options.folder, config)  # refuses before anything is written
-    scenario, env, network = build(options)
-    with writing.folder_lock(options.folder):
+    processes.by_first(lambda: check_config(options.folder, config))  # refuses before anything is written
+    scenario, env, network = processes.together(lambda: build(options))
+    with contextlib.ExitStack() as stack:
+        processes.by_first(lambda: stack.enter_context(writing.folder_lock(options.folder)))
         return _train(options, console, scenario, env, network, config)
 
 
@@ -246,13 +249,14 @@ def _train(
     network: ActorCritic,
     config: dict[str, Any],
 ) -> TrainState:
-    """Train in a folder that this process has locked."""
-    resumes, over, number = check_config(options.folder, config), devices.mesh(), updates(options)
+    """Train in a folder that this process has locked, or the first of those that train together."""
+    resumes = processes.by_first(lambda: check_config(options.folder, config))
+    over, number, first = devices.mesh(), updates(options), processes.is_first()
     if options.scenarios % over.size:
         text = f"scenarios: {options.scenarios} do not spread evenly over {over.size} devices"
         raise InputError(f"{text}; take a multiple.")
     run = programs(options, network, over)
-    with progress(console) as tell:
+    with progress(console if first else None) as tell:
         tell.stage("drawing starts")
         pool_key = jax.random.fold_in(prng.key("training", options.seed), 2**31 - 1)
         if options.curriculum == "none":
@@ -260,13 +264,13 @@ def _train(
         tell.stage("drawing starts" if options.imitate is None else f"imitating {options.imitate}")
         state = run.begin(env, _agents(options, network, env, scenario))
         if not resumes:
-            write_config(options.folder, config)
+            processes.by_first(lambda: write_config(options.folder, config))
         checkpoints = Checkpoints(options.folder, writes=True)
         saved = checkpoints.latest(_plain(state)) if resumes else None
         state = state if saved is None else _typed(saved, state)
-        env, state = devices.replicate(over, env), _spread(over, state)
-        log = Log(options.folder, int(state.update))
-        curve = [float(line["evaluation"]["return"]) for line in log.lines if "evaluation" in line]
+        (scenario, env), state = devices.replicate(over, (scenario, env)), _spread(over, state)
+        log = Log(options.folder, int(state.update)) if first else None
+        curve = [float(line["evaluation"]["return"]) for line in (log.lines if log else []) if "evaluation" in line]
         tell.start("training", number)
         try:
             while int(state.update) < number:
@@ -286,10 +290,12 @@ def _train(
                     state, evaluation = _judge(run, scenario, env, state)
                     line |= evaluation
                     curve.append(evaluation["evaluation"]["return"])
-                log.add(line | {"time": time.time()})  # before the checkpoint: what follows it is dropped at a restart
+                if log is not None:  # before the checkpoint: what follows it is dropped at a restart
+                    log.add(line | {"time": time.time()})
                 if due:
-                    checkpoints.save(_plain(state), done, -float(np.sum(state.best.value)))
-                    draw_curve(options.folder)
+                    checkpoints.save(_plain(state), done, -float(np.sum(np.asarray(state.best.value))))
+                    if log is not None:
+                        draw_curve(options.folder)
                 episodes = line["episodes"]
                 note = f"return {episodes.get('return', math.nan):.1f}, completed {episodes.get('completed', 0.0):.0%}"
                 tell.update(done, f"update {done} · {note} · {sparkline(curve)} · {rate:,.0f} steps/s")
@@ -327,8 +333,8 @@ def _imitating(
 
 def _judge(run: Programs, scenario: Scenario, env: mdp.Env, state: TrainState) -> tuple[TrainState, dict[str, dict]]:
     """The state with its best agents, and what this evaluation found: of all, and of each if there are several."""
-    found = jax.tree.map(np.asarray, run.evaluate(scenario, replace(env, pool=None), state.agent))
-    value = jnp.asarray(found["return"], jnp.float32)
+    told = run.evaluate(scenario, replace(env, pool=None), state.agent)
+    found, value = jax.tree.map(np.asarray, told), jnp.asarray(told["return"], jnp.float32)
     better = value > state.best.value
     now = Best(state.agent, value, jnp.broadcast_to(state.update, value.shape))
     best = jax.tree.map(
@@ -366,6 +372,7 @@ def _check_finite(numbers: dict[str, Any], done: int, options: ReinforcementConf
         raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
 
 
+@jax.jit  # of arrays on the devices of other processes, an array of none is made only so
 def _plain(tree: PyTree) -> PyTree:
     """What checkpoints can hold: keys as numbers, and one number for an array of none."""
     return jax.tree.map(lambda leaf: leaf if leaf.size else jnp.zeros(1, leaf.dtype), prng.as_numbers(tree))
