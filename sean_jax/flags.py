@@ -27,6 +27,7 @@ from sean_jax.config import (
     gather,
     validate,
 )
+from sean_jax.errors import InputError
 from sean_jax.files.reading import listed
 
 SETTINGS = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
