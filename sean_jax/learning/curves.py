@@ -59,7 +59,7 @@ def draw_curve(folder: Path) -> None:
 SHOWN = (
     ("return", "return of an episode"),
     ("completed", "share of tasks completed"),
-    ("intimate_robot_on_person", "intimate violations by the robot"),
+    ("intimate_robot_on_person", "intimate, robot on person"),
 )
 """Name in an evaluation, and what it is."""
 
