@@ -186,8 +186,8 @@ def train(folder, last, number=None, port=0):
         environment |= {"SLURM_JOB_ID": "1", "SLURM_STEP_NODELIST": "127.0.0.1", "SLURM_NTASKS": "2"}
         environment |= {"SLURM_PROCID": str(number), "SLURM_LOCALID": "0", "JAX_COORDINATOR_PORT": str(port)}
         words.append("--distributed")
-    pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    return subprocess.Popen([sys.executable, "-c", TRAIN, str(last), *words], env=environment, **pipes)
+    command = [sys.executable, "-c", TRAIN, str(last), *words]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def curve(folder):

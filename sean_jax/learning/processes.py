@@ -25,6 +25,20 @@ def is_first() -> bool:
     return jax.process_index() == 0
 
 
+def must_stop(step: int) -> bool:
+    """Whether a process was sent SIGTERM, as by a scheduler that ends the job; all are told so at the same step.
+
+    ``jax.distributed`` takes that signal for itself, unless its option ``jax_enable_preemption_service`` is off.
+
+    Args:
+        step: a number that is greater at each call, and the same in all processes.
+
+    Returns:
+        True or False.
+    """
+    return jax.config.jax_enable_preemption_service and multihost_utils.reached_preemption_sync_point(step)
+
+
 def together(work: Callable[[], Result]) -> Result:
     """Work that every process does, after which each knows that all have done it.
 

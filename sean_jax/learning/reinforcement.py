@@ -298,6 +298,8 @@ def _train(
                         draw_curve(options.folder)
                 episodes = line["episodes"]
                 note = f"return {episodes.get('return', math.nan):.1f}, completed {episodes.get('completed', 0.0):.0%}"
+                if processes.must_stop(done):
+                    raise KeyboardInterrupt
                 tell.update(done, f"update {done} · {note} · {sparkline(curve)} · {rate:,.0f} steps/s")
         finally:
             checkpoints.wait()
