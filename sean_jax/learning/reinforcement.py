@@ -261,8 +261,11 @@ def _train(
         pool_key = jax.random.fold_in(prng.key("training", options.seed), 2**31 - 1)
         if options.curriculum == "none":
             env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, pool_key, options.pool)
-        tell.stage("drawing starts" if options.imitate is None else f"imitating {options.imitate}")
-        state = run.begin(env, _agents(options, network, env, scenario))
+        several = _agents(options, network, env, scenario)
+        if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
+            tell.stage(f"imitating {options.imitate}")
+            several = _imitating(options, network, env, scenario, several)
+        state = run.begin(env, several)
         if not resumes:
             processes.by_first(lambda: write_config(options.folder, config))
         checkpoints = Checkpoints(options.folder, writes=True)
@@ -311,8 +314,7 @@ def _agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.Env, sc
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     space = env.observation_space
     if options.pretrained is None:
-        several = jax.jit(jax.vmap(lambda key: init_agent(network, env.observations, space, key)))(keys)
-        return several if options.imitate is None else _imitating(options, network, env, scenario, several)
+        return jax.jit(jax.vmap(lambda key: init_agent(network, env.observations, space, key)))(keys)
     other = _pretrained(options, scenario)
     return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), other)
 
