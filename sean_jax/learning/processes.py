@@ -36,7 +36,8 @@ def must_stop(step: int) -> bool:
     Returns:
         True or False.
     """
-    return jax.config.jax_enable_preemption_service and multihost_utils.reached_preemption_sync_point(step)
+    listens = jax.config.jax_enable_preemption_service  # pyright: ignore[reportAttributeAccessIssue]
+    return listens and multihost_utils.reached_preemption_sync_point(step)
 
 
 def together(work: Callable[[], Result]) -> Result:
