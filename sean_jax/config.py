@@ -129,6 +129,7 @@ Hours = Annotated[float, Number(1e-6, MAX_HOURS, "h")]
 HoursOfMinutes = Annotated[float, Number(0.0166, MAX_HOURS, "h")]
 WalkingSpeed = Annotated[float, Number(0.0, 100.0, "m/s")]
 Threshold = Annotated[float, Number(-1e9, 1e9)]
+Noise = Annotated[float, Number(1e-3, 1.0)]
 LearningRate = Annotated[float, Number(1e-12, 1.0)]
 Height = Annotated[float, Number(0.06, 100.0, "m")]
 TimingSeconds = Annotated[float, Number(1e-6, 1e5, "s")]
@@ -671,6 +672,11 @@ class ReinforcementConfig(EnvConfig):
     """Give the network a memory, a gated recurrent unit."""
     bfloat16: bool = False
     """Keep and encode images in half precision: quicker on a GPU, slower on a CPU."""
+    careful: bool = False
+    """Let the noise of actions depend on what is seen, so that an agent can be exact where that matters."""
+    noise: Noise | None = None
+    """Standard deviation of actions at the beginning, 0.5 or that of the pretrained agent by default; they are from -1
+    to 1."""
     pool: BatchSize = 1024
     """Starts of episodes that are drawn beforehand."""
     curriculum: Literal["none", "situations", "regret"] = "none"

@@ -104,6 +104,19 @@ def test_a_memory_begins_anew_with_an_episode():
     assert float(say(full, False).value) != float(say(empty, False).value)
 
 
+@pytest.mark.parametrize("careful", [False, True])
+def test_noise_is_what_is_asked_for(careful):
+    """And depends on what is seen if the agent is careful, alone."""
+    network = ActorCritic(8, 1, careful=careful)
+    env = registry.load("Lab-Random-RandomAbNav-v0", config_overrides={"people": 2, "observations": ["goal"]})
+    agent = actor_critic.init_agent(network, env.observations, env.observation_space, jax.random.key(0))
+    agent = actor_critic.with_noise(agent, 0.1)
+    seen = jnp.array([[1.0, 2.0], [-3.0, 0.5]])
+    said = actor_critic.answer(network, agent, seen, {}, jnp.zeros((2, 0)), jnp.ones(2, bool))
+    np.testing.assert_allclose(jnp.exp(said.log_std), 0.1, rtol=0.2 if careful else 1e-5)
+    assert bool(jnp.array_equal(said.log_std[0], said.log_std[1])) is not careful
+
+
 def test_a_training_has_its_files(trained):
     state, folder = trained
     lines = curve(folder)

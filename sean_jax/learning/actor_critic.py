@@ -4,7 +4,7 @@ Numbers of an observation are normalized by their running mean and deviation. Im
 dense layers, as in ``network``, after distances have become nearness. The memory is a gated recurrent unit.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -22,6 +22,7 @@ from sean_jax.mdp.spaces import Dict
 
 CLIP = 10.0  # deviations, at which normalized numbers are clipped
 INITIAL_LOG_STD = -0.7  # of actions from -1 to 1
+LEAST_LOG_STD = -5.0  # where it depends on what is seen
 
 
 class Answer(NamedTuple):
@@ -42,6 +43,7 @@ class ActorCritic(nn.Module):
     recurrent: bool = False
     private: int = 0  # numbers at the end of the vector that the critic alone sees
     bfloat16: bool = False  # of images
+    careful: bool = False  # the noise of actions depends on what is seen
 
     @property
     def memory_size(self) -> int:
@@ -85,8 +87,13 @@ class ActorCritic(nn.Module):
         for _ in range(self.layers):
             actor, critic = nn.tanh(_dense(self.width)(actor)), nn.tanh(_dense(self.width)(critic))
         mean, value = _dense(2, 0.01)(actor), _dense(1, 1.0)(critic)
-        log_std = self.param("log_std", nn.initializers.constant(INITIAL_LOG_STD), (2,))
-        return Answer(mean, jnp.broadcast_to(log_std, mean.shape), value[..., 0], memory)
+        start_value = nn.initializers.constant(INITIAL_LOG_STD)
+        if self.careful:
+            layer = nn.Dense(2, kernel_init=nn.initializers.orthogonal(0.01), bias_init=start_value, name="log_std")
+            log_std = jnp.clip(layer(actor), LEAST_LOG_STD, 0.0)
+        else:
+            log_std = jnp.broadcast_to(self.param("log_std", start_value, (2,)), mean.shape)
+        return Answer(mean, log_std, value[..., 0], memory)
 
 
 class _Images(nn.Module):
@@ -143,6 +150,24 @@ def init_agent(network: ActorCritic, terms: observations.Terms, space: Dict, key
     parameters = network.init(key, vector, {name: empty[name] for name in network.images}, memory, start)
     statistics = Statistics(jnp.zeros_like(vector), jnp.ones_like(vector), jnp.full((), 1e-4, jnp.float32))
     return Agent(parameters, statistics)
+
+
+def with_noise(agent: Agent, deviation: float) -> Agent:
+    """The agent with other noise of its actions.
+
+    Args:
+        agent: any.
+        deviation: standard deviation of actions from -1 to 1; where it depends on what is seen, that of its bias.
+
+    Returns:
+        The agent.
+    """
+    inner = dict(agent.parameters["params"])
+    value, old = np.log(deviation), inner["log_std"]
+    inner["log_std"] = (
+        {**old, "bias": jnp.full_like(old["bias"], value)} if isinstance(old, Mapping) else jnp.full_like(old, value)
+    )
+    return Agent({**agent.parameters, "params": inner}, agent.statistics)
 
 
 def answer(

@@ -31,7 +31,7 @@ from sean_jax.errors import InputError
 from sean_jax.flags import command
 from sean_jax.learning import agents, choice, cloning, driving, ppo, processes, rollouts, shac
 from sean_jax.learning import curriculum as curricula
-from sean_jax.learning.actor_critic import ActorCritic, Agent, init_agent
+from sean_jax.learning.actor_critic import ActorCritic, Agent, init_agent, with_noise
 from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
 from sean_jax.learning.curriculum import Curriculum
 from sean_jax.learning.curves import draw_curve, sparkline
@@ -265,6 +265,8 @@ def _train(
         if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
             tell.stage(f"imitating {options.imitate}")
             several = _imitating(options, network, env, scenario, several)
+        if options.noise is not None:
+            several = with_noise(several, options.noise)
         state = run.begin(env, several)
         if not resumes:
             processes.by_first(lambda: write_config(options.folder, config))
@@ -401,7 +403,7 @@ def _pretrained(options: ReinforcementConfig, scenario: Scenario) -> Agent:
     """The best agent of another training, which must have seen the same and be of the same size."""
     folder = Path(str(options.pretrained))
     had, asked = agents.read_options(folder).decisive(), options.decisive()
-    for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16"):
+    for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16", "careful"):
         if had[name] != asked[name]:
             raise InputError(f"pretrained: {folder} has {name} {had[name]}, not {asked[name]}; ask for the same.")
     return (agents.load if agents.is_packed(folder) else load)(folder, scenario)[1]

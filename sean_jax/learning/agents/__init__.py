@@ -105,7 +105,9 @@ def network(options: ReinforcementConfig, space: Dict) -> ActorCritic:
     seen, private = terms(options)
     images = tuple(name for name, term in seen if term.image)
     hidden = sum(math.prod(dict(space.items())[name].shape) for name, _ in private)
-    return ActorCritic(options.width, options.layers, images, options.recurrent, hidden, options.bfloat16)
+    return ActorCritic(
+        options.width, options.layers, images, options.recurrent, hidden, options.bfloat16, options.careful
+    )
 
 
 def outline(options: ReinforcementConfig, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
