@@ -248,11 +248,12 @@ def _words(name: str, value: object) -> list[str]:
 
 
 def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
-    """Refuse a flag that is given twice, of which the parser would drop the first."""
-    several = {family.singular for field in model.model_fields.values() if (family := family_of(field)) is not None}
-    names = [word.split("=")[0].lstrip("-").replace("-", "_") for word in arguments if word.startswith("--")]
-    for name in names:
-        if names.count(name) > 1 and name not in several:
+    """Refuse a flag of several values that is given twice: the parser would drop the first. Else the last holds."""
+    given = [word.split("=")[0] for word in arguments if word.startswith("--")]
+    for name, field in model.model_fields.items():
+        family = family_of(field)
+        several = family.singular is not None if family else Ellipsis in typing.get_args(_plain(field.annotation))
+        if several and given.count(flag(name)) > 1:
             raise InputError(f"{flag(name)} is given more than once; give it once, with all of its values.")
 
 
@@ -269,7 +270,7 @@ def parse(word: str, model: type[Config], arguments: Sequence[str], configurable
         What was given.
 
     Raises:
-        InputError: a flag that may stand once is given twice.
+        InputError: a flag of several values is given twice.
     """
     made = parser(model, configurable)
     _check_once(model, arguments)
