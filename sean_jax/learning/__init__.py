@@ -1,4 +1,4 @@
-"""Learning to drive from demonstrations (section V): collect them, train a network, let it drive.
+"""Learning to drive, from demonstrations (section V) and from rewards: collect, train, let it drive.
 
 Names are imported at first use, so that the command line, which only needs the options, answers at once.
 """
