@@ -177,7 +177,7 @@ def standing(options: argparse.Namespace) -> None:
     names = "graph", "random", "handcrafted", "graph-balanced"
     for task, name in ((task, name) for task in ("join_group", "leave_group") for name in names):
         scenario = with_task(join, task)
-        policy = replace(learning.load(options.figure4 / f"policy-{name}", scenario), name="learned")
+        policy = replace(learning.load(options.figure4 / f"policy-{name}-0-0", scenario), name="learned")
         frames, results = drive(scenario, policy, options.episodes, 120.0, options.seed)
         done = results["completed"]
         still = (frames["robot"] < SLOW) & frames["active"]

@@ -2,23 +2,29 @@
 
 The agent of a folder drives in fresh episodes, and its worst situation is the one with the most violations a minute.
 Its training goes on twice, for as many steps: with a curriculum, and without one. All three are measured in other
-episodes, the same for all, with 95 % bootstrap intervals. A violation is somebody within 0.45 m, by whose fault ever.
+episodes, the same for all, with 95 % bootstrap intervals. A violation is somebody within 0.45 m, whoever's fault it is.
+Intervals are of episodes: they say what other episodes would give, not what another training would (``--seeds``).
 
 python benchmarks/curriculum.py runs/ppo --steps 500000 --out runs/mended
-python benchmarks/curriculum.py runs/ppo --steps 2e7 --scenarios 4096 --episodes 2048 --seeds 3 --curriculum regret
+python benchmarks/curriculum.py ppo --steps 2e7 --scenarios 4096 --episodes 2048 --seeds 3 --out runs/mended-long
+
+The second is of the agent that comes with the package, for a GPU. After an interruption the same command goes on.
 """
 
 import argparse
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from rich.console import Console
 
 import sean_jax
 from sean_jax import mdp, prng
+from sean_jax.errors import SeanError
 from sean_jax.learning import agents, driving, reinforcement, trained
 from sean_jax.metrics import bootstrap
 
@@ -62,7 +68,7 @@ def difference(one: dict, other: dict, weights: np.ndarray) -> tuple[np.ndarray,
     return gap[0], *bootstrap.interval(gap[1:])
 
 
-def picture(path: Path, names: list[str], found: dict[str, bootstrap.Estimate]) -> None:
+def picture(path: Path, names: list[str], worst: str, found: dict[str, bootstrap.Estimate]) -> None:
     """Violations a minute of each agent in each situation, with intervals."""
     from matplotlib.figure import Figure
 
@@ -72,53 +78,92 @@ def picture(path: Path, names: list[str], found: dict[str, bootstrap.Estimate]) 
         x = np.arange(len(names)) + 0.25 * (turn - 1)
         spread = np.abs(np.stack([each.mean - each.low, each.high - each.mean]))
         axes.bar(x, each.mean, 0.23, yerr=spread, label=label, capsize=2)
-    axes.set_xticks(np.arange(len(names)), [name.replace("_", " ") for name in names])
+    labels = [name.replace("_", " ") + ("\nworst before" if name == worst else "") for name in names]
+    axes.set_xticks(np.arange(len(names)), labels)
     axes.set_ylabel("violations per minute")
     axes.legend(frameon=False)
     figure.savefig(path, dpi=150)
 
 
-def main() -> None:
-    """Measure, train twice, measure again, and print the table."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("folder", type=Path, help="of `sean train ppo`")
-    arguments.add_argument("--out", type=Path, default=Path("runs/mended"), help="folder of trainings and figures")
-    arguments.add_argument("--steps", type=float, default=500_000, help="scenario-steps of each further training")
-    arguments.add_argument("--scenarios", type=int, help="that step together; as in the folder unless given")
-    arguments.add_argument("--learning-rate", type=float, help="at the beginning; half of the folder's unless given")
-    arguments.add_argument("--curriculum", default="situations", choices=["situations", "regret"])
-    arguments.add_argument("--every", type=int, default=20, help="updates between two draws of new starts")
-    arguments.add_argument("--episodes", type=int, default=512, help="of each measurement")
-    arguments.add_argument("--seeds", type=int, default=1, help="trainings of each kind")
-    chosen = arguments.parse_args()
+def count(text: str) -> int:
+    """A whole number of 1 or more, as the command line gives it, such as 500000 or 5e5."""
+    if not float(text) >= 1 or float(text) % 1:
+        raise argparse.ArgumentTypeError(f"{text} must be a whole number of 1 or more")
+    return int(float(text))
 
-    options = agents.read_options(chosen.folder)
-    scenario = reinforcement.build(options)[0]
-    load = agents.load if agents.is_packed(chosen.folder) else trained.load
-    network, given, observed = load(chosen.folder, scenario)
+
+def worst_situation(names: list[str], measured: dict) -> int:
+    """The column with the most violations a minute, of the situations that occur in enough episodes."""
+    enough = (measured["minutes"] > 0).sum(0) >= min(FEWEST, len(measured["minutes"]) / 4)
+    enough[0] = False  # the column of all situations together
+    rate = bootstrap.aggregate_ratio(measured["violations"], measured["minutes"]).mean
+    if not (enough & (rate > 0)).any():
+        sys.exit(f"no violation in {', '.join(names[1:])}: nothing to mend; take more --episodes or another agent.")
+    return int(np.where(enough, rate, -1.0).argmax())
+
+
+def verdict(low: float, high: float, other: str) -> str:
+    """What an interval of a difference says."""
+    if low <= 0.0 <= high:
+        return f"no decided difference from {other}"
+    return f"{'fewer' if high < 0.0 else 'more'} violations than {other}"
+
+
+def main() -> None:
+    """Train twice, measure three times, and print the table."""
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("agent", help="folder of `sean train ppo`, or the name of an agent of the package")
+    arguments.add_argument("--out", type=Path, default=Path("runs/mended"), help="folder of trainings and figures")
+    arguments.add_argument("--steps", type=count, default=500_000, help="scenario-steps of each further training")
+    arguments.add_argument("--scenarios", type=count, help="that step together; as of the agent unless given")
+    arguments.add_argument("--learning-rate", type=float, help="at the beginning; half of the agent's unless given")
+    arguments.add_argument("--curriculum", default="situations", choices=["situations", "regret"])
+    arguments.add_argument("--every", type=count, default=20, help="updates between two draws of new starts")
+    arguments.add_argument("--episodes", type=count, default=512, help="of each measurement")
+    arguments.add_argument("--seeds", type=count, default=1, help="trainings of each kind")
+    chosen = arguments.parse_args()
+    try:
+        mend(chosen, Console(stderr=True))
+    except (SeanError, ValueError) as error:  # the latter of pydantic, too: an option is impossible
+        arguments.error(str(error))
+
+
+def mend(chosen: argparse.Namespace, console: Console) -> None:
+    """What ``main`` does, by the options that were chosen."""
+    folder = Path(chosen.agent)
+    folder = folder if folder.exists() else agents.AGENTS.get(chosen.agent, folder)
+    options = agents.read_options(folder)
+    (scenario, *_), _, _ = reinforcement.build(options)
+    load = agents.load if agents.is_packed(folder) else trained.load
+    network, given, observed = load(folder, scenario)
+    trainings = {"none": [], chosen.curriculum: []}
+    for kind, several in trainings.items():
+        for seed in range(options.seed + 1, options.seed + 1 + chosen.seeds):
+            console.print(f"training, curriculum {kind}, seed {seed}")
+            further = options.replace(
+                pretrained=folder, steps=chosen.steps, curriculum=kind, seed=seed, seeds=1, sweep=(),
+                curriculum_every=options.curriculum_every if kind == "none" else chosen.every,
+                scenarios=chosen.scenarios or options.scenarios, imitate=None, noise=None,
+                learning_rate=chosen.learning_rate or options.learning_rate / 2,
+                out=chosen.out / f"{kind}-{seed - options.seed - 1}",
+            )  # fmt: skip
+            last = reinforcement.train(further, console).agent  # the best is chosen by its return, not by violations
+            several.append(jax.tree.map(lambda part: part[0], last))
+
+    console.print(f"measuring {2 + 2 * chosen.seeds} times {chosen.episodes} episodes")
     measure = measurement(scenario, network, observed)
     names = ["overall", *(name for name, _ in scenario.situations)]
-    keys = jax.random.split(prng.key("run", 0), chosen.episodes)
     # Chosen in episodes of its own: the worst of the same ones would look worse than it is.
-    first = measure(given, jax.random.split(prng.key("run", 1), chosen.episodes))
-    enough = (first["minutes"] > 0).sum(0) >= min(FEWEST, chosen.episodes // 4)
-    rate = bootstrap.aggregate_ratio(first["violations"], first["minutes"]).mean
-    worst = 1 + int(np.where(enough, rate, -1.0)[1:].argmax())
+    worst = worst_situation(names, measure(given, jax.random.split(prng.key("run", 1), chosen.episodes)))
+    keys = jax.random.split(prng.key("run", 0), chosen.episodes)
     measured = {"before": [measure(given, keys)]}
-    for kind in ("none", chosen.curriculum):
-        measured[kind] = []
-        for seed in range(chosen.seeds):
-            further = options.replace(
-                pretrained=chosen.folder, steps=int(chosen.steps), curriculum=kind, curriculum_every=chosen.every,
-                scenarios=chosen.scenarios or options.scenarios, seed=options.seed + 1 + seed, seeds=1,
-                learning_rate=chosen.learning_rate or options.learning_rate / 2, out=chosen.out / f"{kind}-{seed}",
-                sweep=(), quiet=True,
-            )  # fmt: skip
-            last = reinforcement.train(further).agent  # the best is chosen by its return, not by violations
-            agent = jax.tree.map(lambda part: part[0], last)
-            measured[kind].append(measure(agent, keys))
-            print(f"trained {kind}, seed {further.seed}", flush=True)
+    for kind, several in trainings.items():
+        measured[kind] = [measure(agent, keys) for agent in several]
+    report(chosen, names, worst, measured)
 
+
+def report(chosen: argparse.Namespace, names: list[str], worst: int, measured: dict[str, list[dict]]) -> None:
+    """Print the table, and write it with a picture."""
     weights = bootstrap.resamples(chosen.episodes)
     # An episode is that of all seeds together, so that intervals are of episodes.
     pooled = {kind: jax.tree.map(lambda *each: np.mean(each, 0), *each) for kind, each in measured.items()}
@@ -126,30 +171,45 @@ def main() -> None:
         kind: bootstrap.aggregate_ratio(each["violations"], each["minutes"], weights=weights)
         for kind, each in pooled.items()
     }
-    gap, low, high = difference(pooled[chosen.curriculum], pooled["none"], weights)
-    print(f"violations per minute, {chosen.episodes} episodes, 95 % intervals; worst situation before: {names[worst]}")
-    print(f"{'':14}" + "".join(f"{kind:>24}" for kind in found) + f"{'curriculum less none':>26}")
+    gaps = {kind: difference(pooled[chosen.curriculum], pooled[kind], weights) for kind in ("before", "none")}
+    print(f"violations per minute, {chosen.episodes} episodes, 95 % intervals; * is the worst situation before")
+    titles = ["before", "no curriculum", chosen.curriculum, *(f"{chosen.curriculum} - {other}" for other in gaps)]
+    print(f"{'':14}" + "".join(f"{title:>24}" for title in titles))
     for row, name in enumerate(names):
         cells = [f"{each.mean[row]:.2f} ({each.low[row]:.2f} to {each.high[row]:.2f})" for each in found.values()]
-        last = f"{gap[row]:+.2f} ({low[row]:+.2f} to {high[row]:+.2f})"
-        print(f"{name + (' *' if row == worst else ''):14}" + "".join(f"{cell:>24}" for cell in cells) + f"{last:>26}")
-    for label, numbers in (
-        ("completed", {kind: each["completed"] for kind, each in pooled.items()}),
-        ("minutes", {kind: each["minutes"][:, 0] for kind, each in pooled.items()}),
-    ):
-        means = [bootstrap.aggregate(each, weights=weights) for each in numbers.values()]
-        print(f"{label:14}" + "".join(f"{f'{x.mean:.3f} ({x.low:.3f} to {x.high:.3f})':>24}" for x in means))
-    if chosen.seeds > 1:
-        for kind in ("none", chosen.curriculum):
-            rates = [each["violations"][:, worst].sum() / each["minutes"][:, worst].sum() for each in measured[kind]]
+        cells += [f"{gap[row]:+.2f} ({low[row]:+.2f} to {high[row]:+.2f})" for gap, low, high in gaps.values()]
+        print(f"{name + (' *' if row == worst else ''):14}" + "".join(f"{cell:>24}" for cell in cells))
+    kept = {
+        kind: {"mean": each.mean.tolist(), "low": each.low.tolist(), "high": each.high.tolist()}
+        for kind, each in found.items()
+    }
+    kept |= {
+        f"{chosen.curriculum} less {other}": {"mean": gap.tolist(), "low": low.tolist(), "high": high.tolist()}
+        for other, (gap, low, high) in gaps.items()
+    }
+    for label, column in (("completed", np.s_[:]), ("minutes", np.s_[:, 0])):
+        means = {kind: bootstrap.aggregate(each[label][column], weights=weights) for kind, each in pooled.items()}
+        for kind, x in means.items():
+            kept[kind][label] = float(x.mean)
+        print(f"{label:14}" + "".join(f"{f'{x.mean:.3f} ({x.low:.3f} to {x.high:.3f})':>24}" for x in means.values()))
+    for kind in ("none", chosen.curriculum):
+        rates = [each["violations"][:, worst].sum() / each["minutes"][:, worst].sum() for each in measured[kind]]
+        kept[kind]["by seed"] = [float(rate) for rate in rates]
+        if chosen.seeds > 1:
             print(f"{kind}, {names[worst]}, by seed: " + ", ".join(f"{rate:.2f}" for rate in rates))
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    kept = {kind: {"mean": each.mean.tolist(), "low": each.low.tolist(), "high": each.high.tolist()}
-            for kind, each in found.items()}  # fmt: skip
-    kept["difference"] = {"mean": gap.tolist(), "low": low.tolist(), "high": high.tolist()}
-    (chosen.out / "mended.json").write_text(json.dumps({"situations": names, "worst": names[worst], **kept}, indent=1))
-    picture(chosen.out / "mended.png", names, found)
-    print(chosen.out / "mended.png")
+    said = [
+        verdict(gaps[kind][1][worst], gaps[kind][2][worst], other)
+        for kind, other in (("before", "before"), ("none", "without a curriculum"))
+    ]
+    print(f"{names[worst]} after training with curriculum {chosen.curriculum}: {said[0]}, {said[1]}")
+    made = {name: str(value) for name, value in vars(chosen).items()}
+    told = {"options": made, "columns": names, "worst": names[worst], **kept}
+    # By the name of the curriculum: another one may share the folder, and the trainings without one.
+    (chosen.out / f"{chosen.curriculum}.json").write_text(json.dumps(told, indent=1))
+    picture(
+        chosen.out / f"{chosen.curriculum}.png", names, names[worst], dict(zip(titles, found.values(), strict=False))
+    )
+    print(chosen.out / f"{chosen.curriculum}.png")
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "graph, join_group": {"behavior": "graph", "task": "join_group"},
     "graph, leave_group": {"behavior": "graph", "task": "leave_group"},
     "random, random_ab_nav": {"behavior": "random", "task": "random_ab_nav"},
-    "handcrafted": {"behavior": "handcrafted", "task": "handcrafted"},
+    "handcrafted": {"behavior": "handcrafted", "task": "handcrafted", "sets": "staged"},
 }
 COLUMNS = {
     "collision_robot_on_person": "touch: fault",

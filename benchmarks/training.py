@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import sean_jax
 from sean_jax import devices, flags, mdp
 from sean_jax.config import PPOConfig
+from sean_jax.errors import InputError
 from sean_jax.learning import reinforcement, rollouts
 from sean_jax.learning.actor_critic import init_agent
 from sean_jax.mdp import observations, rewards
@@ -37,11 +38,13 @@ def seconds(call: Callable[[], Any], times: int = 3) -> float:
 
 def main(names: list[str], options: PPOConfig) -> None:
     """Print the table, of all parts or of some."""
-    _, env, network = reinforcement.build(options)
+    _, (env, *others), network = reinforcement.build(options)
+    if others:
+        raise InputError("environment: parts are timed in one environment; name one.")
     batch, steps = options.scenarios, options.horizon
     env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, jax.random.key(0), options.pool)
     agent = init_agent(network, env.observations, env.observation_space, jax.random.key(1))
-    rows = jax.jit(rollouts.begin, static_argnums=(1, 3))(env, network, jax.random.key(2), batch)
+    rows = jax.jit(rollouts.begin, static_argnums=(1, 3))((env,), network, jax.random.key(2), batch)
     keys = jax.random.split(jax.random.key(3), batch)
     command = jnp.array([0.3, 0.1])
 
@@ -56,7 +59,7 @@ def main(names: list[str], options: PPOConfig) -> None:
             return jax.lax.scan(lambda carry, key: turn(env, carry, key), (state, jnp.zeros(())), length=steps)[0]
 
         run = jax.jit(whole)
-        return lambda: run(env, rows.envs)
+        return lambda: run(env, rows.envs[0])
 
     def simulate(env: mdp.Env, state: mdp.EnvState, of: str = "") -> tuple[mdp.EnvState, Any]:
         before, given = state.simulation, ()
@@ -78,11 +81,11 @@ def main(names: list[str], options: PPOConfig) -> None:
 
     gather = jax.jit(rollouts.collect, static_argnums=(1, 4))
     run = reinforcement.programs(options, network, devices.mesh())
-    state = run.begin(env, jax.tree.map(lambda part: part[None], agent))
+    state = run.begin((env,), jax.tree.map(lambda part: part[None], agent))
 
     def update() -> Any:
         nonlocal state
-        state, told = run.update(env, state)
+        state, told = run.update((env,), state)
         return told
 
     parts = {
@@ -91,7 +94,7 @@ def main(names: list[str], options: PPOConfig) -> None:
         "simulate, reward": repeated(lambda env, state: simulate(env, state, "reward")),
         "advance": repeated(advance),
         "step": repeated(step),
-        "collect": lambda: gather(env, network, agent, rows, steps, jax.random.key(4)),
+        "collect": lambda: gather((env,), network, agent, rows, steps, jax.random.key(4)),
         "update": update,
     }
     print(f"{jax.devices()[0].device_kind}, {batch} scenarios, {steps} steps, {', '.join(dict(env.observations))}")

@@ -164,14 +164,15 @@ from sean_jax.experiments import shares  # noqa: E402
 
 flags = recording.rows.situations
 blocks = flags[: len(flags) // 30 * 30].reshape(-1, 30, flags.shape[-1])
-found = shares.count(blocks)
-low, high = shares.interval(found.multi)
+found = shares.count(blocks).of("flags")  # of all that holds; two situations in one second are two flags
+low, high = shares.interval(found)
 figure, panel = plt.subplots(figsize=(6, 2.8), layout="constrained")
 x = np.arange(5)
-panel.bar(x, 100 * found.multi[0], color=situation_colors(shares.NAMES))
+panel.bar(x, 100 * found[0], color=situation_colors(shares.NAMES))
 panel.errorbar(x, 50 * (low + high), 50 * (high - low), fmt="none", ecolor="#1c2333", capsize=3)
-panel.hlines(shares.PAPER["graph"], x - 0.4, x + 0.4, color="#1c2333", linestyles="dashed", label="paper, graph")
+paper = 100 * shares.paper()["graph"]
+panel.hlines(paper, x - 0.4, x + 0.4, color="#1c2333", linestyles="dashed", label="paper, graph")
 panel.set_xticks(x, [name.replace("_", "\n") for name in shares.NAMES])
-panel.set(ylabel="% of examples")
+panel.set(ylabel="% of flags")
 panel.legend(frameon=False)
 plt.show()

@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from sean_jax.prediction import predict
     from sean_jax.robots import ROBOTS
     from sean_jax.runner import Record, Runner
-    from sean_jax.scenario import observe, place, reset, results, step
+    from sean_jax.scenario import next_task, observe, place, reset, results, step
     from sean_jax.sensors import SENSORS, sense
     from sean_jax.social_forces import PRESETS, Forces, preset
     from sean_jax.tasks import TASKS, build_task
@@ -92,7 +92,7 @@ _PUBLIC = {
     "prediction": "predict",
     "robots": "ROBOTS",
     "runner": "Record Runner",
-    "scenario": "observe place reset results step",
+    "scenario": "next_task observe place reset results step",
     "sensors": "SENSORS sense",
     "social_forces": "Forces PRESETS preset",
     "tasks": "TASKS build_task",
@@ -165,6 +165,7 @@ __all__ = [
     "make",
     "make_env",
     "mdp",
+    "next_task",
     "observe",
     "pedestrians_at",
     "place",

@@ -98,6 +98,8 @@ def _build(config: ScenarioConfig) -> list[Scenario]:
     robots.check_step(robot, config.time_step)
     walking = navigation.build(scene, PERSON_CLEARANCE)
     driving = walking if robot.radius <= PERSON_CLEARANCE else navigation.build(scene, robot.radius)
+    draw = navigation.PLACES[config.places]
+    walking, driving = draw(scene, walking), draw(scene, driving)
     place = behaviors.Place(folder, scene, walking, config.time_step)
     behavior = _behavior(config, place)
     people = behavior.people
@@ -124,6 +126,7 @@ def _build(config: ScenarioConfig) -> list[Scenario]:
         substeps=social_forces.substeps(forces, config.time_step) if config.substeps is None else config.substeps,
         task_name="",
         sensors=_sensors(config, robot),
+        warm_up=config.warm_up,
     )
     return [with_task(scenario, task) for task in config.tasks]
 
@@ -188,6 +191,10 @@ def check(config: ScenarioConfig) -> Path:
         if config.behavior.kind == "playback" and config.model.kind != "social_forces":
             name = config.model.kind
             raise InputError(f"model: '{name}' moves nobody in behavior 'playback', where people walk as recorded.")
+        if config.behavior.kind == "playback" and config.warm_up:
+            raise InputError(
+                f"warm_up: {config.warm_up:g} s, but a recording begins with its own people; leave it out."
+            )
         if not isinstance(config.robot, OwnPart | Value):
             robots.find(config.robot.kind, config.dynamics)
         folder = environments.find(config.environment)

@@ -291,6 +291,7 @@ class Scenario:
     task_name: str = struct.field(pytree_node=False)
     sensors: tuple[Sensor, ...] = ()  # of the robot, read by ``sensors.sense``
     people_present: Int[Array, ""] | None = None  # the first so many are there, on the graph or anywhere; None: all
+    warm_up: float = struct.field(pytree_node=False, default=0.0)  # s, for which people walk before there is a robot
 
 
 @struct.dataclass

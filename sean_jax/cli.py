@@ -228,6 +228,17 @@ def _experiment(options: config.ExperimentConfig) -> int:
     return _keeping(options, work)
 
 
+def _benchmark(options: config.BenchmarkConfig) -> int:
+    def work(console: "Console") -> None:
+        from sean_jax.experiments import benchmark
+
+        folder = benchmark.run(options, console)
+        console.print(benchmark.table(benchmark.check(folder)), highlight=False)
+        _say(console, "report: ", folder / benchmark.REPORT)
+
+    return _keeping(options, work)
+
+
 def _export(options: config.ExportConfig) -> int:
     check_new_folder(options.out)
 
@@ -289,7 +300,8 @@ def _draw(options: config.DrawConfig) -> int:
     names = environment.available() if options.environment is None else [options.environment]
     for name in names:
         task = "handcrafted" if options.handcrafted else "random_ab_nav"
-        scenario = assembly.make(name, behavior=what, task=task, dynamics="twin")
+        own = {"sets": options.sets} if options.handcrafted else {}
+        scenario = assembly.make(name, behavior=what, task=task, dynamics="twin", **own)
         graph = drawing.graph_of(scenario)
         sheet = drawing.graph_sheet(scenario.environment, graph) if graph else drawing.handcrafted_sheet(scenario)
         file = options.out or Path(f"{what}.png")
@@ -365,6 +377,7 @@ _DO: dict[str, Any] = {
     "calibrate": _calibrate,
     "draw": _draw,
     "import-map": _import_map,
+    "benchmark": _benchmark,
     "bench": _bench,
     "validate": _validate,
     "list": _list,

@@ -9,6 +9,7 @@ Nothing here imports JAX or numpy, so that the command line answers at once.
 """
 
 import datetime
+import math
 import re
 import typing
 from collections.abc import Callable, Iterable, Mapping
@@ -27,6 +28,7 @@ from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from sean_jax.errors import InputError
 from sean_jax.files.reading import listed, suggest
+from sean_jax.presets import PRESETS
 
 # The most that datasets and networks may hold: options go no further, and files that do are refused.
 MAX_HOURS = 1e6
@@ -35,6 +37,7 @@ MAX_SIDE = 4_096  # pixels of a depth image's side, and the width of a network
 MAX_PIXELS = 4_000_000  # of a depth image
 MAX_PEOPLE = 100_000
 DAY = 86_400.0  # s
+INFINITE = "inf"  # how a file says infinity
 
 OWN_PART = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
 
@@ -44,17 +47,25 @@ USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcraf
 
 @dataclass(frozen=True)
 class Number:
-    """Marks a number from ``low`` to ``high``; numpy's numbers count, and bool and text do not."""
+    """Marks a number from ``low`` to ``high``; numpy's numbers count, and bool and text do not.
+
+    With ``or_infinity`` it may also be infinity, which is the text "inf" in files: JSON has no number for it.
+    """
 
     low: float
     high: float
     unit: str = ""
+    or_infinity: bool = False
 
     def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(partial(self.read, source), handler(source))
+        text = core_schema.plain_serializer_function_ser_schema(_finite_or_text, when_used="json")
+        return core_schema.no_info_before_validator_function(
+            partial(self.read, source), handler(source), serialization=text if self.or_infinity else None
+        )
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        return {**handler(schema), "minimum": self.low, "maximum": self.high}
+        limited = {**handler(schema), "minimum": self.low, "maximum": self.high}
+        return {"anyOf": [limited, {"const": INFINITE}]} if self.or_infinity else limited
 
     def read(self, kind: type, value: Any) -> int | float:
         """The number as a Python number.
@@ -71,12 +82,19 @@ class Number:
         """
         if getattr(value, "shape", None) == () and hasattr(value, "item"):  # of numpy or JAX
             value = value.item()
+        if self.or_infinity and isinstance(value, str | Real) and value in (math.inf, INFINITE):
+            return math.inf
         if isinstance(value, bool) or not isinstance(value, Integral if kind is int else Real):
             raise ValueError(f"{short(value)} is not a {'whole ' if kind is int else ''}number")
         number = kind(value)  # pyright: ignore[reportArgumentType]
         if not self.low <= number <= self.high:
-            raise ValueError(f"{number} must be from {self.low:,g} to {self.high:,g}{self.unit and ' ' + self.unit}")
+            limits = f"{self.low:,g} to {self.high:,g}{self.unit and ' ' + self.unit}"
+            raise ValueError(f"{number} must be from {limits}{', or inf' if self.or_infinity else ''}")
         return number
+
+
+def _finite_or_text(value: float) -> float | str:
+    return INFINITE if math.isinf(value) else value
 
 
 def _text(value: object) -> object:
@@ -119,6 +137,7 @@ TimeLimit = Annotated[float, Number(0.1, DAY, "s")]
 TimeStep = Annotated[float, Number(0.001, 1.0, "s")]
 Radius = Annotated[float, Number(0.01, 1_000.0, "m")]
 Distance = Annotated[float, Number(0.0, 10_000.0, "m")]
+DistanceOrInfinity = Annotated[float, Number(0.0, 10_000.0, "m", or_infinity=True)]
 Coordinate = Annotated[float, Number(-1e6, 1e6)]  # m or degrees
 Congestion = Annotated[float, Number(0.0, 1e6, "m2")]
 FrameRate = Annotated[float, Number(0.001, 1e4, "frames a second")]
@@ -150,7 +169,7 @@ class Config(pydantic.BaseModel):
         Returns:
             Another description of the same class, checked anew.
         """
-        return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
+        return type(self)(**{**_given(self), **changes})
 
     def decisive(self) -> dict[str, Any]:
         """All fields that decide the results, as JSON has words for: what is recorded, and what is compared."""
@@ -248,7 +267,8 @@ class HandcraftedBehavior(Component):
 
     kind: Literal["handcrafted"] = "handcrafted"
     sets: Text = "all"
-    """A set, a situation whose sets take part, or all."""
+    """A set, a situation whose sets take part, or all; or a further collection of handcrafted.yaml, such as staged, and
+    after its name and _ a situation or set of it."""
 
 
 class PlaybackBehavior(Component):
@@ -410,6 +430,8 @@ class ScenarioConfig(Config):
 
     environment: Text = "warehouse"
     """Physical environment: a name, or the folder of your own."""
+    preset: Annotated[Literal["sean2"] | None, Incidental()] = None
+    """Values of all options of a preset that are not given: sean2, as in SEAN 2.0."""
     behavior: BehaviorPart = GraphBehavior()
     """Pedestrian behavior: who goes where."""
     task: Tasks | None = None
@@ -417,8 +439,8 @@ class ScenarioConfig(Config):
     handcrafted with handcrafted, custom if a start and a goal are given, else random_ab_nav."""
     robot: Part = Named(kind="kuri")
     """Robot: a name, or an MJCF file."""
-    dynamics: Literal["mjx", "twin"] = "mjx"
-    """How the robot moves: mjx, or its closed-form twin, which is faster."""
+    dynamics: Literal["mjx", "twin", "kinematic"] = "mjx"
+    """How the robot moves: mjx, its closed-form twin, faster, or kinematic, without inertia as in SEAN 2.0."""
     people: People | None = None
     """Number of people; the environment's own number by default (62 in the warehouse)."""
     model: Part = Named(kind="social_forces")
@@ -441,10 +463,23 @@ class ScenarioConfig(Config):
     """Distance in metres within which the goal counts as reached (SEAN 2.0: 1.2)."""
     hold_time: Duration = 5.0
     """Seconds to be spent there for the task to be completed (SEAN 2.0: 5)."""
-    task_distance: tuple[Distance, Distance] = (4.0, 20.0)
-    """Shortest and longest path in metres from start to goal."""
+    task_distance: tuple[Distance, DistanceOrInfinity] = (4.0, 20.0)
+    """Shortest and longest path in metres from start to goal; inf for no longest (SEAN 2.0: 0 inf)."""
+    places: Literal["uniform", "mesh"] = "uniform"
+    """How goals of random people, and starts and goals of the robot where it may go anywhere, are drawn: uniform, or
+    mesh, as SEAN 2.0 draws points on its navigation mesh."""
     substeps: Substeps | None = None
     """Steps of the social forces in a step of control; as many as their stiffness needs by default."""
+    warm_up: Duration = 0.0
+    """Seconds for which people walk before a task begins, as in a crowd that lasts while tasks follow one another."""
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _fill(cls, data: object) -> object:
+        if isinstance(data, Mapping) and isinstance(data.get("preset"), str) and data["preset"] in PRESETS:
+            rest = {name: value for name, value in data.items() if name != "preset"}
+            return fill(cls, rest, PRESETS[data["preset"]].options)
+        return data
 
     @pydantic.field_validator("thresholds", mode="before")
     @classmethod
@@ -525,6 +560,9 @@ class CollectConfig(ScenarioConfig):
     """Who drives: a name, or the folder that `sean train` has written."""
     labels: Part | None = None
     """Who says what should be done, while the policy drives: it is recorded in place of the policy's commands."""
+    noise: Noise | None = None
+    """Standard deviation of noise on the driver's commands, as a share of the robot's limits: the robot is led astray,
+    and the driver shows the way back. What is recorded are the commands without it."""
     hours: Annotated[Hours, Incidental()] = 1.0
     """Hours of demonstrations; several tasks get the same time, and so do the five situations of handcrafted people."""
     width: Side = 64
@@ -630,8 +668,8 @@ class DaggerConfig(TrainConfig):
 class EnvConfig(ScenarioConfig):
     """A scenario as an environment of reinforcement learning: what the agent sees, and what it is rewarded for."""
 
-    dynamics: Literal["mjx", "twin"] = "twin"
-    """How the robot moves: twin, its closed form, or mjx."""
+    dynamics: Literal["mjx", "twin", "kinematic"] = "twin"
+    """How the robot moves: twin, its closed form, mjx, or kinematic, without inertia as in SEAN 2.0."""
     observations: Observations = tuple(Named(kind=name) for name in OBSERVED)
     """What the agent sees: terms of `sean list`, and further ones."""
     rewards: Rewards = (Named(kind="default"),)
@@ -648,6 +686,9 @@ class ReinforcementConfig(EnvConfig):
 
     method: Annotated[str, Positional(), Incidental()]
     """How."""
+    environment: Text = "warehouse"
+    """Physical environment: a name, or the folder of your own; several, separated by commas, share the scenarios, and
+    one agent learns in all of them."""
     critic: Annotated[tuple[Component, ...], Family((Named,), "critic_term")] = ()
     """What the critic sees beside the observations, such as people: it does not drive, so it may see anything."""
     scenarios: BatchSize = 64
@@ -678,7 +719,7 @@ class ReinforcementConfig(EnvConfig):
     """Standard deviation of actions at the beginning, 0.5 or that of the pretrained agent by default; they are from -1
     to 1."""
     pool: BatchSize = 1024
-    """Starts of episodes that are drawn beforehand."""
+    """Starts of episodes that are drawn beforehand, in each environment."""
     curriculum: Literal["none", "situations", "regret"] = "none"
     """Which of them are taken more often: none, those of situations in which the agent costs people most, or those from
     which it could do better, among people who behave otherwise in each episode."""
@@ -696,7 +737,7 @@ class ReinforcementConfig(EnvConfig):
     evaluate_every: Annotated[Count, Incidental()] = 50
     """Updates between two evaluations, each with a checkpoint."""
     evaluation_episodes: Annotated[EpisodeCount, Incidental()] = 64
-    """Episodes of an evaluation, in which the agent takes the mean of its actions."""
+    """Episodes of an evaluation, in each environment, in which the agent takes the mean of its actions."""
     seed: Seed = 0
     """The same seed gives the same agent."""
     out: Annotated[Path | None, Incidental()] = None
@@ -714,8 +755,24 @@ class ReinforcementConfig(EnvConfig):
             raise ValueError(f"minibatches: {text}; choose a divisor")
         if self.imitate is not None and self.pretrained is not None:
             raise ValueError(f"imitate: {self.imitate} besides --pretrained {self.pretrained}; choose one")
+        if self.scenarios % len(self.environments):
+            text = f"{self.scenarios} do not spread evenly over {len(self.environments)} environments"
+            raise ValueError(f"scenarios: {text}; take a multiple")
+        if self.curriculum != "none" and len(self.environments) > 1:
+            text = f"{self.curriculum} chooses the starts of one environment, and not of {self.environment}"
+            raise ValueError(f"curriculum: {text}; choose one of the two")
         _ = self.agents
         return self
+
+    @property
+    def environments(self) -> list[str]:
+        """The environments in which one agent learns."""
+        return listed(self.environment) or [self.environment]
+
+    @property
+    def of_each(self) -> list[Self]:
+        """The description of a training in each of them alone."""
+        return [self.replace(environment=name) for name in self.environments]
 
     @property
     def agents(self) -> list[dict[str, float]]:
@@ -742,8 +799,10 @@ class ReinforcementConfig(EnvConfig):
     @property
     def folder(self) -> Path:
         """The folder for checkpoints and metrics."""
-        names = Path(self.environment).name, Path(self.behavior.kind).stem, str(self.seed)
-        return self.out or Path("runs") / "-".join((self.method, *names))
+        places = (Path(name).name for name in self.environments)
+        return self.out or Path("runs") / "-".join(
+            (self.method, *places, Path(self.behavior.kind).stem, str(self.seed))
+        )
 
 
 class PPOConfig(ReinforcementConfig):
@@ -808,8 +867,9 @@ class ExportConfig(Config):
 class ExperimentConfig(Config):
     """Table I or Figure 4 of the paper, beside its own numbers, as a report. A folder that has a part is continued."""
 
-    which: Annotated[Literal["table1", "figure4"], Positional()]
-    """table1: how much of the time the robot is in each social situation. figure4: four policies in three scenarios."""
+    which: Annotated[Literal["table1", "ablation", "figure4"], Positional()]
+    """table1: how much of the time the robot is in each social situation; ablation: the same with SEAN's conditions one
+    by one. figure4: four policies in three scenarios."""
     quick: bool = False
     """Small enough for a CPU and ten minutes: less time, fewer seeds and episodes, smaller images."""
     environment: Text = "warehouse"
@@ -818,22 +878,32 @@ class ExperimentConfig(Config):
     """Of table1: who drives, separated by commas."""
     demonstrator: Text = "expert"
     """Of figure4: who demonstrates."""
+    others: Text | None = None
+    """Of figure4: further drivers of the same episodes, separated by commas, or none; ppo, ppo_depth and
+    sensing_expert by default, and none with --quick."""
     hours: HoursOfMinutes | None = None
     """Hours for each behavior, 1 by default: of each seed in table1, of demonstrations in figure4."""
     seeds: Count | None = None
     """Of table1: how many times, 10 by default."""
+    preset: Literal["sean2"] | None = None
+    """Whose conditions: this package's, or sean2 for those of SEAN 2.0. What is given besides wins."""
     speeds: Annotated[tuple[WalkingSpeed, ...], Field(min_length=1)] = (1.4, 1.2, 1.0, 0.8, 0.6, 0.4)
-    """Of table1: who is faster counts as walking, V in m/s; the first is that of the table."""
+    """Of table1: who is faster counts as walking, V in m/s; the first is that of the table. With preset sean2 the
+    slowest comes first by default."""
     crowds: tuple[People, ...] | None = None
     """Of table1: other numbers of people to try, 10, 20, 40 and 100 by default."""
+    datasets: Count | None = None
+    """Of figure4: datasets of demonstrations that each policy learns from, each by itself, 10 by default."""
+    trainings: Count | None = None
+    """Of figure4: networks that learn from each dataset, each with a seed of its own, 3 by default."""
     episodes: EpisodeCount | None = None
-    """Of figure4: for each policy in each scenario, 123 by default."""
+    """Of figure4: for each policy in each scenario, 12300 by default; its networks take equal shares of them."""
     people: People | None = None
     """Number of people of random and graph; the environment's own by default (62 in the warehouse)."""
     robot: Part = Named(kind="kuri")
     """Robot: a name, or an MJCF file."""
-    dynamics: Literal["mjx", "twin"] = "mjx"
-    """How the robot moves: mjx, or its closed-form twin, which is faster."""
+    dynamics: Literal["mjx", "twin", "kinematic"] = "mjx"
+    """How the robot moves: mjx, its closed-form twin, faster, or kinematic, without inertia as in SEAN 2.0."""
     time_limit: TimeLimit = 120.0
     """Longest duration of an episode in seconds."""
     epochs: Count | None = None
@@ -852,10 +922,38 @@ class ExperimentConfig(Config):
 
     def complete(self) -> "ExperimentConfig":
         """The description with numbers for what was left open."""
-        full: dict[str, object] = dict(hours=1.0, seeds=10, episodes=123, epochs=1000, crowds=(10, 20, 40, 100))
-        quick: dict[str, object] = dict(hours=0.05, seeds=2, episodes=12, epochs=30, crowds=())
+        full: dict[str, object] = dict(hours=1.0, seeds=10, epochs=1000, crowds=(10, 20, 40, 100))
+        full |= dict(datasets=10, trainings=3, episodes=12_300, others="ppo,ppo_depth,sensing_expert")
+        quick: dict[str, object] = dict(
+            hours=0.05, seeds=2, epochs=30, crowds=(), datasets=1, trainings=1, episodes=12, others="none"
+        )
         missing = {k: v for k, v in (quick if self.quick else full).items() if getattr(self, k) is None}
+        if self.preset == "sean2" and "speeds" not in self.model_fields_set:
+            missing["speeds"] = self.speeds[::-1]
         return self.replace(**missing)
+
+
+class BenchmarkConfig(Config):
+    """Compare a driver with all others on fixed tracks: a table by social situation and a sealed result. A folder that
+    has a part is continued."""
+
+    policy: Annotated[Text, Positional()]
+    """Who drives: a name, the folder that `sean train` or `sean export agent` has written, or FILE.py:NAME."""
+    quick: bool = False
+    """So few episodes that a CPU needs minutes; such a result tells whether a driver works, and ranks nobody."""
+    episodes: EpisodeCount | None = None
+    """Episodes of each track, those of the protocol by default; a result with fewer ranks nobody."""
+    out: Annotated[Path | None, Incidental()] = None
+    """Folder for the result, runs/benchmark-POLICY by default. If it holds a part of the same options, that is
+    continued."""
+    quiet: Annotated[bool, Incidental()] = False
+    """Print nothing but errors."""
+
+    @property
+    def folder(self) -> Path:
+        """Where the result goes."""
+        name = Path(self.policy.replace(":", "-")).name
+        return self.out or Path("runs") / f"benchmark-{name}{'-quick' if self.quick else ''}"
 
 
 class BenchConfig(Config):
@@ -867,8 +965,8 @@ class BenchConfig(Config):
     """Number of people; the environment's own number by default (62 in the warehouse)."""
     robot: Part = Named(kind="kuri")
     """Robot: a name, or an MJCF file."""
-    dynamics: Literal["mjx", "twin"] = "mjx"
-    """How the robot moves: mjx, or its closed-form twin, which is faster."""
+    dynamics: Literal["mjx", "twin", "kinematic"] = "mjx"
+    """How the robot moves: mjx, its closed-form twin, faster, or kinematic, without inertia as in SEAN 2.0."""
     only: Text = "step,depth,images,pictures,crowd,compile,devices"
     """Parts to measure, separated by commas."""
     batches: tuple[BatchSize, ...] = ()
@@ -1002,12 +1100,14 @@ class FitGraphConfig(Config):
 
 
 class DrawConfig(Config):
-    """Draw what people do in the environments: their behavior graphs, or all handcrafted sets."""
+    """Draw what people do in the environments: their behavior graphs, or their handcrafted sets."""
 
     graph: bool = False
     """The behavior graph, with its groups seated."""
     handcrafted: bool = False
     """The handcrafted sets, one panel each."""
+    sets: Text = "all"
+    """Which handcrafted sets, as in sean run."""
     environment: Text | None = None
     """Environment: a name, or the folder of your own; all that come with the package by default."""
     out: Path | None = None
@@ -1047,6 +1147,7 @@ COMMANDS: dict[str, type[Config]] = {
     "calibrate": CalibrateConfig,
     "draw": DrawConfig,
     "import-map": ImportMapConfig,
+    "benchmark": BenchmarkConfig,
     "bench": BenchConfig,
     "validate": ValidateConfig,
     "list": ListConfig,
@@ -1109,6 +1210,50 @@ def gather(
     return data | values
 
 
+def _given(description: Config) -> dict[str, Any]:
+    """The fields of a description that were given, as values."""
+    return {name: getattr(description, name) for name in description.model_fields_set}
+
+
+def fill(model: type[Config], data: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a description with options that were not given. Those of a component hold where it is chosen.
+
+    Args:
+        model: the class of the description.
+        data: fields that were given.
+        options: option -> value, as of a preset.
+
+    Returns:
+        The fields.
+    """
+    full = dict(data)
+    behavior = _as_mapping(full.get("behavior")) or {}
+    for option, value in options.items():
+        if option == "warm_up" and behavior.get("kind") == "playback":
+            continue  # a recording begins with its own people
+        if option in model.model_fields:
+            full.setdefault(option, value)
+            continue
+        for name, field in model.model_fields.items():
+            family = family_of(field)
+            part = _as_mapping(full.get(name, field.get_default()))
+            if family is None or part is None or not isinstance(part.get("kind"), str) or is_own_part(part["kind"]):
+                continue
+            variant = family.variant(part["kind"])
+            if variant is not None and option in variant.model_fields:
+                full[name] = {option: value, **part}
+    return full
+
+
+def _as_mapping(part: Any) -> dict[str, Any] | None:
+    """What was said of a component; None if that is no component, or a value."""
+    if isinstance(part, Component) and not isinstance(part, Value):
+        return {**_given(part), "kind": part.kind}
+    if isinstance(part, str):
+        return {"kind": part}
+    return dict(part) if isinstance(part, Mapping) else None
+
+
 def _with_options(
     name: str, chosen: Any, default: object, options: dict[str, object], family: Family, named: Callable[[str], str]
 ) -> Any:
@@ -1119,10 +1264,7 @@ def _with_options(
             chosen = family.kinds[0]
     elif chosen is None:
         chosen = default
-    if isinstance(chosen, Component) and not isinstance(chosen, Value):
-        chosen = {key: getattr(chosen, key) for key in type(chosen).model_fields}
-    if isinstance(chosen, str):
-        chosen = {"kind": chosen}
+    chosen = _as_mapping(chosen) or chosen
     kind = chosen.get("kind") if isinstance(chosen, Mapping) else None
     owners = family.options()
     variant = family.variant(kind) if isinstance(kind, str) else None

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from sean_jax import presets
 from sean_jax.config import (
     Component,
     Config,
@@ -178,20 +179,22 @@ def read(model: type[Described], given: object, base: Mapping[str, object] | Non
     words = {name: value for name, value in vars(given).items() if value is not None and name != "config"}
     switches = {name for name, value in words.items() if value is False}  # which are off by default
     data = dict(base or {})
+    preset = words.get("preset", data.get("preset"))
     for name, field in model.model_fields.items():
         family = family_of(field)
         if family is not None and family.singular is not None:
-            _add(data, name, field.default, words.pop(name, None), words.pop(family.singular, []))
+            default = presets.usual(preset, name, ",".join(each.kind for each in field.default))
+            _add(data, name, default, words.pop(name, None), words.pop(family.singular, []))
     words = {name: value for name, value in words.items() if name not in switches}
     return validate(model, gather(model, words, data, flag), flag)
 
 
-def _add(data: dict, name: str, default: tuple, chosen: str | None, further: Sequence[str]) -> None:
+def _add(data: dict, name: str, default: str, chosen: str | None, further: Sequence[str]) -> None:
     """Put the parts of a field with several together."""
     if chosen is not None:
         data[name] = listed(chosen)
     if further:
-        data[name] = [*data.get(name, [each.kind for each in default]), *further]
+        data[name] = [*data.get(name, listed(default)), *further]
 
 
 def command(word: str, config: Config) -> str:

@@ -27,6 +27,7 @@ USES = (
     "table1",  # chains of episodes
     "table1 starts",  # what they restart from
     "figure4",  # episodes in which its policies are measured
+    "benchmark",  # episodes of `sean benchmark`
     "bench",
     "bench starts",
     "fit-graph",  # people to fit a graph to, and to judge it by

@@ -177,7 +177,8 @@ class Runner:
         counted = jnp.ones((self.size,), bool)
         with _uncollected():
             traced = self._draw.trace(self._fixed, seed, numbers, index)
-        starting = _Compiling(traced.lower(), ONCE.get(jax.default_backend(), {}))
+        quickly = ONCE.get(jax.default_backend(), {}) if self.scenarios[0].warm_up == 0.0 else {}
+        starting = _Compiling(traced.lower(), quickly)
         watch.compiling(f"compiling the starts, tracing {self.chunk} steps of {self.size} episodes")
         with _uncollected():
             lowered = self._advance.lower(self._fixed, traced.out_info, index, counted)

@@ -1,18 +1,24 @@
 """A scenario (section IV-B) as three functions: reset, step and observe."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from sean_jax import clock, prng
 from sean_jax import navigation as paths
-from sean_jax.base import Array, Moment, Observation, Scenario, State, Trajectory
+from sean_jax.base import Array, Groups, Moment, Observation, Pedestrians, Scenario, State, Trajectory
 from sean_jax.geometry import length, rotate
+
+NOWHERE = 1e4  # m, where the robot is while people warm up
+WARM_UP = 1  # folded into the key of an episode for what follows its warm-up
 
 
 def reset(scenario: Scenario, key: Array) -> State:
     """The state before the first step: people at their starts, then a task for the robot among them.
+
+    People walk for ``scenario.warm_up`` seconds before there is a robot.
 
     Args:
         scenario: what is simulated.
@@ -25,6 +31,56 @@ def reset(scenario: Scenario, key: Array) -> State:
     """
     people_key, task_key, streams_key = jax.random.split(key, 3)
     pedestrians, groups, memory = scenario.behavior.reset(scenario, people_key)
+    state = _begin(scenario, pedestrians, groups, memory, task_key, streams_key)
+    if clock.ceil_ticks(scenario.warm_up, scenario.time_step) == 0:
+        return state
+    return next_task(scenario, warm_up(scenario, state), jax.random.fold_in(key, WARM_UP))
+
+
+def next_task(scenario: Scenario, state: State, key: Array) -> State:
+    """The first state of the robot's next task, in the crowd as it is: SEAN 2.0's tasks follow one another so.
+
+    The robot is put at the start of that task, and time and metrics begin anew. The memory of a policy is begun by
+    ``episodes.init_policy``. People of a recording begin at their first moment again.
+
+    Args:
+        scenario: what is simulated.
+        state: any.
+        key: () typed PRNG key, from which all further chance comes.
+
+    Returns:
+        The first state of the task.
+    """
+    task_key, streams_key = jax.random.split(key)
+    return _begin(scenario, state.pedestrians, state.groups, state.memory, task_key, streams_key)
+
+
+def warm_up(scenario: Scenario, state: State) -> State:
+    """The state after people have walked for ``scenario.warm_up`` seconds without a robot.
+
+    Args:
+        scenario: what is simulated.
+        state: the first of an episode.
+
+    Returns:
+        The state with people as they are then; the robot is far away.
+    """
+    nowhere = jnp.full(2, NOWHERE, state.robot.position.dtype)
+    state = replace(state, robot=scenario.robot.place(scenario.robot, nowhere, state.robot.heading))
+
+    def one(state: State, _: None) -> tuple[State, None]:
+        key = jax.random.fold_in(state.streams.people, state.tick)
+        after = move_pedestrians(scenario, direct_pedestrians(scenario, state, key))
+        return replace(after, tick=state.tick + 1), None
+
+    ticks = clock.ceil_ticks(scenario.warm_up, scenario.time_step)
+    return jax.lax.scan(one, state, length=ticks)[0]
+
+
+def _begin(
+    scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, task_key: Array, streams_key: Array
+) -> State:
+    """The first state of a task among those people."""
     task = scenario.task(scenario, pedestrians, groups, memory, task_key)
     path = task.start, task.start_heading, task.goal, task.paths_to_goal
     task = replace(task, path_rotation=paths.path_rotation(scenario.navigation, *path))

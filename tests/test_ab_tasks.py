@@ -103,7 +103,7 @@ def test_custom_task_is_the_one_given():
     scenario = sean_jax.make(
         behavior="random", task="custom", people=4, dynamics="twin", start=(0.0, 17.0, 90.0), goal=(0.0, -17.0)
     )
-    state = sean_jax.reset(scenario, jax.random.key(0))
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
     np.testing.assert_allclose(np.asarray(state.robot.position), [0.0, 17.0])
     np.testing.assert_allclose(np.asarray(state.robot.heading), [0.0, 1.0], atol=1e-6)
     np.testing.assert_allclose(np.asarray(state.task.goal_heading), [0.0, -1.0], atol=1e-6)
@@ -146,3 +146,26 @@ def test_custom_is_refused_as_one_of_several_tasks(busy):
     with pytest.raises(ValueError, match="needs a start and a goal"):
         nothing: Any = None
         TASKS["custom"](busy, nothing, nothing, nothing, nothing)
+
+
+def test_without_a_longest_distance_all_places_that_can_be_reached_are_drawn(tmp_path):
+    """As in SEAN 2.0, near ones and far ones; never one behind walls, whose distance is infinite as well."""
+    (tmp_path / "environment.yaml").write_text("name: halls\nfloor: [0, 0, 60, 10]\npeople: 1\n")
+    walls = '<geom type="box" size=".1 5 1" pos="30 5 1"/>'
+    (tmp_path / "scene.xml").write_text(f"<mujoco><worldbody>{walls}</worldbody></mujoco>")
+    common: Any = dict(behavior="random", task="random_ab_nav", people=1, dynamics="twin")
+    scenario = sean_jax.make(tmp_path, task_distance=(0.0, np.inf), **common)
+    both = scenario.replace(
+        navigation=scenario.navigation.replace(places=jnp.tile(jnp.asarray([[5.0, 5.0], [55.0, 5.0]]), (9, 1)))
+    )
+
+    def one(scenario, key):
+        people, groups, memory = scenario.behavior.reset(scenario, key)
+        return scenario.task(scenario, people, groups, memory, key)
+
+    tasks = jax.jit(jax.vmap(one, (None, 0)))(scenario, jax.random.split(jax.random.key(0), 256))
+    walk = np.asarray(tasks.geodesic)
+    assert np.isfinite(walk).all() and walk.min() < 3.0 and walk.max() > 22.0
+    with jax.debug_nans(True):
+        tasks = jax.jit(jax.vmap(one, (None, 0)))(both, jax.random.split(jax.random.key(0), 32))
+    np.testing.assert_allclose(tasks.start, tasks.goal)  # the other place is behind the wall

@@ -1,5 +1,6 @@
 """The benchmark programs run, at toy size, and print the table that they promise."""
 
+import argparse
 import importlib
 import json
 import subprocess
@@ -101,6 +102,34 @@ def test_causes(tmp_path):
     join, leave = (line.split() for line in lines[-2:])
     assert join == ["join_group", "0", "of", "2", "0.0", "0.00"]
     assert leave == ["leave_group", "1", "of", "2", "97.0", "1.00"]
+
+
+def test_curriculum(tmp_path, capsys):
+    """The worst situation is the one with the most violations a minute, and what is said follows the intervals."""
+    program = importlib.import_module("curriculum")
+    names, minutes = ["overall", "often", "seldom", "never"], np.tile([1.0, 0.5, 0.25, 0.0], (40, 1))
+
+    def episodes(often: float, seldom: float) -> dict:
+        events = np.zeros((40, 4))
+        events[: round(40 * often), 1] = events[: round(40 * seldom), 2] = 1.0
+        events[:, 0] = events.sum(1)
+        return {"violations": events, "minutes": minutes, "completed": np.ones(40)}
+
+    before = episodes(0.5, 0.5)
+    assert program.worst_situation(names, before) == 2  # as many violations in half the time
+    with pytest.raises(SystemExit, match="nothing to mend"):
+        program.worst_situation(names, episodes(0.0, 0.0))
+    chosen = argparse.Namespace(episodes=40, seeds=2, curriculum="situations", out=tmp_path)
+    trained = {"none": [episodes(0.5, 0.1)] * 2, "situations": [episodes(0.5, 0.0), episodes(0.5, 0.2)]}
+    program.report(chosen, names, 2, {"before": [before]} | trained)
+    lines = capsys.readouterr().out.splitlines()
+    row = next(line for line in lines if line.startswith("seldom *"))
+    assert [part.split()[-1] for part in row.split("(")[:-1]] == ["2.00", "0.40", "0.40", "-1.60", "+0.00"]
+    said = "fewer violations than before, no decided difference from without a curriculum"
+    assert lines[-2] == f"seldom after training with curriculum situations: {said}"
+    kept = json.loads((tmp_path / "situations.json").read_text())
+    assert kept["worst"] == "seldom" and kept["situations"]["by seed"] == pytest.approx([0.0, 0.8])
+    assert (tmp_path / "situations.png").stat().st_size > 0
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py")))

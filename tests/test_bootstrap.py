@@ -8,7 +8,7 @@ import scipy.stats
 
 import sean_jax
 from sean_jax.experiments import shares
-from sean_jax.metrics import aggregate, aggregate_ratio, interval, resamples
+from sean_jax.metrics import aggregate, aggregate_ratio, bootstrap, interval, resamples
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +52,24 @@ def test_ratio_equals_scipys():
     np.testing.assert_allclose([found.low, found.high], tuple(theirs.confidence_interval), atol=noise)
 
 
+def test_hierarchical_interval_is_that_of_the_variance_of_each_level():
+    """Of a mean over 60 groups of 4 groups of 10 episodes, which differ by 1.0, 0.6 and 2.0 each."""
+    random, sizes = np.random.default_rng(3), (60, 4, 10)
+    values = random.normal(0, 1.0, (60, 1, 1)) + random.normal(0, 0.6, (60, 4, 1)) + random.normal(0, 2.0, sizes)
+    weights = bootstrap.hierarchical_resamples(sizes)
+    assert weights.shape == (2000, 2400) and (weights.sum(1) == 2400).all()
+    found = aggregate(values.reshape(-1), weights=weights)
+    half = 1.96 * np.sqrt(values.mean((1, 2)).var(ddof=1) / 60)  # what lies below is in the spread of the 60 means
+    assert found.high - found.low == pytest.approx(2 * half, rel=0.25)
+    flat = aggregate(values.reshape(-1))
+    assert flat.high - flat.low < 0.75 * (found.high - found.low)
+
+
+def test_one_group_of_episodes_is_the_plain_bootstrap():
+    one = bootstrap.hierarchical_resamples((1, 1, 50), seed=4, count=3000)
+    assert one.var() == pytest.approx(1 - 1 / 50, rel=0.05) and (one.sum(1) == 50).all()
+
+
 def test_interval_of_a_ratio_is_that_of_the_delta_method():
     """The error of a / b is that of the mean of (a - r b) / mean(b), r the ratio."""
     random = np.random.default_rng(6)
@@ -77,12 +95,12 @@ def test_shares_of_table_1_have_the_intervals_of_their_blocks():
     block = np.random.default_rng(8).uniform(size=(400, 1, 5)) < [0.1, 0.2, 0.3, 0.4, 0.5]
     found = shares.count(np.broadcast_to(block, (400, 60, 5)))
     share = block.mean((0, 1))
-    np.testing.assert_allclose(found.multi[0], share, rtol=1e-12)
+    np.testing.assert_allclose(found.examples[0], share, rtol=1e-12)
     half = 1.96 * np.sqrt(share * (1 - share) / 400)
-    np.testing.assert_allclose(shares.interval(found.multi), [share - half, share + half], atol=0.12 * half.max())
+    np.testing.assert_allclose(shares.interval(found.examples), [share - half, share + half], atol=0.12 * half.max())
     by_aggregate = aggregate(block[:, 0].astype(float))
-    np.testing.assert_allclose(shares.interval(found.multi), [by_aggregate.low, by_aggregate.high], rtol=1e-9)
-    assert found.examples == 24_000 and found.none == pytest.approx((~block.any(-1)).mean())
+    np.testing.assert_allclose(shares.interval(found.examples), [by_aggregate.low, by_aggregate.high], rtol=1e-9)
+    assert found.seconds == 24_000 and found.none[0] == pytest.approx((~block.any(-1)).mean())
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():

@@ -26,6 +26,7 @@ REGRET = Plan("regret", memory=1.0, mutated=1.0)
 begin = jax.jit(curricula.init, static_argnums=(1, 3))
 observe = jax.jit(curricula.observe, static_argnums=1)
 refill = jax.jit(curricula.refill, static_argnums=1)
+step = jax.jit(Env.step)
 
 
 @pytest.fixture(scope="module")
@@ -75,17 +76,19 @@ def test_a_start_of_no_weight_is_never_taken():
     assert (np.asarray(weights)[np.asarray(found)] > 0).all() and len(np.unique(found)) > 1900
 
 
-def test_episodes_know_their_start(env, by_regret):
-    assert np.asarray(jax.eval_shape(lambda: env.with_pool(jax.random.key(1), 4)).pool.weights.shape) == (4,)
-    pooled = replace(env, pool=replace(by_regret.pool, weights=jnp.zeros(SIZE).at[2].set(1.0)))
-    _, state = jax.jit(Env.reset)(pooled, jax.random.key(2))
-    assert int(state.start) == -1
-    step = jax.jit(Env.step)
+@pytest.fixture(scope="module")
+def pooled(env, by_regret):
+    """The environment whose episodes all begin with start 2."""
+    return replace(env, pool=replace(by_regret.pool, weights=jnp.zeros(SIZE).at[2].set(1.0)))
+
+
+def test_episodes_know_their_start(env, pooled):
+    state = jax.tree.map(lambda leaf: leaf[7], pooled.pool.states)
     told = []
     for tick in range(31):
         _, state, _, _, over, info = step(pooled, jax.random.key(tick), state, jnp.zeros(2))
         told.append(int(info["start"]))
-    assert told == [-1] * 30 + [2] and int(state.start) == 2
+    assert told == [7] * 30 + [2] and int(state.start) == 2
     for name, value in state.randomization.items():
         np.testing.assert_array_equal(value, pooled.pool.states.randomization[name][2])
 
@@ -93,10 +96,9 @@ def test_episodes_know_their_start(env, by_regret):
 # ------------------------------------------------------------------ people who behave otherwise
 
 
-def test_randomized_people(env):
+def test_randomized_people(env, pooled):
     """As many are there as is said, they are as fast as is said, and reset and step are as of any episode."""
-    keys = jax.random.split(jax.random.key(3), 32)
-    _, states = jax.jit(jax.vmap(env.reset))(keys)
+    states = pooled.pool.states
     drawn, people = states.randomization, states.simulation.pedestrians
     share = np.asarray(drawn["people"])
     assert share.min() >= 0.2 and share.max() <= 1.0 and share.std() > 0.1
@@ -112,13 +114,16 @@ def test_randomized_people(env):
     walking = env.scenario.forces.walking
     assert np.corrcoef(factor, speed)[0, 1] > 0.9
     assert (np.asarray(people.preferred_speed) <= factor[:, None] * float(walking.speed_max) + 1e-5).all()
-    assert drawn["waypoints"].shape == (32, env.scenario.behavior.data.graph.waypoints.shape[0])
-    after = jax.jit(jax.vmap(lambda state: jax.lax.fori_loop(
-        0, 20, lambda _, each: env.advance(each, jnp.array([0.5, 0.1]))[0], state)))(states)  # fmt: skip
-    leaves = jax.tree.leaves((after.simulation.pedestrians, after.simulation.robot))
-    assert all(np.isfinite(np.asarray(leaf, float)).all() for leaf in leaves)
-    assert (np.asarray(after.simulation.pedestrians.group)[absent] == -1).all()
-    assert (np.asarray(after.simulation.memory.seat)[absent] == -1).all()
+    assert drawn["waypoints"].shape == (SIZE, env.scenario.behavior.data.graph.waypoints.shape[0])
+    for row in range(0, SIZE, 2):
+        state = jax.tree.map(lambda leaf, row=row: leaf[row], states)
+        for tick in range(20):
+            state = step(pooled, jax.random.key(tick), state, jnp.array([0.5, 0.1]))[1]
+        assert int(state.start) == row  # the same episode still
+        leaves = jax.tree.leaves((state.simulation.pedestrians, state.simulation.robot))
+        assert all(np.isfinite(np.asarray(leaf, float)).all() for leaf in leaves)
+        assert (np.asarray(state.simulation.pedestrians.group)[absent[row]] == -1).all()
+        assert (np.asarray(state.simulation.memory.seat)[absent[row]] == -1).all()
 
 
 def test_every_parameter_changes_its_scenario(env):

@@ -25,15 +25,49 @@ def test_the_driver_drives_and_the_other_labels():
     scenario = sean_jax.make("lab", behavior="random", people=3, dynamics="twin")
     helper = sean_jax.POLICIES["go_to_goal"]
     both = labels.labelled(spin, helper)
-    state = episodes.init_policy(scenario, both, sean_jax.reset(scenario, jax.random.key(0)))
-    step = jax.jit(lambda state: episodes.policy_step(scenario, both, state)[0])
-    alone = jax.jit(lambda state: sean_jax.step(scenario, state, jnp.array([0.1, 0.5])))
-    wanted = jax.jit(lambda state: helper(scenario, state, jax.random.key(0)))
+
+    @jax.jit
+    def begin(key):
+        return episodes.init_policy(scenario, both, sean_jax.reset(scenario, key))
+
+    @jax.jit
+    def step(state):
+        alone = sean_jax.step(scenario, state, jnp.array([0.1, 0.5]))
+        return episodes.policy_step(scenario, both, state)[0], alone, helper(scenario, state, jax.random.key(0))
+
+    state = begin(jax.random.key(0))
     for _ in range(5):
-        after = step(state)
-        np.testing.assert_allclose(after.robot.position, alone(state).robot.position, atol=1e-6)
-        np.testing.assert_allclose(labels.label(after), wanted(state), atol=1e-6)
+        after, alone, wanted = step(state)
+        np.testing.assert_allclose(after.robot.position, alone.robot.position, atol=1e-6)
+        np.testing.assert_allclose(labels.label(after), wanted, atol=1e-6)
         state = after
+
+
+def test_a_disturbed_driver_is_led_astray_and_its_own_command_is_the_label():
+    scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", sensors=())
+    helper = sean_jax.POLICIES["go_to_goal"]
+    noisy = labels.disturbed(helper, 0.2)
+
+    @jax.jit
+    def commands(key):
+        state = episodes.init_policy(scenario, noisy, sean_jax.reset(scenario, key))
+
+        def one(state, _):
+            after, action = episodes.policy_step(scenario, noisy, state)
+            return after, (action, labels.label(after), helper(scenario, state, jax.random.key(0)))
+
+        return jax.lax.scan(one, state, length=40)[1]
+
+    given, label, wanted = jax.vmap(commands)(jax.random.split(jax.random.key(1), 64))
+    np.testing.assert_allclose(label, wanted, atol=1e-5)
+    noise = np.asarray(given - label)[:, 20:] / np.array([scenario.robot.max_speed, scenario.robot.max_turn_rate])
+    np.testing.assert_allclose(noise.std((0, 1)), 0.2, rtol=0.15)
+    alike = (noise[:, 1:] * noise[:, :-1]).mean((0, 1)) / noise.var((0, 1))
+    np.testing.assert_allclose(alike, np.exp(-0.1 / labels.NOISE_TIME), atol=0.06)
+    both = labels.labelled(noisy, spin)
+    state = jax.jit(lambda key: episodes.init_policy(scenario, both, sean_jax.reset(scenario, key)))(jax.random.key(2))
+    after = jax.jit(lambda state: episodes.policy_step(scenario, both, state)[0])(state)
+    np.testing.assert_allclose(labels.label(after), [0.1, 0.5])
 
 
 def test_several_datasets_are_read_as_one(tmp_path):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import devices, episodes, learning, prng
+from sean_jax import devices, episodes, learning
 from sean_jax.base import Policy
 from sean_jax.policies import go_to_goal
 
@@ -142,13 +142,22 @@ def test_a_driver_remembers_its_episode_and_no_other(short):
     np.testing.assert_array_equal(counted, [*np.arange(2.0, 22.0, 2.0), 2.0, 4.0])
 
 
-def test_a_running_episode_is_left_alone(starts):
-    state = dataclasses.replace(
-        jax.tree.map(lambda leaf: leaf[1], starts.starts), streams=prng.streams(jax.random.key(9))
-    )
+def test_a_running_episode_is_left_alone(short):
+    """Every leaf of it, where all starts have other values."""
+    shapes = jax.eval_shape(lambda key: episodes.reset_pool(short, key, 5), jax.random.key(0))
+
+    def filled(leaf, value):
+        if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            return jax.random.split(jax.random.key(value), leaf.shape)
+        return jnp.full(leaf.shape, value, leaf.dtype)
+
+    starts = jax.tree.map(lambda leaf: filled(leaf, 1), shapes)
+    state = jax.tree.map(lambda leaf: filled(leaf, 0)[1], shapes.starts)  # of zeros: neither completed nor timed out
     after = jax.jit(episodes.autoreset)(starts, state)
     same = jax.tree.map(lambda old, new: jnp.array_equal(jax_data(old), jax_data(new)), state, after)
     assert all(jax.tree.leaves(same))
+    after = jax.jit(episodes.autoreset)(starts, dataclasses.replace(state, timed_out=jnp.ones((), bool)))
+    assert (after.pedestrians.position == 1.0).all() and bool((after.robot.position == 1.0).all())
 
 
 def jax_data(leaf):
@@ -176,13 +185,13 @@ SMALL += " --minibatches 2 --epochs 1 --width 4 --pool 4 --steps 64 --evaluate-e
 SMALL += " --observations goal,speeds --rewards progress,time --metrics mean_speed"
 
 
-def train(folder, last, number=None, port=0):
+def train(folder, last, number=None, port=0, more=(), count=2):
     """Four updates, or until Ctrl-C in update ``last``, alone on two devices or as a process of two with one each."""
     flags = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"  # compiles in half the time
     environment = {**os.environ, "JAX_PLATFORMS": "cpu", "XLA_FLAGS": flags}
-    words = ["train", "ppo", *SMALL.split(), "--out", str(folder)]
+    words = ["train", "ppo", *SMALL.split(), "--out", str(folder), *more]
     if number is None:
-        environment["XLA_FLAGS"] += " --xla_force_host_platform_device_count=2"
+        environment["XLA_FLAGS"] += f" --xla_force_host_platform_device_count={count}"
     else:  # as SLURM starts them
         environment |= {"SLURM_JOB_ID": "1", "SLURM_STEP_NODELIST": "127.0.0.1", "SLURM_NTASKS": "2"}
         environment |= {"SLURM_PROCID": str(number), "SLURM_LOCALID": "0", "JAX_COORDINATOR_PORT": str(port)}
@@ -218,3 +227,20 @@ def test_two_processes_train_as_one_with_two_devices(tmp_path):
         assert one == pytest.approx(other, rel=1e-3, abs=1e-5)
     driver = learning.load(both, sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=2.0))
     assert driver.name == "both"  # one process reads what two have written
+
+
+@pytest.mark.slow
+def test_several_environments_on_two_devices_are_those_on_one(tmp_path):
+    cell = tmp_path / "cell"
+    cell.mkdir()
+    (cell / "environment.yaml").write_text("name: cell\nfloor: [0, 0, 8, 6]\npeople: 1\n")
+    (cell / "scene.xml").write_text("<mujoco><worldbody/></mujoco>")
+    more = ("--environment", f"lab,{cell}")
+    told = [train(tmp_path / str(count), 0, more=more, count=count) for count in (1, 2)]
+    assert [(process.communicate(timeout=600), process.returncode)[1] for process in told] == [0, 0]
+    for one, other in zip(curve(tmp_path / "1"), curve(tmp_path / "2"), strict=True):
+        assert one == pytest.approx(other, rel=1e-3, abs=1e-5)
+    refused = train(tmp_path / "4", 0, more=more, count=4)
+    assert "4 do not spread evenly over 4 devices in 2 environments; take a multiple" in " ".join(
+        refused.communicate(timeout=600)[1].split()
+    )

@@ -22,6 +22,7 @@ MODELS: dict[str, type[pydantic.BaseModel]] = {
     "`nodes.NAME`": graph.Node,
     "`edges[]`": graph.Edge,
     "`handcrafted.yaml`": handcrafted.Annotation,
+    "`further.NAME`": handcrafted.Collection,
     "`sets.NAME`": handcrafted.Set,
     "`walkers[]`": handcrafted.Walkers,
     "`groups.NAME`": handcrafted.Group,

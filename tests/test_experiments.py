@@ -17,11 +17,11 @@ from sean_jax import cli, episodes, prng, writing
 from sean_jax.base import as_policy
 from sean_jax.config import CollectConfig, ExperimentConfig, validate
 from sean_jax.errors import IncompleteError, InputError
-from sean_jax.experiments import figure4, rollouts, shares, table1, together
+from sean_jax.experiments import ablation, figure4, rollouts, shares, table1, together
 from sean_jax.experiments.shares import BEHAVIORS
 from sean_jax.learning.protocol import streams
 from sean_jax.metrics import METRICS
-from sean_jax.policies import go_to_goal
+from sean_jax.policies import POLICIES, go_to_goal
 from sean_jax.runner import Runner
 from sean_jax.scenario import results
 
@@ -34,16 +34,20 @@ def test_entropy_is_that_of_the_papers_rows():
     assert shares.normalised_entropy(np.array([0.0, 0, 0, 0, 3])) == 0 == shares.normalised_entropy(np.zeros(5))
 
 
-def test_both_ways_of_counting():
+def test_ways_of_counting():
     flags = np.zeros((2, 4, 5), bool)
     flags[0, 0, :2] = True  # cross and down path together
     flags[0, 1, 4] = flags[0, 2, 4] = flags[1, 0, 4] = True
     found = shares.count(flags)
-    np.testing.assert_allclose(found.multi[0], [1 / 8, 1 / 8, 0, 0, 3 / 8])
-    np.testing.assert_allclose(found.exclusive[0], [1 / 16, 1 / 16, 0, 0, 3 / 8])
-    assert found.examples == 8 and found.none == 0.5
-    low, high = shares.interval(found.multi)
-    assert (low <= found.multi[0]).all() and (found.multi[0] <= high).all()
+    each = np.array([1, 1, 0, 0, 3])
+    for counting, whole in {"flags": 5, "flags_and_none": 9, "examples": 8, "situated_examples": 4}.items():
+        np.testing.assert_allclose(found.of(counting)[0], each / whole)
+    assert set(shares.COUNTINGS) == {"flags", "flags_and_none", "examples", "situated_examples"}
+    assert found.seconds == 8 and found.none[0] == 0.5
+    low, high = shares.interval(found.examples)
+    assert (low <= found.examples[0]).all() and (found.examples[0] <= high).all()
+    nothing = shares.count(np.zeros((2, 4, 5), bool))
+    assert all(np.all(nothing.of(counting) == 0.0) for counting in shares.COUNTINGS) and np.all(nothing.none == 1.0)
 
 
 def test_intervals_hold_what_they_promise():
@@ -53,7 +57,7 @@ def test_intervals_hold_what_they_promise():
     for seed in range(100):
         flags = np.zeros((60, 60, 5), bool)
         flags[..., 4] = (random.random(60) < 0.3)[:, None]  # a whole minute at a time
-        low, high = shares.interval(shares.count(flags, seed).multi)
+        low, high = shares.interval(shares.count(flags, seed).examples)
         inside.append(low[4] <= 0.3 <= high[4])
     assert 88 <= sum(inside) <= 100
 
@@ -61,7 +65,7 @@ def test_intervals_hold_what_they_promise():
 def row(*percent: float) -> shares.Shares:
     """Of a behavior known exactly."""
     samples = np.repeat(np.array([percent]) / 100, 3, axis=0)
-    return shares.Shares(samples, samples, 0.0, 100)
+    return shares.Shares(samples, np.zeros(3), 100)
 
 
 def test_the_papers_own_table_has_the_papers_orderings():
@@ -88,7 +92,7 @@ def test_claims_of_figure_4():
     values = {p: {b: cell(waits[p], harms[b], 0.9) for b in BEHAVIORS} for p in waits}
     by = {p: {b: np.tile([1.0, 1.0, 0.2, 0.2, 0.1], (10, 1)) for b in BEHAVIORS} for p in waits}
     by["B"] = {b: np.full((10, 5), 0.1) for b in BEHAVIORS}
-    found = Results(tuple(waits), 10, values, by, {})
+    found = Results(tuple(waits), (1, 1, 10), values, by, {})
     told = claims(found)
     assert all(each["holds"] and each["share"] == 1.0 for each in told)
     values["G"] = {b: cell(30.0, harms[b], 0.5) for b in BEHAVIORS}
@@ -102,11 +106,11 @@ def test_claims_of_figure_4():
     some = {name: each.copy() for name, each in values["G"]["graph"].items()}
     some["completed"], some["time_not_moving"] = np.repeat([1.0, 0.0], 5), np.repeat([2.0, 90.0], 5)
     values["G"] = {b: some for b in BEHAVIORS}
-    found = Results(tuple(waits), 10, values, by, {})
+    found = Results(tuple(waits), (1, 1, 10), values, by, {})
     assert found.cells["G"]["graph"]["time_not_moving"].mean == pytest.approx(46.0)
     assert found.waiting["G"]["graph"].mean == pytest.approx(2.0), "of the completed alone"
     some["completed"][:] = 0.0
-    assert Results(tuple(waits), 10, values, by, {}).waiting["G"]["graph"].episodes == 0
+    assert Results(tuple(waits), (1, 1, 10), values, by, {}).waiting["G"]["graph"].episodes == 0
 
 
 def test_balanced_odds_make_situations_equally_frequent():
@@ -245,7 +249,7 @@ def test_numbered_episodes_are_those_of_their_streams():
     kinds = [dataclasses.replace(kind, metrics=metrics) for kind in streams(asked).values()]
     told = []
     runner = Runner(kinds, go_to_goal, figure4._even(7, 5), "figure4")
-    found = figure4._measure(runner, 3, 7, told.append)
+    found = figure4._measure(runner, 3, 0, 7, told.append)
     assert len(found["seconds"]) == 7 and 0 < found["seconds"].min() and found["seconds"].max() <= 3.0 + 1e-3
     assert told == sorted(told) and told[-1] <= 1.0
 
@@ -286,13 +290,13 @@ def test_table1(tmp_path, monkeypatch):
     given = [*SMALL, "--hours", "0.0167", "--seeds", "1", "--policies", "go_to_goal", "--out", str(out)]
     assert cli.main(["experiment", "table1", *given]) == 0
     text = (out / "report.html").read_text(encoding="utf-8")
-    assert "66.44" in text and "src=" not in text and "http" not in text.replace("http://www.w3.org", "")
+    assert "62.90" in text and "src=" not in text and "http" not in text.replace("http://www.w3.org", "")
     rows = [line.split(",") for line in (out / "shares.csv").read_text(encoding="utf-8").splitlines()[1:]]
     groups = [float(r[6]) for r in rows if r[1] == "random" and r[5] in ("join_group", "leave_group")]
     assert groups and not any(groups)
     # Who walks more slowly counts as well at a lower V, so cross path cannot get rarer.
     cross = {
-        b: [float(r[6]) for r in rows if r[1] == b and r[4] == "multi" and r[5] == "cross_path"] for b in BEHAVIORS
+        b: [float(r[6]) for r in rows if r[1] == b and r[4] == "examples" and r[5] == "cross_path"] for b in BEHAVIORS
     }
     for values in cross.values():
         assert len(values) == 6 and all(one <= other + 1e-9 for one, other in zip(values, values[1:], strict=False))
@@ -311,21 +315,100 @@ def test_figure4(tmp_path, monkeypatch):
     monkeypatch.setattr(together, "workers", lambda: 4)
     out = tmp_path / "figure4"
     given = [*SMALL, "--hours", "0.0167", "--episodes", "5", "--epochs", "2", "--demonstrator", "go_to_goal"]
+    given += ["--trainings", "2", "--others", "still"]
+    monkeypatch.setitem(POLICIES, "still", as_policy(lambda scenario, state, key: jnp.zeros(2)))
     assert cli.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
     rows = [line.split(",") for line in (out / "figure4.csv").read_text(encoding="utf-8").splitlines()[1:]]
-    assert {r[0] for r in rows} == {*"GRHBNE", "B-G", "GRHN"} and {r[1] for r in rows} == {*BEHAVIORS, "mean"}
+    assert {r[0] for r in rows} == {*"GRHBNE", "still", "B-G", "GRHN"} and {r[1] for r in rows} == {*BEHAVIORS, "mean"}
     done = [float(r[3]) for r in rows if r[2] == "completed" and r[1] != "mean" and r[0] != "B-G"]
     means = {r[0]: float(r[3]) for r in rows if r[2] == "completed" and r[1] == "mean"}
     assert means["B-G"] == pytest.approx(means["B"] - means["G"], abs=1e-4)
-    assert len(done) == 18 and all(0 <= value <= 5 for value in done) and max(done) > 0
+    assert len(done) == 21 and all(0 <= value <= 6 for value in done) and max(done) > 0
     episodes = json.loads((out / "episodes-E-handcrafted.json").read_text(encoding="utf-8"))
-    assert len(episodes["completed"]) == 5 and max(episodes["seconds"]) <= 20.0 + 1e-3
+    assert len(episodes["completed"]) == 6 and max(episodes["seconds"]) <= 20.0 + 1e-3
     assert "Figure 4" in (out / "report.html").read_text(encoding="utf-8")
     before = {name: (out / name).read_bytes() for name in ("figure4.csv", "claims.csv")}
-    for missing in ("trained-random.json", "episodes-R-graph.json", "episodes-G-handcrafted.json", *before):
+    for missing in ("trained-random-0-1.json", "episodes-R-graph.json", "episodes-G-handcrafted.json", *before):
         (out / missing).unlink()
-    for missing in ("demonstrations-random", "policy-random"):
+    for missing in ("demonstrations-random-0", "policy-random-0-1"):
         shutil.rmtree(out / missing)
     monkeypatch.setattr(together, "workers", lambda: 1)
     assert cli.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
     assert all((out / name).read_bytes() == content for name, content in before.items())
+
+
+def test_worlds_of_the_ablation_differ_in_one_switch_each():
+    options = ExperimentConfig(which="ablation", environment="lab", quick=True).complete()
+    described = {
+        world: {behavior: ablation.description(options, world, behavior).decisive() for behavior in BEHAVIORS}
+        for world in ablation.WORLDS
+    }
+    default, whole = described["default"], described["sean2"]
+    assert default["graph"]["dynamics"] == "mjx" and whole["graph"]["dynamics"] == "kinematic"
+    for world in ablation.SWITCHES:
+        for behavior in BEHAVIORS:
+            one, usual, all_of_them = described[world][behavior], default[behavior], whole[behavior]
+            changed = [name for name in one if one[name] != usual[name]]
+            within_people = world in ("routing", "members")
+            assert changed == (
+                ["behavior"] if within_people and behavior == "graph" else [] if within_people else [world]
+            )
+            assert within_people or one[world] == all_of_them[world]
+    assert CollectConfig(preset="sean2", behavior="graph", environment="lab", dynamics="mjx").decisive() == {
+        **whole["graph"], "dynamics": "mjx"
+    }  # fmt: skip
+    assert ablation.description(options.replace(dynamics="twin"), "sean2", "graph").dynamics == "twin"
+
+
+def test_further_drivers_of_figure_4():
+    asked = ExperimentConfig(which="figure4")
+    assert figure4.others(asked.complete()) == ["ppo", "ppo_depth", "sensing_expert"]
+    assert figure4.others(asked.replace(quick=True).complete()) == [] == figure4.others(asked.replace(others="none"))
+    assert figure4.others(asked.replace(others="orca,ppo,orca")) == ["orca", "ppo"]
+    with pytest.raises(InputError, match="--others: 'N' is a column of the figure already"):
+        figure4.others(asked.replace(others="N"))
+
+
+def test_the_preset_reaches_both_experiments():
+    for which in ("table1", "figure4"):
+        options = ExperimentConfig(which=which, environment="lab", preset="sean2").complete()
+        assert options.speeds[0] == 0.4 and options.replace(speeds=[1.0]).complete().speeds == (1.0,)
+        asked = table1.description(options, "graph", None)
+        assert (asked.behavior.routing, asked.dynamics, asked.warm_up) == ("edge", "kinematic", 120.0)
+    with pytest.raises(InputError, match="preset: sean2 besides ablation"):
+        ablation.run(ExperimentConfig(which="ablation", preset="sean2"))
+
+
+@pytest.mark.slow
+def test_ablation(tmp_path, monkeypatch):
+    monkeypatch.setattr(ablation, "WORLDS", ("default", "places", "sean2"))
+    out = tmp_path / "ablation"
+    given = [
+        "--environment",
+        "lab",
+        "--quick",
+        "--people",
+        "4",
+        "--time-limit",
+        "20",
+        "--hours",
+        "0.0167",
+        "--seeds",
+        "1",
+    ]
+    given += ["--policies", "go_to_goal", "--quiet", "--out", str(out)]
+    assert cli.main(["experiment", "ablation", *given]) == 0
+    rows = [line.split(",") for line in (out / "ablation.csv").read_text(encoding="utf-8").splitlines()[1:]]
+    assert {row[0] for row in rows} == {"default", "places", "sean2"} and {row[2] for row in rows} == set(BEHAVIORS)
+    flags = {}
+    for world, _, behavior, counting, _, share, low, high in rows:
+        assert float(low) - 1e-6 <= float(share) <= float(high) + 1e-6
+        if counting == "flags":
+            flags[world, behavior] = flags.get((world, behavior), 0.0) + float(share)
+    assert all(total == pytest.approx(1.0, abs=1e-4) for total in flags.values())
+    text = (out / "report.html").read_text(encoding="utf-8")
+    assert all(world in text for world in ("places", "sean2")) and (out / "ablation.png").is_file()
+    before = (out / "ablation.csv").read_bytes()
+    (out / "sean2-graph-go_to_goal.npz").unlink()
+    assert cli.main(["experiment", "ablation", *given]) == 0
+    assert (out / "ablation.csv").read_bytes() == before

@@ -438,12 +438,12 @@ def test_best_velocity_among_half_planes():
 
 
 @slow
-@pytest.mark.parametrize("dynamics", ["twin", "mjx"])
+@pytest.mark.parametrize("dynamics", ["twin", "kinematic", "mjx"])
 def test_the_whole_step(room, dynamics):
     """By the state, the action, and constants of robot and forces."""
     scenario, _ = room
-    if dynamics == "mjx":
-        scenario = scenario.replace(robot=sean_jax.robots.load("kuri"))
+    if dynamics != "twin":
+        scenario = scenario.replace(robot=sean_jax.robots.load("kuri", dynamics))
     constants, with_limits = limits(scenario)
     forces, put = floats(scenario.forces)
     random = np.random.default_rng(6)

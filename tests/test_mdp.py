@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import mdp, registry
+from sean_jax import mdp, prng, registry
 from sean_jax.errors import InputError
 from sean_jax.mdp import REWARDS, Env, delayed, make_env, of_metric, rewards, stacked
 
@@ -99,6 +99,16 @@ def test_episodes_end_and_others_begin(env, episodes):
     assert (moved[~over] == 0).all() and (moved[over] > 0.1).all()
 
 
+def test_random_people_have_no_groups(scenario, episodes):
+    """Nor the situations of groups; ``test_random_behavior`` has long episodes."""
+    _, (*_, after, _, _, _, _, info) = episodes
+    assert (np.asarray(after.simulation.pedestrians.group) == -1).all()
+    assert after.simulation.groups.radius.shape[-1] == 0
+    names = [name for name, _ in scenario.situations]
+    seen = np.asarray(info["situations"])
+    assert not seen[..., [names.index("join_group"), names.index("leave_group")]].any() and seen.any()
+
+
 def test_counted_rewards_add_up_to_the_metrics(env, episodes):
     _, (*_, terminated, truncated, info) = episodes
     for row in range(8):
@@ -155,34 +165,45 @@ def test_commands_are_late(env, episodes):
         assert int(np.argmax(moving[:, row])) == late[row]
 
 
-def test_a_pool_gives_its_starts(env):
-    made = jax.jit(Env.with_pool, static_argnums=2)(env, jax.random.key(1), 4)
-    _, state = jax.jit(Env.reset)(made, jax.random.key(2))
-    step = jax.jit(Env.step)
+def slippery(key, scenario):
+    """Another top speed in each episode."""
+    top = jax.random.uniform(key, (), minval=0.1, maxval=0.5)
+    return scenario.replace(robot=replace(scenario.robot, max_speed=top))
+
+
+@pytest.fixture(scope="module")
+def pooled(scenario):
+    """Of four starts."""
+    env = make_env(scenario, TERMS, WEIGHTS, action_delay=(0, 2), randomization=slippery)
+    return jax.jit(Env.with_pool, static_argnums=2)(env, jax.random.key(1), 4)
+
+
+env_step = jax.jit(Env.step)
+
+
+def test_a_pool_gives_its_starts(pooled, episodes):
+    assert pooled.pool.weights.shape == (4,) and (np.asarray(episodes[1][0].start) == -1).all()
+    state = jax.tree.map(lambda leaf: leaf[2], pooled.pool.states)
+    state = replace(state, simulation=replace(state.simulation, streams=prng.streams(jax.random.key(2))))
     for tick in range(round(LIMIT / 0.1)):
-        seen, state, _, terminated, truncated, _ = step(made, jax.random.key(tick), state, jnp.zeros(2))
+        seen, state, _, terminated, truncated, _ = env_step(pooled, jax.random.key(tick), state, jnp.zeros(2))
     assert bool(truncated) and not bool(terminated)
-    starts = np.asarray(made.pool.states.simulation.robot.position)
+    starts = np.asarray(pooled.pool.states.simulation.robot.position)
     gaps = np.abs(starts - np.asarray(state.simulation.robot.position)).max(-1)
     assert (gaps == 0.0).sum() == 1
-    np.testing.assert_array_equal(seen["goal"], np.asarray(made.pool.observations["goal"])[gaps.argmin()])
-    streams = jax.random.key_data(made.pool.states.simulation.streams.people)
+    np.testing.assert_array_equal(seen["goal"], np.asarray(pooled.pool.observations["goal"])[gaps.argmin()])
+    streams = jax.random.key_data(pooled.pool.states.simulation.streams.people)
     assert not (np.asarray(streams) == np.asarray(jax.random.key_data(state.simulation.streams.people))).all(-1).any()
 
 
-def test_randomization_is_of_the_key(scenario):
-    def slippery(key, scenario):
-        top = jax.random.uniform(key, (), minval=0.1, maxval=0.5)
-        return scenario.replace(robot=replace(scenario.robot, max_speed=top))
-
-    env = make_env(scenario, ["speeds"], {"progress": 1.0}, randomization=slippery)
-    states = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 4))[1]
-    step = jax.jit(jax.vmap(env.step, (0, 0, None)))
-    for tick in range(25):
-        keys = jax.random.split(jax.random.key(tick), 4)
-        seen, states, *_ = step(keys, states, jnp.array([1.0, 0.0]))
-    tops = jax.vmap(lambda key: slippery(key, scenario).robot.max_speed)(states.randomization)
-    np.testing.assert_allclose(seen["speeds"][:, 0], tops, rtol=0.02)
+def test_randomization_is_of_the_key(scenario, pooled):
+    states, tops = pooled.pool.states, []
+    for row in range(4):
+        state = jax.tree.map(lambda leaf, row=row: leaf[row], states)
+        tops.append(float(slippery(state.randomization, scenario).robot.max_speed))
+        for tick in range(25):
+            seen, state, *_ = env_step(pooled, jax.random.key(tick), state, jnp.array([1.0, 0.0]))
+        assert int(state.start) == row and float(seen["last"][0, 0]) == pytest.approx(tops[-1], rel=0.02)
     assert np.std(tops) > 0.02
 
 
@@ -196,7 +217,7 @@ def test_ends_of_ones_own(scenario):
     env = make_env(replace(scenario, time_limit=60.0), ["goal"], {"time": -1.0}, terminations=["obstacle", fifth])
     assert [name for name, _ in env.terminations] == ["obstacle", "fifth"]
     walls = replace(env, terminations=env.terminations[:1])
-    _, start = env.reset(jax.random.key(0))
+    _, start = jax.jit(env.reset)(jax.random.key(0))
     ends = []
     for one in (env, walls):
         advance, state = jax.jit(one.advance), start
@@ -214,7 +235,7 @@ def test_gradients_by_actions_through_people(scenario):
     """Through robot, people and depth: finite, and equal to differences in float64 elsewhere (test_gradients)."""
     weights = {"progress": 1.0, "personal_space": -1.0, "acceleration": -0.1}
     env = make_env(scenario, ["goal", "people"], weights).with_transition_gradients()
-    _, start = env.reset(jax.random.key(1))
+    _, start = jax.jit(env.reset)(jax.random.key(1))
 
     def total(actions):
         def one(state, action):
@@ -252,12 +273,12 @@ def test_every_term_works():
     assert flat.shape == (2, env.observation_space.size - 48 * 64 * 4)
 
 
-def test_situations_weigh(scenario):
+def test_situations_weigh(scenario, episodes):
     term = mdp.in_situations(REWARDS["time"], ["empty"])
-    _, state = make_env(scenario).reset(jax.random.key(0))
+    state = jax.tree.map(lambda leaf: leaf[0, 0], episodes[1][0].simulation)
     for value in (False, True):
-        after = replace(state.simulation, situations=jnp.full(5, value))
-        assert float(term.step(scenario, state.simulation, after)) == pytest.approx(0.1 * value)
+        after = replace(state, situations=jnp.full(5, value))
+        assert float(term.step(scenario, state, after)) == pytest.approx(0.1 * value)
 
 
 @pytest.mark.parametrize(

@@ -380,3 +380,8 @@ def test_figure_of_the_documentation_shows_what_it_says():
     for name, example in examples["EXAMPLES"].items():
         flags = np.asarray(more(examples["moment"](*example)))
         assert {other for other, flag in zip(MORE_SITUATIONS, flags, strict=True) if flag} == {name}
+    assert set(examples["PAPER"]) == set(classifiers.SITUATIONS)
+    for name, example in examples["PAPER"].items():
+        examples["check"](name, example, classifiers.SITUATIONS)  # raises SystemExit
+    with pytest.raises(SystemExit, match=r"empty: the classifiers give \['cross_path'\]"):
+        examples["check"]("empty", examples["PAPER"]["cross_path"], classifiers.SITUATIONS)

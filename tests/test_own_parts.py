@@ -15,6 +15,7 @@ import sean_jax
 from sean_jax import cli, components, config, learning
 from sean_jax.config import CollectConfig, RunConfig
 from sean_jax.errors import InputError
+from sean_jax.evaluation.output import read_config
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -85,6 +86,7 @@ def test_a_flag_changes_a_config_and_a_changed_part_is_refused(run, capsys):
     assert len(first) == 1 and abs(float(first[0]["path_length"]) - float(told[0]["path_length"])) < 1e-4
 
 
+@pytest.mark.slow
 def test_demonstrations_of_an_own_policy_task_and_robot(folder):
     asked = ["collect", *SMALL, *PARTS[:4], *PARTS[-2:], "--width", "16", "--height", "12", "--hours", "0.002"]
     assert cli.main([*asked, "--batch", "2", "--out", "data"]) == 0
@@ -108,8 +110,6 @@ def test_values_are_evaluated_as_their_file_is(run, folder):
     assert "time near people" in found.table() and found.metrics["near_time"].shape == (3, 7)
     assert (folder / "values" / "report.html").is_file()
     with pytest.raises(InputError, match="a Python program with values of its own"):
-        from sean_jax.evaluation.output import read_config
-
         read_config(folder / "values" / "config.yaml")
 
 
@@ -170,3 +170,11 @@ def test_more_situations_than_can_be_counted_are_refused():
     many = {f"situation_{k}": lambda moment: moment.tick > 0 for k in range(21)}
     with pytest.raises(InputError, match="situations: 21 are more than 20; give fewer"):
         sean_jax.make("lab", people=2, dynamics="twin", task="random_ab_nav", situations=many)
+
+
+def test_digests_that_are_none_are_refused_in_a_sentence(tmp_path):
+    file = tmp_path / "config.yaml"
+    for wrong in ("1.5", "[a, b]", "text"):
+        file.write_text(f"config: {{environment: lab}}\nsha256: {wrong}\n", encoding="utf-8")
+        with pytest.raises(InputError, match="sha256: .* is no list of files; give file: digest lines, or none"):
+            read_config(file)

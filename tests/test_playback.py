@@ -217,7 +217,7 @@ def test_what_does_not_go_together_is_refused(folder, arguments, words):
 @pytest.mark.slow
 def test_gradients_pass(played):
     scenario, last, _ = played
-    state = sean_jax.reset(scenario, jax.random.key(1))
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(1))
 
     def value(action):
         after = sean_jax.step(scenario, state, action)

@@ -16,12 +16,13 @@ from scipy.sparse.csgraph import dijkstra
 
 import sean_jax
 from sean_jax import cli, episodes, navigation, robots
-from sean_jax.base import Policy
+from sean_jax.base import Groups, Policy
 from sean_jax.evaluation.choices import offered
 from sean_jax.learning.agents import AGENTS
 from sean_jax.pedestrian_models.constant_velocity import walk
 from sean_jax.policies import POLICIES, cost_to_go, prediction, social_costmap
 from sean_jax.policies.expert import plan_limits
+from sean_jax.policies.sensing_expert import known_people, sensing_expert
 from sean_jax.policies.social_costmap import (
     arc_trajectories,
     cell_costs,
@@ -182,6 +183,117 @@ def test_the_expert_is_more_polite_than_go_to_goal(simulated):
     assert (away < 0.4).all()
 
 
+@pytest.fixture(scope="module")
+def sensing(room):
+    """The command and memory of `sensing_expert`, compiled once; and a state with its memory, of a robot in the room.
+
+    The robot is at (-2.5, 0.3) and looks along x; all people are in the corner behind it.
+    """
+    scenario, states = room
+    state = jax.tree.map(lambda leaf: leaf[0], states)
+    state = state.replace(robot=facing(state.robot, START, 0.0))
+    apply = jax.jit(lambda state: sensing_expert.apply(scenario, sensing_expert.params, state, jax.random.key(5)))
+    return apply, jax.jit(lambda state: episodes.init_policy(scenario, sensing_expert, state))(state)
+
+
+def facing(robot, place, angle):
+    """The robot elsewhere."""
+    heading = jnp.asarray([np.cos(angle), np.sin(angle)], jnp.float32)
+    return robot.replace(position=jnp.asarray(place, jnp.float32), heading=heading)
+
+
+def same(one, other):
+    return all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (one, other)), strict=True))
+
+
+def test_only_who_is_in_sight_changes_what_it_does(sensing):
+    """A person who comes near: behind it, beside it, behind a pillar, and in front of it."""
+    apply, alone = sensing
+    beside_pillar = alone.replace(robot=facing(alone.robot, (-2.0, 3.5), 0.0))
+    angle = np.deg2rad(37.6)  # of the edge of the picture, from the camera, which is near the middle of the robot
+    outside, inside = ((START[0] + 2 * np.cos(a), START[1] + 2 * np.sin(a)) for a in (angle + 0.25, angle - 0.25))
+    for state, place, seen in [
+        (alone, (-3.2, 0.3), False),
+        (alone, (-2.5, 1.0), False),
+        (alone, outside, False),
+        (alone, inside, True),
+        (alone, (-1.3, 0.3), True),
+        (beside_pillar, (0.9, 3.5), False),
+        (beside_pillar, (-0.8, 3.4), True),
+    ]:
+        command, memory = apply(staged(state, [(*place, -0.5, 0.0)]))
+        nobody, _ = apply(state)
+        assert np.array_equal(memory.people.known, [seen] + [False] * 5), place
+        assert np.array_equal(command, nobody) != seen, place
+
+
+def test_it_knows_no_more_than_the_picture(room, sensing):
+    """Anywhere in the room: people out of sight may as well not be there, and nobody's wish is known."""
+    (scenario, _), (apply, start), random = room, sensing, np.random.default_rng(2)
+    eye = sean_jax.sensors.camera(scenario, "depth", width=64, height=48)
+    look = jax.jit(lambda state: sean_jax.sensors.pixels_of_people(scenario, state, eye))
+    hidden = 0
+    for _ in range(12):
+        people = [(*random.uniform([-3, -2], [3, 2]), *random.normal(0, 0.7, 2)) for _ in range(6)]
+        state = staged(start, people)
+        state = state.replace(robot=facing(state.robot, random.uniform([-3, -2], [3, 2]), random.uniform(0, 6.3)))
+        in_sight = look(state) > 0
+        fewer = state.pedestrians.replace(
+            present=in_sight, desired_velocity=jnp.asarray(random.normal(0, 1, (6, 2)), jnp.float32)
+        )
+        assert same(apply(state)[0], apply(state.replace(pedestrians=fewer))[0])
+        hidden += int((~in_sight).sum())
+    assert 20 < hidden < 70
+
+
+def test_who_leaves_the_picture_is_remembered_for_two_seconds(room, sensing):
+    (scenario, _), (apply, start) = room, sensing
+    know = jax.jit(functools.partial(known_people, scenario, sensing_expert.params))
+    left, velocity = (-1.5, 0.3), np.array([-0.4, 0.9])
+    known = know(staged(start, [(*left, *velocity)]), start.policy_state.people)
+    nobody, _ = apply(start)
+    for ticks in range(1, 30):
+        state = start.replace(policy_state=start.policy_state._replace(people=known))
+        known = know(start, known)
+        assert bool(known.known[0]) == (ticks <= 20) and not known.known[1:].any()
+        if ticks <= 20:
+            np.testing.assert_allclose(known.position[0], left + 0.1 * ticks * velocity, atol=1e-5)
+            np.testing.assert_allclose(known.velocity[0], velocity, atol=1e-6)
+        if ticks in (1, 21):
+            assert np.array_equal(apply(state)[0], nobody) == (ticks > 20)
+    back = know(staged(start, [(*left, 0.0, 0.0)]), known)
+    np.testing.assert_array_equal(back.position[0], np.asarray(left, np.float32))
+    assert back.known[0] and back.unseen_ticks[0] == 0
+
+
+def test_a_group_is_known_by_its_members(sensing):
+    """An o-space ahead: of nobody, of somebody behind the robot, and of somebody in sight."""
+    apply, start = sensing
+    there = jnp.ones((1,), bool)
+    group = Groups(
+        center=jnp.asarray([[-1.2, 0.3]], jnp.float32), radius=jnp.ones(1), opening=jnp.zeros((1, 2)), present=there
+    )
+
+    def command(place, member):
+        state = staged(start, [(*place, 0.0, 0.0)])
+        of_group = jnp.full(6, -1, jnp.int32).at[0].set(member)
+        return apply(state.replace(groups=group, pedestrians=state.pedestrians.replace(group=of_group)))[0]
+
+    behind, ahead = (-3.5, 0.3), (0.5, 1.0)
+    assert np.array_equal(command(behind, 0), command(behind, -1))
+    assert not np.array_equal(command(ahead, 0), command(ahead, -1))
+
+
+def test_people_of_unknown_aims_keep_their_velocity(room):
+    people = jax.tree.map(lambda leaf: leaf[7], room[1]).pedestrians
+    people = people.replace(present=jnp.arange(6) != 1)
+    x, y, vx, vy = jax.jit(lambda people: prediction.predict_straight(people, 5, 0.2))(people)
+    np.testing.assert_allclose(x[:, 0], np.full(5, 0.5), atol=1e-6)
+    np.testing.assert_allclose(y[:, 0], 3.0 - 0.6 * 0.2 * np.arange(1, 6), atol=1e-6)
+    np.testing.assert_allclose(vy[:, 0], np.full(5, -0.6), atol=1e-6)
+    assert (np.asarray(x)[:, 1] == prediction.ABSENT_DISTANCE).all() and not np.asarray(vx)[:, 0].any()
+
+
 def test_the_proxemic_layer_is_the_printed_formula():
     layers = social_costmap.params.costmap
     random = np.random.default_rng(0)
@@ -327,7 +439,7 @@ def test_plans_keep_to_the_limits_of_every_robot():
 def test_each_is_documented_and_on_the_list():
     lines = dict(offered())["policy"]
     assert set(lines) == {*POLICIES, *AGENTS}
-    assert {"go_to_goal", "social_costmap", "orca", "expert", "ppo"} <= set(lines)
+    assert {"go_to_goal", "social_costmap", "orca", "expert", "sensing_expert", "ppo"} <= set(lines)
     assert all(line for line in lines.values())
     for policy in POLICIES.values():
         for function in (policy.init, policy.apply) if isinstance(policy, Policy) else (policy,):
@@ -335,7 +447,7 @@ def test_each_is_documented_and_on_the_list():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["expert"])
+@pytest.mark.parametrize("name", ["expert", "sensing_expert"])
 def test_sean_run_takes_one_that_remembers(name, tmp_path, capsys):
     command = ["run", "--policy", name, "--people", "14", "--episodes", "2", "--time-limit", "5", "--dynamics", "twin"]
     assert cli.main([*command, "--out", str(tmp_path / "out")]) == 0

@@ -8,13 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick import quick
 
 import sean_jax
-from sean_jax import cli, learning, mdp, registry
+from sean_jax import cli, devices, learning, mdp, registry
 from sean_jax.config import APGConfig, PPOConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import actor_critic, reinforcement, rollouts
 from sean_jax.learning.actor_critic import ActorCritic, Agent, Statistics
+from sean_jax.learning.trained import Best
 
 SMALL = dict(
     method="ppo", environment="lab", behavior="random", people=2, time_limit=4.0, scenarios=8, horizon=8, minibatches=2,
@@ -32,11 +34,57 @@ def analytic(out, **others) -> APGConfig:
     return APGConfig(**(fields | others))  # pyright: ignore[reportArgumentType]
 
 
+def standing(config: PPOConfig, network: ActorCritic, over) -> reinforcement.Programs:
+    """Programs of a training in which nobody moves: they compile at once, and all around them is as ever."""
+    number = len(config.agents)
+
+    def begin(envs, first: Agent) -> reinforcement.TrainState:
+        best = Best(first, jnp.full(number, -jnp.inf, jnp.float32), jnp.zeros(number, jnp.int32))
+        return reinforcement.TrainState(first, (), (), best, None, jnp.zeros((), jnp.int32))  # pyright: ignore
+
+    def update(envs, state):
+        agent = jax.tree.map(lambda leaf: leaf + 0.1, state.agent)
+        none = jnp.zeros(number)
+        told = {"train": {"loss": none}, "episodes": {"return": none, "completed": none}}
+        return replace(state, agent=agent, update=state.update + 1), told
+
+    def evaluate(scenarios, envs, several: Agent):
+        value = jnp.sin(10.0 * several.statistics.mean[:, 0])  # of update 2 highest
+        found = {"return": value, "completed": value**2, "mean_speed": jnp.ones((number, 6)) * value[:, None]}
+        return value, [found] * len(envs)
+
+    refill = jax.jit(lambda envs, state: state)
+    return reinforcement.Programs(jax.jit(begin), jax.jit(update), jax.jit(evaluate), refill)
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """A training of six updates, and its folder."""
+    """What a training of six updates in which nobody moves leaves, and its folder."""
     folder = tmp_path_factory.mktemp("ppo") / "whole"
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(reinforcement, "programs", standing)
+        patched.setattr(mdp.Env, "with_pool", lambda env, key, size: env)
+        return reinforcement.train(options(folder)), folder
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory):
+    """The same of a training that has learned: of slow tests."""
+    folder = tmp_path_factory.mktemp("ppo") / "learned"
     return reinforcement.train(options(folder)), folder
+
+
+@pytest.fixture(scope="module")
+def env() -> mdp.Env:
+    """Where agents see their goal and nothing else."""
+    return registry.load("Lab-Random-RandomAbNav-v0", config_overrides={"people": 2, "observations": ["goal"]})
+
+
+def begun(network: ActorCritic, env: mdp.Env) -> Agent:
+    """An agent before it has learned."""
+    return jax.jit(lambda key: actor_critic.init_agent(network, env.observations, env.observation_space, key))(
+        jax.random.key(0)
+    )
 
 
 def curve(folder) -> list[dict]:
@@ -94,22 +142,42 @@ def test_density_and_entropy_are_those_of_a_normal_distribution():
     np.testing.assert_allclose(actor_critic.entropy(said), wanted.entropy().sum(-1), 1e-5)
 
 
-def test_a_memory_begins_anew_with_an_episode():
+def test_a_memory_begins_anew_with_an_episode(env):
     network = ActorCritic(8, 1, (), recurrent=True)
-    env = registry.load("Lab-Random-RandomAbNav-v0", config_overrides={"people": 2, "observations": ["goal"]})
-    agent = actor_critic.init_agent(network, env.observations, env.observation_space, jax.random.key(0))
+    agent = begun(network, env)
     goal, full, empty = jnp.array([1.0, 2.0]), jnp.full(8, 0.7), jnp.zeros(8)
     say = lambda memory, start: actor_critic.answer(network, agent, goal, {}, memory, jnp.asarray(start))  # noqa: E731
     assert float(say(full, True).value) == float(say(empty, True).value) == float(say(empty, False).value)
     assert float(say(full, False).value) != float(say(empty, False).value)
 
 
+def test_matrices_of_several_agents_are_factorized_one_by_one(env):
+    """jaxlib deadlocks on two cores where two batches of factorizations run at once, as under vmap."""
+    keys = jax.random.split(jax.random.key(0), 3)
+    seen = ActorCritic(8, 1), env.observations, env.observation_space
+
+    def factorizations(program):
+        for step in program.eqns:
+            if step.primitive.name in ("qr", "geqrf", "householder_product"):
+                yield step
+            for part in jax.tree.leaves(list(step.params.values())):
+                if hasattr(inner := getattr(part, "jaxpr", part), "eqns"):
+                    yield from factorizations(inner)
+
+    program = jax.make_jaxpr(lambda keys: actor_critic.init_agents(*seen, keys))(keys).jaxpr
+    found = list(factorizations(program))
+    assert found and all(step.invars[0].aval.ndim == 2 for step in found)
+    agents = jax.jit(lambda keys: actor_critic.init_agents(*seen, keys))(keys)
+    alone = jax.jit(lambda key: actor_critic.init_agent(*seen, key))(keys[1])
+    for one, other in zip(*map(jax.tree.leaves, (agents, alone)), strict=True):
+        np.testing.assert_allclose(one[1], other, atol=1e-6)
+
+
 @pytest.mark.parametrize("careful", [False, True])
-def test_noise_is_what_is_asked_for(careful):
+def test_noise_is_what_is_asked_for(env, careful):
     """And depends on what is seen if the agent is careful, alone."""
     network = ActorCritic(8, 1, careful=careful)
-    env = registry.load("Lab-Random-RandomAbNav-v0", config_overrides={"people": 2, "observations": ["goal"]})
-    agent = actor_critic.init_agent(network, env.observations, env.observation_space, jax.random.key(0))
+    agent = begun(network, env)
     agent = actor_critic.with_noise(agent, 0.1)
     seen = jnp.array([[1.0, 2.0], [-3.0, 0.5]])
     said = actor_critic.answer(network, agent, seen, {}, jnp.zeros((2, 0)), jnp.ones(2, bool))
@@ -117,8 +185,9 @@ def test_noise_is_what_is_asked_for(careful):
     assert bool(jnp.array_equal(said.log_std[0], said.log_std[1])) is not careful
 
 
-def test_a_training_has_its_files(trained):
-    state, folder = trained
+@pytest.mark.parametrize("training", quick(["trained", "learned"], "trained"))
+def test_a_training_has_its_files(training, request):
+    state, folder = request.getfixturevalue(training)
     lines = curve(folder)
     assert [line["epoch"] for line in lines] == [1, 2, 3, 4, 5, 6] and int(state.update) == 6
     assert ["evaluation" in line for line in lines] == [False, True] * 3
@@ -128,8 +197,29 @@ def test_a_training_has_its_files(trained):
     assert (folder / "config.json").is_file() and list(folder.glob("events.*"))
 
 
+@pytest.mark.parametrize("method", quick(["ppo", "apg"], "ppo"))
+def test_programs_of_a_training_fit_together(method):
+    """Traced, not compiled: an update gives a state like the one that it gets, and an evaluation what is logged."""
+    config = (options if method == "ppo" else analytic)(None)
+    scenarios, (env,), network = reinforcement.build(config)
+    run = reinforcement.programs(config, network, devices.mesh())
+
+    def together(key):
+        pooled = (env.with_pool(key, config.pool),)
+        several = actor_critic.init_agents(network, env.observations, env.observation_space, key[None])
+        before = run.begin(pooled, several)
+        return before, *run.update(pooled, before), run.evaluate(scenarios, (env,), several)
+
+    before, after, told, (value, (found,)) = jax.eval_shape(together, jax.random.key(0))
+    assert jax.tree.structure(before) == jax.tree.structure(after)
+    for one, other in zip(*map(jax.tree.leaves, (before, after)), strict=True):
+        assert (one.shape, one.dtype) == (other.shape, other.dtype)
+    assert all(leaf.shape == (1,) for leaf in jax.tree.leaves((told["train"]["loss"], told["episodes"])))
+    assert value.shape == found["completed"].shape == (1,) and found["mean_speed"].shape == (1, 6)
+
+
 @pytest.mark.slow
-def test_a_stopped_training_goes_on_to_the_same_curve(trained, tmp_path, monkeypatch):
+def test_a_stopped_training_goes_on_to_the_same_curve(learned, tmp_path, monkeypatch):
     """Stopped before and after checkpoints, it ends with the same numbers and the same agent."""
     folder = tmp_path / "run"
     for last in (1, 5):
@@ -138,8 +228,8 @@ def test_a_stopped_training_goes_on_to_the_same_curve(trained, tmp_path, monkeyp
             reinforcement.train(options(folder))
         monkeypatch.undo()
     state = reinforcement.train(options(folder))
-    assert curve(folder) == curve(trained[1])
-    for one, other in zip(jax.tree.leaves(state.agent), jax.tree.leaves(trained[0].agent), strict=True):
+    assert curve(folder) == curve(learned[1])
+    for one, other in zip(jax.tree.leaves(state.agent), jax.tree.leaves(learned[0].agent), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
@@ -157,16 +247,16 @@ def _until(numbers, last):
 
 
 @pytest.mark.slow
-def test_it_drives_as_it_was_evaluated(trained):
+def test_it_drives_as_it_was_evaluated(learned):
     """The policy of the folder, in ``evaluate``, and in an env step by step: the same commands."""
-    _, folder = trained
+    _, folder = learned
     scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=4.0)
     driver = learning.load(folder, scenario)
     assert driver.name == folder.name
     _, recorded = jax.jit(sean_jax.rollout, static_argnums=3)(scenario, driver, jax.random.key(5), 10)
     env = replace(registry.build(options(folder)), scenario=scenario)
-    state = sean_jax.reset(scenario, jax.random.key(5))
-    seen, envs = env.reset(jax.random.key(0))
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(5))
+    seen, envs = jax.jit(env.reset)(jax.random.key(0))
     envs = replace(envs, simulation=state)
     agent: Agent = driver.params.agent
     seen, _ = sean_jax.mdp.observations.begin(env.observations, scenario, state, jax.random.key(0))
@@ -197,8 +287,14 @@ def test_it_learns_to_go_to_the_goal(tmp_path):
         (["train"], "train: '' is not one of imitation, dagger, ppo, apg"),
         (["train", "poo"], "did you mean 'ppo'"),
         (["train", "ppo", "--scenarios", "10", "--minibatches", "4"], "10 scenarios do not make 4 minibatches"),
-        (["train", "ppo", "--observations", "gaol"], "gaol"),
+        (["train", "ppo", "--environment", "lab", "--behavior", "random", "--observations", "gaol"], "gaol"),
         (["train", "ppo", "--discount", "1.5"], "--discount"),
+        (
+            ["train", "ppo", "--environment", "lab,outdoor,warehouse"],
+            "64 do not spread evenly over 3 environments",
+        ),
+        (["train", "ppo", "--environment", "lab,outdoor", "--curriculum", "regret"], "not of lab,outdoor; choose one"),
+        (["train", "ppo", "--environment", "lab,labb"], "labb"),
     ],
 )
 def test_bad_words(words, message, capsys, tmp_path, monkeypatch):
@@ -209,8 +305,8 @@ def test_bad_words(words, message, capsys, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_it_goes_on_with_another_agent(trained, tmp_path):
-    state, folder = trained
+def test_it_goes_on_with_another_agent(learned, tmp_path):
+    state, folder = learned
     config = options(tmp_path / "next", pretrained=folder, learning_rate=1e-12, steps=8 * 8, evaluate_every=1)
     agent = reinforcement.train(config).agent
     best = learning.load(folder, registry.build(config).scenario).params.agent
@@ -304,7 +400,7 @@ def test_what_the_critic_alone_sees_never_reaches_the_actor(several):
 )
 def test_bad_agents(words, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["train", "ppo", "--environment", "lab", "--people", "2", *words]) == 2
+    assert cli.main(["train", "ppo", "--environment", "lab", "--behavior", "random", "--people", "2", *words]) == 2
     assert message in " ".join(capsys.readouterr().err.split())
 
 
@@ -314,10 +410,10 @@ def test_analytic_gradients_are_those_of_differences():
     from sean_jax.learning import shac
 
     config = analytic(None, horizon=4, scenarios=2)
-    _, env, network = reinforcement.build(config)
+    _, (env,), network = reinforcement.build(config)
     env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, jax.random.key(1), 4).with_transition_gradients()
     agent = actor_critic.init_agent(network, env.observations, env.observation_space, jax.random.key(2))
-    rows = jax.jit(rollouts.begin, static_argnums=(1, 3))(env, network, jax.random.key(3), 2)
+    rows = jax.jit(rollouts.begin, static_argnums=(1, 3))((env,), network, jax.random.key(3), 2)
 
     def lost(change):
         last = f"Dense_{2 * config.layers}"
@@ -325,7 +421,7 @@ def test_analytic_gradients_are_those_of_differences():
         bias = parameters["params"][last]["bias"]
         parameters["params"][last]["bias"] = bias.at[0].add(change)
         acting = replace(agent, parameters=parameters)
-        return shac._lost(env, network, acting, agent, rows, 4, jax.random.key(4), jnp.asarray(0.99))[0]
+        return shac._lost((env,), network, acting, agent, rows, 4, jax.random.key(4), jnp.asarray(0.99))[0]
 
     found = jax.jit(jax.grad(lost))(0.3)
     step = 1e-3  # at 1e-2 limits of the robot come in between
@@ -349,8 +445,8 @@ def test_an_agent_begins_as_the_policy_that_it_imitates(tmp_path):
 
 
 @pytest.mark.slow
-def test_apg_trains_and_goes_on_from_ppo(trained, tmp_path):
-    config = analytic(tmp_path / "apg", pretrained=trained[1], steps=8 * 8 * 3)
+def test_apg_trains_and_goes_on_from_ppo(learned, tmp_path):
+    config = analytic(tmp_path / "apg", pretrained=learned[1], steps=8 * 8 * 3)
     state = reinforcement.train(config)
     assert int(state.update) == 3 and np.isfinite(float(state.best.value[0]))
     lines = curve(tmp_path / "apg")
@@ -368,12 +464,15 @@ def test_a_packed_agent_drives_as_its_training(trained, tmp_path, capsys):
     assert told["agent"]["steps"] == best["steps"] and told["width"] == 16
     assert told["agent"]["evaluation"]["return"] == best["evaluation"]["return"]
     scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=4.0)
-    state = sean_jax.reset(scenario, jax.random.key(5))
-    driven = []
-    for driver in (learning.load(folder, scenario), learning.load(out, scenario)):
-        begun = replace(state, policy_state=driver.init(scenario, driver.params, state))
-        driven.append(driver.apply(scenario, driver.params, begun, jax.random.key(0))[0])
-    assert driver.name == "small" and 0 < np.abs(driven[0] - driven[1]).max() + 1e-9 < 1e-3
+    drivers = [learning.load(each, scenario) for each in (folder, out)]
+    seen, driven = jnp.array([1.0, -2.0, 0.3, 0.5]), []
+    for driver in drivers:
+        said = actor_critic.answer(
+            driver.params.network, driver.params.agent, seen, {}, jnp.zeros(0), jnp.ones((), bool)
+        )
+        driven.append(said.mean)
+    assert drivers[1].name == "small" and drivers[0].apply is drivers[1].apply
+    assert 0 < np.abs(driven[0] - driven[1]).max() + 1e-9 < 1e-3
     with pytest.raises(InputError, match="packed already"):
         learning.pack(out, tmp_path / "again")
     with pytest.raises(InputError, match="not empty"):
@@ -388,3 +487,96 @@ def test_a_training_that_saw_something_else_is_refused(trained, tmp_path):
     scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin")
     with pytest.raises(InputError, match="sees 4 numbers, and this scenario shows 7 .goal, situations.; make"):
         learning.load(tmp_path / "other", scenario)
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory):
+    """A room of 8 by 6 m, to train in beside the lab."""
+    folder = tmp_path_factory.mktemp("places") / "cell"
+    folder.mkdir()
+    (folder / "environment.yaml").write_text("name: cell\nfloor: [0, 0, 8, 6]\npeople: 1\n")
+    box = '<geom type="box" size=".3 .3 1" pos="6 3 1"/>'
+    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{box}</worldbody></mujoco>")
+    return folder
+
+
+def test_scenarios_of_environments_take_turns():
+    rows = {"row": jnp.arange(12).reshape(6, 2), "keys": jax.random.split(jax.random.key(0), 6)}
+    parts = rollouts.deal(rows, 3)
+    assert [part["row"][:, 0].tolist() for part in parts] == [[0, 6], [2, 8], [4, 10]]
+    again = rollouts.gather(parts)
+    assert jnp.array_equal(again["row"], rows["row"]) and bool((again["keys"] == rows["keys"]).all())
+
+
+def test_environments_that_do_not_go_together_are_refused(cell, tmp_path):
+    with pytest.raises(InputError, match="environment: lab is there more than once"):
+        reinforcement.build(options(None, environment="lab,lab"))
+    file = tmp_path / "mine.py"
+    file.write_text("def crowd(scenario, state):\n    return state.pedestrians.position[:, 0]\n")
+    config = options(None, environment=f"lab,{cell}", people=None, observations=["goal", f"{file}:crowd"])
+    with pytest.raises(InputError, match=r"cell shows crowd of the size \(1,\), and lab \([0-9]+,\); leave it out"):
+        reinforcement.build(config)
+
+
+@pytest.mark.slow
+def test_one_agent_learns_in_several_environments(cell, tmp_path, monkeypatch):
+    """Stopped and given again, with two seeds: it sees each place as it is, is judged in each, and drives in each."""
+    config = options(tmp_path / "run", environment=f"lab,{cell}", seeds=2, steps=8 * 8 * 4)
+    assert config.replace(out=None).folder.name == "ppo-lab-cell-random-0"
+    numbers, told = reinforcement._numbers, []
+
+    def until(values):
+        told.append(numbers(values))
+        if len(told) == 3 * 3:  # of the third update, whose line is not written yet
+            raise KeyboardInterrupt
+        return told[-1]
+
+    monkeypatch.setattr(reinforcement, "_numbers", until)
+    with pytest.raises(KeyboardInterrupt):
+        reinforcement.train(config)
+    monkeypatch.undo()
+    state, lines = reinforcement.train(config), curve(tmp_path / "run")
+    assert [line["epoch"] for line in lines] == [1, 2, 3, 4]
+    assert all(part in lines[2].values() for part in told[6:])
+
+    scenarios, envs, _ = reinforcement.build(config)
+    np.testing.assert_allclose(state.agent.statistics.count, 8 * 8 * 4, atol=0.01)  # learned from all
+    of_one = jax.tree.map(lambda leaf: leaf[1], state.rows)  # of the agents
+    look = jax.jit(jax.vmap(mdp.observations.begin, (None, None, 0, 0)), static_argnums=0)
+    for number, seen in enumerate(rollouts.deal(of_one.observation, 2)):
+        there = of_one.envs[number].simulation
+        now, _ = look(envs[number].observations, scenarios[number], there, there.streams.sensors)
+        assert now["goal"].shape == (4, 2)
+        np.testing.assert_allclose(now["goal"], seen["goal"], atol=1e-5)
+    inside = np.asarray(state.rows.envs[1].simulation.robot.position)
+    assert ((inside > 0.0) & (inside < [8.0, 6.0])).all()
+
+    last, judged = lines[-1], [line for line in lines if "evaluation" in line]
+    returns = [last[f"evaluation in {name}"]["return"] for name in ("lab", "cell")]
+    assert returns[0] != returns[1]
+    of_agents = [last[f"agent {number}"]["return"] for number in range(2)]
+    for each in (returns, of_agents):
+        assert last["evaluation"]["return"] == pytest.approx(np.mean(each), abs=1e-5)
+    for number, value in enumerate(state.best.value):
+        assert float(value) == pytest.approx(max(line[f"agent {number}"]["return"] for line in judged), abs=1e-5)
+
+    learning.pack(tmp_path / "run", tmp_path / "packed")
+    for scenario in scenarios:
+        drive = jax.jit(sean_jax.rollout, static_argnums=3)
+        ways = []
+        for folder in ("run", "packed"):
+            driver = learning.load(tmp_path / folder, scenario)
+            ways.append(drive(scenario, driver, jax.random.key(0), 5)[0].robot.position)
+        np.testing.assert_allclose(*ways, atol=1e-2)
+
+
+@pytest.mark.slow
+def test_all_ways_to_learn_know_several_environments(cell, tmp_path):
+    """Imitation at first, and then derivatives, of both."""
+    config = analytic(
+        tmp_path / "run", environment=f"lab,{cell}", imitate="go_to_goal", steps=8 * 8, learning_rate=1e-3
+    )
+    state = reinforcement.train(config)
+    line = curve(tmp_path / "run")[-1]
+    assert int(state.update) == 1 and line["train"]["gradient"] > 0.0 and line["train"]["lost"] == 0.0
+    assert {"evaluation in lab", "evaluation in cell"} <= set(line)

@@ -51,6 +51,7 @@ def test_people_walk_around_obstacles_to_their_goals_and_on_to_others(random_sce
     assert all(np.isfinite(np.asarray(leaf, float)).all() for leaf in jax.tree.leaves((last.pedestrians, frames)))
 
 
+@pytest.mark.slow
 def test_there_are_no_groups_and_everything_works_without(random_scenario, episode):
     last, frames, _ = episode
     assert (np.asarray(frames.group) == -1).all() and last.groups.radius.shape == (0,)

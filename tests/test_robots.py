@@ -266,7 +266,7 @@ def facing(angle, scale=1.0):
     return jnp.asarray([scale * np.cos(angle), scale * np.sin(angle)], jnp.float32)
 
 
-@pytest.mark.parametrize("dynamics", ["twin", pytest.param("mjx", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dynamics", ["twin", "kinematic", pytest.param("mjx", marks=pytest.mark.slow)])
 def test_physics_go_on_from_a_pose_that_is_replaced(dynamics):
     """At rest it equals a robot reset there; on the move only the pose differs; headings count by their direction."""
     model, random = robots.load("kuri", dynamics), np.random.default_rng(5)

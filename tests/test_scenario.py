@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick import quick
 
 import sean_jax
 from sean_jax.environment import clearance
@@ -182,3 +183,57 @@ def test_the_largest_number_that_fits_fits():
     assert apart.min() >= 0.5
     with pytest.raises(ValueError, match=f"the most that do is {most}"):
         sean_jax.make(people=most + 1, dynamics="twin")
+
+
+@pytest.mark.parametrize("behavior", quick(["graph", "random"], "graph"))
+def test_a_crowd_that_warms_up_has_walked_before_the_task_begins(behavior):
+    """As people walk among themselves, and the robot begins free of who is there by then."""
+    cold = sean_jax.make("lab", behavior=behavior, people=5, dynamics="twin")
+    warm = replace(cold, warm_up=3.0)
+    keys = jax.random.split(jax.random.key(5), 8)
+    first = jax.jit(jax.vmap(lambda key: sean_jax.reset(cold, key)))(keys)
+    then = jax.jit(jax.vmap(lambda key: sean_jax.reset(warm, key)))(keys)
+
+    def alone(state):
+        far = replace(state.robot, position=jnp.full(2, 1e4, state.robot.position.dtype))
+        after = sean_jax.step(cold, replace(state, robot=far), jnp.zeros(2))
+        return replace(after, robot=state.robot)
+
+    walk = jax.jit(jax.vmap(alone))
+    for _ in range(30):
+        first = walk(first)
+    np.testing.assert_allclose(then.pedestrians.position, first.pedestrians.position, atol=1e-4)
+    np.testing.assert_allclose(then.pedestrians.velocity, first.pedestrians.velocity, atol=1e-3)
+    assert np.asarray(jnp.abs(then.pedestrians.velocity).max((1, 2)) > 0.2).all()
+    assert (np.asarray(then.tick) == 0).all() and not np.asarray(then.completed | then.timed_out).any()
+    np.testing.assert_array_equal(then.robot.position, then.task.start)
+    gap = jnp.linalg.norm(then.pedestrians.position - then.robot.position[:, None], axis=-1)
+    assert float(gap.min()) > warm.robot.radius + 0.2
+
+
+def test_the_next_task_leaves_the_crowd_as_it_is():
+    scenario = sean_jax.make("lab", people=5, dynamics="twin")
+    keys = jax.random.split(jax.random.key(6), 4)
+    begin = jax.jit(jax.vmap(lambda key: sean_jax.reset(scenario, key)))
+    go_on = jax.jit(jax.vmap(lambda state, key: sean_jax.next_task(scenario, state, key)))
+    drive = jax.jit(jax.vmap(lambda state: sean_jax.step(scenario, state, jnp.asarray([0.3, 0.2]))))
+    state = begin(keys)
+    for _ in range(15):
+        state = drive(state)
+    after = go_on(state, jax.random.split(jax.random.key(7), 4))
+    for name in ("pedestrians", "groups", "memory"):
+        for one, other in zip(*map(jax.tree.leaves, (getattr(state, name), getattr(after, name))), strict=True):
+            np.testing.assert_array_equal(one, other)
+    assert (np.asarray(after.tick) == 0).all() and (np.asarray(after.robot.speed) == 0.0).all()
+    np.testing.assert_array_equal(after.robot.position, after.task.start)
+    assert not np.allclose(after.task.start, state.task.start)  # the lab has one group
+    measured = jax.jit(jax.vmap(lambda state: sean_jax.results(scenario, state)["mean_speed"]))
+    assert float(jnp.nanmax(measured(state)[:, 0])) > 0.1 and not float(jnp.nanmax(measured(after)[:, 0])) > 0.0
+    assert not np.array_equal(jax.random.key_data(after.streams.people), jax.random.key_data(state.streams.people))
+
+
+def test_a_recording_does_not_warm_up(tmp_path):
+    file = tmp_path / "walk.csv"
+    file.write_text("frame,id,x,y\n0,1,0,0\n10,1,1,0\n")
+    with pytest.raises(ValueError, match="warm_up: 3 s, but a recording begins with its own people; leave it out."):
+        sean_jax.make("lab", behavior="playback", recording=str(file), warm_up=3.0)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from quick import quick
-from test_raycast import mujoco_distances
+from test_raycast import mujoco_distances, mujoco_hits
 
 import sean_jax
 from sean_jax import robots, sensors
@@ -102,28 +102,63 @@ def test_modules_are_not_named_as_what_the_package_exports():
         assert isinstance(getattr(sensors, path.stem), ModuleType)
 
 
-def test_depth_is_range_times_cosine_as_mujoco_measures_it(scenario, state):
-    """The camera as MuJoCo reads it from the robot's file, the pose and people of a state, ranges by C `mj_ray`."""
+def mujoco_pixels(state, width, height):
+    """Kuri's depth camera as MuJoCo reads it from the robot's file: origin (3,), unit vectors (pixels, 3), cosines."""
     mujoco: Any = import_module("mujoco")
     model = mujoco.MjModel.from_xml_path(str(ENVS / "robots" / "kuri.xml"))
     number = model.camera("depth").id
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.cam_quat[number])
-    focal = 24 / 2 / np.tan(np.deg2rad(model.cam_fovy[number]) / 2)
-    u, v = np.meshgrid(np.arange(32) + 0.5 - 16, np.arange(24) + 0.5 - 12)
+    focal = height / 2 / np.tan(np.deg2rad(model.cam_fovy[number]) / 2)
+    u, v = np.meshgrid(np.arange(width) + 0.5 - width / 2, np.arange(height) + 0.5 - height / 2)
     ways = np.stack([u / focal, -v / focal, -np.ones_like(u)], -1).reshape(-1, 3)
     size = np.linalg.norm(ways, axis=1, keepdims=True)
     heading, position = np.asarray(state.robot.heading, float), np.asarray(state.robot.position, float)
     spun = np.array([[heading[0], -heading[1], 0.0], [heading[1], heading[0], 0.0], [0.0, 0.0, 1.0]])
     origin = np.array([*position, 0.0]) + spun @ model.cam_pos[number]
+    return origin, (ways / size) @ turn.reshape(3, 3).T @ spun.T, 1 / size[:, 0]
+
+
+def test_depth_is_range_times_cosine_as_mujoco_measures_it(scenario, state):
+    """The camera as MuJoCo reads it from the robot's file, the pose and people of a state, ranges by C `mj_ray`."""
+    origin, ways, cosine = mujoco_pixels(state, 32, 24)
     assert bool(state.pedestrians.present.all())
     people = np.asarray(state.pedestrians.position, float)
-    ranges = mujoco_distances("warehouse", people, origin, (ways / size) @ turn.reshape(3, 3).T @ spun.T)
-    wanted = (ranges / size[:, 0]).reshape(24, 32)
+    wanted = (mujoco_distances("warehouse", people, origin, ways) * cosine).reshape(24, 32)
     camera = sensors.camera(scenario, "depth", width=32, height=24)
     image = np.asarray(jax.jit(lambda state: sensors.depth(scenario, state, camera))(state))
     assert np.abs(image - wanted)[wanted < 20].max() <= 1e-3 and (image[wanted > 20.001] == 20.0).all()
     assert (wanted < 20).sum() > 300
+
+
+def test_people_are_in_the_pixels_in_which_mujoco_finds_them(scenario, state):
+    """Robots anywhere in the warehouse, some people around each, the others behind walls or far away."""
+    camera, random = sensors.camera(scenario, "depth", width=64, height=48), np.random.default_rng(4)
+    look = jax.jit(lambda state: sensors.pixels_of_people(scenario, state, camera))
+    places, radius = np.asarray(scenario.navigation.places, float), float(scenario.forces.walking.radius)
+    seen = 0
+    for _ in range(12):
+        angle, here = random.uniform(0, 2 * np.pi), random.choice(places)
+        away = np.linalg.norm(places - here, axis=1)
+        spots = np.concatenate([random.choice(places[(away > 0.6) & (away < 6.0)], 8), random.choice(places, 8)])
+        spots = spots + random.uniform(-0.1, 0.1, spots.shape)
+        heading = jnp.asarray([np.cos(angle), np.sin(angle)], jnp.float32)
+        robot = state.robot.replace(position=jnp.asarray(here, jnp.float32), heading=heading)
+        people = state.pedestrians.replace(position=jnp.asarray(spots, jnp.float32))
+        there = state.replace(robot=robot, pedestrians=people)
+        origin, ways, cosine = mujoco_pixels(there, 64, 48)
+        spots = np.asarray(people.position, float)
+        distance, who = mujoco_hits("warehouse", spots, origin, ways, radius)
+        in_range = (distance * cosine >= 0.1) & (distance * cosine <= 20.0)
+        wanted = np.bincount(who[in_range & (who >= 0)], minlength=16)
+        pixels = np.asarray(look(there))
+        assert np.abs(pixels - wanted).max() <= 2, (pixels, wanted)  # on outlines, by rounding
+        clear = np.abs(wanted - 2) > 1  # of who is not hidden to a sliver
+        np.testing.assert_array_equal((pixels > 0)[clear], (wanted > 0)[clear])
+        absent = people.replace(present=jnp.asarray(wanted == 0))
+        assert not np.asarray(look(there.replace(pedestrians=absent)))[wanted > 0].any()
+        seen += (wanted > 0).sum()
+    assert 20 < seen < 100  # of 192
 
 
 def test_the_depth_of_a_wall_straight_ahead_is_flat(scenario, state):

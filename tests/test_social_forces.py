@@ -258,6 +258,30 @@ def test_robot_pushes_like_a_person_but_farther_when_it_moves():
     np.testing.assert_allclose(push(0.5), farther, rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.parametrize("speed", [0.0, 0.09, 0.11, 0.5, -0.5])
+def test_sean2_people_come_nearer_to_a_robot_that_moves(speed):
+    """Its closed form: rho (A exp((r + r + 0.5 - d) / B) n + A / 10 (-n . g) left), rho = 1 of a robot below 0.1 m/s.
+
+    With a distance shift of B ln rho <= 0 for a drawn rho of 0.5 to 1.
+    """
+    parameters = social_forces.preset("sean2")
+    rho = np.array([0.5, 0.75, 1.0])
+    position = np.array([(0.7, 0.2), (1.1, -0.3), (-0.6, 0.8)])
+    ahead = np.array([(-1.0, 0.0), (-0.8, 0.6), (0.0, 1.0)])  # two come towards the robot, the third walks off
+    people = crowd(position, 0.6 * ahead, robot_distance=(0.16 * np.log(rho)).astype(np.float32))
+    robot = Robot(jnp.zeros(2), jnp.array([1.0, 0.0]), jnp.float32(speed), jnp.zeros(()), ())
+    act = jax.jit(lambda robot: parameters.robot_repulsion.person(around(parameters, people, None, robot, 0.16)))
+    d = np.linalg.norm(position, axis=1)
+    n = position / d[:, None]
+    push = 500.0 / 80.0 * np.exp((0.2 + 0.2 + 0.5 - d) / 0.16)[:, None] * n
+    bearing = -(n * ahead).sum(1)
+    closing = (([speed, 0.0] - 0.6 * ahead) * ahead).sum(1) < 0
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], 1)
+    push += np.where((bearing >= 0.5) & closing, bearing * 50.0 / 80.0, 0.0)[:, None] * left
+    factor = rho if abs(speed) > 0.1 else np.ones(3)
+    np.testing.assert_allclose(np.stack(act(robot), -1), factor[:, None] * push, rtol=1e-4, atol=1e-5)
+
+
 def test_group_keeps_others_out_but_not_its_members():
     parameters = constants("helbing1995", {"group_space.strength": 2.0, "group_space.range": 0.4})
     x = np.array([(0.9, 0.0), (0.0, 2.0), (-0.3, -0.4)])

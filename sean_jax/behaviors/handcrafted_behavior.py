@@ -1,7 +1,7 @@
 """Handcrafted pedestrian behavior (section IV-D): people walk loops and stand in groups that a designer has placed.
 
-An episode has one of the chosen sets, drawn by its key. Walkers start spread along their loop and walk it without end;
-members of a group stand in a conversational formation, with a place left open.
+An episode has one of the chosen sets, drawn by its key. Walkers start spread along their loop, or each at a waypoint of
+the loop, and walk it without end; members of a group stand in a conversational formation, with a place left open.
 """
 
 from dataclasses import replace
@@ -11,12 +11,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
+from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
 from sean_jax.behaviors.place import Place
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
 from sean_jax.graph.formation import formation
 from sean_jax.handcrafted import ALL, ARRIVED, Sets, validation
+from sean_jax.handcrafted.sets import Ways
 from sean_jax.handcrafted.sets import build as build_sets
 from sean_jax.social_forces import draw_traits
 
@@ -38,18 +40,19 @@ def build(place: Place, people: int | None = None, *, sets: str = ALL) -> Behavi
     Args:
         place: its folder holds ``handcrafted.yaml``.
         people: None, because each set has a number of its own.
-        sets: the name of a set, a situation, from whose sets is drawn, or ``all``.
+        sets: the name of a set, a situation, from whose sets is drawn, ``all``, or a further collection of the file.
 
     Returns:
         The behavior, which offers "handcrafted_sets" to tasks; its ``people`` are those of the largest set.
 
     Raises:
-        InputError: there is no such file or no such set, the file has a mistake, or a number of people is given.
+        InputError: there is no such file or no such set, the file has a mistake, a number of people is given, or there
+            is no way from a waypoint to the next one.
     """
     chosen = validation.read(place.folder, place.environment).chosen(sets)
     if people is not None:
         raise InputError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
-    tables = build_sets(chosen)
+    tables = build_sets(chosen, place.navigation)
     return Behavior(
         data=tables,
         name="handcrafted",
@@ -61,7 +64,7 @@ def build(place: Place, people: int | None = None, *, sets: str = ALL) -> Behavi
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
-    """People of a set drawn by its odds: spread along their loops from a random place on, and in formations.
+    """People of a set drawn by its odds: on their loops, spread from a random place on or at waypoints; in formations.
 
     Args:
         scenario: of this behavior.
@@ -73,7 +76,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     tables: Sets = scenario.behavior.data
     set_key, form_key, phase_key, trait_key = jax.random.split(key, 4)
     number = jax.random.categorical(set_key, jnp.log(tables.odds.sum((1, 2)))).astype(jnp.int32)
-    one: Sets = jax.tree.map(lambda leaf: leaf[number], tables)
+    one = tables.one(number)
 
     # Whoever walks or is absent takes a seat of one group more, which nobody sees.
     groups, people = one.capacity.shape[0], one.group.shape[0]
@@ -83,9 +86,13 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     seat_position, seat_heading, radius, opening = formation(form_key, capacity, center, seat)
 
     phase = jax.random.uniform(phase_key, one.waypoints.shape, float)
-    place, ahead, target = jax.vmap(_on_loop, in_axes=(None, 0, 0, 0, None))(
-        one, one.loop, one.share, one.way, phase
+    place, ahead, target = jax.vmap(_on_loop, in_axes=(None, 0, 0, 0, 0, None))(
+        one, one.loop, one.share, one.way, one.first, phase
     )  # fmt: skip
+    if tables.ways is not None:
+        gap = _ahead(tables.ways, number, one.loop, target, place) - place
+        gap_size = length(gap[:, 0], gap[:, 1])[:, None]
+        ahead = jnp.where(gap_size > 1e-3, gap / jnp.maximum(gap_size, 1e-3), ahead)
     walks, stands = one.loop >= 0, one.group >= 0
     heading = jnp.where(walks[:, None], ahead, seat_heading)
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
@@ -109,6 +116,8 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
 def direct(scenario: Scenario, state: State, key: Array) -> State:
     """The next waypoint for who has arrived; desired velocities to waypoints and, of who stands, back to the seat.
 
+    The way to a waypoint is straight, or the shortest one around obstacles in sets where people start at waypoints.
+
     Args:
         scenario: of this behavior.
         state: before the step.
@@ -131,6 +140,9 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     following = (memory.target + tables.way[row]) % tables.waypoints[row][loop]
     target = jnp.where(arrived & walks, following, memory.target)
     gap = gap_to(target)
+    if tables.ways is not None:
+        aim = _ahead(tables.ways, row, tables.loop[row], target, people.position)
+        gap = jnp.where(walks[:, None], aim - people.position, gap)
     distance = length(gap[:, 0], gap[:, 1])
     speed = jnp.where(walks, people.preferred_speed, jnp.minimum(people.preferred_speed, distance / SETTLING))
     speed = jnp.where(people.present, speed, 0.0)
@@ -139,10 +151,27 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     return replace(state, pedestrians=people, memory=memory._replace(target=target))
 
 
+def _ahead(
+    ways: Ways, row: Int[Array, ""], loop: Int[Array, "N"], target: Int[Array, "N"], position: Float[Array, "N 2"]
+) -> Float[Array, "N 2"]:
+    """(N, 2) [m] the waypoint that each person of a set goes to, or a place on the shortest way there."""
+    index = ways.index[row, jnp.maximum(loop, 0), target]
+    each_person = jax.vmap(paths.next_point_approx, in_axes=(None, 0, 0, 0))
+    paths_to_point = jax.tree.map(lambda leaf: leaf[index], ways.paths_to_point)
+    return each_person(ways.navigation, position, ways.point[index], paths_to_point)
+
+
 def _on_loop(
-    one: Sets, loop: Int[Array, ""], share: Float[Array, ""], way: Int[Array, ""], phase: Float[Array, "L"]
+    one: Sets,
+    loop: Int[Array, ""],
+    share: Float[Array, ""],
+    way: Int[Array, ""],
+    first: Int[Array, ""],
+    phase: Float[Array, "L"],
 ) -> tuple[Float[Array, "2"], Float[Array, "2"], Int[Array, ""]]:
-    """Place (2,) m and heading (2,) of who is at that share of a loop's length, and the waypoint () ahead."""
+    """Place (2,) m and heading (2,) of who is at that share of a loop's length, or at its waypoint ``first`` if that is
+    not -1, and the waypoint () ahead.
+    """
     loop = jnp.maximum(loop, 0)
     waypoint, count, walked = one.waypoint[loop], one.waypoints[loop], one.walked[loop]
     ends = jnp.where(jnp.isfinite(walked), walked, 0.0)
@@ -153,4 +182,8 @@ def _on_loop(
     size = jnp.maximum(length(gap[0], gap[1]), 1e-6)
     ahead = gap / size
     place = b - (ends[leg] - along) * ahead
-    return place, way.astype(float) * ahead, jnp.where(way > 0, (leg + 1) % count, leg)
+    target = jnp.where(way > 0, (leg + 1) % count, leg)
+    at_waypoint = first >= 0
+    target = jnp.where(at_waypoint, (first + way) % count, target)
+    place = jnp.where(at_waypoint, waypoint[jnp.maximum(first, 0)], place)
+    return place, way.astype(float) * ahead, target

@@ -163,4 +163,4 @@ def no_groups() -> Groups:
 
 
 def _draw(tables: Tables, key: Array, people: int) -> Int[Array, "N"]:
-    return jax.random.randint(key, (people,), 0, tables.navigation.places.shape[0], jnp.int32)
+    return paths.draw_places(tables.navigation, key, people)

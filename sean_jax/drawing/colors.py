@@ -22,6 +22,7 @@ POLICY_COLORS = {
     "social_costmap": "#ee6677",
     "orca": "#228833",
     "expert": "#aa3377",
+    "sensing_expert": "#ccbb44",
 }
 
 PAPER = "#fffffe"  # odd values, so that a page can replace them in a drawing by its own light or dark ones

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -40,13 +41,14 @@ class _Starts(NamedTuple):
     path: Array  # (H, 5, 5, MAX_CORNERS, 2) m, shortest paths from each start to each goal
     start_heading: Array  # (H, 5, 2) unit vector
     goal_heading: Array  # (H, 5, 2) unit vector
+    leg: Array  # (H, L, K, MAX_CORNERS, 2) m, people's ways from each waypoint to the next
 
 
 def handcrafted_sheet(scenario: Scenario, *, panel: float = 3.2, seed: int = 0) -> Figure:
     """Draw every handcrafted set of a scenario, one panel each.
 
-    A panel shows loops with arrows, people at their starts, the robot's starts and goals, and its shortest paths
-    between them.
+    A panel shows loops with arrows, around obstacles where people walk so, people at their starts, the robot's starts
+    and goals, and its shortest paths between them.
 
     Args:
         scenario: with behavior and task ``handcrafted``.
@@ -61,7 +63,7 @@ def handcrafted_sheet(scenario: Scenario, *, panel: float = 3.2, seed: int = 0) 
 
     sets: Sets = scenario.behavior.data
     starts = jax.tree.map(np.asarray, jax.jit(_starts)(scenario, prng.key("draw", seed)))
-    table = jax.tree.map(np.asarray, sets)
+    table = jax.tree.map(np.asarray, replace(sets, ways=None))
     floor = np.asarray(scenario.environment.floor, float)
     windows = []
     for row in range(len(sets.names)):
@@ -149,9 +151,22 @@ def _starts(scenario: Scenario, key: Array) -> _Starts:
         headings.append(_facing(sets.goal_heading[row], sets.goal_group[row], groups, ends[1]))
         all_paths = jax.vmap(jax.vmap(_path, in_axes=(None, None, 0)), in_axes=(None, 0, None))
         path = all_paths(scenario.navigation, *ends)
-        return _Starts(ends[0], ends[1], people.position, people.heading, path, headings[0], headings[1])
+        leg = _legs(sets, row)
+        return _Starts(ends[0], ends[1], people.position, people.heading, path, headings[0], headings[1], leg)
 
     return jax.lax.map(of_set, jnp.arange(sets.odds.shape[0], dtype=jnp.int32))
+
+
+def _legs(sets: Sets, row: Array) -> Array:
+    """(L, K, MAX_CORNERS, 2) m: ways from each waypoint of a set's loops to the next one."""
+    waypoint, count = sets.waypoint[row], sets.waypoints[row][:, None]
+    number = jnp.arange(1, waypoint.shape[1] + 1)[None, :] % count  # (L, K)
+    following = jnp.take_along_axis(waypoint, number[..., None], axis=1)
+    if sets.ways is None:
+        between = jnp.linspace(0.0, 1.0, MAX_CORNERS)[None, None, :, None]
+        return waypoint[:, :, None] + between * (following - waypoint)[:, :, None]
+    one = functools.partial(_path, sets.ways.navigation)
+    return jax.vmap(lambda a, b: jax.lax.map(lambda ends: one(*ends), (a, b)))(waypoint, following)
 
 
 def _facing(heading: Array, group: Array, groups: Groups, place: Array) -> Array:
@@ -194,10 +209,10 @@ def _panel(axes: Axes, environment: Environment, window: tuple, starts: _Starts,
     parts.draw_obstacles(axes, environment)
     lines = list(np.asarray(starts.path).reshape(-1, *starts.path.shape[2:]))
     axes.add_collection(LineCollection(lines, colors=colors.ROBOT, linewidths=0.5, alpha=0.55, zorder=3))
-    for loop, count, walked in zip(sets.waypoint, sets.waypoints, sets.walked, strict=True):
+    for leg, count, walked in zip(starts.leg, sets.waypoints, sets.walked, strict=True):
         if np.isfinite(walked).any():
             both = (sets.way[sets.present & (sets.loop >= 0)] < 0).any()
-            _draw_loop(axes, loop[:count], side, bool(both))
+            _draw_loop(axes, np.asarray(leg)[:count], side, bool(both))
     present, radius = sets.present, max(0.012 * side, MIN_RADIUS)
     people, heading = starts.people[present], starts.people_heading[present]
     parts.draw_discs(axes, np.asarray(people), np.asarray(heading), np.asarray(sets.group[present] >= 0), radius, 0.7)
@@ -218,11 +233,10 @@ def _panel(axes: Axes, environment: Environment, window: tuple, starts: _Starts,
     axes.text(x0 + 0.03 * side, y + 0.012 * side, f"{bar:g} m", fontsize=7, color=colors.INK, va="bottom", zorder=12)
 
 
-def _draw_loop(axes: Axes, loop: np.ndarray, side: float, both: bool) -> None:
-    """Draw a closed line with one or two arrows in the middle of each leg."""
-    closed = np.concatenate([loop, loop[:1]])
-    axes.plot(*closed.T, color=colors.TRAIL, linewidth=1.2, zorder=4, solid_joinstyle="round")
-    for a, b in zip(closed[:-1], closed[1:], strict=True):
+def _draw_loop(axes: Axes, legs: np.ndarray, side: float, both: bool) -> None:
+    """Draw the legs (K, P, 2) [m] of a loop, with one or two arrows in the middle of each straight one."""
+    axes.plot(*legs.reshape(-1, 2).T, color=colors.TRAIL, linewidth=1.2, zorder=4, solid_joinstyle="round")
+    for a, b in zip(legs[:, 0], legs[:, -1], strict=True):
         gap = float(np.hypot(*(b - a)))
         if gap < 0.12 * side:
             continue

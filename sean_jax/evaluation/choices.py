@@ -13,6 +13,7 @@ from rich.text import Text
 DYNAMICS = {
     "mjx": "Rigid bodies move in MuJoCo's MJX, on wheels with tyres.",
     "twin": "The same law moves it in closed form: faster, and easier to differentiate.",
+    "kinematic": "It has the speeds of its command at once, within its limits, as in SEAN 2.0.",
 }
 
 
@@ -48,18 +49,22 @@ def offered() -> Iterator[tuple[str, dict[str, str]]]:
         classifiers,
         environment,
         mdp,
+        navigation,
         pedestrian_models,
         policies,
+        presets,
         robots,
         social_forces,
         tasks,
     )
     from sean_jax.learning import agents
 
+    yield "preset", {name: preset.summary for name, preset in presets.PRESETS.items()}
     yield "environment", {name: _environment(environment.find(name)) for name in environment.available()}
     yield "behavior", {name: _documented(value) for name, value in behaviors.BEHAVIORS.items()}
     yield "routing", {name: _documented(value) for name, value in behaviors.graph_behavior.ROUTINGS.items()}
     yield "task", {name: _documented(value) for name, value in tasks.TASKS.items()}
+    yield "places", {name: _documented(value) for name, value in navigation.PLACES.items()}
     yield "robot", {name: _robot(path) for name, path in robots.ROBOTS.items()}
     known = {name: _documented(value) for name, value in policies.POLICIES.items()}
     yield "policy", known | {name: agents.described(folder) for name, folder in agents.AGENTS.items()}

@@ -181,6 +181,8 @@ def read_config(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise InputError(f"{path}: config: holds no description; give field: value lines.")
     hashes = content.get("sha256") or {}
+    if not isinstance(hashes, dict):
+        raise InputError(f"{path}: sha256: {hashes!r:.60} is no list of files; give file: digest lines, or none.")
     for name, digest in hashes.items():
         if components.digest(path.parent / name) != digest:
             cure = f"restore it, or remove its line under sha256 in {path.name} to take it as it is"

@@ -2,14 +2,15 @@
 
 import dataclasses
 import functools
+import math
 from typing import ClassVar, TypedDict
 
 import numpy as np
 
 from sean_jax.experiments import shares
 from sean_jax.experiments.shares import BEHAVIORS
-from sean_jax.metrics import Estimate, aggregate, aggregate_ratio, resamples
-from sean_jax.metrics.bootstrap import with_estimate
+from sean_jax.metrics import Estimate, aggregate, aggregate_ratio
+from sean_jax.metrics.bootstrap import hierarchical_resamples, with_estimate
 
 LEARNED = {"G": "graph", "R": "random", "H": "handcrafted"}
 BALANCED, NAVIGATION, DEMONSTRATOR = "B", "N", "E"
@@ -17,12 +18,12 @@ FOUR = (*LEARNED, NAVIGATION)  # of the paper
 
 
 class Training(TypedDict):
-    """A network's training, as trained-NAME.json has it."""
+    """A network's training, as trained-NAME.json has it, or the means over those of a policy."""
 
-    examples: int
+    examples: float
     entropy: float  # of the situations in the examples, from 0 to 1
-    epochs: int
-    best_epoch: int
+    epochs: float
+    best_epoch: float
     loss: float  # in validation, of the best epoch
     seconds: float
 
@@ -39,7 +40,11 @@ class Claim(TypedDict):
 
 @dataclasses.dataclass
 class Results:
-    """Measures of every policy in every scenario. All intervals use the same resamples of the numbered episodes."""
+    """Measures of every policy in every scenario. All intervals use the same resamples of the numbered episodes.
+
+    Episodes are in the order of the datasets, seeds of training and numbers; N and E, who learned nothing, drive the
+    same ones. A resample draws datasets, seeds of each, and episodes of each.
+    """
 
     MEASURES: ClassVar[dict[str, str]] = {
         "completed": "completed tasks",
@@ -48,7 +53,7 @@ class Results:
         "collisions": "collisions with people",
     }
     policies: tuple[str, ...]
-    episodes: int
+    sizes: tuple[int, int, int]  # datasets of each behavior, trainings on each, episodes of each network
     values: dict[str, dict[str, dict[str, np.ndarray]]]  # policy -> behavior -> measure -> (E,)
     situations: dict[str, dict[str, np.ndarray]]  # policy -> behavior -> (E, 5) violations in each situation
     training: dict[str, Training]
@@ -57,7 +62,12 @@ class Results:
     @functools.cached_property
     def resamples(self) -> np.ndarray:
         """(R, E) number of times that each episode is in each resample."""
-        return resamples(self.episodes, seed=0)
+        return hierarchical_resamples(self.sizes)
+
+    @property
+    def episodes(self) -> int:
+        """Episodes of each policy in each scenario."""
+        return math.prod(self.sizes)
 
     @functools.cached_property
     def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:

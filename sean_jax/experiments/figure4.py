@@ -1,8 +1,8 @@
 """Figure 4: policies that learned among people of three behaviors, and the navigation stack, in three scenarios.
 
-For each behavior (G, R, H) demonstrations are collected and a network is trained. These policies, one with balanced
-examples (B), the navigation stack with social cost layers (N) and the demonstrator (E) are evaluated on the same
-numbered episodes (section V-C).
+For each behavior (G, R, H) several datasets of demonstrations are collected, and several networks are trained on each.
+These policies, one with balanced examples (B), the navigation stack with social cost layers (N) and the demonstrator
+(E) are evaluated on the same numbered episodes (section V-C), of which each network drives its share.
 """
 
 from __future__ import annotations
@@ -14,16 +14,18 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from sean_jax import learning, writing
-from sean_jax.config import CollectConfig, ExperimentConfig, Named, TrainConfig
-from sean_jax.experiments import page, parts, pictures, shares
+from sean_jax.config import CollectConfig, ExperimentConfig, Named, ScenarioConfig, TrainConfig
+from sean_jax.errors import InputError
+from sean_jax.experiments import page, parts, pictures, shares, table1
 from sean_jax.experiments.claims import BALANCED, DEMONSTRATOR, FOUR, LEARNED, NAVIGATION, Results, Training, claims
 from sean_jax.experiments.shares import BEHAVIORS
 from sean_jax.experiments.together import Part, together
+from sean_jax.files import listed
 from sean_jax.learning import choice, protocol
 from sean_jax.learning.loader import balanced_probabilities
 from sean_jax.learning.protocol import streams
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from sean_jax.base import Policy, Scenario
+    from sean_jax.learning.training import TrainState
     from sean_jax.metrics import Estimate
 
 BATCH = {"cpu": 32}  # episodes at once, by kind of device
@@ -66,7 +69,9 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     """
     options = options.complete()
     for behavior in BEHAVIORS:
-        protocol.check(_collect_config(options, options.folder, behavior))
+        protocol.check(_collect_config(options, options.folder, behavior, 0))
+    for name in others(options):
+        choice.check(name, ScenarioConfig(), "--others")
     folder = options.folder
     parts.has_started(options)
     with writing.folder_lock(folder):
@@ -74,8 +79,27 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     return folder
 
 
+def others(options: ExperimentConfig) -> list[str]:
+    """Drivers beside those of the paper, N and E.
+
+    Args:
+        options: of the experiment.
+
+    Returns:
+        Names, folders or FILE.py:NAME, each once.
+
+    Raises:
+        InputError: one has the name of a column.
+    """
+    names = [name for name in dict.fromkeys(listed(options.others)) if name != "none"]
+    for name in names:
+        if name in (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR):
+            raise InputError(f"--others: '{name}' is a column of the figure already; give another driver's name.")
+    return names
+
+
 def _run(options: ExperimentConfig, folder: Path, console: Console | None) -> None:
-    policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR)
+    policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR, *others(options))
     places = {
         behavior: list(streams(CollectConfig(**_description(options, behavior))).values()) for behavior in BEHAVIORS
     }
@@ -85,99 +109,129 @@ def _run(options: ExperimentConfig, folder: Path, console: Console | None) -> No
         policy: {behavior: outcomes[_part_name(policy, behavior)][policy] for behavior in BEHAVIORS}
         for policy in policies
     }
-    training = {name: outcomes[f"training {name}"] for name in (*LEARNED, BALANCED)}
+    training = {policy: _mean(outcomes[f"training {policy}"]) for policy in (*LEARNED, BALANCED)}
     write(options, folder, _results(options, policies, measured, training))
 
 
 def _part_name(policy: str, behavior: str) -> str:
     """The name of the part that simulates the policy. Learned policies have one part, since they share programs."""
-    return f"{policy if policy in (NAVIGATION, DEMONSTRATOR) else 'learned'} in {behavior}"
+    return f"{'learned' if policy in LEARNED or policy == BALANCED else policy} in {behavior}"
 
 
 def _parts(options: ExperimentConfig, folder: Path, places: dict[str, list[Scenario]]) -> list[Part]:
     """The parts of the experiment, in an order in which they could run one by one."""
     learned = (*LEARNED, BALANCED)
-    data = {behavior: f"demonstrations in {behavior}" for behavior in BEHAVIORS}
+    datasets = [(behavior, dataset) for behavior in reversed(BEHAVIORS) for dataset in range(options.datasets or 1)]
+    data = {pair: f"demonstrations in {pair[0]}, {pair[1]}" for pair in datasets}  # graph first: two policies need it
     jobs: list[Part] = []
-    for behavior in reversed(BEHAVIORS):  # the graph is needed by two
-        jobs.append(Part(data[behavior], functools.partial(_collect, options, folder, behavior)))
-    for policy in (DEMONSTRATOR, NAVIGATION):
+    for pair in datasets:
+        jobs.append(Part(data[pair], functools.partial(_collect, options, folder, *pair)))
+    for policy in (DEMONSTRATOR, NAVIGATION, *others(options)):
         for behavior in BEHAVIORS:
             work = functools.partial(_drive, options, folder, (policy,), behavior, places[behavior])
             jobs.append(Part(_part_name(policy, behavior), work))
     before: tuple[str, ...] = ()
     for policy in learned:  # one after the other: orbax mixes up what several threads save
+        behavior = LEARNED.get(policy, "graph")
+        needed = (name for (origin, _), name in data.items() if origin == behavior)
         work = functools.partial(_train, options, folder, policy)
-        jobs.append(Part(f"training {policy}", work, (data[LEARNED.get(policy, "graph")], *before)))
+        jobs.append(Part(f"training {policy}", work, (*needed, *before)))
         before = (jobs[-1].name,)
     for behavior in BEHAVIORS:
         work = functools.partial(_drive, options, folder, learned, behavior, places[behavior])
-        jobs.append(Part(_part_name("G", behavior), work, tuple(f"training {policy}" for policy in learned)))
+        jobs.append(Part(_part_name("G", behavior), work, before))  # the last of the trainings
     return jobs
 
 
+def _networks(options: ExperimentConfig) -> list[tuple[int, int]]:
+    """(dataset, seed) of each network of a learned policy."""
+    return [(dataset, seed) for dataset in range(options.datasets or 1) for seed in range(options.trainings or 1)]
+
+
+def _sizes(options: ExperimentConfig) -> tuple[int, int, int]:
+    """Datasets, trainings on each, and episodes of each network, enough to make what was asked for."""
+    datasets, trainings = options.datasets or 1, options.trainings or 1
+    return datasets, trainings, math.ceil((options.episodes or 1) / (datasets * trainings))
+
+
+def _mean(summaries: list[Training]) -> Training:
+    return cast(Training, {name: float(np.mean([each[name] for each in summaries])) for name in summaries[0]})
+
+
 def _description(options: ExperimentConfig, behavior: str) -> dict[str, Any]:
-    return dict[str, Any](
-        behavior=behavior, environment=options.environment, robot=options.robot, dynamics=options.dynamics,
-        people=None if behavior == "handcrafted" else options.people, time_limit=options.time_limit,
-    )  # fmt: skip
+    return {"preset": options.preset, **table1.fields(options, behavior, options.people)}
 
 
-def _collect_config(options: ExperimentConfig, folder: Path, behavior: str) -> CollectConfig:
+def _collect_config(options: ExperimentConfig, folder: Path, behavior: str, dataset: int) -> CollectConfig:
     image: dict[str, Any] = dict(width=32, height=24) if options.quick else {}
     return CollectConfig(
         **_description(options, behavior), policy=Named(kind=options.demonstrator), hours=options.hours or 1.0,
-        seed=options.seed, out=folder / f"demonstrations-{behavior}", **image,
+        seed=options.seed + dataset, out=folder / f"demonstrations-{behavior}-{dataset}", **image,
     )  # fmt: skip
 
 
-def _network_name(policy: str) -> str:
-    return "graph-balanced" if policy == BALANCED else LEARNED[policy]
+def _network_name(policy: str, network: tuple[int, int]) -> str:
+    return f"{'graph-balanced' if policy == BALANCED else LEARNED[policy]}-{network[0]}-{network[1]}"
 
 
-def _collect(options: ExperimentConfig, folder: Path, behavior: str, watch: Callable[[float], None]) -> None:
+def _collect(
+    options: ExperimentConfig, folder: Path, behavior: str, dataset: int, watch: Callable[[float], None]
+) -> None:
     """Collect demonstrations in a folder of their own, or continue it, if a network still needs them."""
-    learners = [_network_name(policy) for policy in (*LEARNED, BALANCED) if LEARNED.get(policy, "graph") == behavior]
-    if any(parts.load(folder / f"trained-{name}.json") is None for name in learners):
-        learning.collect(_collect_config(options, folder, behavior), watch)
+    learners = [policy for policy in (*LEARNED, BALANCED) if LEARNED.get(policy, "graph") == behavior]
+    names = [_network_name(policy, (dataset, seed)) for policy in learners for seed in range(options.trainings or 1)]
+    if any(parts.load(folder / f"trained-{name}.json") is None for name in names):
+        learning.collect(_collect_config(options, folder, behavior, dataset), watch)
 
 
-def _train(options: ExperimentConfig, folder: Path, policy: str, watch: Callable[[float], None]) -> Training:
-    """Train a network in a folder of its own, or continue it."""
-    name, balanced = _network_name(policy), policy == BALANCED
-    done = folder / f"trained-{name}.json"
-    if (summary := parts.load(done)) is not None:
-        return summary
-    collected = _collect_config(options, folder, LEARNED.get(policy, "graph")).folder
-    train = TrainConfig(
-        method="imitation", dataset=collected, epochs=options.epochs or 1000, seed=options.seed,
-        batch=256 if options.quick else 1024, balance=balanced, out=folder / f"policy-{name}",
+def _train(options: ExperimentConfig, folder: Path, policy: str, watch: Callable[[float], None]) -> list[Training]:
+    """Train the networks of a policy that are missing, side by side, each in a folder of its own."""
+    files = {network: folder / f"trained-{_network_name(policy, network)}.json" for network in _networks(options)}
+    missing = [network for network, file in files.items() if parts.load(file) is None]
+    if missing:
+        asked = [_train_config(options, folder, policy, network) for network in missing]
+        began = time.perf_counter()
+        states = learning.ensemble.train(asked, watch)
+        seconds = (time.perf_counter() - began) / len(missing)
+        for network, own, state in zip(missing, asked, states, strict=True):
+            parts.save(files[network], _summary(own, state) | {"seconds": seconds})
+    return [cast(Training, parts.load(file)) for file in files.values()]
+
+
+def _train_config(options: ExperimentConfig, folder: Path, policy: str, network: tuple[int, int]) -> TrainConfig:
+    dataset, seed = network
+    return TrainConfig(
+        method="imitation", epochs=options.epochs or 1000, seed=options.seed + seed,
+        dataset=_collect_config(options, folder, LEARNED.get(policy, "graph"), dataset).folder,
+        batch=256 if options.quick else 1024, balance=policy == BALANCED,
+        out=folder / f"policy-{_network_name(policy, network)}",
     )  # fmt: skip
-    began = time.perf_counter()
-    state = learning.train(train, watch)
-    data = learning.open_dataset(collected)
+
+
+def _summary(trained: TrainConfig, state: TrainState) -> dict[str, Any]:
+    data = learning.open_dataset(trained.dataset)
     flags = data.read(data.episodes, ("situations",))["situations"]
-    odds = balanced_probabilities(flags) if balanced else np.full(len(flags), 1 / len(flags))
+    odds = balanced_probabilities(flags) if trained.balance else np.full(len(flags), 1 / len(flags))
     shared = odds @ (flags / np.maximum(flags.sum(1, keepdims=True), 1))
-    summary: Training = {
+    return {
         "examples": int(data.example_count),
         "entropy": float(shares.normalised_entropy(shared)),
         "epochs": int(state.epoch),
         "best_epoch": int(state.best_epoch),
         "loss": float(state.best),
-        "seconds": time.perf_counter() - began,
     }
-    parts.save(done, summary)
-    return summary
 
 
-def _policy(options: ExperimentConfig, folder: Path, policy: str, scenario: Scenario) -> Policy:
+def _policy(
+    options: ExperimentConfig, folder: Path, policy: str, network: tuple[int, int], scenario: Scenario
+) -> Policy:
     if policy in LEARNED or policy == BALANCED:
         with LOADING:  # All have one name, since a policy of another name would be compiled again.
             return dataclasses.replace(
-                learning.load(folder / f"policy-{_network_name(policy)}", scenario), name="learned"
+                learning.load(folder / f"policy-{_network_name(policy, network)}", scenario), name="learned"
             )
-    return choice.policy("social_costmap" if policy == NAVIGATION else options.demonstrator, scenario)
+    names = {NAVIGATION: "social_costmap", DEMONSTRATOR: options.demonstrator}
+    return choice.policy(names.get(policy, policy), scenario)
 
 
 def _drive(
@@ -195,24 +249,37 @@ def _drive(
     import jax
 
     kinds = [dataclasses.replace(kind, metrics=_metrics()) for kind in kinds]
-    number, max_size = options.episodes or 1, BATCH.get(jax.default_backend(), BATCH_ELSEWHERE)
+    *_, each = _sizes(options)
+    networks = _networks(options)
+    max_size = BATCH.get(jax.default_backend(), BATCH_ELSEWHERE)
     runner = None
     by_policy: dict[str, Columns] = {}
     for turn, policy in enumerate(policies):
-        file = folder / f"episodes-{policy}-{behavior}.json"
+        file = folder / f"episodes-{_file_name(policy)}-{behavior}.json"
         if parts.load(file) is None:
-            tell = functools.partial(_tell, watch, turn, len(policies))
-            now = _policy(options, folder, policy, kinds[0])
-            if runner is None:
-                runner = Runner(kinds, now, _even(number, max_size), "figure4")
-            runner.policy = now  # of the same structure, so nothing is compiled again
-            measured = _measure(runner, options.seed, number, tell)
-            if not all(np.isfinite(measured[name]).all() for name in ("completed", "seconds", *INTIMATE)):
+            alike = policy not in LEARNED and policy != BALANCED  # the same driver in all episodes
+            drivers, number = ([networks[0]], each * len(networks)) if alike else (networks, each)
+            measured = []
+            for index, network in enumerate(drivers):
+                tell = functools.partial(_tell, watch, turn * len(drivers) + index, len(policies) * len(drivers))
+                now = _policy(options, folder, policy, network, kinds[0])
+                if runner is None:
+                    runner = Runner(kinds, now, _even(number, max_size), "figure4")
+                runner.policy = now  # of the same structure, so nothing is compiled again
+                measured.append(_measure(runner, options.seed, index * number, number, tell))
+            columns = {
+                name: np.concatenate([np.asarray(one[name], float) for one in measured]) for name in METRIC_NAMES
+            }
+            if not all(np.isfinite(columns[name]).all() for name in ("completed", "seconds", *INTIMATE)):
                 raise FloatingPointError(f"{policy} in {behavior}: a metric is not finite; nothing of it is written.")
-            columns = {name: np.nan_to_num(np.asarray(measured[name], float)).tolist() for name in METRIC_NAMES}
-            parts.save(file, columns)
+            parts.save(file, {name: np.nan_to_num(values).tolist() for name, values in columns.items()})
         by_policy[policy] = parts.load(file)
     return by_policy
+
+
+def _file_name(policy: str) -> str:
+    """A folder or FILE.py:NAME as a part of a file's name."""
+    return policy.strip("./").replace("/", "-").replace("\\", "-").replace(":", "-")
 
 
 def _even(number: int, max_size: int) -> int:
@@ -220,15 +287,18 @@ def _even(number: int, max_size: int) -> int:
     return math.ceil(number / math.ceil(number / max_size))
 
 
-def _measure(runner: Runner, seed: int, number: int, tell: Callable[[float], None]) -> dict[str, np.ndarray]:
-    """Metrics (E, ...) of the first ``number`` episodes, each run to its end."""
+def _measure(
+    runner: Runner, seed: int, begin: int, number: int, tell: Callable[[float], None]
+) -> dict[str, np.ndarray]:
+    """Metrics (E, ...) of ``number`` episodes from ``begin`` on, each run to its end."""
     import jax
 
-    batches, starts, limit = [], range(0, number, runner.size), runner.scenarios[0].time_limit
+    end, limit = begin + number, runner.scenarios[0].time_limit
+    batches, starts = [], range(begin, end, runner.size)
     compute = jax.jit(jax.vmap(results, (None, 0)))
     for index, first in enumerate(starts):
         watch = Watch(advanced=lambda seconds, _, index=index: tell((index + seconds / limit) / len(starts)))
-        batch = runner.run(seed, first, min(runner.size, number - first), watch=watch)
+        batch = runner.run(seed, first, min(runner.size, end - first), watch=watch)
         seconds = batch.steps * runner.scenarios[0].time_step
         figures = compute(runner.scenarios[0], batch.states)
         batches.append({"completed": np.asarray(batch.states.completed), "seconds": seconds, **figures})
@@ -266,7 +336,7 @@ def _results(
                 "collisions": collisions[:, 0] if collisions.ndim == 2 else collisions,
             }
             situations[policy][behavior] = violations[:, 1:]
-    results = Results(policies, options.episodes or 1, values, situations, training)
+    results = Results(policies, _sizes(options), values, situations, training)
     results.claims = claims(results)
     return results
 

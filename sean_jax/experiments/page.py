@@ -5,8 +5,10 @@ from __future__ import annotations
 import html as markup
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 import sean_jax.report as reports
-from sean_jax.config import ExperimentConfig
+from sean_jax.config import BenchmarkConfig, ExperimentConfig
 from sean_jax.experiments import parts, pictures, shares
 from sean_jax.experiments.shares import BEHAVIORS
 from sean_jax.flags import command, number
@@ -15,6 +17,7 @@ from sean_jax.versions import versions
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from sean_jax.experiments.benchmark import Scores
     from sean_jax.experiments.claims import Claim, Results
     from sean_jax.experiments.shares import Ordering
     from sean_jax.experiments.table1 import Cell
@@ -23,7 +26,9 @@ if TYPE_CHECKING:
 STYLE = "td:nth-child(2){font-weight:400}td.ours{font-weight:650}td.text,th.text{text-align:left;white-space:normal}"
 
 
-def document(title: str, kicker: str, sections: list[tuple[str, str]], options: ExperimentConfig) -> str:
+def document(
+    title: str, kicker: str, sections: list[tuple[str, str]], options: ExperimentConfig | BenchmarkConfig
+) -> str:
     """A page with these sections and one more: the command and the versions that reproduce it.
 
     Args:
@@ -36,7 +41,8 @@ def document(title: str, kicker: str, sections: list[tuple[str, str]], options: 
         HTML without references to other files.
     """
     origin = (parts.load(options.folder / parts.OPTIONS) or {}).get("versions") or versions()  # of the run
-    again = f"<pre>{markup.escape(command('experiment', options))}</pre>"
+    word = "benchmark" if isinstance(options, BenchmarkConfig) else "experiment"
+    again = f"<pre>{markup.escape(command(word, options))}</pre>"
     facts = "".join(f"<dt>{markup.escape(k)}</dt><dd>{markup.escape(str(v))}</dd>" for k, v in origin.items())
     sections = [*sections, ("How to get this again", again + f"<dl>{facts}</dl>")]
     body = (f"<section><h2>{name}</h2>\n{text}</section>" for name, text in sections)
@@ -83,9 +89,9 @@ def table1(options: ExperimentConfig, cells: list[Cell], figures: dict[str, Figu
 
 BARS = "<figcaption>Dashed: the paper's Table I.</figcaption>"
 COUNTED = (
-    "<p class=note>Percent of the examples, one a second. Small: the middle 95 % of a bootstrap over minutes. Each "
-    "situation counts fully (several can hold at once, or none); in brackets, an example in several is shared equally. "
-    "Entropy is that of the shared examples over ln 5.</p>"
+    "<p class=note>Percent of all flags: an example, one a second, has a flag for each situation that holds. In "
+    "brackets, percent of the examples; <i>none</i> are the examples without a flag. Small: the middle 95 % of a "
+    "bootstrap over minutes. Entropy is over ln 5. The paper's rows are divided by their sum.</p>"
 )
 SPEEDS = (
     "<p class=note>The paper counts people as walking above 1.4 m/s. SEAN 2.0's code uses 0.4 m/s, and its people walk "
@@ -105,17 +111,18 @@ def _shares(cells: list[Cell], policy: str) -> str:
     rows = []
     for cell in (cell for cell in cells if cell.policy == policy):
         estimate = cell.shares()
-        low, high = shares.interval(estimate.multi)
+        flags, examples = estimate.of("flags"), estimate.of("examples")
+        low, high = shares.interval(flags)
         entropy = estimate.entropy()
         ends = shares.interval(entropy)
         ours = "".join(
-            _cell(f"{100 * estimate.multi[0, k]:.1f} ({100 * estimate.exclusive[0, k]:.1f})",
+            _cell(f"{100 * flags[0, k]:.1f} ({100 * examples[0, k]:.1f})",
                   f"{100 * low[k]:.1f} – {100 * high[k]:.1f}", "ours")
             for k in range(5)
         )  # fmt: skip
         ended = int(cell.ended.sum())
         rows.append(
-            f"<tr><td>{cell.behavior}</td>{ours}{_cell(f'{100 * estimate.none:.1f}')}"
+            f"<tr><td>{cell.behavior}</td>{ours}{_cell(f'{100 * estimate.none[0]:.1f}')}"
             f"{_cell(f'{entropy[0]:.3f}', f'{ends[0]:.3f} – {ends[1]:.3f}', 'ours')}"
             f"{_cell(f'{cell.ended[0]} of {ended}')}</tr>"
         )
@@ -140,8 +147,8 @@ def _orderings(cells: list[Cell], policies: list[str], speed: float) -> str:
         rows.append(f"<tr><td>{first['name']}</td><td class=text>{markup.escape(first['statement'])}</td>"
                     f"<td>{kind}</td>{values}</tr>")  # fmt: skip
     note = (
-        f"<p class=note>At V = {number(speed)} m/s, examples shared. Below: in how many of the resamples it holds; at "
-        "least 97.5 % is counted as surely. orderings.csv has the other speeds and ways to count.</p>"
+        f"<p class=note>At V = {number(speed)} m/s, shares of flags. Below: in how many of the resamples it holds; "
+        "at least 97.5 % is counted as surely. orderings.csv has the other speeds and ways of counting.</p>"
     )
     return _table(["", "statement", "", *policies], rows) + note
 
@@ -149,6 +156,132 @@ def _orderings(cells: list[Cell], policies: list[str], speed: float) -> str:
 def _verdict(row: Claim | Ordering) -> tuple[str, str]:
     sure = row["share"] >= 0.975 or row["share"] <= 0.025
     return ("" if sure else "perhaps ") + ("yes" if row["holds"] else "no"), f"{100 * row['share']:.1f} %"
+
+
+def ablation(options: ExperimentConfig, by_world: dict[str, list[Cell]], figure: Figure) -> str:
+    """The page of Table I in several worlds.
+
+    Args:
+        options: of the experiment.
+        by_world: world -> cells of each policy and behavior, the world that others are compared with first.
+        figure: as ``pictures.ablation`` draws it.
+
+    Returns:
+        HTML.
+    """
+    policies = list(dict.fromkeys(cell.policy for cells in by_world.values() for cell in cells))
+    tables = [
+        _table([f"{behavior} · {policy}", *(name.replace("_", " ") for name in shares.NAMES), "none", "entropy"],
+               _worlds(by_world, behavior, policy))
+        for policy in policies
+        for behavior in BEHAVIORS
+    ]  # fmt: skip
+    sections = [
+        ("What each switch moves", pictures.embed(figure, "ablation") + MOVED),
+        ("Orderings of the paper", "".join(_decided(by_world, policy) for policy in policies) + DECIDED),
+        ("Shares", "".join(tables) + WORLDS),
+    ]
+    return document("Table I: which of SEAN's conditions moves what", "sean_jax · experiment", sections, options)
+
+
+MOVED = (
+    "<figcaption>Points by which shares of flags differ from those of the default world, means over the policies. A "
+    "row is that world with one switch, the last with all of them.</figcaption>"
+)
+DECIDED = (
+    "<p class=note>In how many percent of the resamples an ordering holds, by shares of flags. Bold: the switch "
+    "decides otherwise than the default world, each with 97.5 % or more. orderings.csv has the other ways of "
+    "counting.</p>"
+)
+WORLDS = (
+    "<p class=note>Percent of all flags; none: percent of the examples without a flag. Small: the middle 95 % of a "
+    "bootstrap over minutes. Bold: the interval of the difference from the default world does not hold 0.</p>"
+)
+
+
+def _worlds(by_world: dict[str, list[Cell]], behavior: str, policy: str) -> list[str]:
+    found = {
+        world: next(cell.shares() for cell in cells if (cell.behavior, cell.policy) == (behavior, policy))
+        for world, cells in by_world.items()
+    }
+    columns = {world: _columns(each) for world, each in found.items()}
+    first = next(iter(columns.values()))
+    reference = shares.paper()[behavior]
+    theirs = [*(f"{100 * value:.1f}" for value in reference), "", f"{shares.normalised_entropy(reference):.3f}"]
+    rows = [f"<tr><td class=none>paper</td>{''.join(map(_cell, theirs))}</tr>"]
+    for world, samples in columns.items():
+        low, high = shares.interval(samples)
+        below, above = shares.interval(samples - first)
+        cells = []
+        for k, value in enumerate(samples[0]):
+            scale, form = (1.0, ".3f") if k == len(shares.NAMES) + 1 else (100.0, ".1f")
+            moved = world != next(iter(columns)) and not below[k] <= 0.0 <= above[k]
+            ends = f"{scale * low[k]:{form}} – {scale * high[k]:{form}}"
+            cells.append(_cell(f"{scale * value:{form}}", ends, "ours" if moved else ""))
+        rows.append(f"<tr><td>{markup.escape(world)}</td>{''.join(cells)}</tr>")
+    return rows
+
+
+def _columns(estimate: shares.Shares) -> np.ndarray:
+    """(1 + R, 7) shares of flags, none, and entropy."""
+    return np.concatenate([estimate.of("flags"), estimate.none[:, None], estimate.entropy()[:, None]], axis=1)
+
+
+def _decided(by_world: dict[str, list[Cell]], policy: str) -> str:
+    told = {
+        world: shares.orderings({cell.behavior: cell.shares() for cell in cells if cell.policy == policy})
+        for world, cells in by_world.items()
+    }
+    first = next(iter(told.values()))
+    rows = []
+    for index, row in enumerate(first):
+        cells = []
+        for each in told.values():
+            share = each[index]["share"]
+            other = min(share, row["share"]) <= 0.025 and max(share, row["share"]) >= 0.975
+            cells.append(_cell(f"{100 * share:.0f}", "", "ours" if other else ""))
+        rows.append(
+            f"<tr><td>{row['name']}</td><td class=text>{markup.escape(row['statement'])}</td>{''.join(cells)}</tr>"
+        )
+    return _table([policy, "statement", *map(markup.escape, told)], rows)
+
+
+def benchmark(options: BenchmarkConfig, whole: Scores, by_track: dict[str, Scores]) -> str:
+    """The page of a benchmark.
+
+    Args:
+        options: of the benchmark.
+        whole: over all tracks.
+        by_track: track -> figures there.
+
+    Returns:
+        HTML.
+    """
+    tracks = {"all": whole, **by_track}
+    figures = [
+        f"<tr><td>{name}</td>{''.join(_between(each) for each in found.figures.values())}</tr>"
+        for name, found in tracks.items()
+    ]
+    names = [name.replace("_", " ") for name in shares.NAMES]
+    situations = [_in_situations(name, found.violations) for name, found in tracks.items()]
+    time = [
+        _in_situations(name, found.shares._replace(**{end: 100.0 * getattr(found.shares, end) for end in ENDS}), ".1f")
+        for name, found in tracks.items()
+    ]
+    sections = [
+        ("By track", _table(["track", *whole.FIGURES.values()], figures) + POLITE),
+        ("By situation: times a minute within 0.45 m, by the robot", _table(["track", *names], situations)),
+        ("By situation: percent of the time", _table(["track", *names], time)),
+    ]
+    title = f"{options.policy}: {len(by_track)} tracks, {options.episodes} episodes each"
+    return document(title, "sean_jax · benchmark", sections, options)
+
+
+ENDS = "mean", "low", "high"
+POLITE = (
+    "<p class=note>Politely: without coming within 0.45 m of somebody, touching them or touching an obstacle by the "
+    "robot's fault. Events are times an episode. Small: the middle 95 % of a bootstrap over episodes.</p>"
+)
 
 
 def figure4(options: ExperimentConfig, results: Results, grids: Figure) -> str:
@@ -171,7 +304,12 @@ def figure4(options: ExperimentConfig, results: Results, grids: Figure) -> str:
     if results.training:
         rows = []
         for name, row in results.training.items():
-            values = str(row["examples"]), f"{row['entropy']:.3f}", str(row["epochs"]), str(row["best_epoch"])
+            values = (
+                f"{row['examples']:.0f}",
+                f"{row['entropy']:.3f}",
+                f"{row['epochs']:.0f}",
+                f"{row['best_epoch']:.0f}",
+            )
             values = *values, f"{row['loss']:.4f}", f"{row['seconds']:.0f}"
             rows.append(f"<tr><td>{name}</td>{''.join(map(_cell, values))}</tr>")
         sections.append(
@@ -183,9 +321,10 @@ def figure4(options: ExperimentConfig, results: Results, grids: Figure) -> str:
                 ),
             )
         )
-    title = (
-        f"Figure 4: {len(results.policies)} policies in {len(BEHAVIORS)} scenarios, {results.episodes} episodes each"
-    )
+    datasets, trainings, _ = results.sizes
+    networks = f"; {datasets * trainings} networks of each learner" if datasets * trainings > 1 else ""
+    scenarios = f"{len(BEHAVIORS)} scenarios, {results.episodes} episodes each"
+    title = f"Figure 4: {len(results.policies)} policies in {scenarios}{networks}"
     return document(title, "sean_jax · experiment", sections, options)
 
 
@@ -197,6 +336,10 @@ FIGURE = (
     "<p class=note>G, R and H learned from demonstrations among people of the behavior graph, at random and "
     "handcrafted, B from those of G drawn so that all situations are equally frequent; N is the navigation stack with "
     "social cost layers, E the demonstrator. Darker is more.</p>"
+)
+BOOTSTRAP = (
+    "<p class=note>Small: the middle 95 % of a bootstrap over datasets, seeds of training of each, and episodes of "
+    "each.</p>"
 )
 
 
@@ -215,7 +358,7 @@ def _numbers(results: Results) -> str:
         tables.append(_table([words, *results.policies], rows))
         if name == "time_not_moving":
             tables.append(_table(["the same, of completed tasks", *results.policies], _waiting(results)))
-    return "".join(tables) + "<p class=note>Small: the middle 95 % of a bootstrap over episodes.</p>"
+    return "".join(tables) + BOOTSTRAP
 
 
 def _between(cell: Estimate, form: str = ".2f") -> str:
@@ -247,7 +390,7 @@ def _by_situation(results: Results) -> str:
         _table(["intimate distance violations per episode", *names], rows)
         + _table(["of B more than of G, in the same episodes", *names], more)
         + _table(["likewise", *results.MEASURES.values()], less)
-        + "<p class=note>Small: the middle 95 % of a bootstrap over episodes.</p>"
+        + BOOTSTRAP
     )
 
 

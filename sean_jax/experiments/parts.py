@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from sean_jax import writing
-from sean_jax.config import ExperimentConfig
+from sean_jax.config import BenchmarkConfig, ExperimentConfig
 from sean_jax.errors import InputError
 from sean_jax.flags import flag
 from sean_jax.versions import version_mismatch, versions
@@ -13,7 +13,7 @@ from sean_jax.versions import version_mismatch, versions
 OPTIONS = "experiment.json"
 
 
-def has_started(options: ExperimentConfig) -> bool:
+def has_started(options: ExperimentConfig | BenchmarkConfig) -> bool:
     """Whether the folder holds the beginning of this experiment, made with the same versions of packages.
 
     Args:
@@ -46,7 +46,7 @@ def has_started(options: ExperimentConfig) -> bool:
     return False
 
 
-def start(options: ExperimentConfig) -> None:
+def start(options: ExperimentConfig | BenchmarkConfig) -> None:
     """Write the options into a new folder; a folder that holds this experiment stays as it is.
 
     Args:

@@ -102,13 +102,14 @@ def bars(cells: list[Cell]) -> Figure:
     for cell in cells:
         spot = axes[policies.index(cell.policy), BEHAVIORS.index(cell.behavior)]
         estimate = cell.shares()
-        low, high = shares.interval(estimate.multi)
-        value = 100 * estimate.multi[0]
+        flags = estimate.of("flags")
+        low, high = shares.interval(flags)
+        value = 100 * flags[0]
         x = np.arange(5)
         spot.bar(x, value, 0.7, color=shades())
         ends = [np.maximum(value - 100 * low, 0), np.maximum(100 * high - value, 0)]
         spot.errorbar(x, value, ends, fmt="none", ecolor=colors.INK, elinewidth=1.1, capsize=2)
-        reference = np.array(shares.PAPER[cell.behavior])
+        reference = 100 * shares.paper()[cell.behavior]
         spot.hlines(reference, x - 0.42, x + 0.42, color=colors.INK, lw=1.4, linestyles=(0, (2, 1)))
         spot.set_xticks(x, [name.replace("_", "\n") for name in shares.NAMES], fontsize=7.5)
         spot.set_ylim(0, 100)
@@ -116,7 +117,7 @@ def bars(cells: list[Cell]) -> Figure:
         spot.text(0.03, 0.97, f"entropy {estimate.entropy()[0]:.2f}\npaper {shares.normalised_entropy(reference):.2f}",
                   transform=spot.transAxes, ha="left", va="top", fontsize=8, color=colors.MUTED)  # fmt: skip
     for row in axes:
-        row[0].set_ylabel("% of examples", color=colors.MUTED)
+        row[0].set_ylabel("% of flags", color=colors.MUTED)
     return figure
 
 
@@ -144,7 +145,7 @@ def speeds(options: ExperimentConfig, cells: list[Cell]) -> Figure:
         x = np.array(options.speeds)[order]
         for spot, values in (
             (axes[0, 0], [each.entropy()[0] for each in estimates]),
-            (axes[0, 1], [100 * each.multi[0, 0] for each in estimates]),
+            (axes[0, 1], [100 * each.examples[0, 0] for each in estimates]),
         ):
             spot.plot(x, np.array(values)[order], style, color=kinds[cell.behavior], marker="o", ms=3, label=label)
     for spot, name in zip(axes[0], ("normalised entropy", "cross path, % of examples"), strict=True):
@@ -172,7 +173,7 @@ def crowds(cells: list[Cell], swept: list[Cell]) -> Figure:
         selection = sorted((c for c in [*first, *swept] if c.behavior == behavior), key=lambda cell: cell.people)
         people, estimates = [cell.people for cell in selection], [cell.shares() for cell in selection]
         for k, (name, shade) in enumerate(zip(shares.NAMES, shades(), strict=True)):
-            values = [100 * each.multi[0, k] for each in estimates]
+            values = [100 * each.examples[0, k] for each in estimates]
             spot.plot(people, values, color=shade, marker="o", ms=3, label=name.replace("_", " "))
         spot.plot(people, [100 * each.entropy()[0] for each in estimates], ":", color=colors.INK, label="100 x entropy")
         spot.set_title(f"{behavior} · {swept[0].policy}", loc="left", fontsize=9.5, color=colors.INK)
@@ -180,6 +181,39 @@ def crowds(cells: list[Cell], swept: list[Cell]) -> Figure:
         spot.set_ylim(0, 100)
     axes[0, 0].set_ylabel("% of examples", color=colors.MUTED)
     axes[0, -1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def ablation(by_world: dict[str, list[Cell]]) -> Figure:
+    """By how many points each world moves the shares of flags of the first, means over the policies.
+
+    Args:
+        by_world: world -> cells of each policy and behavior.
+
+    Returns:
+        The figure.
+    """
+    worlds = list(by_world)
+
+    def mean(world: str, behavior: str) -> np.ndarray:
+        chosen = [cell.shares() for cell in by_world[world] if cell.behavior == behavior]
+        flags = np.mean([each.of("flags")[0] for each in chosen], 0)
+        return 100 * np.append(flags, np.mean([each.entropy()[0] for each in chosen]))
+
+    figure, axes = _figure(3.4 * len(BEHAVIORS) + 1.2, 0.3 * len(worlds) + 1.2, 1, len(BEHAVIORS))
+    names = [*(name.replace("_", "\n") for name in shares.NAMES), "100 x\nentropy"]
+    shade = matplotlib.colors.LinearSegmentedColormap.from_list("", [colors.ROBOT, colors.PAPER, colors.FLOW])
+    for spot, behavior in zip(axes[0], BEHAVIORS, strict=True):
+        first = mean(worlds[0], behavior)
+        values = np.stack([mean(world, behavior) - first for world in worlds[1:]])
+        spot.imshow(values, cmap=shade, vmin=-30, vmax=30, aspect="auto")
+        for (row, column), value in np.ndenumerate(values):
+            spot.text(column, row, f"{value:+.0f}", ha="center", va="center", color=colors.INK, fontsize=8)
+        spot.set_xticks(range(len(names)), names, fontsize=7)
+        spot.set_yticks(range(len(worlds) - 1), worlds[1:] if spot is axes[0, 0] else [""] * (len(worlds) - 1))
+        spot.set_title(behavior, loc="left", fontsize=9.5, color=colors.INK)
+        for side in ("left", "bottom"):
+            spot.spines[side].set_visible(False)
     return figure
 
 

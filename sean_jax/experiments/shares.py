@@ -1,8 +1,8 @@
-"""Shares of social situations (Table I): two ways of counting, entropy, intervals, and the orderings of the paper.
+"""Shares of social situations (Table I): ways of counting, entropy, intervals, and the orderings of the paper.
 
-Examples are taken once a second. Where several situations hold, each counts fully (multi-label), or they share the
-example equally (exclusive). Intervals come from the bootstrap of ``metrics.bootstrap`` over blocks of a minute (Kuensch
-1989), because successive seconds are alike. Entropies are divided by ln 5, that of five equal shares.
+Examples are taken once a second, and each situation that holds is a flag of the example. Intervals come from the
+bootstrap of ``metrics.bootstrap`` over blocks of a minute (Kuensch 1989), because successive seconds are alike.
+Entropies are divided by ln 5, that of five equal shares; they are the same for all ways of counting.
 """
 
 import dataclasses
@@ -19,6 +19,13 @@ PAPER = {  # Table I, percent
     "handcrafted": (0.73, 0.74, 3.43, 13.48, 81.62),
     "graph": (13.24, 22.08, 12.09, 19.51, 33.08),
 }
+COUNTINGS = {
+    "flags": "share of all flags",
+    "flags_and_none": "share of all flags, none of them being one more",
+    "examples": "share of all examples",
+    "situated_examples": "share of the examples in some situation",
+}
+"""Ways of counting, the first of which makes rows add up to 1 as two of the paper's do."""
 
 
 class Ordering(TypedDict):
@@ -35,21 +42,35 @@ class Ordering(TypedDict):
 class Shares:
     """Shares with one behavior and one policy: the estimate, followed by those of R bootstrap resamples."""
 
-    multi: np.ndarray  # (1 + R, 5)
-    exclusive: np.ndarray  # (1 + R, 5)
-    none: float  # share of the examples in which no situation holds
-    examples: int
+    examples: np.ndarray  # (1 + R, 5), of all examples
+    none: np.ndarray  # (1 + R,), of the examples in which no situation holds
+    seconds: int  # examples
 
-    def entropy(self, exclusive: bool = True) -> np.ndarray:
-        """Normalised entropy of the shares.
+    def of(self, counting: str) -> np.ndarray:
+        """The shares by one way of counting.
 
         Args:
-            exclusive: of which way of counting.
+            counting: one of ``COUNTINGS``.
+
+        Returns:
+            (1 + R, 5) from 0 to 1; 0 where there is nothing to divide by.
+        """
+        flags = self.examples.sum(1)
+        whole = {
+            "flags": flags,
+            "flags_and_none": flags + self.none,
+            "examples": np.ones_like(flags),
+            "situated_examples": 1.0 - self.none,
+        }[counting]
+        return self.examples / np.where(whole > 0, whole, 1.0)[:, None]
+
+    def entropy(self) -> np.ndarray:
+        """Normalised entropy of the shares.
 
         Returns:
             (1 + R,), from 0 to 1.
         """
-        return normalised_entropy(self.exclusive if exclusive else self.multi)
+        return normalised_entropy(self.examples)
 
 
 def count(flags: np.ndarray, seed: int = 0) -> Shares:
@@ -60,14 +81,11 @@ def count(flags: np.ndarray, seed: int = 0) -> Shares:
         seed: of the resamples.
 
     Returns:
-        The shares by both ways of counting.
+        The shares.
     """
-    situations = flags.sum(-1, keepdims=True)
-    multi = flags.mean(1)
-    exclusive = (flags / np.maximum(situations, 1)).mean(1)
     weights = bootstrap.with_estimate(bootstrap.resamples(len(flags), seed, bootstrap.RESAMPLES))
-    none = float((situations == 0).mean())
-    return Shares(weights @ multi, weights @ exclusive, none, flags.shape[0] * flags.shape[1])
+    none = ~flags.any(-1)
+    return Shares(weights @ flags.mean(1), weights @ none.mean(1), flags.shape[0] * flags.shape[1])
 
 
 def normalised_entropy(shares: np.ndarray) -> np.ndarray:
@@ -96,12 +114,12 @@ def interval(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return bootstrap.interval(samples[1:])
 
 
-def orderings(by_behavior: dict[str, Shares], exclusive: bool = True) -> list[Ordering]:
+def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[Ordering]:
     """The orderings that the paper's table shows, and how sure they are here.
 
     Args:
         by_behavior: shares by behavior: random, handcrafted and graph.
-        exclusive: of which way of counting.
+        counting: one of ``COUNTINGS``.
 
     Returns:
         For each ordering its name, its statement, whether it is expected with any policy (hard), whether it holds, and
@@ -109,9 +127,7 @@ def orderings(by_behavior: dict[str, Shares], exclusive: bool = True) -> list[Or
 
     Source: Table I.
     """
-    r, h, g = (
-        getattr(by_behavior[b], "exclusive" if exclusive else "multi") for b in ("random", "handcrafted", "graph")
-    )
+    r, h, g = (by_behavior[name].of(counting) for name in ("random", "handcrafted", "graph"))
     hr, hh, hg = (normalised_entropy(each) for each in (r, h, g))
     cross, down, join, leave, empty = range(5)
     groups = g[:, join] + g[:, leave]
@@ -140,11 +156,11 @@ def orderings(by_behavior: dict[str, Shares], exclusive: bool = True) -> list[Or
 
 
 def paper() -> dict[str, np.ndarray]:
-    """The shares that the paper prints.
+    """The shares that the paper prints, divided by their sum: 100.00 % in two rows, 105.63 % in random's.
 
     Returns:
         behavior -> (5,) from 0 to 1.
 
     Source: Table I.
     """
-    return {name: np.array(row) / 100 for name, row in PAPER.items()}
+    return {name: np.array(row) / sum(row) for name, row in PAPER.items()}

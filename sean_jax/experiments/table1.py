@@ -12,7 +12,7 @@ import functools
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 SWEPT = "random", "graph"  # behaviors whose number of people can be chosen
 CHAIN = 6  # minutes of a chain, which an hour, a half and a fifth of it are multiples of
+TOLD = "environment", "robot", "dynamics", "time_limit"  # options that scenarios have as well
 STARTS = 64  # of each stream and seed, from which its chains restart
 
 
@@ -57,7 +58,7 @@ class Cell:
             speed: index of the walking speed V.
 
         Returns:
-            The shares by both ways of counting, with resamples.
+            The shares, with resamples.
         """
         return shares.count(self.flags[speed])
 
@@ -81,18 +82,14 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     Source: section V-B, Table I.
     """
     options = options.complete()
-    policies = list(dict.fromkeys(listed(options.policies)))
-    if not policies:
-        raise InputError("--policies names no policy; try --policies go_to_goal.")
-    for name in policies:
-        choice.check(name, ScenarioConfig(), "--policies")
+    drivers = policies(options)
     for behavior, people in [(each, options.people) for each in BEHAVIORS] + [
         (each, crowd) for crowd in options.crowds or () for each in SWEPT
     ]:
-        protocol.check(_description(options, behavior, people))
+        protocol.check(description(options, behavior, people))
     folder, started = options.folder, parts.has_started(options)
-    jobs = [(behavior, policy, options.people) for policy in policies for behavior in BEHAVIORS]
-    sweep = [(behavior, policies[0], people) for people in options.crowds or () for behavior in SWEPT]
+    jobs = [(behavior, policy, options.people) for policy in drivers for behavior in BEHAVIORS]
+    sweep = [(behavior, drivers[0], people) for people in options.crowds or () for behavior in SWEPT]
     places = Once(functools.partial(_places, options))
     with writing.folder_lock(folder):
         for behavior, _, people in [] if started else dict.fromkeys([*jobs, *sweep]):
@@ -117,20 +114,58 @@ def _part_name(behavior: str, policy: str, people: int | None) -> str:
     return f"{behavior}, {policy}" + ("" if people is None else f", {people} people")
 
 
-def _description(options: ExperimentConfig, behavior: str, people: int | None) -> CollectConfig:
-    fields = {"behavior": behavior, "people": None if behavior == "handcrafted" else people}
-    return CollectConfig(
-        environment=options.environment,
-        robot=options.robot,
-        dynamics=options.dynamics,
-        time_limit=options.time_limit,
-        **fields,
-    )
+def policies(options: ExperimentConfig) -> list[str]:
+    """Who drives.
+
+    Args:
+        options: of the experiment.
+
+    Returns:
+        Names or folders, each once.
+
+    Raises:
+        InputError: there is none, or no policy of that name.
+    """
+    names = list(dict.fromkeys(listed(options.policies)))
+    if not names:
+        raise InputError("--policies names no policy; try --policies go_to_goal.")
+    for name in names:
+        choice.check(name, ScenarioConfig(), "--policies")
+    return names
+
+
+def description(options: ExperimentConfig, behavior: str, people: int | None) -> CollectConfig:
+    """What is simulated with people of a behavior.
+
+    Args:
+        options: of the experiment.
+        behavior: random, handcrafted or graph.
+        people: how many; None for as many as the environment says, and with handcrafted people.
+
+    Returns:
+        The description.
+    """
+    return CollectConfig(preset=options.preset, **fields(options, behavior, people))
+
+
+def fields(options: ExperimentConfig, behavior: str, people: int | None) -> dict[str, Any]:
+    """What an experiment was told of its scenarios; a preset may fill in the rest.
+
+    Args:
+        options: of the experiment.
+        behavior: random, handcrafted or graph.
+        people: how many; None for as many as the environment says, and with handcrafted people.
+
+    Returns:
+        Fields of a description.
+    """
+    told = {name: getattr(options, name) for name in TOLD if name in options.model_fields_set}
+    return told | {"behavior": behavior, "people": None if behavior == "handcrafted" else people}
 
 
 def _places(options: ExperimentConfig, behavior: str, people: int | None) -> list[Scenario]:
     """The streams of the protocol, with situations for each walking speed."""
-    kinds = list(streams(_description(options, behavior, people)).values())
+    kinds = list(streams(description(options, behavior, people)).values())
     situations = _at_speeds(kinds[0], options.speeds)
     return [dataclasses.replace(kind, situations=situations) for kind in kinds]
 
@@ -144,8 +179,35 @@ def _cell(
     places: Once,
     watch: Callable[[float], None],
 ) -> Cell:
-    """The cell from its file in the folder, or simulated."""
     file = folder / f"{behavior}-{policy}{'' if people is None else f'-{people}'}.npz"
+    return cell(options, file, behavior, policy, lambda: places(behavior, people), watch)
+
+
+def cell(
+    options: ExperimentConfig,
+    file: Path,
+    behavior: str,
+    policy: str,
+    places: Callable[[], list[Scenario]],
+    watch: Callable[[float], None],
+) -> Cell:
+    """A cell from its file, or simulated.
+
+    Args:
+        options: of the experiment.
+        file: of the cell.
+        behavior: of its people.
+        policy: who drives.
+        places: the streams of the protocol. Their situations may be those of several walking speeds, one after another.
+        watch: called with the finished share.
+
+    Returns:
+        The cell.
+
+    Raises:
+        IncompleteError: the file is damaged.
+        FloatingPointError: a position is not finite.
+    """
     if file.is_file():
         try:
             with np.load(file, allow_pickle=False) as arrays:
@@ -155,14 +217,13 @@ def _cell(
             raise IncompleteError(
                 f"{file} is damaged ({error}); remove it, and the same command makes it again."
             ) from error
-    kinds = places(behavior, people)
-    seeds, speeds = options.seeds or 1, options.speeds
+    kinds, seeds = places(), options.seeds or 1
     minutes = max(1, math.ceil(60.0 * (options.hours or 1.0) / len(kinds) - 1e-6))
     each = min(CHAIN, minutes)
     chains = seeds * math.ceil(minutes / each)
     chain = Chains(choice.policy(policy, kinds[0]))
     flags, ended = chain.minutes(kinds, options.seed, chains, each, STARTS * seeds, watch)
-    flags = np.moveaxis(flags.reshape(-1, MINUTE, len(speeds), len(shares.NAMES)), 2, 0)
+    flags = np.moveaxis(flags.reshape(-1, MINUTE, flags.shape[-1] // len(shares.NAMES), len(shares.NAMES)), 2, 0)
     with writing.atomic_file(file) as stream:
         np.savez_compressed(stream, flags=np.packbits(flags, axis=-1), people=kinds[0].people, ended=ended)
     return Cell(behavior, policy, kinds[0].people, flags, ended)
@@ -194,30 +255,30 @@ def write(options: ExperimentConfig, folder: Path, cells: list[Cell], swept: lis
         WriteError: another process writes one of the files.
     """
     lines = ["policy,behavior,people,V,counting,situation,share,low,high"]
-    entropies = ["policy,behavior,people,V,counting,entropy,low,high,examples,none,completed,not_completed"]
+    entropies = ["policy,behavior,people,V,entropy,low,high,examples,none,completed,not_completed"]
     for cell in [*cells, *swept]:
         for index, speed in enumerate(options.speeds):
             estimate = cell.shares(index)
-            for counting in ("multi", "exclusive"):
-                samples = getattr(estimate, counting)
+            for counting in shares.COUNTINGS:
+                samples = estimate.of(counting)
                 low, high = shares.interval(samples)
                 head = f"{cell.policy},{cell.behavior},{cell.people},{number(speed)},{counting}"
                 for k, name in enumerate(shares.NAMES):
                     lines.append(f"{head},{name},{samples[0, k]:.5f},{low[k]:.5f},{high[k]:.5f}")
-                entropy = shares.normalised_entropy(samples)
-                ends = shares.interval(entropy)
-                rest = f"{estimate.examples},{estimate.none:.5f},{cell.ended[0]},{cell.ended[1]}"
-                entropies.append(f"{head},{entropy[0]:.5f},{ends[0]:.5f},{ends[1]:.5f},{rest}")
+            entropy = estimate.entropy()
+            ends = shares.interval(entropy)
+            rest = f"{estimate.seconds},{estimate.none[0]:.5f},{cell.ended[0]},{cell.ended[1]}"
+            head = f"{cell.policy},{cell.behavior},{cell.people},{number(speed)}"
+            entropies.append(f"{head},{entropy[0]:.5f},{ends[0]:.5f},{ends[1]:.5f},{rest}")
     parts.save(folder / "shares.csv", "\n".join(lines) + "\n")
     parts.save(folder / "entropies.csv", "\n".join(entropies) + "\n")
     ordering_lines = ["policy,V,counting,ordering,hard,statement,holds,share_of_resamples"]
     for policy in dict.fromkeys(cell.policy for cell in cells):
         for index, speed in enumerate(options.speeds):
             by_behavior = {cell.behavior: cell.shares(index) for cell in cells if cell.policy == policy}
-            for exclusive in (True, False):
-                for row in shares.orderings(by_behavior, exclusive):
-                    name = "exclusive" if exclusive else "multi"
-                    ordering_lines.append(f'{policy},{number(speed)},{name},{row["name"]},{row["hard"]},"{row["statement"]}",'
+            for counting in shares.COUNTINGS:
+                for row in shares.orderings(by_behavior, counting):
+                    ordering_lines.append(f'{policy},{number(speed)},{counting},{row["name"]},{row["hard"]},"{row["statement"]}",'
                                 f"{row['holds']},{row['share']:.4f}")  # fmt: skip
     parts.save(folder / "orderings.csv", "\n".join(ordering_lines) + "\n")
     figures = pictures.table1(options, cells, swept)

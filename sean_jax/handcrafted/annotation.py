@@ -1,5 +1,6 @@
 """The annotation of handcrafted sets (sections IV-D and IV-E): what handcrafted.yaml may say."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import pydantic
@@ -9,7 +10,7 @@ from sean_jax.errors import InputError
 from sean_jax.quantities import Coordinate, Degrees
 
 FILE = "handcrafted.yaml"
-ALL = "all"  # any of the sets
+ALL = "all"  # any of the sets, without further collections
 POSES = 5  # starts, and as many goals, of a set (SEAN 2.0)
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
 Place = tuple[Coordinate, Coordinate]  # m
@@ -29,13 +30,26 @@ Poses = Annotated[list[Pose], pydantic.Field(min_length=POSES, max_length=POSES)
 
 
 class Walkers(pydantic.BaseModel):
-    """People who walk a closed loop of waypoints without end, and start spread along it."""
+    """People who walk a closed loop of waypoints without end, and start spread along it or at waypoints of their own.
+
+    Who starts at a waypoint takes the shortest way to the next one, so the straight way may lead through obstacles.
+    """
 
     model_config = STRICT
 
     people: Annotated[int, pydantic.Field(ge=1, le=32)]
     loop: Annotated[list[Place], pydantic.Field(min_length=3, max_length=100)]  # m
     way: Literal["forward", "both"] = "forward"  # both: every second person walks the loop backwards
+    start: Literal["spread", "waypoints"] = "spread"  # spread: evenly by length, from a random place on
+
+    def first_waypoints(self) -> list[int]:
+        """Where people start who start at waypoints: evenly by number, 5 people of 10 waypoints at every second one.
+
+        Returns:
+            Index of a waypoint for each person; of at most as many people as there are waypoints, all different.
+        """
+        count = len(self.loop)
+        return [-(-person * count // self.people) % count for person in range(self.people)]
 
 
 class Group(pydantic.BaseModel):
@@ -64,6 +78,15 @@ class Set(pydantic.BaseModel):
         return sum(some.people for some in (*self.walkers, *self.groups.values()))
 
 
+class Collection(pydantic.BaseModel):
+    """Sets beside those of ``all``, which take part where they are asked for."""
+
+    model_config = STRICT
+
+    source: str = ""
+    sets: Annotated[dict[str, Set], pydantic.Field(min_length=1, max_length=200)]
+
+
 class Annotation(pydantic.BaseModel):
     """What handcrafted.yaml holds."""
 
@@ -72,24 +95,39 @@ class Annotation(pydantic.BaseModel):
     version: Literal[1]
     source: str = ""
     sets: Annotated[dict[str, Set], pydantic.Field(min_length=1, max_length=200)]
+    further: Annotated[dict[str, Collection], pydantic.Field(max_length=20)] = {}
+
+    def each(self) -> Iterator[tuple[files.Location, str, Set]]:
+        """All sets, those of further collections too.
+
+        Yields:
+            Location in the file, name, and the set; a collection's name stands before those of its sets.
+        """
+        for name, one in self.sets.items():
+            yield ("sets", name), name, one
+        for collection, held in self.further.items():
+            for name, one in held.sets.items():
+                yield ("further", collection, "sets", name), f"{collection}_{name}", one
 
     def chosen(self, name: str) -> dict[str, Set]:
         """The sets that a name stands for.
 
         Args:
-            name: of a set, of a situation, or ``all``.
+            name: of a set, of a situation, or ``all``; of a collection ``COLLECTION``, ``COLLECTION_SITUATION`` or
+                ``COLLECTION_SET``.
 
         Returns:
             Name -> set.
 
         Raises:
-            InputError: there is no such set or situation.
+            InputError: there is no such set, situation or collection.
         """
-        if name == ALL:
-            return self.sets
-        selected = {key: each for key, each in self.sets.items() if name in (key, each.situation)}
-        if not selected:
-            situations = dict.fromkeys(each.situation for each in self.sets.values())
-            words = [ALL, *situations, *self.sets]
+        words: dict[str, dict[str, Set]] = {}
+        for where, label, one in self.each():
+            collection = where[1] if where[0] == "further" else None
+            situation = one.situation if collection is None else f"{collection}_{one.situation}"
+            for word in (ALL if collection is None else str(collection), situation, label):
+                words.setdefault(word, {})[label] = one
+        if name not in words:
             raise InputError(files.unknown_name("sets", name, words))
-        return selected
+        return words[name]

@@ -1,13 +1,29 @@
 """Handcrafted sets as arrays that a simulation looks up (sections IV-D and IV-E)."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.base import Array
+from sean_jax import cache
+from sean_jax import navigation as paths
+from sean_jax.base import Array, PathsToGoal
+from sean_jax.errors import InputError
 from sean_jax.handcrafted.annotation import POSES, Set
+from sean_jax.platforms import to_device
+
+
+@struct.dataclass
+class Ways:
+    """Shortest ways around obstacles to the waypoints of all sets, M different ones."""
+
+    navigation: paths.Navigation  # of people
+    point: Float[Array, "M 2"]  # m
+    paths_to_point: PathsToGoal  # (M, V)
+    index: Int[Array, "S L K"]  # of the waypoint in ``point``
 
 
 @struct.dataclass
@@ -30,19 +46,36 @@ class Sets:
     loop: Int[Array, "S N"]  # loop that a person walks, -1 none
     share: Float[Array, "S N"]  # of its length, at which a person is behind the loop's first one
     way: Int[Array, "S N"]  # 1 forward, -1 backward
+    first: Int[Array, "S N"]  # waypoint at which a person starts, -1 for those who start spread along their loop
     present: Bool[Array, "S N"]
+    ways: Ways | None  # None: everybody walks straight from waypoint to waypoint
     names: tuple[str, ...] = struct.field(pytree_node=False)
     situations: tuple[str, ...] = struct.field(pytree_node=False)
 
+    def one(self, number: Int[Array, ""]) -> "Sets":
+        """One of the sets.
 
-def build(sets: dict[str, Set]) -> Sets:
+        Args:
+            number: its row.
+
+        Returns:
+            The set, without the axis S and without ``ways``.
+        """
+        return jax.tree.map(lambda leaf: leaf[number], replace(self, ways=None))
+
+
+def build(sets: dict[str, Set], navigation: paths.Navigation | None = None) -> Sets:
     """Arrays of sets, one row each; every start and goal of every set with the same chance.
 
     Args:
         sets: name -> checked set, at least one.
+        navigation: of people, for sets in which somebody starts at a waypoint.
 
     Returns:
         S sets.
+
+    Raises:
+        InputError: there is no way from a waypoint to the next one.
     """
     rows = list(sets.values())
     loops = max(1, *(len(each.walkers) for each in rows))
@@ -51,13 +84,61 @@ def build(sets: dict[str, Set]) -> Sets:
     people = max(each.people for each in rows)
     stacked = jax.tree.map(lambda *row: np.stack(row), *(_row(each, people, groups, loops, corners) for each in rows))
     arrays = {name: jnp.asarray(value) for name, value in stacked.items()}
-    return Sets(**arrays, names=tuple(sets), situations=tuple(each.situation for each in rows))
+    at_waypoints = any(walkers.start == "waypoints" for each in rows for walkers in each.walkers)
+    ways = None if navigation is None or not at_waypoints else _find_ways(sets, navigation, stacked["waypoint"])
+    return Sets(**arrays, ways=ways, names=tuple(sets), situations=tuple(each.situation for each in rows))
+
+
+def _find_ways(sets: dict[str, Set], navigation: paths.Navigation, waypoint: np.ndarray) -> Ways:
+    """Ways to the waypoints (S, L, K, 2) [m]; padding has the first waypoint's."""
+    legs = [
+        (name, number, k, loop[k], loop[(k + 1) % len(loop)])
+        for name, each in sets.items()
+        for number, loop in enumerate(walkers.loop for walkers in each.walkers)
+        for k in range(len(loop))
+    ]
+    from_each, to_each = (np.array([leg[k] for leg in legs], jnp.result_type(float)) for k in (3, 4))
+    point = np.unique(from_each, axis=0)
+    inputs = *paths.inputs(navigation), point, from_each, to_each
+    code = "handcrafted/sets", *paths.CODE
+    made = dict(cache.load_or_build("ways", code, inputs, lambda: _walks(navigation, point, from_each, to_each)))
+    for number in np.flatnonzero(~np.isfinite(made.pop("walk"))):
+        name, walkers, k, place, _ = legs[number]
+        which = f"walkers[{walkers}].loop[{k}] of set '{name}', [{place[0]:g}, {place[1]:g}],"
+        raise InputError(f"handcrafted.yaml: there is no way from {which} to the next waypoint; move one of them.")
+    equal = (waypoint[..., None, :].astype(point.dtype) == point).all(-1)  # (S, L, K, M)
+    return Ways(
+        navigation=navigation,
+        point=to_device(point),
+        paths_to_point=PathsToGoal(**to_device(made)),
+        index=to_device(equal.argmax(-1).astype(np.int32)),
+    )
+
+
+def _walks(
+    navigation: paths.Navigation, point: np.ndarray, from_each: np.ndarray, to_each: np.ndarray
+) -> dict[str, np.ndarray]:
+    """The fields (M, V) of ``PathsToGoal`` of the points (M, 2) [m], and the lengths [m] of the ways between places."""
+
+    def to_point(place: Array) -> PathsToGoal:
+        return paths.build_paths_to_goal(navigation, place)
+
+    def length(ends: tuple[Array, Array]) -> Array:
+        return paths.geodesic(navigation, *ends, to_point(ends[1]))
+
+    table = jax.jit(lambda places: jax.lax.map(to_point, places, batch_size=32))(jnp.asarray(point))
+    walk = jax.jit(lambda ends: jax.lax.map(length, ends, batch_size=32))(to_device((from_each, to_each)))
+    return {
+        "distance": np.asarray(table.distance),
+        "departure_angle": np.asarray(table.departure_angle),
+        "walk": np.asarray(walk),
+    }
 
 
 def _row(each: Set, people: int, groups: int, loops: int, corners: int) -> dict[str, np.ndarray]:
     waypoint, walked = np.zeros((loops, corners, 2)), np.full((loops, corners), np.inf)
     waypoints = np.ones(loops, np.int32)
-    who = {name: np.full(people, -1, np.int32) for name in ("group", "loop")}
+    who = {name: np.full(people, -1, np.int32) for name in ("group", "loop", "first")}
     share, way = np.zeros(people), np.ones(people, np.int32)
     first = 0
     for index, group in enumerate(each.groups.values()):
@@ -69,6 +150,7 @@ def _row(each: Set, people: int, groups: int, loops: int, corners: int) -> dict[
         walked[index, : len(loop)] = np.cumsum(np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=-1))
         who["loop"][some] = index
         share[some] = np.arange(walkers.people) / walkers.people
+        who["first"][some] = walkers.first_waypoints() if walkers.start == "waypoints" else -1
         way[some] = 1 - 2 * (np.arange(walkers.people) % 2) if walkers.way == "both" else 1
         first += walkers.people
     center, capacity = np.zeros((groups, 2)), np.zeros(groups, np.int32)

@@ -16,7 +16,7 @@ from sean_jax.errors import InputError
 from sean_jax.geometry import crosses_box, signed_distances_on_host
 from sean_jax.graph.formation import reach
 from sean_jax.graph.places import PERSON
-from sean_jax.handcrafted.annotation import ALL, FILE, Annotation, Set, Situation
+from sean_jax.handcrafted.annotation import ALL, FILE, Annotation, Set, Situation, Walkers
 from sean_jax.platforms import to_device
 
 ARRIVED = 1.0  # m from a waypoint, where it counts as reached (SEAN 2.0)
@@ -56,23 +56,33 @@ def check(annotation: Annotation) -> Iterator[files.Problem]:
     Returns:
         Location and message of each mistake.
     """
-    for name, each in annotation.sets.items():
-        here = ("sets", name)
-        if name in (ALL, *get_args(Situation)):
-            yield here, f"'{name}' stands for several sets; give the set a name of its own, such as '{name}_1'"
+    several = {ALL, *get_args(Situation)}
+    for collection in annotation.further:
+        if collection in several or collection in annotation.sets:
+            yield ("further", collection), f"'{collection}' stands for other sets; give the collection another name"
+            continue
+        several |= {collection, *(f"{collection}_{situation}" for situation in get_args(Situation))}
+    known = set()
+    for here, name, each in annotation.each():
+        if name in several:
+            own = here[-1]
+            yield here, f"'{own}' stands for several sets; give the set a name of its own, such as '{own}_1'"
+        elif name in known:
+            yield here, f"'{name}' is the name of another set too; rename one"
+        known.add(name)
         if each.people == 0 and each.situation != "empty":
             yield here, "there is nobody; give the set walkers or groups, or make its situation empty"
         if each.situation in ("down_path", "cross_path") and not each.walkers:
             yield here, f"nobody walks, without which {each.situation} does not occur; give the set walkers"
-        yield from _check_poses(name, each)
+        yield from _check_poses(here, each)
         yield from check_apart(here, each)
 
 
-def _check_poses(name: str, each: Set) -> Iterator[files.Problem]:
+def _check_poses(place: files.Location, each: Set) -> Iterator[files.Problem]:
     """Poses in groups belong to join_group, as goals, and to leave_group, as starts."""
     for key, poses, asked in (("starts", each.starts, "leave_group"), ("goals", each.goals, "join_group")):
         for number, pose in enumerate(poses):
-            here = ("sets", name, key, number)
+            here = (*place, key, number)
             if isinstance(pose, str) and pose not in each.groups:
                 hint = files.suggest(pose, each.groups) or "; add it to groups or give x, y and a heading"
                 yield here, f"there is no group '{pose}'{hint}"
@@ -122,6 +132,10 @@ def check_apart(here: files.Location, each: Set) -> Iterator[files.Problem]:
     if too_long:
         return
     traces = [trace(walkers.loop) for walkers in each.walkers]
+    begins = [  # where somebody could start
+        np.array(walkers.loop, float)[walkers.first_waypoints()] if walkers.start == "waypoints" else points
+        for walkers, points in zip(each.walkers, traces, strict=True)
+    ]
     for number, (walkers, points) in enumerate(zip(each.walkers, traces, strict=True)):
         place = (*here, "walkers", number)
         corners = np.array(walkers.loop, float)
@@ -129,10 +143,17 @@ def check_apart(here: files.Location, each: Set) -> Iterator[files.Problem]:
             if gap < ARRIVED:
                 why = f"as close as people come to a waypoint before they go on, {ARRIVED:g} m"
                 yield (*place, "loop", corner), f"the next waypoint is only {gap:.2f} m away, {why}; move one of them"
+        if walkers.start == "waypoints":
+            if walkers.people > len(corners):
+                most = f"only {len(corners)} waypoints to start at; give more, or choose start spread"
+                yield (*place, "people"), f"{walkers.people} have {most}"
+            else:
+                yield from _check_first_waypoints(place, walkers)
+            continue
         max_people = _max_people(points, walkers.people)
         if max_people < walkers.people:
             yield (*place, "people"), f"{walkers.people} do not fit on the loop; the most that do is {max_people}"
-    for (i, one), (j, other) in combinations(enumerate(traces), 2):
+    for (i, one), (j, other) in combinations(enumerate(begins), 2):
         gap = _gap(one, other)
         if gap < APART:
             why = f"where people could start in one place; keep {APART:g} m or more"
@@ -154,7 +175,10 @@ def check_apart(here: files.Location, each: Set) -> Iterator[files.Problem]:
             if isinstance(pose, str):
                 continue
             spot = np.array([pose[:2]])
-            gaps = [(_gap(points, spot), f"the loop of walkers[{i}]") for i, points in enumerate(traces)]
+            gaps = []
+            for i, (walkers, points) in enumerate(zip(each.walkers, begins, strict=True)):
+                what = "the loop" if walkers.start == "spread" else "where somebody starts"
+                gaps.append((_gap(points, spot), f"{what} of walkers[{i}]"))
             for name, group in each.groups.items():
                 gaps.append((_gap(np.array([group.center]), spot) - reach(group.people), f"the group '{name}'"))
             for gap, what in gaps:
@@ -173,8 +197,7 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
         Location and message of each mistake.
     """
     spots, legs = [], []
-    for name, each in annotation.sets.items():
-        here = ("sets", name)
+    for here, _, each in annotation.each():
         for key, poses in (("starts", each.starts), ("goals", each.goals)):
             places = [((*here, key, number), pose) for number, pose in enumerate(poses) if not isinstance(pose, str)]
             spots += [(place, pose[:2], POSE_CLEARANCE, "the robot") for place, pose in places]
@@ -184,7 +207,8 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
         for number, walkers in enumerate(each.walkers):
             place = (*here, "walkers", number, "loop")
             spots += [((*place, k), corner, PERSON, "somebody") for k, corner in enumerate(walkers.loop)]
-            legs += [((*place, k), *leg) for k, leg in _legs(walkers.loop, walkers.way == "both")]
+            if walkers.start == "spread":  # others look for a way around obstacles
+                legs += [((*place, k), *leg) for k, leg in _legs(walkers.loop, walkers.way == "both")]
     points = np.array([spot for _, spot, _, _ in spots], float).reshape(-1, 2)
     to_box, to_edge = signed_distances_on_host(environment, points)
     blamed = set()
@@ -245,6 +269,16 @@ def _max_people(points: np.ndarray, people: int) -> int:
         if gaps.min() >= SPACING:
             return number
     return 1
+
+
+def _check_first_waypoints(place: files.Location, walkers: Walkers) -> Iterator[files.Problem]:
+    """Waypoints at which people start who would start too close to each other."""
+    first = walkers.first_waypoints()
+    for (i, one), (j, other) in combinations([(k, np.array(walkers.loop[k])) for k in first], 2):
+        gap = float(np.linalg.norm(one - other))
+        if gap < SPACING:
+            why = f"where somebody starts as well; keep {SPACING:g} m or more"
+            yield (*place, "loop", j), f"is {gap:.2f} m from waypoint {i}, {why}"
 
 
 def _gap(one: np.ndarray, other: np.ndarray) -> float:

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sean_jax.learning import agents, dagger, reinforcement
+    from sean_jax.learning import agents, dagger, ensemble, reinforcement
     from sean_jax.learning.choice import load
     from sean_jax.learning.collection import collect
     from sean_jax.learning.dataset import Dataset, open_dataset
@@ -38,14 +38,16 @@ _HOMES = {
     "train": "training",
 }
 
+ROOMS = "agents", "dagger", "ensemble", "reinforcement"  # public as a whole
+
 __all__ = [
-    "Dataset", "Example", "Loader", "Network", "Recording", "Token", "agents", "collect", "dagger", "example", "export",
-    "load", "open_dataset", "pack", "policy", "record", "reinforcement", "train",
+    "Dataset", "Example", "Loader", "Network", "Recording", "Token", "agents", "collect", "dagger", "ensemble",
+    "example", "export", "load", "open_dataset", "pack", "policy", "record", "reinforcement", "train",
 ]  # fmt: skip
 
 
 def __getattr__(name: str):
-    if name in ("agents", "dagger", "reinforcement"):
+    if name in ROOMS:
         return import_module(f"{__name__}.{name}")
     if name in _HOMES:
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
@@ -53,4 +55,4 @@ def __getattr__(name: str):
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES, "agents", "dagger", "reinforcement"})
+    return sorted({*globals(), *_HOMES, *ROOMS})

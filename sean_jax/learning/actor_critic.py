@@ -152,6 +152,24 @@ def init_agent(network: ActorCritic, terms: observations.Terms, space: Dict, key
     return Agent(parameters, statistics)
 
 
+def init_agents(network: ActorCritic, terms: observations.Terms, space: Dict, keys: Array) -> Agent:
+    """Several agents before training, one after another.
+
+    Under ``vmap`` their orthogonal matrices would be factorized in batches, and on a CPU of two cores jaxlib deadlocks
+    where two batches of factorizations run at once.
+
+    Args:
+        network: what is trained.
+        terms: of the observation.
+        space: of the observation.
+        keys: (A,) typed PRNG keys.
+
+    Returns:
+        The agents, (A, ...).
+    """
+    return jax.lax.map(lambda key: init_agent(network, terms, space, key), keys)
+
+
 def with_noise(agent: Agent, deviation: float) -> Agent:
     """The agent with other noise of its actions.
 
@@ -215,6 +233,20 @@ def update_statistics(before: Statistics, vectors: Float[Array, "K F"]) -> Stati
     gap = mean - before.mean
     squares_sum = before.variance * before.count + variance * number + gap * gap * before.count * number / total
     return Statistics(before.mean + gap * number / total, squares_sum / total, total)
+
+
+def draw_action(answered: Answer, key: Array) -> Float[Array, "*batch 2"]:
+    """An action with its noise.
+
+    Args:
+        answered: to the observation.
+        key: () typed PRNG key.
+
+    Returns:
+        (..., 2).
+    """
+    noise = jax.random.normal(key, answered.mean.shape, answered.mean.dtype)
+    return answered.mean + jnp.exp(answered.log_std) * noise
 
 
 def log_density(answered: Answer, action: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:

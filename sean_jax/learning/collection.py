@@ -65,6 +65,8 @@ def _collect(config: CollectConfig, console: Console | Callable[[float], None] |
     parts = streams(config)
     scenarios = list(parts.values())
     policy, command_of = choice.policy(config.policy, scenarios[0]), None
+    if config.noise is not None:
+        policy, command_of = labels.disturbed(policy, config.noise), labels.label
     if config.labels is not None:
         policy = labels.labelled(policy, choice.policy(config.labels, scenarios[0], "labels"))
         command_of = labels.label

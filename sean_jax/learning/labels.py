@@ -1,10 +1,13 @@
-"""A driver beside whom another one says what should be done: the labels of DAgger.
+"""What should be done, where the robot does something else: labels of DAgger and of noisy demonstrations.
 
-The robot goes where the driver takes it, so the states are the driver's own, mistakes included; what is recorded is the
-other's command. (S. Ross et al., "A reduction of imitation learning and structured prediction to no-regret online
-learning", AISTATS 2011.)
+With ``labelled`` the robot goes where one driver takes it, so the states are that driver's own, mistakes included; what
+is recorded is another's command (S. Ross et al., "A reduction of imitation learning and structured prediction to
+no-regret online learning", AISTATS 2011). With ``disturbed`` a driver's commands reach the robot with noise, so it is
+led astray and the driver shows the way back; what is recorded is the command without noise (M. Laskey et al., "DART:
+Noise injection for robust imitation learning", CoRL 2017).
 """
 
+import math
 from dataclasses import replace
 
 import jax
@@ -39,10 +42,10 @@ def labelled(driver: PolicyLike, labeller: PolicyLike) -> Policy:
 
 
 def label(state: State) -> Float[Array, "2"]:
-    """What the labeller would have done in the step that led to a state.
+    """What should have been done in the step that led to a state.
 
     Args:
-        state: after a step of a ``labelled`` policy.
+        state: after a step of a ``labelled`` or ``disturbed`` policy.
 
     Returns:
         (2,) m/s, rad/s.
@@ -64,3 +67,48 @@ def _apply(
     command, driving = driver.apply(scenario, driver.params, of_driver, key)
     wanted, labelling = labeller.apply(scenario, labeller.params, of_labeller, label_key)
     return command, LabelledState(driving, labelling, jnp.asarray(wanted, state.robot.position.dtype))
+
+
+NOISE_TIME = 0.5  # s, for which the noise of commands stays about the same: shorter ones hardly move the robot
+
+
+@struct.dataclass
+class DisturbedState:
+    """What the driver remembers of an episode, the noise, and the latest command without it."""
+
+    driver: PyTree
+    noise: Float[Array, "2"]  # of the robot's limits, in standard deviations
+    label: Float[Array, "2"]  # m/s, rad/s
+
+
+def disturbed(driver: PolicyLike, deviation: float) -> Policy:
+    """A policy whose commands reach the robot with noise.
+
+    Args:
+        driver: whose commands are the labels.
+        deviation: of the noise, as a share of the top speed and of the greatest turn rate.
+
+    Returns:
+        The policy, named after the driver.
+    """
+    one = as_policy(driver)
+    params = one, jnp.asarray(deviation, float)
+    return Policy(params=params, name=one.name, init=_init_disturbed, apply=_apply_disturbed)
+
+
+def _init_disturbed(scenario: Scenario, params: tuple[Policy, Array], state: State) -> DisturbedState:
+    driver, _ = params
+    return DisturbedState(driver.init(scenario, driver.params, state), jnp.zeros(2, float), jnp.zeros(2, float))
+
+
+def _apply_disturbed(
+    scenario: Scenario, params: tuple[Policy, Array], state: State, key: Array
+) -> tuple[Float[Array, "2"], DisturbedState]:
+    (driver, deviation), memory = params, state.policy_state
+    command, driving = driver.apply(scenario, driver.params, replace(state, policy_state=memory.driver), key)
+    command = jnp.asarray(command, state.robot.position.dtype)
+    stays = math.exp(-scenario.time_step / NOISE_TIME)
+    fresh = jax.random.normal(jax.random.fold_in(key, 1), (2,), memory.noise.dtype)
+    noise = stays * memory.noise + math.sqrt(1.0 - stays * stays) * fresh
+    limits = jnp.stack([scenario.robot.max_speed, scenario.robot.max_turn_rate]).astype(command.dtype)
+    return command + deviation * limits * noise, DisturbedState(driving, noise, command)

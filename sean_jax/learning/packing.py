@@ -32,7 +32,7 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     options = agents.read_options(folder)
     if agents.is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
-    _, agent, _ = trained.load(folder, registry.build(options).scenario)
+    _, agent, _ = trained.load(folder, registry.build(options.of_each[0]).scenario)
     told = {**_best(folder), "weights": "float16", "packed_with": versions()}
     with writing.atomic_folder(out) as made:
         agents.save(made, agent, {**files.read_json(folder / CONFIG), "agent": told})

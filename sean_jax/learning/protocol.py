@@ -53,9 +53,10 @@ def streams(config: CollectConfig) -> dict[str, Scenario]:
     """
     scenarios = [replace(scenario, metrics=()) for scenario in assembly.build(config)]  # nobody asks for them here
     first = scenarios[0]
-    by_situation = isinstance(config.behavior, HandcraftedBehavior) and config.behavior.sets == "all"
-    if by_situation and [scenario.task_name for scenario in scenarios] == ["handcrafted"]:
-        return {name: _only(first, name) for name in dict.fromkeys(first.behavior.data.situations)}
+    if isinstance(config.behavior, HandcraftedBehavior) and [each.task_name for each in scenarios] == ["handcrafted"]:
+        situations = dict.fromkeys(first.behavior.data.situations)
+        if len(situations) > 1:
+            return {name: _only(first, name) for name in situations}
     return {scenario.task_name: scenario for scenario in scenarios}
 
 

@@ -1,6 +1,7 @@
 """``sean train ppo`` and ``sean train apg``: training from rewards, with checkpoints, evaluations and several agents.
 
 An update is one compiled program: all scenarios take some steps, and the agent learns from them (``ppo``, ``shac``).
+Several environments share the scenarios equally, and the agent learns from all of them together.
 Agents of different seeds and numbers are trained side by side, along a leading axis A. Chance depends on (seed, update)
 and on the states of the scenarios, which checkpoints hold, so a training that was stopped goes on to the same curve.
 Processes that ``jax.distributed`` has joined train together: scenarios are spread over the devices of all of them.
@@ -10,7 +11,7 @@ import contextlib
 import math
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +32,7 @@ from sean_jax.errors import InputError
 from sean_jax.flags import command
 from sean_jax.learning import agents, choice, cloning, driving, ppo, processes, rollouts, shac
 from sean_jax.learning import curriculum as curricula
-from sean_jax.learning.actor_critic import ActorCritic, Agent, init_agent, with_noise
+from sean_jax.learning.actor_critic import ActorCritic, Agent, init_agents, with_noise
 from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
 from sean_jax.learning.curriculum import Curriculum
 from sean_jax.learning.curves import draw_curve, sparkline
@@ -64,10 +65,10 @@ class TrainState:
 class Programs(NamedTuple):
     """The compiled functions of a training. Each compiles at its first call."""
 
-    begin: Callable  # (env, agents) -> TrainState
-    update: Callable  # (env, state) -> (state, numbers for the log, (A, ...))
-    evaluate: Callable  # (scenario, env, agents) -> numbers for the log, (A, ...)
-    refill: Callable  # (env, state) -> state with other starts
+    begin: Callable  # (envs, agents) -> TrainState
+    update: Callable  # (envs, state) -> (state, numbers for the log, (A, ...))
+    evaluate: Callable  # (scenarios, envs, agents) -> mean return, (A,), and numbers of each for the log, (A, ...)
+    refill: Callable  # (envs, state) -> state with other starts
 
 
 def train(options: ReinforcementConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
@@ -88,31 +89,47 @@ def train(options: ReinforcementConfig, console: Console | Callable[[float], Non
     """
     config = _config(options)
     processes.by_first(lambda: check_config(options.folder, config))  # refuses before anything is written
-    scenario, env, network = processes.together(lambda: build(options))
+    scenarios, envs, network = processes.together(lambda: build(options))
     with contextlib.ExitStack() as stack:
         processes.by_first(lambda: stack.enter_context(writing.folder_lock(options.folder)))
-        return _train(options, console, scenario, env, network, config)
+        return _train(options, console, scenarios, envs, network, config)
 
 
-def build(options: ReinforcementConfig) -> tuple[Scenario, mdp.Env, ActorCritic]:
+def build(options: ReinforcementConfig) -> tuple[tuple[Scenario, ...], tuple[mdp.Env, ...], ActorCritic]:
     """What is trained, and where.
 
     Args:
         options: of the training.
 
     Returns:
-        The scenario of evaluations, the environment of the training, without a pool, and the network.
+        The scenario of evaluations in each environment, and the ``Env`` of the training, without a pool, and the
+        network.
 
     Raises:
         InputError: one sentence that names the value and the cure.
     """
     if options.imitate is not None:
         choice.check(options.imitate, options, "imitate")
-    env = curricula.prepare(registry.build(options), options.curriculum)
-    env = replace(env, observations=sum(agents.terms(options), ()))
-    rewards.reweighted(env.rewards, _weights(options.agents[0]))  # refuses what is none of its terms
-    network = agents.network(options, env.observation_space)
-    return env.scenario, replace(env, scenario=replace(env.scenario, metrics=())), network
+    terms = sum(agents.terms(options), ())
+    built = [curricula.prepare(registry.build(each), options.curriculum) for each in options.of_each]
+    envs = [replace(env, observations=terms) for env in built]
+    rewards.reweighted(envs[0].rewards, _weights(options.agents[0]))  # refuses what is none of its terms
+    _check_alike(envs)
+    network = agents.network(options, envs[0].observation_space)
+    measured = tuple(env.scenario for env in envs)
+    return measured, tuple(replace(env, scenario=replace(env.scenario, metrics=())) for env in envs), network
+
+
+def _check_alike(envs: Sequence[mdp.Env]) -> None:
+    """Refuse environments of one name, whose evaluations could not be told apart, and those that show other sizes."""
+    names = [env.scenario.environment.name for env in envs]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"environment: {twice[0]} is there more than once; give each once.")
+    first, *others = [{name: box.shape for name, box in env.observation_space.items()} for env in envs]
+    for name, shapes in zip(names[1:], others, strict=True):
+        for term in (term for term in first if shapes[term] != first[term]):
+            sizes = f"{term} of the size {shapes[term]}, and {names[0]} {first[term]}"
+            raise InputError(f"observations: {name} shows {sizes}; leave it out, or train in one of them.")
 
 
 def updates(options: ReinforcementConfig) -> int:
@@ -148,28 +165,28 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
     number, plan, (seen, _) = updates(options), curricula.plan(options.curriculum), agents.terms(options)
     starts = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
 
-    def begin(env: mdp.Env, first: Agent) -> TrainState:
+    def begin(envs: tuple[mdp.Env, ...], first: Agent) -> TrainState:
         def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, Rows, Curriculum | None]:
-            rows = rollouts.begin(env, network, jax.random.fold_in(key, 0), options.scenarios)
+            rows = rollouts.begin(envs, network, jax.random.fold_in(key, 0), options.scenarios)
             driver, start = driving.policy(network, agent, seen), jax.random.fold_in(start, 0)
-            return trainer.init(agent), rows, plan and curricula.init(env, plan, start, options.pool, driver)
+            return trainer.init(agent), rows, plan and curricula.init(envs[0], plan, start, options.pool, driver)
 
         optimizer, rows, curriculum = jax.vmap(one)(first, keys, starts)
         count = keys.shape[0]
         best = Best(first, jnp.full(count, -jnp.inf, jnp.float32), jnp.zeros(count, jnp.int32))
         return TrainState(first, optimizer, rows, best, curriculum, jnp.zeros((), jnp.int32))
 
-    def update(env: mdp.Env, state: TrainState) -> tuple[TrainState, dict[str, Any]]:
+    def update(envs: tuple[mdp.Env, ...], state: TrainState) -> tuple[TrainState, dict[str, Any]]:
         done = state.update + 1
         left = 1.0 - state.update.astype(jnp.float32) / number
 
         def one(agent: Agent, optimizer: PyTree, rows: Rows, curriculum: Curriculum | None, key: Array, own: dict):
             own = own | {"learning_rate": own["learning_rate"] * left}
-            where = env if curriculum is None else replace(env, pool=curriculum.pool)
-            where = replace(where, rewards=rewards.reweighted(where.rewards, _weights(own)))
+            where = envs if curriculum is None else (replace(envs[0], pool=curriculum.pool),)
+            where = tuple(replace(env, rewards=rewards.reweighted(env.rewards, _weights(own))) for env in where)
             key = jax.random.fold_in(key, done)
             *changed, rows, seen, told = trainer.update(options, own, where, network, agent, optimizer, rows, key)
-            curriculum, more = curricula.follow(env, plan, curriculum, seen.told, seen.over)
+            curriculum, more = curricula.follow(envs[0], plan, curriculum, seen.told, seen.over)
             return *changed, rows, curriculum, told | more
 
         parts = state.agent, state.optimizer, state.rows, state.curriculum
@@ -177,17 +194,23 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
         state = replace(state, agent=agent, optimizer=optimizer, rows=rows, curriculum=curriculum, update=done)
         return state, told
 
-    def refill(env: mdp.Env, state: TrainState) -> TrainState:
+    def refill(envs: tuple[mdp.Env, ...], state: TrainState) -> TrainState:
         def one(agent: Agent, curriculum: Curriculum | None, start: Array) -> Curriculum:
             driver, key = driving.policy(network, agent, seen), jax.random.fold_in(start, state.update)
             assert plan is not None and curriculum is not None
-            return curricula.refill(env, plan, curriculum, key, driver)
+            return curricula.refill(envs[0], plan, curriculum, key, driver)
 
         return replace(state, curriculum=jax.vmap(one)(state.agent, state.curriculum, starts))
 
-    def evaluate(scenario: Scenario, env: mdp.Env, several: Agent) -> dict[str, Any]:
+    def evaluate(scenarios: tuple[Scenario, ...], envs: tuple[mdp.Env, ...], several: Agent) -> tuple[Array, list]:
         chosen = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
-        return jax.vmap(lambda agent: _evaluate(scenario, env, driving.policy(network, agent, seen), chosen))(several)
+
+        def one(agent: Agent) -> list[dict[str, Any]]:
+            policy = driving.policy(network, agent, seen)
+            return [_evaluate(scenario, env, policy, chosen) for scenario, env in zip(scenarios, envs, strict=True)]
+
+        each = jax.vmap(one)(several)
+        return jnp.stack([numbers["return"] for numbers in each]).mean(0), each
 
     whole, split = (NamedSharding(over, PartitionSpec(*axes)) for axes in ((), (None, devices.AXIS)))
     placed: Any = TrainState(agent=whole, optimizer=whole, rows=split, best=whole, curriculum=whole, update=whole)  # pyright: ignore
@@ -244,46 +267,48 @@ def _evaluate(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Array) -> 
 def _train(
     options: ReinforcementConfig,
     console: Console | Callable[[float], None] | None,
-    scenario: Scenario,
-    env: mdp.Env,
+    scenarios: tuple[Scenario, ...],
+    envs: tuple[mdp.Env, ...],
     network: ActorCritic,
     config: dict[str, Any],
 ) -> TrainState:
     """Train in a folder that this process has locked, or the first of those that train together."""
     resumes = processes.by_first(lambda: check_config(options.folder, config))
     over, number, first = devices.mesh(), updates(options), processes.is_first()
-    if options.scenarios % over.size:
+    if options.scenarios // len(envs) % over.size:
         text = f"scenarios: {options.scenarios} do not spread evenly over {over.size} devices"
+        text += f" in {len(envs)} environments" if len(envs) > 1 else ""
         raise InputError(f"{text}; take a multiple.")
     run = programs(options, network, over)
     with progress(console if first else None) as tell:
         tell.stage("drawing starts")
-        pool_key = jax.random.fold_in(prng.key("training", options.seed), 2**31 - 1)
+        key, draw = prng.key("training", options.seed), jax.jit(mdp.Env.with_pool, static_argnums=2)
         if options.curriculum == "none":
-            env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, pool_key, options.pool)
-        several = _agents(options, network, env, scenario)
+            keys = [jax.random.fold_in(key, 2**31 - 1 - turn) for turn in range(len(envs))]
+            envs = tuple(draw(env, own, options.pool) for env, own in zip(envs, keys, strict=True))
+        several = _agents(options, network, envs[0], scenarios[0])
         if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
             tell.stage(f"imitating {options.imitate}")
-            several = _imitating(options, network, env, scenario, several)
+            several = _imitating(options, network, envs, scenarios, several)
         if options.noise is not None:
             several = with_noise(several, options.noise)
-        state = run.begin(env, several)
+        state = run.begin(envs, several)
         if not resumes:
             processes.by_first(lambda: write_config(options.folder, config))
         checkpoints = Checkpoints(options.folder, writes=True)
         saved = checkpoints.latest(_plain(state)) if resumes else None
         state = state if saved is None else _typed(saved, state)
-        (scenario, env), state = devices.replicate(over, (scenario, env)), _spread(over, state)
+        (scenarios, envs), state = devices.replicate(over, (scenarios, envs)), _spread(over, state)
         log = Log(options.folder, int(state.update)) if first else None
         curve = [float(line["evaluation"]["return"]) for line in (log.lines if log else []) if "evaluation" in line]
         tell.start("training", number)
         try:
             while int(state.update) < number:
                 begun = time.time()
-                state, told = run.update(env, state)
+                state, told = run.update(envs, state)
                 done, told = int(state.update), jax.tree.map(np.asarray, told)
                 if state.curriculum is not None and done % options.curriculum_every == 0:
-                    state = run.refill(env, state)
+                    state = run.refill(envs, state)
                 _check_finite(told, done, options)
                 each = options.scenarios * options.horizon
                 took = time.time() - begun
@@ -292,7 +317,7 @@ def _train(
                 line |= {part: _numbers(values) for part, values in told.items()}
                 due = done % options.evaluate_every == 0 or done == number
                 if due:
-                    state, evaluation = _judge(run, scenario, env, state)
+                    state, evaluation = _judge(run, scenarios, envs, state)
                     line |= evaluation
                     curve.append(evaluation["evaluation"]["return"])
                 if log is not None:  # before the checkpoint: what follows it is dropped at a restart
@@ -314,45 +339,55 @@ def _train(
 def _agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.Env, scenario: Scenario) -> Agent:
     """The agents before the first update, (A, ...)."""
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
-    space = env.observation_space
     if options.pretrained is None:
-        return jax.jit(jax.vmap(lambda key: init_agent(network, env.observations, space, key)))(keys)
+        return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
     other = _pretrained(options, scenario)
     return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), other)
 
 
 def _imitating(
-    options: ReinforcementConfig, network: ActorCritic, env: mdp.Env, scenario: Scenario, several: Agent
+    options: ReinforcementConfig,
+    network: ActorCritic,
+    envs: tuple[mdp.Env, ...],
+    scenarios: tuple[Scenario, ...],
+    several: Agent,
 ) -> Agent:
     """The agents after they have learned from another policy, (A, ...)."""
-    teacher = choice.policy(str(options.imitate), scenario, "imitate")
+    teachers = tuple(choice.policy(str(options.imitate), scenario, "imitate") for scenario in scenarios)
+    envs = tuple(replace(env, pool=None) for env in envs)
     keys = jnp.stack([prng.key("imitation", int(agent["seed"])) for agent in options.agents])
 
-    def one(env: mdp.Env, teacher: Policy, agent: Agent, key: Array) -> tuple[Agent, Array]:
-        return cloning.clone(options, env, network, agent, teacher, key)
+    def one(envs: tuple, teachers: tuple, agent: Agent, key: Array) -> tuple[Agent, Array]:
+        return cloning.clone(options, envs, network, agent, teachers, key)
 
-    taught, errors = jax.jit(jax.vmap(one, (None, None, 0, 0)))(replace(env, pool=None), teacher, several, keys)
+    taught, errors = jax.jit(jax.vmap(one, (None, None, 0, 0)))(envs, teachers, several, keys)
     if not np.isfinite(np.asarray(errors)).all():
-        raise FloatingPointError(f"imitate: what {teacher.name} does is not finite; choose another --imitate.")
+        raise FloatingPointError(f"imitate: what {teachers[0].name} does is not finite; choose another --imitate.")
     return taught
 
 
-def _judge(run: Programs, scenario: Scenario, env: mdp.Env, state: TrainState) -> tuple[TrainState, dict[str, dict]]:
-    """The state with its best agents, and what this evaluation found: of all, and of each if there are several."""
-    told = run.evaluate(scenario, replace(env, pool=None), state.agent)
-    found, value = jax.tree.map(np.asarray, told), jnp.asarray(told["return"], jnp.float32)
+def _judge(
+    run: Programs, scenarios: tuple[Scenario, ...], envs: tuple[mdp.Env, ...], state: TrainState
+) -> tuple[TrainState, dict[str, dict]]:
+    """The state with its best agents, and what this evaluation found: the means of all environments and agents, and
+    those in each and of each if there are several."""
+    value, each = run.evaluate(scenarios, tuple(replace(env, pool=None) for env in envs), state.agent)
+    value, each = jnp.asarray(value, jnp.float32), jax.tree.map(np.asarray, each)
     better = value > state.best.value
     now = Best(state.agent, value, jnp.broadcast_to(state.update, value.shape))
     best = jax.tree.map(
         lambda old, new: jnp.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old), state.best, now
     )
-    names = ["", *(f" in {name}" for name, _ in scenario.situations)]
-    rows = [_row(names, {name: one[number] for name, one in found.items()}) for number in range(value.shape[0])]
+    names = ["", *(f" in {name}" for name, _ in scenarios[0].situations)]
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # a situation that never occurred
-        mean = _row(names, {name: np.nanmean(one, 0) for name, one in found.items()})
-    told = {"evaluation": mean}
-    if len(rows) > 1:
-        told |= {f"agent {number}": row for number, row in enumerate(rows)}
+        found = {name: np.nanmean([one[name] for one in each], 0) for name in each[0]}
+        mean, *places = [{name: np.nanmean(part, 0) for name, part in one.items()} for one in (found, *each)]
+    told = {"evaluation": _row(names, mean)}
+    if len(places) > 1:
+        told |= {f"evaluation in {a.environment.name}": _row(names, b) for a, b in zip(scenarios, places, strict=True)}
+    if (count := value.shape[0]) > 1:
+        parts = [{name: part[number] for name, part in found.items()} for number in range(count)]
+        told |= {f"agent {number}": _row(names, part) for number, part in enumerate(parts)}
     return replace(state, best=best), told
 
 

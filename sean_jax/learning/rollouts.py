@@ -4,16 +4,17 @@ Source: J. Schulman et al., "High-dimensional continuous control using generaliz
 """
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, PyTree
 
 from sean_jax import mdp
 from sean_jax.base import Array
-from sean_jax.learning.actor_critic import ActorCritic, Agent, Answer, answer, log_density
+from sean_jax.learning.actor_critic import ActorCritic, Agent, Answer, answer, draw_action, log_density
 from sean_jax.mdp import observations
 
 TOLD = ("rewards", "completed", "episode_return", "episode_length", "start", "situations")  # of a step's info
@@ -21,9 +22,9 @@ TOLD = ("rewards", "completed", "episode_return", "episode_length", "start", "si
 
 @struct.dataclass
 class Rows:
-    """Scenarios that step together, between two updates."""
+    """Scenarios that step together, between two updates, in one environment or several, of which they take turns."""
 
-    envs: mdp.EnvState  # (B, ...)
+    envs: tuple[mdp.EnvState, ...]  # (B / E, ...) of the scenarios of each environment
     observation: dict[str, Array]  # (B, ...)
     memory: Float[Array, "B M"]  # of the network
     start: Bool[Array, "B"]  # whether the observation is the first of an episode
@@ -44,11 +45,40 @@ class Seen(NamedTuple):
     told: dict[str, Any]  # for the log and the curriculum
 
 
-def begin(env: mdp.Env, network: ActorCritic, key: Array, number: int) -> Rows:
+def deal(tree: PyTree, number: int) -> tuple[PyTree, ...]:
+    """What belongs to the scenarios of each environment.
+
+    Args:
+        tree: (B, ...) of all scenarios.
+        number: of environments, E. They take turns, so that each device has as many scenarios of each.
+
+    Returns:
+        E times (B / E, ...).
+    """
+
+    def of(turn: int) -> PyTree:
+        return jax.tree.map(lambda leaf: leaf.reshape(-1, number, *leaf.shape[1:])[:, turn], tree)
+
+    return tuple(map(of, range(number)))
+
+
+def gather(parts: Sequence[PyTree]) -> PyTree:
+    """The inverse of ``deal``.
+
+    Args:
+        parts: E times (B / E, ...).
+
+    Returns:
+        (B, ...) of all scenarios.
+    """
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves, 1).reshape(-1, *leaves[0].shape[1:]), *parts)
+
+
+def begin(envs: tuple[mdp.Env, ...], network: ActorCritic, key: Array, number: int) -> Rows:
     """Scenarios at the start of their first episodes.
 
     Args:
-        env: what is trained on.
+        envs: what is trained on; scenarios are shared out equally.
         network: what is trained.
         key: () typed PRNG key.
         number: of scenarios, B.
@@ -56,8 +86,10 @@ def begin(env: mdp.Env, network: ActorCritic, key: Array, number: int) -> Rows:
     Returns:
         The scenarios.
     """
-    observation, envs = jax.vmap(env.reset)(jax.random.split(key, number))
-    return Rows(envs, observation, jnp.zeros((number, network.memory_size), jnp.float32), jnp.ones(number, bool))
+    keys = deal(jax.random.split(key, number), len(envs))
+    begun = [jax.vmap(env.reset)(own) for env, own in zip(envs, keys, strict=True)]
+    shown, states = gather([shown for shown, _ in begun]), tuple(states for _, states in begun)
+    return Rows(states, shown, jnp.zeros((number, network.memory_size), jnp.float32), jnp.ones(number, bool))
 
 
 def vectors(terms: observations.Terms, observation: dict[str, Array]) -> Float[Array, "B F"]:
@@ -73,31 +105,77 @@ def vectors(terms: observations.Terms, observation: dict[str, Array]) -> Float[A
     return jax.vmap(functools.partial(observations.flatten, terms))(observation).astype(jnp.float32)
 
 
-def say(
-    network: ActorCritic, agent: Agent, terms: observations.Terms, observation: dict, memory: Array, start: Array
-) -> Answer:
-    """The answer to observations of many scenarios.
+def say(network: ActorCritic, agent: Agent, terms: observations.Terms, rows: Rows) -> Answer:
+    """The answer to what many scenarios show.
 
     Args:
         network: whose parameters the agent has.
         agent: what answers.
         terms: of the observation.
-        observation: (B, ...) of each term.
-        memory: (B, M) of the network.
-        start: (B,) whether an episode begins.
+        rows: B scenarios.
 
     Returns:
         The answer, (B, ...).
     """
-    images = {name: observation[name].astype(network.image_dtype) for name in network.images}
-    return answer(network, agent, vectors(terms, observation), images, memory, start)
+    vector, images = vectors(terms, rows.observation), _images(network, rows)
+    return answer(network, agent, vector, images, rows.memory, rows.start)
 
 
-def collect(env: mdp.Env, network: ActorCritic, agent: Agent, rows: Rows, steps: int, key: Array) -> tuple[Rows, Seen]:
+def _images(network: ActorCritic, rows: Rows) -> dict[str, Array]:
+    return {name: rows.observation[name].astype(network.image_dtype) for name in network.images}
+
+
+def step(
+    envs: tuple[mdp.Env, ...],
+    network: ActorCritic,
+    judge: Agent,
+    rows: Rows,
+    said: Answer,
+    action: Float[Array, "B 2"],
+    key: Array,
+) -> tuple[Rows, Seen]:
+    """A step of all scenarios.
+
+    Args:
+        envs: what is trained on, with pools; scenarios are shared out equally.
+        network: whose parameters the agents have.
+        judge: whose critic tells what would follow a truncation.
+        rows: B scenarios.
+        said: what the agent said to them.
+        action: (B, 2) what is done.
+        key: () typed PRNG key of the episodes that begin.
+
+    Returns:
+        The scenarios afterwards, and what was seen, (B, ...); its value is that of ``said``.
+    """
+    terms, keys = envs[0].observations, jax.random.split(key, rows.start.shape[0])
+    dealt = zip(envs, deal(keys, len(envs)), rows.envs, deal(action, len(envs)), strict=True)
+    stepped = [jax.vmap(env.step)(own, before, done) for env, own, before, done in dealt]
+    following, reward, terminated, truncated, info = gather([(shown, *rest) for shown, _, *rest in stepped])
+    states, over = tuple(each[1] for each in stepped), terminated | truncated
+    ended = Rows(states, info["final_observation"], said.memory, jnp.zeros_like(over))
+    seen = Seen(
+        vector=vectors(terms, rows.observation),
+        images=_images(network, rows),
+        start=rows.start,
+        action=action,
+        log_density=log_density(said, action),
+        value=said.value,
+        reward=reward.astype(jnp.float32),
+        over=over,
+        final_value=jnp.where(truncated, say(network, judge, terms, ended).value, 0.0),
+        told={name: info[name] for name in TOLD},
+    )
+    return Rows(states, following, said.memory, over), seen
+
+
+def collect(
+    envs: tuple[mdp.Env, ...], network: ActorCritic, agent: Agent, rows: Rows, steps: int, key: Array
+) -> tuple[Rows, Seen]:
     """Let the agent drive, with the noise of its actions.
 
     Args:
-        env: what is trained on, with a pool.
+        envs: what is trained on, with pools; scenarios are shared out equally.
         network: whose parameters the agent has.
         agent: who drives.
         rows: B scenarios.
@@ -107,29 +185,11 @@ def collect(env: mdp.Env, network: ActorCritic, agent: Agent, rows: Rows, steps:
     Returns:
         The scenarios afterwards, and (T, B) of what was seen.
     """
-    terms = env.observations
 
     def one(rows: Rows, tick: Array) -> tuple[Rows, Seen]:
         action_key, next_key = jax.random.split(jax.random.fold_in(key, tick))
-        said = say(network, agent, terms, rows.observation, rows.memory, rows.start)
-        action = said.mean + jnp.exp(said.log_std) * jax.random.normal(action_key, said.mean.shape, said.mean.dtype)
-        keys = jax.random.split(next_key, rows.start.shape[0])
-        following, envs, reward, terminated, truncated, info = jax.vmap(env.step)(keys, rows.envs, action)
-        over = terminated | truncated
-        final = say(network, agent, terms, info["final_observation"], said.memory, jnp.zeros_like(over))
-        seen = Seen(
-            vector=vectors(terms, rows.observation),
-            images={name: rows.observation[name].astype(network.image_dtype) for name in network.images},
-            start=rows.start,
-            action=action,
-            log_density=log_density(said, action),
-            value=said.value,
-            reward=reward.astype(jnp.float32),
-            over=over,
-            final_value=jnp.where(truncated, final.value, 0.0),
-            told={name: info[name] for name in TOLD},
-        )
-        return Rows(envs, following, said.memory, over), seen
+        said = say(network, agent, envs[0].observations, rows)
+        return step(envs, network, agent, rows, said, draw_action(said, action_key), next_key)
 
     return jax.lax.scan(one, rows, jnp.arange(steps, dtype=jnp.int32))
 

@@ -18,14 +18,14 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 from flax.typing import VariableDict
-from jaxtyping import Float, PyTree
+from jaxtyping import PyTree
 
 from sean_jax import mdp
 from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.config import APGConfig
-from sean_jax.learning.actor_critic import ActorCritic, Agent, update_statistics
-from sean_jax.learning.ppo import descend
-from sean_jax.learning.rollouts import TOLD, Rows, Seen, advantages, of_episodes, say, unroll, vectors
+from sean_jax.learning.actor_critic import ActorCritic, Agent, Answer, draw_action, update_statistics
+from sean_jax.learning.descent import Descent, descend, learn
+from sean_jax.learning.rollouts import Rows, Seen, advantages, of_episodes, say, step
 
 MAX_GRADIENT_NORM = 1.0
 
@@ -77,7 +77,7 @@ def init(agent: Agent) -> Optimizers:
 def update(
     options: APGConfig,
     numbers: dict[str, Array],
-    env: mdp.Env,
+    envs: tuple[mdp.Env, ...],
     network: ActorCritic,
     agent: Agent,
     optimizer: Optimizers,
@@ -90,7 +90,7 @@ def update(
         options: sizes.
         numbers: what an agent of a sweep has for itself, of the names in ``APGConfig.SWEPT``; the learning rate is that
             of this update.
-        env: what is trained on, with a pool.
+        envs: what is trained on, with pools; scenarios are shared out equally.
         network: whose parameters the agent has.
         agent: what is trained.
         optimizer: of the actor and the critic.
@@ -100,15 +100,16 @@ def update(
     Returns:
         The agent, the optimizers, the scenarios, what was seen, and numbers for the log.
     """
-    env = env.with_transition_gradients()
+    envs = tuple(env.with_transition_gradients() for env in envs)
     if not options.through_people:
-        env = replace(env, scenario=replace(env.scenario, move=Held(env.scenario.move)))
+        held = (replace(env.scenario, move=Held(env.scenario.move)) for env in envs)
+        envs = tuple(replace(env, scenario=scenario) for env, scenario in zip(envs, held, strict=True))
     memory = rows.memory
     judge = replace(agent, parameters=optimizer.target)
 
     def lost(parameters: PyTree) -> tuple[Array, tuple[Rows, Seen]]:
         acting = replace(agent, parameters=parameters)
-        return _lost(env, network, acting, judge, rows, options.horizon, key, numbers["discount"])
+        return _lost(envs, network, acting, judge, rows, options.horizon, key, numbers["discount"])
 
     (loss, (rows, seen)), gradient = jax.value_and_grad(lost, has_aux=True)(agent.parameters)
     rows, seen = jax.lax.stop_gradient((rows, seen))
@@ -118,11 +119,16 @@ def update(
     parameters, actor = descend(ACTOR, numbers["learning_rate"], agent.parameters, optimizer.actor, gradient)
     agent = replace(agent, parameters=parameters)
 
-    last = say(network, judge, env.observations, rows.observation, rows.memory, rows.start)
+    last = say(network, judge, envs[0].observations, rows)
     advantage = advantages(seen, last.value, numbers["discount"], numbers["advantage_decay"])
-    agent, critic, error = _judge_better(
-        options, numbers, network, agent, optimizer.critic, seen, memory, advantage, key
-    )
+
+    def critic_loss(said: Answer, steps: Seen, wanted: Array) -> tuple[Array, Array]:
+        error = 0.5 * ((said.value - wanted) ** 2).mean()
+        return error, error
+
+    descent = Descent(CRITIC, numbers["learning_rate"], options.critic_epochs, options.minibatches)
+    data = seen._replace(told={}), advantage + seen.value
+    agent, critic, error = learn(descent, critic_loss, network, agent, optimizer.critic, data, memory, key)
     share = options.target_share
     target = jax.tree.map(lambda old, new: old + share * (new - old), optimizer.target, agent.parameters)
     told = {
@@ -140,74 +146,29 @@ def update(
 
 
 def _lost(
-    env: mdp.Env, network: ActorCritic, agent: Agent, judge: Agent, rows: Rows, steps: int, key: Array, discount: Array
+    envs: tuple[mdp.Env, ...],
+    network: ActorCritic,
+    agent: Agent,
+    judge: Agent,
+    rows: Rows,
+    steps: int,
+    key: Array,
+    discount: Array,
 ) -> tuple[Array, tuple[Rows, Seen]]:
     """Minus the discounted reward of some steps and the value of what follows, a step; the scenarios afterwards."""
-    terms = env.observations
+    terms = envs[0].observations
 
     @jax.checkpoint  # what a step needs on the way back is computed again
     def one(carry: tuple[Rows, Array], tick: Array) -> tuple[tuple[Rows, Array], tuple[Array, Seen]]:
         rows, weight = carry
         action_key, next_key = jax.random.split(jax.random.fold_in(key, tick))
-        said = say(network, agent, terms, rows.observation, rows.memory, rows.start)
-        action = said.mean + jnp.exp(said.log_std) * jax.random.normal(action_key, said.mean.shape, said.mean.dtype)
-        keys = jax.random.split(next_key, rows.start.shape[0])
-        following, envs, reward, terminated, truncated, info = jax.vmap(env.step)(keys, rows.envs, action)
-        over = terminated | truncated
-        final = say(network, judge, terms, info["final_observation"], said.memory, jnp.zeros_like(over))
-        reward, follows = reward.astype(jnp.float32), jnp.where(truncated, final.value, 0.0)
-        gain = weight * (reward + jnp.where(over, discount * follows, 0.0))
-        seen = Seen(
-            vector=vectors(terms, rows.observation),
-            images={name: rows.observation[name].astype(network.image_dtype) for name in network.images},
-            start=rows.start,
-            action=action,
-            log_density=jnp.zeros_like(reward),
-            value=say(network, judge, terms, rows.observation, rows.memory, rows.start).value,
-            reward=reward,
-            over=over,
-            final_value=follows,
-            told={name: info[name] for name in TOLD},
-        )
-        rows = Rows(envs, following, said.memory, over)
-        return (rows, jnp.where(over, 1.0, weight * discount)), (gain, seen)
+        said, value = say(network, agent, terms, rows), say(network, judge, terms, rows).value
+        rows, seen = step(envs, network, judge, rows, said, draw_action(said, action_key), next_key)
+        gain = weight * (seen.reward + jnp.where(seen.over, discount * seen.final_value, 0.0))
+        return (rows, jnp.where(seen.over, 1.0, weight * discount)), (gain, seen._replace(value=value))
 
     carry = rows, jnp.ones(rows.start.shape, jnp.float32)
     (rows, weight), (gains, seen) = jax.lax.scan(one, carry, jnp.arange(steps, dtype=jnp.int32))
-    last = say(network, judge, terms, rows.observation, rows.memory, rows.start).value
+    last = say(network, judge, terms, rows).value
     gain = gains.sum(0) + jnp.where(rows.start, 0.0, weight * last)
     return -gain.mean() / steps, (rows, seen)
-
-
-def _judge_better(
-    options: APGConfig,
-    numbers: dict[str, Array],
-    network: ActorCritic,
-    agent: Agent,
-    optimizer: optax.OptState,
-    seen: Seen,
-    memory: Float[Array, "B M"],
-    advantage: Float[Array, "T B"],
-    key: Array,
-) -> tuple[Agent, optax.OptState, Array]:
-    """Steps of the critic's optimizer over minibatches of whole scenarios, and its mean loss."""
-    data = seen._replace(told={}), advantage + seen.value
-
-    def loss(parameters: PyTree, part: tuple[Seen, Array], memory: Array) -> Array:
-        steps, wanted = part
-        said = unroll(network, replace(agent, parameters=parameters), steps, memory)
-        return 0.5 * ((said.value - wanted) ** 2).mean()
-
-    def step(carry: tuple, rows: Array) -> tuple[tuple, Array]:
-        parameters, optimizer = carry
-        part = jax.tree.map(lambda leaf: leaf[:, rows], data)
-        error, gradient = jax.value_and_grad(loss)(parameters, part, memory[rows])
-        return descend(CRITIC, numbers["learning_rate"], parameters, optimizer, gradient), error
-
-    def epoch(carry: tuple, key: Array) -> tuple[tuple, Array]:
-        order = jax.random.permutation(key, options.scenarios).reshape(options.minibatches, -1)
-        return jax.lax.scan(step, carry, order)
-
-    keys = jax.random.split(jax.random.fold_in(key, 2**31 - 1), options.critic_epochs)
-    (parameters, optimizer), errors = jax.lax.scan(epoch, (agent.parameters, optimizer), keys)
-    return replace(agent, parameters=parameters), optimizer, errors.mean()

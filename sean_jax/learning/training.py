@@ -116,7 +116,31 @@ def init_state(
         The initial state; its best loss is infinite.
     """
     weights = init_weights(network, situations, prng.key("weights", options.seed))
-    weights = replace(weights, scale=jnp.maximum(jnp.std(commands, 0), MIN_COMMAND_SCALE))
+    return begin(replace(weights, scale=command_scale(commands)), options)
+
+
+def command_scale(commands: Float[np.ndarray | Array, "R 2"]) -> Float[Array, "2"]:
+    """What a command of 1 from the network means.
+
+    Args:
+        commands: (R, 2) m/s, rad/s, of the training examples.
+
+    Returns:
+        (2,) m/s, rad/s, their standard deviation.
+    """
+    return jnp.maximum(jnp.std(jnp.asarray(commands), 0), MIN_COMMAND_SCALE)
+
+
+def begin(weights: Weights, options: TrainConfig) -> TrainState:
+    """The state before the first epoch, from weights.
+
+    Args:
+        weights: at the beginning.
+        options: of the optimizer.
+
+    Returns:
+        The initial state; its best loss is infinite.
+    """
     return TrainState(
         weights=weights,
         optimizer=_optimizer(options).init(weights.parameters),

@@ -6,6 +6,8 @@ of a minute instead of episodes, and figures of its own, with the same ``resampl
 at the end, on the host and in double precision; nothing here is traced.
 """
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -122,6 +124,33 @@ def resamples(episodes: int, seed: int = 0, count: int | None = None) -> np.ndar
         count = int(np.clip(ENTRIES // episodes, MIN_RESAMPLES, RESAMPLES))
     draw = np.random.default_rng(seed)
     return draw.multinomial(episodes, np.full(episodes, 1 / episodes), size=count).astype(np.float32)
+
+
+def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | None = None) -> np.ndarray:
+    """How often each episode is in each resample, where episodes are of groups that are chance themselves.
+
+    Such are episodes of networks that were trained with several seeds on several datasets: a resample draws datasets
+    with replacement, of each that it drew some of its seeds, and of each of these some of its episodes.
+
+    Args:
+        sizes: number of groups at each level, and last the number of episodes of each innermost group: (10, 3, 410).
+        seed: of the draw.
+        count: R, as in ``resamples``.
+
+    Returns:
+        (R, E) float32 counts of the episodes in order, those of the first dataset's first seed before those of its
+        second; E is the product of the sizes.
+
+    Source: A. Davison & D. Hinkley, "Bootstrap methods and their application", 1997, section 3.8.
+    """
+    number = math.prod(sizes)
+    if count is None:
+        count = int(np.clip(ENTRIES // number, MIN_RESAMPLES, RESAMPLES))
+    draw = np.random.default_rng(seed)
+    times = np.ones((count, 1), np.int64)
+    for size in sizes:  # each group that was drawn k times draws k times as many of its own
+        times = draw.multinomial(times * size, np.full(size, 1.0 / size)).reshape(count, -1)
+    return times.astype(np.float32)
 
 
 def with_estimate(weights: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from sean_jax.navigation.next_corner_table import (
     next_corner,
     next_point_approx,
 )
+from sean_jax.navigation.places import PLACES, draw_places, mesh_corners
 from sean_jax.navigation.segments import SLACK, segment_is_free
 from sean_jax.navigation.shortest_paths import (
     build_paths_to_goal,
@@ -24,16 +25,19 @@ __all__ = [
     "CLOSE",
     "CODE",
     "MAX_CELLS",
+    "PLACES",
     "SLACK",
     "Navigation",
     "NextCornerTable",
     "build",
     "build_next_corner_table",
     "build_paths_to_goal",
+    "draw_places",
     "geodesic",
     "geodesic_approx",
     "inputs",
     "last_arc_to_goal",
+    "mesh_corners",
     "next_corner",
     "next_point",
     "next_point_approx",

@@ -55,6 +55,7 @@ class Navigation:
     places: Float[Array, "P 2"]  # m, uniform over all places that the disc can reach
     obstacles: Obstacles
     radius: Float[Array, ""]  # m
+    mesh_places: Int[Array, "M"] | None = None  # indices of places, as often as they are drawn; None: all alike
 
 
 def build(environment: Environment, radius: float, cell: float | None = None) -> Navigation:

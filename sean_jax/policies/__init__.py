@@ -4,6 +4,7 @@ from sean_jax.base import PolicyLike
 from sean_jax.policies.expert import expert
 from sean_jax.policies.go_to_goal import go_to_goal
 from sean_jax.policies.orca import orca
+from sean_jax.policies.sensing_expert import sensing_expert
 from sean_jax.policies.social_costmap import social_costmap
 
 POLICIES: dict[str, PolicyLike] = {
@@ -11,6 +12,7 @@ POLICIES: dict[str, PolicyLike] = {
     "social_costmap": social_costmap,
     "orca": orca,
     "expert": expert,
+    "sensing_expert": sensing_expert,
 }
 
-__all__ = ["POLICIES", "expert", "go_to_goal", "orca", "social_costmap"]
+__all__ = ["POLICIES", "expert", "go_to_goal", "orca", "sensing_expert", "social_costmap"]

@@ -5,8 +5,8 @@ next seconds: the robot and the people are predicted (``prediction``), social co
 path that is left is a shortest path (``cost_to_go``). The search samples in two rounds: widely around the last plan and
 over constant arcs, then narrowly around the best of these. The robot drives the weighted mean of the second round
 (G. Williams et al., "Information theoretic MPC for model-based reinforcement learning", ICRA 2017, with two rounds).
-The expert knows more than a robot's sensors tell: where people want to go. A control step takes some three million
-operations.
+The expert knows more than a robot's sensors tell: all people, and where they want to go. ``sensing_expert`` does not. A
+control step takes some three million operations.
 """
 
 from dataclasses import replace
@@ -146,11 +146,29 @@ def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) ->
     Returns:
         The command (2,) [m/s, rad/s], and the new memory.
     """
+    people = predict_people(scenario, nearest_people(state, MAX_PEOPLE), state.groups, STEPS, TIME_STEP)
+    return plan(scenario, params, state, people, key)
+
+
+def plan(
+    scenario: Scenario, params: ExpertParams, state: State, people: PeopleMotion, key: Array
+) -> tuple[Float[Array, "2"], ExpertMemory]:
+    """The search, for whatever is known of people.
+
+    Args:
+        scenario: where it drives.
+        params: of the expert.
+        state: now, with the groups that are known and an ``ExpertMemory``; its people are not looked at.
+        people: how people are predicted to move, ``STEPS`` steps of ``TIME_STEP``.
+        key: () PRNG key of this step.
+
+    Returns:
+        The command (2,) [m/s, rad/s], and the new memory.
+    """
     memory: ExpertMemory = state.policy_state
     limits = plan_limits(scenario)
     last = _shift(memory.knots, scenario.time_step)
     motion = _simulate(scenario, state, last[None], limits)
-    people = predict_people(scenario, nearest_people(state, MAX_PEOPLE), state.groups, STEPS, TIME_STEP)
     here = state.robot.position
     places = [jnp.append(here[axis], motion[axis][STEPS // 4 - 1 :: STEPS // 4, 0]) for axis in (0, 1)]
     table = build_cost_to_go(scenario, state, memory.successors, *places)

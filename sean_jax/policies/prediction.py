@@ -144,6 +144,25 @@ def predict_people(
     return PeopleMotion(jnp.where(here, px, ABSENT_DISTANCE), jnp.where(here, py, ABSENT_DISTANCE), vx, vy)
 
 
+def predict_straight(people: Pedestrians, steps: int, time_step: float) -> PeopleMotion:
+    """Where people will be if they keep their velocity: all that can be said of people whose aims are unknown.
+
+    Args:
+        people: K of them.
+        steps: T, to predict.
+        time_step: s, of each.
+
+    Returns:
+        Their motion after each step. Absent people are far away.
+    """
+    seconds = time_step * (jnp.arange(steps, dtype=people.position.dtype) + 1.0)
+    (x, y), (vx, vy) = people.position.T, people.velocity.T
+    here = people.present[None, :]
+    px, py = (now[None, :] + seconds[:, None] * speed[None, :] for now, speed in ((x, vx), (y, vy)))
+    velocity = (jnp.broadcast_to(part[None, :], px.shape) for part in (vx, vy))
+    return PeopleMotion(jnp.where(here, px, ABSENT_DISTANCE), jnp.where(here, py, ABSENT_DISTANCE), *velocity)
+
+
 def _coincident(people: Pedestrians) -> Bool[Array, "K"]:
     """Whether each person is within ``COINCIDENT_DISTANCE`` of another person who is present."""
     x, y = jax.lax.stop_gradient(people.position).T

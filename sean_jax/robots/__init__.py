@@ -1,4 +1,4 @@
-"""Robots (Fig. 3): one MJCF file each in ``envs/robots``, simulated by MJX or by their closed-form twins."""
+"""Robots (Fig. 3): one MJCF file each in ``envs/robots``, simulated by MJX, by their closed-form twins or kinematic."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,10 +10,10 @@ from sean_jax.base import RobotModel
 from sean_jax.environment import ENVS
 from sean_jax.errors import InputError
 from sean_jax.robots import description, mjx_dynamics
-from sean_jax.robots.drive import drive_mjx, drive_twin, place
+from sean_jax.robots.drive import drive_kinematic, drive_mjx, drive_twin, place
 
 ROBOTS: dict[str, Path] = {path.stem: path for path in sorted((ENVS / "robots").glob("*.xml"))}
-DYNAMICS = {"mjx": drive_mjx, "twin": drive_twin}
+DYNAMICS = {"mjx": drive_mjx, "twin": drive_twin, "kinematic": drive_kinematic}
 
 
 def load(robot: str | Path, dynamics: str = "mjx") -> RobotModel:
@@ -21,7 +21,7 @@ def load(robot: str | Path, dynamics: str = "mjx") -> RobotModel:
 
     Args:
         robot: a name in ``ROBOTS``, or the path of an MJCF file.
-        dynamics: "mjx", or "twin" for the closed form.
+        dynamics: "mjx", "twin" for the closed form, or "kinematic" for a robot without inertia.
 
     Returns:
         The robot.
@@ -41,7 +41,7 @@ def find(robot: str | Path, dynamics: str = "mjx") -> Path:
 
     Args:
         robot: a name in ``ROBOTS``, or the path of an MJCF file.
-        dynamics: "mjx" or "twin", which is checked as well.
+        dynamics: a name in ``DYNAMICS``, which is checked as well.
 
     Returns:
         The file.

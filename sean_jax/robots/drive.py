@@ -1,7 +1,8 @@
 """One control step of a differential-drive robot (Fig. 3): command (v, omega), limits, physics, odometry.
 
 The MJX robot and its closed-form twin differ only in the physics step. Derivatives through the MJX robot are those of
-its twin, in forward and in reverse mode: they agree to rounding and cost a fraction.
+its twin, in forward and in reverse mode: they agree to rounding and cost a fraction. The kinematic robot has no
+inertia: it moves as it is told to, within its limits.
 
 ``motion`` is a pair: generalised coordinates (5,), x, y [m], yaw, left and right wheel angle [rad], and their rates.
 """
@@ -19,7 +20,7 @@ from sean_jax import clock
 from sean_jax.base import Array, Robot, RobotModel, Scenario, State
 from sean_jax.errors import InputError
 from sean_jax.geometry import rotate, unit_vectors
-from sean_jax.robots import mjx_dynamics, twin
+from sean_jax.robots import kinematic, mjx_dynamics, twin
 from sean_jax.robots.ground import Motion, Surroundings
 from sean_jax.robots.limits import limit_command
 
@@ -112,6 +113,36 @@ def drive_twin(scenario: Scenario, state: State, action: Float[Array, "2"]) -> R
     return _drive(_simulate_twin, scenario, state, action)
 
 
+def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Robot:
+    """The robot one control step later, which has the speeds of the command at once, as in SEAN 2.0.
+
+    Its limits of speed, turn rate and acceleration hold. Obstacles and people in its way stop it. Wheels are not moved.
+
+    Args:
+        scenario: as in ``drive_mjx``.
+        state: as in ``drive_mjx``.
+        action: as in ``drive_mjx``.
+
+    Returns:
+        The robot.
+
+    Raises:
+        InputError: the control step is no multiple of the physics step.
+
+    Source: SEAN 2.0, Control/VelocityController.cs; the limits are those of its ROS controllers.
+    """
+    model, robot, step = scenario.robot, state.robot, scenario.time_step
+    command, age = active_command(model, robot.drive_state, action, step)
+    speed, turn_rate = limit_command(model, robot.speed, robot.turn_rate, (command[0], command[1]), step)
+    heading = _direction(robot.heading)
+    way = kinematic.move(
+        _steps(scenario), model, _surroundings(scenario, state), robot.position, heading, speed, turn_rate
+    )
+    still = jnp.zeros_like(robot.position)
+    drive_state = DriveState(still, still, way.sideways, command, age)
+    return Robot(way.position, _turned(heading, step * turn_rate), way.speed, turn_rate, drive_state)
+
+
 def wheel_speeds(model: RobotModel, robot: Robot, action: Float[Array, "2"], time_step: float) -> Float[Array, "2"]:
     """Target speeds of the wheels for the command nearest to an action within the robot's limits.
 
@@ -150,32 +181,47 @@ def active_command(
 
 
 def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -> Robot:
-    model, people = scenario.robot, state.pedestrians
-    surroundings = Surroundings(
+    model, robot = scenario.robot, state.robot
+    command, age = active_command(model, robot.drive_state, action, scenario.time_step)
+    targets = wheel_speeds(model, robot, command, scenario.time_step)
+    before = coordinates(model, robot)
+    position, velocity = physics(_steps(scenario), model, _surroundings(scenario, state), before, targets)
+    cosine, sine = _turned(_direction(robot.heading), position[2] - before[0][2])
+    # Whole turns of the wheels are removed, so that they stay exact in single precision after many.
+    wheels = position[3:] - 2.0 * jnp.pi * jnp.round(position[3:] / (2.0 * jnp.pi))
+    speed, sideways = rotate(velocity[0], velocity[1], cosine, -sine)
+    slip = velocity[3:] - _rolling(model, speed, velocity[2])
+    drive_state = DriveState(wheels, slip, sideways, command, age)
+    return Robot(position[:2], jnp.stack([cosine, sine]), speed, velocity[2], drive_state)
+
+
+def _surroundings(scenario: Scenario, state: State) -> Surroundings:
+    people = state.pedestrians
+    return Surroundings(
         obstacles=scenario.environment.obstacles,
         position=people.position,
         velocity=people.velocity,
         present=people.present,
         person_radius=scenario.forces.walking.radius,
     )
-    robot = state.robot
-    command, age = active_command(model, robot.drive_state, action, scenario.time_step)
-    targets = wheel_speeds(model, robot, command, scenario.time_step)
+
+
+def _steps(scenario: Scenario) -> int:
+    """How many steps of physics a step of control has."""
+    model = scenario.robot
     steps = round(scenario.time_step / model.time_step)
     if abs(steps * model.time_step - scenario.time_step) > 1e-6:
         raise InputError(f"the step {scenario.time_step} s is no multiple of {model.name}'s step {model.time_step} s")
-    before = coordinates(model, robot)
-    position, velocity = physics(steps, model, surroundings, before, targets)
-    # The heading is rotated, not computed from the yaw: so a robot that does not turn keeps it to the bit, and it stays
-    # exact in single precision after many turns. Whole turns of the wheels are removed for the same reason.
-    rotation = position[2] - before[0][2]
-    cosine, sine = _direction(robot.heading)
-    cosine, sine = _direction(jnp.stack(rotate(cosine, sine, jnp.cos(rotation), jnp.sin(rotation))))
-    wheels = position[3:] - 2.0 * jnp.pi * jnp.round(position[3:] / (2.0 * jnp.pi))
-    speed, sideways = rotate(velocity[0], velocity[1], cosine, -sine)
-    slip = velocity[3:] - _rolling(model, speed, velocity[2])
-    drive_state = DriveState(wheels, slip, sideways, command, age)
-    return Robot(position[:2], jnp.stack([cosine, sine]), speed, velocity[2], drive_state)
+    return steps
+
+
+def _turned(heading: Array, rotation: Array) -> Array:
+    """(2,) the heading (2,) turned by that angle [rad].
+
+    It is rotated, not computed from the yaw: so a robot that does not turn keeps it to the bit, and it stays exact in
+    single precision after many turns.
+    """
+    return _direction(jnp.stack(rotate(heading[0], heading[1], jnp.cos(rotation), jnp.sin(rotation))))
 
 
 def _simulate(

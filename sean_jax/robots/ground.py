@@ -59,9 +59,9 @@ def impulse(
     middle = position[2] + 0.5 * model.time_step * velocity[2]  # yaw halfway through the step: else turning would slip
     cosine, sine = jnp.cos(middle), jnp.sin(middle)
     jx, jy, spin, left, right = _tyres(model, cosine, sine, velocity)
-    px, py = _contacts(
-        model, surroundings, time_left, position, velocity[0] + jx / model.mass, velocity[1] + jy / model.mass
-    )
+    start = velocity[0] + jx / model.mass, velocity[1] + jy / model.mass
+    vx, vy = touching(model, surroundings, time_left, position, *start)
+    px, py = model.mass * (vx - start[0]), model.mass * (vy - start[1])
     return jnp.stack([jx + px, jy + py, spin, left, right])
 
 
@@ -94,16 +94,31 @@ def _clip_length(x: Array, y: Array, limit: Array) -> tuple[Array, Array]:
     return x * scale, y * scale
 
 
-def _contacts(
-    model: RobotModel, surroundings: Surroundings, time_left: Array, position: Array, vx: Array, vy: Array
-) -> tuple[Array, Array]:
-    """Impulse (jx, jy) of the contacts of the robot's disc, given its velocity without them.
+def touching(
+    model: RobotModel,
+    surroundings: Surroundings,
+    time_left: Float[Array, ""],
+    position: Float[Array, "..."],
+    vx: Float[Array, ""],
+    vy: Float[Array, ""],
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """The velocity that the contacts of the robot's disc leave it.
 
     A contact limits the approach speed to the one that closes the gap within the physics step, so that the robot comes
     to rest at the surface. It undoes a share of an overlap. There is no friction: the robot slides along.
+
+    Args:
+        model: the robot.
+        surroundings: obstacles and people.
+        time_left: s, from the start of this physics step to the end of the control step.
+        position: its first two are x and y [m].
+        vx: m/s without contacts.
+        vy: m/s likewise.
+
+    Returns:
+        m/s along x and along y.
     """
     x, y = position[0], position[1]
-    start = vx, vy
     px, py, ux, uy = *surroundings.position.T, *surroundings.velocity.T
 
     def person(x: Array, y: Array, people: tuple) -> tuple[Array, Array, Array]:
@@ -122,7 +137,7 @@ def _contacts(
         vx, vy = _touch(person, (px, py, ux, uy, surroundings.present), 1, x, y, vx, vy)
     if surroundings.obstacles.yaw.shape[0]:
         vx, vy = _touch(obstacle, surroundings.obstacles, 2, x, y, vx, vy)  # a corner has two walls
-    return model.mass * (vx - start[0]), model.mass * (vy - start[1])
+    return vx, vy
 
 
 def _approach(model: RobotModel, gap: Array) -> Array:

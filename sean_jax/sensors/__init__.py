@@ -17,6 +17,7 @@ from sean_jax.sensors.suite import (
     lidar_sensor,
     sense,
 )
+from sean_jax.sensors.visibility import pixels_of_people
 
 CAMERAS = ("depth", "first_person", "third_person", "overhead")
 """The cameras that every robot has."""
@@ -45,6 +46,7 @@ __all__ = [
     "lidar",
     "lidar_sensor",
     "noise",
+    "pixels_of_people",
     "push",
     "render",
     "scan",

@@ -136,7 +136,8 @@ _SEAN2 = _HELBING_1995.tree_replace({
     "repulsion.back_weight": 1.0,  # [S2] looks in all directions
     "sidestep.preference": -50.0 / 80.0,  # [S2] A / 10 / m, to the left
     "sidestep.range": 2.0,  # [S2] perception
-    "robot_repulsion.factor_min": 0.5,  # [S2]
+    "sidestep.scaled_by_robot": True,  # [S2] ROBOT_REPULSION_DAMPENING is a factor of both forces
+    "robot_repulsion.factor_min": 0.5,  # [S2] people come nearer to a robot that moves than to one that stands
     "robot_repulsion.factor_max": 1.0,  # [S2]
     "walls.strength": 8000.0 / 80.0,  # [S2] WALL_A / m
     "walls.range": 0.24,  # [S2] WALL_B

@@ -22,6 +22,7 @@ class Sidestep:
     preference: Float[Array, ""]  # m/s2; positive to the right
     cosine: Float[Array, ""]  # 1, cosine of the half angle within which somebody counts as oncoming
     range: Float[Array, ""]  # m, and the distance
+    scaled_by_robot: bool = struct.field(pytree_node=False, default=False)  # whether by a moving robot's factor, too
 
     def pair(self, pair: Pair) -> Force:
         """The push to the side, zero unless the other is oncoming.
@@ -38,6 +39,8 @@ class Sidestep:
         closing = (pair.wx - pair.vx) * look_x + (pair.wy - pair.vy) * look_y < 0.0
         oncoming = closing & (bearing >= self.cosine) & (dd < self.range * self.range)
         push = jnp.where(oncoming, jnp.where(pair.standing, 0.0, self.preference) * bearing, 0.0)
+        if self.scaled_by_robot and pair.repulsion_scale is not None:
+            push = push * pair.repulsion_scale
         return push * look_y, -push * look_x
 
     def cutoff(self, walking: Walking) -> Array:

@@ -47,7 +47,7 @@ class Pair(NamedTuple):
     radii: Float[Array, "..."]  # m, sum of the radii of both
     standing: Bool[Array, "..."] | bool = False  # the person is a standing member of a group
     is_robot: bool = False  # the other is the robot; known when the program is traced
-    repulsion_scale: Float[Array, "..."] | None = None  # 1, factor of the repulsion by a robot; None for a person
+    repulsion_scale: Float[Array, "..."] | None = None  # 1, drawn factor of what a moving robot does; None for a person
 
 
 class Crowd(NamedTuple):
@@ -220,7 +220,7 @@ class Forces:
             fields = [one.name for one in dataclasses.fields(getattr(self, name))]
             if field not in fields:
                 raise InputError(f"forces.{path}: '{name}' has no such parameter{suggest(field, fields)}")
-            number = isinstance(value, (int, float, np.ndarray, np.generic))
+            number = isinstance(value, (int, float, np.ndarray, np.generic)) and not isinstance(value, bool)
             changes.setdefault(name, {})[field] = np.asarray(value, float) if number else value
         return self.replace(**{name: dataclasses.replace(getattr(self, name), **new) for name, new in changes.items()})
 

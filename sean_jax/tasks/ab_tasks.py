@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from sean_jax import navigation as paths
 from sean_jax.base import Array, Groups, PathsToGoal, Pedestrians, RobotTask, Scenario
 from sean_jax.environment import clearance
 from sean_jax.tasks.clusters import busiest
@@ -33,9 +34,9 @@ def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, 
 
     Source: section IV-E.
     """
-    places = scenario.navigation.places
+    navigation = scenario.navigation
     draw_key, choice_key, turn_key = jax.random.split(key, 3)
-    spots = places[jax.random.randint(draw_key, (GOALS + CANDIDATES,), 0, places.shape[0], jnp.int32)]
+    spots = navigation.places[paths.draw_places(navigation, draw_key, GOALS + CANDIDATES)]
     goals, starts = spots[:GOALS], spots[GOALS:]
     nothing = jnp.zeros(GOALS, float), jnp.zeros(CANDIDATES, float)
     return _task(scenario, choose_pair(scenario, pedestrians, goals, starts, *nothing, choice_key), turn_key)

@@ -61,7 +61,7 @@ def handcrafted(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
     Source: section IV-E.
     """
     sets: Sets = scenario.behavior.data
-    one: Sets = jax.tree.map(lambda leaf: leaf[memory.set], sets)
+    one = sets.one(memory.set)
     drawn = jax.random.categorical(key, jnp.log(one.odds).reshape(-1))
     first, last = drawn // one.odds.shape[1], drawn % one.odds.shape[1]
     start, start_heading = _pose(groups, one.start[first], one.start_heading[first], one.start_group[first])

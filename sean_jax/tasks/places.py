@@ -29,13 +29,12 @@ def far_place(scenario: Scenario, pedestrians: Pedestrians, other: Float[Array, 
     """
     navigation = scenario.navigation
     draw_key, choice_key = jax.random.split(key)
-    index = jax.random.randint(draw_key, (CANDIDATES,), 0, navigation.places.shape[0], jnp.int32)
-    spots = navigation.places[index]
+    spots = navigation.places[paths.draw_places(navigation, draw_key, CANDIDATES)]
     to_other = paths.build_paths_to_goal(navigation, other)
     walk = jax.vmap(paths.geodesic_approx, in_axes=(None, 0, None, None))(navigation, spots, other, to_other)
     square = _to_people(pedestrians, spots)
     lower, upper = scenario.task_distance[0], scenario.task_distance[1]
-    fits = (walk >= lower) & (walk <= upper) & (square > CLEAR * CLEAR)
+    fits = (walk >= lower) & (walk <= upper) & jnp.isfinite(walk) & (square > CLEAR * CLEAR)
     chance = jax.random.uniform(choice_key, (CANDIDATES,), float)
     rating = jnp.where(fits, 1.0 + chance, jnp.where(jnp.isfinite(walk), -1.0 / (1.0 + square), -jnp.inf))
     return spots[jnp.argmax(rating)]
@@ -72,10 +71,12 @@ def choose_pair(
     each_start = jax.vmap(paths.geodesic_approx, in_axes=(None, 0, None, None))
     walk = jax.vmap(each_start, in_axes=(None, None, 0, 0))(navigation, starts, goals, rows)  # (D, C)
     lower, upper = scenario.task_distance[0], scenario.task_distance[1]
-    off = jnp.maximum(lower - walk, 0.0) + jnp.maximum(walk - upper, 0.0)
+    reached = jnp.isfinite(walk)
+    finite = jnp.where(reached, walk, 0.0)  # where there may be no upper limit either
+    off = jnp.maximum(lower - finite, 0.0) + jnp.maximum(finite - upper, 0.0)
     goal_cost = goal_cost + jnp.maximum(CLEAR - jnp.sqrt(_to_people(pedestrians, goals)), 0.0)
     start_cost = start_cost + jnp.maximum(CLEAR - jnp.sqrt(_to_people(pedestrians, starts)), 0.0)
-    cost = jnp.where(jnp.isfinite(walk), DETOUR * off, jnp.inf) + goal_cost[:, None] + start_cost[None, :]
+    cost = jnp.where(reached, DETOUR * off, jnp.inf) + goal_cost[:, None] + start_cost[None, :]
     chance = jax.random.uniform(key, cost.shape, float)
     best = jnp.argmax(jnp.where(cost == 0.0, 1.0 + chance, -cost)).astype(jnp.int32)
     goal, start = best // starts.shape[0], best % starts.shape[0]

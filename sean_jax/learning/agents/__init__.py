@@ -245,7 +245,7 @@ def described(folder: Path) -> str:
     options, saved = read_options(folder), files.read_json(folder / CONFIG)
     sees, steps = ", ".join(part.kind for part in options.observations), saved.get("agent", {}).get("steps")
     trained = f" on {steps:,} steps" if isinstance(steps, int) else ""
-    return f"Agent of reinforcement learning, trained{trained} in {options.environment}; it sees {sees}."
+    return f"Agent of reinforcement learning, trained{trained} in {', '.join(options.environments)}; it sees {sees}."
 
 
 def _named(agent: PyTree) -> dict[str, Any]:

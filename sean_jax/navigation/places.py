@@ -1,0 +1,170 @@
+"""Free places, from which starts and goals are drawn: all alike, or as SEAN 2.0 draws points of its navigation mesh.
+
+SEAN takes a point between two random vertices of the mesh's triangles, which lies the more often in the middle of a
+floor and on lines between corners. Its mesh is Unity's, of which the corners are known and the triangles are not: here
+each corner of the free floor counts once.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+from sean_jax import cache
+from sean_jax.base import Array, Environment
+from sean_jax.errors import InputError
+from sean_jax.geometry import signed_distances_on_host
+from sean_jax.navigation.segments import SLACK, pairs_are_free
+from sean_jax.navigation.tables import CODE, Navigation, inputs
+from sean_jax.platforms import to_device
+
+MESH_RADIUS = 0.5  # m, of SEAN's mesh: so far its edges are from obstacles, and those of a larger robot its radius
+MESH_EDGE = 0.25  # m, from a point to the nearest edge of the mesh, at least (SEAN 2.0)
+MESH_SHARE = 0.05, 0.95  # of the way from the first vertex to the second (SEAN 2.0)
+MESH_DRAWS = 65_536  # points that are tabulated, 64 for each place
+NEAREST = 8  # places of which the nearest in sight stands for a point
+SAME = 1e-6  # m, corners nearer than that are one
+CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
+
+
+def draw_places(navigation: Navigation, key: Array, number: int) -> Int[Array, "{number}"]:
+    """Draw from the free places, with replacement.
+
+    Args:
+        navigation: with its places.
+        key: of the draws.
+        number: of places.
+
+    Returns:
+        (number,) indices of ``navigation.places``.
+    """
+    if navigation.mesh_places is None:
+        return jax.random.randint(key, (number,), 0, navigation.places.shape[0], jnp.int32)
+    index = jax.random.randint(key, (number,), 0, navigation.mesh_places.shape[0], jnp.int32)
+    return navigation.mesh_places[index]
+
+
+def uniform_places(environment: Environment, navigation: Navigation) -> Navigation:
+    """All free places are equally likely.
+
+    Args:
+        environment: in which paths lead.
+        navigation: the tables of shortest paths there.
+
+    Returns:
+        The tables, for ``draw_places``.
+    """
+    return replace(navigation, mesh_places=None)
+
+
+def mesh_places(environment: Environment, navigation: Navigation) -> Navigation:
+    """Places are as likely as points that SEAN 2.0 draws on its navigation mesh are near to them.
+
+    A point lies between two random corners of the free floor whose whole metres differ in x and in y, at least 0.25 m
+    from the nearest edge. The nearest free place in sight stands for it.
+
+    Args:
+        environment: in which paths lead.
+        navigation: the tables of shortest paths there.
+
+    Returns:
+        The tables, for ``draw_places``.
+
+    Raises:
+        InputError: hardly any such point is free.
+
+    Source: SEAN 2.0, Util/Navmesh.cs, and the radius of the mesh in Warehouse.unity.
+    """
+    told = [*inputs(navigation), environment.floor]
+    made = cache.load_or_build("mesh_places", CODE, told, lambda: {"place": _nearest_to_draws(environment, navigation)})
+    return replace(navigation, mesh_places=to_device(made["place"]))
+
+
+PLACES: dict[str, Callable[[Environment, Navigation], Navigation]] = {"uniform": uniform_places, "mesh": mesh_places}
+"""How starts and goals are drawn from the free places."""
+
+
+def mesh_corners(environment: Environment, radius: float) -> Float[np.ndarray, "K 2"]:
+    """The corners of the floor that is free for a disc, on the host.
+
+    They are corners of the room and of obstacles that are grown by the radius, without rounding, and where the sides of
+    two of them meet.
+
+    Args:
+        environment: with its obstacles and its floor.
+        radius: m, of the disc.
+
+    Returns:
+        (K, 2) m, no two alike, in order.
+    """
+    boxes, floor = environment.obstacles, np.asarray(environment.floor, float)
+    center, half, yaw = (np.asarray(part, float) for part in (boxes.center, boxes.half_extent, boxes.yaw))
+    center = np.concatenate([center, [(floor[:2] + floor[2:]) / 2]])  # the last is the room
+    half = np.concatenate([half + radius, [(floor[2:] - floor[:2]) / 2 - radius]])
+    yaw = np.append(yaw, 0.0)
+    cosine, sine = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    x, y = np.moveaxis(half[:, None] * CORNERS, -1, 0)
+    corner = center[:, None] + np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+    begin, way = corner.reshape(-1, 2), (np.roll(corner, -1, 1) - corner).reshape(-1, 2)
+    found = [begin]
+    for origin, along in zip(begin, way, strict=True):
+        gap = begin - origin
+        cross = along[0] * way[:, 1] - along[1] * way[:, 0]
+        crosses = np.abs(cross) > 1e-9 * (1.0 + np.abs(way).max(1))
+        scale = 1.0 / np.where(crosses, cross, 1.0)
+        mine = (gap[:, 0] * way[:, 1] - gap[:, 1] * way[:, 0]) * scale
+        other = (gap[:, 0] * along[1] - gap[:, 1] * along[0]) * scale
+        meets = crosses & (np.minimum(mine, other) >= 0.0) & (np.maximum(mine, other) <= 1.0)
+        found.append(origin + mine[meets, None] * along)
+    spots = np.unique(np.round(np.concatenate(found) / SAME).astype(np.int64), axis=0) * SAME
+    free = np.empty(len(spots), bool)
+    for part in np.array_split(np.arange(len(spots)), max(1, len(spots) // 1024)):
+        gap = spots[part][:, None] - center
+        u = cosine[:, 0] * gap[..., 0] + sine[:, 0] * gap[..., 1]
+        v = cosine[:, 0] * gap[..., 1] - sine[:, 0] * gap[..., 0]
+        over = np.maximum(np.abs(u) - half[:, 0], np.abs(v) - half[:, 1])  # negative inside
+        free[part] = (over[:, :-1] >= -2 * SAME).all(1) & (over[:, -1] <= 2 * SAME)
+    return spots[free]
+
+
+def _nearest_to_draws(environment: Environment, navigation: Navigation) -> np.ndarray:
+    """(M,) int32, for each of many points of the mesh the nearest free place in sight."""
+    generator = np.random.default_rng(2)
+    radius = max(float(navigation.radius), MESH_RADIUS)
+    corners, places = mesh_corners(environment, radius), np.asarray(navigation.places, float)
+    tree, free_radius = KDTree(places), max(float(navigation.radius) - SLACK, 0.0)
+    found: list[np.ndarray] = []
+    number, tried = 0, 0
+    while number < MESH_DRAWS:
+        tried += MESH_DRAWS
+        points = _points_between(corners, generator)
+        points = points[np.minimum(*signed_distances_on_host(environment, points)) >= radius + MESH_EDGE]
+        number_near = min(NEAREST, len(places))
+        near = tree.query(points, number_near)[1].reshape(len(points), number_near)
+        chosen = np.full(len(points), -1)
+        for column in near.T:
+            left = np.flatnonzero(chosen < 0)
+            if len(left):
+                clear = pairs_are_free(environment.obstacles, free_radius, points[left], places[column[left]])
+                chosen[left[clear]] = column[left[clear]]
+        found.append(chosen[chosen >= 0])
+        number += len(found[-1])
+        if number * 2000 < tried:
+            apart = f"{radius + MESH_EDGE:g} m from obstacles, as on SEAN's navigation mesh"
+            raise InputError(
+                f"places: of points between corners of '{environment.name}', hardly any is {apart}; choose uniform."
+            )
+    return np.concatenate(found)[:MESH_DRAWS].astype(np.int32)
+
+
+def _points_between(corners: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Points (P, 2) [m] between two of the corners (K, 2) [m] that differ in the whole metres of x and of y."""
+    if len(corners) == 0:
+        return np.zeros((0, 2))
+    ends = corners[generator.integers(len(corners), size=(2, MESH_DRAWS))]
+    first, second = ends[:, (np.trunc(ends[0]) != np.trunc(ends[1])).all(1)]
+    return first + generator.uniform(*MESH_SHARE, (len(first), 1)) * (second - first)

@@ -1,0 +1,148 @@
+"""sensing_expert: the expert's search with what the robot's sensors tell of people, and no more.
+
+``expert`` knows all people, also behind walls and behind its back, and where they want to go. Students who see a depth
+image (section V) cannot copy what follows from that. This one knows people whom the depth camera shows, remembers them
+for a while after, and expects everybody to walk on at constant velocity. The map, its own pose and the goal are known
+to it, as to a navigation stack. Search and costs are those of ``expert``.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Bool, Float, Int
+
+from sean_jax import sensors
+from sean_jax.base import Array, Policy, Scenario, State
+from sean_jax.clock import to_ticks
+from sean_jax.platforms import scalar
+from sean_jax.policies.expert import MAX_PEOPLE, STEPS, TIME_STEP, ExpertMemory, ExpertParams, expert, plan
+from sean_jax.policies.prediction import nearest_people, predict_straight
+
+WIDTH, HEIGHT = 64, 48  # pixels of the picture in which people are looked for, a bit more than a degree each
+
+
+@struct.dataclass
+class SensingParams:
+    """Parameters of the sensing expert; all leaves are () floats."""
+
+    expert: ExpertParams
+    min_pixels: Float[Array, ""]  # of 64 x 48 of the depth camera, that show whoever is seen; 0: it sees everybody
+    memory_time: Float[Array, ""]  # s, for which people are remembered who are out of sight
+
+
+class KnownPeople(NamedTuple):
+    """What the robot knows of people."""
+
+    position: Float[Array, "N 2"]  # m, where they are, or would be if they had walked on
+    velocity: Float[Array, "N 2"]  # m/s, when they were last seen
+    group: Int[Array, "N"]  # in which they stood then, -1 none
+    unseen_ticks: Int[Array, "N"]  # since then
+    known: Bool[Array, "N"]  # they are seen or remembered
+
+
+class SensingMemory(NamedTuple):
+    """What the sensing expert remembers from step to step."""
+
+    search: ExpertMemory
+    people: KnownPeople
+
+
+def default_params() -> SensingParams:
+    """The sensing expert's parameters.
+
+    Returns:
+        Those that docs/policies.md describes.
+    """
+    return SensingParams(expert.params, min_pixels=scalar(1.0), memory_time=scalar(2.0))
+
+
+def init(scenario: Scenario, params: SensingParams, state: State) -> SensingMemory:
+    """Plans as ``expert`` does, with a robot's knowledge: people whom its depth camera shows or has just shown.
+
+    Args:
+        scenario: where it drives.
+        params: of the sensing expert.
+        state: in which the episode begins.
+
+    Returns:
+        The memory of an episode that begins: nobody has been seen yet.
+    """
+    position, group = jnp.zeros_like(state.pedestrians.position), jnp.full_like(state.pedestrians.group, -1)
+    known = jnp.zeros(group.shape, bool)
+    nobody = KnownPeople(position, jnp.zeros_like(position), group, known.astype(jnp.int32), known)
+    return SensingMemory(expert.init(scenario, params.expert, state), nobody)
+
+
+def apply(
+    scenario: Scenario, params: SensingParams, state: State, key: Array
+) -> tuple[Float[Array, "2"], SensingMemory]:
+    """The first command of the best plan among the people who are known.
+
+    Args:
+        scenario: where it drives.
+        params: of the sensing expert.
+        state: now, with its memory.
+        key: () PRNG key of this step.
+
+    Returns:
+        The command (2,) [m/s, rad/s], and the new memory.
+    """
+    memory: SensingMemory = state.policy_state
+    people = known_people(scenario, params, state, memory.people)
+    state = replace(_as_known(state, people), policy_state=memory.search)
+    motion = predict_straight(nearest_people(state, MAX_PEOPLE), STEPS, TIME_STEP)
+    command, search = plan(scenario, params.expert, state, motion, key)
+    return command, SensingMemory(search, people)
+
+
+@jax.named_scope("known_people")
+def known_people(scenario: Scenario, params: SensingParams, state: State, before: KnownPeople) -> KnownPeople:
+    """Who is known: people in the picture of the depth camera as they are, others from memory.
+
+    Positions and velocities of who is seen are exact, and nobody is taken for somebody else.
+
+    Args:
+        scenario: with the robot and its depth camera.
+        params: of the sensing expert.
+        state: now.
+        before: what was known a step of control ago.
+
+    Returns:
+        What is known now.
+    """
+    people, time_step = state.pedestrians, scenario.time_step
+    eye = sensors.camera(scenario, "depth", width=WIDTH, height=HEIGHT)
+    pixels = sensors.pixels_of_people(scenario, state, eye)
+    seen = people.present & (pixels.astype(people.position.dtype) >= params.min_pixels)
+    unseen_ticks = jnp.where(seen, 0, before.unseen_ticks + 1)
+    fresh = unseen_ticks.astype(people.position.dtype) <= to_ticks(params.memory_time, time_step)
+    return KnownPeople(
+        position=jnp.where(seen[:, None], people.position, before.position + time_step * before.velocity),
+        velocity=jnp.where(seen[:, None], people.velocity, before.velocity),
+        group=jnp.where(seen, people.group, before.group),
+        unseen_ticks=unseen_ticks,
+        known=seen | (before.known & fresh),
+    )
+
+
+def _as_known(state: State, people: KnownPeople) -> State:
+    """The state with the people who are known, and the groups of which a member is; all others are absent."""
+    groups = state.groups
+    index = jnp.arange(groups.present.shape[0], dtype=people.group.dtype)
+    met = (people.known[:, None] & (people.group[:, None] == index[None, :])).any(0)
+    crowd = replace(
+        state.pedestrians,
+        position=people.position,
+        velocity=people.velocity,
+        desired_velocity=people.velocity,
+        group=people.group,
+        present=people.known,
+    )
+    return replace(state, pedestrians=crowd, groups=replace(groups, present=groups.present & met))
+
+
+sensing_expert = Policy(params=default_params(), name="sensing_expert", init=init, apply=apply)
+"""The sensing expert with its usual parameters; others by ``replace(sensing_expert, params=...)``."""

@@ -1,0 +1,75 @@
+"""Networks side by side: each learns as by itself, none disturbs another, and folders are those of ``sean train``."""
+
+import jax
+import learning_data
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax import learning
+from sean_jax.config import TrainConfig
+from sean_jax.errors import InputError
+from sean_jax.learning import ensemble, training
+from sean_jax.learning.logs import read_lines
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return learning_data.write(tmp_path_factory.mktemp("data") / "made")
+
+
+def options(data, out, **others) -> TrainConfig:
+    small = {"width": 8, "batch": 32, "validation": 0.2, "epochs": 6, "patience": 3}
+    return TrainConfig(method="imitation", dataset=data.folder, out=out, **{**small, **others})
+
+
+@pytest.fixture(scope="module")
+def three(data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("three")
+    asked = [options(data, folder / str(seed), seed=seed) for seed in range(3)]
+    return ensemble.train(asked), asked
+
+
+def test_each_learns_and_has_the_folder_of_a_training(three, data):
+    states, asked = three
+    for state, own in zip(states, asked, strict=True):
+        lines = read_lines(own.folder)
+        assert [line["epoch"] for line in lines] == list(range(1, int(state.epoch) + 1))
+        assert lines[-1]["train"]["loss"] < lines[0]["train"]["loss"]
+        best = min(lines, key=lambda line: line["validation"]["loss"])
+        assert best["epoch"] == int(state.best_epoch) and best["validation"]["loss"] == pytest.approx(float(state.best))
+        assert len(lines) == 6 or len(lines) - best["epoch"] == 3
+        scenario = sean_jax.make("lab", people=2, dynamics="twin")
+        assert learning.load(own.folder, scenario).name == own.folder.name
+    alike = jax.tree.map(lambda one, other: np.array_equal(one, other), states[0].weights, states[1].weights)
+    assert not all(jax.tree.leaves(alike))
+
+
+@pytest.mark.slow
+def test_none_learns_anything_of_another(three, data, tmp_path):
+    """The second of three is what it is by itself."""
+    states, _ = three
+    (alone,) = ensemble.train([options(data, tmp_path / "alone", seed=1)])
+    assert int(alone.epoch) == int(states[1].epoch)
+    for one, other in zip(*map(jax.tree.leaves, (alone.weights, states[1].weights)), strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-5)
+
+
+@pytest.mark.slow
+def test_it_learns_as_a_training_by_itself_does(three, data, tmp_path):
+    """From the same weights, in another order of the same batches."""
+    states, _ = three
+    state = training.train(options(data, tmp_path / "one", seed=0, epochs=int(states[0].epoch), patience=1000))
+    lines = [read_lines(folder) for folder in (tmp_path / "one", three[1][0].folder)]
+    first, last = ([each[k]["validation"]["loss"] for each in lines] for k in (0, -1))
+    assert first[0] == pytest.approx(first[1], rel=0.1) and last[0] == pytest.approx(last[1], rel=0.15)
+    np.testing.assert_allclose(state.weights.scale, states[0].weights.scale)
+
+
+def test_what_cannot_stand_beside_one_another_is_refused(data, tmp_path):
+    pair = [options(data, tmp_path / "a"), options(data, tmp_path / "b", width=16)]
+    with pytest.raises(InputError, match="width: 16 beside 8; networks side by side have the same"):
+        ensemble.train(pair)
+    with pytest.raises(InputError, match="pretrained: networks side by side begin from nothing"):
+        ensemble.train([options(data, tmp_path / "a", pretrained=tmp_path)])
+    assert not (tmp_path / "a").exists()
