@@ -37,6 +37,7 @@ COMMON: dict[str, Any] = {
     "hold_time": 5.0,
     "task_distance": (4.0, 20.0),
     "warm_up": 0.0,
+    "noise": None,
 }
 PEOPLE = {"warehouse": 62, "lab": 5, "outdoor": 30}
 GRAPH = {"kind": "graph", "routing": "whole", "members": "turnover", "congestion_cost": 0.0, "temperature": 0.0,
