@@ -879,7 +879,7 @@ class ExperimentConfig(Config):
     demonstrator: Text = "expert"
     """Of figure4: who demonstrates."""
     others: Text | None = None
-    """Of figure4: further drivers of the same episodes, separated by commas, or none; ppo, ppo_depth and
+    """Of figure4: further drivers of the same episodes, separated by commas, or none; move_base, ppo, ppo_depth and
     sensing_expert by default, and none with --quick."""
     hours: HoursOfMinutes | None = None
     """Hours for each behavior, 1 by default: of each seed in table1, of demonstrations in figure4."""
@@ -923,7 +923,7 @@ class ExperimentConfig(Config):
     def complete(self) -> "ExperimentConfig":
         """The description with numbers for what was left open."""
         full: dict[str, object] = dict(hours=1.0, seeds=10, epochs=1000, crowds=(10, 20, 40, 100))
-        full |= dict(datasets=10, trainings=3, episodes=12_300, others="ppo,ppo_depth,sensing_expert")
+        full |= dict(datasets=10, trainings=3, episodes=12_300, others="move_base,ppo,ppo_depth,sensing_expert")
         quick: dict[str, object] = dict(
             hours=0.05, seeds=2, epochs=30, crowds=(), datasets=1, trainings=1, episodes=12, others="none"
         )

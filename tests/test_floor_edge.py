@@ -156,5 +156,5 @@ def test_planners_mind_the_edge_where_it_holds_people_alone(scenarios):
         state = jax.eval_shape(lambda key, scenario=scenario: reset(scenario, key), jax.random.key(0))
         nobody = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), state.pedestrians)
         rates = obstacle_rate(scenario, expert.params.weights, x[None], y[None])[0]
-        for cost in (rates, cell_costs(scenario, layers.params.costmap, nobody, x, y)):
+        for cost in (rates, cell_costs(scenario, layers.params.local_costmap, nobody, x, y)):
             assert (np.asarray(cost) > 0).tolist() == [False, *2 * [not scenario.environment.open]]

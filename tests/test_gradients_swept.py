@@ -212,7 +212,7 @@ def test_policies(room, name):
     constants, with_limits = limits(scenario)
     settings, with_settings = floats(policy.params if isinstance(policy, Policy) else ())
     begun = episodes.init_policy(scenario, policy, state)
-    if name == "social_costmap":  # it has made a plan
+    if name in ("social_costmap", "move_base"):  # it has made a plan
         line = jnp.linspace(state.robot.position, state.task.goal, begun.policy_state.path.shape[1]).T
         begun = replace(begun, policy_state=begun.policy_state._replace(path=line, path_complete=jnp.ones((), bool)))
 
@@ -357,7 +357,7 @@ def _pose(people: Pedestrians, index: int):
 
 def laws() -> dict[str, Any]:
     """name -> a law of two plane vectors (2,), (2,), and what it gives; distances [m], velocities [m/s]."""
-    layers = social_costmap.params.costmap
+    layers = social_costmap.params.global_costmap
     p = social_forces.preset("helbing2000").tree_replace({"sidestep.preference": 2.0})
 
     def pair(dx, dy, wx, wy, vx=0.0, vy=0.0, look_x=1.0, look_y=0.0):

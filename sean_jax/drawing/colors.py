@@ -20,6 +20,7 @@ NO_SITUATION = "#5a6274"
 POLICY_COLORS = {
     "go_to_goal": "#4477aa",
     "social_costmap": "#ee6677",
+    "move_base": "#ff9da7",
     "orca": "#228833",
     "expert": "#aa3377",
     "sensing_expert": "#ccbb44",

@@ -5,14 +5,15 @@ from sean_jax.policies.expert import expert
 from sean_jax.policies.go_to_goal import go_to_goal
 from sean_jax.policies.orca import orca
 from sean_jax.policies.sensing_expert import sensing_expert
-from sean_jax.policies.social_costmap import social_costmap
+from sean_jax.policies.social_costmap import move_base, social_costmap
 
 POLICIES: dict[str, PolicyLike] = {
     "go_to_goal": go_to_goal,
     "social_costmap": social_costmap,
+    "move_base": move_base,
     "orca": orca,
     "expert": expert,
     "sensing_expert": sensing_expert,
 }
 
-__all__ = ["POLICIES", "expert", "go_to_goal", "orca", "sensing_expert", "social_costmap"]
+__all__ = ["POLICIES", "expert", "go_to_goal", "move_base", "orca", "sensing_expert", "social_costmap"]

@@ -1,4 +1,4 @@
-"""social_costmap: the paper's navigation stack with social cost layers, as SEAN 2.0 configures it for Kuri [49].
+"""social_costmap: the paper's navigation stack with social cost layers [49], and move_base, by SEAN 2.0's public files.
 
 move_base in four parts, which follow one another in this file:
 
@@ -14,6 +14,10 @@ move_base in four parts, which follow one another in this file:
    S. Thrun, 1997): 20 speeds by 40 turn rates that can be reached in one control step, each driven for two seconds on
    the cost map; path distance counts .75 and goal distance 1 for each cell of 0.05 m, a cost .1;
 4. recovery: the robot turns on the spot where these fail for 5 seconds.
+
+The paper says that the stack has social cost layers. SEAN 2.0's public files for Kuri have their numbers, but the proxemic
+layer is commented out, the local map's obstacle layer is disabled, and the global map's has no sensor: no person is on
+any map. ``social_costmap`` is the paper's text, ``move_base`` those files.
 
 What differs from ROS: the global plan is renewed every half second and not 20 times a second, on 32 x 32 cells of 0.2
 m around the robot and not on the whole map with 0.05 m. The local map has 32 x 32 cells of 0.05 m or, for a faster
@@ -68,8 +72,9 @@ class CostmapParams:
     cutoff: Float[Array, ""]  # lower costs become 0 (10)
     covariance: Float[Array, ""]  # m2, C of a person who stands (SEAN 0.1; the package's default is 0.25)
     factor: Float[Array, ""]  # s/m, by how much longer the Gaussian is ahead for each m/s (5)
-    inflation: Float[Array, ""]  # m, beyond contact, within which inflation costs something (0.3)
-    decay: Float[Array, ""]  # 1/m, of the inflation's cost (10)
+    inflation: Float[Array, ""]  # m, beyond contact, within which inflation costs something (inflation_radius, 0.3)
+    decay: Float[Array, ""]  # 1/m, of the inflation's cost (cost_scaling_factor, 10)
+    bodies: Float[Array, ""]  # 1 if people's bodies are on the map, 0 if not
 
 
 @struct.dataclass
@@ -85,9 +90,10 @@ class LocalPlannerParams:
 
 @struct.dataclass
 class SocialCostmapParams:
-    """What SEAN 2.0 configures; leaves are () floats."""
+    """The navigation stack's numbers; leaves are () floats."""
 
-    costmap: CostmapParams
+    global_costmap: CostmapParams
+    local_costmap: CostmapParams
     local_planner: LocalPlannerParams
     goal_tolerance: Float[Array, ""]  # m from the goal, where it stops (xy_goal_tolerance)
     patience: Float[Array, ""]  # s without a path, after which it turns on the spot
@@ -115,7 +121,7 @@ class SocialCostmapMemory(NamedTuple):
 
 
 def default_params(top_speed: float = 0.6, covariance: float = 0.1) -> SocialCostmapParams:
-    """SEAN's parameters.
+    """The paper's stack: SEAN's numbers, with the proxemic layer and people's bodies on both maps.
 
     Args:
         top_speed: 1, share of the robot's own top speed.
@@ -124,16 +130,19 @@ def default_params(top_speed: float = 0.6, covariance: float = 0.1) -> SocialCos
     Returns:
         All parameters of the policy.
     """
+    layers = CostmapParams(
+        amplitude=scalar(77.0),
+        cutoff=scalar(10.0),
+        covariance=scalar(covariance),
+        factor=scalar(5.0),
+        inflation=scalar(0.3),
+        decay=scalar(10.0),
+        bodies=scalar(1.0),
+    )
     return SocialCostmapParams(
-        CostmapParams(
-            amplitude=scalar(77.0),
-            cutoff=scalar(10.0),
-            covariance=scalar(covariance),
-            factor=scalar(5.0),
-            inflation=scalar(0.3),
-            decay=scalar(10.0),
-        ),
-        LocalPlannerParams(
+        global_costmap=layers,
+        local_costmap=layers,
+        local_planner=LocalPlannerParams(
             top_speed=scalar(top_speed),
             spin_min=scalar(0.5),
             path=scalar(0.75),
@@ -144,6 +153,22 @@ def default_params(top_speed: float = 0.6, covariance: float = 0.1) -> SocialCos
         patience=scalar(5.0),
         spin=scalar(1.0),
     )
+
+
+def sean2_params() -> SocialCostmapParams:
+    """What SEAN 2.0's public files say: no people on the maps, and an inflation that reaches less far and falls slower.
+
+    ``meter_scoring``, which they set, multiplies all three weights of the local planner by a cell's side, so that no
+    choice depends on it.
+
+    Returns:
+        All parameters of the policy.
+
+    Source: yale-sean/social_sim_ros, ``params/kuri``: ``costmap_common_params.yaml`` and ``map_nav_params/*.yaml``.
+    """
+    params = default_params()
+    layers = params.global_costmap.replace(amplitude=scalar(0.0), decay=scalar(3.0), bodies=scalar(0.0))
+    return params.replace(global_costmap=layers, local_costmap=layers.replace(inflation=scalar(0.1)))
 
 
 # 1. Cost map
@@ -274,7 +299,7 @@ def cell_costs(
         dx, dy = x - px, y - py
         body = length(dx, dy) - radius - scenario.forces.walking.radius
         social = proxemic_cost(params, dx, dy, vx, vy)
-        return jnp.where(present, body, jnp.inf), jnp.where(present, social, 0.0)
+        return jnp.where(present & (params.bodies > 0.0), body, jnp.inf), jnp.where(present, social, 0.0)
 
     (px, py), (vx, vy) = people.position.T, people.velocity.T
     bodies, social = jax.vmap(person)(px, py, vx, vy, people.present)
@@ -516,7 +541,7 @@ def distance_to_path(
 
 
 def init(scenario: Scenario, params: SocialCostmapParams, state: State) -> SocialCostmapMemory:
-    """Plans on a cost map with personal spaces and drives by dynamic windows, as the paper's navigation stack.
+    """ROS's navigation stack: social_costmap has people and their space on its maps, move_base nobody.
 
     Args:
         scenario: where it drives.
@@ -578,7 +603,7 @@ def _start_plan(
     here = state.robot.position
     window = rolling_window(here, cell, GLOBAL_CELLS)
     x, y = cell_centers(window, GLOBAL_CELLS)
-    costs = cell_costs(scenario, params.costmap, nearest_people(state, MAX_PEOPLE), x, y)
+    costs = cell_costs(scenario, params.global_costmap, nearest_people(state, MAX_PEOPLE), x, y)
     reach = 0.5 * (GLOBAL_CELLS - 1) * cell
     places = [here[axis] + reach * jnp.asarray(BORDER_PLACES[axis], float) for axis in (0, 1)]
     table = build_cost_to_go(scenario, state, successors, *places)
@@ -609,7 +634,7 @@ def _local_map(scenario: Scenario, params: SocialCostmapParams, state: State) ->
     cell = jnp.maximum(2.0 * reach / LOCAL_CELLS, LOCAL_CELL)
     window = rolling_window(state.robot.position, cell, LOCAL_CELLS)
     people = nearest_people(state, MAX_PEOPLE)
-    return window, cell_costs(scenario, params.costmap, people, *cell_centers(window, LOCAL_CELLS))
+    return window, cell_costs(scenario, params.local_costmap, people, *cell_centers(window, LOCAL_CELLS))
 
 
 def _local_path(path: Array, here: Array) -> tuple[Array, Array]:
@@ -635,5 +660,7 @@ def _recover(
 
 
 social_costmap = Policy(params=default_params(), name="social_costmap", init=init, apply=apply)
-"""The stack as SEAN 2.0 configures it; otherwise by
-``replace(social_costmap, params=default_params(top_speed=1.0))``."""
+"""The stack of the paper's text; otherwise by ``replace(social_costmap, params=default_params(top_speed=1.0))``."""
+
+move_base = Policy(params=sean2_params(), name="move_base", init=init, apply=apply)
+"""The stack of SEAN 2.0's public files, which sees no people."""
