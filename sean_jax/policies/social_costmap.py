@@ -15,9 +15,9 @@ move_base in four parts, which follow one another in this file:
    the cost map; path distance counts .75 and goal distance 1 for each cell of 0.05 m, a cost .1;
 4. recovery: the robot turns on the spot where these fail for 5 seconds.
 
-The paper says that the stack has social cost layers. SEAN 2.0's public files for Kuri have their numbers, but the proxemic
-layer is commented out, the local map's obstacle layer is disabled, and the global map's has no sensor: no person is on
-any map. ``social_costmap`` is the paper's text, ``move_base`` those files.
+The paper says that the stack has social cost layers. SEAN 2.0's public files for Kuri have their numbers, but the
+proxemic layer is commented out, the local map's obstacle layer is disabled, and the global map's has no sensor: no
+person is on any map. ``social_costmap`` is the paper's text, ``move_base`` those files.
 
 What differs from ROS: the global plan is renewed every half second and not 20 times a second, on 32 x 32 cells of 0.2
 m around the robot and not on the whole map with 0.05 m. The local map has 32 x 32 cells of 0.05 m or, for a faster
