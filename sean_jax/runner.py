@@ -8,6 +8,7 @@ import contextlib
 import dataclasses
 import functools
 import gc
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -112,17 +113,19 @@ class Runner:
         record: Record = NO_RECORD,
         mesh: Mesh | None = None,
         chunk: float = CHUNK,
+        drivers: int | None = None,
     ):
         """The scenarios may differ in their leaves and in their task, and in nothing else.
 
         Args:
             scenarios: what is simulated, one or several that take turns.
-            policy: who drives.
-            size: how many episodes at once; more are simulated if the devices cannot share so many evenly.
+            policy: who drives; several of one structure if its leaves have a leading axis of ``drivers``.
+            size: how many episodes at once; more are simulated if devices and drivers cannot share so many evenly.
             use: of the seed, one of ``prng.USES``.
             record: what is kept.
             mesh: devices that share the work; all if None.
             chunk: time [s] between two looks at the progress.
+            drivers: D, of whom each has an equal share of a batch, one after the other. None: the policy is one driver.
 
         Raises:
             ValueError: the scenarios differ in more than leaves and task.
@@ -130,15 +133,16 @@ class Runner:
         self.scenarios = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
         self.policy, self.use, self.record = as_policy(policy), use, record
         self.mesh = devices.mesh() if mesh is None else mesh
-        self.size = -(-size // self.mesh.size) * self.mesh.size
+        shares = math.lcm(self.mesh.size, drivers or 1)
+        self.size = -(-size // shares) * shares
         self.compile_seconds = 0.0
         first = self.scenarios[0]
         self._steps = clock.ceil_ticks(first.time_limit, first.time_step)
         turns = max(1, round(chunk / first.time_step / record.every))
         self.chunk = min(turns * record.every, -(-self._steps // record.every) * record.every)
         self._varying = _varying_leaves(self.scenarios)
-        draw = functools.partial(_draw, tuple(each.task for each in self.scenarios), use, record)
-        advance = functools.partial(_advance, record, self.chunk // record.every)
+        draw = functools.partial(_draw, tuple(each.task for each in self.scenarios), use, record, drivers)
+        advance = functools.partial(_advance, record, self.chunk // record.every, drivers)
         self._draw, self._advance = self._jitted(draw, advance)
 
     def _jitted(self, draw: Callable, advance: Callable) -> tuple[Any, Any]:
@@ -276,11 +280,34 @@ def _select(scenario: Scenario, varying: dict[int, Array], index: Array) -> Scen
     return jax.tree.unflatten(tree, leaves)
 
 
-def _draw(tasks: tuple, use: str, record: Record, fixed: tuple, seed: Array, numbers: Array, index: Array) -> Running:
+def _of_each_driver(function: Callable, drivers: int | None) -> Callable:
+    """(policy, rows (B, ...), ...) -> ``function(policy, row, ...)`` of each row, with the driver of its share."""
+    if drivers is None:
+        return lambda policy, *rows: jax.vmap(functools.partial(function, policy))(*rows)
+
+    def shared(policy: PyTree, *rows: PyTree) -> PyTree:
+        size = jax.tree.leaves(rows)[0].shape[0]
+        rows = jax.tree.map(lambda leaf: leaf.reshape(drivers, size // drivers, *leaf.shape[1:]), rows)
+        found = jax.vmap(_of_each_driver(function, None))(policy, *rows)
+        return jax.tree.map(lambda leaf: leaf.reshape(size, *leaf.shape[2:]), found)
+
+    return shared
+
+
+def _draw(
+    tasks: tuple,
+    use: str,
+    record: Record,
+    drivers: int | None,
+    fixed: tuple,
+    seed: Array,
+    numbers: Array,
+    index: Array,
+) -> Running:
     """Episodes of those numbers (B,) before their first step."""
     scenario, varying, policy = fixed
 
-    def one(number: Array, turn: Array) -> State:
+    def one(policy: PyTree, number: Array, turn: Array) -> State:
         def task(scenario: Scenario, *others: PyTree) -> RobotTask:
             return jax.lax.switch(turn, [functools.partial(each, scenario) for each in tasks], *others)
 
@@ -288,22 +315,25 @@ def _draw(tasks: tuple, use: str, record: Record, fixed: tuple, seed: Array, num
         key = jax.random.fold_in(prng.key(use, seed), number)
         return init_policy(own, policy, reset(own, key))
 
-    states = jax.vmap(one)(numbers, index)
+    states = _of_each_driver(one, drivers)(policy, numbers, index)
     none = jnp.zeros(numbers.shape, jnp.int32)
     return Running(states, none, jnp.zeros(numbers.shape, bool), record.init(scenario, states))
 
 
-def _advance(record: Record, turns: int, fixed: tuple, running: Running, index: Array, counted: Array) -> tuple:
+def _advance(
+    record: Record, turns: int, drivers: int | None, fixed: tuple, running: Running, index: Array, counted: Array
+) -> tuple:
     """``turns`` times ``record.every`` steps later; and what the record stacks, (turns, ...)."""
     scenario, varying, policy = fixed
 
-    def step(state: State, turn: Array) -> tuple[State, Array]:
+    def step(policy: PyTree, state: State, turn: Array = index[0]) -> tuple[State, Array]:
         after, action = policy_step(_select(scenario, varying, turn), policy, state)
         return after, action if record.command is None else record.command(after)
 
     def tick(carry: tuple, _: None) -> tuple[tuple, Array]:
         before, steps, faulty = carry
-        states, actions = jax.vmap(step, (0, 0 if varying else None))(before, index if varying else index[0])
+        rows = (before, index) if varying else (before,)  # what is one for all needs no axis
+        states, actions = _of_each_driver(step, drivers)(policy, *rows)
         active = ~(before.completed | before.timed_out) & counted
         return (states, steps + active.astype(jnp.int32), faulty | (~_sound(states) & active)), actions
 

@@ -1,6 +1,7 @@
 """The one runner of batches: which episodes, of which scenario, what is kept of them, and which of them are faulty."""
 
 import dataclasses
+import functools
 import os
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 from test_prng import noisy, still
 
 from sean_jax import prng
+from sean_jax.base import Policy
 from sean_jax.runner import Record, Runner
 from sean_jax.scenario import reset
 
@@ -78,6 +80,36 @@ def test_scenarios_take_turns_and_a_record_keeps_what_it_is_asked_for(quiet):
     told = runner.run(0, first=3, index=np.array([1, 1, 1, 0]))
     np.testing.assert_allclose(told.states.robot.speed, radii[[1, 1, 1, 0] * 2])
     assert not runner.run(0, first=3, keep_rows=False).rows
+
+
+def test_drivers_that_share_a_batch_drive_as_each_alone(quiet):
+    """Among scenarios of one kind and of two; each driver has a number, its share of the episodes and its memory."""
+
+    def begin(scenario, params, state):
+        return params * 10.0
+
+    def apply(scenario, params, state, key):
+        memory = state.policy_state
+        return jnp.stack([params, state.task.start[1] * 0.01]), memory + 1.0
+
+    def drive(scenario, state, action):
+        return dataclasses.replace(state.robot, speed=action[0] * scenario.goal_radius, turn_rate=action[1])
+
+    first = quiet.replace(robot=quiet.robot.replace(drive=drive))
+    second = first.replace(goal_radius=first.goal_radius * 2.0)
+    strengths = jnp.array([0.05, 0.15], jnp.float32)
+    for scenarios in (first, [first, second]):
+        one = Policy(params=strengths[0], name="number", init=begin, apply=apply)
+        shared = Runner(scenarios, one.replace(params=strengths), SIZE, "run", drivers=2).run(4, first=5)
+        alone = Runner(scenarios, one, SIZE // 2, "run")
+        for share, strength in enumerate(strengths):
+            alone.policy = one.replace(params=strength)
+            states = alone.run(4, first=5 + share * SIZE // 2).states
+            part = jax.tree.map(lambda leaf: leaf[share * SIZE // 2 :][: SIZE // 2], shared.states)  # noqa: B023
+            for name in ("robot.speed", "robot.turn_rate", "policy_state", "pedestrians.position"):
+                found, wanted = (functools.reduce(getattr, name.split("."), each) for each in (part, states))
+                np.testing.assert_allclose(found, wanted, rtol=1e-6, err_msg=name)
+    assert len(set(np.asarray(shared.states.robot.speed).round(4).tolist())) == 4, "two drivers in two scenarios"
 
 
 def test_scenarios_of_different_shapes_are_refused(quiet):

@@ -12,7 +12,7 @@ import functools
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -223,13 +223,18 @@ def _summary(trained: TrainConfig, state: TrainState) -> dict[str, Any]:
 
 
 def _policy(
-    options: ExperimentConfig, folder: Path, policy: str, network: tuple[int, int], scenario: Scenario
+    options: ExperimentConfig, folder: Path, policy: str, networks: Sequence[tuple[int, int]], scenario: Scenario
 ) -> Policy:
-    if policy in LEARNED or policy == BALANCED:
-        with LOADING:  # All have one name, since a policy of another name would be compiled again.
-            return dataclasses.replace(
-                learning.load(folder / f"policy-{_network_name(policy, network)}", scenario), name="learned"
-            )
+    """A driver; of a learned policy its networks, with a leading axis."""
+    import jax
+    import jax.numpy as jnp
+
+    if networks:
+        with LOADING:
+            several = [learning.load(folder / f"policy-{_network_name(policy, each)}", scenario) for each in networks]
+        # All have one name, since a policy of another name would be compiled again.
+        several = [dataclasses.replace(each, name="learned") for each in several]
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *several)
     names = {NAVIGATION: "social_costmap", DEMONSTRATOR: options.demonstrator}
     return choice.policy(names.get(policy, policy), scenario)
 
@@ -257,14 +262,17 @@ def _drive(
     for turn, policy in enumerate(policies):
         file = folder / f"episodes-{_file_name(policy)}-{behavior}.json"
         if parts.load(file) is None:
-            alike = policy not in LEARNED and policy != BALANCED  # the same driver in all episodes
-            drivers, number = ([networks[0]], each * len(networks)) if alike else (networks, each)
+            learned = policy in LEARNED or policy == BALANCED  # others are the same driver in all episodes
+            shared = _together(len(networks), each, max_size) if learned else None  # networks that drive at once
+            number = each * (shared or len(networks))
+            turns = [networks[first : first + shared] for first in range(0, len(networks), shared)] if shared else [()]
             measured = []
-            for index, network in enumerate(drivers):
-                tell = functools.partial(_tell, watch, turn * len(drivers) + index, len(policies) * len(drivers))
-                now = _policy(options, folder, policy, network, kinds[0])
+            for index, several in enumerate(turns):
+                tell = functools.partial(_tell, watch, turn * len(turns) + index, len(policies) * len(turns))
+                now = _policy(options, folder, policy, several, kinds[0])
                 if runner is None:
-                    runner = Runner(kinds, now, _even(number, max_size), "figure4")
+                    size = number if shared and shared > 1 else _even(number, max_size)
+                    runner = Runner(kinds, now, size, "figure4", drivers=shared)
                 runner.policy = now  # of the same structure, so nothing is compiled again
                 measured.append(_measure(runner, options.seed, index * number, number, tell))
             columns = {
@@ -280,6 +288,14 @@ def _drive(
 def _file_name(policy: str) -> str:
     """A folder or FILE.py:NAME as a part of a file's name."""
     return policy.strip("./").replace("/", "-").replace("\\", "-").replace(":", "-")
+
+
+def _together(networks: int, each: int, max_size: int) -> int:
+    """How many networks drive at once: as many as a batch has room for, and as share it evenly."""
+    import jax
+
+    fitting = (n for n in range(2, networks + 1) if networks % n == 0 and n * each <= max_size)
+    return max((n for n in fitting if n * each % jax.device_count() == 0), default=1)
 
 
 def _even(number: int, max_size: int) -> int:
