@@ -30,7 +30,8 @@ from sean_jax.metrics import bootstrap
 
 VIOLATIONS = ("intimate_robot_on_person", "intimate_person_on_robot")
 FEWEST = 30  # episodes in which a situation occurs, for it to be called the worst
-AT_ONCE = 256  # episodes
+AT_ONCE = {"cpu": 256}  # episodes, by kind of device
+AT_ONCE_ELSEWHERE = 2048
 
 
 def measurement(scenario, network, observed):
@@ -52,10 +53,12 @@ def measurement(scenario, network, observed):
             "completed": last.completed.astype(float),
         }
 
+    size = AT_ONCE.get(jax.default_backend(), AT_ONCE_ELSEWHERE)
+
     @jax.jit
     def all_of(agent, keys):
         policy = driving.policy(network, agent, observed)
-        return jax.lax.map(lambda key: episode(policy, key), keys, batch_size=AT_ONCE)
+        return jax.lax.map(lambda key: episode(policy, key), keys, batch_size=size)
 
     return lambda agent, keys: jax.tree.map(np.asarray, all_of(agent, keys))
 
