@@ -11,9 +11,11 @@ from scipy.cluster.vq import kmeans2
 import sean_jax
 from sean_jax.assembly import with_task
 from sean_jax.environment import clearance
+from sean_jax.navigation import draw_places
 from sean_jax.tasks import TASKS
 from sean_jax.tasks.ab_tasks import RING, SNAP
 from sean_jax.tasks.clusters import busiest, k_means
+from sean_jax.tasks.places import CANDIDATES, CLEAR, DETOUR, far_place
 
 SEEDS = 48
 
@@ -169,3 +171,25 @@ def test_without_a_longest_distance_all_places_that_can_be_reached_are_drawn(tmp
     with jax.debug_nans(True):
         tasks = jax.jit(jax.vmap(one, (None, 0)))(both, jax.random.split(jax.random.key(0), 32))
     np.testing.assert_allclose(tasks.start, tasks.goal)  # the other place is behind the wall
+
+
+def test_on_a_large_floor_the_place_that_is_least_off_is_taken(tmp_path):
+    """Few places are near enough there: of those drawn, the best by a plain computation, and not the farthest."""
+    (tmp_path / "environment.yaml").write_text("name: field\nfloor: [0, 0, 200, 200]\npeople: 4\n")
+    (tmp_path / "scene.xml").write_text("<mujoco><worldbody/></mujoco>")
+    common: Any = dict(behavior="random", task="random_ab_nav", people=4, dynamics="twin")
+    scenario = sean_jax.make(tmp_path, task_distance=(2.0, 12.0), **common)
+    crowd = sean_jax.pedestrians_at(np.random.default_rng(0).uniform(80, 120, (4, 2)), np.zeros((4, 2)))
+    middle, keys = jnp.array([100.0, 100.0]), jax.random.split(jax.random.key(3), SEEDS)
+    found = jax.jit(jax.vmap(lambda key: far_place(scenario, crowd, middle, key)))(keys)
+    places, people, off = np.asarray(scenario.navigation.places), np.asarray(crowd.position), 0
+    for key, place in zip(keys, np.asarray(found), strict=True):
+        drawn = draw_places(scenario.navigation, jax.random.split(key)[0], CANDIDATES)
+        spots = places[np.asarray(drawn)]
+        walk = np.linalg.norm(spots - 100.0, axis=1)  # nothing is in the way
+        crowded = np.maximum(CLEAR - np.linalg.norm(spots[:, None] - people, axis=-1).min(1), 0.0)
+        cost = DETOUR * (np.maximum(2.0 - walk, 0.0) + np.maximum(walk - 12.0, 0.0)) + crowded
+        chosen = np.linalg.norm(spots - place, axis=1).argmin()
+        assert cost[chosen] <= cost.min() + DETOUR * 0.3, "right to a cell of the navigation"
+        off += cost.min() > 0
+    assert off > SEEDS // 4

@@ -15,8 +15,9 @@ DETOUR = 10.0  # how much worse a metre too little or too much to walk is than a
 def far_place(scenario: Scenario, pedestrians: Pedestrians, other: Float[Array, "2"], key: Array) -> Float[Array, "2"]:
     """A random free place from which the walk to another place is as long as ``scenario.task_distance`` says.
 
-    Of 64 drawn places, those count that are also 1 m clear of everybody. If there is none, the clearest of them that
-    can be walked to is taken. The length of the walk is right to a cell of the navigation.
+    Of 64 drawn places, those count that are also 1 m clear of everybody. If there is none, as on a large floor with
+    a short walk, that one is taken whose walk and clearance are the least off. The length of the walk is right to a cell
+    of the navigation.
 
     Args:
         scenario: with the navigation of its robot.
@@ -32,12 +33,9 @@ def far_place(scenario: Scenario, pedestrians: Pedestrians, other: Float[Array, 
     spots = navigation.places[paths.draw_places(navigation, draw_key, CANDIDATES)]
     to_other = paths.build_paths_to_goal(navigation, other)
     walk = jax.vmap(paths.geodesic_approx, in_axes=(None, 0, None, None))(navigation, spots, other, to_other)
-    square = _to_people(pedestrians, spots)
-    lower, upper = scenario.task_distance[0], scenario.task_distance[1]
-    fits = (walk >= lower) & (walk <= upper) & jnp.isfinite(walk) & (square > CLEAR * CLEAR)
+    cost = _off(scenario, walk) + _crowded(pedestrians, spots)
     chance = jax.random.uniform(choice_key, (CANDIDATES,), float)
-    rating = jnp.where(fits, 1.0 + chance, jnp.where(jnp.isfinite(walk), -1.0 / (1.0 + square), -jnp.inf))
-    return spots[jnp.argmax(rating)]
+    return spots[jnp.argmax(jnp.where(cost == 0.0, 1.0 + chance, -cost))]
 
 
 def choose_pair(
@@ -70,13 +68,9 @@ def choose_pair(
     rows = jax.vmap(paths.build_paths_to_goal, in_axes=(None, 0))(navigation, goals)
     each_start = jax.vmap(paths.geodesic_approx, in_axes=(None, 0, None, None))
     walk = jax.vmap(each_start, in_axes=(None, None, 0, 0))(navigation, starts, goals, rows)  # (D, C)
-    lower, upper = scenario.task_distance[0], scenario.task_distance[1]
-    reached = jnp.isfinite(walk)
-    finite = jnp.where(reached, walk, 0.0)  # where there may be no upper limit either
-    off = jnp.maximum(lower - finite, 0.0) + jnp.maximum(finite - upper, 0.0)
-    goal_cost = goal_cost + jnp.maximum(CLEAR - jnp.sqrt(_to_people(pedestrians, goals)), 0.0)
-    start_cost = start_cost + jnp.maximum(CLEAR - jnp.sqrt(_to_people(pedestrians, starts)), 0.0)
-    cost = jnp.where(reached, DETOUR * off, jnp.inf) + goal_cost[:, None] + start_cost[None, :]
+    goal_cost = goal_cost + _crowded(pedestrians, goals)
+    start_cost = start_cost + _crowded(pedestrians, starts)
+    cost = _off(scenario, walk) + goal_cost[:, None] + start_cost[None, :]
     chance = jax.random.uniform(key, cost.shape, float)
     best = jnp.argmax(jnp.where(cost == 0.0, 1.0 + chance, -cost)).astype(jnp.int32)
     goal, start = best // starts.shape[0], best % starts.shape[0]
@@ -85,7 +79,17 @@ def choose_pair(
     return starts[start], goals[goal], paths_to_goal, length
 
 
-def _to_people(pedestrians: Pedestrians, spots: Float[Array, "C 2"]) -> Float[Array, "C"]:
-    """(C,) m2, square of the distance from each of the spots to the nearest person; inf if there is none."""
+def _off(scenario: Scenario, walk: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """What it costs that walks [m] are too short or too long; inf for one that cannot be walked."""
+    lower, upper = scenario.task_distance[0], scenario.task_distance[1]
+    reached = jnp.isfinite(walk)
+    finite = jnp.where(reached, walk, 0.0)  # where there may be no upper limit either
+    off = jnp.maximum(lower - finite, 0.0) + jnp.maximum(finite - upper, 0.0)
+    return jnp.where(reached, DETOUR * off, jnp.inf)
+
+
+def _crowded(pedestrians: Pedestrians, spots: Float[Array, "C 2"]) -> Float[Array, "C"]:
+    """(C,) m, by which spots are nearer than ``CLEAR`` to the nearest person."""
     gaps = spots[:, None, :] - pedestrians.position[None, :, :]
-    return jnp.where(pedestrians.present, (gaps * gaps).sum(-1), jnp.inf).min(axis=1, initial=jnp.inf)
+    square = jnp.where(pedestrians.present, (gaps * gaps).sum(-1), jnp.inf).min(axis=1, initial=jnp.inf)
+    return jnp.maximum(CLEAR - jnp.sqrt(square), 0.0)
