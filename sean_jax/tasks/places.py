@@ -16,8 +16,8 @@ def far_place(scenario: Scenario, pedestrians: Pedestrians, other: Float[Array, 
     """A random free place from which the walk to another place is as long as ``scenario.task_distance`` says.
 
     Of 64 drawn places, those count that are also 1 m clear of everybody. If there is none, as on a large floor with
-    a short walk, that one is taken whose walk and clearance are the least off. The length of the walk is right to a cell
-    of the navigation.
+    a short walk, that one is taken whose walk and clearance are the least off. The length of the walk is right to a
+    cell of the navigation.
 
     Args:
         scenario: with the navigation of its robot.
