@@ -17,7 +17,9 @@ from sean_jax.base import Moment, Obstacles, Pedestrians
 RIGHT, UP, LEFT = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)
 ROBOT, PERSON, WALL = "#f58a07", "#4477aa", "#8d99b3"
 GROUP = 1.0  # m, from its center to the members
-# name: robot's heading, people as (position, velocity), boxes as (center, half extent)
+DOWN = (0.0, -1.0)
+ARROW = 2.2  # m, for 1 m/s
+# name: robot's heading, people as (position, velocity) or (position, velocity, heading), boxes as (center, half extent)
 PAPER = {
     "cross_path": (RIGHT, [((1.7, -1.0), (0.0, 1.5))], []),
     "down_path": (RIGHT, [((1.2, 0.7), (0.7, 0.0))], []),
@@ -30,9 +32,13 @@ EXAMPLES = {
     "overtaking": (RIGHT, [((1.5, 0.4), (0.25, 0.0))], []),
     "frontal_approach": (RIGHT, [((2.8, 0.4), (-0.5, 0.0))], []),
     "following": (RIGHT, [((1.5, 0.2), (0.5, 0.0))], []),
-    "crowded": (RIGHT, [((1.9 * np.cos(a), 1.9 * np.sin(a)), (0.0, 0.3)) for a in np.arange(6) * np.pi / 3 + 0.5], []),
+    "crowded": (RIGHT, [((1.9 * np.cos(a), 1.9 * np.sin(a)), (0.0, 0.3)) for a in np.arange(6) * np.pi / 3 + 0.2], []),
     "blind_corner": (UP, [((-2.4, 3.5), (0.5, 0.0))], [((-2.4, 1.7), (1.6, 1.3))]),
     "narrow_passage": (RIGHT, [((2.0, 0.0), (0.0, 0.0))], [((1.0, 1.65), (0.15, 1.0)), ((1.0, -1.65), (0.15, 1.0))]),
+    "occlusion": (RIGHT, [((0.2, 1.9), (0.0, 0.0))], [((0.0, 1.0), (1.3, 0.15))]),
+    "activity_space": (RIGHT, [((1.0, 1.1), (0.0, 0.0), DOWN)], [((1.0, -1.2), (1.1, 0.3))]),
+    "collision_course": (RIGHT, [((1.2, -1.2), (0.0, 0.5))], []),
+    "hurrying": (RIGHT, [((1.5, -2.2), (-1.2, 1.6))], []),
 }
 
 
@@ -45,8 +51,9 @@ def members(center) -> list:
 def moment(heading, people, boxes, center=None) -> Moment:
     """The example as arrays: the robot at the origin, 0.5 m/s fast; with a group around a center."""
     grouped = [] if center is None else members(center)
-    heads = [np.zeros(2)] * len(people) + [np.subtract(center, place) for place, _ in grouped]
-    people = [*people, *grouped]
+    heads = [each[2] if len(each) > 2 else np.zeros(2) for each in people]
+    heads += [np.subtract(center, place) for place, _ in grouped]
+    people = [each[:2] for each in [*people, *grouped]]
     places, velocities = (np.array(part, np.float32) for part in zip(*people, strict=True))
     number = len(people)
     rows = np.array([*boxes, *[((90, 90), (1, 1))] * (2 - len(boxes))], np.float32)  # spare ones far away
@@ -96,14 +103,17 @@ def draw(axes, name, heading, people, boxes, center=None) -> None:
         axes.add_patch(plt.Circle(center, GROUP, fill=False, color=PERSON, ls="--"))
         opening = np.multiply(center, 1 - GROUP / abs(center[0]))
         axes.plot(*opening, "x", color=ROBOT)
-    if name == "crowded" or name in PAPER:
+    for place, _, *facing in people:
+        for look in facing:  # where somebody looks who stands
+            axes.plot(*np.add([place, place], np.multiply([(0, 0), look], 2.0)).T, ":", color=PERSON)
+    if name in ("crowded", "occlusion") or name in PAPER:
         axes.add_patch(plt.Circle((0, 0), 2.4, fill=False, color=WALL, ls=":"))
     for place, velocity, color, radius in [((0, 0), np.multiply(heading, 0.5), ROBOT, 0.16)] + [
-        (place, velocity, PERSON, 0.2) for place, velocity in people
+        (place, velocity, PERSON, 0.2) for place, velocity, *_ in people
     ]:
         axes.add_patch(plt.Circle(place, radius, color=color, lw=0))
         if np.any(velocity):
-            axes.annotate("", np.add(place, np.multiply(velocity, 2.2)), place, arrowprops={"arrowstyle": "->"})
+            axes.annotate("", np.add(place, np.multiply(velocity, ARROW)), place, arrowprops={"arrowstyle": "->"})
     axes.set(xlim=(-2.6, 3.2) if name != "blind_corner" else (-4.2, 1.6), ylim=(-2.6, 2.6), aspect="equal")
     if name == "blind_corner":
         axes.set_ylim(-0.7, 4.5)
@@ -134,7 +144,7 @@ def main() -> None:
     matplotlib.rcParams.update({"svg.hashsalt": "situations", "svg.fonttype": "none"})
     here = Path(__file__)
     sheet(here.with_name("situations-paper.svg"), PAPER, classifiers.SITUATIONS, 1, 5)
-    sheet(here.with_suffix(".svg"), EXAMPLES, classifiers.MORE_SITUATIONS, 2, 3)
+    sheet(here.with_suffix(".svg"), EXAMPLES, classifiers.MORE_SITUATIONS, 2, 5)
 
 
 if __name__ == "__main__":

@@ -166,7 +166,7 @@ def test_overtaking_and_following():
     assert beyond([((1.5, 1.3), AHEAD, 0.25)]) == set()  # in another lane
     assert beyond([((3.7, 0.0), AHEAD, 0.25)]) == set()
     assert beyond([((1.5, 0.3), turned(16), 0.25)]) == set()
-    assert beyond([((1.5, 0.3), AHEAD, 0.05)]) == set()  # stands in the way
+    assert beyond([((1.5, 0.3), AHEAD, 0.05)]) == {"collision_course"}  # stands in the way
     assert beyond([even], speed=0.0) == set()
     assert beyond([((-1.5, 0.0), AHEAD, 0.5)]) == set()  # follows the robot: leading
 
@@ -212,6 +212,7 @@ def test_blind_corner():
 def test_narrow_passage():
     """Both radii and the personal distance make 1.56 m."""
     somebody = [((2.0, 0.0), LEFT, 0.0)]
+    along = [(turned(30, 2.0), LEFT, 0.0)]
 
     def hallway(width):
         half = width / 2
@@ -235,9 +236,9 @@ def test_narrow_passage():
         half_extent=jnp.full((2, 2), 0.5, jnp.float32).at[:, 0].set(4.0),
         yaw=jnp.full(2, math.radians(30), jnp.float32),
     )  # 1.4 m wide, along 30 degrees
-    assert beyond(somebody, obstacles=turned_hall, heading=turned(30)) == {"narrow_passage"}
+    assert beyond(along, obstacles=turned_hall, heading=turned(30)) == {"narrow_passage"}
     blocked = boxes((0.7, 0.0, 0.1, 4.0), (1.0, 0.6, 0.1, 0.1))  # narrow behind a wall does not count
-    assert beyond(somebody, obstacles=blocked) == set()
+    assert beyond(somebody, obstacles=blocked) == {"occlusion"}
 
 
 def test_beyond_under_vmap_equals_a_loop():
@@ -259,7 +260,7 @@ def test_make_takes_sets_of_situations(scenario):
     assert made.situations == tuple(classifiers.SITUATION_SETS["more"].items())
     assert float(made.thresholds.walking) == pytest.approx(1.4)
     state = jax.eval_shape(sean_jax.reset, made, jax.random.key(0))
-    assert state.situations.shape == (11,)
+    assert state.situations.shape == (15,)
     for wrong, words in (("seen2", "did you mean 'sean2'"), ({}, "at least one")):
         with pytest.raises(ValueError, match=words):
             sean_jax.make(situations=wrong)

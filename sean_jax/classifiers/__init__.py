@@ -2,6 +2,7 @@
 
 from sean_jax.classifiers.conversation import match_groups, o_space_groups, o_space_votes
 from sean_jax.classifiers.more_situations import MORE_SITUATIONS
+from sean_jax.classifiers.objects import OBJECT_SITUATIONS
 from sean_jax.classifiers.sean2 import SEAN2_SITUATIONS, sean2_thresholds
 from sean_jax.classifiers.situations import SITUATIONS, Situation, Thresholds, as_situation, classify, thresholds
 
@@ -13,6 +14,7 @@ THRESHOLD_SETS = {"paper": thresholds, "sean2": sean2_thresholds, "more": thresh
 
 __all__ = [
     "MORE_SITUATIONS",
+    "OBJECT_SITUATIONS",
     "SEAN2_SITUATIONS",
     "SITUATIONS",
     "SITUATION_SETS",

@@ -1,25 +1,20 @@
-"""Situations beyond the paper's five: overtaking, following, frontal approach, crowded, blind corner, narrow passage.
+"""Situations beyond the paper's five: overtaking, following, frontal approach, crowded; and all of them (section VI).
 
 From the taxonomy of social navigation scenarios by Francis et al., "Principles and Guidelines for Evaluating Social
-Robot Navigation Algorithms" (2023), Fig. 7. The paper names them by example; the inequalities are ours. "Moving" is
+Robot Navigation Algorithms" (2023), Fig. 7. That paper names them by example; the inequalities are ours. "Moving" is
 faster than 0.1 m/s, since agents that stand are obstructions. ``ahead`` and ``aside`` are the parts of a person's
-position along the robot's heading and to its left.
+position along the robot's heading and to its left. Those of urgency and of objects have files of their own.
 """
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
-from sean_jax.base import Array, Moment, Obstacles, Pedestrians
-from sean_jax.classifiers.predicates import ahead_and_aside, any_person, cosine, near, walking
-from sean_jax.classifiers.situations import Thresholds
-from sean_jax.geometry import crosses_box, length, rotate
-
-SAMPLES = 4  # places ahead, besides the robot's own, at which the width of its way is measured
-FAR = 1e3  # m, length of a ray that hits nothing
-
-
-# --- robot and people in motion ---
+from sean_jax.base import Array, Moment, Pedestrians
+from sean_jax.classifiers.objects import OBJECT_SITUATIONS
+from sean_jax.classifiers.predicates import ahead_and_aside, any_person, cosine, walking
+from sean_jax.classifiers.situations import Situation, Thresholds
+from sean_jax.classifiers.urgency import URGENT_SITUATIONS
+from sean_jax.geometry import length
 
 
 def overtaking(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
@@ -146,133 +141,12 @@ def _speed(velocity: Array) -> Array:
     return length(velocity[0], velocity[1])
 
 
-# --- obstacles: both read ``moment.obstacles`` and cost some W rays or N times W segments ---
-
-
-def blind_corner(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
-    """Robot and person cannot see each other, and their ways meet behind the corner.
-
-    Both moving and within 2 ``reach``; an obstacle at least ``hides`` high stands on the line between them; their
-    ways, followed straight on, cross at more than the angle A, within ``reach`` of each, and no obstacle of any
-    height stands on either way before that place.
-
-    Args:
-        moment: the robot among people and obstacles.
-        thresholds: of the predicates.
-
-    Returns:
-        () bool, whether it occurs; never where obstacles are not known (None).
-
-    Source: Francis et al. (2023), Fig. 7 i.
-    """
-    obstacles = moment.obstacles
-    if obstacles is None:
-        return jnp.zeros((), bool)
-    high = obstacles.height >= thresholds.hides
-
-    def holds(agent: Pedestrians) -> Array:
-        own, other, sine = _crossing(moment.position, moment.heading, agent.position, agent.heading)
-        place = moment.position + own * moment.heading
-        return (
-            walking(moment.velocity, thresholds.moving)
-            & walking(agent.velocity, thresholds.moving)
-            & near(moment.position, agent.position, 2 * thresholds.reach)
-            & (jnp.abs(sine) > jnp.sin(thresholds.angle))
-            & (own > 0)
-            & (own < thresholds.reach)
-            & (other > 0)
-            & (other < thresholds.reach)
-            & (_blocks(obstacles, moment.position, agent.position) & high).any()
-            & ~_blocks(obstacles, moment.position, place).any()
-            & ~_blocks(obstacles, agent.position, place).any()
-        )
-
-    return any_person(moment, holds)
-
-
-def narrow_passage(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
-    """In a hallway or doorway, with a person near: two cannot pass there without coming close.
-
-    The way is narrow where obstacles to the left and right leave less than both radii and ``personal`` across: each
-    keeping to its wall, the centres would still come within ``personal``. It is measured at right angles to the
-    heading, at the robot and at four places up to ``personal`` ahead, as far as the way is free.
-
-    Args:
-        moment: the robot among people and obstacles.
-        thresholds: of the predicates.
-
-    Returns:
-        () bool, whether it occurs; never where obstacles are not known (None).
-
-    Source: Francis et al. (2023), Fig. 7 j and k.
-    """
-    obstacles = moment.obstacles
-    if obstacles is None:
-        return jnp.zeros((), bool)
-    dx, dy = moment.heading[0], moment.heading[1]
-    left, right = jnp.stack([-dy, dx]), jnp.stack([dy, -dx])
-    free = _ray_length(obstacles, moment.position, moment.heading)
-    limit = moment.robot_radius + moment.person_radius + thresholds.personal
-
-    def narrow(ahead: Array) -> Array:
-        place = moment.position + ahead * moment.heading
-        width = _ray_length(obstacles, place, left) + _ray_length(obstacles, place, right)
-        return (width < limit) & (ahead <= free)
-
-    places = jnp.arange(SAMPLES + 1).astype(float) * (thresholds.personal / SAMPLES)
-    person_near = any_person(moment, lambda agent: near(moment.position, agent.position, thresholds.near))
-    return person_near & jax.vmap(narrow)(places).any()
-
-
-def _crossing(
-    x1: Float[Array, "2"], d1: Float[Array, "2"], x2: Float[Array, "2"], d2: Float[Array, "2"]
-) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-    """Distances [m] along two unit headings to where the lines cross, and the sine of the angle between them."""
-    cross = d1[0] * d2[1] - d1[1] * d2[0]
-    parallel = jnp.abs(cross) < 1e-6
-    inverse = 1.0 / jnp.where(parallel, 1.0, cross)
-    gap = x2 - x1
-    first = (gap[0] * d2[1] - gap[1] * d2[0]) * inverse
-    second = (gap[0] * d1[1] - gap[1] * d1[0]) * inverse
-    return first, second, jnp.where(parallel, 0.0, cross)
-
-
-def _blocks(obstacles: Obstacles, p: Float[Array, "2"], q: Float[Array, "2"]) -> Bool[Array, " W"]:
-    """Which obstacles the straight line from p [m] to q [m] crosses."""
-    return jax.vmap(lambda box: crosses_box(p[0], p[1], q[0], q[1], box, 0.0))(obstacles)
-
-
-def _ray_length(obstacles: Obstacles, place: Float[Array, "2"], direction: Float[Array, "2"]) -> Float[Array, ""]:
-    """Distance [m] from a place [m] along a unit direction to the nearest obstacle, ``FAR`` if none; 0 inside one."""
-
-    def distance(box: Obstacles) -> Array:
-        cosine, sine = jnp.cos(box.yaw), jnp.sin(box.yaw)
-        x, y = rotate(place[0] - box.center[0], place[1] - box.center[1], cosine, -sine)
-        dx, dy = rotate(direction[0], direction[1], cosine, -sine)
-        near_x, far_x = _slab(x, dx, box.half_extent[0])
-        near_y, far_y = _slab(y, dy, box.half_extent[1])
-        enter, leave = jnp.maximum(near_x, near_y), jnp.minimum(far_x, far_y)
-        return jnp.where((enter < leave) & (leave > 0), jnp.maximum(enter, 0.0), FAR)
-
-    return jnp.min(jax.vmap(distance)(obstacles), initial=FAR)
-
-
-def _slab(x: Array, dx: Array, half: Array) -> tuple[Array, Array]:
-    """Distances [m] at which a ray enters and leaves |x| < half [m]."""
-    steep = jnp.abs(dx) > 1e-9
-    inverse = 1.0 / jnp.where(steep, dx, 1.0)
-    one, other = (-half - x) * inverse, (half - x) * inverse
-    within = jnp.abs(x) < half
-    enter = jnp.where(steep, jnp.minimum(one, other), jnp.where(within, -FAR, FAR))
-    return enter, jnp.where(steep, jnp.maximum(one, other), jnp.where(within, FAR, -FAR))
-
-
-MORE_SITUATIONS = {
+MORE_SITUATIONS: dict[str, Situation] = {
     "overtaking": overtaking,
     "frontal_approach": frontal_approach,
     "following": following,
     "crowded": crowded,
-    "blind_corner": blind_corner,
-    "narrow_passage": narrow_passage,
+    **OBJECT_SITUATIONS,
+    **URGENT_SITUATIONS,
 }
 """Situations beyond the paper's five, as its future work asks: (moment, thresholds) -> () bool."""

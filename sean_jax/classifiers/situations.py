@@ -39,6 +39,9 @@ class Thresholds:
     gaining: Float[Array, ""]  # m/s, difference in speed of overtaking, below it of following; ours
     crowd: Float[Array, ""]  # 1/m2, density of people: where Fruin's best level of service for walkways ends
     hides: Float[Array, ""]  # m, height of an obstacle that people and robots cannot look over; ours
+    engaged: Float[Array, ""]  # m, from a person to the object that they are busy with; ours
+    imminent: Float[Array, ""]  # s, time to collision within which people react: Karamouzas et al.
+    hurry: Float[Array, ""]  # m/s, faster people hurry: Weidmann's mean and two standard deviations
 
 
 RESERVED = ("overall", "none")  # what tables have beside the situations
@@ -56,6 +59,9 @@ def thresholds(
     gaining: float = 0.2,
     crowd: float = 0.31,
     hides: float = 1.0,
+    engaged: float = 2.4,
+    imminent: float = 3.0,
+    hurry: float = 1.86,
 ) -> Thresholds:
     """The paper's thresholds, D = 2.4 m, V = 1.4 m/s, A = 15 degrees, and those of the other situations.
 
@@ -63,14 +69,14 @@ def thresholds(
         near: m, D.
         walking: m/s, V.
         angle: rad, A.
-        arrival, reach, personal, moving, gaining, crowd, hides: as in ``Thresholds``.
+        arrival, reach, personal, moving, gaining, crowd, hides, engaged, imminent, hurry: as in ``Thresholds``.
 
     Returns:
         The thresholds as arrays, which can be swept.
 
     Source: section V-B.
     """
-    values = (near, walking, angle, arrival, reach, personal, moving, gaining, crowd, hides)
+    values = (near, walking, angle, arrival, reach, personal, moving, gaining, crowd, hides, engaged, imminent, hurry)
     return Thresholds(*(jnp.asarray(value, float) for value in values))
 
 
