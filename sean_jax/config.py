@@ -875,7 +875,11 @@ class ExperimentConfig(Config):
     environment: Text = "warehouse"
     """Physical environment: a name, or the folder of your own."""
     policies: Text = "go_to_goal,social_costmap,expert"
-    """Of table1: who drives, separated by commas."""
+    """Of table1: who drives, separated by commas; none for recordings alone."""
+    recordings: Text | None = None
+    """Of table1: recordings, CSV files separated by commas; each of their people in turn plays the robot."""
+    frame_rate: FrameRate | None = None
+    """Frames a second of the recordings; those of their formats by default."""
     demonstrator: Text = "expert"
     """Of figure4: who demonstrates."""
     others: Text | None = None

@@ -15,6 +15,7 @@ import pytest
 
 from sean_jax import cli, episodes, prng, writing
 from sean_jax.base import as_policy
+from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import CollectConfig, ExperimentConfig, validate
 from sean_jax.errors import IncompleteError, InputError
 from sean_jax.experiments import ablation, figure4, rollouts, shares, table1, together
@@ -279,6 +280,26 @@ def test_chains_restart_from_their_own_stream():
     assert len(np.unique(np.asarray(jax.random.key_data(drawn.streams.people)), axis=0)) == 40
 
 
+@pytest.mark.slow
+def test_further_situations_are_noted_beside_the_scenarios_own():
+    """Those of the scenario stay as they are, and a further one that is one of them equals it in every second."""
+    asked = CollectConfig(behavior="random", environment="lab", dynamics="twin", time_limit=20.0, people=6)
+    kinds = list(streams(asked).values())
+    further = tuple(kinds[0].situations[::2])
+
+    def minutes(*more):
+        chains = rollouts.Chains(as_policy(go_to_goal), *more)
+        return chains.minutes(kinds, 0, 2, 1, 4, lambda _: None)
+
+    alone, ended = minutes()
+    both, again = minutes(further)
+    assert alone.shape == (2 * len(kinds), 1, 60, 5) and both.shape == (*alone.shape[:3], 8)
+    np.testing.assert_array_equal(both[..., :5], alone)
+    np.testing.assert_array_equal(both[..., 5:], alone[..., ::2])
+    np.testing.assert_array_equal(ended, again)
+    assert alone.any()
+
+
 SMALL = ["--environment", "lab", "--quick", "--people", "4", "--dynamics", "twin", "--time-limit", "20", "--quiet"]
 
 
@@ -300,9 +321,24 @@ def test_table1(tmp_path, monkeypatch):
     }
     for values in cross.values():
         assert len(values) == 6 and all(one <= other + 1e-9 for one, other in zip(values, values[1:], strict=False))
-    before = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".csv"}
+    further = [line.split(",") for line in (out / "more.csv").read_text(encoding="utf-8").splitlines()[1:]]
+    names = list(MORE_SITUATIONS)
+    assert [row[3] for row in further] == 3 * names and {row[1] for row in further} == set(BEHAVIORS)
     for behavior in BEHAVIORS:
+        with np.load(out / f"{behavior}-go_to_goal-4.npz") as cell:
+            told = np.unpackbits(cell["more"], axis=-1, count=len(names)).reshape(-1, len(names)).mean(0)
+            assert len(cell["more"]) == cell["flags"].shape[1], "once, and not for each V"
+        ours = [(float(row[4]), float(row[5]), float(row[6])) for row in further if row[1] == behavior]
+        np.testing.assert_allclose([share for share, _, _ in ours], told, atol=1e-5)
+        assert all(low <= share + 1e-9 <= high + 2e-9 for share, low, high in ours) and told.any()
+    assert "activity space" in text
+    before = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".csv"}
+    for behavior in BEHAVIORS[:2]:
         (out / f"{behavior}-go_to_goal-4.npz").unlink()
+    old = out / "graph-go_to_goal-4.npz"  # of a version that had no further situations
+    with np.load(old) as cell:
+        kept = {name: cell[name] for name in ("flags", "people", "ended")}
+    np.savez_compressed(old, **kept)
     monkeypatch.setattr(together, "workers", lambda: 1)
     assert cli.main(["experiment", "table1", *given]) == 0
     after = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".csv"}

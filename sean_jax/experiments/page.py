@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import html as markup
+from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 import sean_jax.report as reports
+from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import BenchmarkConfig, ExperimentConfig
 from sean_jax.experiments import parts, pictures, shares
 from sean_jax.experiments.shares import BEHAVIORS
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
     from sean_jax.experiments.benchmark import Scores
     from sean_jax.experiments.claims import Claim, Results
+    from sean_jax.experiments.recorded import Recorded
     from sean_jax.experiments.shares import Ordering
     from sean_jax.experiments.table1 import Cell
     from sean_jax.metrics import Estimate
@@ -59,13 +62,14 @@ def _table(head: list[str], rows: list[str]) -> str:
     return f"<div class=wide><table><thead><tr>{first}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
 
 
-def table1(options: ExperimentConfig, cells: list[Cell], figures: dict[str, Figure]) -> str:
+def table1(options: ExperimentConfig, cells: list[Cell], figures: dict[str, Figure], real: list[Recorded]) -> str:
     """The page of Table I.
 
     Args:
         options: of the experiment.
         cells: of each policy and behavior.
         figures: by name, as ``pictures.table1`` draws them.
+        real: recordings.
 
     Returns:
         HTML.
@@ -73,17 +77,24 @@ def table1(options: ExperimentConfig, cells: list[Cell], figures: dict[str, Figu
     policies = list(dict.fromkeys(cell.policy for cell in cells))
     speed = options.speeds[0]
     html = {name: pictures.embed(figure, name) for name, figure in figures.items()}
-    sections = [
-        ("Table I", html["table1-bars"] + BARS + _legend()),
-        (f"Shares at V = {number(speed)} m/s", "".join(_shares(cells, policy) for policy in policies) + COUNTED),
-        ("Orderings of the paper", _orderings(cells, policies, speed)),
-    ]
+    sections = []
+    if cells:
+        sections = [
+            ("Table I", html["table1-bars"] + BARS + _legend()),
+            (f"Shares at V = {number(speed)} m/s", "".join(_shares(cells, policy) for policy in policies) + COUNTED),
+        ]
+    if real:
+        sections.append(("Recorded people", _recorded(options, real) + RECORDED))
+    sections.append(("Beyond the five", _further(cells, policies, real) + FURTHER))
+    if cells:
+        sections.append(("Orderings of the paper", _orderings(cells, policies, speed)))
     if "table1-speeds" in html:
         sections.append(("When does one count as walking?", html["table1-speeds"] + SPEEDS))
     if "table1-crowds" in html:
         sections.append(("How many people?", html["table1-crowds"]))
     minutes = 60.0 * (options.hours or 0) * (options.seeds or 0)
     title = f"Table I: social situations in {number(minutes)} minutes of each behavior and policy"
+    title = title if cells else "Table I: social situations in recordings"
     return document(title, "sean_jax · experiment", sections, options)
 
 
@@ -92,6 +103,15 @@ COUNTED = (
     "<p class=note>Percent of all flags: an example, one a second, has a flag for each situation that holds. In "
     "brackets, percent of the examples; <i>none</i> are the examples without a flag. Small: the middle 95 % of a "
     "bootstrap over minutes. Entropy is over ln 5. The paper's rows are divided by their sum.</p>"
+)
+FURTHER = (
+    "<p class=note>Percent of the examples; several situations can hold at once. Urgency and the configuration of "
+    "objects are factors that the paper names for later (VI). No figure: the recording does not tell where objects "
+    "are.</p>"
+)
+RECORDED = (
+    "<p class=note>Each person in turn plays the robot, in every row of the recording; counted as above. Small: the "
+    "middle 95 % of a bootstrap over these people. No figure: the recording does not tell groups.</p>"
 )
 SPEEDS = (
     "<p class=note>The paper counts people as walking above 1.4 m/s. SEAN 2.0's code uses 0.4 m/s, and its people walk "
@@ -110,22 +130,8 @@ def _legend() -> str:
 def _shares(cells: list[Cell], policy: str) -> str:
     rows = []
     for cell in (cell for cell in cells if cell.policy == policy):
-        estimate = cell.shares()
-        flags, examples = estimate.of("flags"), estimate.of("examples")
-        low, high = shares.interval(flags)
-        entropy = estimate.entropy()
-        ends = shares.interval(entropy)
-        ours = "".join(
-            _cell(f"{100 * flags[0, k]:.1f} ({100 * examples[0, k]:.1f})",
-                  f"{100 * low[k]:.1f} – {100 * high[k]:.1f}", "ours")
-            for k in range(5)
-        )  # fmt: skip
         ended = int(cell.ended.sum())
-        rows.append(
-            f"<tr><td>{cell.behavior}</td>{ours}{_cell(f'{100 * estimate.none[0]:.1f}')}"
-            f"{_cell(f'{entropy[0]:.3f}', f'{ends[0]:.3f} – {ends[1]:.3f}', 'ours')}"
-            f"{_cell(f'{cell.ended[0]} of {ended}')}</tr>"
-        )
+        rows.append(f"<tr><td>{cell.behavior}</td>{_figures(cell.shares())}{_cell(f'{cell.ended[0]} of {ended}')}</tr>")
         reference = shares.paper()[cell.behavior]
         theirs = "".join(_cell(f"{100 * value:.2f}") for value in reference)
         rows.append(
@@ -134,6 +140,53 @@ def _shares(cells: list[Cell], policy: str) -> str:
         )
     head = [policy, *(name.replace("_", " ") for name in shares.NAMES), "none", "entropy", "completed"]
     return _table(head, rows)
+
+
+def _figures(estimate: shares.Shares, known: Collection[str] = shares.NAMES) -> str:
+    """Columns of the paper's situations, none, and entropy."""
+    flags, examples, entropy = estimate.of("flags"), estimate.of("examples"), estimate.entropy()
+    low, high = shares.interval(flags)
+    ends = shares.interval(entropy)
+    columns = [
+        _cell(f"{100 * flags[0, k]:.1f} ({100 * examples[0, k]:.1f})",
+              f"{100 * low[k]:.1f} – {100 * high[k]:.1f}", "ours")
+        if name in known else _cell("")
+        for k, name in enumerate(shares.NAMES)
+    ]  # fmt: skip
+    columns.append(_cell(f"{100 * estimate.none[0]:.1f}"))
+    return "".join(columns) + _cell(f"{entropy[0]:.3f}", f"{ends[0]:.3f} – {ends[1]:.3f}", "ours")
+
+
+def _recorded(options: ExperimentConfig, real: list[Recorded]) -> str:
+    rows = [
+        f"<tr><td>{markup.escape(each.name)}, V = {number(speed)} m/s</td>{_figures(each.shares(index), each.known)}"
+        f"{_cell(f'{each.people}')}</tr>"
+        for each in real
+        for index, speed in enumerate(options.speeds)
+    ]
+    names = (name.replace("_", " ") for name in shares.NAMES)
+    return _table(["", *names, "none", "entropy", "people"], rows)
+
+
+def _further(cells: list[Cell], policies: list[str], real: list[Recorded]) -> str:
+    names = list(MORE_SITUATIONS)
+    found = [
+        (f"{cell.behavior} · {cell.policy}", cell.further(), names)
+        for policy in policies
+        for cell in cells
+        if cell.policy == policy
+    ]
+    found += [(each.name, each.further(), each.known) for each in real]
+    rows = []
+    for title, estimate, known in found:
+        low, high = shares.interval(estimate.examples)
+        columns = [
+            _cell(f"{100 * estimate.examples[0, k]:.1f}", f"{100 * low[k]:.1f} – {100 * high[k]:.1f}", "ours")
+            if name in known else _cell("")
+            for k, name in enumerate(names)
+        ]  # fmt: skip
+        rows.append(f"<tr><td>{markup.escape(title)}</td>{''.join(columns)}</tr>")
+    return _table(["", *(name.replace("_", " ") for name in names)], rows)
 
 
 def _orderings(cells: list[Cell], policies: list[str], speed: float) -> str:

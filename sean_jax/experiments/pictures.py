@@ -80,6 +80,8 @@ def table1(options: ExperimentConfig, cells: list[Cell], swept: list[Cell]) -> d
     Returns:
         Figures by name of the file without its ending.
     """
+    if not cells:
+        return {}
     figures = {"table1-bars": bars(cells)}
     if len(options.speeds) > 1:
         figures["table1-speeds"] = speeds(options, cells)

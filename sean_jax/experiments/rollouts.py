@@ -5,6 +5,7 @@ its own resets, and all streams are stepped in one batch.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 
 import jax
@@ -13,6 +14,8 @@ import numpy as np
 
 from sean_jax import devices, episodes, prng
 from sean_jax.base import Array, Policy, Scenario, State
+from sean_jax.classifiers import Situation, classify
+from sean_jax.scenario import moment
 
 MINUTE = 60  # s, of a block of the bootstrap
 LEAD = 1  # min of each chain that do not count, since all chains begin with the start of an episode
@@ -23,14 +26,15 @@ class Chains:
 
     Args:
         policy: drives the robot.
+        further: names and functions of situations that are noted besides those of the scenario.
     """
 
-    def __init__(self, policy: Policy):
+    def __init__(self, policy: Policy, further: tuple[tuple[str, Situation], ...] = ()):
         self.over, self.policy = devices.mesh(), policy
         self.pool = jax.jit(episodes.reset_pool, static_argnums=2)
         self.stack = jax.jit(_stacked)
         self.begin = devices.shard(self.over, _begin)
-        self.run = devices.shard(self.over, _minute, donate=True)
+        self.run = devices.shard(self.over, functools.partial(_minute, further), donate=True)
 
     def minutes(
         self,
@@ -52,8 +56,8 @@ class Chains:
             watch: called with the finished share, from 0 to 1.
 
         Returns:
-            Whether each situation holds, (C * chains, minutes, 60, S) bool; and the numbers of episodes that were
-            completed and that were not, (2,).
+            Whether each situation holds, the scenario's before the further ones, (C * chains, minutes, 60, S) bool; and
+            the numbers of episodes that were completed and that were not, (2,).
 
         Raises:
             FloatingPointError: the position of a robot or a person is not finite.
@@ -97,7 +101,7 @@ def _start(starts: State, stream: Array, key: Array) -> State:
     return dataclasses.replace(fresh, streams=prng.streams(streams_key))
 
 
-def _minute(fixed: tuple, carry: tuple[Array, State]) -> tuple:
+def _minute(further: tuple[tuple[str, Situation], ...], fixed: tuple, carry: tuple[Array, State]) -> tuple:
     """One minute of a chain: ``episodes.rollout_autoreset`` with the pool of the chain's stream."""
     scenario, policy, starts = fixed
     stream, state = carry
@@ -112,7 +116,10 @@ def _minute(fixed: tuple, carry: tuple[Array, State]) -> tuple:
 
     def second(state: State, _) -> tuple:
         state, ended = jax.lax.scan(tick, state, length=ticks)
-        return state, (state.situations, ended.sum(0, dtype=jnp.int32))
+        found = state.situations
+        if further:  # once a second is as often as they are read
+            found = jnp.concatenate([found, classify(moment(scenario, state), scenario.thresholds, further)])
+        return state, (found, ended.sum(0, dtype=jnp.int32))
 
     state, (flags, ended) = jax.lax.scan(second, state, length=MINUTE)
     sound = jnp.isfinite(state.robot.position).all() & jnp.isfinite(state.pedestrians.position).all()

@@ -42,7 +42,7 @@ class Ordering(TypedDict):
 class Shares:
     """Shares with one behavior and one policy: the estimate, followed by those of R bootstrap resamples."""
 
-    examples: np.ndarray  # (1 + R, 5), of all examples
+    examples: np.ndarray  # (1 + R, S), of all examples; S is 5 for the paper's situations
     none: np.ndarray  # (1 + R,), of the examples in which no situation holds
     seconds: int  # examples
 
@@ -53,7 +53,7 @@ class Shares:
             counting: one of ``COUNTINGS``.
 
         Returns:
-            (1 + R, 5) from 0 to 1; 0 where there is nothing to divide by.
+            (1 + R, S) from 0 to 1; 0 where there is nothing to divide by.
         """
         flags = self.examples.sum(1)
         whole = {
@@ -77,7 +77,7 @@ def count(flags: np.ndarray, seed: int = 0) -> Shares:
     """Shares of the situations and their bootstrap resamples.
 
     Args:
-        flags: (blocks, seconds, 5) bool, the situations that hold in each second of each block.
+        flags: (blocks, seconds, S) bool, the situations that hold in each second of each block.
         seed: of the resamples.
 
     Returns:
@@ -86,6 +86,25 @@ def count(flags: np.ndarray, seed: int = 0) -> Shares:
     weights = bootstrap.with_estimate(bootstrap.resamples(len(flags), seed, bootstrap.RESAMPLES))
     none = ~flags.any(-1)
     return Shares(weights @ flags.mean(1), weights @ none.mean(1), flags.shape[0] * flags.shape[1])
+
+
+def count_by_person(flags: np.ndarray, person: np.ndarray, seed: int = 0) -> Shares:
+    """Shares of the situations of recorded people, and resamples of people.
+
+    Args:
+        flags: (E, S) bool, the situations that hold in each example.
+        person: (E,) whose example it is; people may have different numbers of them.
+        seed: of the resamples.
+
+    Returns:
+        The shares, where a resample has all examples of the people whom it drew.
+    """
+    people, index = np.unique(person, return_inverse=True)
+    counts = np.zeros((len(people), flags.shape[1] + 2))  # of each situation, of none, and of all
+    np.add.at(counts, index, np.column_stack([flags, ~flags.any(-1), np.ones(len(flags))]))
+    drawn = bootstrap.with_estimate(bootstrap.resamples(len(people), seed, bootstrap.RESAMPLES)) @ counts
+    share = drawn[:, :-1] / drawn[:, -1:]
+    return Shares(share[:, :-1], share[:, -1], len(flags))
 
 
 def normalised_entropy(shares: np.ndarray) -> np.ndarray:
