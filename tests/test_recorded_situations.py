@@ -41,11 +41,16 @@ def recording(path, groups=False):
     return path
 
 
-def by_hand(robot: int, row: int, speed: float) -> list[bool]:
+def by_hand(robot: int, row: int, speed: float, leave=frozenset()) -> list[bool]:
     """Cross path, down path, join group, leave group and empty, of equations (1), (2) and (5)."""
     own, values = WALKS[robot][1], [False, False, False, False, True]
     for other, (_, velocity, first, last) in enumerate(WALKS):
-        if other == robot or not first <= row <= last or math.dist(where(robot, row), where(other, row)) >= 2.4:
+        if (
+            other == robot
+            or other in leave
+            or not first <= row <= last
+            or math.dist(where(robot, row), where(other, row)) >= 2.4
+        ):
             continue
         values[4] = False
         turn = math.degrees(math.atan2(own[1], own[0]) - math.atan2(velocity[1], velocity[0]))
@@ -56,9 +61,9 @@ def by_hand(robot: int, row: int, speed: float) -> list[bool]:
 
 
 def test_everybody_plays_the_robot(tmp_path):
-    tracks = recorded.read([str(recording(tmp_path / "walk.csv"))], 1 / STEP)["walk"]
+    people = recorded.read([str(recording(tmp_path / "walk.csv"))], 1 / STEP)["walk"]
     told = []
-    found = recorded.count("walk", tracks, SPEEDS, told.append)
+    found = recorded.count("walk", people, SPEEDS, told.append)
     assert told == [0.2, 0.4, 0.6, 0.8, 1.0] and found.people == 5
     rows = [(robot, row) for robot, (_, _, first, last) in enumerate(WALKS) for row in range(first, last + 1)]
     assert found.person.tolist() == [robot for robot, _ in rows]
@@ -95,15 +100,35 @@ def test_everybody_plays_the_robot(tmp_path):
 
 
 def test_groups_are_told_where_they_are_annotated(tmp_path):
-    tracks = recorded.read([str(recording(tmp_path / "walk.csv", groups=True))], 1 / STEP)["walk"]
-    found = recorded.count("walk", tracks, SPEEDS)
+    people = recorded.read([str(recording(tmp_path / "walk.csv", groups=True))], 1 / STEP)["walk"]
+    found = recorded.count("walk", people, SPEEDS)
     assert {"join_group", "leave_group"} <= found.known and found.flags[0, :, 2].any()
+
+
+def test_companions_are_not_met(tmp_path):
+    """Of four in two lines that share somebody; what others meet stays."""
+    path = recording(tmp_path / "walk.csv")
+    path.with_suffix(".groups.txt").write_text(" 3 4\n\n 5\n6 4\n", encoding="utf-8")
+    read = recorded.read([str(path)], 1 / STEP)
+    assert list(read) == ["walk", "walk without companions"]
+    assert read["walk without companions"].companions.tolist() == [0, 0, -1, 0, -1]
+    whole, without = (recorded.count(name, people, (1.0,)) for name, people in read.items())
+    rows = [(robot, row) for robot, (_, _, first, last) in enumerate(WALKS) for row in range(first, last + 1)]
+    together = {0, 1, 3}
+    expected = [by_hand(*each, 1.0, leave=together if each[0] in together else set()) for each in rows]
+    np.testing.assert_array_equal(without.flags[0], expected)
+    apart = ~np.isin(whole.person, list(together))
+    np.testing.assert_array_equal(without.more[apart], whole.more[apart])
+    assert without.flags[0, :, 4].sum() > whole.flags[0, :, 4].sum()
+    path.with_suffix(".groups.txt").write_text("3 4\n5 9\n", encoding="utf-8")
+    with pytest.raises(FileError, match=r"walk.groups.txt:2: '9' is the number of nobody in the recording"):
+        recorded.read([str(path)], 1 / STEP)
 
 
 def test_sean2_has_its_own_directions(tmp_path):
     """Who comes against the robot is in down path by SEAN's code, and not as printed."""
-    tracks = recorded.read([str(recording(tmp_path / "walk.csv"))], 1 / STEP)["walk"]
-    printed, coded = (recorded.count("walk", tracks, (0.4,), kind=kind) for kind in ("paper", "sean2"))
+    people = recorded.read([str(recording(tmp_path / "walk.csv"))], 1 / STEP)["walk"]
+    printed, coded = (recorded.count("walk", people, (0.4,), kind=kind) for kind in ("paper", "sean2"))
     assert (coded.flags[0, :, 1] & ~printed.flags[0, :, 1]).any()
     np.testing.assert_array_equal(coded.more, printed.more)
 
@@ -184,11 +209,11 @@ def test_recordings_of_one_name_keep_their_paths(tmp_path):
 def test_shares_of_people_recorded_in_zurich_and_nicosia(request):
     """The figures of docs/situations.md."""
     folder = request.getfixturevalue("recordings") / "eth_ucy"
-    for name, people, down, empty in (("eth", 360, 0.716, 0.283), ("zara01", 148, 0.803, 0.197)):
-        tracks = recorded.read([str(folder / f"{name}.csv")])[name]
-        found = recorded.count(name, tracks, (1.4, 0.4))
+    for name, people, down, empty in (("eth", 360, 0.714, 0.284), ("zara01", 148, 0.802, 0.197)):
+        people_there = recorded.read([str(folder / f"{name}.csv")])[name]
+        found = recorded.count(name, people_there, (1.4, 0.4))
         share = found.shares().of("flags")[0]
         print(name, np.round(100 * share, 2), np.round(100 * found.further().examples[0], 2))
         assert found.people == people and share.sum() == pytest.approx(1.0)
         assert dataclasses.astuple(found)[0] == name
-        np.testing.assert_allclose(share[[1, 4]], [down, empty], atol=0.01)
+        np.testing.assert_allclose(share[[1, 4]], [down, empty], atol=5e-4)

@@ -110,8 +110,9 @@ FURTHER = (
     "are.</p>"
 )
 RECORDED = (
-    "<p class=note>Each person in turn plays the robot, in every row of the recording; counted as above. Small: the "
-    "middle 95 % of a bootstrap over these people. No figure: the recording does not tell groups.</p>"
+    "<p class=note>Each person in turn plays the robot, in every row of the recording; counted as in Table I. Without "
+    "companions: whoever walks in one group with that person is left out. Small: the middle 95 % of a bootstrap over "
+    "these people. No figure: the recording does not tell groups in conversation.</p>"
 )
 SPEEDS = (
     "<p class=note>The paper counts people as walking above 1.4 m/s. SEAN 2.0's code uses 0.4 m/s, and its people walk "

@@ -104,7 +104,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     for behavior, _, people in [*jobs, *sweep]:
         protocol.check(description(options, behavior, people))
     kind = description(options, "random", None).situations[0].kind
-    tracks = recorded.read(listed(options.recordings), options.frame_rate)
+    real = recorded.read(listed(options.recordings), options.frame_rate)
     folder, started = options.folder, parts.has_started(options)
     places = Once(functools.partial(_places, options))
     with writing.folder_lock(folder):
@@ -113,10 +113,10 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
         parts.start(options)
         people = [
             Part(name, functools.partial(recorded.count, name, each, options.speeds, kind=kind))
-            for name, each in tracks.items()
+            for name, each in real.items()
         ]
         found = together(people, console, "counting")
-        _run(options, folder, console, places, jobs, sweep, [found[name] for name in tracks])
+        _run(options, folder, console, places, jobs, sweep, [found[name] for name in real])
     return folder
 
 

@@ -4,6 +4,7 @@ A recording serves as evidence for the situations of section III, which speak of
 velocities "provided in simulation or estimated in the real world".
 """
 
+from sean_jax.recordings.companions import read_companions
 from sean_jax.recordings.moments import moments_along, moments_of
 from sean_jax.recordings.motion import fit_motion, headings, motion_between_rows, windowed_mean
 from sean_jax.recordings.tracks import READERS, Tracks, read, read_csv, read_eth_ucy, read_groups, read_juelich
@@ -17,6 +18,7 @@ __all__ = [
     "moments_of",
     "motion_between_rows",
     "read",
+    "read_companions",
     "read_csv",
     "read_eth_ucy",
     "read_groups",
