@@ -111,11 +111,11 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
         for behavior, _, people in [] if started else dict.fromkeys([*jobs, *sweep]):
             places(behavior, people)  # so that wrong options are refused before anything is written
         parts.start(options)
-        people = [
+        counted = [
             Part(name, functools.partial(recorded.count, name, each, options.speeds, kind=kind))
             for name, each in real.items()
         ]
-        found = together(people, console, "counting")
+        found = together(counted, console, "counting")
         _run(options, folder, console, places, jobs, sweep, [found[name] for name in real])
     return folder
 
