@@ -35,6 +35,7 @@ MAX_HOURS = 1e6
 MAX_SHARD = 100_000  # episodes in a shard
 MAX_SIDE = 4_096  # pixels of a depth image's side, and the width of a network
 MAX_PIXELS = 4_000_000  # of a depth image
+MAX_RATE = 1_000  # rows a second
 MAX_PEOPLE = 100_000
 DAY = 86_400.0  # s
 INFINITE = "inf"  # how a file says infinity
@@ -125,6 +126,7 @@ People = Annotated[int, Number(0, MAX_PEOPLE)]
 EpisodeCount = Annotated[int, Number(1, 2**31 - 1)]
 BatchSize = Annotated[int, Number(1, 2**24)]
 ShardSize = Annotated[int, Number(1, MAX_SHARD)]
+Rate = Annotated[int, Number(1, MAX_RATE, "Hz")]
 Seed = Annotated[int, Number(0, 2**32 - 1)]
 Count = Annotated[int, Number(1, 10**9)]
 Substeps = Annotated[int, Number(1, 1_000)]
@@ -552,7 +554,7 @@ class RunConfig(ScenarioConfig):
 
 
 class CollectConfig(ScenarioConfig):
-    """Record demonstrations: what a driver sees and does, once a second. A folder that has some is continued."""
+    """Record demonstrations: what a driver sees and does, second by second. A folder that has some is continued."""
 
     metrics: Annotated[tuple[Named, ...], Incidental()] = ()
     """Nothing is measured while demonstrations are recorded."""
@@ -565,6 +567,9 @@ class CollectConfig(ScenarioConfig):
     and the driver shows the way back. What is recorded are the commands without it."""
     hours: Annotated[Hours, Incidental()] = 1.0
     """Hours of demonstrations; several tasks get the same time, and so do the five situations of handcrafted people."""
+    rate: Rate = 1
+    """How many examples begin in a second: 1, or another divisor of the steps of control in a second. Within an example
+    the images, and the places, are a second apart at any rate."""
     width: Side = 64
     """Width of the depth images in pixels."""
     height: Side = 48
@@ -588,6 +593,10 @@ class CollectConfig(ScenarioConfig):
             raise ValueError("behavior: playback is not recorded; choose behavior graph, random or handcrafted")
         if any(task.kind == "custom" for task in self.tasks):
             raise ValueError("task: custom is not recorded; choose another task")
+        steps = round(1.0 / self.time_step)
+        if steps % self.rate:
+            text = f"{self.rate} examples a second do not divide its {steps} steps of control"
+            raise ValueError(f"rate: {text}; choose a divisor")
         return self
 
     @property

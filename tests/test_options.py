@@ -83,7 +83,10 @@ FITTING = {"thresholds": None, "task_distance": (1.0, 2.0), "time_step": 0.1, "t
     ("word", "fixed"),
     [
         ("run", {**FITTING, "camera": None, "renderer": None}),
-        ("collect", {**FITTING, "behavior": "random", "task": None, "width": 30, "height": 20, "metrics": ()}),
+        (
+            "collect",
+            {**FITTING, "behavior": "random", "task": None, "width": 30, "height": 20, "metrics": (), "rate": 5},
+        ),
         ("train", {"dataset": Path("runs/a b")}),
         ("experiment", {"which": "table1"}),
         ("experiment", {"which": "figure4"}),
@@ -192,6 +195,8 @@ train imitation full --learning-rate nan | --learning-rate: nan must be
 train imitation full --epochs 0 | --epochs: 0 must be
 train imitation full --validation 1 | --validation: 1.0 must be
 train reinforce full | reinforce; sean train --help
+collect --rate 0 | --rate: 0 must be from 1
+collect --rate 3 | rate: 3 examples a second do not divide its 10 steps of control; choose a divisor
 experiment table1 --speeds nan | --speeds: nan must be from 0 to 100
 experiment table1 --speeds 1.4 -1 | --speeds: -1.0 must be
 experiment table1 --crowds -1 | --crowds: -1 must be
