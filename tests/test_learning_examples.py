@@ -61,6 +61,12 @@ def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
         recorder.commit()
     data = record(Recorder(tmp_path / "two", scenario, width=16, height=12), [(0.3, 0.0)] * 12, 5)
     assert [episode.length for episode in data.episodes] == [2], "what was driven until the commands ended"
+    with pytest.raises(InputError, match="rate: 3 rows a second do not divide its 10 steps"):
+        Recorder(tmp_path / "three", scenario, width=16, height=12, rate=3)
+    data = record(Recorder(tmp_path / "three", scenario, width=16, height=12, rate=5), [(0.3, 0.0)] * 12, 5)
+    assert [episode.length for episode in data.episodes] == [6] and data.rate == 5
+    with pytest.raises(InputError, match="another scenario, driver, seed or rate"):
+        Recorder(tmp_path / "three", scenario, width=16, height=12)
     with pytest.raises(InputError, match="another scenario, driver, seed or rate"):
         Recorder(tmp_path / "two", scenario, seed=1, width=16, height=12)
 
@@ -75,7 +81,7 @@ def test_an_episode_ends_when_it_is_over_and_zeros_follow(batch):
 
 
 def test_rows_at_a_higher_rate_hold_those_of_each_second(batch):
-    """Of the same episodes: every tenth row is one of those, rows follow one another by a step, and zeros come after."""
+    """Of the same episodes: every tenth row is one of those, the robot drives from row to row, and zeros come after."""
     parts, camera = learning_data.setting()
     scenarios = list(parts.values())
     recorded = demonstrations.record(scenarios[0], camera, rate=10)
