@@ -90,7 +90,7 @@ def collection(options: ExperimentConfig, variant: Variant, dataset: int) -> Col
     Args:
         options: of the experiment.
         variant: of the networks.
-        dataset: its number. Those of all variants have the same seed, so the episodes are the same as far as they go.
+        dataset: its number, which decides the seed in all variants.
 
     Returns:
         The description.
