@@ -228,7 +228,7 @@ def grids(results: Results) -> Figure:
         The figure.
     """
     names = list(results.MEASURES)
-    figure, axes = _figure(3.2 * 5, 5.6, 2, 5)
+    figure, axes = _figure(5 * max(3.2, 0.4 * len(results.policies) + 0.4), 5.6, 2, 5)
     for spot, name in zip(axes[0], names, strict=False):
         values = np.array([[results.cells[p][b][name].mean for p in results.policies] for b in BEHAVIORS])
         _grid(spot, values, results.policies, results.MEASURES[name])
@@ -249,6 +249,8 @@ def _grid(spot: Axes, values: np.ndarray, policies: tuple[str, ...], title: str,
         text = f"{value:g}" if value == round(value) else f"{value:.{2 if value < 9.995 else 1}f}"
         spot.text(column, row, text, ha="center", va="center", color=ink, fontsize=9)
     spot.set_xticks(range(len(policies)), policies)
+    if max(map(len, policies)) > 2:  # names and folders of further drivers
+        spot.set_xticks(range(len(policies)), policies, rotation=50, ha="right", rotation_mode="anchor", fontsize=7)
     spot.set_yticks(range(len(BEHAVIORS)), [name[:1].upper() for name in BEHAVIORS])
     spot.set_title(title, loc="left", fontsize=9, color=colors.INK)
     for side in ("left", "bottom"):
@@ -289,7 +291,11 @@ def learning_curve(curve: Curve) -> Figure:
         hours = [each.hours for each in plain]
         spot.set_xticks(hours, [f"{each:g}" for each in hours])
         spot.minorticks_off()
-        spot.set_ylim(bottom=0)
+        spot.margins(x=0.1)
+        every = [cell[measure] for by in curve.cells.values() for cell in by.values()]  # all of a row alike
+        low = min(float(cell.low) for cell in every) if measure == "completed" else 0.0
+        high = max(float(cell.high) for cell in every)
+        spot.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low) + 1e-3)
         if row == 0:
             spot.set_title(
                 place if place not in BEHAVIORS else f"in {place}", loc="left", fontsize=9.5, color=colors.INK
