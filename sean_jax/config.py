@@ -952,7 +952,7 @@ class ExperimentConfig(Config):
         if self.which == "learning_curve":
             full |= dict(amounts=(1.0, 10.0, 100.0), rates=(10,), updates=20_000)
             full |= dict(datasets=3, trainings=1, episodes=4096)
-            quick |= dict(amounts=(0.05, 0.1, 0.2), rates=(10,), updates=20_000)
+            quick |= dict(amounts=(0.05, 0.2), rates=(10,), updates=20_000)
         missing = {k: v for k, v in (quick if self.quick else full).items() if getattr(self, k) is None}
         if self.preset == "sean2" and "speeds" not in self.model_fields_set:
             missing["speeds"] = self.speeds[::-1]
