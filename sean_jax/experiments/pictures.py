@@ -304,5 +304,5 @@ def learning_curve(curve: Curve) -> Figure:
             spot.set_xlabel("hours of demonstrations", color=colors.MUTED)
         if column == 0:
             spot.set_ylabel(names[measure], color=colors.MUTED)
-    axes[0, -1].legend(fontsize=7, frameon=False, loc="lower right")
+    axes[0, -1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
