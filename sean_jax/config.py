@@ -35,6 +35,7 @@ MAX_HOURS = 1e6
 MAX_SHARD = 100_000  # episodes in a shard
 MAX_SIDE = 4_096  # pixels of a depth image's side, and the width of a network
 MAX_PIXELS = 4_000_000  # of a depth image
+MAX_RATE = 1_000  # rows a second
 MAX_PEOPLE = 100_000
 DAY = 86_400.0  # s
 INFINITE = "inf"  # how a file says infinity
@@ -125,6 +126,7 @@ People = Annotated[int, Number(0, MAX_PEOPLE)]
 EpisodeCount = Annotated[int, Number(1, 2**31 - 1)]
 BatchSize = Annotated[int, Number(1, 2**24)]
 ShardSize = Annotated[int, Number(1, MAX_SHARD)]
+Rate = Annotated[int, Number(1, MAX_RATE, "Hz")]
 Seed = Annotated[int, Number(0, 2**32 - 1)]
 Count = Annotated[int, Number(1, 10**9)]
 Substeps = Annotated[int, Number(1, 1_000)]
@@ -552,7 +554,7 @@ class RunConfig(ScenarioConfig):
 
 
 class CollectConfig(ScenarioConfig):
-    """Record demonstrations: what a driver sees and does, once a second. A folder that has some is continued."""
+    """Record demonstrations: what a driver sees and does, second by second. A folder that has some is continued."""
 
     metrics: Annotated[tuple[Named, ...], Incidental()] = ()
     """Nothing is measured while demonstrations are recorded."""
@@ -565,6 +567,9 @@ class CollectConfig(ScenarioConfig):
     and the driver shows the way back. What is recorded are the commands without it."""
     hours: Annotated[Hours, Incidental()] = 1.0
     """Hours of demonstrations; several tasks get the same time, and so do the five situations of handcrafted people."""
+    rate: Rate = 1
+    """How many examples begin in a second: 1, or another divisor of the steps of control in a second. Within an example
+    the images, and the places, are a second apart at any rate."""
     width: Side = 64
     """Width of the depth images in pixels."""
     height: Side = 48
@@ -588,6 +593,10 @@ class CollectConfig(ScenarioConfig):
             raise ValueError("behavior: playback is not recorded; choose behavior graph, random or handcrafted")
         if any(task.kind == "custom" for task in self.tasks):
             raise ValueError("task: custom is not recorded; choose another task")
+        steps = round(1.0 / self.time_step)
+        if steps % self.rate:
+            text = f"{self.rate} examples a second do not divide its {steps} steps of control"
+            raise ValueError(f"rate: {text}; choose a divisor")
         return self
 
     @property
@@ -867,9 +876,10 @@ class ExportConfig(Config):
 class ExperimentConfig(Config):
     """Table I or Figure 4 of the paper, beside its own numbers, as a report. A folder that has a part is continued."""
 
-    which: Annotated[Literal["table1", "ablation", "figure4"], Positional()]
+    which: Annotated[Literal["table1", "ablation", "figure4", "learning_curve"], Positional()]
     """table1: how much of the time the robot is in each social situation; ablation: the same with SEAN's conditions one
-    by one. figure4: four policies in three scenarios."""
+    by one. figure4: four policies in three scenarios; learning_curve: one of them, G, with more demonstrations, more
+    examples a second, and social situations as an input."""
     quick: bool = False
     """Small enough for a CPU and ten minutes: less time, fewer seeds and episodes, smaller images."""
     environment: Text = "warehouse"
@@ -881,12 +891,21 @@ class ExperimentConfig(Config):
     frame_rate: FrameRate | None = None
     """Frames a second of the recordings; those of their formats by default."""
     demonstrator: Text = "expert"
-    """Of figure4: who demonstrates."""
+    """Of figure4 and learning_curve: who demonstrates."""
     others: Text | None = None
-    """Of figure4: further drivers of the same episodes, separated by commas, or none; move_base, ppo, ppo_depth and
-    sensing_expert by default, and none with --quick."""
+    """Of figure4: further drivers of the same episodes, separated by commas, or none: names, folders that `sean train`
+    has written, such as runs/dagger of `sean train dagger` or runs/apg of `sean train apg`, or FILE.py:NAME. By default
+    move_base, ppo, ppo_depth and sensing_expert, and none with --quick."""
     hours: HoursOfMinutes | None = None
     """Hours for each behavior, 1 by default: of each seed in table1, of demonstrations in figure4."""
+    amounts: Annotated[tuple[HoursOfMinutes, ...] | None, Field(min_length=1)] = None
+    """Of learning_curve: hours of demonstrations, 1, 10 and 100 by default. Networks of the first one are compared with
+    those of other rates, and with those that know the situations."""
+    rates: tuple[Rate, ...] | None = None
+    """Of learning_curve: examples a second beside one a second, 10 by default."""
+    updates: Count | None = None
+    """Of learning_curve: most steps of a network's optimizer, 20,000 by default; a hundred hours end by it, fewer ones
+    stop by themselves before."""
     seeds: Count | None = None
     """Of table1: how many times, 10 by default."""
     preset: Literal["sean2"] | None = None
@@ -897,11 +916,14 @@ class ExperimentConfig(Config):
     crowds: tuple[People, ...] | None = None
     """Of table1: other numbers of people to try, 10, 20, 40 and 100 by default."""
     datasets: Count | None = None
-    """Of figure4: datasets of demonstrations that each policy learns from, each by itself, 10 by default."""
+    """Of figure4: datasets of demonstrations that each policy learns from, each by itself, 10 by default; 3 in
+    learning_curve."""
     trainings: Count | None = None
-    """Of figure4: networks that learn from each dataset, each with a seed of its own, 3 by default."""
+    """Of figure4: networks that learn from each dataset, each with a seed of its own, 3 by default; 1 in
+    learning_curve."""
     episodes: EpisodeCount | None = None
-    """Of figure4: for each policy in each scenario, 12300 by default; its networks take equal shares of them."""
+    """Of figure4: for each policy in each scenario, 12300 by default; its networks take equal shares of them. 4096 in
+    learning_curve."""
     people: People | None = None
     """Number of people of random and graph; the environment's own by default (62 in the warehouse)."""
     robot: Part = Named(kind="kuri")
@@ -911,7 +933,7 @@ class ExperimentConfig(Config):
     time_limit: TimeLimit = 120.0
     """Longest duration of an episode in seconds."""
     epochs: Count | None = None
-    """Of figure4: most epochs of training, 1000 by default."""
+    """Of figure4 and learning_curve: most epochs of training, 1000 by default."""
     seed: Seed = 0
     """The same seed gives the same results."""
     out: Annotated[Path | None, Incidental()] = None
@@ -931,6 +953,10 @@ class ExperimentConfig(Config):
         quick: dict[str, object] = dict(
             hours=0.05, seeds=2, epochs=30, crowds=(), datasets=1, trainings=1, episodes=12, others="none"
         )
+        if self.which == "learning_curve":
+            full |= dict(amounts=(1.0, 10.0, 100.0), rates=(10,), updates=20_000)
+            full |= dict(datasets=3, trainings=1, episodes=4096)
+            quick |= dict(amounts=(0.05, 0.2), rates=(10,), updates=20_000)
         missing = {k: v for k, v in (quick if self.quick else full).items() if getattr(self, k) is None}
         if self.preset == "sean2" and "speeds" not in self.model_fields_set:
             missing["speeds"] = self.speeds[::-1]

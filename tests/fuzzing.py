@@ -215,7 +215,7 @@ def load_dataset(folder: Path) -> Any:
     data = datasets.open_dataset(folder)
     data.fingerprint()
     lost = data.damaged_shards()
-    return data.recording(data.episodes) if not lost else (data.example_count, data.stream_seconds, data.row_bytes)
+    return data.recording(data.episodes) if not lost else (data.example_count, data.stream_rows, data.row_bytes)
 
 
 def load_policy(folder: Path) -> Any:

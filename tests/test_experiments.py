@@ -18,7 +18,7 @@ from sean_jax.base import as_policy
 from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import CollectConfig, ExperimentConfig, validate
 from sean_jax.errors import IncompleteError, InputError
-from sean_jax.experiments import ablation, figure4, rollouts, shares, table1, together
+from sean_jax.experiments import ablation, drivers, figure4, rollouts, shares, table1, together
 from sean_jax.experiments.shares import BEHAVIORS
 from sean_jax.learning.protocol import streams
 from sean_jax.metrics import METRICS
@@ -249,8 +249,8 @@ def test_numbered_episodes_are_those_of_their_streams():
     metrics = (("path_length", METRICS["path_length"]),)
     kinds = [dataclasses.replace(kind, metrics=metrics) for kind in streams(asked).values()]
     told = []
-    runner = Runner(kinds, go_to_goal, figure4._even(7, 5), "figure4")
-    found = figure4._measure(runner, 3, 0, 7, told.append)
+    runner = Runner(kinds, go_to_goal, drivers.even(7, 5), "figure4")
+    found = drivers.measure(runner, 3, 0, 7, told.append)
     assert len(found["seconds"]) == 7 and 0 < found["seconds"].min() and found["seconds"].max() <= 3.0 + 1e-3
     assert told == sorted(told) and told[-1] <= 1.0
 

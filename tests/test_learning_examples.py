@@ -61,7 +61,13 @@ def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
         recorder.commit()
     data = record(Recorder(tmp_path / "two", scenario, width=16, height=12), [(0.3, 0.0)] * 12, 5)
     assert [episode.length for episode in data.episodes] == [2], "what was driven until the commands ended"
-    with pytest.raises(InputError, match="another scenario, driver or seed"):
+    with pytest.raises(InputError, match="rate: 3 rows a second do not divide its 10 steps"):
+        Recorder(tmp_path / "three", scenario, width=16, height=12, rate=3)
+    data = record(Recorder(tmp_path / "three", scenario, width=16, height=12, rate=5), [(0.3, 0.0)] * 12, 5)
+    assert [episode.length for episode in data.episodes] == [6] and data.rate == 5
+    with pytest.raises(InputError, match="another scenario, driver, seed or rate"):
+        Recorder(tmp_path / "three", scenario, width=16, height=12)
+    with pytest.raises(InputError, match="another scenario, driver, seed or rate"):
         Recorder(tmp_path / "two", scenario, seed=1, width=16, height=12)
 
 
@@ -74,14 +80,35 @@ def test_an_episode_ends_when_it_is_over_and_zeros_follow(batch):
     assert (batch.lengths[unfinished] == learning_data.SECONDS).all()
 
 
-def test_examples_equal_a_loop_in_numpy(batch):
-    """Histories stop at the first row of the episode, futures at its last, and all places are in the robot's frame."""
+def test_rows_at_a_higher_rate_hold_those_of_each_second(batch):
+    """Of the same episodes: every tenth row is one of those, the robot drives from row to row, and zeros come after."""
+    parts, camera = learning_data.setting()
+    scenarios = list(parts.values())
+    recorded = demonstrations.record(scenarios[0], camera, rate=10)
+    running = runner.Runner(scenarios, learning_data.DRIVE, learning_data.EPISODES // 2, "collect", recorded)
+    fine = demonstrations.simulate(running, learning_data.SEED, 0, 0)
+    assert fine.rows["pose"].shape[1] == 10 * learning_data.SECONDS
+    np.testing.assert_array_equal(np.ceil(fine.lengths / 10), batch.lengths)
+    for one, seconds, length in zip(fine.rows["pose"], batch.rows["pose"], fine.lengths, strict=True):
+        np.testing.assert_allclose(one[:length:10], seconds[: -(-length // 10)], atol=2e-2)
+        gone = np.linalg.norm(np.diff(one[:length, :2], axis=0), axis=1)
+        assert gone.max() <= 0.1 * float(scenarios[0].robot.max_speed) * 1.05 and not one[length:].any()
+    off = np.abs(fine.rows["depth"][:, ::10].astype(float) - batch.rows["depth"])
+    assert np.median(off) <= 1.0 and np.mean(off > 20.0) < 0.01, "equal but at edges"
+
+
+@pytest.mark.parametrize("rate", [1, 3])
+def test_examples_equal_a_loop_in_numpy(batch, rate):
+    """Histories stop at the first row of the episode, futures at its last, and all places are in the robot's frame.
+
+    With three rows a second, the same rows are those of shorter episodes.
+    """
     lengths = batch.lengths
     ends = np.cumsum(lengths)
     flat = {name: np.concatenate([v[i, :n] for i, n in enumerate(lengths)]) for name, v in batch.rows.items()}
     rows = examples.Row(**flat)
     recording = examples.Recording(
-        rows, np.repeat(ends - lengths, lengths).astype(np.int32), np.repeat(ends, lengths).astype(np.int32)
+        rows, np.repeat(ends - lengths, lengths).astype(np.int32), np.repeat(ends, lengths).astype(np.int32), rate
     )
     index = np.arange(int(ends[-1]), dtype=np.int32)
     onto = jax.tree.map(jax.numpy.asarray, recording)
@@ -95,10 +122,10 @@ def test_examples_equal_a_loop_in_numpy(batch):
         x, y, c, s = flat["pose"][row].astype(np.float64)
         inverse = np.linalg.inv(np.array([[c, -s, x], [s, c, y], [0, 0, 1]]))
         for age in range(5):
-            np.testing.assert_array_equal(made.images[row, 4 - age], flat["depth"][max(row - age, first)])
-            past = np.array([*flat["pose"][max(row - 1 - age, first), :2], 1.0])
+            np.testing.assert_array_equal(made.images[row, 4 - age], flat["depth"][max(row - rate * age, first)])
+            past = np.array([*flat["pose"][max(row - rate * (1 + age), first), :2], 1.0])
             np.testing.assert_allclose(made.past[row, 4 - age], (inverse @ past)[:2], atol=1e-4)
-            ahead = row + 1 + age
+            ahead = row + rate * (1 + age)
             assert bool(made.future_valid[row, age]) == (ahead < end)
             future = np.array([*flat["pose"][min(ahead, end - 1), :2], 1.0])
             np.testing.assert_allclose(made.future[row, age], (inverse @ future)[:2], atol=1e-4)
@@ -170,6 +197,7 @@ def test_a_nan_is_refused_with_the_episodes_number(batch):
     states = SimpleNamespace(completed=batch.completed)
     ended = runner.Batch(cast(Any, states), batch.lengths, (), [(rows, np.ones(rows.pose.shape[:2], bool))])
     scenarios = list(learning_data.setting()[0].values())
-    running: Any = SimpleNamespace(size=8, scenarios=scenarios, run=lambda *_, **__: ended)
+    record = demonstrations.record(scenarios[0], learning_data.setting()[1])
+    running: Any = SimpleNamespace(size=8, scenarios=scenarios, record=record, run=lambda *_, **__: ended)
     with pytest.raises(FloatingPointError, match="1 of 8 episodes hold numbers that are not finite: 9"):
         demonstrations.simulate(running, 3, 1, 1)

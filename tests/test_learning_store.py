@@ -157,7 +157,7 @@ def test_a_shard_that_cannot_be_written_ends_the_collection(tmp_path, monkeypatc
         patched.setattr(store, "write", full)
         with pytest.raises(IncompleteError, match="the disk is full"):
             collection.collect(learning_data.options(folder))
-    assert asked == [0] and open_dataset(folder).stream_seconds == [0, 0]
+    assert asked == [0] and open_dataset(folder).stream_rows == [0, 0]
     assert collection.collect(learning_data.options(folder)).example_count == 180
 
 
@@ -210,7 +210,7 @@ def test_other_options_are_refused(data):
         with pytest.raises(InputError, match=message):
             learning_data.begin(learning_data.options(data.folder, **others))
     assert open_dataset(data.folder).manifest == data.manifest
-    assert learning_data.begin(learning_data.options(data.folder)).stream_seconds == data.stream_seconds
+    assert learning_data.begin(learning_data.options(data.folder)).stream_rows == data.stream_rows
 
 
 def test_more_hours_continue_a_dataset(data):
@@ -252,6 +252,62 @@ def test_the_loader_shuffles_everything_once_and_goes_on_from_a_token(made):
     assert rows(again) == rows(batches[2:])
     for one, other in zip(batches[2:], again, strict=True):
         np.testing.assert_array_equal(one[1].images, other[1].images)
+
+
+@pytest.fixture(scope="module")
+def fine(tmp_path_factory):
+    """A dataset of ten rows a second."""
+    return learning_data.write_fine(tmp_path_factory.mktemp("data") / "fine")
+
+
+def test_ten_rows_a_second(fine, made):
+    """The hours are as many, the examples ten times as many, and what one example is made of lies a second apart."""
+    again = open_dataset(fine.folder)
+    assert again.rate == 10 and again.manifest["seconds"] == learning_data.SECONDS
+    assert again.example_count == 10 * made.example_count == 1800 and again.stream_rows == [1000, 1000]
+    recording = again.recording(again.episodes)
+    first = again.episodes[0].length
+    one = example(recording, np.array(first - 1), np)
+    assert first > 60 and (np.diff(recording.rows.pose[:first, 0]) == 1.0).all()
+    np.testing.assert_array_equal(one.past[:, 0], [-50.0, -40.0, -30.0, -20.0, -10.0])
+    np.testing.assert_array_equal(one.images[:, 0, 0], first - 1 - np.array([40, 30, 20, 10, 0]))
+    assert not one.future_valid.any()
+    begun = example(recording, np.array(0), np)
+    np.testing.assert_array_equal(begun.future[:, 0], [10.0, 20.0, 30.0, 40.0, 50.0])
+    loader = Loader(again, again.episodes, batch=64, shuffle=False)
+    _, batch, _ = next(loader.epoch())
+    np.testing.assert_array_equal(batch.past[45, :, 0], [-45.0, -40.0, -30.0, -20.0, -10.0])
+
+
+def test_rates_are_not_mixed(fine, made, data):
+    from sean_jax.config import TrainConfig
+    from sean_jax.learning import ensemble
+    from sean_jax.learning.several import open_datasets
+
+    with pytest.raises(InputError, match="10 examples a second, and .* 1; collect with the same --rate"):
+        open_datasets([made.folder, fine.folder])
+    pair = [TrainConfig(method="imitation", dataset=one.folder, out=one.folder / "no") for one in (made, fine)]
+    with pytest.raises(InputError, match="other rates of examples beside one another"):
+        ensemble.train(pair)
+    with pytest.raises(InputError, match="was begun with --rate 1, not 2"):
+        learning_data.begin(learning_data.options(data.folder, rate=2))
+    old = {name: value for name, value in data.manifest.items() if name != "rate"}
+    old["options"] = {name: value for name, value in old["options"].items() if name != "rate"}
+    data.save(old)
+    again = learning_data.begin(learning_data.options(data.folder))
+    assert again.rate == 1 and again.manifest == old, "a dataset of an earlier version goes on"
+    for rate in (0.5, 2.5, 1e9, "fast"):
+        data.save({**old, "rate": rate})
+        with pytest.raises(InputError, match="rate.* cannot be read"):
+            open_dataset(data.folder)
+
+
+def test_export_to_lerobot_has_the_rate(fine, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow, of the extra lerobot, is not installed")
+    out = lerobot.export(fine.folder, tmp_path / "out")
+    assert json.loads((out / "meta/info.json").read_text())["fps"] == 10
+    rows = parquet.read_table(out / "data/chunk-000/file-000.parquet").to_pydict()
+    np.testing.assert_allclose(rows["timestamp"], np.array(rows["frame_index"]) / 10, atol=1e-5)
 
 
 def test_export_to_lerobot(made, tmp_path):
@@ -327,7 +383,7 @@ def test_what_the_options_stand_for_must_not_have_changed(data):
         with pytest.raises(InputError, match=message):
             learning_data.begin(asked)
     data.save({name: value for name, value in before.items() if name not in ("content", "versions")})
-    assert learning_data.begin(asked).stream_seconds == data.stream_seconds
+    assert learning_data.begin(asked).stream_rows == data.stream_rows
 
 
 def test_options_allow_no_more_than_datasets_and_networks_may_hold(data, tmp_path):
@@ -372,7 +428,7 @@ def test_a_recorder_goes_on_where_a_kill_left_no_manifest(tmp_path):
     (tmp_path / "data" / "depth").mkdir(parents=True)
     (tmp_path / "data" / writing.LOCK).write_text("process 1 on a machine that is no more")
     Recorder(tmp_path / "data", parts["join_group"], width=16, height=12)
-    assert open_dataset(tmp_path / "data").stream_seconds == [0]
+    assert open_dataset(tmp_path / "data").stream_rows == [0]
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("dear")
     with pytest.raises(InputError, match="holds something else already"):

@@ -83,10 +83,14 @@ FITTING = {"thresholds": None, "task_distance": (1.0, 2.0), "time_step": 0.1, "t
     ("word", "fixed"),
     [
         ("run", {**FITTING, "camera": None, "renderer": None}),
-        ("collect", {**FITTING, "behavior": "random", "task": None, "width": 30, "height": 20, "metrics": ()}),
+        (
+            "collect",
+            {**FITTING, "behavior": "random", "task": None, "width": 30, "height": 20, "metrics": (), "rate": 5},
+        ),
         ("train", {"dataset": Path("runs/a b")}),
         ("experiment", {"which": "table1"}),
         ("experiment", {"which": "figure4"}),
+        ("experiment", {"which": "learning_curve"}),
         ("bench", {"only": "step,crowd"}),
         ("validate", {"only": "rimea-*", "models": "sean2,my.py:f", "data": Path("a b")}),
     ],
@@ -192,6 +196,8 @@ train imitation full --learning-rate nan | --learning-rate: nan must be
 train imitation full --epochs 0 | --epochs: 0 must be
 train imitation full --validation 1 | --validation: 1.0 must be
 train reinforce full | reinforce; sean train --help
+collect --rate 0 | --rate: 0 must be from 1
+collect --rate 3 | rate: 3 examples a second do not divide its 10 steps of control; choose a divisor
 experiment table1 --speeds nan | --speeds: nan must be from 0 to 100
 experiment table1 --speeds 1.4 -1 | --speeds: -1.0 must be
 experiment table1 --crowds -1 | --crowds: -1 must be
@@ -202,6 +208,9 @@ experiment table1 --policies , | --policies names no policy
 experiment figure4 --demonstrator nobody | policy: 'nobody' is not one of
 experiment figure4 --people 90000 | people: 90000 do not fit; fewer
 experiment figure4 --out full | full; --out
+experiment learning_curve --demonstrator nobody | policy: 'nobody' is not one of
+experiment learning_curve --amounts 1 0 | --amounts: 0.0 must be
+experiment learning_curve --rates 5 3 | rate: 3 examples a second do not divide its 10 steps of control
 experiment table3 | table3; sean experiment --help
 bench --only stepp | --only: 'stepp' is not one of step
 bench --batches 0 | --batches: 0 must be

@@ -8,6 +8,7 @@ from typing import ClassVar, TypedDict
 import numpy as np
 
 from sean_jax.experiments import shares
+from sean_jax.experiments.drivers import MEASURES
 from sean_jax.experiments.shares import BEHAVIORS
 from sean_jax.metrics import Estimate, aggregate, aggregate_ratio
 from sean_jax.metrics.bootstrap import hierarchical_resamples, with_estimate
@@ -46,12 +47,7 @@ class Results:
     same ones. A resample draws datasets, seeds of each, and episodes of each.
     """
 
-    MEASURES: ClassVar[dict[str, str]] = {
-        "completed": "completed tasks",
-        "time_not_moving": "time not moving, s",
-        "violations": "intimate distance violations",
-        "collisions": "collisions with people",
-    }
+    MEASURES: ClassVar[dict[str, str]] = MEASURES
     policies: tuple[str, ...]
     sizes: tuple[int, int, int]  # datasets of each behavior, trainings on each, episodes of each network
     values: dict[str, dict[str, dict[str, np.ndarray]]]  # policy -> behavior -> measure -> (E,)
@@ -77,12 +73,12 @@ class Results:
     @functools.cached_property
     def means(self) -> dict[str, dict[str, Estimate]]:
         """policy -> measure -> over the three scenarios."""
-        return {policy: self._estimates(_over(by)) for policy, by in self.values.items()}
+        return {policy: self._estimates(over_behaviors(by)) for policy, by in self.values.items()}
 
     @functools.cached_property
     def more(self) -> dict[str, dict[str, Estimate]]:
         """behavior, or mean -> measure -> difference of the balanced policy and G, in the same episodes."""
-        ours, theirs = ({**by, "mean": _over(by)} for by in (self.values[BALANCED], self.values["G"]))
+        ours, theirs = ({**by, "mean": over_behaviors(by)} for by in (self.values[BALANCED], self.values["G"]))
         return {b: self._estimates({name: ours[b][name] - theirs[b][name] for name in ours[b]}) for b in ours}
 
     @functools.cached_property
@@ -119,7 +115,15 @@ class Results:
         return aggregate(values, weights=self.resamples)
 
 
-def _over(by_behavior: dict[str, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+def over_behaviors(by_behavior: dict[str, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Means over the three scenarios, episode by episode.
+
+    Args:
+        by_behavior: behavior -> measure -> (E,).
+
+    Returns:
+        measure -> (E,).
+    """
     return {name: np.mean([by_behavior[b][name] for b in BEHAVIORS], 0) for name in by_behavior[BEHAVIORS[0]]}
 
 

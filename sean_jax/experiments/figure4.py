@@ -7,46 +7,29 @@ These policies, one with balanced examples (B), the navigation stack with social
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
-import threading
-import time
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from sean_jax import learning, writing
-from sean_jax.config import CollectConfig, ExperimentConfig, Named, ScenarioConfig, TrainConfig
+from sean_jax import writing
+from sean_jax.config import CollectConfig, ExperimentConfig, Named, ScenarioConfig, validate
 from sean_jax.errors import InputError
-from sean_jax.experiments import page, parts, pictures, shares, table1
+from sean_jax.experiments import drivers, learners, page, parts, pictures, shares, table1
 from sean_jax.experiments.claims import BALANCED, DEMONSTRATOR, FOUR, LEARNED, NAVIGATION, Results, Training, claims
+from sean_jax.experiments.drivers import Columns, Driver
+from sean_jax.experiments.learners import Learner
 from sean_jax.experiments.shares import BEHAVIORS
 from sean_jax.experiments.together import Part, together
 from sean_jax.files import listed
 from sean_jax.learning import choice, protocol
-from sean_jax.learning.loader import balanced_probabilities
 from sean_jax.learning.protocol import streams
-from sean_jax.runner import Runner, Watch
-from sean_jax.scenario import results
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from sean_jax.base import Policy, Scenario
-    from sean_jax.learning.training import TrainState
+    from sean_jax.base import Scenario
     from sean_jax.metrics import Estimate
-
-BATCH = {"cpu": 32}  # episodes at once, by kind of device
-BATCH_ELSEWHERE = 4096
-LOADING = threading.Lock()
-INTIMATE = "intimate_robot_on_person", "intimate_person_on_robot"
-METRIC_NAMES = (
-    "completed", "seconds", "time_not_moving", *INTIMATE, "collision_robot_on_person", "collision_person_on_robot",
-)  # fmt: skip
-Columns = dict[str, list]  # metric -> its value in each episode, E values or E lists of them
 
 
 def run(options: ExperimentConfig, console: Console | None = None) -> Path:
@@ -69,7 +52,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     """
     options = options.complete()
     for behavior in BEHAVIORS:
-        protocol.check(_collect_config(options, options.folder, behavior, 0))
+        protocol.check(collection(options, behavior, 0))
     for name in others(options):
         choice.check(name, ScenarioConfig(), "--others")
     folder = options.folder
@@ -101,7 +84,7 @@ def others(options: ExperimentConfig) -> list[str]:
 def _run(options: ExperimentConfig, folder: Path, console: Console | None) -> None:
     policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR, *others(options))
     places = {
-        behavior: list(streams(CollectConfig(**_description(options, behavior))).values()) for behavior in BEHAVIORS
+        behavior: list(streams(CollectConfig(**description(options, behavior))).values()) for behavior in BEHAVIORS
     }
     parts.start(options)  # after all checks, so that wrong options leave no files
     outcomes = together(_parts(options, folder, places), console, "figure 4")
@@ -109,8 +92,8 @@ def _run(options: ExperimentConfig, folder: Path, console: Console | None) -> No
         policy: {behavior: outcomes[_part_name(policy, behavior)][policy] for behavior in BEHAVIORS}
         for policy in policies
     }
-    training = {policy: _mean(outcomes[f"training {policy}"]) for policy in (*LEARNED, BALANCED)}
-    write(options, folder, _results(options, policies, measured, training))
+    trained = {policy: learners.mean(outcomes[f"training {policy}"]) for policy in (*LEARNED, BALANCED)}
+    write(options, folder, _results(options, policies, measured, trained))
 
 
 def _part_name(policy: str, behavior: str) -> str:
@@ -120,239 +103,138 @@ def _part_name(policy: str, behavior: str) -> str:
 
 def _parts(options: ExperimentConfig, folder: Path, places: dict[str, list[Scenario]]) -> list[Part]:
     """The parts of the experiment, in an order in which they could run one by one."""
-    learned = (*LEARNED, BALANCED)
-    datasets = [(behavior, dataset) for behavior in reversed(BEHAVIORS) for dataset in range(options.datasets or 1)]
-    data = {pair: f"demonstrations in {pair[0]}, {pair[1]}" for pair in datasets}  # graph first: two policies need it
+    taught = {policy: learner(options, policy) for policy in (*LEARNED, BALANCED)}
+    data = {}
+    for behavior in reversed(BEHAVIORS):  # graph first: two policies need it
+        for dataset in range(options.datasets or 1):
+            data[behavior, dataset] = f"demonstrations in {behavior}, {dataset}"
     jobs: list[Part] = []
-    for pair in datasets:
-        jobs.append(Part(data[pair], functools.partial(_collect, options, folder, *pair)))
+    for pair, name in data.items():
+        work = functools.partial(learners.collect, collection(options, *pair), tuple(taught.values()))
+        jobs.append(Part(name, work))
+
+    def drive(several: tuple[Driver, ...], behavior: str, needs: tuple[str, ...] = ()) -> Part:
+        whole = math.prod(sizes(options))
+        asked = several, folder, behavior, places[behavior], options.seed, whole
+        return Part(_part_name(several[0].name, behavior), functools.partial(drivers.drive, *asked), needs)
+
+    names = {NAVIGATION: "social_costmap", DEMONSTRATOR: options.demonstrator}
     for policy in (DEMONSTRATOR, NAVIGATION, *others(options)):
-        for behavior in BEHAVIORS:
-            work = functools.partial(_drive, options, folder, (policy,), behavior, places[behavior])
-            jobs.append(Part(_part_name(policy, behavior), work))
+        alike = functools.partial(choice.policy, names.get(policy, policy))  # the same driver in all episodes
+        jobs += [drive((Driver(policy, (alike,)),), behavior) for behavior in BEHAVIORS]
     before: tuple[str, ...] = ()
-    for policy in learned:  # one after the other: orbax mixes up what several threads save
-        behavior = LEARNED.get(policy, "graph")
-        needed = (name for (origin, _), name in data.items() if origin == behavior)
-        work = functools.partial(_train, options, folder, policy)
-        jobs.append(Part(f"training {policy}", work, (*needed, *before)))
+    for policy, learned in taught.items():  # one after the other: orbax mixes up what several threads save
+        needed = (name for (origin, _), name in data.items() if origin == LEARNED.get(policy, "graph"))
+        jobs.append(Part(f"training {policy}", functools.partial(learners.train, learned), (*needed, *before)))
         before = (jobs[-1].name,)
-    for behavior in BEHAVIORS:
-        work = functools.partial(_drive, options, folder, learned, behavior, places[behavior])
-        jobs.append(Part(_part_name("G", behavior), work, before))  # the last of the trainings
+    every = tuple(learned.driver(policy) for policy, learned in taught.items())
+    jobs += [drive(every, behavior, before) for behavior in BEHAVIORS]  # after the last of the trainings
     return jobs
 
 
-def _networks(options: ExperimentConfig) -> list[tuple[int, int]]:
-    """(dataset, seed) of each network of a learned policy."""
-    return [(dataset, seed) for dataset in range(options.datasets or 1) for seed in range(options.trainings or 1)]
+def sizes(options: ExperimentConfig) -> tuple[int, int, int]:
+    """How many there are of what the intervals are over.
 
+    Args:
+        options: of the experiment.
 
-def _sizes(options: ExperimentConfig) -> tuple[int, int, int]:
-    """Datasets, trainings on each, and episodes of each network, enough to make what was asked for."""
+    Returns:
+        Datasets, trainings on each, and episodes of each network, enough to make what was asked for.
+    """
     datasets, trainings = options.datasets or 1, options.trainings or 1
     return datasets, trainings, math.ceil((options.episodes or 1) / (datasets * trainings))
 
 
-def _mean(summaries: list[Training]) -> Training:
-    return cast(Training, {name: float(np.mean([each[name] for each in summaries])) for name in summaries[0]})
+def description(options: ExperimentConfig, behavior: str) -> dict[str, Any]:
+    """In which scenario people of a behavior are.
 
+    Args:
+        options: of the experiment.
+        behavior: random, handcrafted or graph.
 
-def _description(options: ExperimentConfig, behavior: str) -> dict[str, Any]:
+    Returns:
+        Fields of a description.
+    """
     return {"preset": options.preset, **table1.fields(options, behavior, options.people)}
 
 
-def _collect_config(options: ExperimentConfig, folder: Path, behavior: str, dataset: int) -> CollectConfig:
-    image: dict[str, Any] = dict(width=32, height=24) if options.quick else {}
-    return CollectConfig(
-        **_description(options, behavior), policy=Named(kind=options.demonstrator), hours=options.hours or 1.0,
-        seed=options.seed + dataset, out=folder / f"demonstrations-{behavior}-{dataset}", **image,
-    )  # fmt: skip
+def collection(
+    options: ExperimentConfig, behavior: str, dataset: int, name: str | None = None, **others: Any
+) -> CollectConfig:
+    """What is demonstrated.
 
+    Args:
+        options: of the experiment.
+        behavior: random, handcrafted or graph.
+        dataset: its number.
+        name: in that of the folder, the behavior's by default.
+        others: further fields.
 
-def _network_name(policy: str, network: tuple[int, int]) -> str:
-    return f"{'graph-balanced' if policy == BALANCED else LEARNED[policy]}-{network[0]}-{network[1]}"
+    Returns:
+        The description.
 
-
-def _collect(
-    options: ExperimentConfig, folder: Path, behavior: str, dataset: int, watch: Callable[[float], None]
-) -> None:
-    """Collect demonstrations in a folder of their own, or continue it, if a network still needs them."""
-    learners = [policy for policy in (*LEARNED, BALANCED) if LEARNED.get(policy, "graph") == behavior]
-    names = [_network_name(policy, (dataset, seed)) for policy in learners for seed in range(options.trainings or 1)]
-    if any(parts.load(folder / f"trained-{name}.json") is None for name in names):
-        learning.collect(_collect_config(options, folder, behavior, dataset), watch)
-
-
-def _train(options: ExperimentConfig, folder: Path, policy: str, watch: Callable[[float], None]) -> list[Training]:
-    """Train the networks of a policy that are missing, side by side, each in a folder of its own."""
-    files = {network: folder / f"trained-{_network_name(policy, network)}.json" for network in _networks(options)}
-    missing = [network for network, file in files.items() if parts.load(file) is None]
-    if missing:
-        asked = [_train_config(options, folder, policy, network) for network in missing]
-        began = time.perf_counter()
-        states = learning.ensemble.train(asked, watch)
-        seconds = (time.perf_counter() - began) / len(missing)
-        for network, own, state in zip(missing, asked, states, strict=True):
-            parts.save(files[network], _summary(own, state) | {"seconds": seconds})
-    return [cast(Training, parts.load(file)) for file in files.values()]
-
-
-def _train_config(options: ExperimentConfig, folder: Path, policy: str, network: tuple[int, int]) -> TrainConfig:
-    dataset, seed = network
-    return TrainConfig(
-        method="imitation", epochs=options.epochs or 1000, seed=options.seed + seed,
-        dataset=_collect_config(options, folder, LEARNED.get(policy, "graph"), dataset).folder,
-        batch=256 if options.quick else 1024, balance=policy == BALANCED,
-        out=folder / f"policy-{_network_name(policy, network)}",
-    )  # fmt: skip
-
-
-def _summary(trained: TrainConfig, state: TrainState) -> dict[str, Any]:
-    data = learning.open_dataset(trained.dataset)
-    flags = data.read(data.episodes, ("situations",))["situations"]
-    odds = balanced_probabilities(flags) if trained.balance else np.full(len(flags), 1 / len(flags))
-    shared = odds @ (flags / np.maximum(flags.sum(1, keepdims=True), 1))
-    return {
-        "examples": int(data.example_count),
-        "entropy": float(shares.normalised_entropy(shared)),
-        "epochs": int(state.epoch),
-        "best_epoch": int(state.best_epoch),
-        "loss": float(state.best),
-    }
-
-
-def _policy(
-    options: ExperimentConfig, folder: Path, policy: str, networks: Sequence[tuple[int, int]], scenario: Scenario
-) -> Policy:
-    """A driver; of a learned policy its networks, with a leading axis."""
-    import jax
-    import jax.numpy as jnp
-
-    if networks:
-        with LOADING:
-            several = [learning.load(folder / f"policy-{_network_name(policy, each)}", scenario) for each in networks]
-        # All have one name, since a policy of another name would be compiled again.
-        several = [dataclasses.replace(each, name="learned") for each in several]
-        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *several)
-    names = {NAVIGATION: "social_costmap", DEMONSTRATOR: options.demonstrator}
-    return choice.policy(names.get(policy, policy), scenario)
-
-
-def _drive(
-    options: ExperimentConfig,
-    folder: Path,
-    policies: tuple[str, ...],
-    behavior: str,
-    kinds: list[Scenario],
-    watch: Callable[[float], None],
-) -> dict[str, Columns]:
-    """policy -> measures of each episode, from the file in the folder or simulated.
-
-    Policies that differ only in their parameters share compiled programs.
+    Raises:
+        InputError: a value cannot be.
     """
-    import jax
-
-    kinds = [dataclasses.replace(kind, metrics=_metrics()) for kind in kinds]
-    *_, each = _sizes(options)
-    networks = _networks(options)
-    max_size = BATCH.get(jax.default_backend(), BATCH_ELSEWHERE)
-    runner = None
-    by_policy: dict[str, Columns] = {}
-    for turn, policy in enumerate(policies):
-        file = folder / f"episodes-{_file_name(policy)}-{behavior}.json"
-        if parts.load(file) is None:
-            learned = policy in LEARNED or policy == BALANCED  # others are the same driver in all episodes
-            shared = _together(len(networks), each, max_size) if learned else None  # networks that drive at once
-            number = each * (shared or len(networks))
-            turns = [networks[first : first + shared] for first in range(0, len(networks), shared)] if shared else [()]
-            measured = []
-            for index, several in enumerate(turns):
-                tell = functools.partial(_tell, watch, turn * len(turns) + index, len(policies) * len(turns))
-                now = _policy(options, folder, policy, several, kinds[0])
-                if runner is None:
-                    size = number if shared and shared > 1 else _even(number, max_size)
-                    runner = Runner(kinds, now, size, "figure4", drivers=shared)
-                runner.policy = now  # of the same structure, so nothing is compiled again
-                measured.append(_measure(runner, options.seed, index * number, number, tell))
-            columns = {
-                name: np.concatenate([np.asarray(one[name], float) for one in measured]) for name in METRIC_NAMES
-            }
-            if not all(np.isfinite(columns[name]).all() for name in ("completed", "seconds", *INTIMATE)):
-                raise FloatingPointError(f"{policy} in {behavior}: a metric is not finite; nothing of it is written.")
-            parts.save(file, {name: np.nan_to_num(values).tolist() for name, values in columns.items()})
-        by_policy[policy] = parts.load(file)
-    return by_policy
+    image: dict[str, Any] = dict(width=32, height=24) if options.quick else {}
+    told: dict[str, Any] = dict(hours=options.hours or 1.0) | image | others
+    told |= dict(policy=Named(kind=options.demonstrator), seed=options.seed + dataset)
+    told |= dict(out=options.folder / f"demonstrations-{name or behavior}-{dataset}")
+    return validate(CollectConfig, description(options, behavior) | told)
 
 
-def _file_name(policy: str) -> str:
-    """A folder or FILE.py:NAME as a part of a file's name."""
-    return policy.strip("./").replace("/", "-").replace("\\", "-").replace(":", "-")
+def learner(options: ExperimentConfig, policy: str) -> Learner:
+    """The networks of a learned policy.
+
+    Args:
+        options: of the experiment.
+        policy: G, R, H or B.
+
+    Returns:
+        What they learn from, and how.
+    """
+    behavior = LEARNED.get(policy, "graph")
+    data = tuple(collection(options, behavior, dataset) for dataset in range(options.datasets or 1))
+    name = "graph-balanced" if policy == BALANCED else behavior
+    return Learner(name, options.folder, data, seeds(options), training(options) | {"balance": policy == BALANCED})
 
 
-def _together(networks: int, each: int, max_size: int) -> int:
-    """How many networks drive at once: as many as a batch has room for, and as share it evenly."""
-    import jax
+def seeds(options: ExperimentConfig) -> tuple[int, ...]:
+    """Those of the trainings on each dataset.
 
-    fitting = (n for n in range(2, networks + 1) if networks % n == 0 and n * each <= max_size)
-    return max((n for n in fitting if n * each % jax.device_count() == 0), default=1)
+    Args:
+        options: of the experiment.
 
-
-def _even(number: int, max_size: int) -> int:
-    """The size of equal batches that together have ``number`` episodes or a few more."""
-    return math.ceil(number / math.ceil(number / max_size))
-
-
-def _measure(
-    runner: Runner, seed: int, begin: int, number: int, tell: Callable[[float], None]
-) -> dict[str, np.ndarray]:
-    """Metrics (E, ...) of ``number`` episodes from ``begin`` on, each run to its end."""
-    import jax
-
-    end, limit = begin + number, runner.scenarios[0].time_limit
-    batches, starts = [], range(begin, end, runner.size)
-    compute = jax.jit(jax.vmap(results, (None, 0)))
-    for index, first in enumerate(starts):
-        watch = Watch(advanced=lambda seconds, _, index=index: tell((index + seconds / limit) / len(starts)))
-        batch = runner.run(seed, first, min(runner.size, end - first), watch=watch)
-        seconds = batch.steps * runner.scenarios[0].time_step
-        figures = compute(runner.scenarios[0], batch.states)
-        batches.append({"completed": np.asarray(batch.states.completed), "seconds": seconds, **figures})
-    return jax.tree.map(lambda *each: np.concatenate([np.asarray(one) for one in each]), *batches)
+    Returns:
+        Numbers.
+    """
+    return tuple(options.seed + more for more in range(options.trainings or 1))
 
 
-def _tell(watch: Callable[[float], None], turn: int, turns: int, share: float) -> None:
-    watch((turn + share) / turns)
+def training(options: ExperimentConfig) -> dict[str, Any]:
+    """How networks are trained.
 
+    Args:
+        options: of the experiment.
 
-def _metrics() -> tuple:
-    from sean_jax.metrics import METRICS
-
-    return tuple((name, METRICS[name]) for name in METRIC_NAMES if name in METRICS)
+    Returns:
+        Fields of a description.
+    """
+    return {"epochs": options.epochs or 1000, "batch": 256 if options.quick else 1024}
 
 
 def _results(
     options: ExperimentConfig,
     policies: tuple[str, ...],
     measured: dict[str, dict[str, Columns]],
-    training: dict[str, Training],
+    trained: dict[str, Training],
 ) -> Results:
     values: dict = {policy: {} for policy in policies}
     situations: dict = {policy: {} for policy in policies}
     for policy in policies:
         for behavior in BEHAVIORS:
-            columns = {name: np.asarray(value, float) for name, value in measured[policy][behavior].items()}
-            violations = columns[INTIMATE[0]] + columns[INTIMATE[1]]
-            collisions = columns["collision_robot_on_person"] + columns["collision_person_on_robot"]
-            waiting = columns["time_not_moving"]
-            values[policy][behavior] = {
-                "completed": columns["completed"],
-                "time_not_moving": waiting[:, 0] if waiting.ndim == 2 else waiting,
-                "violations": violations[:, 0],
-                "collisions": collisions[:, 0] if collisions.ndim == 2 else collisions,
-            }
-            situations[policy][behavior] = violations[:, 1:]
-    results = Results(policies, _sizes(options), values, situations, training)
+            values[policy][behavior], situations[policy][behavior] = drivers.measures(measured[policy][behavior])
+    results = Results(policies, sizes(options), values, situations, trained)
     results.claims = claims(results)
     return results
 

@@ -13,6 +13,7 @@ from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import BenchmarkConfig, ExperimentConfig
 from sean_jax.experiments import parts, pictures, shares
 from sean_jax.experiments.shares import BEHAVIORS
+from sean_jax.experiments.variants import MEASURES, comparisons
 from sean_jax.flags import command, number
 from sean_jax.versions import versions
 
@@ -20,10 +21,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from sean_jax.experiments.benchmark import Scores
-    from sean_jax.experiments.claims import Claim, Results
+    from sean_jax.experiments.claims import Claim, Results, Training
     from sean_jax.experiments.recorded import Recorded
     from sean_jax.experiments.shares import Ordering
     from sean_jax.experiments.table1 import Cell
+    from sean_jax.experiments.variants import Curve, Verdict
     from sean_jax.metrics import Estimate
 
 STYLE = "td:nth-child(2){font-weight:400}td.ours{font-weight:650}td.text,th.text{text-align:left;white-space:normal}"
@@ -207,7 +209,7 @@ def _orderings(cells: list[Cell], policies: list[str], speed: float) -> str:
     return _table(["", "statement", "", *policies], rows) + note
 
 
-def _verdict(row: Claim | Ordering) -> tuple[str, str]:
+def _verdict(row: Claim | Ordering | Verdict) -> tuple[str, str]:
     sure = row["share"] >= 0.975 or row["share"] <= 0.025
     return ("" if sure else "perhaps ") + ("yes" if row["holds"] else "no"), f"{100 * row['share']:.1f} %"
 
@@ -356,30 +358,22 @@ def figure4(options: ExperimentConfig, results: Results, grids: Figure) -> str:
         ("What the paper reports", _claims(results)),
     ]
     if results.training:
-        rows = []
-        for name, row in results.training.items():
-            values = (
-                f"{row['examples']:.0f}",
-                f"{row['entropy']:.3f}",
-                f"{row['epochs']:.0f}",
-                f"{row['best_epoch']:.0f}",
-            )
-            values = *values, f"{row['loss']:.4f}", f"{row['seconds']:.0f}"
-            rows.append(f"<tr><td>{name}</td>{''.join(map(_cell, values))}</tr>")
-        sections.append(
-            (
-                "Training",
-                _table(
-                    ["policy", "examples", "entropy of situations", "epochs", "best", "loss in validation", "seconds"],
-                    rows,
-                ),
-            )
-        )
+        sections.append(("Training", _training(results.training)))
     datasets, trainings, _ = results.sizes
     networks = f"; {datasets * trainings} networks of each learner" if datasets * trainings > 1 else ""
     scenarios = f"{len(BEHAVIORS)} scenarios, {results.episodes} episodes each"
     title = f"Figure 4: {len(results.policies)} policies in {scenarios}{networks}"
     return document(title, "sean_jax · experiment", sections, options)
+
+
+def _training(by_policy: dict[str, Training]) -> str:
+    rows = []
+    for name, row in by_policy.items():
+        values = f"{row['examples']:.0f}", f"{row['entropy']:.3f}", f"{row['epochs']:.0f}", f"{row['best_epoch']:.0f}"
+        values = *values, f"{row['loss']:.4f}", f"{row['seconds']:.0f}"
+        rows.append(f"<tr><td>{name}</td>{''.join(map(_cell, values))}</tr>")
+    head = ["policy", "examples", "entropy of situations", "epochs", "best", "loss in validation", "seconds"]
+    return _table(head, rows)
 
 
 PAPER = {  # section V-C: means over the three scenarios
@@ -461,3 +455,61 @@ def _claims(results: Results) -> str:
         for claim in results.claims
     ]
     return _table(["statement", "paper", "here", "holds"], rows)
+
+
+def learning_curve(options: ExperimentConfig, curve: Curve, figure: Figure) -> str:
+    """The page of the learning curve of policy G.
+
+    Args:
+        options: of the experiment.
+        curve: measures of all variants.
+        figure: as ``pictures.learning_curve`` draws it.
+
+    Returns:
+        HTML.
+    """
+    first = curve.variants[0].name
+    places = list(curve.cells[first])
+    numbers = []
+    for name, words in MEASURES.items():
+        rows = [
+            f"<tr><td>{each.title}</td>"
+            f"{''.join(_between(curve.cells[each.name][place][name]) for place in places)}</tr>"
+            for each in curve.variants
+        ]
+        numbers.append(_table([words, *places], rows))
+    apart = []
+    for one, other in comparisons(curve.variants):
+        found = curve.differences(one, other)
+        rows = [
+            f"<tr><td>{words}</td>{''.join(_between(found[place][name], '+.2f') for place in places)}</tr>"
+            for name, words in MEASURES.items()
+        ]
+        apart.append(_table([f"{one.title} less {other.title}", *places], rows))
+    rows = [
+        f"<tr><td class=text>{row['variant']} better than {row['other']}: {MEASURES[row['measure']]}</td>"
+        f"{_between(row['difference'], '+.2f')}{_cell(*_verdict(row))}</tr>"
+        for row in curve.verdicts
+    ]
+    titles = {each.name: each.title for each in curve.variants}
+    sections = [
+        ("What more data does", pictures.embed(figure, "learning-curve") + CURVE),
+        ("Is it better?", _table(["over the three scenarios", "difference", "holds"], rows) + SURE),
+        ("Numbers", "".join(numbers) + BOOTSTRAP),
+        ("Differences in the same episodes", "".join(apart) + BOOTSTRAP),
+        ("Training", _training({titles[name]: row for name, row in curve.training.items()})),
+    ]
+    datasets, trainings, each = curve.sizes
+    whole = f"{datasets} datasets, {trainings} networks on each, {datasets * trainings * each} episodes in each cell"
+    return document(f"Policy G and its data: {whole}", "sean_jax · experiment", sections, options)
+
+
+CURVE = (
+    "<figcaption>Imitation of the demonstrator on the behavior graph, in three scenarios and their mean, by hours of "
+    "demonstrations. Bars are the middle 95 % of a bootstrap over datasets, seeds of training of each, and episodes of "
+    "each; with few datasets they are too short.</figcaption>"
+)
+SURE = (
+    "<p class=note>Below: in how many of the resamples it holds; at least 97.5 % is counted as surely. verdicts.csv "
+    "and differences.csv have these numbers.</p>"
+)

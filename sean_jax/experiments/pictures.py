@@ -1,4 +1,4 @@
-"""Figures of the experiments, as SVG and PNG: Table I's bars, sweeps over V and people, and Figure 4's grids."""
+"""Figures of the experiments, as SVG and PNG: Table I's bars, sweeps, Figure 4's grids, and G's learning curve."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from sean_jax.config import ExperimentConfig
     from sean_jax.experiments.claims import Results
     from sean_jax.experiments.table1 import Cell
+    from sean_jax.experiments.variants import Curve, Variant
 
 
 def shades() -> list[str]:
@@ -229,7 +230,7 @@ def grids(results: Results) -> Figure:
         The figure.
     """
     names = list(results.MEASURES)
-    figure, axes = _figure(3.2 * 5, 5.6, 2, 5)
+    figure, axes = _figure(5 * max(3.2, 0.4 * len(results.policies) + 0.4), 5.6, 2, 5)
     for spot, name in zip(axes[0], names, strict=False):
         values = np.array([[results.cells[p][b][name].mean for p in results.policies] for b in BEHAVIORS])
         _grid(spot, values, results.policies, results.MEASURES[name])
@@ -250,7 +251,60 @@ def _grid(spot: Axes, values: np.ndarray, policies: tuple[str, ...], title: str,
         text = f"{value:g}" if value == round(value) else f"{value:.{2 if value < 9.995 else 1}f}"
         spot.text(column, row, text, ha="center", va="center", color=ink, fontsize=9)
     spot.set_xticks(range(len(policies)), policies)
+    if max(map(len, policies)) > 2:  # names and folders of further drivers
+        spot.set_xticks(range(len(policies)), policies, rotation=50, ha="right", rotation_mode="anchor", fontsize=7)
     spot.set_yticks(range(len(BEHAVIORS)), [name[:1].upper() for name in BEHAVIORS])
     spot.set_title(title, loc="left", fontsize=9, color=colors.INK)
     for side in ("left", "bottom"):
         spot.spines[side].set_visible(False)
+
+
+def learning_curve(curve: Curve) -> Figure:
+    """Measures by hours of demonstrations: a line with intervals, and points for other rates and for flags.
+
+    Args:
+        curve: measures of all variants.
+
+    Returns:
+        The figure, a row for each measure and a column for each scenario, and their mean.
+    """
+    names = {"completed": "completed, %", "time_not_moving": "not moving, s", "violations": "violations"}
+    plain = [each for each in curve.variants if each.rate == 1 and not each.flags]
+    apart = [each for each in curve.variants if each not in plain]
+    places = list(curve.cells[plain[0].name])
+    marks = "s^Dv"
+    shade = [colors.ROBOT, colors.SITUATION_COLORS["join_group"], colors.FLOW_EDGE, colors.INK]
+    figure, axes = _figure(2.9 * len(places), 2.2 * len(names) + 0.4, len(names), len(places))
+    for (row, column), spot in np.ndenumerate(axes):
+        measure, place = list(names)[row], places[column]
+
+        def draw(several: list[Variant], shift: float, spot=spot, place=place, measure=measure, **style) -> None:
+            cells = [curve.cells[each.name][place][measure] for each in several]
+            mean = np.array([cell.mean for cell in cells])
+            ends = [np.maximum(mean - [cell.low for cell in cells], 0), np.maximum([c.high for c in cells] - mean, 0)]
+            hours = np.array([each.hours for each in several]) * shift
+            spot.errorbar(hours, mean, ends, capsize=2, ms=4, elinewidth=1.1, **style)
+
+        draw(plain, 1.0, fmt="-o", color=colors.FLOW, label="1 Hz")
+        for k, each in enumerate(apart):
+            label = each.title.partition(" h ")[2]
+            draw([each], 1.15 ** (k + 1), fmt=marks[k % len(marks)], color=shade[k % len(shade)], label=label)
+        spot.set_xscale("log")
+        hours = [each.hours for each in plain]
+        spot.set_xticks(hours, [f"{each:g}" for each in hours])
+        spot.minorticks_off()
+        spot.margins(x=0.1)
+        every = [cell[measure] for by in curve.cells.values() for cell in by.values()]  # all of a row alike
+        low = min(float(cell.low) for cell in every) if measure == "completed" else 0.0
+        high = max(float(cell.high) for cell in every)
+        spot.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low) + 1e-3)
+        if row == 0:
+            spot.set_title(
+                place if place not in BEHAVIORS else f"in {place}", loc="left", fontsize=9.5, color=colors.INK
+            )
+        if row == len(names) - 1:
+            spot.set_xlabel("hours of demonstrations", color=colors.MUTED)
+        if column == 0:
+            spot.set_ylabel(names[measure], color=colors.MUTED)
+    axes[0, -1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 TYPICAL = 30.0  # s, of an episode: so many are simulated at once that no stream gets much more than it needs
 MAX_BATCH = {"cpu": 32}  # episodes at once, by kind of device
 MAX_BATCH_ELSEWHERE = 1024
+MIN_BATCH = 32  # at a high rate, at which so many as otherwise would fill the memory with their images
 
 
 def collect(config: CollectConfig, console: Console | Callable[[float], None] | None = None) -> Dataset:
@@ -84,16 +85,16 @@ def _collect(config: CollectConfig, console: Console | Callable[[float], None] |
             f"{data.folder} was begun with --batch {data.batch}, which does not spread evenly over {mesh.size} devices"
         )
         raise InputError(f"{text}; choose another --out.")
-    record = demonstrations.record(scenarios[0], camera, command_of)
+    record = demonstrations.record(scenarios[0], camera, command_of, config.rate)
     runner = Runner(scenarios, policy, data.batch, "collect", record, mesh)
-    wanted = seconds_of_each(config.hours, len(parts))
-    total = wanted * len(parts)
-    recorded, first_new = data.stream_seconds, len(data.manifest["shards"])
+    wanted = config.rate * seconds_of_each(config.hours, len(parts))
+    total = wanted * len(parts) // config.rate
+    recorded, first_new = data.stream_rows, len(data.manifest["shards"])
     with progress(console) as tell, _behind(data) as commit:
         tell.start("recording", total)
 
         def show(note: str) -> None:
-            done = sum(min(each, wanted) for each in recorded)
+            done = sum(min(each, wanted) for each in recorded) // config.rate
             tell.update(done, f"{done:,} of {total:,} s · {note}")
 
         show("compiling")
@@ -112,7 +113,7 @@ def _collect(config: CollectConfig, console: Console | Callable[[float], None] |
 
 
 def _due(data: Dataset, recorded: list[int], wanted: int) -> Iterator[tuple[int, int]]:
-    """(stream, shard) of what is to be recorded: first what was lost, then what is missing of ``recorded`` [s]."""
+    """(stream, shard) of what is to be recorded: first what was lost, then what is missing of ``recorded`` rows."""
     shards = data.manifest["shards"]
     for shard in data.damaged_shards():
         yield shards[shard]["stream"], shard
@@ -170,7 +171,7 @@ def check_place(folder: Path) -> None:
 
 
 def _check_same(config: CollectConfig, data: Dataset) -> None:
-    asked, had = config.decisive(), data.manifest["options"]
+    asked, had = config.decisive(), {"rate": 1, **data.manifest["options"]}  # those of earlier versions have one rate
     for name in asked:
         if asked[name] != had.get(name):
             text = f"{flag(name)} {_short(had.get(name))}, not {_short(asked[name])}"
@@ -217,7 +218,7 @@ def _manifest(
     return {
         "command": _command(config, size),
         "options": config.decisive(),
-        **scenario_facts(scenarios[0], camera, config.policy.kind),
+        **scenario_facts(scenarios[0], camera, config.policy.kind, config.rate),
         "content": fingerprint(scenarios[0], [scenario.behavior for scenario in scenarios], policy.params),
         "parts": components.digests(config),
         "hours": config.hours,
@@ -231,13 +232,14 @@ def _command(config: CollectConfig, batch: int) -> str:
     return f"{command('collect', config)} --hours {number(config.hours)} --batch {batch}"
 
 
-def scenario_facts(scenario: Scenario, camera: sensors.Camera, policy: str) -> dict[str, Any]:
+def scenario_facts(scenario: Scenario, camera: sensors.Camera, policy: str, rate: int = 1) -> dict[str, Any]:
     """What a manifest says of a scenario and of who drives there.
 
     Args:
         scenario: in which demonstrations are recorded.
         camera: of the depth images.
         policy: who drives, by name.
+        rate: rows a second.
 
     Returns:
         key -> value, as JSON has words for.
@@ -253,7 +255,7 @@ def scenario_facts(scenario: Scenario, camera: sensors.Camera, policy: str) -> d
         "robot": {"name": scenario.robot.name, **limits},
         "camera": image,
         "situations": [name for name, _ in scenario.situations],
-        "rate": 1.0,
+        "rate": float(rate),
         "seconds": math.ceil(scenario.time_limit - 1e-6),
     }
 
@@ -264,5 +266,6 @@ def _size(config: CollectConfig, parts: int) -> int:
     if config.batch is not None:
         return config.batch
     largest = MAX_BATCH.get(jax.default_backend(), MAX_BATCH_ELSEWHERE)
+    largest = min(largest, max(MIN_BATCH, largest // config.rate))
     needed = math.ceil(seconds_of_each(config.hours, parts) / TYPICAL)
     return math.ceil(min(largest, max(4, needed)) / count) * count

@@ -55,18 +55,28 @@ class Dataset:
         return self.manifest["batch"]
 
     @property
-    def stream_seconds(self) -> list[int]:
-        """Recorded seconds of each stream."""
-        seconds = [0] * len(self.manifest["streams"])
+    def rate(self) -> int:
+        """Rows a second; 1 where the manifest does not say."""
+        return int(self.manifest.get("rate", 1))
+
+    @property
+    def most_rows(self) -> int:
+        """Number of rows that the arrays have for each episode."""
+        return self.rate * self.manifest["seconds"]
+
+    @property
+    def stream_rows(self) -> list[int]:
+        """Recorded rows of each stream."""
+        rows = [0] * len(self.manifest["streams"])
         for shard in self.manifest["shards"]:
-            seconds[shard["stream"]] += sum(shard["lengths"])
-        return seconds
+            rows[shard["stream"]] += sum(shard["lengths"])
+        return rows
 
     @property
     def episodes(self) -> list[Episode]:
         """The episodes of the dataset; the last one of each stream ends where the time of the stream is used up."""
-        seconds = seconds_of_each(self.manifest["hours"], len(self.manifest["streams"]))
-        left, episodes = [seconds] * len(self.manifest["streams"]), []
+        rows = self.rate * seconds_of_each(self.manifest["hours"], len(self.manifest["streams"]))
+        left, episodes = [rows] * len(self.manifest["streams"]), []
         for index, shard in enumerate(self.manifest["shards"]):
             for place, length in enumerate(shard["lengths"]):
                 length = min(length, left[shard["stream"]])
@@ -78,7 +88,7 @@ class Dataset:
 
     @property
     def example_count(self) -> int:
-        """Number of examples, one for each second."""
+        """Number of examples, one for each row."""
         return sum(episode.length for episode in self.episodes)
 
     @property
@@ -128,7 +138,7 @@ class Dataset:
                 first, last = min(one.number for one in group), max(one.number for one in group)
                 self._check_file(name, first // self.batch, len(shape) + 2)
                 values = store.read(self.folder, name, first, last + 1)
-                expected = (last + 1 - first, self.manifest["seconds"], *shape)
+                expected = (last + 1 - first, self.most_rows, *shape)
                 if values.shape != expected or values.dtype != kind:
                     sizes = f"{values.shape} {values.dtype}, but by {MANIFEST} they are {expected} {kind}"
                     message = f"{self.folder / name}: the values are {sizes}; restore {MANIFEST} or collect anew."
@@ -153,7 +163,7 @@ class Dataset:
         Raises:
             IncompleteError: a file is missing or damaged.
         """
-        return recording_of(self.read(episodes), [episode.length for episode in episodes])
+        return recording_of(self.read(episodes), [episode.length for episode in episodes], self.rate)
 
     def commit(self, stream: int, batch: Batch, shard: int | None = None) -> None:
         """Write a batch of episodes as a shard, then name it in the manifest.
@@ -227,12 +237,13 @@ class Dataset:
             raise IncompleteError(f"the file {file} is missing or damaged; {store.CURE}")
 
 
-def recording_of(fields: dict[str, np.ndarray], lengths: list[int]) -> Recording:
+def recording_of(fields: dict[str, np.ndarray], lengths: list[int], rate: int = 1) -> Recording:
     """Put the fields of whole episodes together.
 
     Args:
         fields: name -> (R, ...) the rows of one episode after the other.
         lengths: rows of each episode.
+        rate: rows a second.
 
     Returns:
         A recording of numpy arrays, R rows.
@@ -241,7 +252,7 @@ def recording_of(fields: dict[str, np.ndarray], lengths: list[int]) -> Recording
     ends = np.cumsum(each)
     first, end = np.repeat(ends - each, each), np.repeat(ends, each)
     rows: Any = Row(**fields)  # pyright: ignore[reportArgumentType]
-    return Recording(rows, first.astype(np.int32), end.astype(np.int32))  # pyright: ignore[reportArgumentType]
+    return Recording(rows, first.astype(np.int32), end.astype(np.int32), rate)  # pyright: ignore[reportArgumentType]
 
 
 def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[int, ...], str]]:
@@ -281,7 +292,7 @@ def create_dataset(folder: Path, manifest: dict[str, Any]) -> Dataset:
     """
     data = Dataset(folder, {"format": FORMAT, **manifest, "shards": []})
     try:
-        store.create(folder, data.fields, data.batch, manifest["seconds"])
+        store.create(folder, data.fields, data.batch, data.most_rows)
     except (OSError, ValueError) as error:
         raise InputError(f"cannot write {folder}: {error}; choose another folder with --out.") from error
     data.save(data.manifest)

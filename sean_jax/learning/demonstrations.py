@@ -1,4 +1,4 @@
-"""Demonstrations by simulation: rows of numbered episodes, recorded once a second until all have ended.
+"""Demonstrations by simulation: rows of numbered episodes, recorded at a rate until all have ended.
 
 Episode ``i`` is drawn from ``fold_in(prng.key("collect", seed), i)`` alone, so it does not depend on what else is
 simulated, and an interrupted collection goes on where it stopped. Outside, recordings are numpy arrays (B, T, ...):
@@ -29,18 +29,34 @@ class Batch:
     completed: np.ndarray  # (B,) bool
 
 
-def record(scenario: Scenario, camera: sensors.Camera, command: Callable[[State], Array] | None = None) -> Record:
-    """What a collection keeps of episodes: a row of each second.
+def record(
+    scenario: Scenario, camera: sensors.Camera, command: Callable[[State], Array] | None = None, rate: int = 1
+) -> Record:
+    """What a collection keeps of episodes: rows.
 
     Args:
         scenario: what is simulated.
         camera: of the depth images.
         command: tells the command that is recorded, from the state after a step; the one that was given if None.
+        rate: rows a second.
 
     Returns:
         The record for a ``Runner``.
     """
-    return Record(_init, functools.partial(_update, camera), every=round(1.0 / scenario.time_step), command=command)
+    return Record(_init, functools.partial(_update, camera), steps_of_row(scenario, rate), command)
+
+
+def steps_of_row(scenario: Scenario, rate: int) -> int:
+    """How many steps of control there are from one row to the next.
+
+    Args:
+        scenario: what is simulated.
+        rate: rows a second, a divisor of the steps in a second.
+
+    Returns:
+        The number of steps.
+    """
+    return round(1.0 / scenario.time_step) // rate
 
 
 def simulate(runner: Runner, seed: int, shard: int, stream: int, watch: Callable[[int], None] | None = None) -> Batch:
@@ -62,12 +78,14 @@ def simulate(runner: Runner, seed: int, shard: int, stream: int, watch: Callable
     told = Watch(advanced=lambda seconds, simulated: watch(round(seconds)) if watch is not None else None)
     first = shard * runner.size
     batch = runner.run(seed, first, index=np.full(runner.size, stream), watch=told)
-    seconds = math.ceil(runner.scenarios[0].time_limit - 1e-6)
+    scenario = runner.scenarios[0]
+    rate = round(1.0 / scenario.time_step) // runner.record.every
+    most = rate * math.ceil(scenario.time_limit - 1e-6)
     rows: dict[str, np.ndarray] = {}
     lengths = np.zeros(runner.size, np.int64)
     begin = 0
     for values, active in batch.rows:
-        lengths += _put(rows, values, active, begin, seconds)
+        lengths += _put(rows, values, active, begin, most)
         begin += len(active)
     floats = [values for values in rows.values() if values.dtype.kind == "f"]
     faulty = np.any([~np.isfinite(values.reshape(len(values), -1)).all(1) for values in floats], 0)
@@ -76,14 +94,14 @@ def simulate(runner: Runner, seed: int, shard: int, stream: int, watch: Callable
     return Batch(rows, lengths, np.asarray(batch.states.completed))
 
 
-def _put(made: dict[str, np.ndarray], rows: Row, active: np.ndarray, begin: int, seconds: int) -> np.ndarray:
-    """Put rows (C, B, ...) from the second ``begin`` on into arrays (B, T, ...); how many each episode has, (B,)."""
-    end = min(begin + len(active), seconds)
+def _put(made: dict[str, np.ndarray], rows: Row, active: np.ndarray, begin: int, most: int) -> np.ndarray:
+    """Put rows (C, B, ...) from row ``begin`` on into arrays (B, most, ...); how many each episode has, (B,)."""
+    end = min(begin + len(active), most)
     active = active[: end - begin].T
     for field in dataclasses.fields(Row):  # pyright: ignore[reportArgumentType]
         values = np.swapaxes(np.asarray(getattr(rows, field.name)), 0, 1)
         if field.name not in made:
-            made[field.name] = np.zeros((len(values), seconds, *values.shape[2:]), values.dtype)
+            made[field.name] = np.zeros((len(values), most, *values.shape[2:]), values.dtype)
         where = active.reshape(*active.shape, *(1,) * (values.ndim - 2))
         np.copyto(made[field.name][:, begin:end], values[:, : end - begin], where=where)
     return active.sum(1)
@@ -98,7 +116,7 @@ def _init(scenario: Scenario, states: State) -> tuple[Array, Array]:
 def _update(
     camera: sensors.Camera, scenario: Scenario, before: State, after: State, actions: Array, active: Array, total: tuple
 ) -> tuple[tuple[Array, Array], tuple[Row, Array]]:
-    """The rows at the beginning of a second, with whether the episodes had not ended by then."""
+    """The rows before the latest steps, with whether the episodes had not ended by then."""
 
     def one(before: State, actions: Array, last: Array, latest: Array) -> tuple[Array, Row]:
         given = jnp.isfinite(actions).all(-1)

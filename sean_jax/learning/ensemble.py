@@ -56,7 +56,7 @@ def train(several: Sequence[TrainConfig], console: Console | Callable[[float], N
     several = list(several)
     data = [open_datasets([options.dataset, *options.further]) for options in several]
     networks = [Network(o.width, o.flags, each.image_shape) for o, each in zip(several, data, strict=True)]
-    _check(several, networks)
+    _check(several, data, networks)
     size = min(AT_ONCE, _fitting(several[0], data))
     states: list[TrainState] = []
     with progress(console) as tell, _locked(several):
@@ -68,7 +68,7 @@ def train(several: Sequence[TrainConfig], console: Console | Callable[[float], N
     return states
 
 
-def _check(several: list[TrainConfig], networks: list[Network]) -> None:
+def _check(several: list[TrainConfig], data: list[Several], networks: list[Network]) -> None:
     alike = [{name: value for name, value in options.decisive().items() if name not in OWN} for options in several]
     for one in alike[1:]:
         for name in one:
@@ -76,6 +76,8 @@ def _check(several: list[TrainConfig], networks: list[Network]) -> None:
                 raise InputError(f"{name}: {one[name]} beside {alike[0][name]}; networks side by side have the same.")
     if several[0].pretrained is not None:
         raise InputError("pretrained: networks side by side begin from nothing; train this one by itself.")
+    if any(each.rate != data[0].rate for each in data):
+        raise InputError("dataset: other rates of examples beside one another; collect all with the same --rate.")
     if any(network != networks[0] for network in networks):
         raise InputError("dataset: images of other sizes beside one another; collect all with the same --width.")
 

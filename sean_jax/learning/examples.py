@@ -1,7 +1,7 @@
 """Rows and examples: what is recorded of a demonstration, and what the network learns from it (section V-B).
 
-A **row** is recorded once a second. An **example** is made of several rows, so that the store holds a depth image once
-and not five times.
+A **row** is recorded once a second, or at a higher rate. An **example** is made of several rows a second apart, so that
+the store holds a depth image once and not five times.
 
 The paper's example has 5 depth images, a local plan of 5 points of the expert's most recent trajectory, 10 points of
 the global plan and a flag for each situation, at 1 Hz. The network of [50] *predicts* the local plan. The most recent
@@ -27,7 +27,7 @@ MILLIMETRES = 1000.0  # in a metre
 
 @struct.dataclass
 class Row:
-    """One second of a demonstration. A whole recording has one leading axis, or two."""
+    """One moment of a demonstration. A whole recording has one leading axis, or two."""
 
     depth: Array  # (H, W) uint16 mm, along the direction of view; the camera's far limit where nothing is visible
     plan: Array  # (10, 2) m, the next points of the shortest path, in the robot's frame
@@ -44,6 +44,7 @@ class Recording:
     rows: Row  # (R, ...)
     first: Array  # (R,) int32, the first row of the episode of each row
     end: Array  # (R,) int32, one more than its last row
+    rate: int = struct.field(pytree_node=False, default=1)  # rows a second
 
 
 @struct.dataclass
@@ -70,7 +71,7 @@ def row(
 
     Args:
         scenario: the scenario.
-        state: the state at the full second.
+        state: the state in which the row is recorded.
         command: (2,) m/s, rad/s, what the policy commands in that state.
         camera: the depth camera.
         last_arc: (V,) ``navigation.last_arc_to_goal`` of the goal of the task.
@@ -135,9 +136,10 @@ def example(recording: Recording, index: Int[Array, "*batch"], xp: ModuleType = 
     rows, first, last = recording.rows, recording.first[index][..., None], recording.end[index][..., None] - 1
     ages = xp.arange(SECONDS, dtype=xp.int32).reshape((1,) * (first.ndim - 1) + (SECONDS,))
     present = index[..., None]
-    visible = xp.maximum(present - (SECONDS - 1) + ages, first)
-    before = xp.maximum(present - SECONDS + ages, first)
-    after = present + 1 + ages
+    second = recording.rate  # in rows
+    visible = xp.maximum(present + second * (ages - (SECONDS - 1)), first)
+    before = xp.maximum(present + second * (ages - SECONDS), first)
+    after = present + second * (1 + ages)
     pose = rows.pose[index]
     return Example(
         images=rows.depth[visible],

@@ -127,17 +127,17 @@ class Statistics:
 
 def _frames(data: Dataset, episode: Episode, number: int, index: int) -> Iterator[dict[str, Any]]:
     rows = data.read([episode])
-    for second in range(episode.length):
+    for row in range(episode.length):
         yield {
-            IMAGE: rows["depth"][second],
-            STATE: np.concatenate([rows["pose"][second], rows["velocity"][second]]),
-            PLAN: rows["plan"][second].reshape(-1),
-            FLAGS: rows["situations"][second].astype(np.float32),
-            ACTION: rows["command"][second],
-            "timestamp": np.float32(second),
-            "frame_index": second,
+            IMAGE: rows["depth"][row],
+            STATE: np.concatenate([rows["pose"][row], rows["velocity"][row]]),
+            PLAN: rows["plan"][row].reshape(-1),
+            FLAGS: rows["situations"][row].astype(np.float32),
+            ACTION: rows["command"][row],
+            "timestamp": np.float32(row / data.rate),
+            "frame_index": row,
             "episode_index": number,
-            "index": index + second,
+            "index": index + row,
             "task_index": episode.stream,
         }
 
@@ -193,7 +193,7 @@ def _info(data: Dataset, frames: int, tasks: list[str]) -> dict[str, Any]:
         "chunks_size": FILES_IN_CHUNK,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
-        "fps": 1,
+        "fps": data.rate,
         "splits": {"train": f"0:{len(data.episodes)}"},
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": None,

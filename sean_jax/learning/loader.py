@@ -61,39 +61,39 @@ class Loader:
         Raises:
             IncompleteError: a file is missing or damaged.
         """
-        owner, second = self._order(token.epoch)
+        owner, row = self._order(token.epoch)
         cache: dict[int, Recording] = {}
         for number in range(token.batch, self.batches):
             part = slice(number * self.batch, (number + 1) * self.batch)
-            owners, seconds = owner[part], second[part]
+            owners, rows = owner[part], row[part]
             weight = np.ones(self.batch, np.float32)
             weight[len(owners) :] = 0.0
             spare = self.batch - len(owners)
             owners = np.concatenate([owners, np.full(spare, owners[0])])
-            seconds = np.concatenate([seconds, np.full(spare, seconds[0])])
+            rows = np.concatenate([rows, np.full(spare, rows[0])])
             unique = np.unique(owners)
             cache = {int(one): cache.get(int(one)) or self._read(int(one)) for one in unique}
             recording = _join([cache[int(one)] for one in unique])
             first = np.cumsum([0, *(self.episodes[one].length for one in unique)])
-            index: Any = (first[np.searchsorted(unique, owners)] + seconds).astype(np.int32)
+            index: Any = (first[np.searchsorted(unique, owners)] + rows).astype(np.int32)
             following = Token(token.epoch, number + 1) if number + 1 < self.batches else Token(token.epoch + 1, 0)
             yield following, example(recording, index, np), weight
 
     def _order(self, epoch: int) -> tuple[np.ndarray, np.ndarray]:
-        """(R,) index of the episode and (R,) second in it of each example, in the order of that epoch."""
+        """(R,) index of the episode and (R,) row in it of each example, in the order of that epoch."""
         random = prng.generator("order", self.seed, epoch)
         count = len(self.episodes)
         episodes = random.permutation(count) if self.shuffle else np.arange(count)
-        owners, seconds = [], []
+        owners, rows = [], []
         for first in range(0, count, self.window):
             window = episodes[first : first + self.window]
             lengths = np.array([self.episodes[one].length for one in window])
             owner = np.repeat(window, lengths)
-            second = np.concatenate([np.arange(length) for length in lengths])
+            row = np.concatenate([np.arange(length) for length in lengths])
             order = random.permutation(len(owner)) if self.shuffle else np.arange(len(owner))
             owners.append(owner[order])
-            seconds.append(second[order])
-        return np.concatenate(owners), np.concatenate(seconds)
+            rows.append(row[order])
+        return np.concatenate(owners), np.concatenate(rows)
 
     @functools.cached_property
     def _small_fields(self) -> dict[str, np.ndarray]:
@@ -111,7 +111,7 @@ class Loader:
         depth = self.dataset.read([self.episodes[index]], ("depth",))
         rows: Any = {name: values[first:end] for name, values in self._small_fields.items()}
         length: Any = np.full(int(end - first), end - first, np.int32)
-        return Recording(Row(**rows, **depth), 0 * length, length)  # pyright: ignore[reportArgumentType]
+        return Recording(Row(**rows, **depth), 0 * length, length, self.dataset.rate)  # pyright: ignore[reportArgumentType]
 
 
 def balanced_probabilities(situations: Bool[np.ndarray, "R S"]) -> Float[np.ndarray, "R"]:
@@ -150,6 +150,7 @@ def _join(parts: list[Recording]) -> Recording:
     """Recordings one after the other."""
     first = np.cumsum([0, *(len(part.first) for part in parts)]).astype(np.int32)
     shifted = [
-        Recording(part.rows, part.first + shift, part.end + shift) for part, shift in zip(parts, first, strict=False)
+        dataclasses.replace(part, first=part.first + shift, end=part.end + shift)
+        for part, shift in zip(parts, first, strict=False)
     ]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *shifted)

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import pydantic
 
 from sean_jax import files
-from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_SHARD, MAX_SIDE, METHODS
+from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, METHODS
 from sean_jax.errors import FileError
 from sean_jax.quantities import MAX_DURATION
 
@@ -61,6 +61,7 @@ class Manifest(pydantic.BaseModel):
     hours: Annotated[float, pydantic.Field(gt=0, le=MAX_HOURS)]
     batch: Positive
     seconds: Annotated[int, pydantic.Field(ge=1, le=MAX_DURATION)]  # of an episode, at most
+    rate: Annotated[float, pydantic.Field(ge=1, le=MAX_RATE)] = 1.0  # rows a second, a whole number
     streams: Annotated[Names, pydantic.Field(min_length=1)]
     situations: Names
     camera: Camera
@@ -138,6 +139,8 @@ def read_method(folder: Path) -> str:
 def _relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[files.Problem]:
     if manifest.camera.width * manifest.camera.height > MAX_PIXELS:
         yield ("camera",), f"has more than {MAX_PIXELS:,} pixels"
+    if manifest.rate != int(manifest.rate):
+        yield ("rate",), f"{manifest.rate:g} is not a whole number"
     for number, shard in enumerate(manifest.shards):
         here = ("shards", number)
         if shard.stream >= len(manifest.streams):
@@ -146,8 +149,9 @@ def _relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[files.Pr
             if len(values) != manifest.batch:
                 yield (*here, name), f"has {len(values)} values, and a batch has {manifest.batch} episodes"
         longest = max(shard.lengths, default=0)
-        if longest > manifest.seconds:
-            yield (*here, "lengths"), f"an episode is {longest} s long, and {manifest.seconds} s are the most"
+        if longest > manifest.rate * manifest.seconds:
+            seconds = f"{longest / manifest.rate:g} s long, and {manifest.seconds} s are the most"
+            yield (*here, "lengths"), f"an episode is {seconds}"
         if missing := [name for name in fields if name not in shard.bytes]:
             yield (*here, "bytes"), f"lacks {', '.join(missing)}"
         if unknown := [name for name in shard.bytes if name not in fields]:

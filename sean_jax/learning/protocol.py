@@ -87,8 +87,8 @@ def next_stream(recorded: list[int], wanted: int) -> int | None:
     It does not depend on how much is wanted, so a dataset that is made longer later equals one made at once.
 
     Args:
-        recorded: s of each stream.
-        wanted: s of each.
+        recorded: rows of each stream.
+        wanted: rows of each.
 
     Returns:
         Its index; None when each has what is wanted.

@@ -19,7 +19,7 @@ from sean_jax.errors import InputError
 from sean_jax.learning import dataset as datasets
 from sean_jax.learning.collection import check_place, scenario_facts
 from sean_jax.learning.dataset import Dataset
-from sean_jax.learning.demonstrations import Batch
+from sean_jax.learning.demonstrations import Batch, steps_of_row
 from sean_jax.learning.examples import row
 from sean_jax.scenario import reset, step
 
@@ -32,21 +32,32 @@ class Recorder:
     """
 
     def __init__(
-        self, folder: Path | str, scenario: Scenario, *, driver: str = "human", seed: int = 0, width=64, height=48
+        self,
+        folder: Path | str,
+        scenario: Scenario,
+        *,
+        driver: str = "human",
+        seed: int = 0,
+        width: int = 64,
+        height: int = 48,
+        rate: int = 1,
     ):
         """Args:
             driver: who gives the commands: a word for the manifest.
             seed: episode ``i`` begins as ``fold_in(prng.key("record", seed), i)`` says.
             width: of the depth images [pixels].
             height: likewise.
+            rate: rows a second, a divisor of the steps of control in a second.
 
         Raises:
-            InputError: the folder holds something else, or the images are too large.
+            InputError: the folder holds something else, the images are too large, or the rate is no divisor.
         """  # noqa: D205
         if width * height > MAX_PIXELS:
             raise InputError(f"width: {width} times {height} are more than {MAX_PIXELS:,} pixels; ask for fewer.")
+        if (steps := round(1.0 / scenario.time_step)) % rate:
+            raise InputError(f"rate: {rate} rows a second do not divide its {steps} steps; choose a divisor.")
         folder = Path(folder)
-        self.scenario, self.seed = scenario, seed
+        self.scenario, self.seed, self.rate = scenario, seed, rate
         self.eye = sensors.camera(scenario, "depth", width=width, height=height)
         self.data = self._opened(folder, driver)
         self._begin, self._step, self._row = (jax.jit(part) for part in (_begin, step, self._look))
@@ -90,7 +101,7 @@ class Recorder:
         given = np.full(2, np.nan) if command is None else np.asarray(command, np.float64).reshape(2)
         new = bool(np.isfinite(given).all())
         self._held = np.where(new, given, self._held)
-        if int(self.state.tick) % round(1.0 / self.scenario.time_step) == 0 and len(self._rows) < self._max_rows:
+        if int(self.state.tick) % steps_of_row(self.scenario, self.rate) == 0 and len(self._rows) < self._max_rows:
             held = jnp.asarray(self._held, float)
             self._rows.append(jax.tree.map(np.asarray, self._row(self.scenario, self.state, held, self._last)))
         self.state = self._step(self.scenario, self.state, jnp.asarray(given, float))
@@ -123,7 +134,7 @@ class Recorder:
 
     @property
     def _max_rows(self) -> int:
-        return self.data.manifest["seconds"]
+        return self.data.most_rows
 
     def _look(self, scenario: Scenario, state: State, command: Array, last: Array) -> Any:
         return row(scenario, state, command, self.eye, last)
@@ -134,10 +145,11 @@ class Recorder:
             "command": "",
             "options": {
                 **kept,
+                "rate": self.rate,
                 "environment": self.scenario.environment.name,
                 "size": [self.eye.width, self.eye.height],
             },
-            **scenario_facts(self.scenario, self.eye, driver),
+            **scenario_facts(self.scenario, self.eye, driver, self.rate),
             "hours": 1e6,  # all that is recorded takes part
             "batch": 1,
             "streams": [self.scenario.task_name],
@@ -147,8 +159,8 @@ class Recorder:
             with writing.folder_lock(folder):
                 return datasets.create_dataset(folder, manifest)
         data = datasets.open_dataset(folder)
-        if data.manifest["options"] != manifest["options"]:
-            raise InputError(f"{folder} was begun with another scenario, driver or seed; choose another folder.")
+        if {"rate": 1, **data.manifest["options"]} != manifest["options"]:
+            raise InputError(f"{folder} was begun with another scenario, driver, seed or rate; choose another folder.")
         return data
 
 

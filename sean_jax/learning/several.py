@@ -29,7 +29,7 @@ class Member:
 
 @dataclasses.dataclass
 class Several:
-    """Datasets of the same cameras and situations. It has what training asks of a ``Dataset``."""
+    """Datasets of the same cameras, situations and rate. It has what training asks of a ``Dataset``."""
 
     parts: list[Dataset]
 
@@ -47,6 +47,11 @@ class Several:
     def image_shape(self) -> tuple[int, int]:
         """Height and width of the depth images [pixels]."""
         return self.parts[0].image_shape
+
+    @property
+    def rate(self) -> int:
+        """Rows a second."""
+        return self.parts[0].rate
 
     @property
     def fields(self) -> dict[str, tuple[tuple[int, ...], str]]:
@@ -106,7 +111,7 @@ class Several:
         Raises:
             IncompleteError: a file is missing or damaged.
         """
-        return recording_of(self.read(episodes), [episode.length for episode in episodes])
+        return recording_of(self.read(episodes), [episode.length for episode in episodes], self.rate)
 
 
 def open_datasets(folders: Sequence[Path]) -> Several:
@@ -119,7 +124,7 @@ def open_datasets(folders: Sequence[Path]) -> Several:
         The datasets.
 
     Raises:
-        InputError: one is none, or has other images or situations than the first.
+        InputError: one is none, or has other images, situations or another rate than the first.
     """
     parts = [open_dataset(folder) for folder in folders]
     for part in parts[1:]:
@@ -127,6 +132,9 @@ def open_datasets(folders: Sequence[Path]) -> Several:
             had, wanted = part.manifest[name], parts[0].manifest[name]
             if had != wanted:
                 raise InputError(f"{part.folder} has {name} {had}, and {parts[0].folder} {wanted}; collect the same.")
+        if part.rate != parts[0].rate:
+            rates = f"{part.folder} has {part.rate} examples a second, and {parts[0].folder} {parts[0].rate}"
+            raise InputError(f"{rates}; collect with the same --rate.")
     return Several(parts)
 
 

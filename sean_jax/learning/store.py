@@ -19,14 +19,14 @@ LEVEL = 3  # of the zstd compression
 CURE = "remove the damaged file, and `sean collect` with the same options makes it anew."
 
 
-def create(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], batch: int, seconds: int) -> None:
+def create(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], batch: int, rows: int) -> None:
     """Create arrays without episodes, in a group that other readers of zarr recognize.
 
     Args:
         folder: of the dataset.
         fields: name -> (shape, type) of each field of a row.
         batch: number of episodes in a shard.
-        seconds: T, maximum number of rows of an episode.
+        rows: T, maximum number of rows of an episode.
 
     Raises:
         OSError: the folder cannot be written.
@@ -34,7 +34,7 @@ def create(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], batch: 
     """
     folder.mkdir(parents=True, exist_ok=True)
     for name, (shape, kind) in fields.items():
-        shard = [batch, seconds, *shape]
+        shard = [batch, rows, *shape]
         chunk = [1, *shard[1:]] if len(shape) > 1 and kind == "uint16" else shard
         little = {"name": "bytes"} if kind == "bool" else {"name": "bytes", "configuration": {"endian": "little"}}
         index = {"name": "bytes", "configuration": {"endian": "little"}}
