@@ -237,7 +237,14 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
 
 
 def empty_floor(frames: Trajectory) -> Environment:
-    """A floor without obstacles that contains all positions, with 2 m around them."""
+    """A floor without obstacles that contains all positions, with 2 m around them.
+
+    Args:
+        frames: (T, ...).
+
+    Returns:
+        The environment.
+    """
     places = np.concatenate([np.asarray(frames.people).reshape(-1, 2), np.asarray(frames.position).reshape(-1, 2)])
     floor = jnp.asarray(np.concatenate([places.min(0) - 2.0, places.max(0) + 2.0]), float)
     none, pairs = jnp.zeros(0, float), jnp.zeros((0, 2), float)

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import drawing, navigation, writing
+from sean_jax import drawing, files, navigation, writing
 from sean_jax.base import Environment, Scenario, Trajectory
 from sean_jax.drawing import colors
 from sean_jax.drawing.parts import one_episode, situation_names
@@ -256,7 +256,7 @@ def script() -> str:
     Returns:
         JavaScript.
     """
-    return (HERE / "page.js").read_text(encoding="utf-8")
+    return files.read_text(HERE / "page.js")
 
 
 def style() -> str:
@@ -265,7 +265,7 @@ def style() -> str:
     Returns:
         CSS.
     """
-    return (HERE / "page.css").read_text(encoding="utf-8")
+    return files.read_text(HERE / "page.css")
 
 
 def html(content: dict[str, Any], picture: str = "", linked: bool = True) -> str:

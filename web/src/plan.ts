@@ -165,7 +165,7 @@ export function drawPlan(
       if (down) paint.lineTo(...camera.toScreen(here("person x", n), here("person y", n)));
     }
     paint.globalAlpha = 0.7;
-    line(Math.max(1, 0.07 * metre), palette.trail);
+    line(Math.min(4, Math.max(1, 0.07 * metre)), palette.trail);
     paint.globalAlpha = 1;
   }
 
@@ -199,7 +199,7 @@ export function drawPlan(
         t++;
         paint.lineTo(...camera.toScreen(xs[t], ys[t]));
       } while (t < frame && color(t + 1) === shade);
-      line(Math.max(2, 0.1 * metre), shade);
+      line(Math.min(6, Math.max(2, 0.1 * metre)), shade);
     }
   }
 
@@ -232,7 +232,7 @@ export function drawPlan(
   }
 
   function drawRobot(): void {
-    disc(rx, ry, Math.max(15, 0.8 * metre)); // a halo, so that it is found at its true size
+    disc(rx, ry, Math.max(15, 1.8 * recording.robot.radius * metre)); // a halo, so that it is found at its true size
     paint.globalAlpha = 0.25;
     paint.fillStyle = palette.robot;
     paint.fill();
