@@ -186,7 +186,7 @@ def _robot(scenario: Scenario | None) -> dict[str, Any]:
 
 
 def _episode(episode: Episode, names: Sequence[str]) -> dict[str, Any]:
-    frames = one_episode(episode.frames)
+    frames: Any = one_episode(episode.frames)  # numpy arrays
     situation_names(frames, names)  # refuses another number
     gaps = np.linalg.norm(frames.people - frames.position[:, None], axis=-1)
     nearest = np.min(np.where(frames.present, gaps, NOBODY), 1, initial=NOBODY)
