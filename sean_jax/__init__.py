@@ -42,7 +42,6 @@ if TYPE_CHECKING:
         TrainConfig,
     )
     from sean_jax.crowding import congestion
-    from sean_jax.drawing import view
     from sean_jax.episodes import (
         ResetPool,
         autoreset,
@@ -61,6 +60,7 @@ if TYPE_CHECKING:
     from sean_jax.people import pedestrians_at
     from sean_jax.policies import POLICIES
     from sean_jax.prediction import predict
+    from sean_jax.replay import view
     from sean_jax.robots import ROBOTS
     from sean_jax.runner import Record, Runner
     from sean_jax.scenario import next_task, observe, place, reset, results, step
@@ -80,7 +80,6 @@ _PUBLIC = {
     "config": "APGConfig CollectConfig CustomTask EnvConfig GraphBehavior HandcraftedBehavior PPOConfig "
     "PlaybackBehavior RandomBehavior RunConfig ScenarioConfig TrainConfig",
     "crowding": "congestion",
-    "drawing": "view",
     "episodes": "ResetPool autoreset init_policy policy_step reset_pool rollout rollout_autoreset simulate",
     "errors": "FileError IncompleteError InputError SeanError WriteError",
     "evaluation": "Evaluation evaluate",
@@ -90,6 +89,7 @@ _PUBLIC = {
     "people": "pedestrians_at",
     "policies": "POLICIES",
     "prediction": "predict",
+    "replay": "view",
     "robots": "ROBOTS",
     "runner": "Record Runner",
     "scenario": "next_task observe place reset results step",

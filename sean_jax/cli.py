@@ -314,6 +314,13 @@ def _draw(options: config.DrawConfig) -> int:
     return 0
 
 
+def _replay(options: config.ReplayConfig) -> int:
+    from sean_jax.evaluation import again
+
+    _say(_console(options.quiet), "replay: ", again.write(options, _console(options.quiet)))
+    return 0
+
+
 def _bench(options: config.BenchConfig) -> int:
     from sean_jax import bench
 
@@ -376,6 +383,7 @@ _DO: dict[str, Any] = {
     "fit-graph": _fit_graph,
     "calibrate": _calibrate,
     "draw": _draw,
+    "replay": _replay,
     "import-map": _import_map,
     "benchmark": _benchmark,
     "bench": _bench,

@@ -124,6 +124,7 @@ def short(value: object) -> str:
 
 People = Annotated[int, Number(0, MAX_PEOPLE)]
 EpisodeCount = Annotated[int, Number(1, 2**31 - 1)]
+EpisodeNumber = Annotated[int, Number(0, 2**31 - 2)]
 BatchSize = Annotated[int, Number(1, 2**24)]
 ShardSize = Annotated[int, Number(1, MAX_SHARD)]
 Rate = Annotated[int, Number(1, MAX_RATE, "Hz")]
@@ -1144,6 +1145,19 @@ class DrawConfig(Config):
     """File to write, such as sheet.png or sheet.svg; of several environments, each adds its name."""
 
 
+class ReplayConfig(Config):
+    """Write a page that plays episodes of a run: they are simulated again, by what its config.yaml says."""
+
+    run: Annotated[Path, Positional()]
+    """Folder that `sean run` has written."""
+    episodes: Annotated[tuple[EpisodeNumber, ...], Field(min_length=1)] = (0,)
+    """Their numbers, as in episodes.csv."""
+    out: Path | None = None
+    """File to write, replay.html in the folder by default."""
+    quiet: bool = False
+    """Print nothing but errors."""
+
+
 class ImportMapConfig(Config):
     """Make an environment of a ROS map, the YAML file of a map_server with its image."""
 
@@ -1176,6 +1190,7 @@ COMMANDS: dict[str, type[Config]] = {
     "fit-graph": FitGraphConfig,
     "calibrate": CalibrateConfig,
     "draw": DrawConfig,
+    "replay": ReplayConfig,
     "import-map": ImportMapConfig,
     "benchmark": BenchmarkConfig,
     "bench": BenchConfig,

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 from test_drawing import Graph, environment, frames
 
-from sean_jax import report
+from sean_jax import replay, report
 from sean_jax.evaluation import Evaluation, output, statistics, table
 from sean_jax.metrics import METRICS
 
@@ -151,6 +151,12 @@ def page(given: Evaluation) -> str:
             completed=given.completed,
             seconds=given.seconds,
             frames=given.frames,
+            replay=replay.recording(
+                [replay.Episode(frames, f"episode {k}") for k, frames in enumerate(given.frames)],
+                environment(),
+                graph=Graph,
+                situations=given.situations,
+            ),
             time_step=0.1,
             time_limit=25.0,
             checks={"largest_penetration_mm": 0.0, "largest_groups": [5, 3, 3], "not_finite": 0},

@@ -223,7 +223,7 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
     while np.ndim(frames.active) > 1:
         frames = jax.tree.map(lambda leaf: leaf[0], frames)
     if scenario is None:
-        environment, graph, names, time_step = _empty_floor(frames), None, None, 0.1
+        environment, graph, names, time_step = empty_floor(frames), None, None, 0.1
     else:
         environment, graph, time_step = scenario.environment, graph_of(scenario), scenario.time_step
         names = tuple(name for name, _ in scenario.situations)
@@ -236,8 +236,15 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
     return Image(data=stream.getvalue(), format="gif")
 
 
-def _empty_floor(frames: Trajectory) -> Environment:
-    """A floor without obstacles that contains all positions, with 2 m around them."""
+def empty_floor(frames: Trajectory) -> Environment:
+    """A floor without obstacles that contains all positions, with 2 m around them.
+
+    Args:
+        frames: (T, ...).
+
+    Returns:
+        The environment.
+    """
     places = np.concatenate([np.asarray(frames.people).reshape(-1, 2), np.asarray(frames.position).reshape(-1, 2)])
     floor = jnp.asarray(np.concatenate([places.min(0) - 2.0, places.max(0) + 2.0]), float)
     none, pairs = jnp.zeros(0, float), jnp.zeros((0, 2), float)

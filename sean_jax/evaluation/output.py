@@ -30,7 +30,7 @@ def write_all(folder: Path, evaluation: "Evaluation", config: RunConfig | None) 
         evaluation: what was found.
         config: what ``sean run`` was told; None for an evaluation in Python, which no file repeats.
     """
-    from sean_jax import drawing, report
+    from sean_jax import drawing, replay, report
 
     made_with = versions()
     write_config(folder, evaluation, config, made_with)
@@ -52,6 +52,10 @@ def write_all(folder: Path, evaluation: "Evaluation", config: RunConfig | None) 
     if evaluation.frames and config is not None and config.camera is not None:
         renderer = config.renderer or "rays"
         drawing.video(evaluation.frames[0], scenario, folder / "camera.gif", view=config.camera, renderer=renderer)
+    shown = [
+        replay.Episode(frames, f"episode {i} · {evaluation.tasks[i].replace('_', ' ')}", _outcome(evaluation, i))
+        for i, frames in enumerate(evaluation.frames)
+    ]
     page = report.Report(
         title=evaluation.title,
         command="sean_jax.evaluate, in a Python program" if config is None else command("run", config),
@@ -67,12 +71,19 @@ def write_all(folder: Path, evaluation: "Evaluation", config: RunConfig | None) 
         completed=evaluation.completed,
         seconds=evaluation.seconds,
         frames=evaluation.frames,
+        replay=replay.of_scenario(scenario, shown) if shown else None,
         time_step=scenario.time_step,
         time_limit=scenario.time_limit,
         checks=summary["checks"],
         timing=summary["timing"],
     )
     (folder / "report.html").write_text(report.html(page), encoding="utf-8")
+
+
+def _outcome(evaluation: "Evaluation", episode: int) -> str:
+    """How an episode ended."""
+    outcome = "completed" if evaluation.completed[episode] else "not completed"
+    return f"{outcome} in {evaluation.seconds[episode]:.1f} s"
 
 
 def write_episodes(path: Path, evaluation: "Evaluation") -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sean_jax import drawing
+from sean_jax import drawing, replay
 from sean_jax.base import Environment, Trajectory
 from sean_jax.drawing import colors
 from sean_jax.report import figures
@@ -42,6 +42,7 @@ class Report:
     completed: np.ndarray  # (E,) bool
     seconds: np.ndarray  # (E,) s
     frames: list[Trajectory]  # of the first episodes
+    replay: dict[str, Any] | None  # the same as ``replay.recording`` has them
     time_step: float  # s
     time_limit: float  # s
     checks: dict[str, Any]
@@ -58,6 +59,7 @@ def html(report: Report) -> str:
         HTML that refers to nothing outside itself.
     """
     sections = [
+        *([] if report.replay is None else [replay.element(report.replay)]),
         _tiles(report),
         _section("Situations", _situations(report)),
         _section("Results", _table(report)),
@@ -67,7 +69,8 @@ def html(report: Report) -> str:
         _section("How to get this again", _again(report)),
         _section("What the numbers mean", _definitions(report)),
     ]
-    return page(report.title, "sean_jax · report of a run", sections)
+    style = "" if report.replay is None else replay.style() + ".replay{margin:16px 0}"
+    return page(report.title, "sean_jax · report of a run", sections, style)
 
 
 def page(title: str, kicker: str, sections: Iterable[str], style: str = "") -> str:
@@ -127,7 +130,7 @@ def _situations(report: Report) -> str:
         f'<i style="width:{100 * share:.3f}%;background:{shades[name]}" title="{_words(name)} {100 * share:.1f} %"></i>'
         for name, share in positive.items()
     )
-    names = {"none": "none of these"}
+    names = {"none": "no situation"}
     legend = "".join(
         f"<li>{_dot(shades[name])}{_words(names.get(name, name))} <b>{100 * share:.1f} %</b></li>"
         for name, share in report.shares.items()

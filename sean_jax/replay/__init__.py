@@ -1,0 +1,361 @@
+"""Replays: episodes on a page that plays them, as one file of HTML that needs no network.
+
+The plan from above with people's headings and trails, their groups, the robot with what its sensors have in sight, its
+planned path, the graph, the lights of the situations (Fig. 2) and metrics as curves below a timeline. ``page.js`` is
+built of the TypeScript in ``web/`` (``npm run build``).
+"""
+
+import dataclasses
+import html as markup
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax import drawing, files, navigation, writing
+from sean_jax.base import Environment, Scenario, Trajectory
+from sean_jax.drawing import colors
+from sean_jax.drawing.parts import one_episode, situation_names
+from sean_jax.errors import InputError
+from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
+from sean_jax.metrics.proximity import INTIMATE, PERSONAL
+from sean_jax.replay.encoding import encode
+
+VERSION = 1
+HERE = Path(__file__).parent
+PLAN_POINTS, PLAN_SPACING = 24, 0.5  # of the planned path; m
+NOBODY = 20.0  # m, drawn as the distance of the nearest person where there is none
+KINDS = {
+    "robot x": "place", "robot y": "place", "robot heading": "angle", "goal x": "place", "goal y": "place",
+    "person x": "place", "person y": "place", "person heading": "angle", "person group": "index",
+    "person present": "index", "situation": "index", "plan x": "place", "plan y": "place",
+}  # fmt: skip
+CURVES = (
+    {"name": "speed", "unit": "m/s", "marks": []},
+    {"name": "nearest person", "unit": "m", "marks": [[INTIMATE, "intimate"], [PERSONAL, "personal"]]},
+    {"name": "distance to goal", "unit": "m", "marks": []},
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Episode:
+    """An episode and what is said of it."""
+
+    frames: Trajectory  # (T, ...)
+    title: str
+    outcome: str = ""
+    plan: np.ndarray | None = None  # (T, K, 2) m, the planned path ahead of the robot
+
+
+def recording(
+    episodes: Sequence[Episode],
+    environment: Environment,
+    *,
+    title: str = "",
+    graph: BehaviorGraph | None = None,
+    scenario: Scenario | None = None,
+    situations: Sequence[str] | None = None,
+    time_step: float = 0.1,
+) -> dict[str, Any]:
+    """What the page is given: JSON that ``web/src/recording.ts`` describes.
+
+    Args:
+        episodes: one or more, with as many situations each.
+        environment: where they are.
+        title: of the whole.
+        graph: that people walk on.
+        scenario: for the robot's size and sensors; without it, they are not drawn.
+        situations: their names; the paper's five, or numbers, if None.
+        time_step: s, between two frames.
+
+    Returns:
+        A value for ``json.dumps``.
+
+    Raises:
+        InputError: there is no episode, or one has a batch axis or other situations.
+    """
+    if not episodes:
+        raise InputError("replay: there is no episode; give one or more.")
+    names = situation_names(episodes[0].frames, situations)
+    shades = colors.situation_colors(names)
+    return {
+        "version": VERSION,
+        "title": title,
+        "place": _place(environment),
+        "graph": None if graph is None else _graph(graph),
+        "robot": _robot(scenario),
+        "person": {"radius": 0.2 if scenario is None else float(scenario.forces.walking.radius)},
+        "situations": [{"name": name, "color": shade} for name, shade in zip(names, shades, strict=True)],
+        "curves": list(CURVES),
+        "timeStep": time_step,
+        "episodes": [_episode(each, names) for each in episodes],
+    }
+
+
+def of_scenario(scenario: Scenario, episodes: Sequence[Episode], title: str = "") -> dict[str, Any]:
+    """A recording of episodes of a scenario, with planned paths.
+
+    Args:
+        scenario: that they come from.
+        episodes: one or more.
+        title: of the whole.
+
+    Returns:
+        A value for ``json.dumps``.
+
+    Raises:
+        InputError: there is no episode, or one has a batch axis.
+    """
+    planned = [dataclasses.replace(each, plan=plans(scenario, one_episode(each.frames))) for each in episodes]
+    names = [name for name, _ in scenario.situations]
+    return recording(
+        planned, scenario.environment, title=title, graph=graph_of(scenario), scenario=scenario, situations=names,
+        time_step=scenario.time_step,
+    )  # fmt: skip
+
+
+def plans(scenario: Scenario, frames: Trajectory) -> np.ndarray:
+    """The shortest path that is left, once a second.
+
+    Args:
+        scenario: with the tables of shortest paths.
+        frames: (T, ...) of one episode.
+
+    Returns:
+        (T, K, 2) m, points from the robot on; from the goal on, the goal.
+    """
+    every = max(1, round(1.0 / scenario.time_step))
+    some = np.arange(0, len(frames.active), every)
+    table = scenario.navigation
+    if len(np.unique(np.asarray(frames.goal), axis=0)) > 1:
+        some_goals = np.asarray(frames.goal)[some]
+    else:
+        some_goals = np.broadcast_to(np.asarray(frames.goal)[:1], (len(some), 2))
+    padded = 128 * -(-len(some) // 128)  # so that episodes of like length share a program
+    where = [np.resize(part, (padded, 2)) for part in (np.asarray(frames.position)[some], some_goals)]
+    points = np.asarray(_plans(table, *(jnp.asarray(part, float) for part in where)))[: len(some)]
+    return np.repeat(points, every, axis=0)[: len(frames.active)]
+
+
+@jax.jit
+def _plans(table: navigation.Navigation, places: jax.Array, goals: jax.Array) -> jax.Array:
+    def one(row: tuple[jax.Array, jax.Array]) -> jax.Array:
+        place, goal = row
+        paths = navigation.build_paths_to_goal(table, goal)
+        last_arc = navigation.last_arc_to_goal(table, goal)
+        return navigation.plan(table, place, goal, paths, last_arc, points=PLAN_POINTS, apart=PLAN_SPACING)
+
+    return jax.lax.map(one, (places, goals))
+
+
+def _place(environment: Environment) -> dict[str, Any]:
+    boxes = jax.tree.map(np.asarray, environment.obstacles)
+    rows = np.concatenate([boxes.center, boxes.half_extent, boxes.yaw[:, None], boxes.height[:, None]], 1)
+    return {
+        "name": environment.name,
+        "floor": [round(float(value), 3) for value in np.asarray(environment.floor)],
+        "obstacles": np.round(rows, 3).tolist(),
+    }
+
+
+def _graph(graph: BehaviorGraph) -> dict[str, Any]:
+    flows = np.asarray(graph.flow)
+    return {
+        "names": list(graph.names),
+        "position": np.round(np.asarray(graph.position), 2).tolist(),
+        "radius": np.round(np.asarray(graph.radius), 2).tolist(),
+        "group": np.asarray(graph.is_group, bool).tolist(),
+        "edges": [[int(u), int(v), FLOWS[flows[u, v]]] for u, v in np.argwhere(np.triu(flows != NO_EDGE, 1))],
+    }
+
+
+def _robot(scenario: Scenario | None) -> dict[str, Any]:
+    if scenario is None:
+        return {"name": "robot", "radius": 0.2, "views": []}
+    robot = scenario.robot
+    views = []
+    for mount in robot.mounts:
+        if mount.name == "depth" and mount.fovy > 0.0:
+            half = np.tan(np.radians(mount.fovy) / 2.0) * 4.0 / 3.0  # of its pictures' sides
+            views.append({"name": "depth", "angle": round(float(2.0 * np.arctan(half)), 4), "range": 20.0})
+    return {"name": robot.name, "radius": robot.radius, "views": views}
+
+
+def _episode(episode: Episode, names: Sequence[str]) -> dict[str, Any]:
+    frames: Any = one_episode(episode.frames)  # numpy arrays
+    situation_names(frames, names)  # refuses another number
+    gaps = np.linalg.norm(frames.people - frames.position[:, None], axis=-1)
+    nearest = np.min(np.where(frames.present, gaps, NOBODY), 1, initial=NOBODY)
+    columns = {
+        "robot x": frames.position[:, 0],
+        "robot y": frames.position[:, 1],
+        "robot heading": _angle(frames.heading),
+        "goal x": frames.goal[:, 0],
+        "goal y": frames.goal[:, 1],
+        "person x": _held(frames.people[..., 0], frames.present),
+        "person y": _held(frames.people[..., 1], frames.present),
+        "person heading": _coarse(_angle(frames.people_heading)),
+        "person group": frames.group,
+        "person present": frames.present,
+        "situation": frames.situations,
+        "speed": np.linalg.norm(frames.velocity, axis=-1),
+        "nearest person": nearest,
+        "distance to goal": np.linalg.norm(frames.goal - frames.position, axis=-1),
+    }
+    if episode.plan is not None:
+        columns |= {"plan x": episode.plan[..., 0], "plan y": episode.plan[..., 1]}
+    head = {"title": episode.title, "outcome": episode.outcome, "frames": len(frames.active)}
+    return head | encode(columns, KINDS)
+
+
+def _angle(heading: np.ndarray) -> np.ndarray:
+    return np.arctan2(heading[..., 1], heading[..., 0])
+
+
+def _coarse(angle: np.ndarray) -> np.ndarray:
+    """To 1.4 degrees: finer ones cannot be seen, and take a third more bytes."""
+    level = 2.0 * np.pi / 256
+    return np.round(angle / level) * level
+
+
+def _held(values: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """Places of those who are absent: the last one where they were, or where they will appear."""
+    frames = np.arange(len(values))[:, None]
+    last = np.maximum.accumulate(np.where(present, frames, -1), 0)
+    first = np.where(present.any(0), present.argmax(0), 0)
+    held = np.take_along_axis(values, np.where(last < 0, first[None], last), 0)
+    return np.where(present.any(0), held, 0.0)
+
+
+def element(content: dict[str, Any], name: str = "replay", linked: bool = True) -> str:
+    """A player inside a page, with its script.
+
+    Args:
+        content: of ``recording``.
+        name: unique on the page.
+        linked: whether the page's address tells the moment.
+
+    Returns:
+        HTML.
+    """
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    name, link = markup.escape(name), "" if linked else ' data-linked="no"'
+    return (
+        f'<div data-replay="{name}"{link}></div>\n<script type="application/json" id="{name}">{text}</script>\n'
+        f"<script>{script()}</script>"
+    )
+
+
+def script() -> str:
+    """The page's program.
+
+    Returns:
+        JavaScript.
+    """
+    return files.read_text(HERE / "page.js")
+
+
+def style() -> str:
+    """The rules of the player's looks, light and dark.
+
+    Returns:
+        CSS.
+    """
+    return files.read_text(HERE / "page.css")
+
+
+def html(content: dict[str, Any], picture: str = "", linked: bool = True) -> str:
+    """A page of its own.
+
+    Args:
+        content: of ``recording``.
+        picture: HTML that stands for it where there is no JavaScript.
+        linked: whether the page's address tells the moment.
+
+    Returns:
+        HTML that refers to nothing outside itself.
+    """
+    title = markup.escape(content["title"] or "Replay")
+    head = f"<h1>{title}</h1>" if content["title"] else ""
+    instead = f"<noscript>{picture or 'This page needs JavaScript.'}</noscript>"
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><link rel="icon" href="data:,">'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title}</title>'
+        f"<style>\n{style()}body{{margin:0 auto;max-width:1180px;padding:14px;background:var(--page);color:var(--ink);"
+        "font:15px/1.5 system-ui,sans-serif}h1{font-size:20px;margin:0 0 10px}</style></head>\n"
+        f"<body>{head}{element(content, linked=linked)}\n{instead}</body></html>\n"
+    )
+
+
+class Replay:
+    """Episodes that a notebook plays, and shows as a picture where there is no JavaScript."""
+
+    def __init__(self, content: dict[str, Any], figure: Any):
+        self.content, self.figure = content, figure
+
+    def save(self, path: Path | str) -> None:
+        """Write the page.
+
+        Args:
+            path: of an HTML file.
+
+        Raises:
+            WriteError: another process writes the file.
+        """
+        writing.write(Path(path), html(self.content))
+
+    def _repr_html_(self) -> str:
+        import base64
+        import io
+
+        stream = io.BytesIO()
+        self.figure.savefig(stream, format="png", dpi=110)
+        data = base64.b64encode(stream.getvalue()).decode("ascii")
+        picture = f'<img alt="episode from above" style="max-width:100%" src="data:image/png;base64,{data}">'
+        page = markup.escape(html(self.content, picture, linked=False))
+        x0, y0, x1, y1 = self.content["place"]["floor"]
+        height = round(min(640, 900 * (y1 - y0) / (x1 - x0))) + 330
+        return f'<iframe srcdoc="{page}" width="100%" height="{height}" style="border:0"></iframe>{picture_only(data)}'
+
+
+def picture_only(data: str) -> str:
+    """The picture for readers that show neither scripts nor frames.
+
+    Args:
+        data: PNG, base64.
+
+    Returns:
+        HTML.
+    """
+    return f'<noscript><img alt="episode from above" src="data:image/png;base64,{data}"></noscript>'
+
+
+def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool = False) -> Any:
+    """Show a trajectory in a notebook, with a timeline to play it by.
+
+    The behavior graph, the robot's camera and its planned path are drawn if the scenario is given. Without a scenario,
+    people and robot are drawn on an empty floor.
+
+    Args:
+        trajectory: (T, ...) frames; of a batch (B, T, ...) the first episode.
+        scenario: the one that it comes from.
+        animate: a moving picture instead.
+
+    Returns:
+        A ``Replay``, whose ``figure`` is the picture from above and whose ``save`` writes the page; with ``animate`` a
+        moving IPython ``Image``.
+    """
+    picture = drawing.view(trajectory, scenario, animate)
+    if animate:
+        return picture
+    frames = trajectory
+    while np.ndim(frames.active) > 1:
+        frames = jax.tree.map(lambda leaf: leaf[0], frames)
+    episode = Episode(frames, "episode")
+    if scenario is None:
+        return Replay(recording([episode], drawing.empty_floor(frames)), picture)
+    return Replay(of_scenario(scenario, [episode]), picture)

@@ -1,0 +1,251 @@
+// The plan view: floor, obstacles, graph, trails, people, groups, robot.
+
+import type { Camera } from "./camera";
+import type { Episode, Recording } from "./recording";
+import { sight } from "./sight";
+import type { Palette } from "./palette";
+
+export interface Shown {
+  trails: boolean;
+  graph: boolean;
+  sight: boolean;
+}
+
+const TRAIL = 3; // s, of people
+const SHOULDERS = 0.23; // m, half of the width of a person; depth is that of the body
+
+export function drawPlan(
+  paint: CanvasRenderingContext2D,
+  camera: Camera,
+  palette: Palette,
+  recording: Recording,
+  episode: Episode,
+  time: number,
+  shown: Shown,
+): void {
+  const metre = camera.scale;
+  const frame = episode.frameAt(time);
+  const [rx, ry] = ["robot x", "robot y"].map((name) => episode.at(episode.of(name)[0], time));
+  const heading = episode.angleAt(episode.of("robot heading")[0], time);
+
+  const line = (width: number, color: string): void => {
+    [paint.lineWidth, paint.strokeStyle] = [width, color];
+    paint.stroke();
+  };
+  const disc = (x: number, y: number, radius: number): void => {
+    paint.beginPath();
+    paint.arc(...camera.toScreen(x, y), radius, 0, 2 * Math.PI);
+  };
+  const outline = (points: number[]): void => {
+    paint.beginPath();
+    for (let k = 0; k < points.length; k += 2) paint.lineTo(...camera.toScreen(points[k], points[k + 1]));
+  };
+
+  const [x0, y0, x1, y1] = recording.place.floor;
+  outline([x0, y0, x1, y0, x1, y1, x0, y1]);
+  paint.closePath();
+  paint.fillStyle = palette.floor;
+  paint.fill();
+  line(1, palette.line);
+  if (shown.sight) drawSight();
+  if (shown.graph && recording.graph) drawGraph();
+  drawObstacles();
+  drawGroups();
+  if (shown.trails) drawTrails();
+  drawPath();
+  drawPeople();
+  drawRobot();
+
+  function drawObstacles(): void {
+    for (const [cx, cy, hx, hy, yaw, height] of recording.place.obstacles) {
+      if (height <= 0) continue;
+      const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
+      const corners = [[1, 1], [-1, 1], [-1, -1], [1, -1]].flatMap(([a, b]) => [
+        cx + c * a * hx - s * b * hy,
+        cy + s * a * hx + c * b * hy,
+      ]);
+      outline(corners);
+      paint.closePath();
+      paint.globalAlpha = 0.25 + 0.45 * Math.min(1, height / 4) ** 0.7;
+      paint.fillStyle = palette.obstacle;
+      paint.fill();
+      line(1, palette.obstacle);
+      paint.globalAlpha = 1;
+    }
+  }
+
+  function drawGraph(): void {
+    const graph = recording.graph!;
+    for (const [from, to, flow] of graph.edges) {
+      const [a, b] = [graph.position[from], graph.position[to]];
+      outline([...a, ...b]);
+      paint.setLineDash(flow === "low" ? [2, 4] : []);
+      line(flow === "high" ? 3 : 1.4, palette.faint);
+      paint.setLineDash([]);
+      if (flow === "forward" || flow === "backward") arrow(flow === "forward" ? a : b, flow === "forward" ? b : a);
+    }
+    graph.position.forEach(([x, y], node) => {
+      disc(x, y, graph.radius[node] * metre);
+      paint.setLineDash(graph.group[node] ? [4, 3] : []);
+      line(1.2, graph.group[node] ? palette.member : palette.faint);
+      paint.setLineDash([]);
+    });
+  }
+
+  function arrow(from: number[], to: number[]): void {
+    const [ax, ay] = camera.toScreen(from[0], from[1]);
+    const [bx, by] = camera.toScreen(to[0], to[1]);
+    const [mx, my, angle] = [(ax + bx) / 2, (ay + by) / 2, Math.atan2(by - ay, bx - ax)];
+    paint.beginPath();
+    for (const turn of [0, 2.6, -2.6]) paint.lineTo(mx + 6 * Math.cos(angle + turn), my + 6 * Math.sin(angle + turn));
+    paint.closePath();
+    paint.fillStyle = palette.faint;
+    paint.fill();
+  }
+
+  function drawSight(): void {
+    for (const view of recording.robot.views) {
+      outline(sight(recording.place, view, rx, ry, heading));
+      paint.closePath();
+      paint.globalAlpha = 0.16;
+      paint.fillStyle = palette.robot;
+      paint.fill();
+      paint.globalAlpha = 1;
+    }
+  }
+
+  function drawGroups(): void {
+    const members = new Map<number, [number, number][]>();
+    episode.of("person group").forEach((group, n) => {
+      if (group[frame] < 0 || !present(n, frame)) return;
+      const place: [number, number] = [here("person x", n), here("person y", n)];
+      members.set(group[frame], [...(members.get(group[frame]) ?? []), place]);
+    });
+    for (const places of members.values()) {
+      if (places.length < 2) continue;
+      const x = places.reduce((sum, place) => sum + place[0], 0) / places.length;
+      const y = places.reduce((sum, place) => sum + place[1], 0) / places.length;
+      const reach = Math.max(...places.map((place) => Math.hypot(place[0] - x, place[1] - y)));
+      if (reach > 3) continue; // on their way there
+      disc(x, y, reach * metre);
+      paint.globalAlpha = 0.14;
+      paint.fillStyle = palette.member;
+      paint.fill();
+      paint.globalAlpha = 1;
+      paint.setLineDash([3, 3]);
+      line(1, palette.member);
+      paint.setLineDash([]);
+    }
+  }
+
+  function present(n: number, t: number): boolean {
+    return episode.of("person present")[n][t] > 0.5;
+  }
+
+  function here(name: string, n: number): number {
+    return episode.at(episode.of(name)[n], time);
+  }
+
+  function drawTrails(): void {
+    const first = episode.frameAt(time - TRAIL);
+    const [xs, ys] = [episode.of("person x"), episode.of("person y")];
+    paint.beginPath();
+    for (let n = 0; n < xs.length; n++) {
+      let down = false;
+      for (let t = first; t <= frame; t += 2) {
+        if (!present(n, t)) {
+          down = false;
+          continue;
+        }
+        const point = camera.toScreen(xs[n][t], ys[n][t]);
+        if (down) paint.lineTo(...point);
+        else paint.moveTo(...point);
+        down = true;
+      }
+      if (down) paint.lineTo(...camera.toScreen(here("person x", n), here("person y", n)));
+    }
+    paint.globalAlpha = 0.7;
+    line(Math.min(4, Math.max(1, 0.07 * metre)), palette.trail);
+    paint.globalAlpha = 1;
+  }
+
+  function drawPath(): void {
+    const [xs, ys] = [episode.of("robot x")[0], episode.of("robot y")[0]];
+    disc(xs[0], ys[0], Math.max(5, 0.3 * metre));
+    line(2, palette.robot);
+    const [gx, gy] = ["goal x", "goal y"].map((name) => episode.of(name)[0][frame]);
+    disc(gx, gy, Math.max(8, 0.5 * metre));
+    line(2, palette.robot);
+    disc(gx, gy, Math.max(3, 0.16 * metre));
+    paint.fillStyle = palette.robot;
+    paint.fill();
+    const plan = episode.of("plan x").map((column, k) => [column[frame], episode.of("plan y")[k][frame]]);
+    if (plan.length) {
+      outline([rx, ry, ...plan.flat()]);
+      paint.setLineDash([5, 5]);
+      line(1.5, palette.robot);
+      paint.setLineDash([]);
+    }
+    const flags = episode.of("situation");
+    const color = (t: number): string => {
+      const first = flags.findIndex((flag) => flag[t] > 0.5);
+      return first < 0 ? palette.none : recording.situations[first].color;
+    };
+    for (let t = 0; t < frame; ) {
+      const shade = color(t + 1);
+      paint.beginPath();
+      paint.moveTo(...camera.toScreen(xs[t], ys[t]));
+      do {
+        t++;
+        paint.lineTo(...camera.toScreen(xs[t], ys[t]));
+      } while (t < frame && color(t + 1) === shade);
+      line(Math.min(6, Math.max(2, 0.1 * metre)), shade);
+    }
+  }
+
+  function drawPeople(): void {
+    const body = recording.person.radius;
+    const count = episode.of("person x").length;
+    for (let n = 0; n < count; n++) {
+      if (!present(n, frame)) continue;
+      const [px, py] = camera.toScreen(here("person x", n), here("person y", n));
+      const angle = -episode.angleAt(episode.of("person heading")[n], time);
+      const member = episode.of("person group")[n][frame] >= 0;
+      paint.save();
+      paint.translate(px, py);
+      paint.rotate(angle);
+      paint.beginPath();
+      paint.ellipse(0, 0, Math.max(2, 0.7 * body * metre), Math.max(3.4, SHOULDERS * metre), 0, 0, 2 * Math.PI);
+      paint.fillStyle = member ? palette.member : palette.person;
+      paint.fill();
+      line(1, palette.ink);
+      paint.beginPath(); // the head, a little ahead of the shoulders, with the nose
+      paint.arc(0.05 * metre, 0, Math.max(1.6, 0.1 * metre), 0, 2 * Math.PI);
+      paint.fillStyle = palette.ink;
+      paint.fill();
+      paint.beginPath();
+      paint.moveTo(0, 0);
+      paint.lineTo(Math.max(6, 1.5 * body * metre), 0);
+      line(1, palette.ink);
+      paint.restore();
+    }
+  }
+
+  function drawRobot(): void {
+    disc(rx, ry, Math.max(15, 1.8 * recording.robot.radius * metre)); // a halo, so that it is found at its true size
+    paint.globalAlpha = 0.25;
+    paint.fillStyle = palette.robot;
+    paint.fill();
+    paint.globalAlpha = 1;
+    const radius = Math.max(4, recording.robot.radius * metre);
+    disc(rx, ry, radius);
+    paint.fillStyle = palette.robot;
+    paint.fill();
+    line(1.5, palette.robotEdge);
+    const [px, py] = camera.toScreen(rx, ry);
+    paint.beginPath();
+    paint.moveTo(px, py);
+    paint.lineTo(px + 1.7 * radius * Math.cos(heading), py - 1.7 * radius * Math.sin(heading));
+    line(2, palette.robotEdge);
+  }
+}

@@ -1,0 +1,74 @@
+// Below the plan: when each situation held, and metrics as curves, over time.
+
+import type { Palette } from "./palette";
+import type { Episode, Recording } from "./recording";
+
+const STRIP = 13; // pixels, of a situation
+const CURVE = 46; // of a curve
+const GAP = 8;
+export const LABELS = 118; // pixels at the left
+
+/** Pixels that the timeline needs. */
+export function timelineHeight(recording: Recording): number {
+  return recording.situations.length * STRIP + GAP + recording.curves.length * (CURVE + GAP);
+}
+
+/** Draw what does not change while time passes. */
+export function drawTimeline(
+  paint: CanvasRenderingContext2D,
+  width: number,
+  palette: Palette,
+  recording: Recording,
+  episode: Episode,
+): void {
+  const across = (t: number): number => LABELS + ((width - LABELS) * t) / Math.max(1, episode.frames - 1);
+  paint.clearRect(0, 0, width, timelineHeight(recording));
+  paint.font = "12px system-ui, sans-serif";
+  paint.textBaseline = "middle";
+  const label = (text: string, y: number, color: string): void => {
+    paint.fillStyle = color;
+    paint.fillText(text, 0, y, LABELS - 8);
+  };
+
+  recording.situations.forEach(({ name, color }, index) => {
+    const [top, flags] = [index * STRIP, episode.of("situation")[index]];
+    label(name.replace(/_/g, " "), top + STRIP / 2, palette.muted);
+    paint.fillStyle = palette.floor;
+    paint.fillRect(LABELS, top + 2, width - LABELS, STRIP - 4);
+    paint.fillStyle = color;
+    for (let t = 0; t < episode.frames; ) {
+      const first = t;
+      while (t < episode.frames && flags[t] > 0.5) t++;
+      if (t > first) {
+        paint.fillRect(across(first - 0.5), top + 2, Math.max(1.5, across(t - 0.5) - across(first - 0.5)), STRIP - 4);
+      }
+      t++;
+    }
+  });
+
+  recording.curves.forEach(({ name, unit, marks }, index) => {
+    const top = recording.situations.length * STRIP + GAP + index * (CURVE + GAP);
+    const column = episode.of(name)[0];
+    const values = Array.from(column).filter(Number.isFinite);
+    const high = Math.max(...values, 1e-3);
+    const low = Math.min(...values, 0);
+    const down = (value: number): number => top + CURVE - (CURVE * (value - low)) / (high - low);
+    label(name, top + 8, palette.ink);
+    label(`${low.toPrecision(2)} to ${high.toPrecision(2)} ${unit}`, top + 24, palette.muted);
+    paint.fillStyle = palette.floor;
+    paint.fillRect(LABELS, top, width - LABELS, CURVE);
+    for (const [place, [value, text]] of marks.entries()) {
+      if (value < low || value > high) continue;
+      paint.fillStyle = palette.muted;
+      paint.fillRect(LABELS, down(value), width - LABELS, 1);
+      paint.textAlign = place % 2 ? "left" : "right"; // apart, since values of note lie near one another
+      paint.fillText(text, place % 2 ? LABELS + 4 : width - 4, down(value) - 7);
+      paint.textAlign = "left";
+    }
+    paint.beginPath();
+    for (let t = 0; t < episode.frames; t++) paint.lineTo(across(t), down(column[t]));
+    paint.strokeStyle = palette.ink;
+    paint.lineWidth = 1.3;
+    paint.stroke();
+  });
+}

@@ -1,0 +1,58 @@
+// Opens a replay page in Chromium, uses it as a person would, and prints what it saw as JSON.
+// node test/page.mjs PAGE.html CHROMIUM [SCREENSHOT.png]
+
+import { chromium } from "playwright-core";
+import { pathToFileURL } from "node:url";
+
+const [file, executablePath, picture] = process.argv.slice(2);
+const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
+const page = await browser.newPage({ viewport: { width: 1100, height: 900 } });
+const seen = { errors: [], requests: [] };
+page.on("console", (message) => message.type() === "error" && seen.errors.push(message.text()));
+page.on("pageerror", (error) => seen.errors.push(String(error)));
+page.on("request", (request) => request.url().startsWith("data:") || seen.requests.push(request.url()));
+const clock = async () => Number.parseFloat(await page.locator(".replay-clock").first().textContent());
+
+await page.goto(`${pathToFileURL(file)}#episode=1&t=2`);
+await page.waitForSelector("[data-ready='1']");
+await page.waitForTimeout(200);
+seen.linked = await clock();
+await page.selectOption(".replay-bar select", "0");
+await page.waitForSelector("[data-ready='0']");
+await page.waitForTimeout(200);
+seen.opened = await clock();
+await page.locator(".replay-plan").focus();
+await page.keyboard.press("Shift+ArrowRight");
+await page.waitForTimeout(200);
+seen.stepped = await clock();
+const track = page.locator(".replay-track input");
+const { width, height } = await track.boundingBox();
+await track.click({ position: { x: width / 2, y: height / 2 } });
+await page.waitForTimeout(200);
+seen.scrubbed = await clock();
+seen.duration = Number.parseFloat((await page.locator(".replay-clock").first().textContent()).split("of")[1]);
+seen.lit = await page.locator(".replay-lights .on").allTextContents();
+await page.keyboard.press("Home");
+await page.selectOption(".replay-controls select", "1");
+await page.getByLabel("play").click();
+seen.frames = await page.evaluate(async () => {
+  let count = 0;
+  const began = performance.now();
+  while (performance.now() - began < 1000) {
+    await new Promise(requestAnimationFrame);
+    count++;
+  }
+  return count;
+});
+seen.played = await clock();
+await page.getByLabel("pause").click();
+await page.getByLabel("follow").check();
+await page.waitForTimeout(100);
+seen.drawn = await page.evaluate(() => {
+  const canvas = document.querySelector(".replay-plan");
+  const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+  return new Set(new Uint32Array(pixels.buffer)).size;
+});
+if (picture) await page.screenshot({ path: picture, fullPage: true });
+await browser.close();
+console.log(JSON.stringify(seen));
