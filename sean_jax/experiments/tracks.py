@@ -38,6 +38,7 @@ COMMON: dict[str, Any] = {
     "task_distance": (4.0, 20.0),
     "warm_up": 0.0,
     "noise": None,
+    "rate": 1,
 }
 PEOPLE = {"warehouse": 62, "lab": 5, "outdoor": 30}
 GRAPH = {"kind": "graph", "routing": "whole", "members": "turnover", "congestion_cost": 0.0, "temperature": 0.0,

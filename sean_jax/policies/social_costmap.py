@@ -26,6 +26,7 @@ robot drives backward only to get out of what it touches (SEAN's -1.0 m/s would 
 ahead). A control step takes some three million operations, most of them for the two maps.
 """
 
+from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -167,8 +168,8 @@ def sean2_params() -> SocialCostmapParams:
     Source: yale-sean/social_sim_ros, ``params/kuri``: ``costmap_common_params.yaml`` and ``map_nav_params/*.yaml``.
     """
     params = default_params()
-    layers = params.global_costmap.replace(amplitude=scalar(0.0), decay=scalar(3.0), bodies=scalar(0.0))
-    return params.replace(global_costmap=layers, local_costmap=layers.replace(inflation=scalar(0.1)))
+    layers = replace(params.global_costmap, amplitude=scalar(0.0), decay=scalar(3.0), bodies=scalar(0.0))
+    return replace(params, global_costmap=layers, local_costmap=replace(layers, inflation=scalar(0.1)))
 
 
 # 1. Cost map
