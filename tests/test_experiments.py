@@ -390,6 +390,7 @@ def test_worlds_of_the_ablation_differ_in_one_switch_each():
                 ["behavior"] if within_people and behavior == "graph" else [] if within_people else [world]
             )
             assert within_people or one[world] == all_of_them[world]
+            assert ablation.simulated(options, world, behavior) == (world if changed else "default")
     assert CollectConfig(preset="sean2", behavior="graph", environment="lab", dynamics="mjx").decisive() == {
         **whole["graph"], "dynamics": "mjx"
     }  # fmt: skip

@@ -64,13 +64,17 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
             protocol.check(description(options, world, behavior))
     folder, places = options.folder, Once(functools.partial(_places, options))
     parts.has_started(options)
-    jobs = [(world, policy, behavior) for world in WORLDS for policy in policies for behavior in BEHAVIORS]
+    sources = {world: {behavior: simulated(options, world, behavior) for behavior in BEHAVIORS} for world in WORLDS}
+    cells_of = {
+        world: [(by[behavior], policy, behavior) for policy in policies for behavior in BEHAVIORS]
+        for world, by in sources.items()
+    }
+    jobs = dict.fromkeys(job for each in cells_of.values() for job in each)
     with writing.folder_lock(folder):
         parts.start(options)
         work = [Part(" · ".join(job), functools.partial(_cell, options, *job, places)) for job in jobs]
         cells = together(work, console, "ablation")
-        by_world = {world: [cells[" · ".join(job)] for job in jobs if job[0] == world] for world in WORLDS}
-        write(options, folder, by_world)
+        write(options, folder, {world: [cells[" · ".join(job)] for job in each] for world, each in cells_of.items()})
     return folder
 
 
@@ -87,6 +91,21 @@ def description(options: ExperimentConfig, world: str, behavior: str) -> Collect
     """
     chosen = SWITCHES if world == ALL else {name: value for name, value in SWITCHES.items() if name == world}
     return CollectConfig(**fill(CollectConfig, table1.fields(options, behavior, options.people), chosen))
+
+
+def simulated(options: ExperimentConfig, world: str, behavior: str) -> str:
+    """The world that is simulated for a world: the default one if the switch changes nothing for people of a behavior.
+
+    Args:
+        options: of the experiment.
+        world: one of ``WORLDS``.
+        behavior: random, handcrafted or graph.
+
+    Returns:
+        That world or the default.
+    """
+    own, usual = (description(options, each, behavior).decisive() for each in (world, DEFAULT))
+    return DEFAULT if own == usual else world
 
 
 def _places(options: ExperimentConfig, world: str, behavior: str) -> list[Scenario]:
