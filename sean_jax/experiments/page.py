@@ -500,7 +500,8 @@ def learning_curve(options: ExperimentConfig, curve: Curve, figure: Figure) -> s
         ("Training", _training({titles[name]: row for name, row in curve.training.items()})),
     ]
     datasets, trainings, each = curve.sizes
-    whole = f"{datasets} datasets, {trainings} networks on each, {datasets * trainings * each} episodes in each cell"
+    several = f"{datasets} dataset{'s' * (datasets > 1)}, {trainings} network{'s' * (trainings > 1)} on each"
+    whole = f"{several}, {datasets * trainings * each} episodes in each cell"
     return document(f"Policy G and its data: {whole}", "sean_jax · experiment", sections, options)
 
 
