@@ -321,6 +321,30 @@ def _replay(options: config.ReplayConfig) -> int:
     return 0
 
 
+def _compare(options: config.CompareConfig) -> int:
+    from sean_jax.evaluation import comparison
+
+    console = _console(options.quiet)
+    _say(console, "page: ", comparison.compare(options, console))
+    return 0
+
+
+def _doctor(options: config.DoctorConfig) -> int:
+    from rich.table import Table
+    from rich.text import Text
+
+    from sean_jax import doctor
+
+    table = Table(box=None, pad_edge=False, show_header=False)
+    for finding in doctor.examine():
+        told = Text(finding.found)
+        if finding.cure:
+            told.append(f"\n{finding.cure}", "bold yellow")
+        table.add_row(Text(finding.what, "dim"), told)
+    _console(False).print(table)
+    return 0
+
+
 def _bench(options: config.BenchConfig) -> int:
     from sean_jax import bench
 
@@ -384,10 +408,12 @@ _DO: dict[str, Any] = {
     "calibrate": _calibrate,
     "draw": _draw,
     "replay": _replay,
+    "compare": _compare,
     "import-map": _import_map,
     "benchmark": _benchmark,
     "bench": _bench,
     "validate": _validate,
+    "doctor": _doctor,
     "list": _list,
     "schema": _schema,
 }

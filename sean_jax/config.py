@@ -1158,6 +1158,23 @@ class ReplayConfig(Config):
     """Print nothing but errors."""
 
 
+class CompareConfig(Config):
+    """Compare two runs: differences in the episodes that both have, with intervals, and their replays side by side."""
+
+    first: Annotated[Path, Positional()]
+    """Folder that `sean run` has written."""
+    second: Annotated[Path, Positional()]
+    """Folder of the other run."""
+    out: Path | None = None
+    """Page to write, compare-FIRST-SECOND.html by default."""
+    quiet: bool = False
+    """Print nothing but errors."""
+
+
+class DoctorConfig(Config):
+    """Versions, devices and folders of this machine, and what is slow or missing."""
+
+
 class ImportMapConfig(Config):
     """Make an environment of a ROS map, the YAML file of a map_server with its image."""
 
@@ -1191,10 +1208,12 @@ COMMANDS: dict[str, type[Config]] = {
     "calibrate": CalibrateConfig,
     "draw": DrawConfig,
     "replay": ReplayConfig,
+    "compare": CompareConfig,
     "import-map": ImportMapConfig,
     "benchmark": BenchmarkConfig,
     "bench": BenchConfig,
     "validate": ValidateConfig,
+    "doctor": DoctorConfig,
     "list": ListConfig,
     "schema": SchemaConfig,
 }

@@ -76,12 +76,20 @@ def rows(summary: dict[str, Any], definitions: Mapping[str, Metric], complete: b
             found.append(_row(name, EPISODE_FIGURES[name], figures[name], columns))
     for name, metric in definitions.items():
         if name in figures and name != "time_in_situation" and (complete or metric.headline):
-            found.append(_row(name, _figure(name, metric), figures[name], columns))
+            found.append(_row(name, figure(name, metric), figures[name], columns))
     return found
 
 
-def _figure(name: str, metric: Metric) -> Figure:
-    """How a metric is shown."""
+def figure(name: str, metric: Metric) -> Figure:
+    """How a metric is shown.
+
+    Args:
+        name: of the metric.
+        metric: the metric.
+
+    Returns:
+        Its title, unit, digits and definition.
+    """
     unit = "%" if metric.kind == "share" else _UNITS.get(metric.unit, metric.unit)
     title, definition = metric.title or name.replace("_", " "), metric.definition or MEAN
     return Figure(title, unit, metric.digits, definition)

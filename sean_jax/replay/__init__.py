@@ -231,23 +231,22 @@ def _held(values: np.ndarray, present: np.ndarray) -> np.ndarray:
     return np.where(present.any(0), held, 0.0)
 
 
-def element(content: dict[str, Any], name: str = "replay", linked: bool = True) -> str:
-    """A player inside a page, with its script.
+def element(content: dict[str, Any], name: str = "replay", linked: bool = True, program: bool = True) -> str:
+    """A player inside a page.
 
     Args:
         content: of ``recording``.
         name: unique on the page.
         linked: whether the page's address tells the moment.
+        program: whether the script follows; a page of several players has it once, after the last of them.
 
     Returns:
         HTML.
     """
     text = json.dumps(content, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
     name, link = markup.escape(name), "" if linked else ' data-linked="no"'
-    return (
-        f'<div data-replay="{name}"{link}></div>\n<script type="application/json" id="{name}">{text}</script>\n'
-        f"<script>{script()}</script>"
-    )
+    held = f'<div data-replay="{name}"{link}></div>\n<script type="application/json" id="{name}">{text}</script>'
+    return f"{held}\n<script>{script()}</script>" if program else held
 
 
 def script() -> str:
