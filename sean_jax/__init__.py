@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from sean_jax.sensors import SENSORS, sense
     from sean_jax.social_forces import PRESETS, Forces, preset
     from sean_jax.tasks import TASKS, build_task
+    from sean_jax.trajectories import load_trajectory, save_trajectory
 
 __version__ = "0.2.0"
 
@@ -96,6 +97,7 @@ _PUBLIC = {
     "sensors": "SENSORS sense",
     "social_forces": "Forces PRESETS preset",
     "tasks": "TASKS build_task",
+    "trajectories": "load_trajectory save_trajectory",
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
@@ -162,6 +164,7 @@ __all__ = [
     "gradients",
     "init_policy",
     "inverse_graph",
+    "load_trajectory",
     "make",
     "make_env",
     "mdp",
@@ -178,6 +181,7 @@ __all__ = [
     "results",
     "rollout",
     "rollout_autoreset",
+    "save_trajectory",
     "scenes",
     "sense",
     "sensors",

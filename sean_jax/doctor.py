@@ -65,7 +65,7 @@ def _devices() -> list[Finding]:
         cure = 'a GPU is here and JAX does not use it: pip install "sean_jax[cuda13]"'
         if asked:
             cure = f"a GPU is here and JAX_PLATFORMS={asked} keeps JAX from it: unset it"
-    digits = "64 bits" if jax.config.jax_enable_x64 else "32 bits"
+    digits = f"{8 * jax.numpy.ones(()).dtype.itemsize} bits"
     return [Finding("devices", f"{told} ({jax.default_backend()}), {digits}", cure)]
 
 

@@ -66,7 +66,8 @@ def test_fewer_episodes_are_those_that_both_have(tmp_path):
 
 def test_the_page_names_both_and_refers_to_nothing_outside(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    run(Path("a<b>"), 0), run(Path("other"), 2, policy="orca")
+    run(Path("a<b>"), 0)
+    run(Path("other"), 2, policy="orca")
     assert cli.main(["compare", "a<b>", "other"]) == 0
     text = Path("compare-a<b>-other.html").read_text(encoding="utf-8")
     assert "a&lt;b&gt;" in text and "<b>" not in text.split("<body>")[1] and "://" not in text

@@ -120,7 +120,8 @@ def read(folder: Path) -> Measured:
 
 
 def _number(text: str) -> float:
-    return {"True": 1.0, "False": 0.0, "": math.nan}.get(text) if text in ("True", "False", "") else float(text)
+    words = {"True": 1.0, "False": 0.0, "": math.nan}
+    return words[text] if text in words else float(text)
 
 
 def _shown(folder: Path) -> dict[str, Any] | None:

@@ -1,0 +1,28 @@
+"""docs/trajectories.md: its table has every column, and its examples run."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sean_jax.trajectories import COLUMNS
+
+TEXT = (Path(__file__).parent.parent / "docs" / "trajectories.md").read_text(encoding="utf-8")
+
+
+def test_every_column_is_told():
+    assert re.findall(r"^\| `([\w]+)` \| (.*) \|$", TEXT, re.M) == list(COLUMNS.items())
+
+
+def test_examples_run(tmp_path, monkeypatch):
+    pytest.importorskip("pandas")
+    pytest.importorskip("pedpy")
+    monkeypatch.chdir(tmp_path)
+    scope: dict = {}
+    for block in re.findall(r"```python\n(.*?)```", TEXT, re.S):
+        exec(block, scope)  # noqa: S102
+    gaps = np.linalg.norm(scope["trajectory"].people - scope["trajectory"].position[:, None], axis=-1).min(1)
+    np.testing.assert_allclose(scope["nearest"], gaps, rtol=1e-5)
+    assert (scope["speeds"].speed >= 0).all()
+    np.testing.assert_array_equal(scope["again"].people, scope["trajectory"].people)
