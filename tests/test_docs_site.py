@@ -1,0 +1,85 @@
+"""The documentation site: every page is in its menu, every option on its page, and the tutorial runs as it stands."""
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from sean_jax.config import COMMANDS, METHODS
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+SMALLER = {
+    "--episodes 32": "--episodes 2",
+    "--episodes 16": "--episodes 2",
+    "--episodes 64": "--episodes 2",
+    "--episodes 3 17": "--episodes 1",
+    "--steps 500000": "--steps 2048",
+    "--scenarios 64": "--scenarios 8",
+}
+
+
+def pages(menu) -> list[str]:
+    if isinstance(menu, str):
+        return [menu]
+    return [page for part in (menu.values() if isinstance(menu, dict) else menu) for page in pages(part)]
+
+
+def test_the_menu_has_every_page():
+    menu = yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"]
+    assert sorted(pages(menu)) == sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
+
+
+def test_links_and_pictures_are_there():
+    for path in DOCS.rglob("*.md"):
+        for link in re.findall(r"\]\(([^)#\s]+)", path.read_text(encoding="utf-8")):
+            assert "://" in link or (path.parent / link).exists(), f"{path.name}: {link}"
+
+
+def test_the_gallery_shows_every_picture():
+    shown = set(re.findall(r"\(pictures/([^)]+\.png)\)", (DOCS / "gallery.md").read_text()))
+    assert shown == {path.name for path in (DOCS / "pictures").glob("*.png")}
+
+
+def test_every_option_is_on_its_page():
+    spec = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
+    assert spec is not None and spec.loader is not None
+    hooks = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hooks)
+    text = hooks.options()
+    commands = {word: model for word, model in COMMANDS.items() if word != "train"}
+    for word, model in {**commands, **{f"train {method}": each for method, each in METHODS.items()}}.items():
+        section = f"\n{text}".split(f"\n## sean {word}\n")[1].split("\n## ")[0]
+        for name, field in model.model_fields.items():
+            assert not field.description or f"| `{name}` |" in section, (word, name)
+    assert hooks.OUTSIDE.sub(r"\1 (`\2`)", "see [it](../a/b.md)") == "see it (`a/b.md`)"
+
+
+@pytest.mark.slow
+def test_the_tutorial_runs(tmp_path):
+    """All commands but those that install, with fewer episodes."""
+    blocks = re.findall(r"```bash\n(.*?)```", (DOCS / "tutorial.md").read_text(encoding="utf-8"), re.S)
+    script = "\n".join(blocks)
+    for long, short in SMALLER.items():
+        script = script.replace(long, short)
+    script = re.sub(r"^pip .*$", "", script, flags=re.M)
+    head = f'set -eu\nsean() {{ {sys.executable} -m sean_jax "$@"; }}\n'
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run(
+        ["bash", "-c", head + script], cwd=tmp_path, env=environment, capture_output=True, timeout=1500
+    )
+    assert done.returncode == 0, done.stderr.decode()[-2000:]
+    for name in (
+        "runs/go/report.html",
+        "runs/shy/replay.html",
+        "compare-go-orca.html",
+        "compare-go-shy.html",
+        "yard.png",
+    ):
+        assert (tmp_path / name).is_file(), name
+    assert list((tmp_path / "runs").glob("*/summary.json"))
