@@ -124,9 +124,15 @@ def test_episode_is_cut_after_its_last_active_step():
 def test_top_down_puts_the_marks_where_the_frames_say():
     figure = drawing.top_down(environment(), frames=frames())
     last = frames().position[35]
-    assert shade_at(figure, last[0] - 0.2, last[1] - 0.2) == colors.ROBOT
-    assert shade_at(figure, *frames().people[35, 1]) == colors.MEMBER
-    assert shade_at(figure, *frames().people[35, 0]) == colors.PERSON
+    assert shade_at(figure, last[0] - 0.05, last[1] - 0.05) == colors.ROBOT
+    halo = shade_at(figure, last[0] - 0.4, last[1] - 0.4)
+    assert halo not in (colors.ROBOT, colors.FLOOR), "the robot is as large as it is, with a halo around it"
+    for who, shade in ((1, colors.MEMBER), (0, colors.PERSON)):
+        ahead = frames().people_heading[35, who]
+        assert shade_at(figure, *(frames().people[35, who] - 0.05 * ahead)) == shade
+        aside = 0.2 * np.array([-ahead[1], ahead[0]])
+        assert shade_at(figure, *(frames().people[35, who] + aside)) == shade, "shoulders are wide"
+        assert shade_at(figure, *(frames().people[35, who] - 0.2 * ahead)) != shade, "and not deep"
     assert shade_at(figure, -3.0, 0.0) == colors.SITUATION_COLORS["empty"]
     assert shade_at(figure, *frames().position[22]) == colors.SITUATION_COLORS["cross_path"]
     assert shade_at(figure, -3.0, -4.5) == colors.FLOOR
@@ -160,15 +166,15 @@ def test_heat_map_has_row_zero_lowest():
 
 def test_animation_shows_every_nth_frame_and_the_last(tmp_path):
     path = tmp_path / "episode.gif"
-    drawing.animate(environment(), frames(), path, graph=Graph, every=5, size=200)
+    drawing.animate(environment(), frames(), path, graph=Graph, every=5, size=600)
     with Image.open(path) as gif:
         count = gif.n_frames  # pyright: ignore[reportAttributeAccessIssue]
         first = gif.convert("RGB")
         gif.seek(count - 1)
         last = gif.convert("RGB")
     assert count == 8  # frames 0, 5, ..., 30 and 35
-    x, scale = frames().position[35][0] + 0.2, 200 / (12.0 * (1 + 2 * parts.MARGIN))  # pixels a metre
-    there = (round((x + 6.0 + 12.0 * parts.MARGIN) * scale), round((5.0 + 12.0 * parts.MARGIN + 0.2) * scale))
+    x, scale = frames().position[35][0] - 0.08, 600 / (12.0 * (1 + 2 * parts.MARGIN))  # pixels a metre
+    there = (round((x + 6.0 + 12.0 * parts.MARGIN) * scale), round((5.0 + 12.0 * parts.MARGIN) * scale))
     orange = np.array([0xF5, 0x8A, 0x07])
     assert np.abs(np.array(last.getpixel(there)) - orange).max() < 40
     assert np.abs(np.array(first.getpixel(there)) - orange).max() > 100

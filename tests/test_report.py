@@ -158,6 +158,7 @@ def page(given: Evaluation) -> str:
                 situations=given.situations,
             ),
             time_step=0.1,
+            robot_radius=0.16,
             time_limit=25.0,
             checks={"largest_penetration_mm": 0.0, "largest_groups": [5, 3, 3], "not_finite": 0},
             timing={"compile_seconds": 1.0, "run_seconds": 2.0, "simulated_seconds_per_second": 5.0, "device": "cpu"},

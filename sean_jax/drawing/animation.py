@@ -28,6 +28,7 @@ def animate(
     graph: BehaviorGraph | None = None,
     situations: Sequence[str] | None = None,
     time_step: float = 0.1,
+    robot_radius: float = parts.ROBOT_RADIUS,
     every: int = 5,
     speed: float = 4.0,
     size: int = 640,
@@ -42,6 +43,7 @@ def animate(
         graph: a behavior graph, drawn below the episode.
         situations: names of the frames' situations, any names; the paper's five, or numbers, if None.
         time_step: s, between two frames.
+        robot_radius: m.
         every: number of frames from one picture to the next; the last frame is always shown.
         speed: how many times as fast as it happened.
         size: pixels, the width.
@@ -53,7 +55,7 @@ def animate(
     gifs.check(path)
     frames = parts.one_episode(frames)
     names = parts.situation_names(frames, situations)
-    scene = _Scene(environment, frames, graph, names, time_step, size, title, every)
+    scene = _Scene(environment, frames, graph, names, time_step, robot_radius, size, title, every)
     steps = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
     gifs.save(path, len(steps), lambda index: scene.picture(steps[index]), every * time_step / speed, colors=COLORS)
 
@@ -68,6 +70,7 @@ class _Scene:
         graph: BehaviorGraph | None,
         situations: tuple[str, ...],
         time_step: float,
+        robot_radius: float,
         size: int,
         title: str,
         every: int,
@@ -95,6 +98,9 @@ class _Scene:
         self.line = max(2, round(self.metre * 0.07))
         font = Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
         self.font, self.small = (ImageFont.truetype(str(font), round(size / part)) for part in (22, 32))
+        self.radius = max(robot_radius * self.metre, 2.0 * self.line)
+        around = np.linspace(0.0, 2.0 * np.pi, 25)[:-1]
+        self.body = np.stack([parts.DEPTH * np.cos(around), np.sin(around)], 1)  # (24, 2) ahead and aside
         self.people, self.group, self.present = pixels(frames.people), frames.group, np.asarray(frames.present, bool)
         self.heading_ends = self.people + flip * frames.people_heading * (1.9 * parts.PERSON_RADIUS * self.metre)
         self.path, self.heading, self.goal = pixels(frames.position), flip * frames.heading, pixels(frames.goal[-1])
@@ -137,12 +143,13 @@ class _Scene:
         ):
             draw.line([*place, *end], fill=colors.PERSON_EDGE, width=line)
             face = colors.MEMBER if group >= 0 else colors.PERSON
-            disc(place, parts.PERSON_RADIUS * metre, fill=face, outline=colors.PERSON_EDGE, width=line)
-        ahead = self.heading[t] * (parts.SQUARE * metre)
-        aside = np.array([-ahead[1], ahead[0]])
-        square = [self.path[t] + a * ahead + b * aside for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
-        draw.polygon([tuple(c) for c in square], fill=colors.ROBOT, outline=colors.ROBOT_EDGE, width=line)
-        draw.line([*self.path[t], *(self.path[t] + ahead)], fill=colors.ROBOT_EDGE, width=line)
+            ahead = (end - place) / max(float(np.hypot(*(end - place))), 1e-9)
+            outline = place + parts.PERSON_RADIUS * metre * (self.body @ np.stack([ahead, (-ahead[1], ahead[0])]))
+            draw.polygon([tuple(corner) for corner in outline], fill=face, outline=colors.PERSON_EDGE, width=line)
+        disc(self.path[t], parts.HALO * metre, outline=colors.ROBOT, width=line)
+        disc(self.path[t], self.radius, fill=colors.ROBOT, outline=colors.ROBOT_EDGE, width=line)
+        nose = self.path[t] + self.heading[t] * 2.2 * self.radius
+        draw.line([*self.path[t], *nose], fill=colors.ROBOT_EDGE, width=line)
         self._caption(draw, t)
         return image.reduce(2)
 

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 DARKEST_HEIGHT = 4.0  # m, from which obstacles have the darkest shade
 PERSON_RADIUS = 0.25  # m, as drawn: a body of 0.2 m and its edge
-SQUARE = 0.36  # m, half the side of the drawn robot: larger than life, or it would be hard to find
+DEPTH = 0.6  # of a person's width, from chest to back, so that shoulders tell the heading
+ROBOT_RADIUS = 0.16  # m, Kuri's, where no scenario tells another
+HALO = 0.7  # m, around a robot: at its true size alone it would be hard to find
 MARGIN, FOOT = 0.02, 0.075  # of the floor's width, around it and below it
 
 
@@ -254,40 +256,42 @@ def draw_people(axes: Axes, frames: Trajectory) -> None:
 def draw_discs(
     axes: Axes, position: np.ndarray, heading: np.ndarray, member: np.ndarray, radius: float, linewidth: float
 ) -> None:
-    """Draw people as discs with a tick along the heading.
+    """Draw people from above, by their shoulders, with a tick along the heading.
 
     Args:
         axes: to draw on.
         position: (N, 2) m.
         heading: (N, 2) unit vectors.
         member: (N,) bool, of a group, which has another color.
-        radius: m, of a disc.
+        radius: m, half of the width of the shoulders.
         linewidth: points.
     """
     from matplotlib.collections import EllipseCollection, LineCollection
 
     ends = np.stack([position, position + 1.9 * radius * heading], 1)
     axes.add_collection(LineCollection(list(ends), colors=colors.PERSON_EDGE, linewidths=linewidth + 0.1, zorder=6))
-    size = np.full(len(position), 2 * radius)
+    across = np.full(len(position), 2 * radius)
+    angles = np.degrees(np.arctan2(heading[:, 1], heading[:, 0]))
     faces = [colors.MEMBER if is_member else colors.PERSON for is_member in member]
     axes.add_collection(
         EllipseCollection(
-            size, size, np.zeros_like(size), units="xy", offsets=position, offset_transform=axes.transData,
+            DEPTH * across, across, angles, units="xy", offsets=position, offset_transform=axes.transData,
             facecolors=faces, edgecolors=colors.PERSON_EDGE, linewidths=linewidth, zorder=7,
         )
     )  # fmt: skip
 
 
-def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str]) -> None:
-    """Draw the robot's path in the colors of the situations, its start (ring), goal (target) and last pose (square).
+def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius: float = ROBOT_RADIUS) -> None:
+    """Draw the robot's path in the colors of the situations, its start (ring), goal (target) and last pose, to scale.
 
     Args:
         axes: to draw on.
         frames: (T, ...) of one episode.
         situations: their names.
+        radius: m, of the robot.
     """
     from matplotlib.collections import LineCollection
-    from matplotlib.patches import Circle, Polygon
+    from matplotlib.patches import Circle
 
     path = np.asarray(frames.position)
     shades = step_colors(frames, situations)
@@ -301,11 +305,11 @@ def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str]) -> Non
     goal = (float(frames.goal[-1][0]), float(frames.goal[-1][1]))
     for radius, face in ((0.75, "none"), (0.28, colors.ROBOT)):
         axes.add_patch(Circle(goal, radius, facecolor=face, edgecolor=colors.ROBOT, linewidth=1.8, zorder=10))
-    ahead = frames.heading[-1]
-    aside = np.array([-ahead[1], ahead[0]])
-    square = [path[-1] + SQUARE * (a * ahead + b * aside) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
-    axes.add_patch(Polygon(square, facecolor=colors.ROBOT, edgecolor=colors.ROBOT_EDGE, linewidth=1.0, zorder=11))
-    axes.plot(*zip(path[-1], path[-1] + SQUARE * ahead, strict=True), color=colors.ROBOT_EDGE, linewidth=1.4, zorder=12)
+    here = (float(path[-1][0]), float(path[-1][1]))
+    axes.add_patch(Circle(here, HALO, facecolor=colors.ROBOT, edgecolor="none", alpha=0.35, zorder=11))
+    axes.add_patch(Circle(here, radius, facecolor=colors.ROBOT, edgecolor=colors.ROBOT_EDGE, linewidth=1.0, zorder=11))
+    nose = path[-1] + 2.2 * radius * frames.heading[-1]
+    axes.plot(*zip(path[-1], nose, strict=True), color=colors.ROBOT_EDGE, linewidth=1.4, zorder=12)
 
 
 def draw_scale(axes: Axes, environment: Environment) -> None:
@@ -342,7 +346,7 @@ def draw_legend(axes: Axes, graph: bool, frames: Trajectory | None, situations: 
     entries: list[tuple[Any, str]] = []
     if frames is not None:
         entries += [
-            (mark("s", colors.ROBOT, colors.ROBOT_EDGE), "robot"),
+            (mark("o", colors.ROBOT, colors.ROBOT_EDGE), "robot"),
             (mark("o", colors.PAPER, colors.ROBOT), "start"),
             ((mark("o", "none", colors.ROBOT, 8.5), mark("o", colors.ROBOT, colors.ROBOT, 3)), "goal"),
             (mark("o", colors.PERSON, colors.PERSON_EDGE), "person"),

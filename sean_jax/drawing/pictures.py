@@ -32,6 +32,7 @@ def top_down(
     frames: Trajectory | None = None,
     situations: Sequence[str] | None = None,
     time_step: float = 0.1,
+    robot_radius: float = parts.ROBOT_RADIUS,
     trail: float = 40.0,
     width: float = 6.4,
     title: str = "",
@@ -47,6 +48,7 @@ def top_down(
         frames: (T, ...) of one episode, if there is one.
         situations: names of the frames' situations, any names; the paper's five, or numbers, if None.
         time_step: s, between two frames.
+        robot_radius: m.
         trail: s, of people's trails.
         width: inches.
         title: above the floor.
@@ -66,7 +68,7 @@ def top_down(
         situations = parts.situation_names(frames, situations)
         parts.draw_trails(axes, frames, round(trail / time_step))
         parts.draw_people(axes, frames)
-        parts.draw_robot(axes, frames, situations)
+        parts.draw_robot(axes, frames, situations, robot_radius)
     parts.draw_legend(axes, graph is not None, frames, situations or ())
     parts.draw_scale(axes, environment)
     return figure
@@ -227,12 +229,14 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
     else:
         environment, graph, time_step = scenario.environment, graph_of(scenario), scenario.time_step
         names = tuple(name for name, _ in scenario.situations)
+    radius = parts.ROBOT_RADIUS if scenario is None else scenario.robot.radius
+    shown: dict[str, Any] = dict(graph=graph, situations=names, time_step=time_step, robot_radius=radius)
     if not animate:
-        return top_down(environment, graph=graph, frames=frames, situations=names, time_step=time_step)
+        return top_down(environment, frames=frames, **shown)
     from IPython.display import Image
 
     stream = io.BytesIO()
-    animation.animate(environment, frames, stream, graph=graph, situations=names, time_step=time_step)
+    animation.animate(environment, frames, stream, **shown)
     return Image(data=stream.getvalue(), format="gif")
 
 

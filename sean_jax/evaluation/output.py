@@ -47,6 +47,7 @@ def write_all(folder: Path, evaluation: "Evaluation", config: RunConfig | None) 
             graph=graph,
             situations=evaluation.situations,
             time_step=scenario.time_step,
+            robot_radius=scenario.robot.radius,
             title=evaluation.tasks[0].replace("_", " "),
         )
     if evaluation.frames and config is not None and config.camera is not None:
@@ -73,6 +74,7 @@ def write_all(folder: Path, evaluation: "Evaluation", config: RunConfig | None) 
         frames=evaluation.frames,
         replay=replay.of_scenario(scenario, shown) if shown else None,
         time_step=scenario.time_step,
+        robot_radius=scenario.robot.radius,
         time_limit=scenario.time_limit,
         checks=summary["checks"],
         timing=summary["timing"],

@@ -44,6 +44,7 @@ class Report:
     frames: list[Trajectory]  # of the first episodes
     replay: dict[str, Any] | None  # the same as ``replay.recording`` has them
     time_step: float  # s
+    robot_radius: float  # m
     time_limit: float  # s
     checks: dict[str, Any]
     timing: dict[str, Any]
@@ -172,6 +173,7 @@ def _episodes(report: Report) -> str:
             frames=frames,
             situations=report.situations,
             time_step=report.time_step,
+            robot_radius=report.robot_radius,
         )
         outcome = "completed" if report.completed[i] else "not completed"
         caption = f"Episode {i} · {_words(report.tasks[i])} · {outcome} in {report.seconds[i]:.1f} s"
