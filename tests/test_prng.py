@@ -198,7 +198,7 @@ def test_commands_draw_other_episodes(scenario):
     @jax.jit  # of which nothing but the keys is compiled
     def drawn(numbers):
         def people(use):
-            running = runner._draw((quiet.task,), use, runner.NO_RECORD, fixed, jnp.uint32(0), numbers, index)
+            running = runner._draw((quiet.task,), use, runner.NO_RECORD, None, fixed, jnp.uint32(0), numbers, index)
             return running.states.streams.people
 
         return [people(use) for use in ("run", "collect", "figure4")]
