@@ -621,6 +621,8 @@ class TrainConfig(Config):
     """Folder that `sean collect` has written."""
     further: Annotated[tuple[Path, ...], Incidental()] = ()
     """Folders of further datasets, which are learned from as well."""
+    part: tuple[Count, Count] = (1, 1)
+    """Which of how many equal parts of the dataset's episodes is learned from: 3 10 for the third of ten."""
     pretrained: Path | None = None
     """Folder of a training whose best network goes on to learn."""
     flags: bool = False
@@ -650,6 +652,13 @@ class TrainConfig(Config):
     same options, that is continued."""
     quiet: Annotated[bool, Incidental()] = False
     """Print nothing but errors."""
+
+    @pydantic.model_validator(mode="after")
+    def _check_part(self) -> "TrainConfig":
+        which, parts = self.part
+        if which > parts:
+            raise ValueError(f"part: {which} of {parts} is none; give a first number of {parts} or less")
+        return self
 
     @property
     def folder(self) -> Path:

@@ -73,3 +73,24 @@ def test_what_cannot_stand_beside_one_another_is_refused(data, tmp_path):
     with pytest.raises(InputError, match="pretrained: networks side by side begin from nothing"):
         ensemble.train([options(data, tmp_path / "a", pretrained=tmp_path)])
     assert not (tmp_path / "a").exists()
+
+
+def test_parts_of_a_dataset_share_its_episodes_evenly(data, tmp_path):
+    """Each episode is in one part, and each part has as much of every task; networks of other parts are others."""
+    whole = {episode.number for episode in data.episodes}
+    for parts in (1, 2, 3, 5):
+        opened = [learning.open_dataset(data.folder, (which, parts)) for which in range(1, parts + 1)]
+        numbers = [[episode.number for episode in each.episodes] for each in opened]
+        assert sorted(sum(numbers, [])) == sorted(whole)
+        assert sum(each.example_count for each in opened) == data.example_count
+        assert len({each.fingerprint() for each in opened}) == parts
+        for stream in {episode.stream for episode in data.episodes}:
+            counts = [sum(episode.stream == stream for episode in each.episodes) for each in opened]
+            assert max(counts) - min(counts) <= 1
+    states = ensemble.train([options(data, tmp_path / str(k), part=(k, 2), epochs=2) for k in (1, 2)])
+    alike = jax.tree.map(lambda one, other: np.array_equal(one, other), states[0].weights, states[1].weights)
+    assert not all(jax.tree.leaves(alike))
+    with pytest.raises(InputError, match="episodes in part 1 of 16, too few"):
+        training.train(options(data, tmp_path / "few", part=(1, 16)))
+    with pytest.raises(ValueError, match="part: 3 of 2 is none; give a first number of 2 or less"):
+        options(data, tmp_path / "none", part=(3, 2))

@@ -366,7 +366,7 @@ def test_figure4(tmp_path, monkeypatch):
     before = {name: (out / name).read_bytes() for name in ("figure4.csv", "claims.csv")}
     for missing in ("trained-random-0-1.json", "episodes-R-graph.json", "episodes-G-handcrafted.json", *before):
         (out / missing).unlink()
-    for missing in ("demonstrations-random-0", "policy-random-0-1"):
+    for missing in ("demonstrations-random", "policy-random-0-1"):
         shutil.rmtree(out / missing)
     monkeypatch.setattr(together, "workers", lambda: 1)
     assert cli.main(["experiment", "figure4", *given, "--out", str(out)]) == 0

@@ -36,14 +36,15 @@ def test_the_first_variant_is_column_g_of_figure_4():
     paper = figure4.learner(ExperimentConfig(which="figure4", out=ASKED.folder).complete(), "G")
     taught = {each.name: learning_curve.learner(ASKED, each) for each in learning_curve.variants(ASKED)}
     one = taught["1h"]
-    assert len(one.data) == 3 and len(one.networks) == 3
-    for ours, theirs in zip(one.data, paper.data, strict=False):
-        assert ours.decisive() == theirs.decisive() and ours.hours == theirs.hours
+    assert one.datasets == 3 and len(one.networks) == 3
+    assert one.data.decisive() == paper.data.decisive() and (one.data.hours, paper.data.hours) == (3.0, 10.0)
     ours, theirs = one.training((1, 0)), paper.training((1, 0))
-    assert ours.decisive() == theirs.decisive() and ours.epochs == theirs.epochs and ours.patience == theirs.patience
+    assert (ours.part, theirs.part) == ((2, 3), (2, 10)), "an hour each"
+    assert ours.replace(part=(1, 1)).decisive() == theirs.replace(part=(1, 1)).decisive()
+    assert ours.epochs == theirs.epochs and ours.patience == theirs.patience
     assert taught["1h-flags"].data == one.data and taught["1h-flags"].training((0, 0)).flags
-    assert [each.rate for each in taught["1h-10hz"].data] == [10] * 3
-    assert {each.data[0].seed for each in taught.values()} == {0}
+    assert taught["1h-10hz"].data.rate == 10
+    assert {each.data.seed for each in taught.values()} == {0}
     folders = [each.training(network).folder for each in taught.values() for network in each.networks]
     assert len(set(folders)) == 15
 
@@ -94,7 +95,7 @@ def test_options_of_the_curve_are_its_own(tmp_path):
     with pytest.raises(InputError, match="rate: 3 examples a second do not divide its 10 steps"):
         learning_curve.run(ExperimentConfig(which="learning_curve", rates=(3,), out=tmp_path / "out"))
     preset = ExperimentConfig(which="learning_curve", preset="sean2").complete()
-    assert learning_curve.collection(preset, Variant(1.0, 10), 0).dynamics == "kinematic"
+    assert learning_curve.collection(preset, Variant(1.0, 10)).dynamics == "kinematic"
     assert not list(tmp_path.iterdir())
 
 
@@ -116,7 +117,7 @@ def test_learning_curve(tmp_path, monkeypatch):
         cells = {row[4]: [float(value) for value in row[6:]] for row in rows if (row[0], row[5]) == (name, measure)}
         assert cells["mean"][0] == pytest.approx(np.mean([cells[b][0] for b in BEHAVIORS]), abs=1e-4)
         assert all(low - 1e-5 <= mean <= high + 1e-5 for mean, low, high in cells.values())
-    slow, fast = (open_dataset(out / f"demonstrations-0.0167h{end}-0") for end in ("", "-10hz"))
+    slow, fast = (open_dataset(out / f"demonstrations-0.0167h{end}") for end in ("", "-10hz"))
     assert (slow.rate, fast.rate, fast.example_count) == (1, 10, 10 * slow.example_count)
     trained = json.loads((out / "trained-0.0167h-flags-0-1.json").read_text(encoding="utf-8"))
     assert trained["examples"] == slow.example_count and trained["epochs"] == 2
@@ -128,7 +129,7 @@ def test_learning_curve(tmp_path, monkeypatch):
     before = {path.name: path.read_bytes() for path in out.glob("*.csv")}
     for missing in ("trained-0.04h-0-1.json", "episodes-0.04h-graph.json", "episodes-0.0167h-flags-random.json"):
         (out / missing).unlink()
-    for missing in ("demonstrations-0.04h-0", "policy-0.04h-0-1"):
+    for missing in ("demonstrations-0.04h", "policy-0.04h-0-1"):
         shutil.rmtree(out / missing)
     monkeypatch.setattr(together, "workers", lambda: 1)
     assert cli.main(["experiment", "learning_curve", *given]) == 0
@@ -165,7 +166,7 @@ def test_columns_of_figure_4_are_folders_of_other_trainings(tmp_path, monkeypatc
         others="runs/dagger,runs/apg", out=tmp_path / "figure4",
     ).complete()  # fmt: skip
     assert figure4.others(options) == ["runs/dagger", "runs/apg"]
-    description = figure4.collection(options, "graph", 0)
+    description = figure4.collection(options, "graph")
     places = dict.fromkeys(BEHAVIORS, list(figure4.streams(description).values()))
     jobs = {part.name: part.work for part in figure4._parts(options, options.folder, places)}
     options.folder.mkdir()

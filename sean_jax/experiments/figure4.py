@@ -52,7 +52,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     """
     options = options.complete()
     for behavior in BEHAVIORS:
-        protocol.check(collection(options, behavior, 0))
+        protocol.check(collection(options, behavior))
     for name in others(options):
         choice.check(name, ScenarioConfig(), "--others")
     folder = options.folder
@@ -104,13 +104,10 @@ def _part_name(policy: str, behavior: str) -> str:
 def _parts(options: ExperimentConfig, folder: Path, places: dict[str, list[Scenario]]) -> list[Part]:
     """The parts of the experiment, in an order in which they could run one by one."""
     taught = {policy: learner(options, policy) for policy in (*LEARNED, BALANCED)}
-    data = {}
-    for behavior in reversed(BEHAVIORS):  # graph first: two policies need it
-        for dataset in range(options.datasets or 1):
-            data[behavior, dataset] = f"demonstrations in {behavior}, {dataset}"
+    data = {behavior: f"demonstrations in {behavior}" for behavior in reversed(BEHAVIORS)}  # two policies need graph
     jobs: list[Part] = []
-    for pair, name in data.items():
-        work = functools.partial(learners.collect, collection(options, *pair), tuple(taught.values()))
+    for behavior, name in data.items():
+        work = functools.partial(learners.collect, collection(options, behavior), tuple(taught.values()))
         jobs.append(Part(name, work))
 
     def drive(several: tuple[Driver, ...], behavior: str, needs: tuple[str, ...] = ()) -> Part:
@@ -124,8 +121,8 @@ def _parts(options: ExperimentConfig, folder: Path, places: dict[str, list[Scena
         jobs += [drive((Driver(policy, (alike,)),), behavior) for behavior in BEHAVIORS]
     before: tuple[str, ...] = ()
     for policy, learned in taught.items():  # one after the other: orbax mixes up what several threads save
-        needed = (name for (origin, _), name in data.items() if origin == LEARNED.get(policy, "graph"))
-        jobs.append(Part(f"training {policy}", functools.partial(learners.train, learned), (*needed, *before)))
+        needed = data[LEARNED.get(policy, "graph")]
+        jobs.append(Part(f"training {policy}", functools.partial(learners.train, learned), (needed, *before)))
         before = (jobs[-1].name,)
     every = tuple(learned.driver(policy) for policy, learned in taught.items())
     jobs += [drive(every, behavior, before) for behavior in BEHAVIORS]  # after the last of the trainings
@@ -158,15 +155,12 @@ def description(options: ExperimentConfig, behavior: str) -> dict[str, Any]:
     return {"preset": options.preset, **table1.fields(options, behavior, options.people)}
 
 
-def collection(
-    options: ExperimentConfig, behavior: str, dataset: int, name: str | None = None, **others: Any
-) -> CollectConfig:
-    """What is demonstrated.
+def collection(options: ExperimentConfig, behavior: str, name: str | None = None, **others: Any) -> CollectConfig:
+    """What is demonstrated: the hours of all datasets together, since many episodes at once fill a GPU.
 
     Args:
         options: of the experiment.
         behavior: random, handcrafted or graph.
-        dataset: its number.
         name: in that of the folder, the behavior's by default.
         others: further fields.
 
@@ -178,8 +172,8 @@ def collection(
     """
     image: dict[str, Any] = dict(width=32, height=24) if options.quick else {}
     told: dict[str, Any] = dict(hours=options.hours or 1.0) | image | others
-    told |= dict(policy=Named(kind=options.demonstrator), seed=options.seed + dataset)
-    told |= dict(out=options.folder / f"demonstrations-{name or behavior}-{dataset}")
+    told |= dict(hours=told["hours"] * (options.datasets or 1), seed=options.seed)
+    told |= dict(policy=Named(kind=options.demonstrator), out=options.folder / f"demonstrations-{name or behavior}")
     return validate(CollectConfig, description(options, behavior) | told)
 
 
@@ -194,9 +188,9 @@ def learner(options: ExperimentConfig, policy: str) -> Learner:
         What they learn from, and how.
     """
     behavior = LEARNED.get(policy, "graph")
-    data = tuple(collection(options, behavior, dataset) for dataset in range(options.datasets or 1))
     name = "graph-balanced" if policy == BALANCED else behavior
-    return Learner(name, options.folder, data, seeds(options), training(options) | {"balance": policy == BALANCED})
+    told = training(options) | {"balance": policy == BALANCED}
+    return Learner(name, options.folder, collection(options, behavior), options.datasets or 1, seeds(options), told)
 
 
 def seeds(options: ExperimentConfig) -> tuple[int, ...]:

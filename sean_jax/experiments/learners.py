@@ -35,14 +35,15 @@ class Learner:
 
     name: str  # of their files
     folder: Path  # of the experiment
-    data: tuple[CollectConfig, ...]  # of the datasets
+    data: CollectConfig  # of all demonstrations together
+    datasets: int  # equal parts of them, each of which is learned from by itself
     seeds: tuple[int, ...]
     options: dict[str, Any]  # of all trainings
 
     @property
     def networks(self) -> list[tuple[int, int]]:
         """Number of the dataset and of the seed of each."""
-        return [(dataset, seed) for dataset in range(len(self.data)) for seed in range(len(self.seeds))]
+        return [(dataset, seed) for dataset in range(self.datasets) for seed in range(len(self.seeds))]
 
     def summary(self, network: tuple[int, int]) -> Path:
         """The file that is written when a network is trained.
@@ -66,7 +67,7 @@ class Learner:
         """
         dataset, seed = network
         return TrainConfig(
-            method="imitation", dataset=self.data[dataset].folder, seed=self.seeds[seed],
+            method="imitation", dataset=self.data.folder, part=(dataset + 1, self.datasets), seed=self.seeds[seed],
             out=self.folder / f"policy-{self.name}-{dataset}-{seed}", **self.options,
         )  # fmt: skip
 
@@ -91,12 +92,9 @@ def collect(config: CollectConfig, learners: Sequence[Learner], watch: Callable[
         learners: all of the experiment.
         watch: is told the share that is done.
     """
-    for learner in learners:
-        for network in learner.networks:
-            needs = learner.data[network[0]].folder == config.folder
-            if needs and parts.load(learner.summary(network)) is None:
-                learning.collect(config, watch)
-                return
+    needed = [learner for learner in learners if learner.data.folder == config.folder]
+    if any(parts.load(learner.summary(network)) is None for learner in needed for network in learner.networks):
+        learning.collect(config, watch)
 
 
 def train(learner: Learner, watch: Callable[[float], None]) -> list[Training]:
@@ -133,7 +131,7 @@ def mean(summaries: Sequence[Training]) -> Training:
 
 
 def _summary(trained: TrainConfig, state: TrainState) -> dict[str, Any]:
-    data = learning.open_dataset(trained.dataset)
+    data = learning.open_dataset(trained.dataset, trained.part)
     flags = data.read(data.episodes, ("situations",))["situations"]
     odds = balanced_probabilities(flags) if trained.balance else np.full(len(flags), 1 / len(flags))
     shared = odds @ (flags / np.maximum(flags.sum(1, keepdims=True), 1))

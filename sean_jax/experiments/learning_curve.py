@@ -55,7 +55,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     options = options.complete()
     asked = variants(options)
     for variant in asked:
-        protocol.check(collection(options, variant, 0))
+        protocol.check(collection(options, variant))
     folder = options.folder
     parts.has_started(options)
     with writing.folder_lock(folder):
@@ -84,13 +84,12 @@ def variants(options: ExperimentConfig) -> tuple[Variant, ...]:
     return tuple(dict.fromkeys([*map(Variant, amounts), *rates, Variant(first, flags=True)]))
 
 
-def collection(options: ExperimentConfig, variant: Variant, dataset: int) -> CollectConfig:
+def collection(options: ExperimentConfig, variant: Variant) -> CollectConfig:
     """What networks of a variant learn from.
 
     Args:
         options: of the experiment.
         variant: of the networks.
-        dataset: its number, which decides the seed in all variants.
 
     Returns:
         The description.
@@ -99,7 +98,7 @@ def collection(options: ExperimentConfig, variant: Variant, dataset: int) -> Col
         InputError: a value cannot be.
     """
     told = {"hours": variant.hours, "rate": variant.rate}
-    return figure4.collection(options, TEACHER, dataset, variant.data, **told)
+    return figure4.collection(options, TEACHER, variant.data, **told)
 
 
 def learner(options: ExperimentConfig, variant: Variant) -> Learner:
@@ -113,8 +112,9 @@ def learner(options: ExperimentConfig, variant: Variant) -> Learner:
         What they learn from, and how: in so few epochs that the optimizer makes no more steps than the options say.
     """
     told = figure4.training(options)
-    data = tuple(collection(options, variant, dataset) for dataset in range(options.datasets or 1))
-    made = Learner(variant.name, options.folder, data, figure4.seeds(options), told | {"flags": variant.flags})
+    told |= {"flags": variant.flags}
+    data, datasets = collection(options, variant), options.datasets or 1
+    made = Learner(variant.name, options.folder, data, datasets, figure4.seeds(options), told)
     own = made.training((0, 0))
     steps = math.ceil((1.0 - own.validation) * variant.examples / own.batch)  # of an epoch
     most = max(1, (options.updates or 1) // steps)
@@ -126,16 +126,15 @@ def _parts(
 ) -> list[Part]:
     """The parts of the experiment, in an order in which they could run one by one."""
     taught = {variant: learner(options, variant) for variant in sorted(asked, key=lambda each: each.examples)}
-    configs = {config.folder.name: config for learned in taught.values() for config in learned.data}
+    configs = {learned.data.folder.name: learned.data for learned in taught.values()}
     jobs = [
         Part(name, functools.partial(learners.collect, config, tuple(taught.values())))
         for name, config in configs.items()
     ]
     before: tuple[str, ...] = ()
     for variant, learned in taught.items():  # one after the other: orbax mixes up what several threads save
-        needed = (config.folder.name for config in learned.data)
         work = functools.partial(learners.train, learned)
-        jobs.append(Part(f"training {variant.title}", work, (*needed, *before)))
+        jobs.append(Part(f"training {variant.title}", work, (learned.data.folder.name, *before)))
         before = (jobs[-1].name,)
     for flags, behavior in itertools.product((False, True), BEHAVIORS):  # those alike share programs
         several = [taught[variant].driver(variant.name) for variant in asked if variant.flags == flags]

@@ -48,6 +48,7 @@ class Dataset:
 
     folder: Path
     manifest: dict[str, Any]  # the content of dataset.json
+    part: tuple[int, int] = (1, 1)  # which of how many equal parts of the episodes is read; (3, 10) is the third of ten
 
     @property
     def batch(self) -> int:
@@ -74,7 +75,10 @@ class Dataset:
 
     @property
     def episodes(self) -> list[Episode]:
-        """The episodes of the dataset; the last one of each stream ends where the time of the stream is used up."""
+        """The episodes of the part; the last one of each stream ends where the time of the stream is used up.
+
+        Parts take turns by episode, so that each has as much of every stream.
+        """
         rows = self.rate * seconds_of_each(self.manifest["hours"], len(self.manifest["streams"]))
         left, episodes = [rows] * len(self.manifest["streams"]), []
         for index, shard in enumerate(self.manifest["shards"]):
@@ -84,7 +88,8 @@ class Dataset:
                     left[shard["stream"]] -= length
                     number = index * self.batch + place
                     episodes.append(Episode(number, shard["stream"], length, shard["completed"][place]))
-        return episodes
+        which, parts = self.part
+        return episodes[which - 1 :: parts]
 
     @property
     def example_count(self) -> int:
@@ -113,7 +118,8 @@ class Dataset:
             16 hexadecimal digits of options, length and file sizes.
         """
         names = ("format", "options", "hours", "batch", "streams", "shards")
-        text = json.dumps({name: self.manifest[name] for name in names}, sort_keys=True)
+        told = {name: self.manifest[name] for name in names} | ({"part": self.part} if self.part != (1, 1) else {})
+        text = json.dumps(told, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def read(self, episodes: list[Episode], names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
@@ -299,11 +305,12 @@ def create_dataset(folder: Path, manifest: dict[str, Any]) -> Dataset:
     return data
 
 
-def open_dataset(folder: Path | str) -> Dataset:
+def open_dataset(folder: Path | str, part: tuple[int, int] = (1, 1)) -> Dataset:
     """Open a dataset for reading.
 
     Args:
         folder: the folder that ``sean collect`` or a ``Recorder`` has written.
+        part: which of how many equal parts of the episodes.
 
     Returns:
         The dataset.
@@ -326,7 +333,7 @@ def open_dataset(folder: Path | str) -> Dataset:
         others = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
         message = f"{lines[0].rstrip('.')}{others}; {file} cannot be read: restore it or collect anew."
         raise InputError(message) from None
-    return Dataset(folder, manifest)
+    return Dataset(folder, manifest, part)
 
 
 def split(dataset: Dataset, share: float, seed: int) -> tuple[list[Episode], list[Episode]]:
@@ -345,7 +352,10 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[list[Episode], lis
     """
     episodes = dataset.episodes
     if len(episodes) < 2:
-        raise InputError(f"{dataset.folder} has {len(episodes)} episodes, too few to train and validate; collect more.")
+        which, parts = dataset.part
+        of = f" in part {which} of {parts}" if parts > 1 else ""
+        text = f"{dataset.folder} has {len(episodes)} episodes{of}, too few to train and validate"
+        raise InputError(f"{text}; collect more.")
     count = min(max(1, round(share * len(episodes))), len(episodes) - 1)
     chosen = set(prng.generator("validation", seed).permutation(len(episodes))[:count].tolist())
     training = [episode for index, episode in enumerate(episodes) if index not in chosen]

@@ -33,7 +33,7 @@ from sean_jax.learning.several import Several, open_datasets, split_each
 from sean_jax.learning.training import TrainState
 from sean_jax.progress import progress
 
-OWN = "dataset", "further", "seed", "out", "quiet"  # options in which the networks may differ
+OWN = "dataset", "further", "part", "seed", "out", "quiet"  # options in which the networks may differ
 AT_ONCE = 32  # networks in one program, or fewer where their datasets fill the memory
 
 
@@ -54,7 +54,7 @@ def train(several: Sequence[TrainConfig], console: Console | Callable[[float], N
         FloatingPointError: a loss is not finite; nothing of the networks that were trained together is written.
     """
     several = list(several)
-    data = [open_datasets([options.dataset, *options.further]) for options in several]
+    data = [open_datasets([options.dataset, *options.further], options.part) for options in several]
     networks = [Network(o.width, o.flags, each.image_shape) for o, each in zip(several, data, strict=True)]
     _check(several, data, networks)
     size = min(AT_ONCE, _fitting(several[0], data))

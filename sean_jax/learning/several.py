@@ -114,11 +114,12 @@ class Several:
         return recording_of(self.read(episodes), [episode.length for episode in episodes], self.rate)
 
 
-def open_datasets(folders: Sequence[Path]) -> Several:
+def open_datasets(folders: Sequence[Path], part: tuple[int, int] = (1, 1)) -> Several:
     """Open datasets to learn from them together.
 
     Args:
         folders: that ``sean collect`` or a ``Recorder`` has written.
+        part: which of how many equal parts of the first one's episodes; of the others all are read.
 
     Returns:
         The datasets.
@@ -126,16 +127,16 @@ def open_datasets(folders: Sequence[Path]) -> Several:
     Raises:
         InputError: one is none, or has other images, situations or another rate than the first.
     """
-    parts = [open_dataset(folder) for folder in folders]
-    for part in parts[1:]:
+    first, *others = (open_dataset(folder, (1, 1) if more else part) for more, folder in enumerate(folders))
+    for other in others:
         for name in ("camera", "situations"):
-            had, wanted = part.manifest[name], parts[0].manifest[name]
+            had, wanted = other.manifest[name], first.manifest[name]
             if had != wanted:
-                raise InputError(f"{part.folder} has {name} {had}, and {parts[0].folder} {wanted}; collect the same.")
-        if part.rate != parts[0].rate:
-            rates = f"{part.folder} has {part.rate} examples a second, and {parts[0].folder} {parts[0].rate}"
+                raise InputError(f"{other.folder} has {name} {had}, and {first.folder} {wanted}; collect the same.")
+        if other.rate != first.rate:
+            rates = f"{other.folder} has {other.rate} examples a second, and {first.folder} {first.rate}"
             raise InputError(f"{rates}; collect with the same --rate.")
-    return Several(parts)
+    return Several([first, *others])
 
 
 def split_each(several: Several, share: float, seed: int) -> tuple[list[Member], list[Member]]:

@@ -91,7 +91,7 @@ def train(options: TrainConfig, console: Console | Callable[[float], None] | Non
         IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
         FloatingPointError: the loss is not finite. The checkpoints stay.
     """
-    data = open_datasets([options.dataset, *options.further])
+    data = open_datasets([options.dataset, *options.further], options.part)
     training, validation = split_each(data, options.validation, options.seed)
     network = Network(options.width, options.flags, data.image_shape)
     config = _config(options, data, network)
