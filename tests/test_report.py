@@ -179,5 +179,8 @@ def test_report_is_whole_and_refers_to_nothing_outside():
         assert row.title in reader.text and row.definition in reader.text
     for said in ("yard <1>", "sean run --environment yard", "1.2.3", "Episode 0 · join group · not completed"):
         assert said in reader.text
+    topics = [part.split("</details>")[0] for part in text.split("<details")[1:]]
+    assert sum(each.count("<tr>") - 1 for each in topics) == len(rows), "each row is in one topic"
+    assert [each.startswith(" open") for each in topics].count(True) == 2 < len(topics)
     ids = [part.split('"')[0] for part in text.split(' id="')[1:]]
     assert len(set(ids)) == len(ids)

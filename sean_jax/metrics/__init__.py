@@ -49,8 +49,23 @@ METRICS: dict[str, Metric] = {
     "max_acceleration": motion.max_acceleration,
     "max_jerk": motion.max_jerk,
 }
+TOPICS = {path: "way and goal", proximity: "distances and collisions", comfort: "comfort", motion: "motion"}
+"""Module of metrics -> what they are about."""
+
 Metrics = tuple[tuple[str, Metric], ...]
 DEFAULT: Metrics = tuple(METRICS.items())
+
+
+def topic(name: str) -> str:
+    """What a metric is about.
+
+    Args:
+        name: of the metric.
+
+    Returns:
+        A few words; "your own" for one that does not come with the package.
+    """
+    return next((words for module, words in TOPICS.items() if hasattr(module, name)), "your own")
 
 
 def init(moment: Moment, metrics: Metrics = DEFAULT) -> dict[str, PyTree]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sean_jax import drawing, replay
+from sean_jax import drawing, metrics, replay
 from sean_jax.base import Environment, Trajectory
 from sean_jax.drawing import colors
 from sean_jax.report import figures
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from sean_jax.graph.behavior_graph import BehaviorGraph
 
 STYLE = Path(__file__).with_name("style.css")
+OF_EPISODES = ("share", "completed", "seconds")  # rows that no metric measures
+EPISODE = "episodes"  # what those are about
+OPEN = (EPISODE, "distances and collisions")  # topics that the table shows unless folded
 
 
 @dataclasses.dataclass
@@ -149,16 +152,22 @@ def _table(report: Report) -> str:
     head = "".join(
         f"<th>{_dot(color)}{_words(name)}</th>" for name, color in zip(report.situations, shades, strict=True)
     )
-    body = []
+    by_topic: dict[str, list[str]] = {}
     for row in report.rows:
         cells = "".join(
             f"<td>{cell}<small>{interval}</small></td>" if cell else "<td class=none>–</td>"
             for cell, interval in zip(row["cells"], row["intervals"], strict=True)
         )
-        body.append(f"<tr><th>{_words(row['title'])}{_unit(row)}</th>{cells}</tr>")
+        about = EPISODE if row["name"] in OF_EPISODES else metrics.topic(row["name"])
+        by_topic.setdefault(about, []).append(f"<tr><th>{_words(row['title'])}{_unit(row)}</th>{cells}</tr>")
+    head = f"<thead><tr><th></th><th>overall</th>{head}</tr></thead>"
+    tables = "".join(
+        f"<details{' open' if about in OPEN else ''}><summary>{about} <small>{len(rows)}</small></summary>"
+        f"<div class=wide><table>{head}<tbody>{''.join(rows)}</tbody></table></div></details>"
+        for about, rows in by_topic.items()
+    )
     return (
-        f"<div class=wide><table><thead><tr><th></th><th>overall</th>{head}</tr></thead>"
-        f"<tbody>{''.join(body)}</tbody></table></div>"
+        f"<div class=topics>{tables}</div>"
         "<p class=note>Small print: 95 % bootstrap intervals over episodes. Violations and collisions are times "
         "per episode. A dash stands for a situation that did not occur, or a metric that is not split by situation.</p>"
     )
