@@ -87,7 +87,7 @@ FITTING = {"thresholds": None, "task_distance": (1.0, 2.0), "time_step": 0.1, "t
             "collect",
             {**FITTING, "behavior": "random", "task": None, "width": 30, "height": 20, "metrics": (), "rate": 5},
         ),
-        ("train", {"dataset": Path("runs/a b")}),
+        ("train", {"dataset": Path("runs/a b"), "part": (2, 3)}),
         ("experiment", {"which": "table1"}),
         ("experiment", {"which": "figure4"}),
         ("experiment", {"which": "learning_curve"}),
