@@ -158,6 +158,7 @@ def test_a_notebook_shows_it(walked, tmp_path):
         assert isinstance(shown.figure, Figure)
         text = shown._repr_html_()
         assert text.startswith("<iframe srcdoc=") and "data:image/png;base64," in text and "<script" not in text
+        assert shown._repr_png_().startswith(b"\x89PNG"), "for readers that show no HTML"
         shown.save(tmp_path / "page.html")
         assert "data-replay" in (tmp_path / "page.html").read_text()
 

@@ -307,30 +307,23 @@ class Replay:
         """
         writing.write(Path(path), html(self.content))
 
-    def _repr_html_(self) -> str:
-        import base64
+    def _repr_png_(self) -> bytes:
+        """The picture, for readers that show no HTML."""
         import io
 
         stream = io.BytesIO()
         self.figure.savefig(stream, format="png", dpi=110)
-        data = base64.b64encode(stream.getvalue()).decode("ascii")
+        return stream.getvalue()
+
+    def _repr_html_(self) -> str:
+        import base64
+
+        data = base64.b64encode(self._repr_png_()).decode("ascii")
         picture = f'<img alt="episode from above" style="max-width:100%" src="data:image/png;base64,{data}">'
         page = markup.escape(html(self.content, picture, linked=False))
         x0, y0, x1, y1 = self.content["place"]["floor"]
         height = round(min(640, 900 * (y1 - y0) / (x1 - x0))) + 330
-        return f'<iframe srcdoc="{page}" width="100%" height="{height}" style="border:0"></iframe>{picture_only(data)}'
-
-
-def picture_only(data: str) -> str:
-    """The picture for readers that show neither scripts nor frames.
-
-    Args:
-        data: PNG, base64.
-
-    Returns:
-        HTML.
-    """
-    return f'<noscript><img alt="episode from above" src="data:image/png;base64,{data}"></noscript>'
+        return f'<iframe srcdoc="{page}" width="100%" height="{height}" style="border:0"></iframe>'
 
 
 def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool = False) -> Any:
