@@ -19,8 +19,6 @@ SMALLER = {
     "--episodes 16": "--episodes 2",
     "--episodes 64": "--episodes 2",
     "--episodes 3 17": "--episodes 1",
-    "--steps 500000": "--steps 2048",
-    "--scenarios 64": "--scenarios 8",
 }
 
 
@@ -62,9 +60,9 @@ def test_every_option_is_on_its_page():
 
 @pytest.mark.slow
 def test_the_tutorial_runs(tmp_path):
-    """All commands but those that install, with fewer episodes."""
-    blocks = re.findall(r"```bash\n(.*?)```", (DOCS / "tutorial.md").read_text(encoding="utf-8"), re.S)
-    script = "\n".join(blocks)
+    """All commands but those that install, with fewer episodes, and but the training, which tests of its own run."""
+    text = (DOCS / "tutorial.md").read_text(encoding="utf-8").split("## 5.")[0]
+    script = "\n".join(re.findall(r"```bash\n(.*?)```", text, re.S))
     for long, short in SMALLER.items():
         script = script.replace(long, short)
     script = re.sub(r"^pip .*$", "", script, flags=re.M)
