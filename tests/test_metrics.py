@@ -16,6 +16,13 @@ from sean_jax.metrics import metric
 PEOPLE, SITUATIONS, STEP = 3, 5, 0.1
 FAR = (50.0, 50.0)
 ROBOT_RADIUS, PERSON_RADIUS = 0.16, 0.2
+
+
+def test_every_metric_has_a_topic_and_only_those_of_the_package():
+    assert all(metrics.topic(name) in metrics.TOPICS.values() for name in metrics.METRICS)
+    assert {metrics.topic(name) for name in ("mean", "Metric", "jnp", "mine")} == {"your own"}
+
+
 update = jax.jit(metrics.update)
 compute = jax.jit(metrics.compute)
 EVENTS = [f"{limit}_{who}" for limit in ("intimate", "personal", "collision")

@@ -60,7 +60,7 @@ def write(options: ReplayConfig, console: Console) -> Path:
             batch = runner.run(config.seed, number, 1, watch=Watch(advanced=advanced))
             (frames,) = tally.episodes(batch.rows, 1)
             seconds = float(batch.steps[0]) * scenarios[0].time_step
-            outcome = f"{'completed' if batch.states.completed[0] else 'not completed'} in {seconds:.1f} s"
+            outcome = output.outcome(bool(batch.states.completed[0]), seconds)
             if number in ended and abs(ended[number] - seconds) > 0.5 * scenarios[0].time_step:
                 outcome += f" ({ended[number]:.1f} s in the run, where numbers were rounded otherwise)"
             task = scenarios[number % len(scenarios)].task_name.replace("_", " ")

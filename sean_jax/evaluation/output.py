@@ -53,10 +53,10 @@ def write_all(folder: Path, evaluation: "Evaluation", config: RunConfig | None) 
     if evaluation.frames and config is not None and config.camera is not None:
         renderer = config.renderer or "rays"
         drawing.video(evaluation.frames[0], scenario, folder / "camera.gif", view=config.camera, renderer=renderer)
-    shown = [
-        replay.Episode(frames, f"episode {i} · {evaluation.tasks[i].replace('_', ' ')}", _outcome(evaluation, i))
-        for i, frames in enumerate(evaluation.frames)
-    ]
+    shown = []
+    for i, frames in enumerate(evaluation.frames):
+        ended = outcome(bool(evaluation.completed[i]), float(evaluation.seconds[i]))
+        shown.append(replay.Episode(frames, f"episode {i} · {evaluation.tasks[i].replace('_', ' ')}", ended))
     page = report.Report(
         title=evaluation.title,
         command="sean_jax.evaluate, in a Python program" if config is None else command("run", config),
@@ -82,10 +82,17 @@ def write_all(folder: Path, evaluation: "Evaluation", config: RunConfig | None) 
     (folder / "report.html").write_text(report.html(page), encoding="utf-8")
 
 
-def _outcome(evaluation: "Evaluation", episode: int) -> str:
-    """How an episode ended."""
-    outcome = "completed" if evaluation.completed[episode] else "not completed"
-    return f"{outcome} in {evaluation.seconds[episode]:.1f} s"
+def outcome(completed: bool, seconds: float) -> str:
+    """How an episode ended, in words.
+
+    Args:
+        completed: whether its task was.
+        seconds: s, that it lasted.
+
+    Returns:
+        Text.
+    """
+    return f"{'completed' if completed else 'not completed'} in {seconds:.1f} s"
 
 
 def write_episodes(path: Path, evaluation: "Evaluation") -> None:

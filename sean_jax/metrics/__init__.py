@@ -65,7 +65,9 @@ def topic(name: str) -> str:
     Returns:
         A few words; "your own" for one that does not come with the package.
     """
-    return next((words for module, words in TOPICS.items() if hasattr(module, name)), "your own")
+    known = METRICS.get(name)  # a metric of one's own may have the name of something else in a module
+    found = (words for module, words in TOPICS.items() if known is not None and getattr(module, name, None) is known)
+    return next(found, "your own")
 
 
 def init(moment: Moment, metrics: Metrics = DEFAULT) -> dict[str, PyTree]:
