@@ -956,6 +956,10 @@ class ExperimentConfig(Config):
         """Where the results go."""
         return self.out or Path("runs") / (self.which + ("-quick" if self.quick else ""))
 
+    def decisive(self) -> dict[str, Any]:
+        """All that decides the results; further drivers do not, so that they can be added to a finished experiment."""
+        return {name: value for name, value in super().decisive().items() if name != "others"}
+
     def complete(self) -> "ExperimentConfig":
         """The description with numbers for what was left open."""
         full: dict[str, object] = dict(hours=1.0, seeds=10, epochs=1000, crowds=(10, 20, 40, 100))
