@@ -1,0 +1,135 @@
+"""Every block of code in README and docs/ runs, every command in them parses, and every YAML can be read.
+
+A page is run from top to bottom, as a reader would, with what its text takes as given. Pages with a test of their own
+are run there: environments, playback, trajectories, training, extending and the tutorial.
+"""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import yaml
+
+from sean_jax import cli
+
+ROOT = Path(__file__).parent.parent
+PAGES = {path.relative_to(ROOT).as_posix(): path for path in [ROOT / "README.md", *sorted(ROOT.glob("docs/*.md"))]}
+ELSEWHERE = {f"docs/{name}.md" for name in ("environments", "playback", "trajectories", "training", "extending")}
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
+
+SCENARIO = """
+import jax, jax.numpy as jnp, numpy as np, sean_jax
+from flax import struct
+from sean_jax.policies import go_to_goal as policy
+"""
+RUNNING = "key = jax.random.key(0); state = jax.jit(sean_jax.reset)(scenario, key)\n"
+GIVEN = {
+    "docs/gradients.md": RUNNING,
+    "docs/inverse_graph.md": RUNNING
+    + """
+graph, time_step = scenario.behavior.data.graph, scenario.time_step
+last, frames = jax.jit(lambda key: sean_jax.rollout(scenario, policy, key, 600))(key)
+position, present = np.asarray(frames.people), np.ones(frames.people.shape[:2], bool)
+""",
+    "docs/learning.md": RUNNING
+    + """
+import learning_data
+from sean_jax import learning
+from sean_jax.config import TrainConfig
+learning_data.write("runs/graph")
+learning.train(TrainConfig(method="imitation", dataset="runs/graph", epochs=1, batch=16, out="runs/learned"))
+scenario = learning_data.setting()[0]["join_group"]
+joystick = lambda: (0.1, 0.2)
+controller = lambda state: (0.1, 0.2)
+""",
+    "docs/sensors.md": RUNNING
+    + """
+import re
+from pathlib import Path
+page = Path(sean_jax.__file__).parent.parent / "docs" / "sensors.md"
+rear = re.search(r"```yaml\\n(.*?)```", page.read_text(), re.S)[1].replace("mount: rear", "mount: depth")
+Path("rear.yaml").write_text(rear)
+""",
+    "docs/validation.md": "my_terms = list(sean_jax.preset('helbing1995'))\n",
+}
+SMALLER = {
+    "README.md": {
+        "people=62": 'people=8, dynamics="twin"', "256": "2", "steps=600": "steps=20", "episodes=64": "episodes=2",
+    },
+    "docs/behavior_graph.md": {"key, 100,": "key, 20,", "steps=1200": "steps=200"},
+    "docs/devices.md": {'make("warehouse")': 'make("lab", people=4, dynamics="twin")', "1024": "4", "8192": "2"},
+    "docs/gradients.md": {"1000": "32"},
+    "docs/learning.md": {"episodes=10": "episodes=2", "key, 600": "key, 20"},
+    "docs/metrics.md": {"make(people=8": 'make(dynamics="twin", people=8', "300": "20"},
+    "docs/policies.md": {'task="join_group"': 'people=4, dynamics="twin"', "600": "3", "16)": "2)"},
+    "docs/social_forces.md": {"sean_jax.make(": 'sean_jax.make("lab", people=4, dynamics="twin", '},
+    "docs/validation.md": {"60, seed": "6, seed", "120.0": "4.0", "60.0": "4.0", "seconds=60": "seconds=4"},
+}  # fmt: skip
+
+
+def blocks(page: str, *languages: str) -> list[str]:
+    return [code for language, code in BLOCK.findall(PAGES[page].read_text(encoding="utf-8")) if language in languages]
+
+
+PROGRAMS = [page for page in PAGES if blocks(page, "python") and page not in ELSEWHERE]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PROGRAMS)
+def test_programs_run(page, scenario, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scope: dict = {"scenario": scenario, "__name__": page}
+    exec(SCENARIO + GIVEN.get(page, ""), scope)  # noqa: S102
+    smaller = SMALLER.get(page, {})
+    text = "\n".join(blocks(page, "python"))
+    for long in smaller:
+        assert long in text, f"{page} has no {long} any more"
+    for code in blocks(page, "python"):
+        for long, short in smaller.items():
+            code = code.replace(long, short)
+        exec(compile(code, page, "exec"), scope)  # noqa: S102
+
+
+def commands() -> list[tuple[str, str]]:
+    """(page, words) of each `sean ...` in a block of shell or of no language."""
+    found = []
+    for page in PAGES:
+        for code in blocks(page, "bash", "console", ""):
+            lines = re.sub(r"<<'END'\n.*?\nEND\n", "\n", code.replace("\\\n", " "), flags=re.S).splitlines()
+            for line in lines:
+                for part in line.split(" # ")[0].split("&&"):
+                    words = part.replace("srun --kill-on-bad-exit=1 ", "").strip()
+                    if words.startswith("sean "):
+                        found.append((page, words))
+    return found
+
+
+def test_there_are_commands():
+    assert len(commands()) > 40
+
+
+@pytest.mark.parametrize(("page", "words"), commands())
+def test_commands_parse(page, words, tmp_path, monkeypatch):
+    """Their options are there; files that they name are not, here."""
+    from sean_jax import flags
+
+    monkeypatch.chdir(tmp_path)
+    _, word, *arguments = shlex.split(words, comments=True)
+    model = cli.COMMANDS[word]
+    if word == "train":
+        model = cli.METHODS[arguments[0]]
+    given = flags.parse(word, model, arguments, configurable=word == "run")
+    if word != "run" or given.config is None:
+        flags.read(model, given)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "yaml")])
+def test_yaml_can_be_read(page):
+    assert all(isinstance(yaml.safe_load(code), dict) for code in blocks(page, "yaml"))
+
+
+def test_every_block_is_of_a_language_that_is_tried():
+    known = {"python", "bash", "console", "yaml", "xml", "bibtex", ""}  # xml: test_docs_environments.py
+    for page in PAGES:
+        assert {language for language, _ in BLOCK.findall(PAGES[page].read_text(encoding="utf-8"))} <= known, page
