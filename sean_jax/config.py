@@ -526,6 +526,8 @@ class RunConfig(ScenarioConfig):
     """Also write camera.gif, the first episode as first_person, third_person, overhead or depth sees it."""
     renderer: Annotated[Literal["rays", "mujoco"] | None, Incidental()] = None
     """What draws camera.gif: rays, the default, or mujoco, which needs OpenGL."""
+    trajectories: Literal["csv", "parquet", "zarr"] | None = None
+    """Also write the frames of all episodes, robot and people, as trajectories.csv, .parquet or .zarr."""
     name: Annotated[str, Incidental()] = ""
     """Name of the run, environment and behavior by default: the end of the folder's name."""
     out: Annotated[Path | None, Incidental()] = None

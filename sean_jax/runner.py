@@ -90,6 +90,7 @@ class Watch:
 
     compiling: Callable[[str], None] = lambda what: None
     advanced: Callable[[float, float], None] = lambda seconds, simulated: None  # s of each episode, s of all together
+    rows: Callable[[PyTree], None] | None = None  # what the record stacked in a chunk, as numpy arrays (T, ...)
 
 
 class Batch(NamedTuple):
@@ -207,8 +208,8 @@ class Runner:
             first: number of the first episode.
             count: how many count; the rest fill the batch. All if None.
             index: (B,) which scenario each is of; they take turns by number if None.
-            watch: is told how far they are.
-            keep_rows: whether what the record stacks is kept.
+            watch: is told how far they are, and what the record stacked.
+            keep_rows: whether what the record stacks is kept in memory.
 
         Returns:
             What is left of them.
@@ -223,12 +224,20 @@ class Runner:
         fixed = self._fixed if self.mesh.size == 1 else devices.replicate(self.mesh, self._fixed)
         turns = jnp.asarray(turn, jnp.int32)
         running = self._draw(fixed, jnp.uint32(seed), jnp.asarray(numbers, jnp.uint32), turns)
-        counted, rows, waiting = jnp.asarray(np.arange(self.size) < count), [], None
+        counted, rows, waiting = jnp.asarray(np.arange(self.size) < count), list[PyTree](), None
+
+        def receive(stacked: PyTree) -> None:
+            arrays = jax.tree.map(np.asarray, stacked)
+            if watch.rows is not None:
+                watch.rows(arrays)
+            if keep_rows:
+                rows.append(arrays)
+
         for done in range(self.chunk, self._steps + self.chunk, self.chunk):
             running, kept = self._advance(fixed, running, turns, counted)
             if waiting is not None:  # while the device goes on
-                rows.append(jax.tree.map(np.asarray, waiting))
-            waiting = kept if keep_rows else None
+                receive(waiting)
+            waiting = kept if keep_rows or watch.rows is not None else None
             over = bool(np.all(np.asarray(running.states.completed | running.states.timed_out)))
             simulated = float(np.asarray(running.steps).sum()) * scenario.time_step
             seconds = scenario.time_limit if over else min(done * scenario.time_step, scenario.time_limit)
@@ -236,7 +245,7 @@ class Runner:
             if over:
                 break
         if waiting is not None:
-            rows.append(jax.tree.map(np.asarray, waiting))
+            receive(waiting)
         steps, faulty = (np.asarray(part)[:count] for part in (running.steps, running.faulty))
         if faulty.any():
             raise FloatingPointError(not_finite(first + np.flatnonzero(faulty), count))

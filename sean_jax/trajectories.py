@@ -1,13 +1,16 @@
 """Trajectories in files that other programs read: tables as CSV or Parquet, arrays as zarr.
 
 A table has a row for each frame of the robot and of each person who is there then, so that pandas, PedPy or a database
-can take it as it is; ``COLUMNS`` says what they are. A folder of zarr has the arrays of ``base.Trajectory``.
+can take it as it is; ``COLUMNS`` says what they are. A folder of zarr has the arrays of ``base.Trajectory``. A
+``TrajectoryWriter`` adds episode after episode, of which one is in memory at a time.
 """
 
+import contextlib
 import csv
 import json
 import os
-from collections.abc import Sequence
+import shutil
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +46,7 @@ COLUMNS = {
 PERSON = ("x", "y", "vx", "vy", "heading_x", "heading_y")
 OF_ROBOT = ("goal_x", "goal_y", "command_speed", "command_turn_rate", "active")
 SUFFIXES = (".csv", ".parquet", ".zarr")
+GROUP_ROWS = 2**18  # of a table, that Parquet stores together: episodes are gathered until there are so many
 TOLD = "sean_jax"  # key of what is told beside the columns: time_step, situations, people, episodes
 
 
@@ -112,6 +116,180 @@ def load_trajectory(path: Path | str) -> Trajectory:
     if lacking:
         raise InputError(f"{path}: has no column {lacking[0]}; give a file that save_trajectory has written.")
     return _frames(table, told)
+
+
+def check_packages(suffix: str) -> None:
+    """Refuse a format whose package is missing.
+
+    Args:
+        suffix: one of ``SUFFIXES``.
+
+    Raises:
+        InputError: it names the package and the cure.
+    """
+    if suffix == ".parquet":
+        _arrow()
+    if suffix == ".zarr":
+        _tensorstore()
+
+
+class TrajectoryWriter:
+    """A file of many episodes that grows by one at a time; made by ``trajectory_writer``."""
+
+    def __init__(self, path: Path, told: dict[str, Any], steps: int, count: int, first: int, stream: Any = None):
+        self.path, self.told, self.steps, self.count, self.first = path, told, steps, count, first
+        self.added = 0
+        self._stream = stream
+        self._table: Any = None  # the writer of a Parquet file
+        self._waiting: list[dict[str, np.ndarray]] = []
+
+    def add(self, trajectory: Trajectory) -> None:
+        """Write the next episode.
+
+        Args:
+            trajectory: (T, ...) its frames; those after ``steps`` are left out.
+        """
+        arrays = {name: np.asarray(value)[: self.steps] for name, value in vars(trajectory).items()}
+        if self.path.suffix == ".zarr":
+            if not self.added:
+                self._make_arrays(arrays)
+            for name, values in arrays.items():
+                _zarr(self.path / name, {})[self.added, : len(values)].write(values).result()
+        else:
+            table = _table({name: value[None] for name, value in arrays.items()}, self.told)
+            table["episode"] = table["episode"] + (self.first + self.added)
+            self._add_rows(table)
+        self.added += 1
+
+    def _add_rows(self, table: dict[str, np.ndarray]) -> None:
+        if self.path.suffix == ".csv":
+            lines = [] if self.added else [f"# {TOLD} {json.dumps(self.told)}", ",".join(table)]
+            self._stream.write(("\n".join([*lines, *_lines(table)]) + "\n").encode("utf-8"))
+            return
+        self._waiting.append(table)
+        if sum(len(each["frame"]) for each in self._waiting) >= GROUP_ROWS:
+            self._write_group()
+
+    def _write_group(self) -> None:
+        pq = _arrow()[1]
+        rows = {name: np.concatenate([each[name] for each in self._waiting]) for name in self._waiting[0]}
+        made = _arrow_table(rows, self.told)
+        if self._table is None:
+            self._table = pq.ParquetWriter(self._stream, made.schema)
+        self._table.write_table(made)
+        self._waiting = []
+
+    def _make_arrays(self, arrays: dict[str, np.ndarray]) -> None:
+        """An array for each field, of which each episode is a file of its own."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        for name, values in arrays.items():
+            shape = [self.steps, *values.shape[1:]]
+            metadata = {
+                "shape": [self.count, *shape],
+                "data_type": str(values.dtype),
+                "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [1, *(max(1, n) for n in shape)]}},
+                "codecs": [{"name": "bytes"}, {"name": "zstd", "configuration": {"level": 3}}],
+            }
+            _zarr(self.path / name, {"create": True, "metadata": metadata})
+
+    def close(self) -> None:
+        """Write what waits; the file is whole."""
+        if self.path.suffix == ".zarr":
+            _finish_zarr(self.path, self.told)
+        if self._waiting:
+            self._write_group()
+        if self._table is not None:
+            self._table.close()
+
+
+@contextlib.contextmanager
+def trajectory_writer(
+    path: Path | str,
+    *,
+    time_step: float = 0.1,
+    situations: Sequence[str],
+    people: int,
+    steps: int,
+    count: int,
+    first: int = 0,
+) -> Iterator[TrajectoryWriter]:
+    """Write episodes one after another; the file is there when the block ends, and as it was if anything is raised.
+
+    Args:
+        path: to be written, as of ``save_trajectory``.
+        time_step: s, between two frames.
+        situations: their names.
+        people: N, of each episode.
+        steps: most frames of an episode.
+        count: how many episodes there will be.
+        first: number of the first of them.
+
+    Yields:
+        What adds an episode.
+
+    Raises:
+        InputError: the path has another ending, or a package is missing.
+        WriteError: another process writes the file.
+    """
+    path = Path(path)
+    _check_suffix(path)
+    check_packages(path.suffix)
+    told = {"time_step": time_step, "situations": list(situations), "people": people}
+    if path.suffix == ".zarr":
+        shutil.rmtree(path, ignore_errors=True)  # half-written, of one who was killed
+        writer = TrajectoryWriter(path, told, steps, count, first)
+        yield writer
+        writer.close()
+        return
+    with writing.atomic_file(path) as stream:
+        writer = TrajectoryWriter(path, told, steps, count, first, stream)
+        yield writer
+        writer.close()
+
+
+def join_trajectories(parts: Sequence[Path], path: Path) -> None:
+    """One file of several that ``trajectory_writer`` wrote, whose episodes follow one another.
+
+    Args:
+        parts: of one format and of episodes alike.
+        path: to be written, in the same format.
+
+    Raises:
+        WriteError: another process writes the file.
+    """
+    if path.suffix == ".zarr":
+        _join_zarr(parts, path)
+        return
+    with writing.atomic_file(path) as stream:
+        if path.suffix == ".csv":
+            for place, part in enumerate(parts):
+                with part.open("rb") as rows:
+                    for _ in range(2 if place else 0):  # what is told, and the head
+                        rows.readline()
+                    shutil.copyfileobj(rows, stream)
+            return
+        pq = _arrow()[1]
+        with pq.ParquetWriter(stream, pq.read_schema(parts[0])) as table:
+            for part in parts:
+                with pq.ParquetFile(part) as groups:
+                    for k in range(groups.num_row_groups):
+                        table.write_table(groups.read_row_group(k))
+
+
+def _join_zarr(parts: Sequence[Path], path: Path) -> None:
+    shutil.rmtree(path, ignore_errors=True)
+    told = json.loads(files.read_text(parts[0] / "zarr.json"))["attributes"][TOLD]
+    for name in Trajectory.__dataclass_fields__:
+        arrays = [_zarr(part / name, {}) for part in parts]
+        metadata = json.loads(files.read_text(parts[0] / name / "zarr.json"))
+        metadata["shape"][0] = sum(each.shape[0] for each in arrays)
+        metadata = {key: metadata[key] for key in ("shape", "data_type", "chunk_grid", "codecs")}
+        whole, done = _zarr(path / name, {"create": True, "metadata": metadata}), 0
+        for each in arrays:
+            for k in range(each.shape[0]):
+                whole[done].write(each[k].read().result()).result()
+                done += 1
+    _finish_zarr(path, told)
 
 
 def _check_suffix(path: Path) -> None:
@@ -195,9 +373,12 @@ def _frames(table: dict[str, np.ndarray], told: dict[str, Any]) -> Trajectory:
 def _save_csv(path: Path, table: dict[str, np.ndarray], told: dict[str, Any]) -> None:
     with writing.atomic_file(path) as stream:
         lines = [f"# {TOLD} {json.dumps(told)}", ",".join(table)]
-        columns = [_texts(values) for values in table.values()]
-        lines += [",".join(row) for row in zip(*columns, strict=True)]
-        stream.write(("\n".join(lines) + "\n").encode("utf-8"))
+        stream.write(("\n".join([*lines, *_lines(table)]) + "\n").encode("utf-8"))
+
+
+def _lines(table: dict[str, np.ndarray]) -> list[str]:
+    columns = [_texts(values) for values in table.values()]
+    return [",".join(row) for row in zip(*columns, strict=True)]
 
 
 def _texts(values: np.ndarray) -> list[str]:
@@ -228,11 +409,16 @@ def _load_csv(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 
 def _save_parquet(path: Path, table: dict[str, np.ndarray], told: dict[str, Any]) -> None:
-    pa, pq = _arrow()
-    made = pa.table({name: pa.array(values, from_pandas=True) for name, values in table.items()})
-    made = made.replace_schema_metadata({TOLD: json.dumps(told)})
+    pq = _arrow()[1]
+    made = _arrow_table(table, told)
     with writing.atomic_file(path) as stream:
         pq.write_table(made, stream)
+
+
+def _arrow_table(table: dict[str, np.ndarray], told: dict[str, Any]) -> Any:
+    pa = _arrow()[0]
+    made = pa.table({name: pa.array(values, from_pandas=True) for name, values in table.items()})
+    return made.replace_schema_metadata({TOLD: json.dumps(told)})
 
 
 def _load_parquet(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -261,6 +447,10 @@ def _save_zarr(path: Path, arrays: dict[str, np.ndarray], told: dict[str, Any]) 
     for name, values in arrays.items():
         metadata = {"shape": list(values.shape), "data_type": str(values.dtype)}
         _zarr(path / name, {"create": True, "metadata": metadata}).write(values).result()
+    _finish_zarr(path, told)
+
+
+def _finish_zarr(path: Path, told: dict[str, Any]) -> None:
     group = {"zarr_format": 3, "node_type": "group", "attributes": {TOLD: told}}
     writing.write(path / "zarr.json", json.dumps(group, indent=2) + "\n")  # last: a folder without it is incomplete
 
@@ -276,10 +466,15 @@ def _load_zarr(path: Path) -> Trajectory:
         raise InputError(f"{path}: {str(error).splitlines()[0][:200]}; save the trajectory again.") from None
 
 
-def _zarr(path: Path, more: dict[str, Any]) -> Any:
+def _tensorstore() -> Any:
     try:
         import tensorstore
     except ImportError:
         raise InputError('.zarr: tensorstore is missing; pip install "sean_jax[learning]", or save .csv.') from None
+    return tensorstore
+
+
+def _zarr(path: Path, more: dict[str, Any]) -> Any:
+    tensorstore = _tensorstore()
     where = {"driver": "file", "path": os.path.abspath(path)}
     return tensorstore.open({"driver": "zarr3", "kvstore": where, "open": not more, **more}).result()

@@ -1,11 +1,13 @@
 """docs/trajectories.md: its table has every column, and its examples run."""
 
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sean_jax import cli
 from sean_jax.trajectories import COLUMNS
 
 TEXT = (Path(__file__).parent.parent / "docs" / "trajectories.md").read_text(encoding="utf-8")
@@ -18,11 +20,17 @@ def test_every_column_is_told():
 def test_examples_run(tmp_path, monkeypatch):
     pytest.importorskip("pandas")
     pytest.importorskip("pedpy")
+    pytest.importorskip("pyarrow")
     monkeypatch.chdir(tmp_path)
     scope: dict = {}
-    for block in re.findall(r"```python\n(.*?)```", TEXT, re.S):
-        exec(block, scope)  # noqa: S102
+    for language, block in re.findall(r"```(python|sh)\n(.*?)```", TEXT, re.S):
+        if language == "python":
+            exec(block, scope)  # noqa: S102
+        else:
+            assert cli.main([*shlex.split(block)[1:], "--quiet"]) == 0
     gaps = np.linalg.norm(scope["trajectory"].people - scope["trajectory"].position[:, None], axis=-1).min(1)
     np.testing.assert_allclose(scope["nearest"], gaps, rtol=1e-5)
     assert (scope["speeds"].speed >= 0).all()
     np.testing.assert_array_equal(scope["again"].people, scope["trajectory"].people)
+    assert scope["lasted"] == pytest.approx(scope["episodes"].seconds[3])
+    assert scope["everything"].active.sum(1) * 0.1 == pytest.approx(scope["episodes"].seconds.to_numpy())

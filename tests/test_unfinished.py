@@ -1,9 +1,11 @@
 """A run that is disturbed in whatever way keeps its finished batches, and the same command comes to the same bytes."""
 
+import csv
 import dataclasses
 import json
 import os
 import signal
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,11 +15,13 @@ import numpy as np
 import pytest
 
 from sean_jax import assembly, cli, drawing, evaluation, writing
+from sean_jax.base import Trajectory
 from sean_jax.config import RunConfig, gather, validate
 from sean_jax.errors import IncompleteError, InputError
-from sean_jax.evaluation import unfinished
+from sean_jax.evaluation import frames, unfinished
 from sean_jax.progress import Progress
 from sean_jax.runner import Runner, Watch
+from sean_jax.trajectories import load_trajectory
 
 SMALL = "--environment lab --behavior random --task random_ab_nav --people 2 --dynamics twin --time-limit 0.5".split()
 RUN = ["run", *SMALL, "--seed", "3", "--episodes", "5", "--batch", "2", "--out", "made"]
@@ -311,6 +315,63 @@ def test_batches_after_a_removed_one_are_not_simulated_again(whole, simulated, m
     removed.unlink()
     assert cli.main(RUN) == 0 and simulated == [0, 2, 4, 0]
     assert files(Path("made")) == whole
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "zarr"])
+def test_a_stopped_run_has_the_frames_of_all_episodes(simulated, monkeypatch, kind):
+    """Each episode until its end, as long as episodes.csv tells, and on the way that its path_length measures."""
+    pytest.importorskip({"csv": "csv", "parquet": "pyarrow", "zarr": "tensorstore"}[kind])
+    asked = [*RUN, "--trajectories", kind]
+    with monkeypatch.context() as patched:
+        at_second_batch(patched, lambda _: signal.raise_signal(signal.SIGINT))
+        assert cli.main(asked) == 130
+    assert not list(Path("made/unfinished").glob(".batch*"))
+    assert load_trajectory(Path(f"made/trajectories.{kind}")).active.shape[0] == 2
+    assert cli.main(RUN) == 2, "the finished batches have frames, which such a run has not"
+    assert cli.main(asked) == 0 and simulated == [0, 2, 2, 4]
+    assert sorted(name for name in os.listdir("made") if name.startswith(("trajec", "unfin"))) == [
+        f"trajectories.{kind}"
+    ]
+    found = load_trajectory(Path(f"made/trajectories.{kind}"))
+    rows = list(csv.DictReader(Path("made/episodes.csv").open()))
+    assert found.active.shape[0] == len(rows) == 5
+    for k, row in enumerate(rows):
+        length = int(found.active[k].sum())
+        assert length == round(float(row["seconds"]) / 0.1) and found.active[k, :length].all()
+        way = np.linalg.norm(np.diff(found.position[k, :length], axis=0), axis=-1).sum()
+        first = np.linalg.norm(found.velocity[k, 0]) * 0.1  # from the start, which is no frame
+        assert float(row["path_length"]) == pytest.approx(way + first, abs=0.02)
+    assert len({tuple(np.round(place, 3)) for place in found.position[:, 0]}) == 5, "five starts"
+
+
+def test_frames_of_one_batch_lie_on_disk_and_are_cut_at_their_end(tmp_path):
+    """Chunks of time until after the time limit; of nobody and of three people."""
+    random = np.random.default_rng(0)
+    for people in (0, 3):
+        scratch = tmp_path / str(people)
+        scratch.mkdir()
+        ends = np.array([1, 13, 25])
+        active = np.arange(30)[:, None] < ends
+        shapes = {name: (2,) for name in ("position", "heading", "velocity", "action", "goal")}
+        shapes |= {name: (people, 2) for name in ("people", "people_velocity", "people_heading")}
+        shapes |= {"group": (people,), "present": (people,), "situations": (5,)}
+        arrays: Any = {name: random.normal(size=(30, 4, *shape)).astype(np.float32) for name, shape in shapes.items()}
+        given = Trajectory(**arrays, active=np.pad(active, ((0, 0), (0, 1))))  # pyright: ignore
+        taken = frames.BatchFrames(scratch, count=3, steps=25)
+        for begin, end in ((0, 10), (10, 20), (20, 30)):
+            taken.add(jax.tree.map(lambda leaf: leaf[begin:end], given))  # noqa: B023
+        for k, end in enumerate(ends):
+            for name, values in vars(taken.episode(k)).items():
+                np.testing.assert_array_equal(values, getattr(given, name)[:end, k], err_msg=name)
+        assert isinstance(taken.arrays["position"], np.memmap)
+
+
+def test_a_missing_package_is_told_at_the_start(simulated, monkeypatch, capsys):
+    for kind, package in (("parquet", "pyarrow"), ("zarr", "tensorstore")):
+        monkeypatch.setitem(sys.modules, package, None)
+        assert cli.main([*RUN, "--trajectories", kind]) == 2
+        said = capsys.readouterr().err
+        assert f"{package} is missing; pip install" in said and not simulated and not Path("made").exists()
 
 
 def test_ever_so_many_batches_are_no_list():

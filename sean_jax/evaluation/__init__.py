@@ -10,18 +10,18 @@ import dataclasses
 import datetime
 import io
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
-from sean_jax import assembly, drawing, interrupts, robots, sensors, writing
+from sean_jax import assembly, drawing, interrupts, robots, sensors, trajectories, writing
 from sean_jax.base import Policy, PolicyLike, Scenario, Trajectory
 from sean_jax.config import OwnPart, RunConfig, Value
 from sean_jax.errors import InputError
-from sean_jax.evaluation import output, statistics, table, tally
+from sean_jax.evaluation import frames, output, statistics, table, tally
 from sean_jax.evaluation.tally import Finished
 from sean_jax.evaluation.unfinished import Unfinished, check_place, unfinished_runs
 from sean_jax.flags import number
@@ -243,6 +243,10 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
         complete = len(evaluation.tasks) == config.episodes
         with console.status("drawing the report"), unfinished.results(complete) as place:
             output.write_all(place, evaluation, config)
+            if config.trajectories is not None:
+                parts = [unfinished.frames(*batch) for batch in _batches(len(evaluation.tasks), config)]
+                whole = place / f"trajectories.{config.trajectories}"
+                trajectories.join_trajectories([part for part in parts if part is not None], whole)
         table.print_table(console, evaluation.summary(), evaluation.definitions, evaluation.title)
     return folder, evaluation
 
@@ -268,7 +272,8 @@ def _episodes(
             break
         found.append(batch)
     if len(found) < len(starts):
-        runner = Runner(scenarios, policy, size, "run", tally.record(first, size))
+        recorded = tally.FRAMES if config.trajectories is None else size
+        runner = Runner(scenarios, policy, size, "run", tally.record(first, size, recorded))
         runner.compile(Watch(compiling=tell.stage))
         if console is not None:
             console.print(f"[dim]compiled in {runner.compile_seconds:.1f} s[/]", highlight=False)
@@ -286,9 +291,14 @@ def _episodes(
                     tell.update(done, f"{done:.0f} s of each episode · {speed:,.0f} simulated s per s")
 
                 start, count = time.perf_counter(), min(size, episodes - base)
-                with interrupts.unwrapped():
-                    batch = runner.run(config.seed, base, count, watch=Watch(advanced=advanced), keep_rows=base == 0)
-                finished = _finished(first, batch, base, time.perf_counter() - start)
+                rows, file = list[Trajectory](), None if unfinished is None else unfinished.frames(base, count)
+                takers = [lambda chunk, rows=rows: rows.append(_first(chunk))] if base == 0 else []
+                with contextlib.ExitStack() as stack, interrupts.unwrapped():
+                    if file is not None:
+                        takers.append(stack.enter_context(frames.kept(file, first, base, count)).add)
+                    watch = Watch(advanced=advanced, rows=_to_all(takers) if takers else None)
+                    batch = runner.run(config.seed, base, count, watch=watch, keep_rows=False)
+                finished = _finished(first, batch._replace(rows=rows), base, time.perf_counter() - start)
                 if unfinished is not None:
                     unfinished.save(base, finished)
                 found.append(finished)
@@ -299,6 +309,25 @@ def _episodes(
     return _joined(scenarios, policy, found, episodes, 0.0 if runner is None else runner.compile_seconds)
 
 
+def _batches(episodes: int, config: RunConfig) -> list[tuple[int, int]]:
+    """First episode and number of episodes of each batch, of so many episodes that are finished."""
+    size = min(config.episodes, config.batch)
+    return [(base, min(size, config.episodes - base)) for base in range(0, episodes, size)]
+
+
+def _first(chunk: Trajectory) -> Trajectory:
+    """Of a chunk of time (T, B, ...), a copy of the episodes that the report shows."""
+    return jax.tree.map(lambda leaf: np.array(leaf[:, : tally.FRAMES]), chunk)
+
+
+def _to_all(takers: Sequence[Callable[[Trajectory], None]]) -> Callable[[Trajectory], None]:
+    def rows(chunk: Trajectory) -> None:
+        for take in takers:
+            take(chunk)
+
+    return rows
+
+
 def _finished(scenario: Scenario, batch: Batch, base: int, seconds: float) -> Finished:
     measured = jax.tree.map(np.asarray, jax.vmap(results, (None, 0))(scenario, batch.states))
     faulty = np.zeros(len(batch.steps), bool)
@@ -307,8 +336,8 @@ def _finished(scenario: Scenario, batch: Batch, base: int, seconds: float) -> Fi
     if faulty.any():
         raise FloatingPointError(not_finite(base + np.flatnonzero(faulty), len(faulty)))
     ended = np.asarray(batch.states.completed), np.asarray(batch.states.timed_out)
-    frames = tally.episodes(batch.rows, len(batch.steps))
-    return Finished(*ended, batch.steps, measured, batch.total, frames, seconds)
+    shown = tally.episodes(batch.rows, len(batch.steps))
+    return Finished(*ended, batch.steps, measured, batch.total, shown, seconds)
 
 
 def _joined(
@@ -368,6 +397,8 @@ def _tell_of_others(console: Console, config: RunConfig, folder: Path) -> None:
 
 def _check(config: RunConfig) -> None:
     """Refuse all that can be told before the scenario is made, which takes long."""
+    if config.trajectories is not None:
+        trajectories.check_packages(f".{config.trajectories}")
     if config.camera is not None:
         drawing.check_renderer(config.renderer or "rays")
     assembly.check(config)

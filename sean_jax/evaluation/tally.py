@@ -46,18 +46,19 @@ class Finished:
     seconds: float  # s, taken to simulate
 
 
-def record(scenario: Scenario, size: int) -> Record:
+def record(scenario: Scenario, size: int, frames: int = FRAMES) -> Record:
     """What a run keeps of batches of the scenario's episodes: a ``Tally``, and the frames of the first episodes.
 
     Args:
         scenario: what is simulated.
         size: episodes in a batch.
+        frames: of how many of them the frames are recorded.
 
     Returns:
         The record for a ``Runner``.
     """
     cells = crowding.grid_shape(scenario.environment)
-    return Record(functools.partial(_init, cells), functools.partial(_update, min(FRAMES, size)))
+    return Record(functools.partial(_init, cells), functools.partial(_update, min(frames, size)))
 
 
 def _init(cells: tuple[int, int], scenario: Scenario, states: State) -> Tally:
@@ -111,7 +112,7 @@ def episodes(chunks: list[Trajectory], count: int) -> list[Trajectory]:
     """The frames of each of the first episodes.
 
     Args:
-        chunks: frames (T, FRAMES, ...) of one chunk of time after another.
+        chunks: frames (T, F, ...) of one chunk of time after another.
         count: how many episodes there are.
 
     Returns:

@@ -40,7 +40,7 @@ class Unfinished:
 
     def __init__(self, folder: Path, config: RunConfig):
         self.folder, self.place, self.complete = folder, folder / PLACE, False
-        self.about = _about(config)
+        self.about, self.trajectories = _about(config), config.trajectories
         check_place(folder, held=True)
         self._compare()
 
@@ -75,8 +75,8 @@ class Unfinished:
         Raises:
             IncompleteError: its file is damaged.
         """
-        file = self._file(base, kept)
-        if not file.is_file():
+        file, frames = self._file(base, kept), self.frames(base, kept)
+        if not file.is_file() or (frames is not None and not frames.exists()):
             return None
         try:
             with np.load(file, allow_pickle=False) as found:
@@ -98,6 +98,18 @@ class Unfinished:
             writing.write(self.place / ABOUT, json.dumps(self.about, indent=1) + "\n")
         with writing.atomic_file(self._file(base, len(batch.completed))) as stream:
             np.savez_compressed(stream, **_arrays(batch))
+
+    def frames(self, base: int, kept: int) -> Path | None:
+        """The file of a batch's trajectories, which is written before the batch is kept.
+
+        Args:
+            base: number of its first episode.
+            kept: how many episodes it has.
+
+        Returns:
+            Its path, None if nobody asked for trajectories.
+        """
+        return self._file(base, kept).with_suffix(f".{self.trajectories}") if self.trajectories else None
 
     @contextlib.contextmanager
     def results(self, complete: bool) -> Iterator[Path]:
