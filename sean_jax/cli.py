@@ -315,9 +315,13 @@ def _draw(options: config.DrawConfig) -> int:
 
 
 def _replay(options: config.ReplayConfig) -> int:
-    from sean_jax.evaluation import again
+    if (options.folder / "results.json").is_file():
+        from sean_jax.validation import replays as again
+    else:
+        from sean_jax.evaluation import again
 
-    _say(_console(options.quiet), "replay: ", again.write(options, _console(options.quiet)))
+    console = _console(options.quiet)
+    _say(console, "replay: ", again.write(options, console))
     return 0
 
 

@@ -1161,12 +1161,16 @@ class DrawConfig(Config):
 
 
 class ReplayConfig(Config):
-    """Write a page that plays episodes of a run: they are simulated again, by what its config.yaml says."""
+    """Write a page that plays episodes of a run, a dataset or a training, or tests of a validation: they are simulated
+    again, by what the folder tells."""
 
-    run: Annotated[Path, Positional()]
-    """Folder that `sean run` has written."""
+    folder: Annotated[Path, Positional()]
+    """Folder that `sean run`, `collect`, `train` or `validate` has written."""
     episodes: Annotated[tuple[EpisodeNumber, ...], Field(min_length=1)] = (0,)
-    """Their numbers, as in episodes.csv."""
+    """Their numbers from 0 on: of a run as in episodes.csv, of a dataset as they were recorded, of a training those of
+    its evaluations, which take turns in its environments."""
+    only: Text | None = None
+    """Tests of a validation, separated by commas, such as rimea-6,imo-1; its first by default."""
     out: Path | None = None
     """File to write, replay.html in the folder by default."""
     quiet: bool = False

@@ -1,72 +1,147 @@
-"""``sean replay``: episodes of a run once more, from its config.yaml, on a page that plays them.
+"""``sean replay``: episodes of a run, a dataset or a training once more, on a page that plays them.
 
-An episode is drawn from the run's seed and its number, so any of them can be seen, not only those whose frames were
-kept. Simulated by itself, its numbers are rounded otherwise than in a batch; where it then ends at another time than
-episodes.csv says, the page tells.
+An episode is drawn from a seed and its number, so any of them can be seen, not only those whose frames were kept.
+Simulated by itself, its numbers are rounded otherwise than in a batch; where it then ends at another time than the
+folder says, the page tells.
 """
 
 import csv
+import functools
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 from rich.console import Console
 
-from sean_jax import assembly, files, replay, writing
-from sean_jax.config import ReplayConfig, RunConfig, validate
+from sean_jax import assembly, files, flags, replay, writing
+from sean_jax.base import Array, Policy, Scenario, State, Trajectory
+from sean_jax.config import CollectConfig, ReplayConfig, RunConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import output, tally
-from sean_jax.learning import choice
+from sean_jax.learning import agents, choice, labels
+from sean_jax.learning.manifests import CONFIG, read_method
+from sean_jax.learning.protocol import streams
 from sean_jax.progress import progress
-from sean_jax.runner import Runner, Watch
+from sean_jax.runner import Record, Runner, Watch
+
+MANIFEST = "dataset.json"
+KINDS = "give a folder that `sean run`, `collect`, `train` or `validate` has written."
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where episodes come from: what a ``Runner`` needs to simulate one of them."""
+
+    scenarios: list[Scenario]
+    policy: Policy
+    use: str  # of the seed
+    seed: int
+    record: Record
+    number: Callable[[int], int]  # as the user counts -> by which it is drawn
+    turn: Callable[[int], int]  # as the user counts -> index of its scenario
+    title: Callable[[int], str]
+    told: Callable[[int, int], str] = lambda number, steps: ""  # what the folder says otherwise of so many steps
 
 
 def write(options: ReplayConfig, console: Console) -> Path:
     """Simulate the episodes and write the page.
 
     Args:
-        options: which run and which episodes.
+        options: which folder and which episodes.
         console: shows the progress.
 
     Returns:
         The file.
 
     Raises:
-        InputError: the folder holds no run, or has no episode of that number.
+        InputError: the folder holds nothing that can be replayed, or has no episode of that number.
         FloatingPointError: a number is not finite.
     """
-    folder = options.run
-    if not (folder / "config.yaml").is_file():
-        raise InputError(f"{folder}: holds no config.yaml; give a folder that `sean run` has written.")
+    folder, numbers = options.folder, list(dict.fromkeys(options.episodes))
+    if options.only is not None:
+        raise InputError(f"only: {folder} holds no tests of `sean validate`; name episodes with --episodes.")
+    made = {"config.yaml": _of_run, MANIFEST: _of_dataset, CONFIG: _of_training}
+    found = next((name for name in made if (folder / name).is_file()), None)
+    if found is None:
+        raise InputError(f"{folder}: holds no {', '.join(made)}; {KINDS}")
     path = options.out or folder / "replay.html"
     writing.check_file(path, (".html",))
-    config = validate(RunConfig, output.read_config(folder / "config.yaml"))
-    ended = _ended(folder / "episodes.csv")
-    for number in options.episodes:
-        if number >= config.episodes:
-            raise InputError(f"episodes: {number} is none of the {config.episodes} of {folder}; they begin at 0.")
     with console.status("preparing the scenario"):
-        scenarios = assembly.build(config)
-        policy = choice.policy(config.policy, scenarios[0])
-    runner = Runner(scenarios, policy, 1, "run", tally.record(scenarios[0], 1))
+        source = made[found](folder, numbers)
     shown = []
+    scenario = source.scenarios[source.turn(numbers[0])]
+    runner = Runner(source.scenarios, source.policy, 1, source.use, source.record)
     with progress(console) as tell:
         runner.compile(Watch(compiling=tell.stage))
-        limit = scenarios[0].time_limit
-        tell.start("simulating", len(options.episodes) * limit)
-        for done, number in enumerate(dict.fromkeys(options.episodes)):
+        tell.start("simulating", len(numbers) * scenario.time_limit)
+        for done, number in enumerate(numbers):
 
             def advanced(seconds: float, _: float, done: int = done, number: int = number) -> None:
-                tell.update(done * limit + seconds, f"episode {number}")
+                tell.update(done * scenario.time_limit + seconds, f"episode {number}")
 
-            batch = runner.run(config.seed, number, 1, watch=Watch(advanced=advanced))
+            index = np.full(runner.size, source.turn(number))
+            batch = runner.run(source.seed, source.number(number), 1, index, Watch(advanced=advanced))
             (frames,) = tally.episodes(batch.rows, 1)
-            seconds = float(batch.steps[0]) * scenarios[0].time_step
-            outcome = output.outcome(bool(batch.states.completed[0]), seconds)
-            if number in ended and abs(ended[number] - seconds) > 0.5 * scenarios[0].time_step:
-                outcome += f" ({ended[number]:.1f} s in the run, where numbers were rounded otherwise)"
-            task = scenarios[number % len(scenarios)].task_name.replace("_", " ")
-            shown.append(replay.Episode(frames, f"episode {number} · {task}", outcome))
-    writing.write(path, replay.html(replay.of_scenario(scenarios[0], shown, folder.resolve().name)))
+            seconds = len(frames.active) * scenario.time_step
+            if len(frames.active) < batch.steps[0]:
+                outcome = f"ended in {seconds:.1f} s by a termination of the training"
+            else:
+                outcome = output.outcome(bool(batch.states.completed[0]), seconds)
+            outcome += source.told(number, len(frames.active))
+            shown.append(replay.Episode(frames, source.title(number), outcome))
+    content = replay.of_scenario(scenario, shown, folder.resolve().name)
+    writing.write(path, replay.html(content))
     return path
+
+
+def _check(numbers: list[int], count: int, folder: Path) -> None:
+    for number in numbers:
+        if number >= count:
+            raise InputError(f"episodes: {number} is none of the {count} of {folder}; they begin at 0.")
+
+
+def _same(number: int) -> int:
+    return number
+
+
+def _title(number: int, name: str) -> str:
+    return f"episode {number} · {name.replace('_', ' ')}"
+
+
+# ------------------------------------------------------------------ a run
+
+
+def _of_run(folder: Path, numbers: list[int]) -> Source:
+    """The episodes of ``sean run``, from its config.yaml."""
+    config = validate(RunConfig, output.read_config(folder / "config.yaml"))
+    _check(numbers, config.episodes, folder)
+    scenarios = assembly.build(config)
+    ended, step = _ended(folder / "episodes.csv"), scenarios[0].time_step
+
+    def turn(number: int) -> int:
+        return number % len(scenarios)
+
+    def told(number: int, steps: int) -> str:
+        if number not in ended or abs(ended[number] - steps * step) <= 0.5 * step:
+            return ""
+        return f" ({ended[number]:.1f} s in the run, where numbers were rounded otherwise)"
+
+    return Source(
+        scenarios=scenarios,
+        policy=choice.policy(config.policy, scenarios[0]),
+        use="run",
+        seed=config.seed,
+        record=tally.record(scenarios[0], 1),
+        number=_same,
+        turn=turn,
+        title=lambda number: _title(number, scenarios[turn(number)].task_name),
+        told=told,
+    )
 
 
 def _ended(path: Path) -> dict[int, float]:
@@ -76,3 +151,121 @@ def _ended(path: Path) -> dict[int, float]:
         return {int(row["episode"]): float(row["seconds"]) for row in rows}
     except (InputError, KeyError, TypeError, ValueError):
         return {}
+
+
+# ------------------------------------------------------------------ a dataset
+
+
+def _of_dataset(folder: Path, numbers: list[int]) -> Source:
+    """The episodes of ``sean collect``, from its manifest; they count through all shards."""
+    from sean_jax.learning.dataset import open_dataset  # which needs the extra "learning"
+
+    data = open_dataset(folder)
+    manifest, size = data.manifest, data.batch
+    if not manifest["command"].startswith("sean collect"):
+        raise InputError(f"{folder}: was driven by hand or by another program, which cannot be simulated again.")
+    config = validate(CollectConfig, manifest["options"])
+    _check(numbers, size * len(manifest["shards"]), folder)
+    parts = streams(config)
+    names, scenarios = list(parts), list(parts.values())
+    policy = choice.policy(config.policy, scenarios[0])
+    if config.noise is not None:
+        policy = labels.disturbed(policy, config.noise)
+    if config.labels is not None:
+        policy = labels.labelled(policy, choice.policy(config.labels, scenarios[0], "labels"))
+    every = round(1.0 / scenarios[0].time_step) // config.rate
+
+    def turn(number: int) -> int:
+        return manifest["shards"][number // size]["stream"]
+
+    def told(number: int, steps: int) -> str:
+        rows = manifest["shards"][number // size]["lengths"][number % size]
+        if rows == -(-steps // every):
+            return ""
+        return f" ({rows / config.rate:.0f} s in the dataset, where numbers were rounded otherwise)"
+
+    return Source(
+        scenarios=scenarios,
+        policy=policy,
+        use="collect",
+        seed=config.seed,
+        record=tally.record(scenarios[0], 1),
+        number=_same,
+        turn=turn,
+        title=lambda number: _title(number, names[turn(number)]),
+        told=told,
+    )
+
+
+# ------------------------------------------------------------------ a training
+
+
+def _of_training(folder: Path, numbers: list[int]) -> Source:
+    """The episodes in which the best network or agent of a training is judged, driven by it."""
+    if read_method(folder) in ("imitation", "dagger"):
+        return _of_imitation(folder)
+    from sean_jax.learning import reinforcement  # which needs the extra "learning"
+
+    options = agents.read_options(folder)
+    scenarios, envs, _ = reinforcement.build(options)
+    turns = {number % len(envs) for number in numbers}
+    if len(turns) > 1:
+        names = " and ".join(scenarios[each].environment.name for each in sorted(turns))
+        raise InputError(
+            f"episodes: they take turns in {len(envs)} environments, and those are in {names}; ask for one's."
+        )
+    place = turns.pop()
+    scenario, judged = scenarios[place], envs[place]
+    record = tally.record(scenario, 1)
+    return Source(
+        scenarios=[scenario],
+        policy=choice.load(folder, scenario),
+        use="evaluation",  # whose i-th key of a split is that of a number
+        seed=options.seed,
+        record=_until_terminated(record, judged.ends) if judged.terminations else record,
+        number=lambda number: number // len(envs),
+        turn=lambda number: 0,
+        title=lambda number: _title(number, scenario.task_name),
+    )
+
+
+def _of_imitation(folder: Path) -> Source:
+    """A network that imitates is judged by examples; it drives where its demonstrations were, in other episodes."""
+    saved = files.read_json(folder / CONFIG)
+    told = saved.get("dataset", {}) if isinstance(saved, dict) else {}
+    words = shlex.split(str(told.get("command", "")))
+    if words[:2] != ["sean", "collect"]:
+        raise InputError(
+            f"{folder / CONFIG}: its demonstrations were not made by `sean collect`; use `sean run` for it."
+        )
+    config = flags.read(CollectConfig, flags.parse("collect", CollectConfig, words[2:]))
+    parts = streams(config)
+    names, scenarios = list(parts), list(parts.values())
+    return Source(
+        scenarios=scenarios,
+        policy=choice.load(folder, scenarios[0]),
+        use="evaluation",
+        seed=config.seed,
+        record=tally.record(scenarios[0], 1),
+        number=_same,
+        turn=lambda number: number % len(scenarios),
+        title=lambda number: _title(number, names[number % len(names)]),
+    )
+
+
+def _until_terminated(record: Record, ends: Callable) -> Record:
+    """A record whose frames are active until a termination of the training ends the episode."""
+
+    def init(scenario: Scenario, states: State) -> tuple[Any, Array]:
+        return record.init(scenario, states), jnp.zeros(states.tick.shape, bool)
+
+    def update(
+        scenario: Scenario, before: State, after: State, actions: Array, active: Array, total: tuple
+    ) -> tuple[tuple, Trajectory]:
+        kept, over = total
+        ended = jax.vmap(functools.partial(ends, scenario))(before, after)
+        kept, frames = record.update(scenario, before, after, actions, active, kept)
+        frames = frames.replace(active=frames.active & ~over[: frames.active.shape[0]])
+        return (kept, over | jnp.stack(ended).any(0)), frames
+
+    return Record(init, update)

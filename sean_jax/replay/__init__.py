@@ -39,6 +39,11 @@ CURVES = (
     {"name": "nearest person", "unit": "m", "marks": [[INTIMATE, "intimate"], [PERSONAL, "personal"]]},
     {"name": "distance to goal", "unit": "m", "marks": []},
 )
+OF_PEOPLE = (
+    {"name": "people", "unit": "", "marks": []},
+    {"name": "mean speed", "unit": "m/s", "marks": []},
+)
+"""curves where there is no robot"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,6 +65,7 @@ def recording(
     scenario: Scenario | None = None,
     situations: Sequence[str] | None = None,
     time_step: float = 0.1,
+    robot: bool = True,
 ) -> dict[str, Any]:
     """What the page is given: JSON that ``web/src/recording.ts`` describes.
 
@@ -71,6 +77,7 @@ def recording(
         scenario: for the robot's size and sensors; without it, they are not drawn.
         situations: their names; the paper's five, or numbers, if None.
         time_step: s, between two frames.
+        robot: whether there is one; else only people are drawn.
 
     Returns:
         A value for ``json.dumps``.
@@ -87,12 +94,12 @@ def recording(
         "title": title,
         "place": _place(environment),
         "graph": None if graph is None else _graph(graph),
-        "robot": _robot(scenario),
+        "robot": _robot(scenario) if robot else None,
         "person": {"radius": 0.2 if scenario is None else float(scenario.forces.walking.radius)},
         "situations": [{"name": name, "color": shade} for name, shade in zip(names, shades, strict=True)],
-        "curves": list(CURVES),
+        "curves": list(CURVES if robot else OF_PEOPLE),
         "timeStep": time_step,
-        "episodes": [_episode(each, names) for each in episodes],
+        "episodes": [_episode(each, names, robot) for each in episodes],
     }
 
 
@@ -185,31 +192,43 @@ def _robot(scenario: Scenario | None) -> dict[str, Any]:
     return {"name": robot.name, "radius": robot.radius, "views": views}
 
 
-def _episode(episode: Episode, names: Sequence[str]) -> dict[str, Any]:
+def _episode(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[str, Any]:
     frames: Any = one_episode(episode.frames)  # numpy arrays
     situation_names(frames, names)  # refuses another number
-    gaps = np.linalg.norm(frames.people - frames.position[:, None], axis=-1)
-    nearest = np.min(np.where(frames.present, gaps, NOBODY), 1, initial=NOBODY)
     columns = {
-        "robot x": frames.position[:, 0],
-        "robot y": frames.position[:, 1],
-        "robot heading": _angle(frames.heading),
-        "goal x": frames.goal[:, 0],
-        "goal y": frames.goal[:, 1],
         "person x": _held(frames.people[..., 0], frames.present),
         "person y": _held(frames.people[..., 1], frames.present),
         "person heading": _coarse(_angle(frames.people_heading)),
         "person group": frames.group,
         "person present": frames.present,
         "situation": frames.situations,
-        "speed": np.linalg.norm(frames.velocity, axis=-1),
-        "nearest person": nearest,
-        "distance to goal": np.linalg.norm(frames.goal - frames.position, axis=-1),
+        **(_of_robot(frames) if robot else _of_people(frames)),
     }
     if episode.plan is not None:
         columns |= {"plan x": episode.plan[..., 0], "plan y": episode.plan[..., 1]}
     head = {"title": episode.title, "outcome": episode.outcome, "frames": len(frames.active)}
     return head | encode(columns, KINDS)
+
+
+def _of_people(frames: Any) -> dict[str, np.ndarray]:
+    there = np.sum(frames.present, -1)
+    speed = np.sum(np.linalg.norm(frames.people_velocity, axis=-1), -1, where=frames.present)
+    return {"people": there, "mean speed": speed / np.maximum(there, 1)}
+
+
+def _of_robot(frames: Any) -> dict[str, np.ndarray]:
+    gaps = np.linalg.norm(frames.people - frames.position[:, None], axis=-1)
+    nearest = np.min(np.where(frames.present, gaps, NOBODY), 1, initial=NOBODY)
+    return {
+        "robot x": frames.position[:, 0],
+        "robot y": frames.position[:, 1],
+        "robot heading": _angle(frames.heading),
+        "goal x": frames.goal[:, 0],
+        "goal y": frames.goal[:, 1],
+        "speed": np.linalg.norm(frames.velocity, axis=-1),
+        "nearest person": nearest,
+        "distance to goal": np.linalg.norm(frames.goal - frames.position, axis=-1),
+    }
 
 
 def _angle(heading: np.ndarray) -> np.ndarray:
@@ -278,15 +297,36 @@ def html(content: dict[str, Any], picture: str = "", linked: bool = True) -> str
     Returns:
         HTML that refers to nothing outside itself.
     """
-    title = markup.escape(content["title"] or "Replay")
-    head = f"<h1>{title}</h1>" if content["title"] else ""
     instead = f"<noscript>{picture or 'This page needs JavaScript.'}</noscript>"
+    return _page(content["title"], f"{element(content, linked=linked)}\n{instead}")
+
+
+def html_of_several(players: Sequence[tuple[str, dict[str, Any]]], title: str = "") -> str:
+    """A page of several players, one below the other.
+
+    Args:
+        players: caption and content of each, as of ``recording``.
+        title: of the page.
+
+    Returns:
+        HTML that refers to nothing outside itself.
+    """
+    parts = [
+        f"<h2>{markup.escape(caption)}</h2>{element(content, f'replay-{k}', linked=False, program=False)}"
+        for k, (caption, content) in enumerate(players)
+    ]
+    return _page(title, "\n".join([*parts, f"<script>{script()}</script>"]))
+
+
+def _page(title: str, body: str) -> str:
+    title = markup.escape(title)
+    head = f"<h1>{title}</h1>" if title else ""
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><link rel="icon" href="data:,">'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title}</title>'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title or "Replay"}</title>'
         f"<style>\n{style()}body{{margin:0 auto;max-width:1180px;padding:14px;background:var(--page);color:var(--ink);"
-        "font:15px/1.5 system-ui,sans-serif}h1{font-size:20px;margin:0 0 10px}</style></head>\n"
-        f"<body>{head}{element(content, linked=linked)}\n{instead}</body></html>\n"
+        "font:15px/1.5 system-ui,sans-serif}h1{font-size:20px;margin:0 0 10px}h2{font-size:16px;margin:20px 0 6px}"
+        f"</style></head>\n<body>{head}{body}</body></html>\n"
     )
 
 

@@ -47,13 +47,15 @@ class Player {
     this.outcome = add(bar, "span", "replay-outcome");
     const toggles = add(bar, "span", "replay-toggles");
     for (const name of ["trails", "sight", "graph"] as const) {
-      if ((name === "graph" && !recording.graph) || (name === "sight" && !recording.robot.views.length)) continue;
+      if ((name === "graph" && !recording.graph) || (name === "sight" && !recording.robot?.views.length)) continue;
       this.toggle(toggles, name, this.shown[name], (on) => (this.shown[name] = on));
     }
-    this.toggle(toggles, "follow", false, (on) => {
-      this.follow = on;
-      if (!on) this.camera.reset();
-    });
+    if (recording.robot) {
+      this.toggle(toggles, "follow", false, (on) => {
+        this.follow = on;
+        if (!on) this.camera.reset();
+      });
+    }
 
     this.plan = add(root, "canvas", "replay-plan");
     this.plan.tabIndex = 0;

@@ -1,7 +1,7 @@
 // The plan view: floor, obstacles, graph, trails, people, groups, robot.
 
 import type { Camera } from "./camera";
-import type { Episode, Recording } from "./recording";
+import type { Episode, Recording, View } from "./recording";
 import { sight } from "./sight";
 import type { Palette } from "./palette";
 
@@ -25,8 +25,9 @@ export function drawPlan(
 ): void {
   const metre = camera.scale;
   const frame = episode.frameAt(time);
-  const [rx, ry] = ["robot x", "robot y"].map((name) => episode.at(episode.of(name)[0], time));
-  const heading = episode.angleAt(episode.of("robot heading")[0], time);
+  const robot = recording.robot;
+  const [rx, ry] = robot ? ["robot x", "robot y"].map((name) => episode.at(episode.of(name)[0], time)) : [0, 0];
+  const heading = robot ? episode.angleAt(episode.of("robot heading")[0], time) : 0;
 
   const line = (width: number, color: string): void => {
     [paint.lineWidth, paint.strokeStyle] = [width, color];
@@ -47,14 +48,14 @@ export function drawPlan(
   paint.fillStyle = palette.floor;
   paint.fill();
   line(1, palette.line);
-  if (shown.sight) drawSight();
+  if (robot && shown.sight) drawSight(robot.views);
   if (shown.graph && recording.graph) drawGraph();
   drawObstacles();
   drawGroups();
   if (shown.trails) drawTrails();
-  drawPath();
+  if (robot) drawPath();
   drawPeople();
-  drawRobot();
+  if (robot) drawRobot(robot.radius);
 
   function drawObstacles(): void {
     for (const [cx, cy, hx, hy, yaw, height] of recording.place.obstacles) {
@@ -103,8 +104,8 @@ export function drawPlan(
     paint.fill();
   }
 
-  function drawSight(): void {
-    for (const view of recording.robot.views) {
+  function drawSight(views: View[]): void {
+    for (const view of views) {
       outline(sight(recording.place, view, rx, ry, heading));
       paint.closePath();
       paint.globalAlpha = 0.16;
@@ -231,13 +232,13 @@ export function drawPlan(
     }
   }
 
-  function drawRobot(): void {
-    disc(rx, ry, Math.max(15, 1.8 * recording.robot.radius * metre)); // a halo, so that it is found at its true size
+  function drawRobot(body: number): void {
+    disc(rx, ry, Math.max(15, 1.8 * body * metre)); // a halo, so that it is found at its true size
     paint.globalAlpha = 0.25;
     paint.fillStyle = palette.robot;
     paint.fill();
     paint.globalAlpha = 1;
-    const radius = Math.max(4, recording.robot.radius * metre);
+    const radius = Math.max(4, body * metre);
     disc(rx, ry, radius);
     paint.fillStyle = palette.robot;
     paint.fill();
