@@ -528,6 +528,8 @@ class RunConfig(ScenarioConfig):
     """What draws camera.gif: rays, the default, or mujoco, which needs OpenGL."""
     trajectories: Literal["csv", "parquet", "zarr"] | None = None
     """Also write the frames of all episodes, robot and people, as trajectories.csv, .parquet or .zarr."""
+    live: Annotated[bool, Incidental()] = False
+    """Serve a page on this computer that plays the first episode while it is simulated."""
     name: Annotated[str, Incidental()] = ""
     """Name of the run, environment and behavior by default: the end of the folder's name."""
     out: Annotated[Path | None, Incidental()] = None
@@ -540,6 +542,8 @@ class RunConfig(ScenarioConfig):
     def _check_renderer(self) -> "RunConfig":
         if self.renderer is not None and self.camera is None:
             raise ValueError("renderer: it draws camera.gif, which needs a camera: add --camera first_person")
+        if self.live and self.quiet:
+            raise ValueError("live: its address is printed, which --quiet forbids; leave one of the two out")
         return self
 
     def folder(self, now: str) -> Path:

@@ -82,7 +82,7 @@ FITTING = {"thresholds": None, "task_distance": (1.0, 2.0), "time_step": 0.1, "t
 @pytest.mark.parametrize(
     ("word", "fixed"),
     [
-        ("run", {**FITTING, "camera": None, "renderer": None}),
+        ("run", {**FITTING, "camera": None, "renderer": None, "live": False}),
         (
             "collect",
             {**FITTING, "behavior": "random", "task": None, "width": 30, "height": 20, "metrics": (), "rate": 5},

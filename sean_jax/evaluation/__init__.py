@@ -28,6 +28,7 @@ from sean_jax.flags import number
 from sean_jax.learning import choice
 from sean_jax.metrics import Metric
 from sean_jax.progress import Progress, progress
+from sean_jax.replay.live import Live, serve
 from sean_jax.runner import Batch, Runner, Watch, not_finite
 from sean_jax.scenario import results
 from sean_jax.writing import check_new_folder
@@ -238,8 +239,12 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
         _introduce(console, scenarios, policy, config)
         if unfinished.episodes:
             console.print(f"[dim]going on after {unfinished.episodes} finished episodes[/]", highlight=False)
+        live = None
+        if config.live:
+            live = stack.enter_context(serve(scenarios[0], f"{folder.name} · live"))
+            console.print(f"live: {live.url}", highlight=False, soft_wrap=True)
         with progress(console) as tell:
-            evaluation = _episodes(scenarios, policy, config, tell, unfinished, console)
+            evaluation = _episodes(scenarios, policy, config, tell, unfinished, console, live)
         complete = len(evaluation.tasks) == config.episodes
         with console.status("drawing the report"), unfinished.results(complete) as place:
             output.write_all(place, evaluation, config)
@@ -258,6 +263,7 @@ def _episodes(
     tell: Progress,
     unfinished: Unfinished | None,
     console: Console | None,
+    live: Live | None = None,
 ) -> Evaluation:
     """Batch after batch; those that are finished are taken from ``unfinished``, and new ones kept there."""
     episodes, size, first = config.episodes, min(config.episodes, config.batch), scenarios[0]
@@ -293,12 +299,18 @@ def _episodes(
                 start, count = time.perf_counter(), min(size, episodes - base)
                 rows, file = list[Trajectory](), None if unfinished is None else unfinished.frames(base, count)
                 takers = [lambda chunk, rows=rows: rows.append(_first(chunk))] if base == 0 else []
+                if live is not None:
+                    takers.append(live.add)
                 with contextlib.ExitStack() as stack, interrupts.unwrapped():
                     if file is not None:
                         takers.append(stack.enter_context(frames.kept(file, first, base, count)).add)
                     watch = Watch(advanced=advanced, rows=_to_all(takers) if takers else None)
                     batch = runner.run(config.seed, base, count, watch=watch, keep_rows=False)
                 finished = _finished(first, batch._replace(rows=rows), base, time.perf_counter() - start)
+                if live is not None:
+                    ended = output.outcome(bool(finished.completed[0]), float(finished.steps[0]) * first.time_step)
+                    live.finish(f"episode {base} {ended}")
+                    live = None  # the frames of other batches stay where they are
                 if unfinished is not None:
                     unfinished.save(base, finished)
                 found.append(finished)

@@ -88,6 +88,36 @@ def recording(
     if not episodes:
         raise InputError("replay: there is no episode; give one or more.")
     names = situation_names(episodes[0].frames, situations)
+    told = _content(environment, title, graph, scenario, names, time_step, robot)
+    return told | {"episodes": [encoded(each, names, robot) for each in episodes]}
+
+
+def awaited(scenario: Scenario, title: str = "") -> dict[str, Any]:
+    """A recording without episodes, of which the page asks for the frames.
+
+    Args:
+        scenario: that they will come from.
+        title: of the whole.
+
+    Returns:
+        A value for ``json.dumps``.
+    """
+    names = [name for name, _ in scenario.situations]
+    graph = graph_of(scenario)
+    told = _content(scenario.environment, title, graph, scenario, names, scenario.time_step, True)
+    return told | {"episodes": []}
+
+
+def _content(
+    environment: Environment,
+    title: str,
+    graph: BehaviorGraph | None,
+    scenario: Scenario | None,
+    names: Sequence[str],
+    time_step: float,
+    robot: bool,
+) -> dict[str, Any]:
+    """All but the episodes."""
     shades = colors.situation_colors(names)
     return {
         "version": VERSION,
@@ -99,7 +129,6 @@ def recording(
         "situations": [{"name": name, "color": shade} for name, shade in zip(names, shades, strict=True)],
         "curves": list(CURVES if robot else OF_PEOPLE),
         "timeStep": time_step,
-        "episodes": [_episode(each, names, robot) for each in episodes],
     }
 
 
@@ -192,7 +221,20 @@ def _robot(scenario: Scenario | None) -> dict[str, Any]:
     return {"name": robot.name, "radius": robot.radius, "views": views}
 
 
-def _episode(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[str, Any]:
+def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[str, Any]:
+    """An episode as the page reads it.
+
+    Args:
+        episode: or a part of one.
+        names: of its situations.
+        robot: whether there is one.
+
+    Returns:
+        A value for ``json.dumps``.
+
+    Raises:
+        InputError: it has a batch axis or other situations.
+    """
     frames: Any = one_episode(episode.frames)  # numpy arrays
     situation_names(frames, names)  # refuses another number
     columns = {

@@ -4,9 +4,11 @@ import { Camera } from "./camera";
 import { palette, type Palette } from "./palette";
 import { drawPlan, type Shown } from "./plan";
 import { decode, type Episode, type Recording } from "./recording";
+import { Stream } from "./stream";
 import { drawTimeline, LABELS, timelineHeight } from "./timeline";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4, 8, 16];
+const POLL = 500; // ms
 
 class Player {
   private episode!: Episode;
@@ -20,6 +22,7 @@ class Player {
   private readonly shown: Shown = { trails: true, graph: false, sight: true };
   private readonly cache: Map<number, Promise<Episode>> = new Map();
   private number = 0;
+  private stream: Stream | null = null;
 
   private readonly plan: HTMLCanvasElement;
   private readonly line: HTMLCanvasElement;
@@ -110,8 +113,31 @@ class Player {
   }
 
   async start(): Promise<void> {
-    if (!(this.linked && (await this.fromAddress()))) await this.open(0, 0);
+    if (this.recording.live) await this.listen(new Stream(this.recording.live, this.recording.timeStep));
+    else if (!(this.linked && (await this.fromAddress()))) await this.open(0, 0);
     requestAnimationFrame((now) => this.tick(now));
+  }
+
+  /** Play an episode while it is simulated; returns when there is a first frame. */
+  private async listen(stream: Stream): Promise<void> {
+    this.stream = stream;
+    const again = async (): Promise<void> => {
+      const came = await stream.poll();
+      this.outcome.textContent = stream.outcome;
+      if (came) this.grow(stream.episode!);
+      if (!stream.over) setTimeout(() => void again(), POLL);
+    };
+    await again();
+    while (!stream.episode && !stream.over) await new Promise((done) => setTimeout(done, POLL / 2));
+    if (stream.episode) this.run(true);
+  }
+
+  private grow(episode: Episode): void {
+    this.episode = episode;
+    this.scrub.max = String(episode.duration);
+    this.resize();
+    this.root.dataset.ready = "0";
+    this.root.dataset.frames = String(episode.frames);
   }
 
   private toggle(place: HTMLElement, name: string, on: boolean, change: (on: boolean) => void): void {
@@ -130,7 +156,7 @@ class Player {
   private async open(number: number, time: number): Promise<void> {
     this.number = Math.max(0, Math.min(this.recording.episodes.length - 1, number));
     const asked = this.number;
-    if (!this.cache.has(asked)) this.cache.set(asked, decode(this.recording, asked));
+    if (!this.cache.has(asked)) this.cache.set(asked, decode(this.recording.episodes[asked], this.recording.timeStep));
     const episode = await this.cache.get(asked)!;
     if (asked !== this.number) return; // another was chosen meanwhile
     this.episode = episode;
@@ -159,14 +185,21 @@ class Player {
   }
 
   private run(on: boolean): void {
-    if (on && this.time >= this.episode.duration) this.time = 0;
+    if (on && !this.episode) return; // of a live one, before its first frame
+    if (on && this.time >= this.episode.duration && !this.waits) this.time = 0;
     this.playing = on;
     this.before = performance.now();
     this.play.textContent = on ? "❚❚" : "▶";
     this.play.setAttribute("aria-label", on ? "pause" : "play");
   }
 
+  /** Whether more frames will come. */
+  private get waits(): boolean {
+    return this.stream !== null && !this.stream.over;
+  }
+
   private seek(time: number): void {
+    if (!this.episode) return;
     this.time = Math.max(0, Math.min(this.episode.duration, time));
     this.stale = true;
   }
@@ -205,12 +238,13 @@ class Player {
   }
 
   private tick(now: number): void {
+    if (!this.episode) return; // the run ended before the first frame
     if (this.playing) {
       this.time += (Number(this.speed.value) * (now - this.before)) / 1000;
       this.stale = true;
       if (this.time >= this.episode.duration) {
         this.time = this.episode.duration;
-        this.run(false);
+        if (!this.waits) this.run(false);
       }
     }
     this.before = now;

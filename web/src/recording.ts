@@ -53,18 +53,33 @@ export interface Recording {
   curves: Curve[];
   timeStep: number; // s
   episodes: EpisodeHead[];
+  live?: string; // the address of the episode's frames, while it is simulated
 }
 
 /** An episode: columns of T numbers each, one after the other. */
 export class Episode {
+  frames: number;
+
   constructor(
     readonly head: EpisodeHead,
     readonly timeStep: number,
     private readonly columns: Map<string, Float32Array[]>,
-  ) {}
+  ) {
+    this.frames = head.frames;
+  }
 
-  get frames(): number {
-    return this.head.frames;
+  /** Frames that follow. */
+  append(more: Episode): void {
+    for (const [name, columns] of this.columns) {
+      const joined = columns.map((column, k) => {
+        const both = new Float32Array(this.frames + more.frames);
+        both.set(column);
+        both.set(more.of(name)[k], this.frames);
+        return both;
+      });
+      this.columns.set(name, joined);
+    }
+    this.frames += more.frames;
   }
 
   /** s, of the last frame. */
@@ -101,8 +116,7 @@ export class Episode {
 }
 
 /** The numbers of an episode. */
-export async function decode(recording: Recording, index: number): Promise<Episode> {
-  const head = recording.episodes[index];
+export async function decode(head: EpisodeHead, timeStep: number): Promise<Episode> {
   const packed = Uint8Array.from(atob(head.data), (letter) => letter.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
@@ -122,5 +136,5 @@ export async function decode(recording: Recording, index: number): Promise<Episo
     }
     columns.set(name, some);
   }
-  return new Episode(head, recording.timeStep, columns);
+  return new Episode(head, timeStep, columns);
 }

@@ -1,0 +1,120 @@
+"""``sean run --live``: the replay page of the first episode while the run goes on, served to this computer alone.
+
+The page asks twice a second for what has come since. What was served is kept, so that a page that is opened later, or
+anew, begins at the first frame: an episode's frames, encoded, and no more.
+"""
+
+import contextlib
+import json
+import threading
+import urllib.parse
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import jax
+import numpy as np
+
+from sean_jax import replay
+from sean_jax.base import Scenario, Trajectory
+
+HOST = "127.0.0.1"
+FRAMES = "frames"
+
+
+class Live:
+    """An episode on its way to the page."""
+
+    def __init__(self, names: list[str], port: int):
+        self.url = f"http://{HOST}:{port}/"
+        self._names, self._chunks = names, list[str]()
+        self._over, self._outcome = False, ""
+        self._lock = threading.Lock()
+
+    def add(self, chunk: Trajectory) -> None:
+        """Take the next chunk of time.
+
+        Args:
+            chunk: (T, B, ...) frames, of which those of the first episode are served until its end.
+        """
+        frames = jax.tree.map(lambda leaf: np.asarray(leaf)[:, 0], chunk)
+        length = int(frames.active.sum())
+        if self._over or length == 0:
+            return
+        episode = replay.Episode(jax.tree.map(lambda leaf: leaf[:length], frames), "")
+        text = json.dumps(replay.encoded(episode, self._names), separators=(",", ":"), allow_nan=False)
+        with self._lock:
+            self._chunks.append(text)
+
+    def finish(self, outcome: str) -> None:
+        """The episode has ended.
+
+        Args:
+            outcome: how, in words.
+        """
+        with self._lock:
+            self._over, self._outcome = True, outcome
+
+    def since(self, first: int) -> str:
+        """What the page is told.
+
+        Args:
+            first: chunk, of those that it lacks.
+
+        Returns:
+            JSON, of which ``web/src/stream.ts`` tells the layout.
+        """
+        with self._lock:
+            told = f'"over":{json.dumps(self._over)},"outcome":{json.dumps(self._outcome)}'
+            return f'{{"chunks":[{",".join(self._chunks[first:])}],{told}}}'
+
+
+@contextlib.contextmanager
+def serve(scenario: Scenario, title: str) -> Iterator[Live]:
+    """Serve the page on a free port of 127.0.0.1 until the block ends.
+
+    Args:
+        scenario: what is simulated.
+        title: of the page.
+
+    Yields:
+        What takes the frames and tells the address.
+    """
+    page = replay.html(replay.awaited(scenario, title) | {"live": FRAMES}, linked=False).encode("utf-8")
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            allowed = {f"{name}:{server.server_port}" for name in (HOST, "localhost")}
+            if self.headers.get("Host") not in allowed:  # a page elsewhere whose name was turned to this computer
+                self.send_error(403)
+                return
+            asked = urllib.parse.urlsplit(self.path)
+            first = urllib.parse.parse_qs(asked.query).get("from", ["0"])[0]
+            if asked.path == "/":
+                self._answer(page, "text/html; charset=utf-8")
+            elif asked.path == f"/{FRAMES}" and first.isdecimal() and len(first) < 10:
+                self._answer(live.since(int(first)).encode("utf-8"), "application/json")
+            else:
+                self.send_error(404)
+
+        def _answer(self, content: bytes, kind: str) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(content)))
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
+            with contextlib.suppress(ConnectionError):  # the page was closed meanwhile
+                self.wfile.write(content)
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Nothing: the terminal shows the progress of the run."""
+
+    with ThreadingHTTPServer((HOST, 0), Handler) as server:
+        live = Live([name for name, _ in scenario.situations], server.server_port)
+        server.daemon_threads = True
+        thread = threading.Thread(target=server.serve_forever, args=(0.05,), name="sean-live", daemon=True)
+        thread.start()
+        try:
+            yield live
+        finally:
+            server.shutdown()
+            thread.join()

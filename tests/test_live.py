@@ -1,0 +1,156 @@
+"""``sean run --live``: what is served is what is simulated, to this computer alone, until the run is over."""
+
+import json
+import shutil
+import socket
+import subprocess
+import urllib.error
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax import cli
+from sean_jax.policies import go_to_goal
+from sean_jax.replay import live
+from sean_jax.replay.encoding import decode
+from sean_jax.trajectories import load_trajectory
+
+WEB = Path(__file__).parent.parent / "web"
+CHROMIUM = next(
+    (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
+)
+
+
+@pytest.fixture(scope="module")
+def walked():
+    """A scenario, and 60 frames of two of its episodes side by side, (T, B, ...)."""
+    scenario = sean_jax.make("lab", people=3, dynamics="twin", time_limit=30.0)
+    roll = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, steps=60)[1])
+    frames = [jax.tree.map(np.asarray, roll(jax.random.key(k))) for k in (0, 1)]
+    return scenario, jax.tree.map(lambda *leaves: np.stack(leaves, 1), *frames)
+
+
+def get(url: str, **headers: str) -> str:
+    with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=5) as answer:
+        return answer.read().decode("utf-8")
+
+
+def part(frames: Any, begin: int, end: int) -> Any:
+    return jax.tree.map(lambda leaf: leaf[begin:end], frames)
+
+
+def column(told: dict[str, Any], name: str) -> np.ndarray:
+    """Of all chunks, one after the other."""
+    return np.concatenate([decode(chunk, chunk["frames"])[name] for chunk in told["chunks"]])
+
+
+def test_the_page_gets_each_frame_once_and_whoever_comes_late_gets_all(walked):
+    scenario, frames = walked
+    with live.serve(scenario, "a <run>") as served:
+        page = get(served.url)
+        assert "a &lt;run&gt;" in page and '"live":"frames"' in page and '"episodes":[]' in page
+        assert json.loads(get(f"{served.url}frames?from=0")) == {"chunks": [], "over": False, "outcome": ""}
+        served.add(part(frames, 0, 35))
+        first = json.loads(get(f"{served.url}frames?from=0"))
+        served.add(part(frames, 35, 60))
+        second = json.loads(get(f"{served.url}frames?from=1"))
+        assert [len(each["chunks"]) for each in (first, second)] == [1, 1]
+        served.finish("completed")
+        late = json.loads(get(f"{served.url}frames"))
+        assert late["over"] and late["outcome"] == "completed"
+        assert late["chunks"] == first["chunks"] + second["chunks"]
+        served.add(part(frames, 0, 35))
+        assert json.loads(get(f"{served.url}frames")) == late, "of another batch"
+    np.testing.assert_allclose(column(late, "robot x")[:, 0], frames.position[:, 0, 0], atol=0.006)
+    np.testing.assert_allclose(column(late, "person y"), frames.people[:, 0, :, 1], atol=0.006)
+    np.testing.assert_array_equal(column(late, "situation"), frames.situations[:, 0])
+
+
+def test_what_follows_an_episodes_end_is_not_served(walked):
+    scenario, frames = walked
+    ended = frames.replace(active=np.arange(60)[:, None] < np.array([20, 60]))
+    with live.serve(scenario, "") as served:
+        for begin in (0, 15, 30, 45):
+            served.add(part(ended, begin, begin + 15))
+        told = json.loads(get(f"{served.url}frames"))
+    assert [chunk["frames"] for chunk in told["chunks"]] == [15, 5]
+
+
+def test_nobody_else_is_served(walked):
+    """Neither other addresses, nor pages elsewhere that name this one, nor other paths; and nobody afterwards."""
+    with live.serve(walked[0], "") as served:
+        port = int(served.url.split(":")[2].strip("/"))
+        assert served.url == f"http://127.0.0.1:{port}/"
+        assert get(served.url, Host=f"localhost:{port}")
+        for path, headers, code in (
+            ("", {"Host": f"evil.example:{port}"}, 403),
+            ("", {"Host": "127.0.0.1"}, 403),
+            ("etc/passwd", {}, 404),
+            ("../pyproject.toml", {}, 404),
+            ("frames?from=-1", {}, 404),
+            ("frames?from=x", {}, 404),
+        ):
+            with pytest.raises(urllib.error.HTTPError) as refused:
+                get(served.url + path, **headers)
+            assert refused.value.code == code, path
+        with pytest.raises(OSError), socket.create_connection(("127.0.0.2", port), timeout=2):
+            pass
+    with pytest.raises(urllib.error.URLError):
+        get(served.url)
+
+
+def test_a_run_serves_its_first_episode(tmp_path, monkeypatch, capsys):
+    """The frames that it writes are those that it served, chunk by chunk while it ran."""
+    told: list[dict[str, Any]] = []
+    add, finish = live.Live.add, live.Live.finish
+
+    def asked(function: Any) -> Any:
+        def then(served: live.Live, given: Any) -> None:
+            function(served, given)
+            told.append(json.loads(get(f"{served.url}frames")))
+
+        return then
+
+    monkeypatch.setattr(live.Live, "add", asked(add))
+    monkeypatch.setattr(live.Live, "finish", asked(finish))
+    out = tmp_path / "out"
+    words = "run --environment lab --people 2 --dynamics twin --time-limit 12 --episodes 3 --batch 2".split()
+    assert cli.main([*words, "--live", "--trajectories", "csv", "--out", str(out)]) == 0
+    assert "live: http://127.0.0.1:" in capsys.readouterr().out
+    assert [len(each["chunks"]) for each in told] == [1, 2, 2] and [each["over"] for each in told] == [
+        False,
+        False,
+        True,
+    ]
+    frames = load_trajectory(out / "trajectories.csv")
+    length = int(frames.active[0].sum())
+    np.testing.assert_allclose(column(told[-1], "robot x")[:, 0], frames.position[0, :length, 0], atol=0.006)
+    assert told[-1]["outcome"].endswith(f"in {0.1 * length:.1f} s")
+
+
+def test_quiet_and_live_are_refused_together(capsys):
+    assert cli.main(["run", "--live", "--quiet"]) == 2
+    assert "live: its address is printed" in capsys.readouterr().err
+
+
+def test_a_browser_plays_it_while_it_grows(walked):
+    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
+        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    scenario, frames = walked
+    with live.serve(scenario, "growing") as served:
+        words = ["node", "test/live.mjs", served.url, CHROMIUM, "60"]
+        with subprocess.Popen(words, cwd=WEB, stdout=subprocess.PIPE, text=True) as browser:
+            assert browser.stdout is not None
+            served.add(part(frames, 0, 35))
+            assert browser.stdout.readline() == "grown\n"
+            served.add(part(frames, 35, 60))
+            served.finish("completed in 6.0 s")
+            seen = json.loads(browser.communicate(timeout=60)[0])
+    assert seen["errors"] == [] and {f"http://{host}/" for host in seen["hosts"]} == {served.url}
+    assert seen["grew"] == [35, 60] and seen["playing"] and seen["outcome"] == "completed in 6.0 s"
+    assert seen["duration"] == pytest.approx(5.9) and seen["drawn"] > 20
