@@ -2,6 +2,8 @@
 
 import json
 import re
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +116,11 @@ def test_a_validation_plays_the_scenes_of_its_tests(tmp_path, capsys):
     assert there.sum() * 0.1 >= seconds - 0.2 and way / (there.sum() * 0.1) == pytest.approx(40 / seconds, rel=0.05)
     assert cli.main(["replay", str(out), "--only", "imo-1,rimea-1", "--quiet"]) == 0
     assert len(played(out / "replay.html")) == 2
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    if chromium is not None:  # a player is ready as soon as it has drawn
+        words = [chromium, "--headless", "--no-sandbox", "--virtual-time-budget=5000", "--dump-dom"]
+        shown = subprocess.run([*words, (out / "replay.html").as_uri()], capture_output=True, timeout=120, text=True)
+        assert shown.stdout.count('data-ready="0"') == 2 and ">follow<" not in shown.stdout
     capsys.readouterr()
     assert cli.main(["replay", str(out), "--only", "rimea-6"]) == 2
     assert "'rimea-6' is none of the tests" in capsys.readouterr().err
