@@ -298,7 +298,9 @@ def _episodes(
 
                 start, count = time.perf_counter(), min(size, episodes - base)
                 rows, file = list[Trajectory](), None if unfinished is None else unfinished.frames(base, count)
-                takers = [lambda chunk, rows=rows: rows.append(_first(chunk))] if base == 0 else []
+                takers = list[Callable[[Trajectory], None]]()
+                if base == 0:
+                    takers.append(lambda chunk, rows=rows: rows.append(_first(chunk)))
                 if live is not None:
                     takers.append(live.add)
                 with contextlib.ExitStack() as stack, interrupts.unwrapped():
