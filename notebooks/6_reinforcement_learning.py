@@ -33,6 +33,10 @@ import json
 from pathlib import Path
 from tempfile import mkdtemp
 
+from sean_jax import compiler
+
+compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
