@@ -53,9 +53,7 @@ TRIALS = 20  # of the gradient
 # robot in closed form, as MuJoCo's MJX does without the word, and compiles sooner.
 
 # %%
-scenario = sean_jax.make(
-    "warehouse", behavior="graph", task="join_group", robot="kuri", people=PEOPLE, dynamics="twin"
-)
+scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", robot="kuri", people=PEOPLE, dynamics="twin")
 start = state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
 print("robot at", state.robot.position, "m, to go to", state.task.goal, "m,", state.task.geodesic, "m away by foot")
 
@@ -72,7 +70,7 @@ print("after", state.tick, "steps at", state.robot.position, "m, at", state.robo
 # What the robot perceives is computed when asked for, and not otherwise.
 
 # %%
-observation = sean_jax.observe(scenario, state)
+observation = jax.jit(sean_jax.observe)(scenario, state)
 jax.tree.map(jnp.shape, observation)
 
 # %% [markdown]
@@ -115,8 +113,8 @@ plt.show()
 
 # %% [markdown]
 # ## Gradients
-# From the start of an episode we ask how far the robot is from its goal after 4 s, as a function of its 40 commands, and
-# let the gradient improve them. It passes through the robot, the people and their forces. Notebook 5 goes on from here.
+# From the start of an episode we ask how far the robot is from its goal after 4 s, as a function of its 40 commands,
+# and let the gradient improve them. It passes through the robot, the people and their forces. Notebook 5 has more.
 
 
 # %%

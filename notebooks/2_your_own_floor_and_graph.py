@@ -137,12 +137,12 @@ graph_sheet(scenario.environment, graph)
 
 # %%
 policy = POLICIES["go_to_goal"]
+episodes = jax.jit(jax.vmap(lambda scenario, key: sean_jax.rollout(scenario, policy, key, STEPS)[1], (None, 0)))
 
 
 def watch(scenario):
     """Density (rows, columns) in people per m2 and flow (M, M) in people per minute, means of the episodes."""
-    keys = jax.random.split(jax.random.key(1), EPISODES)
-    frames = jax.jit(jax.vmap(lambda key: sean_jax.rollout(scenario, policy, key, STEPS)[1]))(keys)
+    frames = episodes(scenario, jax.random.split(jax.random.key(1), EPISODES))
     found = sean_jax.congestion(scenario, frames, span=STEPS * scenario.time_step)
     return found.density.mean((0, 1)), found.flow.mean((0, 1))
 
@@ -153,7 +153,8 @@ congestion_map(scenario.environment, density, graph=graph, flow=flow, title="all
 # %% [markdown]
 # ## One word
 # `forward` lets people take the southern edge from west to east and makes the way back a hundred times as dear, so they
-# come back by the north. Other words are `high` and `low`, for both directions.
+# come back by the north. Other words are `high` and `low`, for both directions. A graph is leaves of the scenario, so
+# the program from above runs with the new one as it is.
 
 # %%
 oneway = hall("forward")

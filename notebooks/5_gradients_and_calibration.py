@@ -77,7 +77,9 @@ for person, to_the_right in enumerate(side < 0):
     way = np.concatenate([seen[0], recorded[0]])[:, person]
     panel.plot(*way.T, ".-", ms=4, color="#2f6fb0" if to_the_right else "#f58a07")
     panel.plot(*way[-1], "o", color="#2f6fb0" if to_the_right else "#f58a07")
-panel.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title="the first scene; discs are where people are in the end")
+panel.set(
+    aspect="equal", xlabel="x [m]", ylabel="y [m]", title="the first scene; discs are where people are in the end"
+)
 plt.show()
 
 # %% [markdown]
