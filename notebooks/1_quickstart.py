@@ -146,10 +146,13 @@ left.set(xlabel="trial", ylabel="distance to the goal after 4 s [m]")
 parts.draw_obstacles(right, scenario.environment)
 for way, shade in zip(ways, plt.get_cmap("YlOrBr")(np.linspace(0.25, 0.9, len(ways))), strict=True):
     right.plot(*way.T, color=shade)
-right.plot(*start.task.goal, "*", ms=14, color="#f58a07", label="goal")
-right.scatter(*start.pedestrians.position.T, s=40, facecolor="#fdfefd", edgecolor="#2b3448", label="people")
-middle = np.asarray(start.robot.position + start.task.goal) / 2
-right.set(aspect="equal", xlim=middle[0] + np.array([-8, 8]), ylim=middle[1] + np.array([-4, 4]), xticks=[], yticks=[])
-right.set_title("the robot's ways, later ones darker", fontsize=10)
-right.legend(loc="upper right", fontsize=8)
+end = ways[-1][-1]
+toward = np.asarray(start.task.goal) - end
+right.annotate(
+    "", end + 0.7 * toward / np.linalg.norm(toward), end, arrowprops={"arrowstyle": "->", "color": "#1c2333"}
+)
+right.plot(*ways[0][0], "o", color="#1c2333")
+right.set(aspect="equal", xlim=end[0] + np.array([-2.2, 1.2]), ylim=end[1] + np.array([-0.9, 0.7]))
+right.set(xlabel="x [m]", ylabel="y [m]")
+right.set_title("the robot's ways, later ones darker; the arrow points to the goal", fontsize=9)
 plt.show()

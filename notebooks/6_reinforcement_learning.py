@@ -14,8 +14,8 @@
 # %% [markdown]
 # # Train with reinforcement learning
 # A robot in a lab learns by trial and error to join a group of people: it sees some numbers, is told a reward, and
-# after some minutes on a CPU drives about as quickly as the package's own `go_to_goal`. It needs the extra `learning`:
-# `pip install ".[learning]"`. `docs/training.md` has all terms and options.
+# after some minutes on a CPU, most of them to compile the first time, drives about as quickly as the package's own
+# `go_to_goal`. It needs the extra `learning`: `pip install ".[learning]"`. `docs/training.md` has all terms and options.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
 
@@ -50,7 +50,7 @@ from sean_jax.learning import actor_critic, driving
 from sean_jax.policies import go_to_goal
 
 PEOPLE = 5  # in the lab
-EPISODES = 64  # to compare drivers on
+EPISODES = 32  # to compare drivers on
 STEPS = 400  # of 0.1 s in each
 UPDATES = 120  # of the training, with 2,048 scenario-steps each
 folder = Path(mkdtemp()) / "ppo"
@@ -192,7 +192,8 @@ sean_jax.view(jax.tree.map(lambda leaf: leaf[0], drives["trained"][1]), scenario
 # %% [markdown]
 # ## Compared with `go_to_goal`
 # Metrics of all of these episodes with 95 % bootstrap intervals. Violations of the intimate space (0.45 m) and of the
-# personal space (1.2 m) by the robot are times per episode; path efficiency is the way driven over the shortest one.
+# personal space (1.2 m) by the robot are times per episode; path efficiency is the way driven over the shortest one,
+# where the goal was reached.
 # `sean_jax.evaluate(scenario, trained)` has all metrics and a report.
 
 # %%

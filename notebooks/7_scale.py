@@ -74,8 +74,7 @@ def batch(keys):
     return jax.vmap(lambda key: sean_jax.rollout(lab, go_to_goal, key, 20, place))(keys)
 
 
-keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(0), jnp.arange(SCENARIOS))
-states, (places, over) = jax.block_until_ready(batch(keys))
+states, (places, over) = batch(jax.random.split(jax.random.key(0), SCENARIOS))
 x0, y0, x1, y1 = np.asarray(lab.environment.floor)
 found = np.asarray(places)[~np.asarray(over)]
 rows, columns = round(4 * (y1 - y0)), round(4 * (x1 - x0))
@@ -113,7 +112,7 @@ def ten_steps(states):
     return jax.lax.scan(lambda states, _: (step(states), None), states, length=10)[0]
 
 
-sizes = [size for size in (1, 16, 128, 1024, 4096) if size < SCENARIOS] + [SCENARIOS]
+sizes = [size for size in (1, 16, 256) if size < SCENARIOS] + [SCENARIOS]
 part = {size: jax.tree.map(lambda leaf: leaf[:size], states) for size in sizes}  # noqa: B023
 compiling, spent = np.array([timed(ten_steps, part[size]) for size in sizes]).T
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3), layout="constrained")
@@ -155,21 +154,22 @@ plt.show()
 # %% [markdown]
 # ## Several devices
 # `devices.mesh()` is a row of all devices, and `devices.shard` spreads the scenarios over it: `jit` of `vmap`, with the
-# first argument on every device and the others split. With one device it is that one. Scenario `i` draws everything
-# from `fold_in(key, i)`, so the results do not depend on how many devices there are, but for rounding.
-# `docs/devices.md` goes on to many hosts. To try several on a CPU, set
+# first argument on every device and the others split. With one device it is that one. `devices.keys` draws the keys of
+# the episodes on the devices, each from its number, so the results do not depend on how many devices there are, but for
+# rounding. `docs/devices.md` goes on to many hosts. To try several on a CPU, set
 # `XLA_FLAGS=--xla_force_host_platform_device_count=2` before jax is imported.
 
 # %%
 mesh = devices.mesh()
-keys = devices.keys(mesh, jax.random.key(0), EPISODES * mesh.size)
-run = devices.shard(mesh, lambda lab, key: sean_jax.rollout(lab, go_to_goal, key, 20, place)[1])
-spread, _ = run(devices.replicate(mesh, lab), keys)
+size = 8 * mesh.size
+shared = devices.replicate(mesh, (lab, command))
+begin = jax.tree.map(lambda leaf: leaf[:size], states)
+run = devices.shard(mesh, lambda shared, state: sean_jax.step(shared[0], state, shared[1]))
+spread = run(shared, devices.split(mesh, begin)).pedestrians.position
 each = spread.addressable_shards[0].data.shape[0]
-print(f"{len(keys)} scenarios over the mesh {dict(mesh.shape)}, {each} on each device")
-same = min(len(keys), SCENARIOS)
-apart = np.abs(np.asarray(spread[:same]) - np.asarray(places[:same])).max()
-print(f"at most {apart:.1g} m apart from the same scenarios of the first batch")
+print(f"{size} scenarios over the mesh {dict(mesh.shape)}, {each} on each device")
+alone = jax.jit(jax.vmap(lambda state: sean_jax.step(lab, state, command)))(begin).pedestrians.position
+print(f"at most {np.abs(np.asarray(spread) - np.asarray(alone)).max():.1g} m apart from one device's")
 
 # %% [markdown]
 # ## Sweeps
