@@ -15,7 +15,7 @@
 # # Train with reinforcement learning
 # A robot in a lab learns by trial and error to join a group of people: it sees some numbers, is told a reward, and
 # after some minutes on a CPU, most of them to compile the first time, drives about as quickly as the package's own
-# `go_to_goal`. It needs the extra `learning`: `pip install ".[learning]"`. `docs/training.md` has all terms and options.
+# `go_to_goal`. It needs the extra `learning`: `pip install ".[learning]"`. `docs/training.md` has terms and options.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
 

@@ -142,7 +142,7 @@ alone = {
     "policy": lambda state: go_to_goal(lab, state, people_key),
     "observe": lambda state: sean_jax.observe(lab, state),
 }
-size = min(1024, SCENARIOS)
+size = min(256, SCENARIOS)
 each = {name: timed(jax.vmap(one), part[size])[1] for name, one in alone.items()}
 figure, panel = plt.subplots(figsize=(7, 2.6), layout="constrained")
 bars = panel.barh(list(each), 1e6 * np.array(list(each.values())) / size, color="#2f6fb0")
