@@ -31,6 +31,7 @@ if "google.colab" in sys.modules:
 # %matplotlib inline
 import os
 import time
+from functools import partial
 from pathlib import Path
 
 from sean_jax import compiler
@@ -49,8 +50,8 @@ from sean_jax.drawing import parts, pictures
 from sean_jax.policies import go_to_goal
 
 PEOPLE = 12  # in the lab
-SCENARIOS = 4096  # at once
-EPISODES = 16  # of each value of a sweep
+SCENARIOS = 2048  # at once
+EPISODES = 24  # of each value of a sweep
 STEPS = 300  # of 0.1 s, of the episodes of a sweep
 print(f"{len(jax.devices())} devices, such as {jax.devices()[0].device_kind}; {os.cpu_count()} CPU cores")
 
@@ -94,27 +95,27 @@ figure
 command = jnp.array([0.3, 0.2])
 
 
-def timed(program, *given):
-    """(s to compile, median s of three calls)"""
+def timed(function, states):
+    """(s to compile, the lesser of two times [s], result) of a function of one state."""
     began = time.perf_counter()
-    compiled = jax.jit(program).lower(*given).compile()
+    compiled = jax.jit(jax.vmap(function)).lower(states).compile()
     compiling, spent = time.perf_counter() - began, []
-    for _ in range(4):  # the first warms up
+    for _ in range(3):  # the first warms up
         began = time.perf_counter()
-        jax.block_until_ready(compiled(*given))
+        result = jax.block_until_ready(compiled(states))
         spent.append(time.perf_counter() - began)
-    return compiling, float(np.median(spent[1:]))
+    return compiling, min(spent[1:]), result
 
 
-def ten_steps(states):
-    """A second of each scenario."""
-    step = jax.vmap(lambda state: sean_jax.step(lab, state, command))
-    return jax.lax.scan(lambda states, _: (step(states), None), states, length=10)[0]
+def a_second(lab, state):
+    """Ten steps of a scenario."""
+    return jax.lax.scan(lambda state, _: (sean_jax.step(lab, state, command), None), state, length=10)[0]
 
 
 sizes = [size for size in (1, 16, 256) if size < SCENARIOS] + [SCENARIOS]
 part = {size: jax.tree.map(lambda leaf: leaf[:size], states) for size in sizes}  # noqa: B023
-compiling, spent = np.array([timed(ten_steps, part[size]) for size in sizes]).T
+compiling, spent, (*_, after) = zip(*(timed(partial(a_second, lab), part[size]) for size in sizes), strict=True)
+spent = np.array(spent)
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3), layout="constrained")
 left.loglog(sizes, 10 * np.array(sizes) / spent, "o-", color="#f58a07")
 left.set(xlabel="scenarios at once", ylabel="scenario-steps per second", title="together")
@@ -143,7 +144,7 @@ alone = {
     "observe": lambda state: sean_jax.observe(lab, state),
 }
 size = min(256, SCENARIOS)
-each = {name: timed(jax.vmap(one), part[size])[1] for name, one in alone.items()}
+each = {name: timed(one, part[size])[1] for name, one in alone.items()}
 figure, panel = plt.subplots(figsize=(7, 2.6), layout="constrained")
 bars = panel.barh(list(each), 1e6 * np.array(list(each.values())) / size, color="#2f6fb0")
 panel.bar_label(bars, fmt="%.1f", padding=3)
@@ -161,15 +162,12 @@ plt.show()
 
 # %%
 mesh = devices.mesh()
-size = 8 * mesh.size
-shared = devices.replicate(mesh, (lab, command))
-begin = jax.tree.map(lambda leaf: leaf[:size], states)
-run = devices.shard(mesh, lambda shared, state: sean_jax.step(shared[0], state, shared[1]))
-spread = run(shared, devices.split(mesh, begin)).pedestrians.position
-each = spread.addressable_shards[0].data.shape[0]
-print(f"{size} scenarios over the mesh {dict(mesh.shape)}, {each} on each device")
-alone = jax.jit(jax.vmap(lambda state: sean_jax.step(lab, state, command)))(begin).pedestrians.position
-print(f"at most {np.abs(np.asarray(spread) - np.asarray(alone)).max():.1g} m apart from one device's")
+run = devices.shard(mesh, a_second)
+spread = run(devices.replicate(mesh, lab), devices.split(mesh, states)).pedestrians.position
+share = spread.addressable_shards[0].data.shape[0]
+print(f"{SCENARIOS} scenarios over the mesh {dict(mesh.shape)}, {share} on each device")
+apart = np.abs(np.asarray(spread) - np.asarray(after.pedestrians.position)).max()
+print(f"people at most {apart:.1g} m from where the program above had them")
 
 # %% [markdown]
 # ## Sweeps
@@ -208,14 +206,16 @@ def sweep(numbers, strengths):
 
 
 usual = lab.forces.repulsion.strength
-values = 5
-numbers = jnp.linspace(2, PEOPLE, values).astype(int)
+values = 6
+numbers = jnp.linspace(2, PEOPLE, values).round().astype(int)
 strengths = jnp.linspace(0.0, 3.0, values) * usual
 began = time.perf_counter()
-by_number = jax.block_until_ready(sweep(numbers, jnp.full(values, usual)))
-by_strength = jax.block_until_ready(sweep(jnp.full(values, PEOPLE), strengths))
-spent = time.perf_counter() - began
-print(f"{2 * values * EPISODES} episodes of {STEPS / 10:g} s took {spent:.1f} s, with compiling once")
+program = sweep.lower(numbers, strengths).compile()
+compiled = time.perf_counter()
+by_number = program(numbers, jnp.full(values, usual))
+by_strength = jax.block_until_ready(program(jnp.full(values, PEOPLE), strengths))
+print(f"compiled in {compiled - began:.1f} s")
+print(f"{2 * values * EPISODES} episodes of {STEPS / 10:g} s ran in {time.perf_counter() - compiled:.1f} s")
 
 # %% [markdown]
 # Means over the episodes, with 95 % bootstrap intervals: more people cost the robot time and come closer, while a slope
@@ -242,7 +242,7 @@ plt.show()
 # %%
 jax.clear_caches()
 began = time.perf_counter()
-jax.block_until_ready(sweep(numbers, strengths))
-print(f"half of the sweep again, traced, read and run: {time.perf_counter() - began:.1f} s")
+sweep.lower(numbers, strengths).compile()
+print(f"the sweep's program, traced and read again: {time.perf_counter() - began:.1f} s")
 kept = [path for path in Path(jax.config.jax_compilation_cache_dir).iterdir() if path.is_file()]
 print(f"{len(kept)} files of programs, {sum(path.stat().st_size for path in kept) / 2**20:.0f} MiB, are kept")
