@@ -28,24 +28,33 @@ if "google.colab" in sys.modules:
 
 # %%
 # %matplotlib inline
+from sean_jax import compiler
+
+compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+
 import jax
 import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
 
 import sean_jax
+from sean_jax.drawing import parts, situation_colors
 from sean_jax.policies import POLICIES
 
 PEOPLE = 62  # in the warehouse
 EPISODES = 8  # at once
 STEPS = 600  # of 0.1 s: a minute
+TRIALS = 20  # of the gradient
 
 # %% [markdown]
 # ## A scenario
 # It is a physical environment, a pedestrian behavior and a robot task, and holds all that stays the same. A *state*
-# holds all that moves. Both are pytrees, so `jit`, `vmap` and `grad` take them as they are.
+# holds all that moves. Both are pytrees, so `jit`, `vmap` and `grad` take them as they are. `dynamics="twin"` moves the
+# robot in closed form, as MuJoCo's MJX does without the word, and compiles sooner.
 
 # %%
-scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", robot="kuri", people=PEOPLE)
-state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
+scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", robot="kuri", people=PEOPLE, dynamics="twin")
+start = state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
 print("robot at", state.robot.position, "m, to go to", state.task.goal, "m,", state.task.geodesic, "m away by foot")
 
 # %% [markdown]
@@ -61,7 +70,7 @@ print("after", state.tick, "steps at", state.robot.position, "m, at", state.robo
 # What the robot perceives is computed when asked for, and not otherwise.
 
 # %%
-observation = sean_jax.observe(scenario, state)
+observation = jax.jit(sean_jax.observe)(scenario, state)
 jax.tree.map(jnp.shape, observation)
 
 # %% [markdown]
@@ -94,47 +103,56 @@ sean_jax.view(trajectory, scenario)
 # %%
 active = trajectory.active[..., None]
 shares = jnp.sum(trajectory.situations & active, axis=(0, 1)) / jnp.sum(active)
-for name, share in zip(sean_jax.SITUATIONS, shares, strict=True):
-    print(f"{name:12} {share:6.1%}")
+names = [name.replace("_", " ") for name in sean_jax.SITUATIONS]
+figure, panel = plt.subplots(figsize=(6, 2.4), layout="constrained")
+bars = panel.barh(names, 100 * shares, color=situation_colors(tuple(sean_jax.SITUATIONS)))
+panel.bar_label(bars, fmt="%.0f %%", padding=3)
+panel.set(xlabel="% of the robots' time", xlim=(0, 100))
+panel.invert_yaxis()
+plt.show()
 
 # %% [markdown]
 # ## Gradients
-# The robot's closed-form twin compiles faster than the MJX model and moves alike. From the start of an episode we ask
-# how far the robot is from its goal after 4 s, as a function of its 40 actions, and let the gradient improve them.
-
-# %%
-twin = sean_jax.make("warehouse", behavior="graph", task="join_group", robot="kuri", people=PEOPLE, dynamics="twin")
-start = jax.jit(sean_jax.reset)(twin, jax.random.key(0))
-
-
-def distance(actions, forces):
-    """Distance [m] to the goal after the actions (T, 2), with those constants of the social forces."""
-    changed = twin.replace(forces=forces)
-    last, _ = jax.lax.scan(lambda state, action: (sean_jax.step(changed, state, action), None), start, actions)
-    return jnp.linalg.norm(last.robot.position - last.task.goal)
+# From the start of an episode we ask how far the robot is from its goal after 4 s, as a function of its 40 commands,
+# and let the gradient improve them. It passes through the robot, the people and their forces. Notebook 5 has more.
 
 
 # %%
-improve = jax.jit(jax.value_and_grad(distance))
+def distance(actions):
+    """Distance [m] to the goal after the actions (T, 2), and the robot's way (T, 2)."""
+
+    def one(state, action):
+        after = sean_jax.step(scenario, state, action)
+        return after, after.robot.position
+
+    last, way = jax.lax.scan(one, start, actions)
+    return jnp.linalg.norm(last.robot.position - last.task.goal), way
+
+
+improve = jax.jit(jax.value_and_grad(distance, has_aux=True))
 actions = jnp.tile(jnp.array([0.2, 0.0]), (40, 1))
-for trial in range(20):
-    value, gradient = improve(actions, twin.forces)
-    if trial % 5 == 0:
-        print(f"{value:.3f} m")
+ways, distances = [], []
+for _ in range(TRIALS):
+    (value, way), gradient = improve(actions)
+    ways.append(np.asarray(way))
+    distances.append(float(value))
     actions = actions - 2.0 * gradient
-
-# %% [markdown]
-# The same gradient reaches every constant of the crowd: how far is the nearest person from the robot in the end, and
-# how does that change with the strength and the range of the forces between people?
-
+print(f"{distances[0]:.2f} m from the goal at first, {distances[-1]:.2f} m in the end")
 
 # %%
-def nearest(forces):
-    """Distance [m] from the robot to the nearest person after the actions, with those constants."""
-    changed = twin.replace(forces=forces)
-    last, _ = jax.lax.scan(lambda state, action: (sean_jax.step(changed, state, action), None), start, actions)
-    return jnp.linalg.norm(last.pedestrians.position - last.robot.position[None], axis=-1).min()
-
-
-sensitivity = jax.jit(jax.grad(nearest))(twin.forces).repulsion
-print("per m/s2 of strength:", sensitivity.strength, "m; per m of range:", sensitivity.range, "m")
+figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.2), layout="constrained", width_ratios=[1, 1.6])
+left.plot(distances, "o-", ms=3, color="#f58a07")
+left.set(xlabel="trial", ylabel="distance to the goal after 4 s [m]")
+parts.draw_obstacles(right, scenario.environment)
+for way, shade in zip(ways, plt.get_cmap("YlOrBr")(np.linspace(0.25, 0.9, len(ways))), strict=True):
+    right.plot(*way.T, color=shade)
+end = ways[-1][-1]
+toward = np.asarray(start.task.goal) - end
+right.annotate(
+    "", end + 0.7 * toward / np.linalg.norm(toward), end, arrowprops={"arrowstyle": "->", "color": "#1c2333"}
+)
+right.plot(*ways[0][0], "o", color="#1c2333")
+right.set(aspect="equal", xlim=end[0] + np.array([-2.2, 1.2]), ylim=end[1] + np.array([-0.9, 0.7]))
+right.set(xlabel="x [m]", ylabel="y [m]")
+right.set_title("the robot's ways, later ones darker; the arrow points to the goal", fontsize=9)
+plt.show()

@@ -31,6 +31,10 @@ if "google.colab" in sys.modules:
 # %matplotlib inline
 from functools import partial
 
+from sean_jax import compiler
+
+compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -68,6 +72,15 @@ def walk(constants):
 
 
 recorded = walk(jnp.asarray(list(HIDDEN.values())))
+figure, panel = plt.subplots(figsize=(8, 3), layout="constrained")
+for person, to_the_right in enumerate(side < 0):
+    way = np.concatenate([seen[0], recorded[0]])[:, person]
+    panel.plot(*way.T, ".-", ms=4, color="#2f6fb0" if to_the_right else "#f58a07")
+    panel.plot(*way[-1], "o", color="#2f6fb0" if to_the_right else "#f58a07")
+panel.set(
+    aspect="equal", xlabel="x [m]", ylabel="y [m]", title="the first scene; discs are where people are in the end"
+)
+plt.show()
 
 # %% [markdown]
 # ## Calibration
@@ -78,12 +91,24 @@ recorded = walk(jnp.asarray(list(HIDDEN.values())))
 # %%
 jacobian = jax.jit(jax.jacfwd(walk))
 constants = jnp.asarray([2.5, 0.5])
+errors, guesses = [], []
 for _ in range(6):
     apart = walk(constants) - recorded
-    print(f"{constants[0]:.3f} m/s2  {constants[1]:.3f} s   apart {1e3 * jnp.abs(apart).mean():.3f} mm on average")
+    errors.append(1e3 * float(jnp.abs(apart).mean()))
+    guesses.append(np.asarray(constants))
+    print(f"{constants[0]:.3f} m/s2  {constants[1]:.3f} s   apart {errors[-1]:.3f} mm on average")
     slope = jacobian(constants).reshape(-1, constants.size)
     constants = jnp.maximum(constants - jnp.linalg.lstsq(slope, apart.reshape(-1))[0], 0.1)
 print("hidden:", *HIDDEN.values())
+figure, (left, right) = plt.subplots(1, 2, figsize=(9, 2.8), layout="constrained")
+for guess, (name, hidden), color in zip(np.stack(guesses, 1), HIDDEN.items(), ("#2f6fb0", "#f58a07"), strict=True):
+    left.plot(guess / hidden, "o-", ms=4, color=color, label=name)
+left.axhline(1, color="#8d99b3", linestyle=":")
+left.set(xlabel="step", ylabel="share of the hidden value")
+left.legend(frameon=False, fontsize=8)
+right.semilogy(np.maximum(errors, 1e-4), "o-", ms=4, color="#1c2333")
+right.set(xlabel="step", ylabel="apart, on average [mm]")
+plt.show()
 
 # %% [markdown]
 # ## How far a derivative carries
@@ -144,9 +169,19 @@ def crowding(commands):
 
 
 commands = jnp.tile(jnp.asarray([0.3, 0.0]), (STEPS, 1))
+values = []
 program = jax.jit(jax.value_and_grad(crowding)).lower(commands).compile()
 print(f"{program.memory_analysis().temp_size_in_bytes / 2**20:.1f} MiB for {STEPS} steps")
 for _ in range(5):
     value, slope = program(commands)
-    print(f"crowding {value:.4f}")
+    values.append(float(value))
     commands = commands - 0.05 * slope / (jnp.abs(slope).max() + 1e-9)
+print("crowding:", ", ".join(f"{value:.4f}" for value in values))
+figure, (left, right) = plt.subplots(1, 2, figsize=(9, 2.8), layout="constrained")
+left.plot(values, "o-", ms=4, color="#f58a07")
+left.set(xlabel="trial", ylabel="crowding", xticks=range(len(values)))
+for column, (name, color) in enumerate((("forward [m/s]", "#2f6fb0"), ("turning [rad/s]", "#f58a07"))):
+    right.plot(0.1 * np.arange(STEPS), commands[:, column], color=color, label=name)
+right.set(xlabel="time [s]", ylabel="command in the end")
+right.legend(frameon=False, fontsize=8)
+plt.show()

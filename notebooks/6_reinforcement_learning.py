@@ -14,8 +14,8 @@
 # %% [markdown]
 # # Train with reinforcement learning
 # A robot in a lab learns by trial and error to join a group of people: it sees some numbers, is told a reward, and
-# after some minutes on a CPU drives about as quickly as the package's own `go_to_goal`. It needs the extra `learning`:
-# `pip install ".[learning]"`. `docs/training.md` has all terms and options.
+# after some minutes on a CPU, most of them to compile the first time, drives about as quickly as the package's own
+# `go_to_goal`. It needs the extra `learning`: `pip install ".[learning]"`. `docs/training.md` has terms and options.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
 
@@ -33,6 +33,10 @@ import json
 from pathlib import Path
 from tempfile import mkdtemp
 
+from sean_jax import compiler
+
+compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -40,12 +44,13 @@ import numpy as np
 
 import sean_jax
 from sean_jax import PPOConfig, learning, make_env, mdp, metrics
+from sean_jax.base import as_policy
 from sean_jax.drawing import parts
 from sean_jax.learning import actor_critic, driving
 from sean_jax.policies import go_to_goal
 
 PEOPLE = 5  # in the lab
-EPISODES = 64  # to compare drivers on
+EPISODES = 32  # to compare drivers on
 STEPS = 400  # of 0.1 s in each
 UPDATES = 120  # of the training, with 2,048 scenario-steps each
 folder = Path(mkdtemp()) / "ppo"
@@ -152,28 +157,30 @@ print(f"{log[-1]['steps']:,} scenario-steps at {np.median([line['per_second'] fo
 
 # %% [markdown]
 # ## Before and after
-# The agent before its first update and the best one of the training drive the same episodes, which neither has seen.
-# Each line is the way of a robot from its start (a dot) to its goal (a star).
+# The agent before its first update, the best one of the training and `go_to_goal` drive the same episodes, which none
+# has seen. Each line is the way of a robot from its start (a dot) to its goal (a star), in the first few of them.
 
 # %%
 network = learning.agents.network(asked, env.observations)
 begun = actor_critic.init_agent(network, env.observations, env.observation_space, jax.random.key(1))
-drivers = {"untrained": driving.policy(network, begun, env.observations), "trained": learning.load(folder, scenario)}
-keys = jax.random.split(jax.random.key(7), 8)
+trained = learning.load(folder, scenario)
+untrained = trained.replace(params=driving.policy(network, begun, env.observations).params)  # the same program
+drivers = {"untrained": untrained, "trained": trained, "go_to_goal": go_to_goal}
+keys = jax.random.split(jax.random.key(7), EPISODES)
+drive = jax.jit(jax.vmap(lambda driver, key: sean_jax.rollout(scenario, driver, key, STEPS), (None, 0)))
 drives = {}
-figure, panels = plt.subplots(1, 2, figsize=(11, 3.6), layout="constrained")
+figure, panels = plt.subplots(1, 3, figsize=(12, 3), layout="constrained")
 for panel, (name, driver) in zip(panels, drivers.items(), strict=True):
-    drive = jax.jit(jax.vmap(lambda key, driver=driver: sean_jax.rollout(scenario, driver, key, STEPS)))
-    final, frames = drives[name] = drive(keys)
+    final, frames = drives[name] = drive(as_policy(driver), keys)
     parts.draw_obstacles(panel, scenario.environment)
-    for number in range(len(keys)):
+    for number in range(min(8, EPISODES)):
         way = np.asarray(frames.position[number])[np.asarray(frames.active[number])]
         (line,) = panel.plot(*way.T, lw=1.2)
         panel.plot(*way[0], ".", color=line.get_color())
         panel.plot(*final.task.goal[number], "*", ms=9, color=line.get_color())
     low_x, low_y, high_x, high_y = np.asarray(scenario.environment.floor)
     panel.set(aspect="equal", xlim=(low_x, high_x), ylim=(low_y, high_y), xticks=[], yticks=[])
-    panel.set_title(f"{name}: {int(final.completed.sum())} of {len(keys)} completed")
+    panel.set_title(f"{name}: {int(final.completed.sum())} of {EPISODES} completed", fontsize=10)
 plt.show()
 
 # %% [markdown]
@@ -184,18 +191,22 @@ sean_jax.view(jax.tree.map(lambda leaf: leaf[0], drives["trained"][1]), scenario
 
 # %% [markdown]
 # ## Compared with `go_to_goal`
-# Metrics of further episodes with 95 % bootstrap intervals. Violations of the intimate space (0.45 m) and of the
-# personal space (1.2 m) by the robot are times per episode; path efficiency is the way driven over the shortest one.
+# Metrics of all of these episodes with 95 % bootstrap intervals. Violations of the intimate space (0.45 m) and of the
+# personal space (1.2 m) by the robot are times per episode; path efficiency is the way driven over the shortest one,
+# where the goal was reached.
+# `sean_jax.evaluate(scenario, trained)` has all metrics and a report.
 
 # %%
-names = ("completed", "path_efficiency", "personal_robot_on_person", "intimate_robot_on_person")
-titles = ("completed", "path efficiency", "personal, robot on person", "intimate, robot on person")
+names = ("path_efficiency", "personal_robot_on_person", "intimate_robot_on_person")
+titles = ("seconds", "completed", "path efficiency", "personal, robot on person", "intimate, robot on person")
 figure, panels = plt.subplots(1, 5, figsize=(12, 2.8), layout="constrained")
-for row, (name, driver) in enumerate((drivers | {"go_to_goal": go_to_goal}).items()):
-    found = sean_jax.evaluate(scenario, driver, episodes=EPISODES, seed=1)
-    values = {"completed": found.completed.astype(float), "seconds": found.seconds} | found.metrics
-    for panel, key, title in zip(panels, ("seconds", *names), ("seconds", *titles), strict=True):
-        part = metrics.aggregate(values[key] if values[key].ndim == 1 else values[key][:, 0])
+for row, (name, (final, _)) in enumerate(drives.items()):
+    found = jax.vmap(lambda state: sean_jax.results(scenario, state))(final)
+    values = [found["time_in_situation"][:, 0], final.completed, *(found[key] for key in names)]
+    for panel, value, title in zip(panels, values, titles, strict=True):
+        value = np.asarray(value, float)
+        counted = np.asarray(final.completed) if title == "path efficiency" else None  # which is of whole ways
+        part = metrics.aggregate(value if value.ndim == 1 else value[:, 0], counted)
         panel.bar(row, part.mean, color=("#c8cfdc", "#f58a07", "#8d99b3")[row])
         panel.errorbar(row, part.mean, [[part.mean - part.low], [part.high - part.mean]], color="#1c2333", capsize=3)
         panel.set_title(title, fontsize=9)

@@ -32,8 +32,14 @@ if "google.colab" in sys.modules:
 from pathlib import Path
 from tempfile import mkdtemp
 
+from sean_jax import compiler
+
+compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+
 import jax
 import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
 from flax import struct
 
 import sean_jax
@@ -117,6 +123,14 @@ print(evaluation.table(100))
 other = sean_jax.evaluate(scenario, "go_to_goal", episodes=EPISODES, seed=0)
 for name, found in (("careful", evaluation), ("go_to_goal", other)):
     print(f"{name:>10}: near people for {found.metrics['near_time'][:, 0].mean():.1f} s of an episode, on average")
+figure, panels = plt.subplots(1, 2, figsize=(9, 2.8), layout="constrained")
+for row, (name, found) in enumerate((("careful", evaluation), ("go_to_goal", other))):
+    for panel, values in zip(panels, (found.metrics["near_time"][:, 0], found.seconds), strict=True):
+        panel.bar(np.arange(EPISODES) + 0.4 * row, values, 0.4, label=name, color=("#f58a07", "#8d99b3")[row])
+panels[0].set(xlabel="episode", ylabel="near people [s]")
+panels[1].set(xlabel="episode", ylabel="length of the episode [s]")
+panels[1].legend(frameon=False, fontsize=8)
+plt.show()
 
 # %% [markdown]
 # ## The report

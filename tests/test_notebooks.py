@@ -1,16 +1,24 @@
 """Notebooks run from top to bottom, are what their sources say, and are kept without outputs."""
 
+import base64
+import io
 import re
+import subprocess
+import sys
+import types
 from pathlib import Path
 
 import jupytext
 import nbformat
+import numpy as np
 import pytest
+from PIL import Image
 
 FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
 SOURCES = sorted(FOLDER.glob("*.py"))
 SMALL = {"PEOPLE": 8, "EPISODES": 2, "STEPS": 20}
-SMALL_TOO = {"MINUTES": 2, "EPOCHS": 2, "UPDATES": 2}  # of some notebooks
+SMALL_TOO = {"MINUTES": 2, "EPOCHS": 2, "UPDATES": 2, "TRIALS": 3, "SCENARIOS": 32}  # of some notebooks
+INSTALL = "On Colab, clone the repository first; the next cell then installs it."
 
 
 def cells(notebook) -> list[tuple[str, str]]:
@@ -31,6 +39,39 @@ def test_notebook_equals_its_source_and_has_no_outputs(source):
     assert all(not cell.outputs and cell.execution_count is None for cell in code)
 
 
+@pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
+def test_first_cell_installs_on_colab_and_there_alone(source, monkeypatch):
+    first = next(cell.source for cell in jupytext.read(source).cells if cell.cell_type == "code")
+    assert INSTALL in jupytext.read(source).cells[0].source
+    calls = []
+    monkeypatch.setattr(subprocess, "run", lambda command, check: calls.append((command, check)))
+    exec(first, {})
+    assert not calls
+    monkeypatch.setitem(sys.modules, "google.colab", types.ModuleType("google.colab"))
+    exec(first, {})
+    ((command, check),) = calls
+    assert check and command[:4] == [sys.executable, "-m", "pip", "install"]
+    (package,) = (word for word in command if word.startswith("./sean_jax") and "constraints" not in word)
+    needs_learning = "learning" in "".join(line for line in source.read_text().splitlines() if "import" in line)
+    assert package == ("./sean_jax[learning]" if needs_learning else "./sean_jax")
+    assert (
+        command[command.index("-c") + 1] == "./sean_jax/constraints.txt"
+        and (FOLDER.parent / "constraints.txt").exists()
+    )
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
+def test_compiled_programs_are_kept_from_the_start(source):
+    text = source.read_text()
+    assert 0 < text.index("\ncompiler.configure()") < text.index("\nimport jax")
+    assert "sean_jax.make(" not in text or 'dynamics="twin"' in text
+
+
+def test_every_page_is_in_the_readme():
+    readme = (FOLDER.parent / "README.md").read_text()
+    assert re.findall(r"\(notebooks/(\w+)\.ipynb\)", readme) == [path.stem for path in SOURCES]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
 def test_notebook_runs(source, tmp_path):
@@ -44,6 +85,10 @@ def test_notebook_runs(source, tmp_path):
     assert all(f"\n{name} = {value}" in text for name, value in SMALL.items())
     NotebookClient(notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": tmp_path}}).execute()
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
-    assert any("image/png" in output.get("data", {}) for output in outputs), "no picture"
+    pictures = [output.data["image/png"] for output in outputs if "image/png" in output.get("data", {})]
+    assert len(set(pictures)) >= 2, "fewer than two pictures"
+    for data in pictures:
+        image = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB"))
+        assert min(image.shape[:2]) > 100 and len(np.unique(image.reshape(-1, 3), axis=0)) > 4, "an empty picture"
     printed = "".join(output.get("text", "") for output in outputs)
     assert not re.search(r"\b(nan|inf)\b", printed)

@@ -12,7 +12,7 @@
 # ---
 
 # %% [markdown]
-# # Social situations
+# # Situations, on simulations and recordings
 # Section III of the paper says in logic when a robot crosses somebody's path, goes down a path with somebody, joins a
 # group, leaves one, or is alone. We look at the predicates one by one, at the five situations on scenes placed by hand,
 # and then classify a recording of people: first one that we make here, then yours.
@@ -30,6 +30,10 @@ if "google.colab" in sys.modules:
 # %%
 # %matplotlib inline
 import dataclasses
+
+from sean_jax import compiler
+
+compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
 
 import jax
 import jax.numpy as jnp

@@ -12,9 +12,9 @@
 # ---
 
 # %% [markdown]
-# # Train a policy
+# # Train by imitation
 # Section V of the paper in small: a driver demonstrates how to join and leave groups in the lab, a network learns from
-# that, and drives. Some minutes on a CPU. It needs the extra `learning`: `pip install ".[learning]"`.
+# that, and drives. A minute or two on a CPU. It needs the extra `learning`: `pip install ".[learning]"`.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
 
@@ -31,6 +31,10 @@ if "google.colab" in sys.modules:
 import json
 from pathlib import Path
 from tempfile import mkdtemp
+
+from sean_jax import compiler
+
+compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
 
 import jax
 import matplotlib.pyplot as plt

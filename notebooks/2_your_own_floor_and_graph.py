@@ -12,10 +12,10 @@
 # ---
 
 # %% [markdown]
-# # A Behavior Graph for your own floor plan
-# People walk between *waypoints* and stand and talk at *groups*; edges say where they walk, and how gladly. Here is a
-# hall of our own with two ways around a block of shelves: we write its folder, watch who walks where, change one word
-# and watch again.
+# # Your own floor and graph
+# A floor plan is a picture, in which what is dark stands in the way; here it is an array of our own, of a hall with two
+# ways around a block of shelves. On it a Behavior Graph says who goes where: people walk between *waypoints* and stand
+# and talk at *groups*, and edges say where they walk, and how gladly. We watch, change one word and watch again.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
 
@@ -32,9 +32,17 @@ if "google.colab" in sys.modules:
 from pathlib import Path
 from tempfile import mkdtemp
 
+from sean_jax import compiler
+
+compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+
 import jax
+import matplotlib.pyplot as plt
+import numpy as np
+from PIL import Image
 
 import sean_jax
+from sean_jax import maps
 from sean_jax.drawing import congestion_map, graph_sheet
 from sean_jax.graph import graph_of
 from sean_jax.policies import POLICIES
@@ -44,23 +52,41 @@ EPISODES = 8  # at once
 STEPS = 1200  # of 0.1 s: two minutes
 
 # %% [markdown]
-# ## The folder
-# Three files. `scene.xml` holds the obstacles as upright boxes, in metres seen from above with x to the right and y up;
-# `environment.yaml` the floor; `graph.yaml` the graph. (A ROS map can be turned into the first two by
-# `sean import-map`.)
+# ## The floor
+# 240 by 120 cells of 0.1 m, dark where something stands: a picture of your own floor, or what a robot has mapped, does
+# as well. `map.yaml` says how large a cell is and where the lower left corner lies, as ROS has it.
 
 # %%
-folder = Path(mkdtemp()) / "hall"
-folder.mkdir()
-(folder / "environment.yaml").write_text("name: hall\nfloor: [-4, 0, 20, 12]\npeople: 20\n")
-(folder / "scene.xml").write_text("""
-<mujoco>
-  <worldbody>
-    <geom type="box" pos="10 6 1" size="5 2.5 1"/>
-  </worldbody>
-</mujoco>
-""")
+drawn = Path(mkdtemp())
+plan = np.full((120, 240), 254, np.uint8)  # rows from the top, all free
+plan[35:85, 90:190] = 0  # the shelves, 10 x 5 m
+plan[20:28, 12:20] = plan[92:100, 12:20] = 0  # two pillars
+Image.fromarray(plan).save(drawn / "plan.png")
+(drawn / "map.yaml").write_text(
+    "image: plan.png\nresolution: 0.1\norigin: [-4, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+)
+figure, panel = plt.subplots(figsize=(6, 3), layout="constrained")
+panel.imshow(plan, cmap="gray", extent=(-4, 20, 0, 12))
+panel.set(title="plan.png", xlabel="x [m]", ylabel="y [m]")
+plt.show()
 
+# %% [markdown]
+# `import_map` covers what is dark by few upright boxes and writes an environment, a folder with two files: the floor,
+# and the boxes as MJCF. `sean import-map map.yaml --out hall` does the same. Who wants to, writes the files by hand
+# ([docs/environments.md](../docs/environments.md)).
+
+# %%
+folder = drawn / "hall"
+made = maps.import_map(drawn / "map.yaml", folder, people=PEOPLE)
+print(f"{made.boxes} boxes agree with {made.agreement:.2%} of the cells\n")
+print((folder / "environment.yaml").read_text())
+print((folder / "scene.xml").read_text())
+
+# %% [markdown]
+# ## The graph
+# `graph.yaml` is the third file: places in metres with x to the right and y up, and the edges between them.
+
+# %%
 GRAPH = """
 version: 1
 c_min: 0.2
@@ -111,12 +137,12 @@ graph_sheet(scenario.environment, graph)
 
 # %%
 policy = POLICIES["go_to_goal"]
+episodes = jax.jit(jax.vmap(lambda scenario, key: sean_jax.rollout(scenario, policy, key, STEPS)[1], (None, 0)))
 
 
 def watch(scenario):
     """Density (rows, columns) in people per m2 and flow (M, M) in people per minute, means of the episodes."""
-    keys = jax.random.split(jax.random.key(1), EPISODES)
-    frames = jax.jit(jax.vmap(lambda key: sean_jax.rollout(scenario, policy, key, STEPS)[1]))(keys)
+    frames = episodes(scenario, jax.random.split(jax.random.key(1), EPISODES))
     found = sean_jax.congestion(scenario, frames, span=STEPS * scenario.time_step)
     return found.density.mean((0, 1)), found.flow.mean((0, 1))
 
@@ -127,7 +153,8 @@ congestion_map(scenario.environment, density, graph=graph, flow=flow, title="all
 # %% [markdown]
 # ## One word
 # `forward` lets people take the southern edge from west to east and makes the way back a hundred times as dear, so they
-# come back by the north. Other words are `high` and `low`, for both directions.
+# come back by the north. Other words are `high` and `low`, for both directions. A graph is leaves of the scenario, so
+# the program from above runs with the new one as it is.
 
 # %%
 oneway = hall("forward")
