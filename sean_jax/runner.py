@@ -141,7 +141,7 @@ class Runner:
         self._steps = clock.ceil_ticks(first.time_limit, first.time_step)
         turns = max(1, round(chunk / first.time_step / record.every))
         self.chunk = min(turns * record.every, -(-self._steps // record.every) * record.every)
-        self._varying = _varying_leaves(self.scenarios)
+        self._varying = varying_leaves(self.scenarios)
         draw = functools.partial(_draw, tuple(each.task for each in self.scenarios), use, record, drivers)
         advance = functools.partial(_advance, record, self.chunk // record.every, drivers)
         self._draw, self._advance = self._jitted(draw, advance)
@@ -267,8 +267,18 @@ def not_finite(numbers: np.ndarray, count: int) -> str:
     return f"{len(numbers)} of {count} episodes hold numbers that are not finite: {names}."
 
 
-def _varying_leaves(scenarios: list[Scenario]) -> dict[int, Array]:
-    """Place among the leaves -> (C, ...) the values of those that differ between C scenarios."""
+def varying_leaves(scenarios: Sequence[Scenario]) -> dict[int, Array]:
+    """The leaves in which scenarios differ.
+
+    Args:
+        scenarios: C of them, which may differ in their leaves and in their task, and in nothing else.
+
+    Returns:
+        Place among the leaves -> (C, ...) its values.
+
+    Raises:
+        ValueError: the scenarios differ in more.
+    """
     first, *others = (jax.tree.flatten(dataclasses.replace(each, task=None, task_name="")) for each in scenarios)
     if any(tree != first[1] for _, tree in others):
         raise ValueError("scenarios: they differ in more than leaves and task; evaluate them one after the other.")
@@ -303,6 +313,29 @@ def _of_each_driver(function: Callable, drivers: int | None) -> Callable:
     return shared
 
 
+def first_state(
+    tasks: tuple, scenario: Scenario, varying: dict[int, Array], index: Array, key: Array
+) -> tuple[Scenario, State]:
+    """The first state of an episode of one of several scenarios, in one program for all of them.
+
+    Args:
+        tasks: of each scenario.
+        scenario: the first of them.
+        varying: ``varying_leaves`` of all.
+        index: () int32 which one.
+        key: () typed PRNG key.
+
+    Returns:
+        That scenario, and the state before anybody drives.
+    """
+
+    def task(scenario: Scenario, *others: PyTree) -> RobotTask:
+        return jax.lax.switch(index, [functools.partial(each, scenario) for each in tasks], *others)
+
+    own = dataclasses.replace(_select(scenario, varying, index), task=task)
+    return own, reset(own, key)
+
+
 def _draw(
     tasks: tuple,
     use: str,
@@ -317,12 +350,9 @@ def _draw(
     scenario, varying, policy = fixed
 
     def one(policy: PyTree, number: Array, turn: Array) -> State:
-        def task(scenario: Scenario, *others: PyTree) -> RobotTask:
-            return jax.lax.switch(turn, [functools.partial(each, scenario) for each in tasks], *others)
-
-        own = dataclasses.replace(_select(scenario, varying, turn), task=task)
         key = jax.random.fold_in(prng.key(use, seed), number)
-        return init_policy(own, policy, reset(own, key))
+        own, state = first_state(tasks, scenario, varying, turn, key)
+        return init_policy(own, policy, state)
 
     states = _of_each_driver(one, drivers)(policy, numbers, index)
     none = jnp.zeros(numbers.shape, jnp.int32)

@@ -233,7 +233,13 @@ def test_a_failure_stops_the_other_parts_and_is_raised(error, monkeypatch):
 
 def test_several_devices_or_few_cores_work_one_by_one(monkeypatch):
     monkeypatch.setattr(together.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
+    monkeypatch.setattr(together, "_memory", lambda: 64.0)
     assert together.workers() == 8
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert together.workers() == 16
+    monkeypatch.setattr(together, "_memory", lambda: 16.0)
+    assert together.workers() == 5
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
     monkeypatch.setattr(together.os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
     assert together.workers() == 1
     monkeypatch.setattr(together.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
@@ -269,14 +275,20 @@ def test_numbered_episodes_are_those_of_their_streams():
 @pytest.mark.slow
 def test_chains_restart_from_their_own_stream():
     asked = CollectConfig(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=20.0)
-    kinds, policy = list(streams(asked).values()), as_policy(go_to_goal)
-    chains = rollouts.Chains(policy)
-    pools = [chains.pool(kind, jax.random.key(i), 3, policy).starts for i, kind in enumerate(kinds)]
+    kinds = list(streams(asked).values())
+    there = rollouts.Streams(kinds, 3, 3)
+    pools = there.starts()
+    assert there.starts() is pools
+    for index, kind in enumerate(kinds):  # as each stream alone would draw them
+        key = jax.random.fold_in(prng.key("table1 starts", 3), index)
+        alone = jax.jit(episodes.reset_pool, static_argnums=2)(kind, key, 3).starts
+        np.testing.assert_allclose(pools.robot.position[index], alone.robot.position, atol=1e-5)
+        np.testing.assert_allclose(pools.pedestrians.position[index], alone.pedestrians.position, atol=1e-5)
     starts = jax.vmap(rollouts._start, (None, 0, 0))
     stream = jnp.repeat(jnp.arange(5, dtype=jnp.int32), 8)
-    drawn = starts(rollouts._stacked(pools), stream, jax.random.split(jax.random.key(1), 40))
+    drawn = starts(pools, stream, jax.random.split(jax.random.key(1), 40))
     for each, place in zip(np.asarray(stream), np.asarray(drawn.robot.position), strict=True):
-        assert (np.asarray(pools[each].robot.position) == place).all(-1).any()
+        assert (np.asarray(pools.robot.position[each]) == place).all(-1).any()
     assert len(np.unique(np.asarray(jax.random.key_data(drawn.streams.people)), axis=0)) == 40
 
 
@@ -289,7 +301,7 @@ def test_further_situations_are_noted_beside_the_scenarios_own():
 
     def minutes(*more):
         chains = rollouts.Chains(as_policy(go_to_goal), *more)
-        return chains.minutes(kinds, 0, 2, 1, 4, lambda _: None)
+        return chains.minutes(rollouts.Streams(kinds, 0, 4), 2, 1, lambda _: None)
 
     alone, ended = minutes()
     both, again = minutes(further)

@@ -25,7 +25,7 @@ from sean_jax.presets import PRESETS
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from sean_jax.base import Scenario
+    from sean_jax.experiments.rollouts import Streams
 
 DEFAULT, ALL = "default", "sean2"
 SWITCHES = {
@@ -108,8 +108,8 @@ def simulated(options: ExperimentConfig, world: str, behavior: str) -> str:
     return DEFAULT if own == usual else world
 
 
-def _places(options: ExperimentConfig, world: str, behavior: str) -> list[Scenario]:
-    return list(streams(description(options, world, behavior)).values())
+def _places(options: ExperimentConfig, world: str, behavior: str) -> Streams:
+    return table1.started(options, list(streams(description(options, world, behavior)).values()))
 
 
 def _cell(

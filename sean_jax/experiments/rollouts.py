@@ -6,19 +6,52 @@ its own resets, and all streams are stepped in one batch.
 
 import dataclasses
 import functools
+import threading
 from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import devices, episodes, prng
+from sean_jax import devices, episodes, prng, runner
 from sean_jax.base import Array, Policy, Scenario, State
 from sean_jax.classifiers import Situation, classify
 from sean_jax.scenario import moment
 
 MINUTE = 60  # s, of a block of the bootstrap
 LEAD = 1  # min of each chain that do not count, since all chains begin with the start of an episode
+
+
+class Streams:
+    """Scenarios that differ in their resets only, with starts of their episodes, which all who drive there share.
+
+    Args:
+        scenarios: of the C streams.
+        seed: of all that happens in them.
+        size: K starts of each stream, from which its chains restart.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], seed: int, size: int):
+        self.scenarios, self.seed, self.size = list(scenarios), seed, size
+        self._lock, self._starts = threading.Lock(), None
+
+    def starts(self) -> State:
+        """(C, K, ...) before anybody drives. They are drawn once: to compile a reset takes as long as a step."""
+        with self._lock:
+            if self._starts is None:
+                key, number = prng.key("table1 starts", self.seed), len(self.scenarios)
+                keys = jnp.stack([jax.random.split(jax.random.fold_in(key, c), self.size) for c in range(number)])
+                draw = jax.jit(functools.partial(_starts, tuple(each.task for each in self.scenarios)))
+                self._starts = draw(self.scenarios[0], runner.varying_leaves(self.scenarios), keys)
+            return self._starts
+
+
+def _starts(tasks: tuple, scenario: Scenario, varying: dict[int, Array], keys: Array) -> State:
+    def stream(given: tuple[Array, Array]) -> State:
+        index, keys = given
+        return jax.vmap(lambda key: runner.first_state(tasks, scenario, varying, index, key)[1])(keys)
+
+    return jax.lax.map(stream, (jnp.arange(len(tasks), dtype=jnp.int32), keys))
 
 
 class Chains:
@@ -31,28 +64,19 @@ class Chains:
 
     def __init__(self, policy: Policy, further: tuple[tuple[str, Situation], ...] = ()):
         self.over, self.policy = devices.mesh(), policy
-        self.pool = jax.jit(episodes.reset_pool, static_argnums=2)
-        self.stack = jax.jit(_stacked)
+        self.remember = jax.jit(_remembered)
         self.begin = devices.shard(self.over, _begin)
         self.run = devices.shard(self.over, functools.partial(_minute, further), donate=True)
 
     def minutes(
-        self,
-        streams: Sequence[Scenario],
-        seed: int,
-        chains: int,
-        minutes: int,
-        starts: int,
-        watch: Callable[[float], None],
+        self, streams: Streams, chains: int, minutes: int, watch: Callable[[float], None]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Situations once a second, after ``LEAD`` minutes that do not count.
 
         Args:
-            streams: scenarios of the C streams, which differ in their resets only.
-            seed: of all chains.
+            streams: C of them.
             chains: of each stream.
             minutes: that count, of each chain.
-            starts: states of each stream that its chains restart from.
             watch: called with the finished share, from 0 to 1.
 
         Returns:
@@ -62,16 +86,13 @@ class Chains:
         Raises:
             FloatingPointError: the position of a robot or a person is not finite.
         """
-        number, scenario = chains * len(streams), streams[0]
+        number, scenario = chains * len(streams.scenarios), streams.scenarios[0]
         size = -(-number // self.over.size) * self.over.size
-        key, pool_key = (prng.key(use, seed) for use in ("table1", "table1 starts"))
-        pools = [
-            self.pool(each, jax.random.fold_in(pool_key, index), starts, self.policy).starts
-            for index, each in enumerate(streams)
-        ]
-        fixed = devices.replicate(self.over, (scenario, self.policy, self.stack(pools)))
-        stream = np.minimum(np.arange(size) // chains, len(streams) - 1)
-        carry = self.begin(fixed, devices.keys(self.over, key, size), jnp.asarray(stream, jnp.int32))
+        starts = self.remember(scenario, self.policy, streams.starts())
+        fixed = devices.replicate(self.over, (scenario, self.policy, starts))
+        stream = np.minimum(np.arange(size) // chains, len(streams.scenarios) - 1)
+        keys = devices.keys(self.over, prng.key("table1", streams.seed), size)
+        carry = self.begin(fixed, keys, jnp.asarray(stream, jnp.int32))
         situations, ended = [], np.zeros(2, int)
         for minute in range(LEAD + minutes):
             carry, flags, over, sound = self.run(fixed, carry)
@@ -84,9 +105,9 @@ class Chains:
         return np.stack(situations, 1), ended
 
 
-def _stacked(pools: list[State]) -> State:
-    """(C, K, ...) the starts of each stream."""
-    return jax.tree.map(lambda *each: jnp.stack(each), *pools)
+def _remembered(scenario: Scenario, policy: Policy, starts: State) -> State:
+    """(C, K, ...) starts with the policy's memory."""
+    return jax.vmap(jax.vmap(lambda state: episodes.init_policy(scenario, policy, state)))(starts)
 
 
 def _begin(fixed: tuple, key: Array, stream: Array) -> tuple[Array, State]:

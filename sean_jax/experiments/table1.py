@@ -24,7 +24,7 @@ from sean_jax.config import CollectConfig, ExperimentConfig, ScenarioConfig
 from sean_jax.errors import IncompleteError, InputError
 from sean_jax.experiments import page, parts, pictures, recorded, shares
 from sean_jax.experiments.recorded import Recorded
-from sean_jax.experiments.rollouts import MINUTE, Chains
+from sean_jax.experiments.rollouts import MINUTE, Chains, Streams
 from sean_jax.experiments.shares import BEHAVIORS, Shares
 from sean_jax.experiments.together import Once, Part, together
 from sean_jax.files import listed
@@ -193,11 +193,24 @@ def fields(options: ExperimentConfig, behavior: str, people: int | None) -> dict
     return told | {"behavior": behavior, "people": None if behavior == "handcrafted" else people}
 
 
-def _places(options: ExperimentConfig, behavior: str, people: int | None) -> list[Scenario]:
+def _places(options: ExperimentConfig, behavior: str, people: int | None) -> Streams:
     """The streams of the protocol, with situations for each walking speed."""
     kinds = list(streams(description(options, behavior, people)).values())
     situations = _at_speeds(kinds[0], options.speeds)
-    return [dataclasses.replace(kind, situations=situations) for kind in kinds]
+    return started(options, [dataclasses.replace(kind, situations=situations) for kind in kinds])
+
+
+def started(options: ExperimentConfig, kinds: list[Scenario]) -> Streams:
+    """The streams of the protocol, with as many starts as the experiment needs.
+
+    Args:
+        options: of the experiment.
+        kinds: the scenarios.
+
+    Returns:
+        The streams.
+    """
+    return Streams(kinds, options.seed, STARTS * (options.seeds or 1))
 
 
 def _cell(
@@ -218,7 +231,7 @@ def cell(
     file: Path,
     behavior: str,
     policy: str,
-    places: Callable[[], list[Scenario]],
+    places: Callable[[], Streams],
     watch: Callable[[float], None],
     further: tuple[tuple[str, Situation], ...] = (),
 ) -> Cell:
@@ -252,12 +265,13 @@ def cell(
             raise IncompleteError(
                 f"{file} is damaged ({error}); remove it, and the same command makes it again."
             ) from error
-    kinds, seeds = places(), options.seeds or 1
+    there, seeds = places(), options.seeds or 1
+    kinds = there.scenarios
     minutes = max(1, math.ceil(60.0 * (options.hours or 1.0) / len(kinds) - 1e-6))
     each = min(CHAIN, minutes)
     chains = seeds * math.ceil(minutes / each)
     chain = Chains(choice.policy(policy, kinds[0]), further)
-    flags, ended = chain.minutes(kinds, options.seed, chains, each, STARTS * seeds, watch)
+    flags, ended = chain.minutes(there, chains, each, watch)
     flags, more = np.split(flags.reshape(-1, MINUTE, flags.shape[-1]), [flags.shape[-1] - len(names)], axis=-1)
     flags = np.moveaxis(flags.reshape(*flags.shape[:2], -1, len(shares.NAMES)), 2, 0)
     packed = {"flags": np.packbits(flags, axis=-1), "more": np.packbits(more, axis=-1), "names": np.array(names, str)}

@@ -6,6 +6,7 @@ device. The result of a part does not depend on which parts run beside it.
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from collections.abc import Callable, Sequence
@@ -18,7 +19,8 @@ from sean_jax.progress import progress
 if TYPE_CHECKING:
     from rich.console import Console
 
-MAX_PARTS = 8  # parts at once: each holds the memory that its compilation takes, one or two GB
+MAX_PARTS = 16  # parts at once
+GIGABYTES = 3.0  # of memory for each: its compilation takes one or two
 
 
 @dataclass(frozen=True)
@@ -52,14 +54,26 @@ class Once:
 
 
 def workers() -> int:
-    """How many parts run at once: half the cores, since parts have threads of their own.
+    """How many parts run at once: as many as cores and memory allow; on a CPU half, since there parts compute too.
 
     With several devices it is one: programs that exchange data must start in the same order on all devices.
     """
     import jax
 
+    if len(jax.devices()) > 1:
+        return 1
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return 1 if len(jax.devices()) > 1 else max(1, min(MAX_PARTS, cores // 2))
+    if jax.default_backend() == "cpu":
+        cores //= 2
+    return max(1, min(MAX_PARTS, cores, math.floor(_memory() / GIGABYTES)))
+
+
+def _memory() -> float:
+    """GB that this machine has; where it does not tell, enough."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
+    except (AttributeError, OSError, ValueError):
+        return GIGABYTES * MAX_PARTS
 
 
 def together(parts: Sequence[Part], console: Console | None, what: str) -> dict[str, Any]:
