@@ -154,7 +154,7 @@ plt.show()
 # ## Reverse mode and memory
 # One number by many: how close does the robot come to people, by each of its commands? With `checkpoint_every` reverse
 # mode keeps one state for each block of steps, and computes the steps again on the way back. Some steps down the slope
-# make the robot give way, if the derivative is damped; without that it tells of chaos, and leads nowhere.
+# keep the robot away from people, if the derivative is damped; without that it tells of chaos, and leads nowhere.
 
 
 # %%
