@@ -117,7 +117,8 @@ evaluation = sean_jax.evaluate(scenario, careful, episodes=EPISODES, seed=0)
 print(evaluation.table(100))
 
 # %% [markdown]
-# The same episodes with a policy of the package, for comparison: arrays first, one value an episode.
+# The same episodes with a policy of the package, for comparison: arrays first, one value an episode. Who slows down
+# takes longer, and may be near people for longer.
 
 # %%
 other = sean_jax.evaluate(scenario, "go_to_goal", episodes=EPISODES, seed=0)
