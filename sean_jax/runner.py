@@ -142,25 +142,29 @@ class Runner:
         turns = max(1, round(chunk / first.time_step / record.every))
         self.chunk = min(turns * record.every, -(-self._steps // record.every) * record.every)
         self._varying = varying_leaves(self.scenarios)
-        draw = functools.partial(_draw, tuple(each.task for each in self.scenarios), use, record, drivers)
+        begin = functools.partial(_begin, record, drivers)
         advance = functools.partial(_advance, record, self.chunk // record.every, drivers)
-        self._draw, self._advance = self._jitted(draw, advance)
+        tasks = tuple(each.task for each in self.scenarios)
+        self._draw, self._begin, self._advance = self._jitted(tasks, begin, advance)
 
-    def _jitted(self, draw: Callable, advance: Callable) -> tuple[Any, Any]:
-        """Both programs; what has an axis B is split over the devices, if there are several."""
+    def _jitted(self, tasks: tuple, begin: Callable, advance: Callable) -> tuple[Any, Any, Any]:
+        """The programs; what has an axis B is split over the devices, if there are several."""
         if self.mesh.size == 1:
-            return jax.jit(draw), jax.jit(advance, donate_argnums=1)
+            return _drawing(tasks, self.use), jax.jit(begin, donate_argnums=1), jax.jit(advance, donate_argnums=1)
         split, whole = (NamedSharding(self.mesh, PartitionSpec(*axes)) for axes in ((devices.AXIS,), ()))
 
         def sharding(leaf: jax.ShapeDtypeStruct) -> NamedSharding:
             return split if leaf.ndim and leaf.shape[0] == self.size else whole
 
-        running = jax.tree.map(sharding, jax.eval_shape(draw, self._fixed, *self._arguments()))
-        given = whole, whole, split, split
-        drawing = jax.jit(draw, in_shardings=given, out_shardings=running)
+        draw, (seed, numbers, index) = functools.partial(_draw, tasks, self.use), self._arguments()
+        states = jax.eval_shape(draw, self._places, seed, numbers, index)
+        first = jax.tree.map(sharding, states)
+        running = jax.tree.map(sharding, jax.eval_shape(begin, self._fixed, states, index))
+        drawing = jax.jit(draw, in_shardings=(whole, whole, split, split), out_shardings=first)
+        beginning = jax.jit(begin, in_shardings=(whole, first, split), out_shardings=running, donate_argnums=1)
         given = whole, running, split, split
         advancing = jax.jit(advance, in_shardings=given, out_shardings=(running, None), donate_argnums=1)
-        return drawing, advancing
+        return drawing, beginning, advancing
 
     def _arguments(self) -> tuple[Array, Array, Array]:
         """Seed, numbers and scenario of each episode, of the right shapes."""
@@ -168,7 +172,11 @@ class Runner:
 
     @property
     def _fixed(self) -> tuple:
-        return self.scenarios[0], self._varying, self.policy
+        return *self._places, self.policy
+
+    @property
+    def _places(self) -> tuple:
+        return self.scenarios[0], self._varying
 
     def compile(self, watch: Watch) -> None:
         """Compile everything now, in a thread that Ctrl-C need not wait for.
@@ -181,15 +189,16 @@ class Runner:
         seed, numbers, index = self._arguments()
         counted = jnp.ones((self.size,), bool)
         with _uncollected():
-            traced = self._draw.trace(self._fixed, seed, numbers, index)
+            traced = self._draw.trace(self._places, seed, numbers, index)
         quickly = ONCE.get(jax.default_backend(), {}) if self.scenarios[0].warm_up == 0.0 else {}
         starting = _Compiling(traced.lower(), quickly)
         watch.compiling(f"compiling the starts, tracing {self.chunk} steps of {self.size} episodes")
         with _uncollected():
-            lowered = self._advance.lower(self._fixed, traced.out_info, index, counted)
-        stepping = _Compiling(lowered)
+            begun = self._begin.trace(self._fixed, traced.out_info, index)
+            lowered = self._advance.lower(self._fixed, begun.out_info, index, counted)
+        stepping, beginning = _Compiling(lowered), _Compiling(begun.lower(), quickly)
         watch.compiling(f"compiling {self.chunk} steps of {self.size} episodes")
-        self._draw, self._advance = starting.result(), stepping.result()
+        self._draw, self._begin, self._advance = starting.result(), beginning.result(), stepping.result()
         self.compile_seconds = time.perf_counter() - began
 
     def run(
@@ -223,7 +232,8 @@ class Runner:
         turn = numbers % len(self.scenarios) if index is None else np.resize(index, self.size)
         fixed = self._fixed if self.mesh.size == 1 else devices.replicate(self.mesh, self._fixed)
         turns = jnp.asarray(turn, jnp.int32)
-        running = self._draw(fixed, jnp.uint32(seed), jnp.asarray(numbers, jnp.uint32), turns)
+        states = self._draw(fixed[:-1], jnp.uint32(seed), jnp.asarray(numbers, jnp.uint32), turns)
+        running = self._begin(fixed, states, turns)
         counted, rows, waiting = jnp.asarray(np.arange(self.size) < count), list[PyTree](), None
 
         def receive(stacked: PyTree) -> None:
@@ -313,9 +323,7 @@ def _of_each_driver(function: Callable, drivers: int | None) -> Callable:
     return shared
 
 
-def first_state(
-    tasks: tuple, scenario: Scenario, varying: dict[int, Array], index: Array, key: Array
-) -> tuple[Scenario, State]:
+def first_state(tasks: tuple, scenario: Scenario, varying: dict[int, Array], index: Array, key: Array) -> State:
     """The first state of an episode of one of several scenarios, in one program for all of them.
 
     Args:
@@ -326,37 +334,41 @@ def first_state(
         key: () typed PRNG key.
 
     Returns:
-        That scenario, and the state before anybody drives.
+        The state before anybody drives.
     """
 
     def task(scenario: Scenario, *others: PyTree) -> RobotTask:
         return jax.lax.switch(index, [functools.partial(each, scenario) for each in tasks], *others)
 
-    own = dataclasses.replace(_select(scenario, varying, index), task=task)
-    return own, reset(own, key)
+    return reset(dataclasses.replace(_select(scenario, varying, index), task=task), key)
 
 
-def _draw(
-    tasks: tuple,
-    use: str,
-    record: Record,
-    drivers: int | None,
-    fixed: tuple,
-    seed: Array,
-    numbers: Array,
-    index: Array,
-) -> Running:
-    """Episodes of those numbers (B,) before their first step."""
+@functools.lru_cache(64)
+def _drawing(tasks: tuple, use: str) -> Any:
+    """One program for all runners of the same places, since to compile a reset takes as long as a step."""
+    return jax.jit(functools.partial(_draw, tasks, use))
+
+
+def _draw(tasks: tuple, use: str, places: tuple, seed: Array, numbers: Array, index: Array) -> State:
+    """Episodes of those numbers (B,) before anybody drives."""
+    scenario, varying = places
+
+    def one(number: Array, turn: Array) -> State:
+        return first_state(tasks, scenario, varying, turn, jax.random.fold_in(prng.key(use, seed), number))
+
+    return jax.vmap(one)(numbers, index)
+
+
+def _begin(record: Record, drivers: int | None, fixed: tuple, states: State, index: Array) -> Running:
+    """Episodes before their first step."""
     scenario, varying, policy = fixed
 
-    def one(policy: PyTree, number: Array, turn: Array) -> State:
-        key = jax.random.fold_in(prng.key(use, seed), number)
-        own, state = first_state(tasks, scenario, varying, turn, key)
-        return init_policy(own, policy, state)
+    def one(policy: PyTree, state: State, turn: Array) -> State:
+        return init_policy(_select(scenario, varying, turn), policy, state)
 
-    states = _of_each_driver(one, drivers)(policy, numbers, index)
-    none = jnp.zeros(numbers.shape, jnp.int32)
-    return Running(states, none, jnp.zeros(numbers.shape, bool), record.init(scenario, states))
+    states = _of_each_driver(one, drivers)(policy, states, index)
+    steps, faulty = jnp.zeros(index.shape, jnp.int32), jnp.zeros(index.shape, bool)
+    return Running(states, steps, faulty, record.init(scenario, states))
 
 
 def _advance(

@@ -49,7 +49,7 @@ class Streams:
 def _starts(tasks: tuple, scenario: Scenario, varying: dict[int, Array], keys: Array) -> State:
     def stream(given: tuple[Array, Array]) -> State:
         index, keys = given
-        return jax.vmap(lambda key: runner.first_state(tasks, scenario, varying, index, key)[1])(keys)
+        return jax.vmap(lambda key: runner.first_state(tasks, scenario, varying, index, key))(keys)
 
     return jax.lax.map(stream, (jnp.arange(len(tasks), dtype=jnp.int32), keys))
 
