@@ -23,7 +23,7 @@ def test_examples_run(tmp_path, monkeypatch):
     pytest.importorskip("pyarrow")
     monkeypatch.chdir(tmp_path)
     scope: dict = {}
-    for language, block in re.findall(r"```(python|sh)\n(.*?)```", TEXT, re.S):
+    for language, block in re.findall(r"```(python|bash)\n(.*?)```", TEXT, re.S):
         if language == "python":
             exec(block, scope)  # noqa: S102
         else:
