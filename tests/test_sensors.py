@@ -532,3 +532,38 @@ def test_wrong_names_of_sensors_are_refused(scenario):
         sensors.as_sensors(["lidar", "lidar"], scenario.robot)
     with pytest.raises(InputError, match="nowhere.yaml"):
         sensors.as_sensor("nowhere.yaml", scenario.robot)
+
+
+def test_legs_are_where_a_ray_passes_them_and_stride_as_people_walk():
+    """Against lines and points of the plane in double precision; who stands has both feet below the body."""
+    chance = np.random.default_rng(4)
+    seen, away = chance.normal(size=(2, 500, 2)) * [[[3.0, 3.0]], [[0.2, 0.2]]] + [[[5.0, 0.0]], [[0.0, 0.0]]]
+    look = chance.normal(size=(500, 2))
+    look /= np.linalg.norm(look, axis=-1, keepdims=True)
+    ahead = chance.uniform(-0.3, 0.3, 500)
+    feet = [
+        seen - away + side * (ahead[:, None] * look + paint.APART * np.stack([-look[:, 1], look[:, 0]], -1))
+        for side in (1.0, -1.0)
+    ]
+    gaps = [np.abs(seen[:, 0] * foot[:, 1] - seen[:, 1] * foot[:, 0]) / np.linalg.norm(seen, axis=-1) for foot in feet]
+    clear = np.abs(np.stack(gaps) - paint.LEG).min(0) > 1e-4
+    given = [jnp.asarray(each, jnp.float32) for each in (ahead, *look.T, *seen.T, *away.T)]
+    found = np.asarray(jax.jit(paint._on_leg)(*given))
+    np.testing.assert_array_equal(found[clear], (np.min(gaps, 0) < paint.LEG)[clear])
+    assert 0.1 < found.mean() < 0.9
+
+
+def test_feet_swing_by_the_way_that_is_walked(scenario):
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
+    people, foot = state.pedestrians, jax.jit(paint._foot)
+
+    def after(way, speed):
+        walked = people.replace(position=people.position + way * people.heading, velocity=speed * people.heading)
+        return np.asarray(foot(state.replace(pedestrians=walked)))
+
+    assert np.abs(after(0.3, 0.0)).max() < 1e-5
+    first = after(0.0, 1.0)
+    np.testing.assert_allclose(after(paint.STRIDE / 2, 1.0), -first, atol=2e-3)  # the other foot is ahead
+    np.testing.assert_allclose(after(paint.STRIDE, 1.0), first, atol=2e-3)
+    np.testing.assert_allclose(after(0.0, 0.5), 0.5 * first, atol=1e-3)
+    assert np.abs(first).max() <= paint.SPREAD + 1e-6 and np.abs(first).max() > 0.1

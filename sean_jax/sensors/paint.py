@@ -1,7 +1,8 @@
 """The colors of a picture (section IV-F).
 
 A sun and an ambient light shade all bodies. The floor is darker beside bodies that stand on it. Each person has a shirt
-of another color, a face on the side to which they look, and hair on the other side.
+of another color, a face on the side to which they look, hair on the other side, and legs that stride as they walk. All
+that is paint: rays meet a capsule and a round head.
 """
 
 import jax
@@ -16,6 +17,9 @@ AMBIENT, SUN = 0.55, 0.5  # shares of the light
 SKIN, HAIR, LEGS = (0.87, 0.70, 0.58), (0.24, 0.18, 0.15), (0.22, 0.25, 0.32)
 NECK, WAIST = 1.47, 0.85  # m above the floor
 FACE = 0.22  # m, height of a face
+LEG, APART = 0.08, 0.1  # m, radius of a leg, and from the middle of the body to that of a leg
+STRIDE, SPREAD = 1.4, 0.3  # m, of two steps, and by how much a foot is ahead of the body at most, from 1 m/s on
+BETWEEN = 0.35  # share of the light between the legs
 SHADOW, SHADOW_REACH = 0.45, 0.22  # share of the light that is lost beside a body, and m over which the loss fades
 
 Color = tuple[Array, Array, Array]  # red, green and blue, of one shape
@@ -103,16 +107,38 @@ def _clothes(state: State, view: View, number: Array, x: Array, y: Array, up: Ar
     person = jnp.clip(number - (boxes + cylinders + spheres), 0, count - 1)
     heading = state.pedestrians.heading
     look_x, look_y = rotate(heading[:, 0], heading[:, 1], state.robot.heading[0], -state.robot.heading[1])
-    ahead = (x - view.people[:, 0][person]) * look_x[person] + (y - view.people[:, 1][person]) * look_y[person]
+    look_x, look_y = look_x[person], look_y[person]
+    away_x, away_y = x - view.people[:, 0][person], y - view.people[:, 1][person]
     head = up > NECK
-    face = head & (ahead > 0.03) & (up < NECK + FACE)
-    shirt = shirts(count)
+    face = head & (away_x * look_x + away_y * look_y > 0.03) & (up < NECK + FACE)
+    on_leg = _on_leg(_foot(state)[person] * (1.0 - up / WAIST), look_x, look_y, x, y, away_x, away_y)
+    shirt, legs = shirts(count), jnp.where(on_leg, 1.0, BETWEEN)
 
     def channel(axis: int) -> Array:
-        body = jnp.where(up > WAIST, shirt[axis][person], LEGS[axis])
+        body = jnp.where(up > WAIST, shirt[axis][person], LEGS[axis] * legs)
         return jnp.where(face, SKIN[axis], jnp.where(head, HAIR[axis], body))
 
     return channel(0), channel(1), channel(2)
+
+
+def _foot(state: State) -> Float[Array, "N"]:
+    """How far [m] each person's left foot is ahead of the body, and the right one behind it."""
+    people = state.pedestrians
+    along_way = (people.position * people.heading).sum(-1)
+    speed = jnp.sqrt((people.velocity * people.velocity).sum(-1) + 1e-12)
+    return SPREAD * jnp.minimum(speed, 1.0) * jnp.sin(2.0 * jnp.pi / STRIDE * along_way)
+
+
+def _on_leg(ahead: Array, look_x: Array, look_y: Array, x: Array, y: Array, away_x: Array, away_y: Array) -> Array:
+    """Whether the ray to (x, y) passes a leg: the left one is ``ahead`` [m] of the body there, the right one behind."""
+    far = jnp.maximum(jnp.sqrt(x * x + y * y), 1e-6)
+
+    def passes(forward: Array, left: float) -> Array:
+        to_x = forward * look_x - left * look_y - away_x
+        to_y = forward * look_y + left * look_x - away_y
+        return jnp.abs(to_x * y - to_y * x) < LEG * far
+
+    return passes(ahead, APART) | passes(-ahead, -APART)
 
 
 def shirts(count: int) -> Color:
