@@ -150,7 +150,11 @@ class Runner:
     def _jitted(self, tasks: tuple, begin: Callable, advance: Callable) -> tuple[Any, Any, Any]:
         """The programs; what has an axis B is split over the devices, if there are several."""
         if self.mesh.size == 1:
-            return _drawing(tasks, self.use), jax.jit(begin, donate_argnums=1), jax.jit(advance, donate_argnums=1)
+            leaves, structure = jax.tree.flatten(self._places)
+            draw = _drawing(
+                tasks, self.use, structure, tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+            )
+            return draw, jax.jit(begin, donate_argnums=1), jax.jit(advance, donate_argnums=1)
         split, whole = (NamedSharding(self.mesh, PartitionSpec(*axes)) for axes in ((devices.AXIS,), ()))
 
         def sharding(leaf: jax.ShapeDtypeStruct) -> NamedSharding:
@@ -343,8 +347,8 @@ def first_state(tasks: tuple, scenario: Scenario, varying: dict[int, Array], ind
     return reset(dataclasses.replace(_select(scenario, varying, index), task=task), key)
 
 
-@functools.lru_cache(64)
-def _drawing(tasks: tuple, use: str) -> Any:
+@functools.lru_cache(8)  # of the last few places, so that a long session does not keep the programs of all
+def _drawing(tasks: tuple, use: str, structure: Any, shapes: tuple) -> Any:
     """One program for all runners of the same places, since to compile a reset takes as long as a step."""
     return jax.jit(functools.partial(_draw, tasks, use))
 

@@ -109,7 +109,7 @@ def simulated(options: ExperimentConfig, world: str, behavior: str) -> str:
 
 
 def _places(options: ExperimentConfig, world: str, behavior: str) -> Streams:
-    return table1.started(options, list(streams(description(options, world, behavior)).values()))
+    return table1.with_starts(options, list(streams(description(options, world, behavior)).values()))
 
 
 def _cell(

@@ -197,10 +197,10 @@ def _places(options: ExperimentConfig, behavior: str, people: int | None) -> Str
     """The streams of the protocol, with situations for each walking speed."""
     kinds = list(streams(description(options, behavior, people)).values())
     situations = _at_speeds(kinds[0], options.speeds)
-    return started(options, [dataclasses.replace(kind, situations=situations) for kind in kinds])
+    return with_starts(options, [dataclasses.replace(kind, situations=situations) for kind in kinds])
 
 
-def started(options: ExperimentConfig, kinds: list[Scenario]) -> Streams:
+def with_starts(options: ExperimentConfig, kinds: list[Scenario]) -> Streams:
     """The streams of the protocol, with as many starts as the experiment needs.
 
     Args:
