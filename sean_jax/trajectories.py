@@ -215,6 +215,8 @@ def trajectory_writer(
 ) -> Iterator[TrajectoryWriter]:
     """Write episodes one after another; the file is there when the block ends, and as it was if anything is raised.
 
+    A folder of zarr is replaced at once, and is whole when it has its ``zarr.json``, which is written last.
+
     Args:
         path: to be written, as of ``save_trajectory``.
         time_step: s, between two frames.
