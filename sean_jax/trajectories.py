@@ -215,8 +215,6 @@ def trajectory_writer(
 ) -> Iterator[TrajectoryWriter]:
     """Write episodes one after another; the file is there when the block ends, and as it was if anything is raised.
 
-    A folder of zarr is replaced at once, and is whole when it has its ``zarr.json``, which is written last.
-
     Args:
         path: to be written, as of ``save_trajectory``.
         time_step: s, between two frames.
@@ -238,10 +236,10 @@ def trajectory_writer(
     check_packages(path.suffix)
     told = {"time_step": time_step, "situations": list(situations), "people": people}
     if path.suffix == ".zarr":
-        shutil.rmtree(path, ignore_errors=True)  # half-written, of one who was killed
-        writer = TrajectoryWriter(path, told, steps, count, first)
-        yield writer
-        writer.close()
+        with _replaced(path) as scratch:
+            writer = TrajectoryWriter(scratch, told, steps, count, first)
+            yield writer
+            writer.close()
         return
     with writing.atomic_file(path) as stream:
         writer = TrajectoryWriter(path, told, steps, count, first, stream)
@@ -260,7 +258,8 @@ def join_trajectories(parts: Sequence[Path], path: Path) -> None:
         WriteError: another process writes the file.
     """
     if path.suffix == ".zarr":
-        _join_zarr(parts, path)
+        with _replaced(path) as scratch:
+            _join_zarr(parts, scratch)
         return
     with writing.atomic_file(path) as stream:
         if path.suffix == ".csv":
@@ -278,8 +277,20 @@ def join_trajectories(parts: Sequence[Path], path: Path) -> None:
                         table.write_table(groups.read_row_group(k))
 
 
+@contextlib.contextmanager
+def _replaced(path: Path) -> Iterator[Path]:
+    """A folder beside this one that takes its place when the block ends; if anything is raised, the old one stays."""
+    scratch = path.with_name(f".part-{path.name}")
+    shutil.rmtree(scratch, ignore_errors=True)  # of one who was killed
+    try:
+        yield scratch
+        shutil.rmtree(path, ignore_errors=True)
+        scratch.rename(path)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
 def _join_zarr(parts: Sequence[Path], path: Path) -> None:
-    shutil.rmtree(path, ignore_errors=True)
     told = json.loads(files.read_text(parts[0] / "zarr.json"))["attributes"][TOLD]
     for name in Trajectory.__dataclass_fields__:
         arrays = [_zarr(part / name, {}) for part in parts]

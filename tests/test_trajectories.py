@@ -10,7 +10,7 @@ import pytest
 import sean_jax
 from sean_jax.base import Trajectory
 from sean_jax.errors import InputError
-from sean_jax.trajectories import COLUMNS, load_trajectory, save_trajectory
+from sean_jax.trajectories import COLUMNS, load_trajectory, save_trajectory, trajectory_writer
 
 NAMES = ("cross_path", "down_path", "mine")
 
@@ -110,3 +110,15 @@ def test_bad_files_are_refused_in_a_sentence(tmp_path):
     (tmp_path / "half.zarr").mkdir()
     with pytest.raises(InputError, match="holds no zarr.json"):
         load_trajectory(tmp_path / "half.zarr")
+
+
+def test_a_writer_that_fails_leaves_an_earlier_folder_of_zarr(tmp_path):
+    pytest.importorskip("tensorstore")
+    path = tmp_path / "walk.zarr"
+    path.mkdir()
+    (path / "earlier").write_text("kept")
+    with pytest.raises(RuntimeError), trajectory_writer(
+        path, situations=[], people=2, steps=3, count=1
+    ):  # fmt: skip
+        raise RuntimeError
+    assert (path / "earlier").read_text() == "kept" and list(tmp_path.iterdir()) == [path]
