@@ -12,7 +12,7 @@ from quick import quick
 
 import sean_jax
 from sean_jax import episodes, prng, runner, sensors
-from sean_jax.base import Behavior, PathsToGoal, Pedestrians, RobotTask, as_policy
+from sean_jax.base import Behavior, PathsToGoal, Pedestrians, RobotTask
 from sean_jax.behaviors.random_behavior import no_groups
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.policies import POLICIES
@@ -193,13 +193,12 @@ def test_uses_of_one_seed_share_no_episode():
 def test_commands_draw_other_episodes(scenario):
     """What `sean run`, `collect` and `experiment figure4` reset with, taken from the one runner."""
     quiet, numbers = still(scenario), jnp.arange(8, dtype=jnp.uint32)
-    fixed, index = (quiet, {}, as_policy(noisy)), jnp.zeros(8, jnp.int32)
+    index = jnp.zeros(8, jnp.int32)
 
     @jax.jit  # of which nothing but the keys is compiled
     def drawn(numbers):
         def people(use):
-            running = runner._draw((quiet.task,), use, runner.NO_RECORD, None, fixed, jnp.uint32(0), numbers, index)
-            return running.states.streams.people
+            return runner._draw((quiet.task,), use, (quiet, {}), jnp.uint32(0), numbers, index).streams.people
 
         return [people(use) for use in ("run", "collect", "figure4")]
 
