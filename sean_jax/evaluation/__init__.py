@@ -245,6 +245,7 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
             console.print(f"live: {live.url}", highlight=False, soft_wrap=True)
         with progress(console) as tell:
             evaluation = _episodes(scenarios, policy, config, tell, unfinished, console, live)
+        table.print_table(console, evaluation.summary(), evaluation.definitions, evaluation.title)
         complete = len(evaluation.tasks) == config.episodes
         with console.status("drawing the report"), unfinished.results(complete) as place:
             output.write_all(place, evaluation, config)
@@ -252,7 +253,6 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
                 parts = [unfinished.frames(*batch) for batch in _batches(len(evaluation.tasks), config)]
                 whole = place / f"trajectories.{config.trajectories}"
                 trajectories.join_trajectories([part for part in parts if part is not None], whole)
-        table.print_table(console, evaluation.summary(), evaluation.definitions, evaluation.title)
     return folder, evaluation
 
 
