@@ -37,16 +37,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0, 2 for bad input, 1 for what broke midway, 130 for Ctrl-C and 143 for SIGTERM.
     """
-    with interrupts.interruptible() as received:
-        code = _main(list(sys.argv[1:] if arguments is None else arguments))
-        code = TERMINATED if code == STOPPED and signal.SIGTERM in received else code
-        if code in (STOPPED, TERMINATED) and any(
-            thread.name == interrupts.COMPILER_THREAD for thread in threading.enumerate()
-        ):
-            os._exit(code)  # the compiler cannot be interrupted, and the interpreter would wait for it
-        if code in (FAILED, STOPPED, TERMINATED) and _is_joined():
-            sys.stdout.flush()
-            os._exit(code)  # the others may wait for numbers of this process, and it at its end for them
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    code, received = STOPPED, []
+    try:
+        with interrupts.interruptible() as received:
+            code = _main(words)
+    except KeyboardInterrupt:  # at the very end, while memory is freed, or a second one while the first was answered
+        pass
+    code = TERMINATED if code == STOPPED and signal.SIGTERM in received else code
+    if code in (STOPPED, TERMINATED) and any(
+        thread.name == interrupts.COMPILER_THREAD for thread in threading.enumerate()
+    ):
+        os._exit(code)  # the compiler cannot be interrupted, and the interpreter would wait for it
+    if code in (FAILED, STOPPED, TERMINATED) and _is_joined():
+        sys.stdout.flush()
+        os._exit(code)  # the others may wait for numbers of this process, and it at its end for them
     return code
 
 

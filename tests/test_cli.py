@@ -1,18 +1,21 @@
 """The command line: quick help, whole folders or none, one sentence for what is wrong."""
 
+import contextlib
 import importlib.metadata
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
 
-from sean_jax import assembly, bench, cache, cli, compiler, learning
+from sean_jax import assembly, bench, cache, cli, compiler, interrupts, learning
 from sean_jax.bench import page, parts
 
 SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
@@ -189,6 +192,27 @@ def test_what_goes_wrong_midway_ends_in_one_sentence(raised, code, said, capsys,
     assert cli.main(["run", "--out", str(tmp_path / "run")]) == code
     assert said in capsys.readouterr().err
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("kind", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupt_while_another_is_answered_ends_in_its_code_and_no_traceback(kind, code, capsys, monkeypatch):
+    monkeypatch.setattr(cli, "_main", lambda _: signal.raise_signal(kind))
+    assert cli.main(["run"]) == code
+    assert capsys.readouterr() == ("", "")
+
+
+def test_an_interrupt_when_all_is_done_changes_nothing(monkeypatch):
+    @contextlib.contextmanager
+    def freeing_much():
+        with interrupts.interruptible() as received:
+            yield received
+            signal.raise_signal(signal.SIGTERM)
+
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr(cli, "_main", lambda _: 0)
+    monkeypatch.setattr(cli, "interrupts", SimpleNamespace(interruptible=freeing_much))
+    assert cli.main(["run"]) == 0
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def small_run(folder: Path, capsys, seed: int, *options: str) -> bytes:
