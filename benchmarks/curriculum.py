@@ -5,7 +5,7 @@ Its training goes on twice, for as many steps: with a curriculum, and without on
 episodes, the same for all, with 95 % bootstrap intervals. A violation is somebody within 0.45 m, whoever's fault it is.
 Intervals are of episodes: they say what other episodes would give, not what another training would (``--seeds``).
 
-python benchmarks/curriculum.py runs/ppo --steps 500000 --out runs/mended
+python benchmarks/curriculum.py runs/ppo --steps 3000000 --scenarios 256 --seeds 4 --out runs/mended
 python benchmarks/curriculum.py ppo --steps 2e7 --scenarios 4096 --episodes 2048 --seeds 3 --out runs/long
 
 The second is of the agent that comes with the package, for a GPU. After an interruption the same command goes on.

@@ -48,9 +48,9 @@ from sean_jax.policies import POLICIES
 from sean_jax.scenario import frame
 
 PEOPLE = 6  # in the lab
-MINUTES = 20  # of demonstrations
-EPOCHS = 80  # of training
-EPISODES = 16  # to compare drivers on
+MINUTES = 15  # of demonstrations
+EPOCHS = 45  # of training
+EPISODES = 12  # to compare drivers on
 STEPS = 400  # of 0.1 s in each
 TEACHER = "go_to_goal"  # "expert" is more polite, and takes longer to simulate
 folder = Path(mkdtemp())

@@ -57,18 +57,23 @@ export function drawTimeline(
     label(`${low.toPrecision(2)} to ${high.toPrecision(2)} ${unit}`, top + 24, palette.muted);
     paint.fillStyle = palette.floor;
     paint.fillRect(LABELS, top, width - LABELS, CURVE);
-    for (const [place, [value, text]] of marks.entries()) {
-      if (value < low || value > high) continue;
-      paint.fillStyle = palette.muted;
-      paint.fillRect(LABELS, down(value), width - LABELS, 1);
-      paint.textAlign = place % 2 ? "left" : "right"; // apart, since values of note lie near one another
-      paint.fillText(text, place % 2 ? LABELS + 4 : width - 4, down(value) - 7);
-      paint.textAlign = "left";
-    }
+    const shown = marks.filter(([value]) => value >= low && value <= high);
+    paint.fillStyle = palette.muted;
+    for (const [value] of shown) paint.fillRect(LABELS, down(value), width - LABELS, 1);
     paint.beginPath();
     for (let t = 0; t < episode.frames; t++) paint.lineTo(across(t), down(column[t]));
     paint.strokeStyle = palette.ink;
     paint.lineWidth = 1.3;
     paint.stroke();
+    paint.strokeStyle = palette.floor; // around the words, so that the curve does not cross them
+    paint.lineWidth = 4;
+    paint.lineJoin = "round";
+    for (const [place, [value, text]] of shown.entries()) {
+      paint.textAlign = place % 2 ? "left" : "right"; // apart, since values of note lie near one another
+      const [x, y] = [place % 2 ? LABELS + 4 : width - 4, down(value) - 7];
+      paint.strokeText(text, x, y);
+      paint.fillText(text, x, y);
+    }
+    paint.textAlign = "left";
   });
 }
