@@ -526,8 +526,8 @@ class RunConfig(ScenarioConfig):
     """Also write camera.gif, the first episode as first_person, third_person, overhead or depth sees it."""
     renderer: Annotated[Literal["rays", "mujoco"] | None, Incidental()] = None
     """What draws camera.gif: rays, the default, or mujoco, which needs OpenGL."""
-    trajectories: Literal["csv", "parquet", "zarr"] | None = None
-    """Also write the frames of all episodes, robot and people, as trajectories.csv, .parquet or .zarr."""
+    trajectories: Literal["csv", "parquet"] | None = None
+    """Also write the frames of all episodes, robot and people, as trajectories.csv or .parquet."""
     live: Annotated[bool, Incidental()] = False
     """Serve a page on this computer that plays the first episode while it is simulated."""
     name: Annotated[str, Incidental()] = ""

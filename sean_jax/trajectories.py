@@ -1,27 +1,29 @@
-"""Trajectories in files that other programs read: tables as CSV or Parquet, arrays as zarr.
+"""Trajectories in files that other programs read: tables as CSV or Parquet.
 
 A table has a row for each frame of the robot and of each person who is there then, so that pandas, PedPy or a database
-can take it as it is; ``COLUMNS`` says what they are. A folder of zarr has the arrays of ``base.Trajectory``. A
-``TrajectoryWriter`` adds episode after episode, of which one is in memory at a time.
+can take it as it is; ``COLUMNS`` says what they are. A ``TrajectoryWriter`` adds episode after episode, of which one is
+in memory at a time.
 """
 
 import contextlib
-import csv
+import itertools
 import json
-import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import numpy as np
+import pydantic
 
 from sean_jax import files, writing
 from sean_jax.base import Trajectory
-from sean_jax.errors import InputError
+from sean_jax.errors import FileError, InputError
+from sean_jax.quantities import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE
 
 ROBOT = -1  # the robot's id; people have the numbers 0 to N - 1
+MAX_SPEED = 10_000.0  # m/s
 COLUMNS = {
     "episode": "number of the episode, from 0; left out of a single one",
     "frame": "number of the step of control, from 0",
@@ -45,9 +47,38 @@ COLUMNS = {
 
 PERSON = ("x", "y", "vx", "vy", "heading_x", "heading_y")
 OF_ROBOT = ("goal_x", "goal_y", "command_speed", "command_turn_rate", "active")
-SUFFIXES = (".csv", ".parquet", ".zarr")
+NUMBERS = ("episode", "frame", "id", "group")  # columns of whole numbers
+SITUATION = "situation_"  # how the columns of situations begin
+SUFFIXES = (".csv", ".parquet")
 GROUP_ROWS = 2**18  # of a table, that Parquet stores together: episodes are gathered until there are so many
-TOLD = "sean_jax"  # key of what is told beside the columns: time_step, situations, people, episodes
+BLOCK_ROWS = 2**16  # of a table, that are read at once
+MAX_ROWS = 10**8
+KEY = "sean_jax"  # of the header beside the columns
+CURE = "give a file that save_trajectory has written"
+LIMITS = {
+    "frame": (0, 10**9),
+    "episode": (0, 2**31 - 1),
+    "time": (0.0, 10**9),
+    "id": (ROBOT, MAX_PEOPLE - 1),
+    "group": (-1, MAX_PEOPLE),
+    **{name: (-MAX_COORDINATE, MAX_COORDINATE) for name in ("x", "y", "goal_x", "goal_y")},
+    **{name: (-MAX_SPEED, MAX_SPEED) for name in ("vx", "vy")},
+}
+"""Column -> least and most; commands are whatever the policy gave."""
+
+
+class Header(pydantic.BaseModel):
+    """What stands beside the columns."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    time_step: Annotated[float, pydantic.Field(gt=0, le=MAX_DURATION, allow_inf_nan=False)]  # s
+    situations: Annotated[tuple[str, ...], pydantic.Field(max_length=1_000)]
+    people: Annotated[int, pydantic.Field(ge=0, le=MAX_PEOPLE)]  # of each episode
+
+    def text(self) -> str:
+        """As JSON, in one line."""
+        return json.dumps(self.model_dump(mode="json"))
 
 
 def save_trajectory(
@@ -62,18 +93,19 @@ def save_trajectory(
     A table leaves out people who are absent; read again, they are at (0, 0) there.
 
     Args:
-        trajectory: (T, ...) frames of an episode, or (E, T, ...) of several.
-        path: to be written: ``.csv``, ``.parquet`` (extra ``lerobot``) or a new folder ``.zarr`` (extra ``learning``).
+        trajectory: (T, ...) frames of an episode, or (E, T, ...) of several. Headings are unit vectors or zero, places
+            lie within 10 km of the origin.
+        path: to be written: ``.csv`` or ``.parquet`` (extra ``lerobot``).
         time_step: s, between two frames.
         situations: their names, as of the scenario; numbers if None.
 
     Raises:
-        InputError: the path has another ending, or there are not as many names as situations.
+        InputError: the path has another ending, there are not as many names as situations, or a value is out of range.
         WriteError: another process writes the file.
-        IncompleteError: the file cannot be written.
     """
     path = Path(path)
     _check_suffix(path)
+    check_packages(path.suffix)
     arrays = {name: np.asarray(value) for name, value in vars(trajectory).items()}
     if arrays["active"].ndim not in (1, 2):
         raise InputError(f"trajectory: frames with {arrays['active'].ndim} leading axes; give (T, ...) or (E, T, ...).")
@@ -81,41 +113,52 @@ def save_trajectory(
     names = [f"{k}" for k in range(number)] if situations is None else list(situations)
     if len(names) != number:
         raise InputError(f"situations: {len(names)} names for {number} situations; give one name for each.")
-    told = {"time_step": time_step, "situations": names, "people": arrays["people"].shape[-2]}
-    if path.suffix == ".zarr":
-        return _save_zarr(path, arrays, told)
+    people = arrays["people"].shape[-2]
+    header = files.check_json(path, {"time_step": time_step, "situations": names, "people": people}, Header)
     batched = arrays["active"].ndim == 2
-    table = _table(arrays if batched else {name: value[None] for name, value in arrays.items()}, told)
+    table = _table(arrays if batched else {name: value[None] for name, value in arrays.items()}, header)
     if not batched:
         table.pop("episode")
-    _save_csv(path, table, told) if path.suffix == ".csv" else _save_parquet(path, table, told)
-    return None
+    _check_rows(path, table, header, 1)
+    with writing.atomic_file(path) as stream:
+        if path.suffix == ".csv":
+            stream.write(_csv(table, header, first=True))
+        else:
+            _arrow()[1].write_table(_arrow_table(table, header), stream)
 
 
 def load_trajectory(path: Path | str) -> Trajectory:
     """Read what ``save_trajectory`` wrote.
 
     Args:
-        path: of the file or folder.
+        path: of the file; 10 GB and 100 million rows at most.
 
     Returns:
         (T, ...) or (E, T, ...), as it was saved, as numpy arrays.
 
     Raises:
-        InputError: it is none.
-        IncompleteError: it is damaged.
+        InputError: it is none, it is damaged, or a value is out of range (``COLUMNS``).
     """
     path = Path(path)
     _check_suffix(path)
-    if not path.exists():
-        raise InputError(f"{path}: there is no such file.")
-    if path.suffix == ".zarr":
-        return _load_zarr(path)
-    table, told = _load_csv(path) if path.suffix == ".csv" else _load_parquet(path)
-    lacking = [name for name in ("frame", "id", "group", *PERSON, *OF_ROBOT) if name not in table]
-    if lacking:
-        raise InputError(f"{path}: has no column {lacking[0]}; give a file that save_trajectory has written.")
-    return _frames(table, told)
+    header, blocks = _csv_blocks(path) if path.suffix == ".csv" else _parquet_blocks(path)
+    parts: list[dict[str, np.ndarray]] = []
+    rows = 0
+    for columns in blocks:
+        _check_columns(path, columns, header)
+        _check_rows(path, columns, header, rows + 1)
+        rows += len(columns["id"])
+        if rows > MAX_ROWS:
+            raise FileError(f"{files.short_name(path)}: has more than {MAX_ROWS:,} rows; save fewer episodes.")
+        parts.append({
+            name: values.astype(np.int64 if name in NUMBERS else np.float32)
+            for name, values in columns.items() if name != "time"
+        })  # fmt: skip
+    if not rows:
+        raise FileError(f"{files.short_name(path)}: holds no frame; {CURE}.")
+    with files.sentence(path, "save fewer episodes"):
+        table = {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
+        return _frames(path, table, header)
 
 
 def check_packages(suffix: str) -> None:
@@ -129,15 +172,13 @@ def check_packages(suffix: str) -> None:
     """
     if suffix == ".parquet":
         _arrow()
-    if suffix == ".zarr":
-        _tensorstore()
 
 
 class TrajectoryWriter:
     """A file of many episodes that grows by one at a time; made by ``trajectory_writer``."""
 
-    def __init__(self, path: Path, told: dict[str, Any], steps: int, count: int, first: int, stream: Any = None):
-        self.path, self.told, self.steps, self.count, self.first = path, told, steps, count, first
+    def __init__(self, path: Path, header: Header, steps: int, first: int, stream: Any):
+        self.path, self.header, self.steps, self.first = path, header, steps, first
         self.added = 0
         self._stream = stream
         self._table: Any = None  # the writer of a Parquet file
@@ -150,52 +191,27 @@ class TrajectoryWriter:
             trajectory: (T, ...) its frames; those after ``steps`` are left out.
         """
         arrays = {name: np.asarray(value)[: self.steps] for name, value in vars(trajectory).items()}
-        if self.path.suffix == ".zarr":
-            if not self.added:
-                self._make_arrays(arrays)
-            for name, values in arrays.items():
-                _zarr(self.path / name, {})[self.added, : len(values)].write(values).result()
-        else:
-            table = _table({name: value[None] for name, value in arrays.items()}, self.told)
-            table["episode"] = table["episode"] + (self.first + self.added)
-            self._add_rows(table)
-        self.added += 1
-
-    def _add_rows(self, table: dict[str, np.ndarray]) -> None:
+        table = _table({name: value[None] for name, value in arrays.items()}, self.header)
+        table["episode"] = table["episode"] + (self.first + self.added)
         if self.path.suffix == ".csv":
-            lines = [] if self.added else [f"# {TOLD} {json.dumps(self.told)}", ",".join(table)]
-            self._stream.write(("\n".join([*lines, *_lines(table)]) + "\n").encode("utf-8"))
-            return
-        self._waiting.append(table)
-        if sum(len(each["frame"]) for each in self._waiting) >= GROUP_ROWS:
-            self._write_group()
+            self._stream.write(_csv(table, self.header, first=not self.added))
+        else:
+            self._waiting.append(table)
+            if sum(len(each["frame"]) for each in self._waiting) >= GROUP_ROWS:
+                self._write_group()
+        self.added += 1
 
     def _write_group(self) -> None:
         pq = _arrow()[1]
         rows = {name: np.concatenate([each[name] for each in self._waiting]) for name in self._waiting[0]}
-        made = _arrow_table(rows, self.told)
+        made = _arrow_table(rows, self.header)
         if self._table is None:
             self._table = pq.ParquetWriter(self._stream, made.schema)
         self._table.write_table(made)
         self._waiting = []
 
-    def _make_arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        """An array for each field, of which each episode is a file of its own."""
-        self.path.mkdir(parents=True, exist_ok=True)
-        for name, values in arrays.items():
-            shape = [self.steps, *values.shape[1:]]
-            metadata = {
-                "shape": [self.count, *shape],
-                "data_type": str(values.dtype),
-                "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [1, *(max(1, n) for n in shape)]}},
-                "codecs": [{"name": "bytes"}, {"name": "zstd", "configuration": {"level": 3}}],
-            }
-            _zarr(self.path / name, {"create": True, "metadata": metadata})
-
     def close(self) -> None:
         """Write what waits; the file is whole."""
-        if self.path.suffix == ".zarr":
-            _finish_zarr(self.path, self.told)
         if self._waiting:
             self._write_group()
         if self._table is not None:
@@ -204,14 +220,7 @@ class TrajectoryWriter:
 
 @contextlib.contextmanager
 def trajectory_writer(
-    path: Path | str,
-    *,
-    time_step: float = 0.1,
-    situations: Sequence[str],
-    people: int,
-    steps: int,
-    count: int,
-    first: int = 0,
+    path: Path | str, *, time_step: float = 0.1, situations: Sequence[str], people: int, steps: int, first: int = 0
 ) -> Iterator[TrajectoryWriter]:
     """Write episodes one after another; the file is there when the block ends, and as it was if anything is raised.
 
@@ -221,8 +230,7 @@ def trajectory_writer(
         situations: their names.
         people: N, of each episode.
         steps: most frames of an episode.
-        count: how many episodes there will be.
-        first: number of the first of them.
+        first: number of the first episode.
 
     Yields:
         What adds an episode.
@@ -234,15 +242,9 @@ def trajectory_writer(
     path = Path(path)
     _check_suffix(path)
     check_packages(path.suffix)
-    told = {"time_step": time_step, "situations": list(situations), "people": people}
-    if path.suffix == ".zarr":
-        with _replaced(path) as scratch:
-            writer = TrajectoryWriter(scratch, told, steps, count, first)
-            yield writer
-            writer.close()
-        return
+    header = Header(time_step=time_step, situations=tuple(situations), people=people)
     with writing.atomic_file(path) as stream:
-        writer = TrajectoryWriter(path, told, steps, count, first, stream)
+        writer = TrajectoryWriter(path, header, steps, first, stream)
         yield writer
         writer.close()
 
@@ -257,52 +259,27 @@ def join_trajectories(parts: Sequence[Path], path: Path) -> None:
     Raises:
         WriteError: another process writes the file.
     """
-    if path.suffix == ".zarr":
-        with _replaced(path) as scratch:
-            _join_zarr(parts, scratch)
-        return
     with writing.atomic_file(path) as stream:
         if path.suffix == ".csv":
             for place, part in enumerate(parts):
                 with part.open("rb") as rows:
-                    for _ in range(2 if place else 0):  # what is told, and the head
+                    for _ in range(2 if place else 0):  # the header and the names of the columns
                         rows.readline()
                     shutil.copyfileobj(rows, stream)
             return
         pq = _arrow()[1]
-        with pq.ParquetWriter(stream, pq.read_schema(parts[0])) as table:
+        cure = "remove it, and the same command makes it anew"
+        with files.sentence(parts[0], cure):
+            schema = pq.read_schema(parts[0])
+        with pq.ParquetWriter(stream, schema) as table:
             for part in parts:
-                with pq.ParquetFile(part) as groups:
+                with files.sentence(part, cure):
+                    groups = pq.ParquetFile(part)
+                with groups:
                     for k in range(groups.num_row_groups):
-                        table.write_table(groups.read_row_group(k))
-
-
-@contextlib.contextmanager
-def _replaced(path: Path) -> Iterator[Path]:
-    """A folder beside this one that takes its place when the block ends; if anything is raised, the old one stays."""
-    scratch = path.with_name(f".part-{path.name}")
-    shutil.rmtree(scratch, ignore_errors=True)  # of one who was killed
-    try:
-        yield scratch
-        shutil.rmtree(path, ignore_errors=True)
-        scratch.rename(path)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-
-
-def _join_zarr(parts: Sequence[Path], path: Path) -> None:
-    told = json.loads(files.read_text(parts[0] / "zarr.json"))["attributes"][TOLD]
-    for name in Trajectory.__dataclass_fields__:
-        arrays = [_zarr(part / name, {}) for part in parts]
-        metadata = json.loads(files.read_text(parts[0] / name / "zarr.json"))
-        metadata["shape"][0] = sum(each.shape[0] for each in arrays)
-        metadata = {key: metadata[key] for key in ("shape", "data_type", "chunk_grid", "codecs")}
-        whole, done = _zarr(path / name, {"create": True, "metadata": metadata}), 0
-        for each in arrays:
-            for k in range(each.shape[0]):
-                whole[done].write(each[k].read().result()).result()
-                done += 1
-    _finish_zarr(path, told)
+                        with files.sentence(part, cure):
+                            rows = groups.read_row_group(k)
+                        table.write_table(rows)
 
 
 def _check_suffix(path: Path) -> None:
@@ -310,7 +287,10 @@ def _check_suffix(path: Path) -> None:
         raise InputError(f"{path}: its name must end in {', '.join(SUFFIXES)}.")
 
 
-def _table(arrays: dict[str, np.ndarray], told: dict[str, Any]) -> dict[str, np.ndarray]:
+# ------------------------------------------------------------------ arrays and columns
+
+
+def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarray]:
     """Columns of all rows: of each frame the robot's, then those of the people who are there."""
     episodes, steps = arrays["active"].shape
     present = np.concatenate([np.ones((episodes, steps, 1), bool), arrays["present"]], -1)
@@ -326,7 +306,7 @@ def _table(arrays: dict[str, np.ndarray], told: dict[str, Any]) -> dict[str, np.
     columns = {
         "episode": episode,
         "frame": frame,
-        "time": (frame + 1) * told["time_step"],
+        "time": (frame + 1) * header.time_step,
         "id": who - 1,
         **{name: part for name, part in zip(PERSON, (*place.T, *velocity.T, *heading.T), strict=True)},
         "group": group,
@@ -334,7 +314,7 @@ def _table(arrays: dict[str, np.ndarray], told: dict[str, Any]) -> dict[str, np.
     robots = np.where(who == 0)[0]
     own = (*np.moveaxis(arrays["goal"], -1, 0), *np.moveaxis(arrays["action"], -1, 0), arrays["active"])
     flags = np.moveaxis(arrays["situations"], -1, 0)
-    labels = [*OF_ROBOT, *(f"situation_{name}" for name in told["situations"])]
+    labels = [*OF_ROBOT, *(f"{SITUATION}{name}" for name in header.situations)]
     for name, values in zip(labels, (*own, *flags), strict=True):
         column = np.full(len(who), np.nan, np.float32)
         column[robots] = values.reshape(-1)
@@ -342,16 +322,69 @@ def _table(arrays: dict[str, np.ndarray], told: dict[str, Any]) -> dict[str, np.
     return columns
 
 
-def _frames(table: dict[str, np.ndarray], told: dict[str, Any]) -> Trajectory:
+def _check_columns(path: Path, names: Iterable[str], header: Header) -> None:
+    """FileError unless these are the columns of a table; they may stand in any order."""
+    there = {*names}
+    needed = [name for name in COLUMNS if name not in ("episode", "situation_NAME")]
+    needed += [f"{SITUATION}{name}" for name in header.situations]
+    for name in needed:
+        if name not in there:
+            raise FileError(f"{files.short_name(path)}: has no column {name}; {CURE}.")
+    for name in sorted(there - {*needed, "episode"}):
+        raise FileError(f"{files.short_name(path)}: column {name[:60]!r} is not known; {CURE}.")
+
+
+def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, first: int) -> None:
+    """FileError for a value that its column cannot have; ``first`` is the number of the first row."""
+
+    def refuse(wrong: np.ndarray, name: str, rule: str) -> None:
+        if wrong.any():
+            row = int(wrong.argmax())
+            value = f"{columns[name][row]:.9g}".replace("nan", "nothing")
+            raise FileError(f"{files.short_name(path)}: row {first + row}: {name}: {value} {rule}; {CURE}.")
+
+    robot = columns["id"] == ROBOT
+    for name, values in columns.items():
+        flag = name == "active" or name.startswith(SITUATION)
+        if name in NUMBERS:
+            refuse(~(values == np.floor(values)), name, "is no whole number")
+        if name in OF_ROBOT or flag:
+            refuse(~robot & ~np.isnan(values), name, "stands in the row of a person")
+        if flag:
+            refuse(robot & (values != 0) & (values != 1), name, "is not 0 or 1")
+        elif name in LIMITS:
+            low, high = LIMITS[name]
+            mine = robot if name in OF_ROBOT else np.ones(len(values), bool)
+            refuse(mine & ~((low <= values) & (values <= high)), name, f"is not from {low:,} to {high:,}")
+    refuse(columns["id"] >= header.people, "id", f"is none of the {header.people} people")
+    refuse(robot & (columns["group"] != ROBOT), "group", "stands in the row of the robot")
+    size = np.hypot(columns["heading_x"], columns["heading_y"])
+    refuse(~((np.abs(size - 1.0) < 1e-3) | (size == 0.0)), "heading_x", "belongs to no unit vector")
+    time = (columns["frame"] + 1.0) * header.time_step
+    refuse(~(np.abs(columns["time"] - time) <= 1e-6 * time), "time", "is not that of its frame")
+
+
+def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Trajectory:
     """The arrays of all columns."""
     batched = "episode" in table
-    episode = table["episode"].astype(int) if batched else np.zeros(len(table["frame"]), int)
-    frame, who = table["frame"].astype(int), table["id"].astype(int)
-    episodes, steps = (int(part.max(initial=-1)) + 1 for part in (episode, frame))
-    people = told["people"] if told else int(who.max(initial=-1)) + 1
-    names = [name for name in table if name.startswith("situation_")]
-    robot, person = who == ROBOT, who >= 0
+    frame, who = table["frame"], table["id"]
+    episode = table["episode"] if batched else np.zeros(len(frame), int)
+    episodes, steps, people = int(episode.max()) + 1, int(frame.max()) + 1, header.people
+    what = f"{files.short_name(path)}: {len(frame):,} rows"
+    if episodes * steps * (people + 1) > max(3_000_000, 1_000 * len(frame)):
+        size = f"{episodes:,} episodes of {steps:,} frames with {people:,} people"
+        raise FileError(f"{what} are too few for {size}; {CURE}.")
+    names = [f"{SITUATION}{name}" for name in header.situations]
+    robot, person = who == ROBOT, who != ROBOT
     at_robot, at_person = (episode[robot], frame[robot]), (episode[person], frame[person], who[person])
+    driven = np.zeros((episodes, steps), bool)
+    driven[at_robot] = True
+    if not driven[:, 0].all() or (driven[:, 1:] & ~driven[:, :-1]).any() or not driven[at_person[:2]].all():
+        raise FileError(f"{what} lack one of the robot in a frame of an episode; {CURE}.")
+    present, group = np.zeros((episodes, steps, people), bool), np.full((episodes, steps, people), -1, np.int32)
+    present[at_person], group[at_person] = True, table["group"][person]
+    if driven.sum() + present.sum() < len(frame):
+        raise FileError(f"{what} have somebody twice in a frame; {CURE}.")
 
     def of_robot(*columns: str) -> np.ndarray:
         values = np.zeros((episodes, steps, len(columns)), np.float32)
@@ -363,8 +396,6 @@ def _frames(table: dict[str, np.ndarray], told: dict[str, Any]) -> Trajectory:
         values[at_person] = np.stack([table[name][person] for name in columns], -1)
         return values
 
-    present, group = np.zeros((episodes, steps, people), bool), np.full((episodes, steps, people), -1, np.int32)
-    present[at_person], group[at_person] = True, table["group"][person].astype(np.int32)
     arrays: dict[str, Any] = dict(
         position=of_robot("x", "y"),
         heading=of_robot("heading_x", "heading_y"),
@@ -383,15 +414,14 @@ def _frames(table: dict[str, np.ndarray], told: dict[str, Any]) -> Trajectory:
     return whole if batched else jax.tree.map(lambda leaf: leaf[0], whole)
 
 
-def _save_csv(path: Path, table: dict[str, np.ndarray], told: dict[str, Any]) -> None:
-    with writing.atomic_file(path) as stream:
-        lines = [f"# {TOLD} {json.dumps(told)}", ",".join(table)]
-        stream.write(("\n".join([*lines, *_lines(table)]) + "\n").encode("utf-8"))
+# ------------------------------------------------------------------ CSV
 
 
-def _lines(table: dict[str, np.ndarray]) -> list[str]:
-    columns = [_texts(values) for values in table.values()]
-    return [",".join(row) for row in zip(*columns, strict=True)]
+def _csv(table: dict[str, np.ndarray], header: Header, first: bool) -> bytes:
+    """Rows as text; the first of a file come after the header and the names of the columns."""
+    lines = [f"# {KEY} {header.text()}", ",".join(table)] if first else []
+    lines += [",".join(row) for row in zip(*map(_texts, table.values()), strict=True)]
+    return ("\n".join(lines) + "\n").encode("utf-8")
 
 
 def _texts(values: np.ndarray) -> list[str]:
@@ -401,47 +431,77 @@ def _texts(values: np.ndarray) -> list[str]:
     return ["" if value != value else np.format_float_positional(value, trim="-") for value in values]
 
 
-def _load_csv(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    lines = files.read_text(path).splitlines()
-    told: dict[str, Any] = {}
-    if lines and lines[0].startswith(f"# {TOLD} "):
-        try:
-            told = json.loads(lines.pop(0)[len(TOLD) + 3 :])
-        except ValueError:
-            raise InputError(f"{path}: its first line is damaged; save the trajectory again.") from None
-    reader = csv.reader(lines)
-    head = next(reader, [])
-    rows = list(reader)
-    if not head or any(len(row) != len(head) for row in rows):
-        raise InputError(f"{path}: rows have other numbers of cells than its head; save the trajectory again.")
+def _csv_blocks(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
+    rows = files.read_rows(path)
+    first, names = next(rows, [""]), next(rows, [])
+    if not first[0].startswith(f"# {KEY} "):
+        raise FileError(f"{files.short_name(path)}: does not begin with '# {KEY} '; {CURE}.")
+    return _header(path, first[0][len(KEY) + 3 :]), _blocks(path, names, rows)
+
+
+def _blocks(path: Path, names: list[str], rows: Iterator[list[str]]) -> Iterator[dict[str, np.ndarray]]:
+    done = 0
+    while block := list(itertools.islice(rows, BLOCK_ROWS)):
+        numbers = np.array([_numbers(path, done + k, row) for k, row in enumerate(block, 1)])
+        done += len(block)
+        yield dict(zip(names, numbers.T, strict=True))
+
+
+def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
     try:
-        cells = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(-1, len(head))
-    except ValueError as error:
-        raise InputError(f"{path}: {error}; give a file that save_trajectory has written.") from None
-    return dict(zip(head, cells.T, strict=True)), told
+        if "_" in "".join(row):  # which Python takes for a number's
+            raise ValueError
+        return [float(cell) if cell else np.nan for cell in row]
+    except ValueError:
+        wrong = next(cell for cell in row if cell and not _is_number(cell))
+        raise FileError(f"{files.short_name(path)}: row {number}: {wrong[:40]!r} is no number; {CURE}.") from None
 
 
-def _save_parquet(path: Path, table: dict[str, np.ndarray], told: dict[str, Any]) -> None:
-    pq = _arrow()[1]
-    made = _arrow_table(table, told)
-    with writing.atomic_file(path) as stream:
-        pq.write_table(made, stream)
+def _is_number(cell: str) -> bool:
+    try:
+        return float(cell) is not None and "_" not in cell
+    except ValueError:
+        return False
 
 
-def _arrow_table(table: dict[str, np.ndarray], told: dict[str, Any]) -> Any:
+def _header(path: Path, text: str | bytes) -> Header:
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        raise FileError(f"{files.short_name(path)}: its header is damaged; {CURE}.") from None
+    return files.check_json(path, content, Header)
+
+
+# ------------------------------------------------------------------ Parquet
+
+
+def _arrow_table(table: dict[str, np.ndarray], header: Header) -> Any:
     pa = _arrow()[0]
     made = pa.table({name: pa.array(values, from_pandas=True) for name, values in table.items()})
-    return made.replace_schema_metadata({TOLD: json.dumps(told)})
+    return made.replace_schema_metadata({KEY: header.text()})
 
 
-def _load_parquet(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def _parquet_blocks(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
     pa, pq = _arrow()
-    try:
-        read = pq.read_table(path)
-    except (OSError, pa.ArrowInvalid) as error:
-        raise InputError(f"{path}: is no Parquet file ({str(error).splitlines()[0]}); give another.") from None
-    told = json.loads((read.schema.metadata or {}).get(TOLD.encode(), b"{}"))
-    return {name: read[name].to_numpy() for name in read.column_names}, told
+    with files.open_file(path, files.MAX_TABLE) as stream, files.sentence(path, CURE), pq.ParquetFile(stream) as table:
+        schema, rows, size = table.schema_arrow, table.metadata.num_rows, path.stat().st_size
+        if rows > min(MAX_ROWS, 1_000_000 + 10 * size):  # those of the same numbers are as good as free
+            raise FileError(f"{files.short_name(path)}: {rows:,} rows in {size:,} bytes are too many; {CURE}.")
+        for field in schema:
+            if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+                raise FileError(f"{files.short_name(path)}: {field.name[:60]!r} is no column of numbers; {CURE}.")
+        if len(set(schema.names)) < len(schema.names):
+            raise FileError(f"{files.short_name(path)}: names a column twice; {CURE}.")
+        header = _header(path, (schema.metadata or {}).get(KEY.encode(), b""))
+    return header, _batches(path)
+
+
+def _batches(path: Path) -> Iterator[dict[str, np.ndarray]]:
+    _, pq = _arrow()
+    with files.open_file(path, files.MAX_TABLE) as stream, files.sentence(path, CURE), pq.ParquetFile(stream) as table:
+        for batch in table.iter_batches(BLOCK_ROWS):
+            columns = zip(batch.schema.names, batch.columns, strict=True)
+            yield {name: column.to_numpy(zero_copy_only=False).astype(float) for name, column in columns}
 
 
 def _arrow() -> tuple[Any, Any]:
@@ -451,43 +511,3 @@ def _arrow() -> tuple[Any, Any]:
     except ImportError:
         raise InputError('.parquet: pyarrow is missing; pip install "sean_jax[lerobot]", or save .csv.') from None
     return pyarrow, pyarrow.parquet
-
-
-def _save_zarr(path: Path, arrays: dict[str, np.ndarray], told: dict[str, Any]) -> None:
-    if writing.contents(path):
-        raise InputError(f"{path}: holds something already; choose another folder.")
-    path.mkdir(parents=True, exist_ok=True)
-    for name, values in arrays.items():
-        metadata = {"shape": list(values.shape), "data_type": str(values.dtype)}
-        _zarr(path / name, {"create": True, "metadata": metadata}).write(values).result()
-    _finish_zarr(path, told)
-
-
-def _finish_zarr(path: Path, told: dict[str, Any]) -> None:
-    group = {"zarr_format": 3, "node_type": "group", "attributes": {TOLD: told}}
-    writing.write(path / "zarr.json", json.dumps(group, indent=2) + "\n")  # last: a folder without it is incomplete
-
-
-def _load_zarr(path: Path) -> Trajectory:
-    if not (path / "zarr.json").is_file():
-        raise InputError(f"{path}: holds no zarr.json; give a folder that save_trajectory has finished.")
-    names = Trajectory.__dataclass_fields__
-    try:
-        arrays: dict[str, Any] = {name: np.asarray(_zarr(path / name, {}).read().result()) for name in names}
-        return Trajectory(**arrays)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: {str(error).splitlines()[0][:200]}; save the trajectory again.") from None
-
-
-def _tensorstore() -> Any:
-    try:
-        import tensorstore
-    except ImportError:
-        raise InputError('.zarr: tensorstore is missing; pip install "sean_jax[learning]", or save .csv.') from None
-    return tensorstore
-
-
-def _zarr(path: Path, more: dict[str, Any]) -> Any:
-    tensorstore = _tensorstore()
-    where = {"driver": "file", "path": os.path.abspath(path)}
-    return tensorstore.open({"driver": "zarr3", "kvstore": where, "open": not more, **more}).result()

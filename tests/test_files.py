@@ -108,7 +108,7 @@ def test_missing_and_binary_files(tmp_path):
     write(tmp_path, "things: {}")
     with pytest.raises(FileError, match=r"sampel.yaml: there is no such file; did you mean 'sample.yaml'\?$"):
         files.load(tmp_path / "place" / "sampel.yaml", Sample)
-    with pytest.raises(FileError, match="cannot be read: Is a directory"):
+    with pytest.raises(FileError, match="cannot be read: it is a folder"):
         files.load(tmp_path, Sample)
     (tmp_path / "binary.yaml").write_bytes(b"name: \xff")
     with pytest.raises(FileError, match="byte 6 is not UTF-8 text"):

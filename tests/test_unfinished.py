@@ -317,10 +317,10 @@ def test_batches_after_a_removed_one_are_not_simulated_again(whole, simulated, m
     assert files(Path("made")) == whole
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet", "zarr"])
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_a_stopped_run_has_the_frames_of_all_episodes(simulated, monkeypatch, kind):
     """Each episode until its end, as long as episodes.csv tells, and on the way that its path_length measures."""
-    pytest.importorskip({"csv": "csv", "parquet": "pyarrow", "zarr": "tensorstore"}[kind])
+    pytest.importorskip({"csv": "csv", "parquet": "pyarrow"}[kind])
     asked = [*RUN, "--trajectories", kind]
     with monkeypatch.context() as patched:
         at_second_batch(patched, lambda _: signal.raise_signal(signal.SIGINT))
@@ -367,11 +367,10 @@ def test_frames_of_one_batch_lie_on_disk_and_are_cut_at_their_end(tmp_path):
 
 
 def test_a_missing_package_is_told_at_the_start(simulated, monkeypatch, capsys):
-    for kind, package in (("parquet", "pyarrow"), ("zarr", "tensorstore")):
-        monkeypatch.setitem(sys.modules, package, None)
-        assert cli.main([*RUN, "--trajectories", kind]) == 2
-        said = capsys.readouterr().err
-        assert f"{package} is missing; pip install" in said and not simulated and not Path("made").exists()
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert cli.main([*RUN, "--trajectories", "parquet"]) == 2
+    said = capsys.readouterr().err
+    assert "pyarrow is missing; pip install" in said and not simulated and not Path("made").exists()
 
 
 def test_ever_so_many_batches_are_no_list():

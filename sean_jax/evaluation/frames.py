@@ -81,9 +81,8 @@ def kept(file: Path, scenario: Scenario, base: int, count: int) -> Iterator[Batc
         yield frames
         names = [name for name, _ in scenario.situations]
         with trajectories.trajectory_writer(
-            file, time_step=scenario.time_step, situations=names, people=scenario.people, steps=steps, count=count,
-            first=base,
-        ) as writer:  # fmt: skip
+            file, time_step=scenario.time_step, situations=names, people=scenario.people, steps=steps, first=base
+        ) as writer:
             for place in range(count):
                 writer.add(frames.episode(place))
     finally:

@@ -1,22 +1,30 @@
-"""Reading of files from outside the package: regular files of bounded size, as bytes, text or JSON.
+"""Reading of files from outside the package: regular files of bounded size, as bytes, text, JSON, rows or arrays.
 
 Every reader of the package opens its files here. Folders, pipes and devices are refused without waiting for them, and
-a file that is too large for its kind is refused before memory is used for it.
+a file that is too large for its kind is refused before memory is used for it. Whatever another package raises about
+the content becomes a sentence.
 """
 
+import contextlib
+import csv
 import difflib
 import io
 import json
+import math
 import os
 import stat
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
-from sean_jax.errors import FileError
+from sean_jax.errors import FileError, SeanError
 
-MAX_BYTES = 2_000_000  # of a file that people write; readers of other files give another bound
+MAX_BYTES = 2_000_000  # of a file that people write
+MAX_RECORD = 200_000_000  # of one text that this program writes: JSON, a log, a page
+MAX_ARRAYS = 1_000_000_000  # of a .npz file that this program writes, and what it unpacks to
+MAX_TABLE = 10_000_000_000  # of a table with a row for each episode or frame, which is read row by row
+MAX_LINE = 1_000_000  # characters of a line of a table
 MAX_DEPTH = 60  # of values within values
 
 
@@ -75,6 +83,43 @@ def short_name(path: Path) -> str:
     return "/".join(part for part in (path.parent.name, path.name) if part)
 
 
+@contextlib.contextmanager
+def open_file(path: Path | str, max_bytes: int = MAX_BYTES) -> Iterator[BinaryIO]:
+    """A regular file, open for reading.
+
+    Args:
+        path: of the file.
+        max_bytes: that it may have.
+
+    Yields:
+        Its bytes as a stream.
+
+    Raises:
+        FileError: there is no such file, or it cannot be read, or is too large.
+    """
+    path = Path(path)
+    with contextlib.ExitStack() as stack:
+        try:
+            # Without O_NONBLOCK a pipe would be waited for until somebody writes.
+            descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+            status = os.fstat(descriptor)
+            if not stat.S_ISREG(status.st_mode):
+                os.close(descriptor)
+                raise FileError(f"{path}: cannot be read: it is {_kind(status.st_mode)}; give a file.")
+            stream = stack.enter_context(open(descriptor, "rb"))
+        except FileNotFoundError:
+            raise FileError(f"{path}: there is no such file{_similar_file(path)}") from None
+        except OSError as error:
+            raise FileError(f"{path}: cannot be read: {error.strerror}.") from None
+        except ValueError as error:
+            if isinstance(error, FileError):
+                raise
+            raise FileError(f"{str(path)!r}: cannot be the name of a file: {error}.") from None
+        if status.st_size > max_bytes:
+            raise _too_large(path, status.st_size, max_bytes)
+        yield stream
+
+
 def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
     """Read a regular file.
 
@@ -88,28 +133,46 @@ def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
     Raises:
         FileError: there is no such file, or it cannot be read, or is too large.
     """
-    path = Path(path)
-    try:
-        # Without O_NONBLOCK a pipe would be waited for until somebody writes.
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-        with open(descriptor, "rb") as stream:
-            status = os.fstat(descriptor)
-            if not stat.S_ISREG(status.st_mode):
-                raise FileError(f"{path}: cannot be read: it is {_kind(status.st_mode)}; give a file.")
-            data = stream.read(max_bytes + 1) if status.st_size <= max_bytes else b""
-    except FileNotFoundError:
-        raise FileError(f"{path}: there is no such file{_similar_file(path)}") from None
-    except OSError as error:
-        raise FileError(f"{path}: cannot be read: {error.strerror}.") from None
-    except ValueError as error:
-        if isinstance(error, FileError):
-            raise
-        raise FileError(f"{str(path)!r}: cannot be the name of a file: {error}.") from None
-    if status.st_size > max_bytes or len(data) > max_bytes:
-        size = max(status.st_size, len(data))
-        what = f"has {size:,} bytes and at most {max_bytes:,} are read"
-        raise FileError(f"{short_name(path)}: {what}; make it smaller.")
+    with open_file(path, max_bytes) as stream:
+        try:
+            data = stream.read(max_bytes + 1)
+        except OSError as error:
+            raise FileError(f"{path}: cannot be read: {error.strerror}.") from None
+    if len(data) > max_bytes:  # of a file that grows, or of one of /proc
+        raise _too_large(Path(path), len(data), max_bytes)
     return data
+
+
+def _too_large(path: Path, size: int, max_bytes: int) -> FileError:
+    what = f"has {size:,} bytes and at most {max_bytes:,} are read"
+    return FileError(f"{short_name(path)}: {what}; make it smaller.")
+
+
+@contextlib.contextmanager
+def sentence(path: Path | str, cure: str) -> Iterator[None]:
+    """Whatever another package raises in this block about a file's content becomes a ``FileError``.
+
+    Args:
+        path: of the file.
+        cure: the end of the sentence, such as ``get it anew``.
+
+    Yields:
+        None.
+
+    Raises:
+        FileError: the block has raised.
+    """
+    try:
+        yield
+    except SeanError:
+        raise
+    except OSError as error:
+        why = error.strerror.lower() if error.strerror else "it is damaged"
+        raise FileError(f"{short_name(Path(path))}: cannot be read: {why}; {cure}.") from error
+    except MemoryError as error:
+        raise FileError(f"{short_name(Path(path))}: does not fit into memory; {cure}.") from error
+    except Exception as error:  # which one depends on the byte that is damaged
+        raise FileError(f"{short_name(Path(path))}: is damaged; {cure}.") from error
 
 
 def read_text(path: Path | str, max_bytes: int = MAX_BYTES) -> str:
@@ -136,7 +199,7 @@ def read_text(path: Path | str, max_bytes: int = MAX_BYTES) -> str:
         ) from None
 
 
-def read_json(path: Path | str, max_bytes: int = 100 * MAX_BYTES) -> Any:
+def read_json(path: Path | str, max_bytes: int = MAX_RECORD) -> Any:
     """Read a JSON file; NaN and infinities are not JSON.
 
     Args:
@@ -179,8 +242,74 @@ def _similar_file(path: Path) -> str:
         return "; its folder does not exist either."
 
 
-def read_arrays(path: Path | str, max_bytes: int) -> dict[str, Any]:
-    """Read a .npz file of numbers.
+def read_rows(path: Path | str, max_bytes: int = MAX_TABLE) -> Iterator[list[str]]:
+    """Read a CSV file row by row.
+
+    Args:
+        path: of the file.
+        max_bytes: that it may have.
+
+    Yields:
+        The cells of each row, the names of the columns first. A first line that begins with # comes before them, as one
+        cell.
+
+    Raises:
+        FileError: there is no such file, or it cannot be read, is too large, is no CSV, names a column twice, or has a
+            row of another number of cells than there are columns.
+    """
+    path = Path(path)
+    with open_file(path, max_bytes) as stream:
+        lines = _lines(path, io.TextIOWrapper(stream, "utf-8-sig", newline=""))
+        first, above = next(lines, ""), 0
+        if first.startswith("#"):
+            yield [first.rstrip("\r\n")]
+            first, above = next(lines, ""), 1
+        reader = csv.reader(_after(first, lines), strict=True)
+        head = None
+
+        def place() -> str:
+            return f"{short_name(path)}:{reader.line_num + above}"
+
+        try:
+            for row in reader:
+                if not row:
+                    continue  # an empty line
+                if head is None:
+                    head = row
+                    if len(set(row)) < len(row):
+                        raise FileError(f"{place()}: names a column twice; give each a name of its own.")
+                elif len(row) != len(head):
+                    what = f"has {len(row)} cells and there are {len(head)} columns"
+                    raise FileError(f"{place()}: {what}; restore the file.")
+                yield row
+        except csv.Error as error:
+            raise FileError(f"{place()}: is no row of CSV ({error}); restore the file.") from None
+
+
+def _after(first: str, lines: Iterator[str]) -> Iterator[str]:
+    yield first
+    yield from lines
+
+
+def _lines(path: Path, stream: io.TextIOWrapper) -> Iterator[str]:
+    number = 0
+    while True:
+        number += 1
+        try:
+            line = stream.readline(MAX_LINE)
+        except UnicodeDecodeError:
+            raise FileError(f"{short_name(path)}:{number}: is not UTF-8 text; save the file as UTF-8.") from None
+        except OSError as error:
+            raise FileError(f"{path}: cannot be read: {error.strerror}.") from None
+        if len(line) == MAX_LINE:
+            raise FileError(f"{short_name(path)}:{number}: has more than {MAX_LINE:,} characters; restore the file.")
+        if not line:
+            return
+        yield line
+
+
+def read_arrays(path: Path | str, max_bytes: int = MAX_ARRAYS) -> dict[str, Any]:
+    """Read a .npz file of numbers and words.
 
     Args:
         path: of the file.
@@ -195,14 +324,26 @@ def read_arrays(path: Path | str, max_bytes: int) -> dict[str, Any]:
     import numpy as np  # here, as the command line reads its options without it
 
     path = Path(path)
-    stream = io.BytesIO(read_bytes(path, max_bytes))
-    try:
-        size = sum(part.file_size for part in zipfile.ZipFile(stream).infolist())
+    with open_file(path, max_bytes) as stream, sentence(path, "get the file anew"), zipfile.ZipFile(stream) as parts:
+        size = sum(part.file_size for part in parts.infolist())
         if size > max_bytes:
-            raise ValueError(f"it unpacks to {size:,} bytes and at most {max_bytes:,} are read")
-        stream.seek(0)
-        with np.load(stream, allow_pickle=False) as opened:
-            return {name: opened[name] for name in opened.files}
-    except Exception as error:  # which one depends on the byte that is damaged
-        why = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")[:200]
-        raise FileError(f"{short_name(path)}: cannot be read: {why}; get the file anew.") from error
+            what = f"unpacks to {size:,} bytes and at most {max_bytes:,} are read"
+            raise FileError(f"{short_name(path)}: {what}; get the file anew.")
+        arrays = {}
+        for part in parts.infolist():
+            with parts.open(part) as packed:
+                _check_array(packed, part.file_size)
+            with parts.open(part) as packed:
+                arrays[part.filename.removesuffix(".npy")] = np.lib.format.read_array(packed, allow_pickle=False)
+        return arrays
+
+
+def _check_array(packed: Any, size: int) -> None:
+    """ValueError unless an array is as large as its head says; numpy makes room for what the head says."""
+    import numpy as np
+
+    version = np.lib.format.read_magic(packed)
+    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
+    shape, _, dtype = read(packed)
+    if dtype.kind not in "biufU" or math.prod(shape) * dtype.itemsize != size - packed.tell():
+        raise ValueError(f"{shape} numbers of {dtype} are not what it holds")
