@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from sean_jax.writing import DAMAGED
+from sean_jax import files
+from sean_jax.errors import FileError
 
 PACKAGE = Path(__file__).resolve().parent
 MAX_SIZE, MAX_FILES = 1 << 29, 500  # bytes and files in the folder, beyond which the oldest are removed
@@ -82,19 +83,18 @@ def _source(code: tuple[str, ...]) -> str:
     for part in code:
         path = PACKAGE / part
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]:
-            digest.update(file.read_bytes() if file.is_file() else b"")
+            digest.update(files.read_bytes(file) if file.is_file() else b"")
     return digest.hexdigest()
 
 
 def _read(path: Path, name: str) -> Tables | None:
     """The arrays of a file that was written completely, under that name; None without one."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            found = {key: stored[key] for key in stored.files}
-        if str(found.pop("name")) != name:
+        found = files.read_arrays(path)
+        if str(found.pop("name", "")) != name:
             return None
         os.utime(path)  # the oldest are removed first
-    except DAMAGED:
+    except (FileError, OSError):
         return None
     return found
 

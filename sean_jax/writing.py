@@ -11,11 +11,7 @@ import errno
 import os
 import shutil
 import socket
-import struct
 import time
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -30,11 +26,6 @@ except ImportError:  # Windows, where folders are not locked
 LOCK = ".lock"
 DISK_FULL = "the disk is full"
 PATIENCE = 0.1  # s, for which one who wants to write waits for those who look
-DAMAGED = (
-    OSError, ValueError, LookupError, TypeError, EOFError, OverflowError, MemoryError, RuntimeError, SyntaxError,
-    struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-"""what numpy raises for a .npz file that is damaged, whichever of its bytes it is"""
 
 
 @contextlib.contextmanager
@@ -67,10 +58,22 @@ def atomic_file(file: Path) -> Iterator[BinaryIO]:
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-    if os.name == "posix":
-        folder = os.open(file.parent, os.O_RDONLY)
-        os.fsync(folder)
-        os.close(folder)
+    sync(file.parent)
+
+
+def sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on disk for good.
+
+    Args:
+        path: of the file or folder.
+    """
+    if path.is_dir() and os.name != "posix":
+        return
+    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def write(file: Path, content: str | bytes) -> None:

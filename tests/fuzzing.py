@@ -569,7 +569,7 @@ def prepare(kind: Kind, folder: Path, name: str, content: bytes | Path | None) -
         if other != name:
             (folder / other).parent.mkdir(parents=True, exist_ok=True)
             (folder / other).write_bytes(given)
-    folder.mkdir(parents=True, exist_ok=True)
+    (folder / name).parent.mkdir(parents=True, exist_ok=True)
     place(folder / name, content)
 
 

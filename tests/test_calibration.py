@@ -13,7 +13,7 @@ from sean_jax.calibration import parameters, recorded
 from sean_jax.calibration.fitting import HABITS, Fit
 from sean_jax.config import CalibrateConfig
 from sean_jax.prediction import predict
-from sean_jax.social_forces import build, constants
+from sean_jax.social_forces import PRESETS, build, constants
 
 NAMES = ["walking.relaxation_time", "repulsion.strength", "repulsion.range"]
 TRUE = {"walking.relaxation_time": 0.5, "repulsion.strength": 4.0, "repulsion.range": 0.35}
@@ -47,6 +47,33 @@ def test_a_file_of_constants_is_forces(tmp_path):
         ("preset: helbing1996\n", "mine.yaml: .*'helbing1996' .*helbing1995"),
         ("preset: helbing1995\nparameters: {repulsion.strenght: 2.0}\n", "mine.yaml: .*strenght.*strength"),
         ("preset: helbing1995\nparameters: {repulsion.strength: much}\n", "mine.yaml:2"),
+        (
+            "preset: sean2\nparameters: {repulsion.range: 0}\n",
+            "mine.yaml: forces.repulsion.range: 0.0 must be from 0.01",
+        ),
+        (
+            "preset: sean2\nparameters: {repulsion.range: -0.1}\n",
+            "mine.yaml: forces.repulsion.range: -0.1 must be from",
+        ),
+        (
+            "preset: sean2\nparameters: {walking.relaxation_time: 0}\n",
+            "relaxation_time: 0.0 must be from 0.001",
+        ),
+        ("preset: sean2\nparameters: {walking.lateral_damping: 0}\n", "lateral_damping: 0.0 must be from 0.001"),
+        ("preset: sean2\nparameters: {walking.speed_min: 3}\n", "forces.walking: speed_min is more than speed_max"),
+        ("preset: sean2\nparameters: {repulsion.reach: 9}\n", "forces.repulsion: reach is more than 20 times range"),
+        (
+            "preset: calibrated\nparameters: {headway.length: 1.8}\n",
+            "headway: range is less than 0.01 m more than length",
+        ),
+        (
+            "preset: calibrated\nparameters: {evasion.speed: 0}\n",
+            "mine.yaml: forces.evasion.speed: 0.0 must be from 0.001",
+        ),
+        (
+            "preset: calibrated\nparameters: {cohesion.ramp: 0}\n",
+            "mine.yaml: forces.cohesion.ramp: 0.0 must be from 0.001",
+        ),
         ("preset: helbing1995\nvalues: {}\n", "mine.yaml:2.*'values' is not a known key"),
     ],
 )
@@ -70,6 +97,17 @@ def test_parameters_stay_between_their_bounds_and_come_back():
     again = parameters.from_free(names, parameters.to_free(names, jnp.asarray(middle)))
     np.testing.assert_allclose(again, middle, rtol=2e-3, atol=1e-3)
     assert np.isfinite(parameters.to_free(names, jnp.asarray(low * 0.0))).all()
+
+
+def test_what_a_fit_may_find_can_be_used():
+    """Constants at both ends of what is fitted, alone and together, lie within the limits of the terms."""
+    for name in PRESETS:
+        forces = preset(name)
+        names = parameters.names_of(forces)
+        for end in (0, 1):
+            build(forces.tree_replace({each: parameters.BOUNDS[each][end] for each in names}))
+            for each in names:
+                build(forces.tree_replace({each: parameters.BOUNDS[each][end]}))
 
 
 def test_which_parameters_are_fitted():

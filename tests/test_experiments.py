@@ -17,7 +17,7 @@ from sean_jax import cli, episodes, prng, writing
 from sean_jax.base import as_policy
 from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import CollectConfig, ExperimentConfig, validate
-from sean_jax.errors import IncompleteError, InputError
+from sean_jax.errors import FileError, InputError
 from sean_jax.experiments import ablation, drivers, figure4, rollouts, shares, table1, together
 from sean_jax.experiments.shares import BEHAVIORS
 from sean_jax.learning.protocol import streams
@@ -179,7 +179,7 @@ def test_a_folder_of_another_experiment_is_refused(tmp_path):
 def test_a_damaged_cell_is_named(tmp_path):
     options, unasked = ExperimentConfig(which="table1", quick=True, out=tmp_path).complete(), cast(Any, None)
     (tmp_path / "random-expert.npz").write_text("half of it")
-    with pytest.raises(IncompleteError, match=r"random-expert.npz is damaged .*; remove it, and the same command"):
+    with pytest.raises(FileError, match="random-expert.npz: is damaged; remove it, and the same command"):
         table1._cell(options, tmp_path, "random", "expert", None, unasked, unasked)
 
 

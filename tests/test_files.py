@@ -1,8 +1,12 @@
 """The YAML loader: every error at once, each at its place, with its cure."""
 
+import io
+import os
+import zipfile
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import pydantic
 import pytest
 
@@ -135,3 +139,94 @@ def test_checks_between_fields_are_reported_at_their_places(tmp_path):
 def test_suggestions():
     assert files.suggest("Warehose", ["lab", "warehouse"]) == "; did you mean 'warehouse'?"
     assert files.suggest("xyz", ["lab", "warehouse"]) == ""
+
+
+def test_a_damaged_file_of_arrays_is_read_or_refused_in_a_sentence(tmp_path):
+    """Any of its bytes changed, or cut after it."""
+    path, whole = tmp_path / "a.npz", io.BytesIO()
+    given = {"a": np.arange(40), "b": np.array("word"), "c": np.zeros((0, 3), np.float16), "d": np.ones(3, bool)}
+    np.savez_compressed(whole, **given)
+    content, random, refused = whole.getvalue(), np.random.default_rng(0), 0
+    for place in range(len(content)):
+        damaged = bytearray(content)
+        damaged[place] ^= int(random.integers(1, 256))
+        for broken in (bytes(damaged), content[:place]):
+            path.write_bytes(broken)
+            try:
+                found = files.read_arrays(path)
+            except FileError as error:
+                assert str(error).startswith(f"{tmp_path.name}/a.npz: "), error
+                refused += 1
+            else:
+                for name in found.keys() & given.keys():
+                    np.testing.assert_array_equal(found[name], given[name])
+    assert refused > 1.5 * len(content)
+
+
+def zipped(*members: tuple[str, bytes]) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as parts:
+        for name, content in members:
+            parts.writestr(name, content)
+    return stream.getvalue()
+
+
+def npy(shape: tuple[int, ...], kind: str, content: bytes = b"") -> bytes:
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"descr": kind, "fortran_order": False, "shape": shape})
+    return stream.getvalue() + content
+
+
+@pytest.mark.parametrize(
+    ("members", "words"),
+    [
+        ([("a.npy", npy((10**12,), "<f8"))], "is damaged"),
+        ([("a.npy", npy((10**12, 10**12, 10**12), "<f8"))], "is damaged"),
+        ([("a.npy", npy((-1,), "<f8", bytes(8)))], "is damaged"),
+        ([("a.npy", npy((2,), "<f8", bytes(24)))], "is damaged"),
+        ([("a.npy", npy((1,), "|O", b"cos\nsystem\n."))], "is damaged"),
+        ([("a.npy", npy((1,), "<c16", bytes(16)))], "is damaged"),
+        ([("a.txt", b"words")], "is damaged"),
+        ([("a.npy", bytes(3_000_000))], "unpacks to 3,000,000 bytes and at most 1,000,000 are read"),
+        ([(f"{k}.npy", npy((50_000,), "<f8", bytes(400_000))) for k in range(3)], "unpacks to 1,200,"),
+    ],
+)
+def test_sizes_are_taken_from_heads_before_there_is_room_for_them(tmp_path, members, words):
+    path = tmp_path / "a.npz"
+    path.write_bytes(zipped(*members))
+    assert path.stat().st_size < 10_000
+    with pytest.raises(FileError, match=f"a.npz: {words}.*; remove it") as refused:
+        files.read_arrays(path, 1_000_000)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("place", ["pipe", "folder", "device", "missing"])
+def test_what_is_no_file_is_refused_at_once(tmp_path, place):
+    path = tmp_path / "a"
+    if place == "pipe":
+        os.mkfifo(path)
+    elif place == "folder":
+        path.mkdir()
+    elif place == "device":
+        path.symlink_to("/dev/zero")
+    for read in (files.read_arrays, files.read_bytes, files.read_json, lambda path: list(files.read_rows(path))):
+        with pytest.raises(FileError, match="there is no such file|cannot be read: it is a"):
+            read(path)
+
+
+def test_rows_are_those_of_a_table(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes(b'\xef\xbb\xbf# said, "so"\r\na,b\r\n\r\n1,"2,\r\n3"\r\n')
+    assert [*files.read_rows(path)] == [['# said, "so"'], ["a", "b"], ["1", "2,\r\n3"]]
+    for content, words in (
+        (b"a,b\n1,2\n1\n", "a.csv:3: has 1 cells and there are 2 columns"),
+        (b"# x\na,b\n1,2\n1\n", "a.csv:4: has 1 cells"),
+        (b"a,a\n", "a.csv:1: names a column twice"),
+        (b'a,b\n1,"2\n', "a.csv:2: is no row of CSV"),
+        (b"a,b\n1,\xff\n", "is not UTF-8 text"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(FileError, match=words):
+            list(files.read_rows(path))
+    path.write_bytes(b"")
+    assert [*files.read_rows(path)] == []

@@ -22,6 +22,7 @@ import sean_jax
 from sean_jax import obstacle_grid, social_forces
 from sean_jax.base import Groups, ObstacleGrid, Obstacles, Pedestrians, Robot
 from sean_jax.bench import workload
+from sean_jax.errors import InputError
 from sean_jax.policies import go_to_goal
 from sean_jax.social_forces import Contact, Crowd, Pair, model, repulsion
 from sean_jax.social_forces.model import move, pair_forces
@@ -828,6 +829,35 @@ def test_what_makes_no_forces_is_refused_in_one_sentence(terms, message):
     with pytest.raises(ValueError, match=message) as caught:
         social_forces.build(terms)
     assert str(caught.value).startswith("forces") and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("preset", ["calibrated", "helbing1995", "helbing2000"])
+def test_what_lies_within_the_limits_of_a_parameter_moves_people_by_finite_numbers(preset):
+    """Each parameter at its least, its greatest and between, the others as they are, in a crowd."""
+    usual, draw = social_forces.PRESETS[preset], np.random.default_rng(0)
+    varied, names = [], []
+    for term in usual:
+        for field, (low, high) in getattr(term, "limits", {}).items():
+            if getattr(term, field) is None:
+                continue
+            between = [low + (high - low) * 10.0 ** -draw.uniform(0, 6) for _ in range(6)]
+            for value in (low, high, *between):
+                name = f"{social_forces.terms.term_name(term)}.{field}"
+                try:
+                    varied.append(constants(preset, {name: value}))
+                    names.append(f"{name} = {value:g}")
+                except InputError as error:  # two that do not go together
+                    assert "change one of the two" in str(error)
+    assert len(varied) > 100
+    table, _ = scene((0, 3, 1, 1, 0))
+    groups = Groups(jnp.array([[0.3, 0.8]]), jnp.ones(1), jnp.zeros((1, 2)), jnp.ones(1, bool))
+    robot = Robot(jnp.array([0.5, 0.7]), jnp.array([1.0, 0.0]), jnp.asarray(0.3), jnp.zeros(()), ())
+    companions = jnp.full((12, 2), -1, jnp.int32).at[:2, 0].set(jnp.array([1, 0]))
+    people = crowd(draw.uniform(-1, 2, (12, 2)), draw.normal(0, 1, (12, 2)))
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *varied)
+    after = jax.vmap(lambda forces: walk(forces, people, table, groups, robot, companions, 4))(stacked)
+    finite = np.isfinite(after.position).all((1, 2, 3)) & np.isfinite(after.velocity).all((1, 2, 3))
+    assert finite.all(), [names[k] for k in np.flatnonzero(~finite)]
 
 
 def test_parameters_are_replaced_by_name():

@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import json
 import os
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -17,7 +18,7 @@ import pytest
 from sean_jax import assembly, cli, drawing, evaluation, writing
 from sean_jax.base import Trajectory
 from sean_jax.config import RunConfig, gather, validate
-from sean_jax.errors import IncompleteError, InputError
+from sean_jax.errors import FileError, InputError
 from sean_jax.evaluation import frames, unfinished
 from sean_jax.progress import Progress
 from sean_jax.runner import Runner, Watch
@@ -249,7 +250,7 @@ def test_what_a_kill_leaves_at_the_very_end_goes_with_the_next_start(tmp_path):
 def test_what_is_damaged_is_named(tmp_path):
     (tmp_path / "made" / "unfinished").mkdir(parents=True)
     (tmp_path / "made" / "unfinished" / "run.json").write_text("{")
-    with pytest.raises(InputError, match="run.json cannot be read .* remove"):
+    with pytest.raises(InputError, match="run.json:1:2: is not JSON: .*; remove .*unfinished or choose another --out"):
         unfinished.Unfinished(tmp_path / "made", RunConfig())
 
 
@@ -277,7 +278,7 @@ def test_a_damaged_batch_is_named(tmp_path):
     content = kept._file(0, 2).read_bytes()
     for broken in (content, b"", content[:-30], content[:40] + b"0" * 40 + content[80:], b"\x93NUMPY" + content[6:]):
         kept._file(0, 2).write_bytes(broken)
-        with pytest.raises(IncompleteError, match="batch-00000000-2.npz is damaged .* remove it"):
+        with pytest.raises(FileError, match="batch-00000000-2.npz: is damaged; remove it"):
             kept.load(0, 2)
     for name in ("batch-x.npz", "batch-0-x.npz", "batch-00000000-2-x.npz"):
         (kept.place / name).touch()
@@ -400,3 +401,25 @@ def test_a_resumed_run_replaces_the_parts_of_its_earlier_report(tmp_path):
         (tmp_path / unfinished.PLACE).mkdir(exist_ok=True)
         (tmp_path / unfinished.PLACE / unfinished.ABOUT).write_text(json.dumps(run.about))
     assert (tmp_path / "parts" / "mine.py").read_text() == "new"
+
+
+def test_results_are_on_disk_before_the_batches_go(tmp_path, monkeypatch):
+    """Each file by itself, then the folder that names it: a power cut at any time leaves one or the other."""
+    order, fsync, replace, rmtree = [], os.fsync, os.replace, shutil.rmtree
+
+    def name(descriptor: int) -> str:
+        return Path(f"/proc/self/fd/{descriptor}").resolve().name
+
+    monkeypatch.setattr(os, "fsync", lambda descriptor: (order.append(f"sync {name(descriptor)}"), fsync(descriptor)))
+    monkeypatch.setattr(os, "replace", lambda a, b: (order.append(f"rename {Path(b).name}"), replace(a, b)))
+    monkeypatch.setattr(shutil, "rmtree", lambda a, **k: (order.append(f"remove {Path(a).name}"), rmtree(a, **k)))
+    kept = unfinished.Unfinished(tmp_path, RunConfig())
+    with kept.results(True) as place:
+        (place / "parts").mkdir()
+        (place / "parts" / "mine.py").write_text("")
+        (place / "summary.json").write_text("{}")
+        order.clear()
+    assert order[-1] == "remove unfinished" and order[-2] == f"sync {tmp_path.name}"
+    assert sorted(order[:3]) == ["sync mine.py", "sync parts", "sync summary.json"]
+    assert order.index("sync mine.py") < order.index("sync parts")
+    assert sorted(order[3:-2]) == ["rename parts", "rename summary.json"]

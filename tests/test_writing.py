@@ -1,14 +1,11 @@
 """Results are whole or not there, a folder has one writer at a time, and who was killed is not in the way."""
 
-import contextlib
-import io
 import signal
 import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import pytest
 
 from sean_jax import writing
@@ -168,15 +165,3 @@ def test_a_lock_that_cannot_be_read_is_nobodys(tmp_path, monkeypatch):
     (tmp_path / writing.LOCK).touch()
     monkeypatch.setattr(type(tmp_path), "open", refused)
     assert not writing.is_locked(tmp_path)
-
-
-def test_whatever_a_damaged_file_raises_is_expected():
-    whole = io.BytesIO()
-    np.savez_compressed(whole, a=np.arange(40), b=np.array("word"))
-    content, random = whole.getvalue(), np.random.default_rng(0)
-    for place in range(len(content)):
-        damaged = bytearray(content)
-        damaged[place] ^= int(random.integers(1, 256))
-        for broken in (bytes(damaged), content[:place]):
-            with contextlib.suppress(*writing.DAMAGED), np.load(io.BytesIO(broken), allow_pickle=False) as found:
-                [found[name] for name in found.files]

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sean_jax import writing
+from sean_jax import files, writing
 from sean_jax.config import CalibrateConfig
 from sean_jax.errors import InputError
 from sean_jax.files import listed, unknown_name
@@ -186,10 +186,10 @@ def _check_folder(folder: Path, options: CalibrateConfig) -> None:
     if not folder.is_dir() or not writing.contents(folder):
         return
     try:
-        content = json.loads((folder / OPTIONS).read_text(encoding="utf-8"))
+        content = files.read_json(folder / OPTIONS)
         previous, current = content["options"], options.decisive()
         names = [name for name in current if current[name] != previous.get(name)]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"the folder {folder} holds something else already, choose another with --out.") from None
     if names:
         text = f"{flag(names[0])} {previous.get(names[0])}, not {current[names[0]]}"
@@ -211,18 +211,17 @@ def _resume(descent: Descent, file: Path) -> tuple[Descent, list]:
     """The descent that a file holds; the given one if there is none."""
     import jax
     import jax.numpy as jnp
-    import numpy as np
 
     if not file.is_file():
         return descent, []
     leaves, structure = jax.tree.flatten(descent)
     try:
-        with np.load(file) as kept:
-            found = [kept[f"leaf{index}"] for index in range(len(leaves))]
-            history = list(kept["history"])
+        kept = files.read_arrays(file)
+        found = [kept[f"leaf{index}"] for index in range(len(leaves))]
+        history = list(kept["history"])
         if [each.shape for each in found] != [leaf.shape for leaf in leaves]:
             raise ValueError
-    except (OSError, ValueError, KeyError):
+    except (ValueError, KeyError, TypeError):
         raise InputError(f"{file} is damaged; remove it to begin anew.") from None
     return structure.unflatten(
         [jnp.asarray(each, leaf.dtype) for each, leaf in zip(found, leaves, strict=True)]

@@ -5,7 +5,6 @@ Simulated by itself, its numbers are rounded otherwise than in a batch; where it
 folder says, the page tells.
 """
 
-import csv
 import functools
 import shlex
 from collections.abc import Callable
@@ -147,9 +146,8 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
 def _ended(path: Path) -> dict[int, float]:
     """Episode -> s, as far as the run has told."""
     try:
-        rows = csv.DictReader(files.read_text(path).splitlines())
-        return {int(row["episode"]): float(row["seconds"]) for row in rows}
-    except (InputError, KeyError, TypeError, ValueError):
+        return dict(enumerate(output.read_episodes(path)[1]["seconds"].tolist()))
+    except InputError:
         return {}
 
 

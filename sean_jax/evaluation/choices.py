@@ -10,6 +10,8 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
+from sean_jax import files
+
 DYNAMICS = {
     "mjx": "Rigid bodies move in MuJoCo's MJX, on wheels with tyres.",
     "twin": "The same law moves it in closed form: faster, and easier to differentiate.",
@@ -97,16 +99,14 @@ def _sentence(text: str) -> str:
 
 
 def _environment(folder: Path) -> str:
-    import yaml
-
-    content = yaml.safe_load((folder / "environment.yaml").read_text(encoding="utf-8"))
+    content = files.nodes.read(folder / "environment.yaml")[1]
     x0, y0, x1, y1 = content["floor"]
     return f"The floor has {x1 - x0:.6g} x {y1 - y0:.6g} m and, unless told otherwise, {content['people']} people."
 
 
 def _robot(path: Path) -> str:
     """The first sentence of the first comment in a robot's MJCF file."""
-    found = re.search(r"<!--\s*(.*?)-->", path.read_text(encoding="utf-8"), re.DOTALL)
+    found = re.search(r"<!--\s*(.*?)-->", files.read_text(path), re.DOTALL)
     return _sentence(found.group(1)) if found else ""
 
 

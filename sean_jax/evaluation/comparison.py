@@ -4,11 +4,9 @@ Runs that differ in who drives, and in nothing that draws an episode, have the s
 itself, and what makes an episode easy or hard cancels. Other runs are compared by their means alone.
 """
 
-import csv
 import dataclasses
 import html as markup
 import json
-import math
 import re
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,6 +40,7 @@ class Measured:
     tasks: list[str]
     columns: dict[str, np.ndarray]  # name, or metric__situation -> (E,), NaN for an empty cell
     shown: dict[str, Any] | None  # the recording of its report
+    unseen: str = ""  # why there is none
 
     @property
     def name(self) -> str:
@@ -107,29 +106,26 @@ def read(folder: Path) -> Measured:
         if not (folder / name).is_file():
             raise InputError(f"{folder}: holds no {name}; give a folder that `sean run` has finished.")
     config = validate(RunConfig, output.read_config(folder / "config.yaml"))
-    rows = list(csv.DictReader(files.read_text(folder / "episodes.csv").splitlines()))
-    if not rows:
-        raise InputError(f"{folder / 'episodes.csv'}: holds no episode; run it again.")
-    columns = {}
-    for name in (each for each in rows[0] if each not in ("episode", "task", "timed_out")):
-        try:
-            columns[name] = np.array([_number(row[name]) for row in rows])
-        except (TypeError, ValueError):
-            raise InputError(f"{folder / 'episodes.csv'}: {name} is no column of numbers; restore the file.") from None
-    return Measured(folder, config, [row["task"] for row in rows], columns, _shown(folder))
-
-
-def _number(text: str) -> float:
-    words = {"True": 1.0, "False": 0.0, "": math.nan}
-    return words[text] if text in words else float(text)
-
-
-def _shown(folder: Path) -> dict[str, Any] | None:
+    tasks, columns = output.read_episodes(folder / "episodes.csv")
+    if len(tasks) > config.episodes:
+        what = f"has {len(tasks):,} episodes and config.yaml {config.episodes:,}"
+        raise InputError(f"{folder / 'episodes.csv'}: {what}; restore the files.")
+    columns.pop("timed_out", None)
     try:
-        (text,) = HELD.findall(files.read_text(folder / "report.html"))
-        return json.loads(text)
-    except (InputError, ValueError):
-        return None
+        return Measured(folder, config, tasks, columns, _shown(folder / "report.html"))
+    except InputError as error:
+        return Measured(folder, config, tasks, columns, None, str(error))
+
+
+def _shown(page: Path) -> dict[str, Any] | None:
+    """The recording in a report; None if nobody was recorded."""
+    found = HELD.findall(files.read_text(page, files.MAX_RECORD))
+    with files.sentence(page, "run it again to see its replay"):
+        shown = json.loads(found[0]) if found else {}
+        json.dumps(shown, allow_nan=False)
+        if not isinstance(shown, dict):
+            raise TypeError
+    return shown or None
 
 
 def paired(first: Measured, second: Measured) -> int:
@@ -221,9 +217,10 @@ def told(first: Measured, second: Measured) -> str:
     """
     number, others = paired(first, second), unlike(first, second)
     unlikeness = f"They differ in {', '.join(map(flag, others))}." if others else "They were told the same."
+    unseen = "".join(f" No replay of {each.name}: {each.unseen}" for each in (first, second) if each.unseen)
     if number:
-        return f"{number} episodes that both have, each compared with itself. {unlikeness}"
-    return f"Their episodes are not the same, so their means are compared. {unlikeness}"
+        return f"{number} episodes that both have, each compared with itself. {unlikeness}{unseen}"
+    return f"Their episodes are not the same, so their means are compared. {unlikeness}{unseen}"
 
 
 def _cells(row: Difference) -> tuple[str, str, str, str]:

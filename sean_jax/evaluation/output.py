@@ -1,8 +1,10 @@
 """The files of an evaluation: episodes.csv, summary.json, config.yaml, the report and the animations."""
 
+import array
 import csv
 import dataclasses
 import json
+import math
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,13 +14,19 @@ import yaml
 
 from sean_jax import components, files
 from sean_jax.config import Config, RunConfig
-from sean_jax.errors import InputError
+from sean_jax.errors import FileError, InputError
 from sean_jax.flags import command
+from sean_jax.metrics import METRICS
+from sean_jax.quantities import MAX_DURATION, MAX_MAGNITUDE
 from sean_jax.versions import versions
 
 if TYPE_CHECKING:
     from sean_jax.evaluation import Evaluation
 
+LIMITS = {"episode": (0, 2**31), "completed": (0, 1), "timed_out": (0, 1), "seconds": (0, MAX_DURATION)}
+"""Column of episodes.csv -> least and most; none of its cells is empty."""
+
+WORDS = {"True": 1.0, "False": 0.0, "": math.nan}  # of episodes.csv
 PARTS = "parts"  # folder beside config.yaml with the files that parts of one's own came from
 
 
@@ -128,6 +136,56 @@ def _cell(value: Any) -> str:
     if isinstance(value, np.integer | np.bool_):
         return str(int(value))
     return f"{value:.6f}" if np.isfinite(value) else ""
+
+
+def read_episodes(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
+    """What ``write_episodes`` wrote.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        The E tasks, and the columns (E,) of numbers, NaN for an empty cell.
+
+    Raises:
+        FileError: the file cannot be read, its episodes do not count from 0, or a value is out of range.
+    """
+    rows, place = files.read_rows(path), files.short_name(path)
+    head = next(rows, [])
+    for name in ("episode", "task", "completed", "seconds"):
+        if name not in head:
+            raise FileError(f"{place}: has no column {name}; restore the file.")
+    tasks, numbers = [], {name: array.array("d") for name in head if name != "task"}
+    limits = {name: _limits(name) for name in numbers}
+    for number, row in enumerate(rows):
+        for name, cell in zip(head, row, strict=True):
+            if name == "task":
+                tasks.append(cell)
+                continue
+            low, high = limits[name]
+            value = _number(cell)
+            if not (low <= value <= high or (cell == "" and name not in LIMITS)):
+                what = f"{name}: {cell[:40]!r} is no number from {low:,g} to {high:,g}"
+                raise FileError(f"{place}: episode {number}: {what}; restore the file.")
+            numbers[name].append(value)
+        if numbers["episode"][-1] != number:
+            raise FileError(f"{place}: episode {number} is missing; restore the file.")
+    if not tasks:
+        raise FileError(f"{place}: holds no episode; run it again.")
+    return tasks, {name: np.array(values) for name, values in numbers.items() if name != "episode"}
+
+
+def _limits(name: str) -> tuple[float, float]:
+    metric = METRICS.get(name.partition("__")[0])
+    of_kind = {"count": (0.0, MAX_MAGNITUDE), "share": (0.0, 1.0)}
+    return LIMITS.get(name) or of_kind.get(metric.kind if metric else "", (-MAX_MAGNITUDE, MAX_MAGNITUDE))
+
+
+def _number(cell: str) -> float:
+    try:
+        return WORDS[cell] if cell in WORDS else float(cell.replace("_", "no"))
+    except ValueError:
+        return math.inf
 
 
 def write_config(folder: Path, evaluation: "Evaluation", config: RunConfig | None, made_with: dict[str, str]) -> None:

@@ -19,10 +19,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from sean_jax import components, interrupts, writing
+from sean_jax import components, files, interrupts, writing
 from sean_jax.base import Policy, Scenario, Trajectory
 from sean_jax.config import RunConfig
-from sean_jax.errors import IncompleteError, InputError
+from sean_jax.errors import FileError, IncompleteError, InputError
 from sean_jax.evaluation.tally import Finished, Tally
 from sean_jax.flags import flag
 from sean_jax.versions import fingerprint, versions
@@ -73,18 +73,14 @@ class Unfinished:
             The batch, or None.
 
         Raises:
-            IncompleteError: its file is damaged.
+            FileError: its file is damaged.
         """
         file, frames = self._file(base, kept), self.frames(base, kept)
         if not file.is_file() or (frames is not None and not frames.exists()):
             return None
-        try:
-            with np.load(file, allow_pickle=False) as found:
-                return _finished({name: found[name] for name in found.files})
-        except writing.DAMAGED as error:
-            raise IncompleteError(
-                f"{file} is damaged ({error}); remove it, and the same command makes it anew."
-            ) from error
+        arrays = files.read_arrays(file)
+        with files.sentence(file, "remove it, and the same command makes it anew"):
+            return _finished(arrays, kept)
 
     def save(self, base: int, batch: Finished) -> None:
         """Keep a batch, for good when this returns.
@@ -125,10 +121,13 @@ class Unfinished:
         shutil.rmtree(stage, ignore_errors=True)  # half-written files of one who was killed
         stage.mkdir(parents=True)
         yield stage
+        for file in sorted(stage.rglob("*"), reverse=True):  # what is in a folder before the folder
+            writing.sync(file)
         for file in sorted(stage.iterdir()):
             if (self.folder / file.name).is_dir():  # parts of one's own, of a report that was written at Ctrl-C
                 shutil.rmtree(self.folder / file.name)
             os.replace(file, self.folder / file.name)
+        writing.sync(self.folder)
         self.complete = complete
         if complete:
             (self.place / ABOUT).unlink(missing_ok=True)  # and so the run is finished
@@ -237,8 +236,8 @@ def _episodes(place: Path) -> int:
 def _about(config: RunConfig) -> dict[str, Any]:
     """What decides the episodes, as JSON gives it back: by option, and the content of files of one's own."""
     fields = config.decisive() | {"batch": min(config.batch, config.episodes)}
-    files = {f"the content of {name}": digest for name, digest in components.digests(config).items()}
-    return json.loads(json.dumps({**{flag(name): value for name, value in fields.items()}, **files}))
+    parts = {f"the content of {name}": digest for name, digest in components.digests(config).items()}
+    return json.loads(json.dumps({**{flag(name): value for name, value in fields.items()}, **parts}))
 
 
 def _made_with(scenario: Scenario, policy: Policy) -> dict[str, Any]:
@@ -251,11 +250,11 @@ def _made_with(scenario: Scenario, policy: Policy) -> dict[str, Any]:
 
 def _read(file: Path) -> dict[str, Any] | None:
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file} cannot be read ({error}); remove {file.parent} or choose another --out.") from error
+        found = files.read_json(file)
+    except FileError as error:
+        if not os.path.lexists(file):
+            return None
+        raise InputError(f"{str(error).rstrip('.')}; remove {file.parent} or choose another --out.") from None
     if not isinstance(found, dict):
         raise InputError(f"{file} is damaged; remove {file.parent} or choose another --out.")
     return found
@@ -270,10 +269,24 @@ def _arrays(batch: Finished) -> dict[str, Any]:
     return {**own, **named}
 
 
-def _finished(arrays: dict[str, np.ndarray]) -> Finished:
+def _finished(arrays: dict[str, np.ndarray], kept: int) -> Finished:
+    """The batch of named arrays. Whatever is raised says that they are not one of so many episodes."""
+
     def of(place: str) -> dict[str, Any]:
         return {name.split(":", 1)[1]: value for name, value in arrays.items() if name.startswith(f"{place}:")}
 
     frames = [Trajectory(**of(f"frame{k}")) for k in range(sum(name.endswith(":active") for name in arrays))]
-    ended = arrays["completed"], arrays["timed_out"], arrays["steps"]
-    return Finished(*ended, of("metrics"), Tally(**of("tally")), frames, float(arrays["seconds"]))
+    ended, metrics, counted = (arrays["completed"], arrays["timed_out"], arrays["steps"]), of("metrics"), of("tally")
+    seconds = arrays["seconds"]
+    wrong = [
+        *(values.shape[:1] != (kept,) or values.ndim > 2 for values in (*ended, *metrics.values())),
+        *(values.ndim != 1 or values.dtype.kind != kind for values, kind in zip(ended, "bbi", strict=True)),
+        *((values < 0).any() for name, values in counted.items() if name not in ("node", "penetration")),
+        *(len(values) != len(each.active) for each in frames for values in vars(each).values()),
+        (ended[2] < 0).any(),
+        seconds.shape != () or not np.isfinite(seconds) or seconds < 0,
+        len(arrays) != 4 + len(metrics) + len(counted) + sum(len(vars(each)) for each in frames),
+    ]
+    if any(wrong):
+        raise ValueError("these are not the arrays of a batch")
+    return Finished(*ended, metrics, Tally(**counted), frames, float(seconds))

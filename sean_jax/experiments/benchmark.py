@@ -18,7 +18,7 @@ import numpy as np
 
 from sean_jax import assembly, components, files, writing
 from sean_jax.config import BenchmarkConfig, OwnPart, RunConfig, validate
-from sean_jax.errors import IncompleteError, InputError
+from sean_jax.errors import InputError
 from sean_jax.experiments import page, parts, tracks
 from sean_jax.experiments.together import Part, together
 from sean_jax.learning import choice
@@ -72,7 +72,7 @@ def run(options: BenchmarkConfig, console: Console | None = None) -> Path:
         InputError: there is no such driver, the folder holds something else, or this package is not that of the
             protocol.
         WriteError: another process writes in the folder.
-        IncompleteError: a file in the folder is damaged.
+        FileError: a file in the folder is damaged.
         FloatingPointError: a number is not finite. Finished tracks stay.
     """
     if (found := tracks.content()) != tracks.CONTENT:
@@ -144,15 +144,9 @@ def read_track(file: Path) -> Columns:
         name -> (E,) or (E, 1 + S).
 
     Raises:
-        IncompleteError: it is damaged.
+        FileError: it is damaged.
     """
-    try:
-        with np.load(file, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
-    except writing.DAMAGED as error:
-        raise IncompleteError(
-            f"{file} is damaged ({error}); remove it, and the same command makes it again."
-        ) from error
+    return files.read_arrays(file)
 
 
 # ------------------------------------------------------------------ figures

@@ -47,7 +47,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     Raises:
         InputError: the options are wrong, or the folder holds another experiment.
         WriteError: another process writes in the folder.
-        IncompleteError: a file in the folder is damaged.
+        FileError: a file in the folder is damaged.
         FloatingPointError: a metric is not finite. Finished parts stay.
 
     Source: section V-C.

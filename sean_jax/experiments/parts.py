@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from sean_jax import writing
+from sean_jax import files, writing
 from sean_jax.config import BenchmarkConfig, ExperimentConfig
-from sean_jax.errors import InputError
+from sean_jax.errors import FileError, InputError
 from sean_jax.flags import flag
 from sean_jax.versions import version_mismatch, versions
 
@@ -28,11 +28,11 @@ def has_started(options: ExperimentConfig | BenchmarkConfig) -> bool:
     folder, current = options.folder, options.decisive()
     if (folder / OPTIONS).is_file():
         try:
-            content = json.loads((folder / OPTIONS).read_text(encoding="utf-8"))
+            content = files.read_json(folder / OPTIONS)
             previous, previous_versions = content["options"], content.get("versions")
             if not isinstance(previous, dict):
                 raise TypeError
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError):
             raise InputError(f"{folder / OPTIONS} is damaged; choose another folder with --out.") from None
         for name in current:
             if current[name] != previous.get(name):
@@ -83,6 +83,6 @@ def load(path: Path) -> Any:
         Its content, or None if there is no such file or it is damaged.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return files.read_json(path)
+    except FileError:
         return None

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import writing
+from sean_jax import files, writing
 from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import CollectConfig, ExperimentConfig, ScenarioConfig
-from sean_jax.errors import IncompleteError, InputError
+from sean_jax.errors import InputError
 from sean_jax.experiments import page, parts, pictures, recorded, shares
 from sean_jax.experiments.recorded import Recorded
 from sean_jax.experiments.rollouts import MINUTE, Chains, Streams
@@ -90,7 +90,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
         InputError: the options are wrong, or the folder holds another experiment.
         FileError: a recording cannot be read.
         WriteError: another process writes in the folder.
-        IncompleteError: a file in the folder is damaged.
+        FileError: a file in the folder is damaged.
         FloatingPointError: a position is not finite. Finished cells stay.
 
     Source: section V-B, Table I.
@@ -250,21 +250,17 @@ def cell(
         The cell.
 
     Raises:
-        IncompleteError: the file is damaged.
+        FileError: the file is damaged.
         FloatingPointError: a position is not finite.
     """
     names = tuple(name for name, _ in further)
     if file.is_file():
-        try:
-            with np.load(file, allow_pickle=False) as arrays:
-                flags = np.unpackbits(arrays["flags"], axis=-1, count=len(shares.NAMES)).astype(bool)
-                if not further or tuple(arrays["names"] if "names" in arrays else ()) == names:
-                    more = np.unpackbits(arrays["more"], axis=-1, count=len(names)).astype(bool)
-                    return Cell(behavior, policy, int(arrays["people"]), flags, more, arrays["ended"])
-        except writing.DAMAGED as error:
-            raise IncompleteError(
-                f"{file} is damaged ({error}); remove it, and the same command makes it again."
-            ) from error
+        arrays = files.read_arrays(file)
+        with files.sentence(file, "remove it, and the same command makes it anew"):
+            flags = np.unpackbits(arrays["flags"], axis=-1, count=len(shares.NAMES)).astype(bool)
+            if not further or tuple(arrays["names"] if "names" in arrays else ()) == names:
+                more = np.unpackbits(arrays["more"], axis=-1, count=len(names)).astype(bool)
+                return Cell(behavior, policy, int(arrays["people"]), flags, more, arrays["ended"])
     there, seeds = places(), options.seeds or 1
     kinds = there.scenarios
     minutes = max(1, math.ceil(60.0 * (options.hours or 1.0) / len(kinds) - 1e-6))

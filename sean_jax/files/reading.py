@@ -308,12 +308,15 @@ def _lines(path: Path, stream: io.TextIOWrapper) -> Iterator[str]:
         yield line
 
 
-def read_arrays(path: Path | str, max_bytes: int = MAX_ARRAYS) -> dict[str, Any]:
+def read_arrays(
+    path: Path | str, max_bytes: int = MAX_ARRAYS, cure: str = "remove it, and the same command makes it anew"
+) -> dict[str, Any]:
     """Read a .npz file of numbers and words.
 
     Args:
         path: of the file.
         max_bytes: that it may have, and may unpack to.
+        cure: the end of the sentence about a damaged file.
 
     Returns:
         Name to array of numpy.
@@ -324,11 +327,11 @@ def read_arrays(path: Path | str, max_bytes: int = MAX_ARRAYS) -> dict[str, Any]
     import numpy as np  # here, as the command line reads its options without it
 
     path = Path(path)
-    with open_file(path, max_bytes) as stream, sentence(path, "get the file anew"), zipfile.ZipFile(stream) as parts:
+    with open_file(path, max_bytes) as stream, sentence(path, cure), zipfile.ZipFile(stream) as parts:
         size = sum(part.file_size for part in parts.infolist())
         if size > max_bytes:
             what = f"unpacks to {size:,} bytes and at most {max_bytes:,} are read"
-            raise FileError(f"{short_name(path)}: {what}; get the file anew.")
+            raise FileError(f"{short_name(path)}: {what}; {cure}.")
         arrays = {}
         for part in parts.infolist():
             with parts.open(part) as packed:

@@ -4,14 +4,17 @@ The latest and the best checkpoint are kept, and a half-written one is never rea
 for, orbax deletes the latest, and a training would start anew; so the policy below keeps both.
 """
 
+import contextlib
 import json
 import logging
+import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
+import numpy as np
 import orbax.checkpoint as ocp
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
@@ -23,6 +26,7 @@ from sean_jax.learning.manifests import CONFIG
 STATE = "state"
 RESERVE = 4_000_000  # bytes that must be free in addition to the size of a checkpoint
 UNCHANGED = "earlier checkpoints are as they were."  # how a message about a failed write ends
+CURE = "remove it to go on from an earlier one."
 ATTEMPTS = 10  # to read while a training replaces checkpoints
 
 Result = TypeVar("Result")
@@ -60,7 +64,11 @@ class Checkpoints:
             create=writes,
             read_only=not writes,
         )
-        self.manager = _retry(lambda: ocp.CheckpointManager(self.folder / "checkpoints", options=options))
+        for name in sorted(os.listdir(self.folder / "checkpoints")) if (self.folder / "checkpoints").is_dir() else []:
+            _check_entries(self.folder / "checkpoints" / name)
+        with _explained(self.folder / "checkpoints"):
+            self.manager = _retry(lambda: ocp.CheckpointManager(self.folder / "checkpoints", options=options))
+            self.manager.best_step()  # which reads the losses of all
         if writes:
             for step in {*self.manager.all_steps()} - {self.manager.latest_step(), self.manager.best_step()}:
                 self.manager.delete(step)
@@ -131,7 +139,7 @@ class Checkpoints:
         step, previous = self._best_step(), None
         while step is not None:
             try:
-                return self._restore(step, like, part)
+                return self._restore(step, like, part, finite=True)
             except IncompleteError:
                 step, previous = self._best_step(), step
                 if step == previous:
@@ -155,34 +163,56 @@ class Checkpoints:
         while step is not None:
             where = self.folder / "checkpoints" / str(step)
             try:
-                tree = ocp.PyTreeCheckpointHandler().metadata(where / STATE).tree[part]  # pyright: ignore
-                leaves, _ = jax.tree.flatten_with_path(tree)
-                return {jax.tree_util.keystr(at, simple=True, separator="/"): tuple(leaf.shape) for at, leaf in leaves}
-            except (OSError, ValueError, KeyError, TypeError) as error:
+                with _explained(where):
+                    tree = ocp.PyTreeCheckpointHandler().metadata(where / STATE).tree[part]  # pyright: ignore
+                    leaves, _ = jax.tree.flatten_with_path(tree)
+                    return {
+                        jax.tree_util.keystr(at, simple=True, separator="/"): tuple(leaf.shape) for at, leaf in leaves
+                    }
+            except IncompleteError:
                 step, previous = self._best_step(), step
                 if step == previous:
-                    raise IncompleteError(_unreadable(where, error)) from error
+                    raise
         raise InputError(f"{self.folder} has no checkpoint; train a network with `sean train imitation`.")
 
     def _best_step(self) -> int | None:
-        _retry(self.manager.reload)
-        return self.manager.best_step()
+        with _explained(self.folder / "checkpoints"):
+            _retry(self.manager.reload)
+            return self.manager.best_step()
 
-    def _restore(self, step: int, like: Tree, part: str | None = None) -> Tree:
+    def _restore(self, step: int, like: Tree, part: str | None = None, finite: bool = False) -> Tree:
         sharding = jax.sharding.SingleDeviceSharding(jax.local_devices()[0])  # each process reads all of it
         shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), like)
         target = shapes if part is None else {part: shapes}
-        try:
+        with _explained(self.folder / "checkpoints" / str(step)):
             placement = ocp.checkpoint_utils.construct_restore_args(target)
             request = ocp.args.PyTreeRestore(item=target, restore_args=placement, partial_restore=True)  # pyright: ignore
             content = self.manager.restore(step, args=ocp.args.Composite(**{STATE: request}))
-            return content[STATE] if part is None else content[STATE][part]
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise IncompleteError(_unreadable(self.folder / "checkpoints" / str(step), error)) from error
+            found = content[STATE] if part is None else content[STATE][part]
+            if finite and not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found)):
+                raise ValueError("a number is not finite")
+            return found
 
 
-def _unreadable(checkpoint: Path, error: Exception) -> str:
-    return f"{checkpoint} cannot be read ({writing.reason(error)}); remove it to go on from an earlier one."
+@contextlib.contextmanager
+def _explained(checkpoint: Path) -> Iterator[None]:
+    """Whatever orbax raises about a checkpoint becomes a sentence."""
+    try:
+        yield
+    except IncompleteError:
+        raise
+    except Exception as error:  # which one depends on the byte that is damaged
+        why = error.strerror.lower() if isinstance(error, OSError) and error.strerror else "it is damaged"
+        raise IncompleteError(f"{checkpoint} cannot be read ({why}); {CURE}") from error
+
+
+def _check_entries(checkpoint: Path) -> None:
+    """IncompleteError for what is neither a file nor a folder: orbax would wait for a pipe, and never end a device."""
+    for folder, _, names in os.walk(checkpoint):
+        for name in names:
+            path = Path(folder) / name
+            if not path.is_file() and os.path.lexists(path):
+                raise IncompleteError(f"{checkpoint} cannot be read ({name} is no file); {CURE}")
 
 
 def check_config(folder: Path, config: dict[str, Any]) -> bool:

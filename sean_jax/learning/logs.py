@@ -9,7 +9,7 @@ import struct
 from pathlib import Path
 from typing import Any
 
-from sean_jax import writing
+from sean_jax import files, writing
 from sean_jax.errors import IncompleteError
 
 LINES = "metrics.jsonl"
@@ -93,10 +93,11 @@ def read_lines(folder: Path) -> list[dict[str, Any]]:
         The complete lines of its log; a kill may have cut the last one.
     """
     file, lines = folder / LINES, []
-    for text in file.read_text(encoding="utf-8").splitlines() if file.exists() else []:
+    for text in files.read_text(file, files.MAX_RECORD).splitlines() if file.exists() else []:
         try:
-            lines.append(json.loads(text))
-        except ValueError:
+            line = json.loads(text)
+            lines.append({"epoch": int(line["epoch"]), "time": float(line["time"]), **line})
+        except (ValueError, TypeError, KeyError, RecursionError):
             break
     return lines
 

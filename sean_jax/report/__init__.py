@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sean_jax import drawing, metrics, replay
+from sean_jax import drawing, files, metrics, replay
 from sean_jax.base import Environment, Trajectory
 from sean_jax.drawing import colors
 from sean_jax.report import figures
@@ -93,7 +93,7 @@ def page(title: str, kicker: str, sections: Iterable[str], style: str = "") -> s
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title}</title>'
-        f"<style>\n{STYLE.read_text(encoding='utf-8')}{style}</style></head>\n<body><main><header>"
+        f"<style>\n{files.read_text(STYLE)}{style}</style></head>\n<body><main><header>"
         f"<p class=kicker>{kicker}</p><h1>{title}</h1></header>\n{body}\n</main></body></html>\n"
     )
 

@@ -25,6 +25,9 @@ class Cohesion:
     """Gaze, attraction, repulsion and contact among companions, who do not feel one another's pair terms."""
 
     damped: ClassVar[bool] = False
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "ramp": (1e-3, 1e3),
+    }
 
     gaze: Float[Array, ""]  # 1/(s rad), beta1 of [M10]: braking when companions are out of view
     view_angle: Float[Array, ""]  # rad, half angle of that view

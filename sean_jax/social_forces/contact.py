@@ -4,6 +4,8 @@
 """
 
 import math
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +30,15 @@ class Contact:
     As printed in [H00]: the body force k g n and the sliding friction kappa g ((w - v) . t) t, with n along d and t
     across it. At obstacles ``walls.project_velocity`` takes the place of the body force.
     """
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "stiffness": (0.0, 1e6),
+        "friction": (0.0, 1e6),
+    }
+
+    relations: ClassVar[dict[str, Callable[[Any], Any]]] = {
+        "friction of bodies without stiffness": lambda term: term.friction is not None and term.stiffness <= 0,
+    }
 
     stiffness: Float[Array, ""]  # 1/s2, by which overlapping bodies part: k / m of [H00]
     friction: Float[Array, ""] | None = None  # 1/(m s), of bodies that slide: kappa / m of [H00]; None: not computed

@@ -4,6 +4,8 @@ F. Zanlungo, T. Ikeda & T. Kanda, EPL 93, 68005 (2011): what repels is where the
 It has the purpose of ``Sidestep``, without its jumps; and however many people come, the push is bounded.
 """
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -24,6 +26,13 @@ class Evasion:
     come closer faster than about ``speed``. ``side`` is added to the offset, so that both step to their right where
     they would meet exactly. Pushes of all others together are at most ``strength``.
     """
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "horizon": (1e-3, 100.0),
+        "width": (0.0, 100.0),
+        "speed": (1e-3, 100.0),
+        "ramp": (0.0, 100.0),
+    }
 
     strength: Float[Array, ""]  # m/s2, of the push when many come
     gain: Float[Array, ""]  # 1, share of it for one person who is about to be run into

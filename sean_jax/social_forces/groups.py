@@ -3,6 +3,8 @@
 A. Kendon, Conducting Interaction (1990).
 """
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -17,6 +19,11 @@ from sean_jax.social_forces.terms import Crowd, Force
 @struct.dataclass
 class GroupSpace:
     """A push A exp((radius - distance) / B) away from the centre of each group, on all but its standing members."""
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "strength": (-1e6, 1e6),
+        "range": (0.05, 1e3),
+    }
 
     strength: Float[Array, ""]  # m/s2, A
     range: Float[Array, ""]  # m, B

@@ -4,6 +4,9 @@ A. Tordeux, M. Chraibi & A. Seyfried, Traffic and Granular Flow '15, 225 (2016):
 limited by the gap to whoever is ahead, (gap - l) / T. Here the limit sets in smoothly.
 """
 
+from collections.abc import Callable
+from typing import Any, ClassVar
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -27,6 +30,16 @@ class Headway:
     in the way, the faster they come: ``Evasion`` deals with them. The shares of all others add up to 95 % of the
     desired velocity at most, so people in a queue shuffle on.
     """
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "length": (-10.0, 10.0),
+        "range": (-10.0, 100.0),
+        "width": (0.0, 100.0),
+        "ramp": (0.0, 100.0),
+    }
+    relations: ClassVar[dict[str, Callable[[Any], Any]]] = {
+        "range is less than 0.01 m more than length": lambda term: term.range - term.length < 0.0099,
+    }
 
     length: Float[Array, ""]  # m, the gap at which people stand still
     range: Float[Array, ""]  # m, the gap from which on they walk freely

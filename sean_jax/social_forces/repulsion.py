@@ -6,6 +6,7 @@ one who feels the push, ``w`` is the other's velocity and ``v`` one's own.
 """
 
 from collections.abc import Callable
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -17,12 +18,23 @@ from sean_jax.social_forces.terms import Force, Pair
 from sean_jax.social_forces.walking import Walking
 
 TINY = 1e-8  # m2: keeps lengths differentiable at zero, 1e-7 of the square of a distance of 0.3 m
+MAX_EXPONENT = 20.0  # a push e^20 times the usual one is as good as any, and its square is still a number
 NEGLIGIBLE = 1e-4  # m/s2, of a push
 
 
 @struct.dataclass
 class Repulsion:
     """A push away from each other person, the stronger the nearer, weaker if the other is out of sight."""
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "strength": (-1e6, 1e6),
+        "range": (0.01, 1e3),
+        "anticipation": (0.0, 100.0),
+        "sight_cosine": (-1.0, 1.0),
+    }
+    relations: ClassVar[dict[str, Callable[[Any], Any]]] = {
+        "reach is more than 20 times range": lambda term: term.reach > MAX_EXPONENT * term.range,
+    }
 
     strength: Float[Array, ""]  # m/s2, A of A exp((reach - b) / range)
     range: Float[Array, ""]  # m, B

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,12 @@ class RobotRepulsion:
     A factor f of the repulsion A exp(-b / B) is drawn for each person and acts while the robot moves. It equals a
     distance of B ln(f), which is what ``Pedestrians.robot_distance`` says.
     """
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "factor_min": (1e-6, 1e6),
+        "factor_max": (1e-6, 1e6),
+        "ramp": (0.0, 100.0),
+    }
 
     factor_min: Float[Array, ""]  # 1, of the repulsion by a moving robot, drawn uniformly per person ...
     factor_max: Float[Array, ""]  # 1, ... up to here

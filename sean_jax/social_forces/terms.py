@@ -11,6 +11,9 @@ A term is a ``flax.struct.dataclass`` whose fields are its parameters. It has on
 - ``person(self, crowd: Crowd) -> (fx, fy) | None``: the accelerations (N,) [m/s2] of all people; None if the term does
   not apply, so that nothing is computed.
 
+It may also have ``limits``, parameter -> least and most, and ``relations``, what is wrong in words -> a function of the
+term that says whether it is so. ``collect`` refuses what is beyond.
+
 The package's own terms and a user's are the same thing. docs/social_forces.md has examples.
 """
 
@@ -21,6 +24,7 @@ from typing import Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 import jax
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 
 from sean_jax import quantities
@@ -294,7 +298,7 @@ def collect(terms: Iterable[Term]) -> Forces:
 
     Raises:
         InputError: what is given is no collection of terms, a name stands twice, there is no ``Walking``, or a
-            parameter is not finite.
+            parameter is not finite or beyond the limits of its term.
     """
     if isinstance(terms, PairTerm | GatherTerm | PersonTerm) or not isinstance(terms, Iterable):
         raise InputError(
@@ -318,7 +322,20 @@ def collect(terms: Iterable[Term]) -> Forces:
         raise InputError("forces: there is no Walking term, which drives people; begin with [*preset('helbing1995')].")
     for name, term in zip(names, terms, strict=True):
         quantities.check_leaves(f"forces.{name}", term)
+        _check_limits(name, term)
     return jax.tree.map(_parameter, Forces(terms))
+
+
+def _check_limits(name: str, term: Term) -> None:
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(term)):
+        return
+    for field, (low, high) in getattr(term, "limits", {}).items():
+        value = getattr(term, field)
+        if value is not None and not ((low <= np.asarray(value)) & (np.asarray(value) <= high)).all():
+            raise InputError(f"forces.{name}.{field}: {value} must be from {low:,g} to {high:,g}.")
+    for what, wrong in getattr(term, "relations", {}).items():
+        if np.any(wrong(term)):
+            raise InputError(f"forces.{name}: {what}; change one of the two.")
 
 
 def _parameter(leaf: Any) -> Array:

@@ -3,6 +3,9 @@
 D. Helbing & P. Molnar, Phys. Rev. E 51, 4282 (1995): people take up their desired velocity within a relaxation time.
 """
 
+from collections.abc import Callable
+from typing import Any, ClassVar
+
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Float
@@ -16,6 +19,23 @@ MIN_SPEED = 0.1  # m/s: a slower body does not turn into its direction of motion
 @struct.dataclass
 class Walking:
     """How people move. Every collection of forces has exactly one of these; it is the term that drives them."""
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "radius": (1e-3, 10.0),
+        "relaxation_time": (1e-3, 1e9),
+        "speed_mean": (0.0, 100.0),
+        "speed_deviation": (0.0, 100.0),
+        "speed_min": (0.0, 100.0),
+        "speed_max": (0.0, 100.0),
+        "speed_ratio": (0.0, 100.0),
+        "turn_rate": (0.0, 1e3),
+        "perception": (0.0, 1e9),
+        "lateral_damping": (1e-3, 1e6),
+        "backward_scale": (0.0, 1e3),
+    }
+    relations: ClassVar[dict[str, Callable[[Any], Any]]] = {
+        "speed_min is more than speed_max": lambda term: term.speed_min > term.speed_max,
+    }
 
     radius: Float[Array, ""]  # m, of a body; obstacles are kept out of it
     relaxation_time: Float[Array, ""]  # s, in which the desired velocity is taken up

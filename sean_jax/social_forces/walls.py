@@ -5,7 +5,7 @@
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +16,10 @@ from sean_jax import obstacle_grid
 from sean_jax.base import Array, ObstacleGrid
 from sean_jax.geometry import from_rectangle, sum_vectors
 from sean_jax.platforms import by_platform
+from sean_jax.social_forces.repulsion import MAX_EXPONENT
 from sean_jax.social_forces.terms import Crowd, Force
 
 SLACK = 1e-3  # m/s, or rounding would hold whoever walks along a wall: 0.05 mm in a step of 0.05 s
-MAX_EXPONENT = 20.0  # a push e^20 times the usual one is as good as any, and its square is still a number
 MIN_APPROACH = 1e-9  # m/s, a slower approach is none, for the gradient of a share of it would overflow
 
 
@@ -30,6 +30,11 @@ class Walls:
     Source:
         [HM95], eq. (5): the negative gradient of U(d) = U0 exp(-d / R), with A = U0 / R.
     """
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "strength": (-1e6, 1e6),
+        "range": (1e-3, 1e3),
+    }
 
     strength: Float[Array, ""]  # m/s2, A
     range: Float[Array, ""]  # m, R

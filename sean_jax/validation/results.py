@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sean_jax import writing
+from sean_jax import files, writing
 from sean_jax.config import ValidateConfig
 from sean_jax.errors import InputError
 from sean_jax.flags import command
@@ -94,14 +94,14 @@ def load(folder: Path, check: Check, moved_by: Model, options: ValidateConfig) -
         The row; None if there is none, if it was skipped, or if something has changed since.
     """
     try:
-        content = json.loads(_part(folder, check, moved_by).read_text(encoding="utf-8"))
+        content = files.read_json(_part(folder, check, moved_by))
         if content.pop("made_with") != _made_with(moved_by, options) or content["verdict"] == SKIPPED:
             return None
         content["curves"] = tuple(Curve(**curve) for curve in content["curves"])
         for name in ("axes", "pictures"):
             content[name] = tuple(tuple(part) if isinstance(part, list) else part for part in content[name])
         return Row(**content)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         return None
 
 
@@ -157,7 +157,7 @@ def _code() -> str:
     """A digest of the package's own modules."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.parent.rglob("*.py")):
-        digest.update(file.read_bytes())
+        digest.update(files.read_bytes(file))
     return digest.hexdigest()[:16]
 
 

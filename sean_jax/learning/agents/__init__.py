@@ -224,7 +224,7 @@ def restore(folder: Path, options: ReinforcementConfig, expected: Agent) -> Agen
     Raises:
         InputError: it has other shapes, or cannot be read.
     """
-    found = files.read_arrays(folder / WEIGHTS, MAX_BYTES)
+    found = files.read_arrays(folder / WEIGHTS, MAX_BYTES, "get the file anew")
     for name, value in found.items():
         if value.dtype.kind != "f" or not np.isfinite(value).all():
             raise InputError(f"{folder / WEIGHTS}: {name[:60]} has what is no finite number; pack the agent anew.")
