@@ -238,7 +238,7 @@ def _benchmark(options: config.BenchmarkConfig) -> int:
         from sean_jax.experiments import benchmark
 
         folder = benchmark.run(options, console)
-        console.print(benchmark.table(benchmark.check(folder)), highlight=False)
+        console.print(benchmark.table(benchmark.check(folder)), highlight=False, markup=False)
         _say(console, "report: ", folder / benchmark.REPORT)
 
     return _keeping(options, work)

@@ -984,8 +984,8 @@ class ExperimentConfig(Config):
 
 
 class BenchmarkConfig(Config):
-    """Compare a driver with all others on fixed tracks: a table by social situation and a sealed result. A folder that
-    has a part is continued."""
+    """Compare a driver with all others on fixed tracks: a table by social situation and a result with a checksum. A
+    folder that has a part is continued."""
 
     policy: Annotated[Text, Positional()]
     """Who drives: a name, the folder that `sean train` or `sean export agent` has written, or FILE.py:NAME."""

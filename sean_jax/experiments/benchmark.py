@@ -1,4 +1,4 @@
-"""``sean benchmark POLICY``: a driver on the tracks of a frozen protocol, a table by situation and a sealed result.
+"""``sean benchmark POLICY``: a driver on the tracks of a frozen protocol, a table by situation and a result to rank.
 
 All drivers drive the same numbered episodes, so that two of them are compared in pairs. ``tracks`` has the protocol.
 """
@@ -12,17 +12,19 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from sean_jax import assembly, components, files, writing
-from sean_jax.config import BenchmarkConfig, OwnPart, RunConfig, validate
-from sean_jax.errors import InputError
+from sean_jax.config import BenchmarkConfig, Config, Number, OwnPart, RunConfig, Text, validate
+from sean_jax.errors import FileError, IncompleteError, InputError
 from sean_jax.experiments import page, parts, tracks
 from sean_jax.experiments.together import Part, together
 from sean_jax.learning import choice
+from sean_jax.learning.agents import AGENTS
 from sean_jax.metrics import Estimate, aggregate, aggregate_ratio, bootstrap
+from sean_jax.policies import POLICIES
 from sean_jax.runner import Runner, Watch
 from sean_jax.scenario import results
 from sean_jax.versions import fingerprint, version_mismatch, versions
@@ -37,6 +39,7 @@ RESAMPLES = 1_000
 ROBOTS_FAULT = "intimate_robot_on_person", "collision_robot_on_person", "collision_with_obstacle"
 COUNTED = (*ROBOTS_FAULT, "intimate_person_on_robot", "collision_person_on_robot")
 METRICS = ("time_in_situation", *COUNTED, "time_not_moving", "path_efficiency")
+MAX_BYTES = 2_000_000  # of what was measured on a track
 Columns = dict[str, np.ndarray]  # of the E episodes of a track: (E,), or (E, 1 + S) overall and by situation
 
 
@@ -58,6 +61,22 @@ class Scores:
     violations: Estimate  # (S,) times a minute, in each situation, that the robot came within 0.45 m of somebody
 
 
+class Result(Config):
+    """The content of result.json."""
+
+    protocol: Annotated[int, Number(1, 2**31)]
+    content: Text
+    complete: bool
+    policy: Text
+    policy_digest: Text
+    episodes: Annotated[int, Number(1, tracks.EPISODES)]
+    versions: dict[str, str]
+    files: dict[str, str]
+    scores: dict[str, Any]
+    tracks: dict[str, dict[str, Any]]
+    checksum: Text
+
+
 def run(options: BenchmarkConfig, console: Console | None = None) -> Path:
     """Drive the tracks that the folder lacks, and write the result and the report.
 
@@ -69,16 +88,19 @@ def run(options: BenchmarkConfig, console: Console | None = None) -> Path:
         The folder.
 
     Raises:
-        InputError: there is no such driver, the folder holds something else, or this package is not that of the
-            protocol.
+        InputError: there is no such driver, the folder holds something else, there are more episodes than the protocol
+            has, or this package is not that of the protocol.
         WriteError: another process writes in the folder.
-        FileError: a file in the folder is damaged.
+        IncompleteError: a file in the folder is damaged.
         FloatingPointError: a number is not finite. Finished tracks stay.
     """
     if (found := tracks.content()) != tracks.CONTENT:
         text = f"places, robot or forces have the digest {found}, and protocol {tracks.VERSION} has {tracks.CONTENT}"
         raise InputError(f"benchmark: {text}; take a version of sean_jax whose protocol it is.")
     options = options.replace(episodes=options.episodes or (tracks.QUICK if options.quick else tracks.EPISODES))
+    if (options.episodes or 0) > tracks.EPISODES:
+        text = f"{options.episodes} are more than the {tracks.EPISODES} of a track of protocol {tracks.VERSION}"
+        raise InputError(f"--episodes: {text}; ask for fewer.")
     for track in tracks.TRACKS:
         choice.check(options.policy, tracks.description(track))
     parts.has_started(options)
@@ -87,17 +109,17 @@ def run(options: BenchmarkConfig, console: Console | None = None) -> Path:
         _check_driver(options)
         work = [Part(track, functools.partial(_drive, options, track)) for track in tracks.TRACKS]
         measured: dict[str, Columns] = together(work, console, "benchmark")
-        write(options, measured)
+        write(options, {track: measured[track] for track in tracks.TRACKS})
     return options.folder
 
 
 def _check_driver(options: BenchmarkConfig) -> None:
     """Refuse to go on with another driver of the same name, such as a training that has gone on."""
     file, digest = options.folder / DRIVER, policy_digest(options.policy)
-    had = parts.load(file)
-    if had is None:
-        parts.save(file, {"policy": options.policy, "digest": digest})
-    elif had.get("digest") != digest:
+    driver = {"policy": options.policy, "digest": digest}
+    if not file.exists():
+        parts.save(file, driver)
+    elif parts.load(file) != driver:
         raise InputError(f"{options.folder} was begun when {options.policy} was another driver; choose another --out.")
 
 
@@ -107,7 +129,7 @@ def _drive(options: BenchmarkConfig, track: str, watch: Callable[[float], None])
 
     file = options.folder / f"{track}.npz"
     if file.is_file():
-        return read_track(file)
+        return read_track(options.folder, track, options.episodes or 1)
     from sean_jax.metrics import METRICS as ALL
 
     scenario = dataclasses.replace(
@@ -126,27 +148,75 @@ def _drive(options: BenchmarkConfig, track: str, watch: Callable[[float], None])
         ended = {"completed": np.asarray(batch.states.completed), "seconds": batch.steps * scenario.time_step}
         found.append(ended | measured)
     columns = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
-    for name in ("seconds", "time_in_situation", *COUNTED):
-        if not np.isfinite(columns[name]).all():
+    for name, values in columns.items():
+        if not np.isfinite(values).all():
             raise FloatingPointError(f"{track}: {name} is not finite; nothing of this track is written.")
     with writing.atomic_file(file) as stream:
         np.savez_compressed(stream, **columns)  # pyright: ignore[reportArgumentType]
     return columns
 
 
-def read_track(file: Path) -> Columns:
+def read_track(folder: Path, track: str, episodes: int) -> Columns:
     """What was measured on a track.
 
     Args:
-        file: that ``run`` has written.
+        folder: that ``run`` has written.
+        track: one of ``tracks.TRACKS``.
+        episodes: how many it must have.
 
     Returns:
         name -> (E,) or (E, 1 + S).
 
     Raises:
-        FileError: it is damaged.
+        IncompleteError: the file is missing or damaged, or no episodes can have what it holds.
     """
-    return files.read_arrays(file)
+    file = folder / f"{track}.npz"
+    try:
+        columns = files.read_arrays(file, MAX_BYTES)
+        check_columns(columns, episodes, tracks.TRACKS[track]["time_limit"] + tracks.TRACKS[track]["time_step"])
+    except (FileError, ValueError) as error:
+        text = str(error).rstrip(".")
+        raise IncompleteError(f"{file} is damaged ({text}); remove it, and the same command makes it again.") from error
+    return columns
+
+
+def check_columns(columns: Columns, episodes: int, limit: float) -> None:
+    """Refuse what no episodes can have.
+
+    Args:
+        columns: of a track.
+        episodes: E.
+        limit: s, the longest duration of an episode.
+
+    Raises:
+        ValueError: a column is missing or unknown, or has another shape or type, or an impossible number.
+    """
+    alone = {"completed", "seconds", "path_efficiency"}
+    wanted = {name: (episodes,) if name in alone else (episodes, 1 + len(tracks.SITUATIONS)) for name in METRICS}
+    wanted |= {name: (episodes,) for name in alone}
+    if columns.keys() != wanted.keys():
+        other = ", ".join(sorted(columns.keys() ^ wanted.keys()))
+        raise ValueError(f"its columns are not those of a track: {other:.100}")
+    for name, values in columns.items():
+        kind = "b" if name == "completed" else "f"
+        if values.shape != wanted[name] or values.dtype.kind != kind:
+            named = {"b": "bool", "f": "float"}[kind]
+            raise ValueError(f"{name} is {values.dtype} {values.shape}, not {named} {wanted[name]}")
+        if not np.isfinite(values).all() or (values < 0).any():
+            raise ValueError(f"{name} has a number that is negative or not finite")
+    seconds, time = columns["seconds"], columns["time_in_situation"]
+    close = 1e-3 * limit  # of times in 32 bits
+    if (seconds <= 0).any() or (seconds > limit + close).any():
+        raise ValueError(f"seconds must be more than 0 and at most {limit:g}")
+    if (np.abs(time[:, 0] - seconds) > close).any():
+        raise ValueError("time_in_situation differs from seconds")
+    for name in ("time_in_situation", "time_not_moving"):
+        if (columns[name] > seconds[:, None] + close).any():
+            raise ValueError(f"{name} is longer than its episode")
+    for name in COUNTED:
+        values = columns[name]
+        if (values != np.round(values)).any() or (values > values[:, :1]).any():
+            raise ValueError(f"{name} must be whole numbers, of which no situation has more than the episode")
 
 
 # ------------------------------------------------------------------ figures
@@ -226,7 +296,7 @@ def write(options: BenchmarkConfig, measured: dict[str, Columns]) -> None:
         "scores": _as_json(scores(measured)),
         "tracks": {track: _as_json(each) for track, each in by_track.items()},
     }
-    parts.save(folder / RESULT, content | {"seal": seal(content)})
+    parts.save(folder / RESULT, content | {"checksum": checksum(content)})
     parts.save(folder / REPORT, page.benchmark(options, scores(measured), by_track))
 
 
@@ -246,30 +316,41 @@ def policy_digest(policy: str) -> str:
         policy: a name, a folder, or FILE.py:NAME.
 
     Returns:
-        16 letters: of the numbers of a policy of the package or of a training, or of a file of one's own.
+        16 letters: of the numbers of an agent or of a training, of those of a policy of the package and its name, or of
+        a file of one's own and the name in it.
     """
     described = validate(RunConfig, {"policy": policy}).policy
     if isinstance(described, OwnPart):
-        return components.digest(Path(described.file))[:16]
+        return _digest(components.digest(Path(described.file)), described.name)
     scenario = assembly.build(tracks.description(next(iter(tracks.TRACKS))))[0]
-    return fingerprint(choice.policy(described, scenario).params)
+    numbers = fingerprint(choice.policy(described, scenario).params)
+    return _digest(numbers, described.kind) if described.kind in POLICIES else numbers
 
 
-def seal(content: dict[str, Any]) -> str:
-    """The SHA-256 of a result, by which a change of it is found.
+_digest_of_package = functools.cache(policy_digest)
+
+
+def _digest(*texts: str) -> str:
+    return hashlib.sha256(" ".join(texts).encode()).hexdigest()[:16]
+
+
+def checksum(content: dict[str, Any]) -> str:
+    """The SHA-256 of a result, by which an accidental change of it is seen. Whoever means to can compute it anew.
 
     Args:
-        content: of result.json, without its seal.
+        content: of result.json, without its checksum.
 
     Returns:
         64 hexadecimal digits.
     """
-    text = json.dumps({name: content[name] for name in content if name != "seal"}, sort_keys=True, allow_nan=False)
+    text = json.dumps({name: content[name] for name in content if name != "checksum"}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def check(folder: Path) -> dict[str, Any]:
-    """A result whose seal, files and figures hold together.
+    """A result that is whole, and whose checksum, driver, files and figures hold together.
+
+    That shows accidents, and does not prove who drove: whoever doubts a result runs its command again.
 
     Args:
         folder: that ``run`` has written.
@@ -278,21 +359,40 @@ def check(folder: Path) -> dict[str, Any]:
         The content of result.json.
 
     Raises:
-        InputError: something was changed, or it is of another version of the protocol.
+        InputError: something was changed or is missing, or it is of another version of the protocol.
+        IncompleteError: a file of episodes is damaged, or no episodes can have what it holds.
     """
-    content = files.read_json(folder / RESULT)
-    if not isinstance(content, dict) or content.get("seal") != seal(content):
-        raise InputError(f"{folder / RESULT} was changed after it was written; run the benchmark again.")
-    if content["protocol"] != tracks.VERSION or content["content"] != tracks.CONTENT:
-        text = f"is of protocol {content['protocol']} ({content['content']}), not {tracks.VERSION} ({tracks.CONTENT})"
-        raise InputError(f"{folder / RESULT} {text}; run it again with this version.")
-    for track, digest in content["files"].items():
+    file = folder / RESULT
+    content = files.read_json(file)
+    if not isinstance(content, dict) or content.get("checksum") != checksum(content):
+        raise InputError(f"{file} was changed after it was written; run the benchmark again.")
+    try:
+        result = validate(Result, content)
+    except InputError as error:
+        raise InputError(f"{file} is no result ({str(error).rstrip('.')}); run the benchmark again.") from None
+    if (result.protocol, result.content) != (tracks.VERSION, tracks.CONTENT):
+        text = f"is of protocol {result.protocol} ({result.content}), not {tracks.VERSION} ({tracks.CONTENT})"
+        raise InputError(f"{file} {text}; run it again with this version.")
+    for part, names in (("files", result.files), ("tracks", result.tracks)):
+        if names.keys() != tracks.TRACKS.keys():
+            other = ", ".join(sorted(names.keys() ^ tracks.TRACKS.keys()))
+            raise InputError(f"{file}: {part} lack, or should not have, {other:.200}; run the benchmark again.")
+    made = version_mismatch(result.versions)
+    if result.policy in (*POLICIES, *AGENTS) and result.policy_digest != _digest_of_package(result.policy):
+        text = f"{result.policy} of this package has another digest than its driver ({made or result.policy_digest})"
+        raise InputError(f"{file}: {text}; run the benchmark again.")
+    for track, digest in result.files.items():
         if components.digest(folder / f"{track}.npz") != digest:
             raise InputError(f"{folder / track}.npz is not the file of the result; run the benchmark again.")
-    again = _as_json(scores({track: read_track(folder / f"{track}.npz") for track in content["files"]}))
-    if again != content["scores"]:
-        other = version_mismatch(content["versions"]) or "other figures than its episodes have"
-        raise InputError(f"{folder / RESULT} does not follow from its episodes ({other}); run the benchmark again.")
+    measured = {track: read_track(folder, track, result.episodes) for track in tracks.TRACKS}
+    again = {
+        "complete": result.episodes == tracks.EPISODES,
+        "scores": _as_json(scores(measured)),
+        "tracks": {track: _as_json(scores({track: columns})) for track, columns in measured.items()},
+    }
+    if any(again[name] != content[name] for name in again):
+        other = made or "other figures than its episodes have"
+        raise InputError(f"{file} does not follow from its episodes ({other}); run the benchmark again.")
     return content
 
 
@@ -336,7 +436,8 @@ def ranking(folders: list[Path]) -> list[dict[str, Any]]:
         The content of each result.json, the best first.
 
     Raises:
-        InputError: a result was changed, is of another protocol, or is not complete.
+        InputError: ``check`` refuses a result, one is not complete, or two are of one driver or of one name.
+        IncompleteError: as of ``check``.
     """
     found = [check(folder) for folder in folders]
     for folder, content in zip(folders, found, strict=True):
@@ -344,4 +445,11 @@ def ranking(folders: list[Path]) -> list[dict[str, Any]]:
             raise InputError(
                 f"{folder} has {content['episodes']} episodes a track, too few to rank it; run it in full."
             )
+    for key, what in (("policy_digest", "driver"), ("policy", "name")):
+        by_value: dict[str, Path] = {}
+        for folder, content in zip(folders, found, strict=True):
+            if content[key] in by_value:
+                both = f"{by_value[content[key]]} and {folder}"
+                raise InputError(f"{both} have the same {what}, {content[key]}; rank one of them.")
+            by_value[content[key]] = folder
     return sorted(found, key=lambda content: -content["scores"]["figures"]["polite"]["mean"])
