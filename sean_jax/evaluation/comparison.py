@@ -19,10 +19,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from sean_jax import files, replay, report, writing
+from sean_jax import components, files, replay, report, writing
 from sean_jax.config import CompareConfig, RunConfig, validate
 from sean_jax.errors import InputError
-from sean_jax.evaluation import output, table
+from sean_jax.evaluation import inputs, output, table
 from sean_jax.flags import flag
 from sean_jax.metrics import METRICS, aggregate, resamples
 from sean_jax.metrics.bootstrap import interval
@@ -39,6 +39,7 @@ class Measured:
 
     folder: Path
     config: RunConfig
+    description: dict[str, Any]  # option -> value, with digests in place of files
     tasks: list[str]
     columns: dict[str, np.ndarray]  # name, or metric__situation -> (E,), NaN for an empty cell
     shown: dict[str, Any] | None  # the recording of its report
@@ -106,7 +107,9 @@ def read(folder: Path) -> Measured:
     for name in ("config.yaml", "episodes.csv"):
         if not (folder / name).is_file():
             raise InputError(f"{folder}: holds no {name}; give a folder that `sean run` has finished.")
-    config = validate(RunConfig, output.read_config(folder / "config.yaml"))
+    saved = output.read_config(folder / "config.yaml", check=False)
+    config = validate(RunConfig, saved.description)
+    description = components.relocate(inputs.rename(config.decisive(), saved.identities), saved.identities)
     rows = list(csv.DictReader(files.read_text(folder / "episodes.csv").splitlines()))
     if not rows:
         raise InputError(f"{folder / 'episodes.csv'}: holds no episode; run it again.")
@@ -116,7 +119,7 @@ def read(folder: Path) -> Measured:
             columns[name] = np.array([_number(row[name]) for row in rows])
         except (TypeError, ValueError):
             raise InputError(f"{folder / 'episodes.csv'}: {name} is no column of numbers; restore the file.") from None
-    return Measured(folder, config, [row["task"] for row in rows], columns, _shown(folder))
+    return Measured(folder, config, description, [row["task"] for row in rows], columns, _shown(folder))
 
 
 def _number(text: str) -> float:
@@ -158,7 +161,7 @@ def unlike(first: Measured, second: Measured) -> list[str]:
     Returns:
         Names of fields, but for the number of episodes.
     """
-    one, other = (each.config.decisive() for each in (first, second))
+    one, other = first.description, second.description
     return [name for name in one if name != "episodes" and one[name] != other.get(name)]
 
 
