@@ -38,7 +38,7 @@ WORDS = ("name", "class", "childclass", "file", "filename", "model", "prefix")  
 
 
 def read(path: Path) -> Any:
-    """Read an MJCF (or URDF) file.
+    """Read an MJCF file.
 
     Args:
         path: of the file.
@@ -167,6 +167,8 @@ class _Scan:
         Raises:
             _ElementError: it is refused.
         """
+        if name == "robot":
+            raise _ElementError("is URDF and not MJCF; write it as MJCF, as envs/robots/kuri.xml is")
         if name in REFUSED:
             raise _ElementError(f"<{name}> has no place in a scene or a robot; write its bodies and geoms instead")
         for key, value in attributes.items():
