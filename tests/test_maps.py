@@ -200,6 +200,13 @@ def test_command(tmp_path, capsys):
     assert not (tmp_path / "b").exists()
 
 
+def test_a_link_as_the_folder_of_a_map(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    assert cli.main(["import-map", str(write(tmp_path, plan())), "--out", str(tmp_path / "link")]) == 0
+    assert (tmp_path / "link").is_symlink() and environments.load(tmp_path / "real").obstacles.yaw.shape[0] > 0
+
+
 @pytest.mark.parametrize("people", [2.5, "3", True, -1])
 def test_people_of_a_map_are_a_whole_number(tmp_path, people):
     with pytest.raises(ValueError, match="^people: .* must be "):

@@ -161,8 +161,8 @@ class Evaluation:
         """
         folder = Path(folder)
         check_new_folder(folder, "folder")
-        with writing.folder_lock(folder):
-            output.write_all(folder, self)
+        with writing.atomic_folder(folder) as made:
+            output.write_all(made, self)
         return folder
 
 
