@@ -126,11 +126,14 @@ def _read(word: str, arguments: list[str]) -> Any:
     if configurable and given.config is not None:
         from sean_jax.evaluation.output import read_config
 
-        base = read_config(given.config)
+        saved = read_config(given.config)
+        base = saved.description
         try:
             config.validate(model, base)
         except InputError as error:
             raise InputError(f"{given.config}: {error}") from None
+        for sentence in saved.changes:
+            print(sentence, file=sys.stderr)
     return flags.read(model, given, base)
 
 

@@ -24,6 +24,7 @@ HERE = Path(__file__).resolve().parent
 ENVS: Path = next((path for path in (HERE / "envs", HERE.parent / "envs") if path.is_dir()), HERE / "envs")
 
 SETTINGS, SCENE = "environment.yaml", "scene.xml"
+ANNOTATIONS = "graph.yaml", "handcrafted.yaml"  # which some behaviors read
 TILT_TOLERANCE = 1e-4  # how far from 1 the cosine of a box's tilt may be
 MAX_BOTTOM = 0.05  # m above the floor, for the bottom of a box
 MAX_SEAM = 0.01  # m, between boxes side by side that cover an edge of the floor
@@ -76,6 +77,22 @@ def find(name_or_path: str | Path) -> Path:
         raise InputError(f"{folder} is no environment: it holds no {SETTINGS}.")
     hint = files.suggest(str(name_or_path), names) or f"; give one of them or a folder with {SETTINGS} and {SCENE}."
     raise InputError(f"environment '{name_or_path}' is not one of {', '.join(names)}{hint}")
+
+
+def sources(folder: Path) -> list[Path]:
+    """The files that an environment is read from.
+
+    Args:
+        folder: of the environment.
+
+    Returns:
+        Their paths; those that the scene reads are among them.
+
+    Raises:
+        FileError: the scene cannot be read.
+    """
+    own = [folder / name for name in (SETTINGS, SCENE, *ANNOTATIONS)]
+    return [path for path in own if path.is_file()] + mjcf.sources(folder / SCENE)
 
 
 def default_people(folder: str | Path) -> int:

@@ -27,6 +27,7 @@ SLIVER_SHARE = 0.2  # of the cells that may differ: so many slivers along larger
 OCCUPIED_PERCENT = 65  # occupancy [%] from which a cell of a "scale" or "raw" map is an obstacle; map_saver's default
 AREA_PER_PERSON = 25.0  # m2 of free floor, as in the warehouse
 MAX_BOXES = MAX_OBSTACLES  # more are noise, and no path could be planned among them
+MAX_RESOLUTION = 0.5  # m: a larger pixel than a person leaves open neither a door nor the way between two walls
 MAX_BYTES = 100_000_000  # of an image
 MAX_CELLS = 16_000_000
 SIZE_CURE = "cut it out or lower its resolution"
@@ -40,7 +41,7 @@ class MapFile(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
 
     image: Annotated[str, pydantic.Field(min_length=1)]
-    resolution: Annotated[float, pydantic.Field(ge=1e-3, le=10)]  # m, side of a pixel
+    resolution: Annotated[float, pydantic.Field(ge=1e-3)]  # m, side of a pixel
     origin: tuple[Coordinate, Coordinate, float]  # m, m, rad: pose of the lower left corner
     negate: bool | Literal[0, 1] = 0
     occupied_thresh: Annotated[float, pydantic.Field(ge=0, le=1)]
@@ -82,6 +83,8 @@ def read(path: Path | str) -> Raster:
         FileError: a file cannot be used.
     """
     path = Path(path)
+    if path.is_file() and _is_image(path):
+        raise FileError(f"{files.short_name(path)}: is an image; give the map's YAML file, which names it.")
     settings = files.load(path, MapFile, _problems)
     image = path.parent / settings.image
     if not os.path.lexists(image):
@@ -104,11 +107,24 @@ def read(path: Path | str) -> Raster:
 
 def _problems(settings: MapFile) -> list[files.Problem]:
     problems: list[files.Problem] = []
+    if settings.resolution > MAX_RESOLUTION:
+        what = f"a pixel of {settings.resolution:g} m is larger than a door is wide"
+        problems.append((("resolution",), f"{what}; give metres a pixel, such as 0.05, and {MAX_RESOLUTION:g} at most"))
     if settings.origin[2] != 0:
         problems.append((("origin", 2), f"the map is turned by {settings.origin[2]:g} rad; turn its image and give 0"))
     if settings.free_thresh > settings.occupied_thresh:
         problems.append((("free_thresh",), f"{settings.free_thresh:g} is more than occupied_thresh; exchange them"))
     return problems
+
+
+def _is_image(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream, Image.open(stream, formats=FORMATS):
+            return True
+    except Image.DecompressionBombError:
+        return True
+    except (OSError, ValueError, UnidentifiedImageError):
+        return False
 
 
 def _image(image: Path) -> tuple[np.ndarray, np.ndarray]:

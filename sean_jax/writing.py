@@ -11,6 +11,7 @@ import errno
 import os
 import shutil
 import socket
+import stat
 import time
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -25,6 +26,7 @@ except ImportError:  # Windows, where folders are not locked
 
 LOCK = ".lock"
 DISK_FULL = "the disk is full"
+LINK = "is a link or no regular file, through which nothing is written; remove it."
 PATIENCE = 0.1  # s, for which one who wants to write waits for those who look
 
 
@@ -41,7 +43,7 @@ def atomic_file(file: Path) -> Iterator[BinaryIO]:
         A binary stream.
 
     Raises:
-        WriteError: another process writes the file.
+        WriteError: another process writes the file, or its temporary name is that of a link.
     """
     temporary = file.with_name(f".{file.name}.new")
     try:
@@ -97,7 +99,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
     If the folder is empty at the end, what was made for it vanishes again.
 
     Args:
-        folder: to be written.
+        folder: to be written; of a symbolic link, the folder that it leads to.
 
     Yields:
         None.
@@ -105,7 +107,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
     Raises:
         WriteError: another process holds the folder, or it cannot be written.
     """
-    folder = Path(os.path.abspath(folder))
+    folder = Path(os.path.realpath(folder))
     if os.path.exists(folder) and not os.path.isdir(folder):
         raise WriteError(f"{folder} is a file, give the name of a folder with --out.")
     made = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
@@ -144,7 +146,7 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
     After a kill it lies in ``.NAME.unfinished`` until the next process that writes ``folder``.
 
     Args:
-        folder: to be written.
+        folder: to be written; of a symbolic link, the folder that it leads to.
 
     Yields:
         The new folder.
@@ -152,8 +154,12 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
     Raises:
         WriteError: ``folder`` holds something already, or cannot be written.
     """
-    folder = Path(os.path.abspath(folder))
+    folder = Path(os.path.realpath(folder))
     unfinished = folder.with_name(f".{folder.name}.unfinished")
+    if os.path.ismount(folder):
+        raise WriteError(f"{folder} is a mount point, which no other folder can replace; give --out a folder in it.")
+    if os.path.islink(unfinished):
+        raise WriteError(f"{unfinished} {LINK}")
     if os.path.exists(folder) and not os.path.isdir(folder):
         raise WriteError(f"{folder} is a file, give the name of a folder with --out.")
     try:
@@ -199,12 +205,17 @@ def is_locked(folder: Path) -> bool:
     if fcntl is None:
         return False
     try:
-        with (folder / LOCK).open("rb") as stream:
-            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        descriptor = os.open(folder / LOCK, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+    except OSError:  # there is none, or it is somebody else's
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
-    except OSError:  # there is none, or it is somebody else's
+    except OSError:
         pass
+    finally:
+        os.close(descriptor)
     return False
 
 
@@ -230,23 +241,30 @@ def broken(error: OSError) -> str:
         error: of the system.
 
     Returns:
-        The cause in a few words, and the file in brackets if there is one.
+        The cause in a few words, and the file in brackets if there is one; of a full disk, the cause alone.
     """
-    return reason(error) + (f" ({error.filename})" if error.filename else "")
+    cause = reason(error)
+    return cause + (f" ({error.filename})" if error.filename and cause != DISK_FULL else "")
 
 
 def _lock(file: Path) -> int:
     """A descriptor of the file, made if need be, that nobody else gets until it is closed.
 
-    Raises BlockingIOError if another has it for longer than a look, OSError if it cannot be had.
+    Raises BlockingIOError if another has it for longer than a look, WriteError if it is a link or no regular file, as
+    somebody may put there so that another file is overwritten, OSError if it cannot be had.
     """
+    if file.is_symlink():
+        raise WriteError(f"{file} {LINK}")
     until = time.monotonic() + PATIENCE
     while True:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
         try:
+            status = os.fstat(descriptor)
+            if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
+                raise WriteError(f"{file} {LINK}")
             if fcntl is not None:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.path.samestat(os.fstat(descriptor), file.stat()):
+            if os.path.samestat(status, file.lstat()):
                 return descriptor
         except FileNotFoundError:
             pass  # who had it renamed or removed it in between

@@ -269,7 +269,8 @@ def described() -> bytes:
 
     behavior = GraphBehavior(routing="edge", walking_groups=(0.5, 0.0), congestion_cost=1.0)
     run = RunConfig(environment="lab", behavior=behavior, people=4, time_limit=60.0, thresholds={"walking": 0.5})
-    content = {"command": "sean run", "config": json.loads(json.dumps(run.decisive())), "sha256": {}}
+    content = {"command": "sean run", "config": json.loads(json.dumps(run.decisive()))}
+    content |= {"copies": {"lab": "environment/lab"}, "sha256": {}}
     return yaml.safe_dump(content, sort_keys=False).encode()
 
 

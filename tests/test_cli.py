@@ -232,7 +232,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_others(tmp_path, capsys)
 def test_run_writes_a_whole_folder(tmp_path, capsys):
     lines = small_run(tmp_path / "a", capsys, 1, "--camera", "depth").decode().splitlines()
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
-    written = {"config.yaml", "episodes.csv", "summary.json", "report.html", "episode.gif", "camera.gif"}
+    written = {"config.yaml", "environment", "episodes.csv", "summary.json", "report.html", "episode.gif", "camera.gif"}
     assert {path.name for path in (tmp_path / "a").iterdir()} == written
     assert [line.split(",")[1] for line in lines[1:]] == ["join_group", "leave_group", "join_group"]
     config = yaml.safe_load((tmp_path / "a" / "config.yaml").read_text())

@@ -40,7 +40,7 @@ def test_nobody_is_inside_an_obstacle_and_groups_fill(run):
 
 
 def test_results_are_complete(run):
-    names = {"config.yaml", "episodes.csv", "summary.json", "report.html", "episode.gif"}
+    names = {"config.yaml", "environment", "episodes.csv", "summary.json", "report.html", "episode.gif"}
     assert {path.name for path in run.iterdir()} == names
     rows = (run / "episodes.csv").read_text().splitlines()
     assert len(rows) == 65 and "nan" not in "".join(rows) and "inf" not in "".join(rows)

@@ -1,9 +1,13 @@
 """``sean run --live``: what is served is what is simulated, to this computer alone, until the run is over."""
 
+import contextlib
 import json
 import shutil
 import socket
+import struct
 import subprocess
+import threading
+import time
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -102,6 +106,47 @@ def test_nobody_else_is_served(walked):
             pass
     with pytest.raises(urllib.error.URLError):
         get(served.url)
+
+
+def test_connections_that_break_off_say_nothing_in_the_terminal(walked, capfd):
+    """Reset before, within and after a request, while the page is served to others."""
+    with live.serve(walked[0], "") as served:
+        port = int(served.url.split(":")[2].strip("/"))
+        for turn in range(60):
+            connection = socket.create_connection((live.HOST, port), timeout=5)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # closing resets it
+            request = f"GET / HTTP/1.1\r\nHost: {live.HOST}:{port}\r\n\r\n".encode()
+            connection.sendall(request[: len(request) * (turn % 5) // 4])
+            if turn % 2:
+                time.sleep(0.002)
+            connection.close()
+        assert "<html" in get(served.url)
+    assert capfd.readouterr().err == ""
+
+
+def test_half_open_requests_keep_few_threads_and_nobody_out(walked):
+    before = threading.active_count()
+    with live.serve(walked[0], "") as served:
+        port = int(served.url.split(":")[2].strip("/"))
+        with contextlib.ExitStack() as stack:
+            opened = []
+            for _ in range(4 * live.CONNECTIONS):
+                opened.append(stack.enter_context(socket.create_connection((live.HOST, port), timeout=20)))
+                opened[-1].sendall(b"GET / HT")
+                assert "<html" in get(served.url)
+            for connection in opened[: 3 * live.CONNECTIONS]:  # the oldest were closed by the server
+                assert connection.recv(1) == b""
+            while threading.active_count() > before + 1 + live.CONNECTIONS:
+                time.sleep(0.01)
+
+
+def test_a_silent_connection_is_closed(walked, monkeypatch):
+    monkeypatch.setattr(live, "PATIENCE", 0.05)
+    with live.serve(walked[0], "") as served:
+        port = int(served.url.split(":")[2].strip("/"))
+        with socket.create_connection((live.HOST, port), timeout=20) as connection:
+            connection.sendall(b"GET / HT")
+            assert connection.recv(1) == b""
 
 
 def test_a_run_serves_its_first_episode(tmp_path, monkeypatch, capsys):

@@ -148,6 +148,11 @@ def test_an_imported_map_is_the_map_again(tmp_path, unknown):
             {"image": "plan.pgm", "resolution": 0},
             "plan.yaml:2:13: resolution: 0 is less than 0.001, the least allowed.",
         ),
+        (
+            {"image": "plan.pgm", "resolution": 5},
+            "plan.yaml:2:13: resolution: a pixel of 5 m is larger than a door is wide; give metres a pixel, such as "
+            "0.05, and 0.5 at most.",
+        ),
         ({"origin": [0, 0, 0.5]}, "origin[2]: the map is turned by 0.5 rad; turn its image and give 0."),
         ({"free_thresh": 0.7}, "free_thresh: 0.7 is more than occupied_thresh; exchange them."),
         ({"mode": "trinry"}, "mode: 'trinry' is not one of trinary, scale, raw; did you mean 'trinary'?"),
@@ -172,6 +177,14 @@ def test_images_that_cannot_be_read(tmp_path):
         maps.read(path)
 
 
+@pytest.mark.parametrize("suffix", ["png", "pgm", "bmp", "gif", "jpg", "tif"])
+def test_an_image_in_place_of_its_yaml_file(tmp_path, suffix):
+    path = tmp_path / f"plan.{suffix}"
+    Image.fromarray(np.random.default_rng(0).integers(0, 256, (40, 60), np.uint8)).save(path)
+    with pytest.raises(FileError, match=f"plan.{suffix}: is an image; give the map's YAML file, which names it"):
+        maps.read(path)
+
+
 def test_command(tmp_path, capsys):
     path = write(tmp_path, plan())
     arguments = ["import-map", str(path), "--out", str(tmp_path / "place"), "--people", "3"]
@@ -185,6 +198,13 @@ def test_command(tmp_path, capsys):
     assert cli.main(["import-map", str(tmp_path / "plam.yaml"), "--out", str(tmp_path / "b")]) == 2
     assert "did you mean 'plan.yaml'?" in capsys.readouterr().err
     assert not (tmp_path / "b").exists()
+
+
+def test_a_link_as_the_folder_of_a_map(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    assert cli.main(["import-map", str(write(tmp_path, plan())), "--out", str(tmp_path / "link")]) == 0
+    assert (tmp_path / "link").is_symlink() and environments.load(tmp_path / "real").obstacles.yaw.shape[0] > 0
 
 
 @pytest.mark.parametrize("people", [2.5, "3", True, -1])

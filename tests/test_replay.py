@@ -90,6 +90,18 @@ def test_the_page_is_whole_and_refers_to_nothing_outside(content):
     assert len(ids) == len(set(ids))
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_no_name_ends_the_pages_data_or_begins_a_comment_in_it(content, seed):
+    """Of what HTML reads in a script element only "<" matters (HTML standard, 13.2.5.4 and the states it leads to)."""
+    random = np.random.default_rng(seed)
+    parts = ["<!--", "<script>", "</script>", "-->", "<", "&lt;", "\\u003c", "\\", '"', "name", " "]
+    name = "<!--<script>" if seed == 0 else "".join(random.choice(parts, 8))
+    named = content | {"title": name, "place": content["place"] | {"name": name}}
+    for page in (replay.html(named), replay.html_of_several([(name, named)])):
+        (held,) = re.findall(r'<script type="application/json" id="[^"]*">(.*?)</script>', page, re.S)
+        assert "<" not in held and json.loads(held) == named
+
+
 def test_it_holds_what_was_walked(walked, content):
     scenario, frames = walked
     assert [each["frames"] for each in content["episodes"]] == [int(each.active.sum()) for each in frames]

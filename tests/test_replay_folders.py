@@ -49,7 +49,7 @@ def test_demonstrations_are_driven_again(dataset, capsys):
     data = open_dataset(dataset)
     shards = data.manifest["shards"]
     for number, episode in ((5, first), (0, second)):
-        assert episode["title"].startswith(f"episode {number} · ") and "rounded otherwise" not in episode["outcome"]
+        assert episode["title"].startswith(f"episode {number} · ") and "in the dataset" not in episode["outcome"]
         (recorded,) = [each for each in data.episodes if each.number == number]
         assert recorded.length == shards[number // 4]["lengths"][number % 4] == -(-episode["frames"] // 10)
         rows, columns = data.read([recorded]), episode["columns"]  # rows are before each second's first step

@@ -1,5 +1,6 @@
 """Robots: their files, how they move, stop and touch; the MJX robot against its twin, C MuJoCo and differences."""
 
+import contextlib
 import functools
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from quick import quick
 import sean_jax
 from sean_jax import environment, robots
 from sean_jax.base import Obstacles
+from sean_jax.errors import FileError
 from sean_jax.robots.drive import coordinates
 from sean_jax.robots.twin import diagonal
 
@@ -606,6 +608,17 @@ def test_unknown_names(wrong, dynamics, message):
         ('<geom name="right_wheel"/>', '<inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>',
          "but its right wheel has no geom"),
         ('pos="0 0.0875 0.035"', 'pos="0.02 0.0875 0.035"', "its wheels lie 0.02 m and 0 m ahead of the base's hinge"),
+        ('pos="0 0.0875 0.035"', 'pos="0 0.0875 99"', "its left wheel begins 98.97 m above the floor"),
+        ('0.0875 0.035"', '5 0.035"', "its left wheel is 5 m from the base's hinge, beyond its radius of 0.16 m, "),
+        ('<geom name="left_wheel"/>', '<geom name="left_wheel" pos="0 0 0.3"/>', "wheel is not round about its hinge"),
+        ('zaxis="0 1 0" mass', 'zaxis="1 0 0" mass', "first geom of its left wheel is not round about its hinge"),
+        ('zaxis="0 1 0" mass="0.1"', 'zaxis="0 1 0" mass="1e-9"', "its left wheel has 1e-09 kg, less than 0.001 kg"),
+        ('mass="', 'mass="1e-6" user="', "its base has 7e-06 kg, less than 0.001 kg, its left wheel has 1e-06 kg"),
+        ('mass="', 'mass="0" user="', "mass and inertia of moving bodies must be larger"),
+        ('data="0.5"', 'data="0.5 7 9"', 'the numeric max_speed is "0.5 7 9", 3 numbers; give one'),
+        ('data="0.5"', 'data="0.5" size="2"', 'the numeric max_speed is "0.5 0", 2 numbers; give one'),
+        ('0 0.9962" fovy="60"', '0 0.9962" fovy="-60"', "fovy of camera 'depth' is -60, but must be more than 0"),
+        ('fovy="81.2"', 'fovy="180"', "fovy too large in camera 'overhead'"),
         ('<joint name="x" type', '<joint name="x" damping="1" type', r"but joint 'x' has a damping \(see"),
         ('<body name="base">', '<body name="base" euler="0 0.1 0">', r"but its base is tilted by 5.73 degrees \(see"),
         (
@@ -623,6 +636,35 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, old, new, message):
     with pytest.raises(ValueError, match=message) as error:
         robots.load(path)
     assert "\n" not in str(error.value)
+
+
+URDF = """<?xml version="1.0"?>
+<robot name="box">
+  <link name="base"><visual><geometry><box size="1 1 1"/></geometry></visual></link>
+</robot>"""
+
+
+def test_a_urdf_file_is_refused_as_one(tmp_path):
+    (tmp_path / "box.urdf").write_text(URDF)
+    with pytest.raises(FileError, match=r"box.urdf:2: is URDF and not MJCF; write it as MJCF, as .*kuri.xml is\.$"):
+        robots.load(tmp_path / "box.urdf")
+
+
+def test_wheels_are_accepted_where_they_stand_between_the_base_and_the_floor_and_nowhere_else(tmp_path):
+    """Random places, against what the places themselves say."""
+    random, text, accepted = np.random.default_rng(0), robots.ROBOTS["kuri"].read_text(), 0
+    for _ in range(200):
+        half, radius = random.uniform(0.02, 0.3), random.uniform(0.02, 0.1)
+        lowest = random.choice([0.0, random.uniform(-0.02, 0.02)])
+        changed = text.replace('0.0875 0.035"', f'{half} {radius + lowest}"').replace(
+            'size="0.035 ', f'size="{radius} '
+        )
+        (tmp_path / "own.xml").write_text(changed)
+        right = half <= 0.16 and abs(lowest) <= 5e-3
+        with contextlib.nullcontext() if right else pytest.raises(FileError, match="its (left|right) wheel"):
+            robots.load(tmp_path / "own.xml", "twin")
+        accepted += right
+    assert 30 < accepted < 170
 
 
 def test_all_that_is_missing_is_said_at_once(tmp_path):

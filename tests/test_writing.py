@@ -1,5 +1,6 @@
 """Results are whole or not there, a folder has one writer at a time, and who was killed is not in the way."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -163,5 +164,61 @@ def test_a_lock_that_cannot_be_read_is_nobodys(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     (tmp_path / writing.LOCK).touch()
-    monkeypatch.setattr(type(tmp_path), "open", refused)
+    monkeypatch.setattr(writing.os, "open", refused)
     assert not writing.is_locked(tmp_path)
+
+
+def put_link(place, target, kind):
+    """Something at a place through which the target, or nothing at all, would be written."""
+    if kind == "pipe":
+        os.mkfifo(place)
+    else:
+        (place.symlink_to if kind == "symbolic" else place.hardlink_to)(target)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
+@pytest.mark.parametrize("kind", ["symbolic", "hard", "pipe"])
+@pytest.mark.parametrize("name", [".a.new", ".lock"])
+def test_nothing_is_written_through_a_link_that_lies_at_a_temporary_name(tmp_path, kind, name):
+    target, work = tmp_path / "target", tmp_path / "work"
+    target.write_text("precious")
+    work.mkdir()
+    put_link(work / name, target, kind)
+    with pytest.raises(WriteError, match=rf"work/\{name} is a link or no regular file, .*; remove it\.$"):
+        if name == ".lock":
+            with writing.folder_lock(work):
+                raise AssertionError
+        writing.write(work / "a", "new")
+    assert target.read_text() == "precious" and names(work) == [name] and not writing.is_locked(work)
+
+
+def test_a_half_written_folder_that_is_a_link_is_not_written_through(tmp_path):
+    (tmp_path / "target" / "whole").mkdir(parents=True)
+    (tmp_path / "target" / "whole" / "precious").touch()
+    (tmp_path / ".run.unfinished").symlink_to(tmp_path / "target")
+    with pytest.raises(WriteError, match="run.unfinished is a link"), writing.atomic_folder(tmp_path / "run"):
+        raise AssertionError
+    assert names(tmp_path / "target") == ["whole", "whole/precious"]
+
+
+@pytest.mark.parametrize("there", [True, False])
+@pytest.mark.parametrize("way", ["folder_lock", "atomic_folder"])
+def test_a_link_to_a_folder_stands_for_that_folder(tmp_path, way, there):
+    """An empty one, or one that is yet to be made: the link stays, and what it leads to is written."""
+    target, link = tmp_path / "elsewhere" / "real", tmp_path / "link"
+    target.parent.mkdir()
+    if there:
+        target.mkdir()
+    link.symlink_to(target)
+    with getattr(writing, way)(link) as made:
+        ((made or link) / "a").write_text("1")
+    assert link.is_symlink() and names(target) == ["a"] and names(tmp_path) == ["elsewhere", "elsewhere/real",
+                                                                               "elsewhere/real/a", "link"]  # fmt: skip
+
+
+def test_a_mount_point_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(os.path, "ismount", lambda path: str(path) == str(tmp_path / "disk"))
+    with pytest.raises(WriteError, match="is a mount point"), writing.atomic_folder(tmp_path / "disk"):
+        raise AssertionError
+    with writing.atomic_folder(tmp_path / "disk" / "run") as made:
+        (made / "a").touch()

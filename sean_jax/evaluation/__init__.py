@@ -21,7 +21,7 @@ from sean_jax import assembly, drawing, interrupts, robots, sensors, trajectorie
 from sean_jax.base import Policy, PolicyLike, Scenario, Trajectory
 from sean_jax.config import OwnPart, RunConfig, Value
 from sean_jax.errors import InputError
-from sean_jax.evaluation import frames, output, statistics, table, tally
+from sean_jax.evaluation import frames, inputs, output, statistics, table, tally
 from sean_jax.evaluation.tally import Finished
 from sean_jax.evaluation.unfinished import Unfinished, check_place, unfinished_runs
 from sean_jax.flags import number
@@ -31,6 +31,7 @@ from sean_jax.progress import Progress, progress
 from sean_jax.replay.live import Live, serve
 from sean_jax.runner import Batch, Runner, Watch, not_finite
 from sean_jax.scenario import results
+from sean_jax.versions import fingerprint
 from sean_jax.writing import check_new_folder
 
 if TYPE_CHECKING:
@@ -160,8 +161,8 @@ class Evaluation:
         """
         folder = Path(folder)
         check_new_folder(folder, "folder")
-        with writing.folder_lock(folder):
-            output.write_all(folder, self, None)
+        with writing.atomic_folder(folder) as made:
+            output.write_all(made, self)
         return folder
 
 
@@ -233,9 +234,11 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
         _tell_of_others(console, config, folder)
         with console.status("preparing the scenario"):
             _check(config)
+            made_of = inputs.read(config)
             scenarios = assembly.build(config)
             policy = choice.policy(config.policy, scenarios[0])
         unfinished.settle(scenarios[0], policy)
+        made_of = made_of._replace(fingerprint=fingerprint(scenarios[0], policy.params))
         _introduce(console, scenarios, policy, config)
         if unfinished.episodes:
             console.print(f"[dim]going on after {unfinished.episodes} finished episodes[/]", highlight=False)
@@ -248,7 +251,7 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
         table.print_table(console, evaluation.summary(), evaluation.definitions, evaluation.title)
         complete = len(evaluation.tasks) == config.episodes
         with console.status("drawing the report"), unfinished.results(complete) as place:
-            output.write_all(place, evaluation, config)
+            output.write_all(place, evaluation, config, made_of)
             if config.trajectories is not None:
                 parts = [unfinished.frames(*batch) for batch in _batches(len(evaluation.tasks), config)]
                 whole = place / f"trajectories.{config.trajectories}"

@@ -1,13 +1,13 @@
 """``sean replay``: episodes of a run, a dataset or a training once more, on a page that plays them.
 
 An episode is drawn from a seed and its number, so any of them can be seen, not only those whose frames were kept.
-Simulated by itself, its numbers are rounded otherwise than in a batch; where it then ends at another time than the
-folder says, the page tells.
+Simulated by itself, its numbers may be rounded otherwise than in a batch; where it then ends at another time than the
+folder says, the page tells why, as far as versions and fingerprints show it.
 """
 
 import functools
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
+from rich.text import Text
 
 from sean_jax import assembly, files, flags, replay, writing
 from sean_jax.base import Array, Policy, Scenario, State, Trajectory
@@ -27,6 +28,7 @@ from sean_jax.learning.manifests import CONFIG, read_method
 from sean_jax.learning.protocol import streams
 from sean_jax.progress import progress
 from sean_jax.runner import Record, Runner, Watch
+from sean_jax.versions import fingerprint, version_mismatch
 
 MANIFEST = "dataset.json"
 KINDS = "give a folder that `sean run`, `collect`, `train` or `validate` has written."
@@ -45,6 +47,7 @@ class Source:
     turn: Callable[[int], int]  # as the user counts -> index of its scenario
     title: Callable[[int], str]
     told: Callable[[int, int], str] = lambda number, steps: ""  # what the folder says otherwise of so many steps
+    changes: Sequence[str] = ()  # a sentence on each file that is no longer as it was
 
 
 def write(options: ReplayConfig, console: Console) -> Path:
@@ -72,6 +75,8 @@ def write(options: ReplayConfig, console: Console) -> Path:
     writing.check_file(path, (".html",))
     with console.status("preparing the scenario"):
         source = made[found](folder, numbers)
+    for sentence in source.changes:
+        console.print(Text(sentence), soft_wrap=True)
     shown = []
     scenario = source.scenarios[source.turn(numbers[0])]
     runner = Runner(source.scenarios, source.policy, 1, source.use, source.record)
@@ -117,10 +122,13 @@ def _title(number: int, name: str) -> str:
 
 def _of_run(folder: Path, numbers: list[int]) -> Source:
     """The episodes of ``sean run``, from its config.yaml."""
-    config = validate(RunConfig, output.read_config(folder / "config.yaml"))
+    saved = output.read_config(folder / "config.yaml")
+    config = validate(RunConfig, saved.description)
     _check(numbers, config.episodes, folder)
     scenarios = assembly.build(config)
+    policy = choice.policy(config.policy, scenarios[0])
     ended, step = _ended(folder / "episodes.csv"), scenarios[0].time_step
+    cause = _cause(saved.versions, saved.fingerprint, fingerprint(scenarios[0], policy.params))
 
     def turn(number: int) -> int:
         return number % len(scenarios)
@@ -128,11 +136,11 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
     def told(number: int, steps: int) -> str:
         if number not in ended or abs(ended[number] - steps * step) <= 0.5 * step:
             return ""
-        return f" ({ended[number]:.1f} s in the run, where numbers were rounded otherwise)"
+        return f" ({ended[number]:.1f} s in the run: {cause})"
 
     return Source(
         scenarios=scenarios,
-        policy=choice.policy(config.policy, scenarios[0]),
+        policy=policy,
         use="run",
         seed=config.seed,
         record=tally.record(scenarios[0], 1),
@@ -140,7 +148,17 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
         turn=turn,
         title=lambda number: _title(number, scenarios[turn(number)].task_name),
         told=told,
+        changes=saved.changes,
     )
+
+
+def _cause(versions: Any, then: str, now: str) -> str:
+    """Why an episode is not as it was, as far as a folder tells: the fingerprints are of scenario and policy."""
+    if (other := version_mismatch(versions)) is not None:
+        return f"it was made with {other}"
+    if not then:
+        return "it does not tell what its scenario was"
+    return "its rounding differs" if then == now else "its scenario or its policy was another"
 
 
 def _ended(path: Path) -> dict[int, float]:
@@ -171,6 +189,8 @@ def _of_dataset(folder: Path, numbers: list[int]) -> Source:
         policy = labels.disturbed(policy, config.noise)
     if config.labels is not None:
         policy = labels.labelled(policy, choice.policy(config.labels, scenarios[0], "labels"))
+    now = fingerprint(scenarios[0], [scenario.behavior for scenario in scenarios], policy.params)
+    cause = _cause(manifest.get("versions"), manifest.get("content", ""), now)
     every = round(1.0 / scenarios[0].time_step) // config.rate
 
     def turn(number: int) -> int:
@@ -180,7 +200,7 @@ def _of_dataset(folder: Path, numbers: list[int]) -> Source:
         rows = manifest["shards"][number // size]["lengths"][number % size]
         if rows == -(-steps // every):
             return ""
-        return f" ({rows / config.rate:.0f} s in the dataset, where numbers were rounded otherwise)"
+        return f" ({rows / config.rate:.0f} s in the dataset: {cause})"
 
     return Source(
         scenarios=scenarios,

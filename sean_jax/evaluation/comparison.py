@@ -17,10 +17,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from sean_jax import files, replay, report, writing
+from sean_jax import components, files, replay, report, writing
 from sean_jax.config import CompareConfig, RunConfig, validate
 from sean_jax.errors import InputError
-from sean_jax.evaluation import output, table
+from sean_jax.evaluation import inputs, output, table
 from sean_jax.flags import flag
 from sean_jax.metrics import METRICS, aggregate, resamples
 from sean_jax.metrics.bootstrap import interval
@@ -37,6 +37,7 @@ class Measured:
 
     folder: Path
     config: RunConfig
+    description: dict[str, Any]  # option -> value, with digests in place of files
     tasks: list[str]
     columns: dict[str, np.ndarray]  # name, or metric__situation -> (E,), NaN for an empty cell
     shown: dict[str, Any] | None  # the recording of its report
@@ -105,16 +106,18 @@ def read(folder: Path) -> Measured:
     for name in ("config.yaml", "episodes.csv"):
         if not (folder / name).is_file():
             raise InputError(f"{folder}: holds no {name}; give a folder that `sean run` has finished.")
-    config = validate(RunConfig, output.read_config(folder / "config.yaml"))
+    saved = output.read_config(folder / "config.yaml", check=False)
+    config = validate(RunConfig, saved.description)
+    description = components.relocate(inputs.rename(config.decisive(), saved.identities), saved.identities)
     tasks, columns = output.read_episodes(folder / "episodes.csv")
     if len(tasks) > config.episodes:
         what = f"has {len(tasks):,} episodes and config.yaml {config.episodes:,}"
         raise InputError(f"{folder / 'episodes.csv'}: {what}; restore the files.")
     columns.pop("timed_out", None)
     try:
-        return Measured(folder, config, tasks, columns, _shown(folder / "report.html"))
+        return Measured(folder, config, description, tasks, columns, _shown(folder / "report.html"))
     except InputError as error:
-        return Measured(folder, config, tasks, columns, None, str(error))
+        return Measured(folder, config, description, tasks, columns, None, str(error))
 
 
 def _shown(page: Path) -> dict[str, Any] | None:
@@ -154,7 +157,7 @@ def unlike(first: Measured, second: Measured) -> list[str]:
     Returns:
         Names of fields, but for the number of episodes.
     """
-    one, other = (each.config.decisive() for each in (first, second))
+    one, other = first.description, second.description
     return [name for name in one if name != "episodes" and one[name] != other.get(name)]
 
 

@@ -7,7 +7,7 @@ import json
 import math
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -15,6 +15,8 @@ import yaml
 from sean_jax import components, files
 from sean_jax.config import Config, RunConfig
 from sean_jax.errors import FileError, InputError
+from sean_jax.evaluation import inputs
+from sean_jax.evaluation.inputs import Inputs
 from sean_jax.flags import command
 from sean_jax.metrics import METRICS
 from sean_jax.quantities import MAX_DURATION, MAX_MAGNITUDE
@@ -30,18 +32,21 @@ WORDS = {"True": 1.0, "False": 0.0, "": math.nan}  # of episodes.csv
 PARTS = "parts"  # folder beside config.yaml with the files that parts of one's own came from
 
 
-def write_all(folder: Path, evaluation: "Evaluation", config: RunConfig | None) -> None:
+def write_all(
+    folder: Path, evaluation: "Evaluation", config: RunConfig | None = None, made_of: Inputs | None = None
+) -> None:
     """All files of an evaluation.
 
     Args:
         folder: an empty one.
         evaluation: what was found.
         config: what ``sean run`` was told; None for an evaluation in Python, which no file repeats.
+        made_of: the files that ``config`` names.
     """
     from sean_jax import drawing, replay, report
 
     made_with = versions()
-    write_config(folder, evaluation, config, made_with)
+    write_config(folder, evaluation, config, made_of, made_with)
     write_episodes(folder / "episodes.csv", evaluation)
     summary = evaluation.summary()
     (folder / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
@@ -188,24 +193,27 @@ def _number(cell: str) -> float:
         return math.inf
 
 
-def write_config(folder: Path, evaluation: "Evaluation", config: RunConfig | None, made_with: dict[str, str]) -> None:
-    """config.yaml, by which ``sean run --config`` repeats the run; files of the user's own parts are copied beside it.
+def write_config(
+    folder: Path, evaluation: "Evaluation", config: RunConfig | None, made_of: Inputs | None, made_with: dict[str, str]
+) -> None:
+    """config.yaml, by which ``sean run --config`` repeats the run; the files that the run was made of are beside it.
 
     Args:
-        folder: for the file and its ``parts``.
+        folder: for the file and the copies.
         evaluation: what was found.
         config: what ``sean run`` was told, or None.
+        made_of: the files that ``config`` names, or None.
         made_with: package -> version.
     """
     content: dict[str, Any] = {}
-    if config is not None:
+    if config is not None and made_of is not None:
         copies, hashes = copy_parts(folder, config)
-        data = config.decisive() | {name: getattr(config, name) for name in ("camera", "renderer")}
-        told = {name: value for name, value in data.items() if value is not None}
+        told = {name: value for name, value in made_of.description.items() if value is not None}
         content["command"] = command("run", config)
         content["config"] = components.relocate(json.loads(json.dumps(told)), copies)
-        if hashes:
-            content["sha256"] = hashes
+        content["copies"] = made_of.copies
+        content["sha256"] = hashes | made_of.write(folder)
+        content["fingerprint"] = made_of.fingerprint
     else:
         content["made by"] = "a Python program with values of its own, which a file cannot repeat"
         content["scenario"] = evaluation.names()
@@ -238,17 +246,28 @@ def copy_parts(folder: Path, config: Config) -> tuple[dict[str, str], dict[str, 
     return copies, hashes
 
 
-def read_config(path: Path) -> dict[str, Any]:
-    """The description in a config.yaml, whose parts are found beside it.
+class Saved(NamedTuple):
+    """What a config.yaml tells."""
+
+    description: dict[str, Any]  # field -> value, for ``RunConfig``
+    changes: list[str]  # a sentence on each file that is no longer as it was in the run
+    identities: dict[str, str]  # file or folder of the description -> what tells its content
+    fingerprint: str  # of the scenario and the policy; "" if it is not told
+    versions: dict[str, str]  # package -> version; {} if it is not told
+
+
+def read_config(path: Path, check: bool = True) -> Saved:
+    """The description in a config.yaml, whose files are found beside it where they are no longer as they were.
 
     Args:
         path: of the file.
+        check: refuse files that are not what they were, as for a run.
 
     Returns:
-        field -> value, for ``RunConfig``.
+        The description, and what the run was made with.
 
     Raises:
-        InputError: the file cannot be used, or a part is not what it was.
+        InputError: the file cannot be used, or one that it names is not what it was.
     """
     _, content = files.nodes.read(path)
     if not isinstance(content, dict):
@@ -258,14 +277,34 @@ def read_config(path: Path) -> dict[str, Any]:
     data = content.get("config", {name: value for name, value in content.items() if name != "$schema"})
     if not isinstance(data, dict):
         raise InputError(f"{path}: config: holds no description; give field: value lines.")
-    hashes = content.get("sha256") or {}
-    if not isinstance(hashes, dict):
-        raise InputError(f"{path}: sha256: {hashes!r:.60} is no list of files; give file: digest lines, or none.")
-    for name, digest in hashes.items():
-        if components.digest(path.parent / name) != digest:
+    hashes, copies = _texts(path, content, "sha256", "digest"), _texts(path, content, "copies", "copy")
+    folder = path.parent
+    for name, digest in hashes.items() if check else ():
+        if inputs.digest(folder / name) != digest:
             cure = f"restore it, or remove its line under sha256 in {path.name} to take it as it is"
-            raise InputError(f"{path.parent / name}: is not the file that the run was made with; {cure}.")
-    return components.relocate(data, {name: str(path.parent / name) for name in _own_files(data, path.parent)})
+            raise InputError(f"{folder / name}: is not the file that the run was made with; {cure}.")
+    parts = {name: str(folder / name) for name in _own_files(data, folder)}
+    places, changes = inputs.locate(copies, hashes, folder)
+    identities = {str(folder / name): hashes[name] for name in parts if name in hashes}
+    for name, copy in copies.items():
+        told = " ".join(f"{part} {digest}" for part, digest in hashes.items() if part.startswith(copy))
+        identities |= {name: told, str(folder / copy): told}
+    versions = content.get("versions")
+    return Saved(
+        description=components.relocate(inputs.rename(data, places), parts),
+        changes=changes,
+        identities=identities,
+        fingerprint=str(content.get("fingerprint", "")),
+        versions=versions if isinstance(versions, dict) else {},
+    )
+
+
+def _texts(path: Path, content: dict[str, Any], key: str, what: str) -> dict[str, str]:
+    """The lines under a key of a config.yaml."""
+    found = content.get(key) or {}
+    if not isinstance(found, dict) or not all(isinstance(text, str) for pair in found.items() for text in pair):
+        raise InputError(f"{path}: {key}: {found!r:.60} is no list of files; give file: {what} lines, or none.")
+    return found
 
 
 def _own_files(data: Any, folder: Path) -> set[str]:

@@ -186,6 +186,8 @@ def check_place(folder: Path, held: bool = False) -> None:
     Raises:
         InputError: the folder holds something else.
     """
+    if (folder / PLACE).is_symlink():
+        raise InputError(f"{folder / PLACE} is a link; remove it, or choose another --out.")
     if not (folder / PLACE / ABOUT).is_file():
         of_a_run = writing.contents(folder) == [PLACE] or (folder / "summary.json").is_file()
         ours = all(map(_is_ours, (folder / PLACE).iterdir())) if (folder / PLACE).is_dir() else False

@@ -38,7 +38,7 @@ WORDS = ("name", "class", "childclass", "file", "filename", "model", "prefix")  
 
 
 def read(path: Path) -> Any:
-    """Read an MJCF (or URDF) file.
+    """Read an MJCF file.
 
     Args:
         path: of the file.
@@ -75,6 +75,24 @@ def read(path: Path) -> Any:
     return model
 
 
+def sources(path: Path) -> list[Path]:
+    """The files that an MJCF file reads: those that it includes, meshes and images.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        Their paths, in order.
+
+    Raises:
+        FileError: an element is refused, or a file cannot be read.
+    """
+    scan = _Scan(path)
+    scan.run(path, read_text(path, MAX_TEXT))
+    scan.check_assets()
+    return sorted(scan.files)
+
+
 class _Scan:
     """One pass through a file and the files that it includes."""
 
@@ -83,6 +101,7 @@ class _Scan:
         self.elements = self.joints = self.pixels = 0
         self.folders = {""}  # that <compiler> names, before or after the assets in them
         self.assets: list[tuple[str, list[str], int]] = []  # "file:line", files that make one asset, how often
+        self.files: set[Path] = set()  # that are read besides it
         self.place = ""  # "file:line" of the current element
 
     def run(self, path: Path, content: str, including: tuple[Path, ...] = (), times: int = 1) -> None:
@@ -119,6 +138,7 @@ class _Scan:
                     included = read_text(inner, MAX_TEXT)
                 except FileError as error:
                     return refuse(str(error).rstrip("."))
+                self.files.add(inner)
                 self.run(inner, included, (*including, path), above[-1])
 
         def doctype(*_: Any) -> None:
@@ -147,6 +167,8 @@ class _Scan:
         Raises:
             _ElementError: it is refused.
         """
+        if name == "robot":
+            raise _ElementError("is URDF and not MJCF; write it as MJCF, as envs/robots/kuri.xml is")
         if name in REFUSED:
             raise _ElementError(f"<{name}> has no place in a scene or a robot; write its bodies and geoms instead")
         for key, value in attributes.items():
@@ -202,6 +224,7 @@ class _Scan:
                     if path not in pixels:
                         pixels[path] = _pixels(read_bytes(path, MAX_ASSET)) if path.exists() else 0
                     largest = max(largest, pixels[path])
+                    self.files |= {path} if path.is_file() else set()
                 self.count_pixels(largest * max(many, len(names)))
             except (_ElementError, FileError) as error:
                 raise FileError(f"{place}: {str(error).rstrip('.')}.") from None

@@ -304,10 +304,22 @@ def element(content: dict[str, Any], name: str = "replay", linked: bool = True, 
     Returns:
         HTML.
     """
-    text = json.dumps(content, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    text = embedded(content)
     name, link = markup.escape(name), "" if linked else ' data-linked="no"'
     held = f'<div data-replay="{name}"{link}></div>\n<script type="application/json" id="{name}">{text}</script>'
     return f"{held}\n<script>{script()}</script>" if program else held
+
+
+def embedded(content: Any) -> str:
+    """JSON for a page's script element, whatever its texts are: it has no "<", and so neither an end nor a comment.
+
+    Args:
+        content: a value for ``json.dumps``.
+
+    Returns:
+        JSON.
+    """
+    return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def script() -> str:

@@ -6,10 +6,13 @@ anew, begins at the first frame: an episode's frames, encoded, and no more.
 
 import contextlib
 import json
+import socket
+import sys
 import threading
 import urllib.parse
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 import jax
 import numpy as np
@@ -19,6 +22,8 @@ from sean_jax.base import Scenario, Trajectory
 
 HOST = "127.0.0.1"
 FRAMES = "frames"
+CONNECTIONS = 16  # at once, a thread each; of more, the oldest is closed
+PATIENCE = 5.0  # s, for which a connection may be silent
 
 
 class Live:
@@ -68,6 +73,36 @@ class Live:
             return f'{{"chunks":[{",".join(self._chunks[first:])}],{told}}}'
 
 
+class _Server(ThreadingHTTPServer):
+    """A server whose connections are few, and end without a word in the terminal however the other side ends them."""
+
+    daemon_threads = True
+
+    def __init__(self, handler: type[BaseHTTPRequestHandler]):
+        self._open: dict[Any, None] = {}  # sockets, the oldest first
+        self._guard = threading.Lock()
+        super().__init__((HOST, 0), handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        with self._guard:
+            if len(self._open) >= CONNECTIONS:
+                oldest = next(iter(self._open))
+                del self._open[oldest]
+                with contextlib.suppress(OSError):
+                    oldest.shutdown(socket.SHUT_RDWR)  # its thread reads an end, and ends
+            self._open[request] = None
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        with self._guard:
+            self._open.pop(request, None)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
+
+
 @contextlib.contextmanager
 def serve(scenario: Scenario, title: str) -> Iterator[Live]:
     """Serve the page on a free port of 127.0.0.1 until the block ends.
@@ -82,6 +117,8 @@ def serve(scenario: Scenario, title: str) -> Iterator[Live]:
     page = replay.html(replay.awaited(scenario, title) | {"live": FRAMES}, linked=False).encode("utf-8")
 
     class Handler(BaseHTTPRequestHandler):
+        timeout = PATIENCE
+
         def do_GET(self) -> None:
             allowed = {f"{name}:{server.server_port}" for name in (HOST, "localhost")}
             if self.headers.get("Host") not in allowed:  # a page elsewhere whose name was turned to this computer
@@ -102,15 +139,13 @@ def serve(scenario: Scenario, title: str) -> Iterator[Live]:
             self.send_header("Content-Length", str(len(content)))
             self.send_header("Cache-Control", "no-store")
             self.end_headers()
-            with contextlib.suppress(ConnectionError):  # the page was closed meanwhile
-                self.wfile.write(content)
+            self.wfile.write(content)
 
         def log_message(self, format: str, *args: object) -> None:
             """Nothing: the terminal shows the progress of the run."""
 
-    with ThreadingHTTPServer((HOST, 0), Handler) as server:
+    with _Server(Handler) as server:
         live = Live([name for name, _ in scenario.situations], server.server_port)
-        server.daemon_threads = True
         thread = threading.Thread(target=server.serve_forever, args=(0.05,), name="sean-live", daemon=True)
         thread.start()
         try:

@@ -14,9 +14,11 @@ JOINTS = (("slide", "x"), ("slide", "y"), ("hinge", "z"), ("hinge", "y"), ("hing
 AXES = dict(zip("xyz", np.eye(3), strict=True))
 UPRIGHT = 1e-6  # how far from 1 the cosine of the base's tilt may be
 BESIDE = 1e-4  # m, how far ahead of the base's hinge a wheel may be
+MIN_MASS = 1e-3  # kg, of the base and of a wheel; MuJoCo takes 1e-15
+ON_FLOOR = 5e-3  # m, how far above or below the floor the lowest point of a wheel may be
 
 
-def faults(model: Any, data: Any) -> list[str]:
+def faults(model: Any, data: Any, radius: float) -> list[str]:
     """Find where a model differs from the equations of motion.
 
     If joints or servos are missing, nothing that depends on them is checked.
@@ -24,12 +26,13 @@ def faults(model: Any, data: Any) -> list[str]:
     Args:
         model: ``mujoco.MjModel``.
         data: ``mujoco.MjData`` with the poses of its bodies.
+        radius: m, of the disc that touches people and obstacles.
 
     Returns:
         Clauses that follow the words "a robot must be ..., but".
     """
     problems = [*_joints(model), *_servos(model)]
-    return problems or [*_bodies(model, data), *_losses(model)]
+    return problems or [*_bodies(model, data, radius), *_losses(model)]
 
 
 def _joints(model: Any) -> Iterator[str]:
@@ -67,7 +70,7 @@ def _servos(model: Any) -> Iterator[str]:
         yield "its actuators lack one and the same forcerange, as much backward as ahead"
 
 
-def _bodies(model: Any, data: Any) -> Iterator[str]:
+def _bodies(model: Any, data: Any, radius: float) -> Iterator[str]:
     base, *others = model.jnt_bodyid[[0, 3, 4]].tolist()
     if (model.jnt_bodyid[:3] != base).any():
         yield "its first three joints are not all in one body, the base"
@@ -78,7 +81,10 @@ def _bodies(model: Any, data: Any) -> Iterator[str]:
     if len({base, *others}) < 3 or any(model.body_weldid[model.body_parentid[wheel]] != base for wheel in others):
         yield "its wheels are not two bodies on the base"
         return
-    yield from _wheels(model)
+    for what, body in zip(("base", "left wheel", "right wheel"), (base, *others), strict=True):
+        if (mass := float(model.body_mass[model.body_weldid == body].sum())) < MIN_MASS:
+            yield f"its {what} has {mass:g} kg, less than {MIN_MASS:g} kg"
+    yield from list(_wheels(model)) or _places(model, data, radius)
     left, right = (to_base(model, data, data.xanchor[joint])[:2] for joint in (3, 4))
     if not (left[1] > 0.0 and np.isclose(left[1], -right[1])):
         yield f"its wheels lie {left[1]:g} m and {right[1]:g} m left of the base's hinge, not as far left as right"
@@ -99,6 +105,21 @@ def _wheels(model: Any) -> Iterator[str]:
     if None not in geoms and not np.isclose(*model.geom_size[geoms, 0]):
         left, right = model.geom_size[geoms, 0]
         yield f"the radii of its wheels are {left:g} m and {right:g} m, not the same"
+
+
+def _places(model: Any, data: Any, radius: float) -> Iterator[str]:
+    """Where round wheels are not between the base and the floor."""
+    for side, joint, geom in zip(("left", "right"), (3, 4), wheel_geoms(model), strict=True):
+        axis, offset = data.xaxis[joint], data.geom_xpos[geom] - data.xanchor[joint]
+        bottom, away = data.geom_xpos[geom, 2] - model.geom_size[geom, 0], to_base(model, data, data.geom_xpos[geom])
+        cylinder = model.geom_type[geom] == int(import_module("mujoco").mjtGeom.mjGEOM_CYLINDER)
+        turns = not cylinder or abs(data.geom_xmat[geom].reshape(3, 3)[:, 2] @ axis) >= 1.0 - UPRIGHT
+        if not turns or np.linalg.norm(offset - (offset @ axis) * axis) > BESIDE:
+            yield f"the first geom of its {side} wheel is not round about its hinge"
+        elif abs(bottom) > ON_FLOOR:
+            yield f"its {side} wheel begins {bottom:.4g} m above the floor and does not touch it"
+        elif (distance := float(np.hypot(*away[:2]))) > radius:
+            yield f"its {side} wheel is {distance:.4g} m from the base's hinge, beyond its radius of {radius:g} m"
 
 
 def wheel_geoms(model: Any) -> list[int | None]:

@@ -57,14 +57,14 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     data = mujoco.MjData(model)
     for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
         stage(model, data)
-    numerics, faults = _numerics(model), build.faults(model, data)
-    problems = _missing(numerics)
+    numerics = _numerics(path, model)
+    for key, value in numerics.items():
+        _check_range(path, f"the numeric {key}", value, *RANGES[key])
+    faults, problems = build.faults(model, data, numerics.get("radius", np.inf)), _missing(numerics)
     if faults:
         problems.append(f"a robot must be {build.BUILD}, but {', '.join(faults)} (see envs/robots/kuri.xml)")
     if problems:
         raise FileError(f"{path}: {'; '.join(problems)}.")
-    for key, value in numerics.items():
-        _check_range(path, f"the numeric {key}", value, *RANGES[key])
     _check_mounts(path, model)
     mass = _mass_matrix(path, model)
     left, right = (build.to_base(model, data, data.xanchor[joint]) for joint in (3, 4))
@@ -112,13 +112,17 @@ def mounts(model: Any, data: Any) -> tuple[Mount, ...]:
 
 
 def _check_mounts(path: Path, model: Any) -> None:
-    """Refuse sensors on a wheel or in the world, which do not move with the base."""
+    """Refuse sensors on a wheel or in the world, which do not move with the base, and cameras that see nothing."""
     base = model.jnt_bodyid[0]
     sensors = [("camera", model.camera(k).name, model.cam_bodyid[k]) for k in range(model.ncam)]
     sensors += [("site", model.site(k).name, model.site_bodyid[k]) for k in range(model.nsite)]
     loose = [f"{kind} '{name}'" for kind, name, body in sensors if model.body_weldid[body] != base]
     if loose:
         raise FileError(f"{path}: {' and '.join(loose)} must be on the base, not on a wheel or in the world.")
+    for k in range(model.ncam):
+        if not 0.0 < model.cam_fovy[k] < 180.0:
+            what = f"the fovy of camera '{model.camera(k).name}' is {model.cam_fovy[k]:g}"
+            raise FileError(f"{path}: {what}, but must be more than 0 and less than 180 degrees.")
 
 
 def _solids(model: Any, data: Any) -> Solids:
@@ -128,10 +132,15 @@ def _solids(model: Any, data: Any) -> Solids:
     return scenery.solids_from_mjcf(model, data, list(range(model.ngeom)))
 
 
-def _numerics(model: Any) -> dict[str, float]:
-    """The numerics of the file that a robot uses."""
-    numerics = {model.numeric(i).name: float(model.numeric_data[model.numeric_adr[i]]) for i in range(model.nnumeric)}
-    return {key: numerics[key] for key in (*NUMERICS, *OPTIONAL) if key in numerics}
+def _numerics(path: Path, model: Any) -> dict[str, float]:
+    """The numerics of the file that a robot uses, one number each."""
+    numerics = {model.numeric(i).name: model.numeric(i).data for i in range(model.nnumeric)}
+    numerics = {key: numerics[key] for key in (*NUMERICS, *OPTIONAL) if key in numerics}
+    for key, data in numerics.items():
+        if len(data) != 1:
+            given = " ".join(f"{value:g}" for value in data[:9])
+            raise FileError(f'{path}: the numeric {key} is "{given}", {len(data)} numbers; give one.')
+    return {key: float(data[0]) for key, data in numerics.items()}
 
 
 def _missing(numerics: dict[str, float]) -> list[str]:

@@ -1,0 +1,171 @@
+"""The files that a run's description names, but for Python: read when it begins, and kept beside its config.yaml.
+
+An environment, a robot, forces and sensors are copied. A recording may be large and stays where it is, as the folder of
+a policy does: the description has their absolute paths.
+"""
+
+import hashlib
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sean_jax import environment, files
+from sean_jax.config import Named, PlaybackBehavior, RunConfig
+from sean_jax.files import mjcf
+from sean_jax.learning.agents import AGENTS
+from sean_jax.policies import POLICIES
+
+MAX_COPY = 10_000_000  # bytes of an environment's or a robot's files; more stay where they are
+MAX_FILE = 100_000_000  # bytes of a file, such as a recording
+ENDINGS = (".xml", ".yaml", ".yml")  # of a robot, forces and sensors in a file
+COPIED = ("environment", "robot", "forces", "sensors")  # options whose files are copied
+OPTIONS = (*COPIED, "policy", "behavior")  # that name files
+
+
+class Inputs(NamedTuple):
+    """What a run was made with, as it was when the run began."""
+
+    content: dict[str, bytes]  # file in the run's folder -> its bytes
+    copies: dict[str, str]  # file or folder as the description names it -> its copy in the run's folder
+    hashes: dict[str, str]  # absolute path of a file without a copy -> SHA-256
+    description: dict[str, Any]  # field -> value, with absolute paths
+    fingerprint: str = ""  # of the scenario and the policy
+
+    def write(self, folder: Path) -> dict[str, str]:
+        """Write the copies.
+
+        Args:
+            folder: of the run.
+
+        Returns:
+            File -> SHA-256, of the copies by their path in the folder.
+        """
+        for name, content in self.content.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+        return {name: hashlib.sha256(content).hexdigest() for name, content in self.content.items()} | self.hashes
+
+
+def read(config: RunConfig) -> Inputs:
+    """The files that a description names.
+
+    Args:
+        config: of the run.
+
+    Returns:
+        Their bytes and digests.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    content: dict[str, bytes] = {}
+    copies: dict[str, str] = {}
+    hashes: dict[str, str] = {}
+    names: dict[str, str] = {}
+    for option, name, path in _named(config):
+        path = Path(os.path.abspath(path))
+        names[name] = name if name in environment.available() else str(path)
+        found = {part: files.read_bytes(part, MAX_FILE) for part in _sources(option, path)}
+        root = path if path.is_dir() else path.parent
+        small = sum(map(len, found.values())) <= MAX_COPY and all(part.is_relative_to(root) for part in found)
+        if option not in COPIED or not small:
+            hashes |= {str(part): hashlib.sha256(data).hexdigest() for part, data in found.items()}
+            continue
+        number = sum(copy.startswith(option) for copy in copies.values())
+        place = f"{option}_{number + 1}" if number else option
+        copies[names[name]] = f"{place}/{path.name}"
+        inside = copies[names[name]] if path.is_dir() else place
+        content |= {f"{inside}/{part.relative_to(root).as_posix()}": data for part, data in found.items()}
+    description = config.decisive() | {name: getattr(config, name) for name in ("camera", "renderer")}
+    return Inputs(content, copies, hashes, rename(description, names))
+
+
+def rename(description: dict[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    """A description with files elsewhere.
+
+    Args:
+        description: field -> value, as JSON has words for.
+        names: file or folder as it is named there -> its new name.
+
+    Returns:
+        The same with the new names.
+    """
+
+    def renamed(value: Any) -> Any:
+        if isinstance(value, list | tuple):
+            return [renamed(each) for each in value]
+        if isinstance(value, Mapping):
+            return {key: renamed(each) for key, each in value.items()}
+        return names.get(value, value) if isinstance(value, str) else value
+
+    return {field: renamed(value) if field in OPTIONS else value for field, value in description.items()}
+
+
+def locate(copies: Mapping[str, str], hashes: Mapping[str, str], folder: Path) -> tuple[dict[str, str], list[str]]:
+    """Where the files of a run are to be read: where they were if they are as they were, else from its copies.
+
+    Args:
+        copies: as of ``Inputs``.
+        hashes: file -> SHA-256.
+        folder: of the run.
+
+    Returns:
+        File or folder as the description names it -> the copy that is read in its stead; and a sentence on each that
+        has changed since the run.
+    """
+    names, sentences = {}, []
+    for name, copy in copies.items():
+        option = copy.partition("/")[0].partition("_")[0]
+        inside = f"{copy}/" if option == "environment" else f"{Path(copy).parent.as_posix()}/"
+        then = {part.removeprefix(inside): value for part, value in hashes.items() if part.startswith(inside)}
+        try:
+            path = environment.find(name) if option == "environment" else Path(name)
+            root = path if path.is_dir() else path.parent
+            now = {part.relative_to(root).as_posix(): digest(part) for part in _sources(option, path)}
+        except (ValueError, OSError):  # it is not here, or is another thing now
+            now = {}
+        if now != then:
+            names[name] = str(folder / copy)
+        if now and now != then:
+            other = ", ".join(sorted(part for part in now.keys() | then.keys() if now.get(part) != then.get(part)))
+            sentences.append(f"{option}: {name} is not as it was in the run ({other}); the copy in {folder} is used.")
+    return names, sentences
+
+
+def digest(file: Path) -> str:
+    """The SHA-256 of a file of any kind that a run is made with.
+
+    Args:
+        file: to be read.
+
+    Returns:
+        64 hexadecimal digits.
+
+    Raises:
+        FileError: the file cannot be read.
+    """
+    return hashlib.sha256(files.read_bytes(file, MAX_FILE)).hexdigest()
+
+
+def _named(config: RunConfig) -> Iterator[tuple[str, str, Path]]:
+    """Option, name and path of each file and folder of a description."""
+    yield "environment", config.environment, environment.find(config.environment)
+    parts = [("robot", config.robot), *(("forces", part) for part in config.forces)]
+    for option, part in [*parts, *(("sensors", part) for part in config.sensors)]:
+        if isinstance(part, Named) and part.kind.lower().endswith(ENDINGS):
+            yield option, part.kind, Path(part.kind)
+    policy, behavior = config.policy, config.behavior
+    if isinstance(policy, Named) and policy.kind not in POLICIES and policy.kind not in AGENTS:
+        yield "policy", policy.kind, Path(policy.kind)
+    if isinstance(behavior, PlaybackBehavior) and behavior.recording is not None:
+        yield "behavior", behavior.recording, Path(behavior.recording)
+
+
+def _sources(option: str, path: Path) -> list[Path]:
+    """The files that are read for one; those of a policy are told by the fingerprint."""
+    if option == "environment":
+        return environment.sources(path)
+    if option == "robot":
+        return [path, *mjcf.sources(path)]
+    return [] if option == "policy" else [path]
