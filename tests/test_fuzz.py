@@ -1,4 +1,4 @@
-"""A thousand inputs made wrong at random: each is refused in sentences or read, at once, and nothing becomes NaN."""
+"""Inputs made wrong at random: each is refused in sentences or read, at once, and nothing becomes NaN."""
 
 import collections
 import json

@@ -30,6 +30,25 @@ from sean_jax.writing import check_new_folder
 
 PLACE, ABOUT, STAGE = "unfinished", "run.json", "written"
 VERSION = "the version of "
+SHAPES = {
+    "completed": ("b", "B"),
+    "timed_out": ("b", "B"),
+    "steps": ("i", "B"),
+    "seconds": ("f", ""),
+    "tally:heat": ("i", "rows columns"),
+    "tally:walks": ("i", "M M"),
+    "tally:node": ("i", "size N"),
+    "tally:together": ("i", "K"),
+    "tally:penetration": ("f", ""),
+    "tally:group_size": ("i", "G"),
+    **{f"frame:{name}": ("f", "T 2") for name in ("position", "heading", "velocity", "action", "goal")},
+    **{f"frame:{name}": ("f", "T N 2") for name in ("people", "people_velocity", "people_heading")},
+    "frame:group": ("i", "T N"),
+    "frame:present": ("b", "T N"),
+    "frame:situations": ("b", "T S"),
+    "frame:active": ("b", "T"),
+}
+"""Array of a batch -> kind and dimensions: B episodes, N people, S situations, T frames of an episode."""
 
 
 class Unfinished:
@@ -278,17 +297,24 @@ def _finished(arrays: dict[str, np.ndarray], kept: int) -> Finished:
         return {name.split(":", 1)[1]: value for name, value in arrays.items() if name.startswith(f"{place}:")}
 
     frames = [Trajectory(**of(f"frame{k}")) for k in range(sum(name.endswith(":active") for name in arrays))]
-    ended, metrics, counted = (arrays["completed"], arrays["timed_out"], arrays["steps"]), of("metrics"), of("tally")
-    seconds = arrays["seconds"]
-    wrong = [
-        *(values.shape[:1] != (kept,) or values.ndim > 2 for values in (*ended, *metrics.values())),
-        *(values.ndim != 1 or values.dtype.kind != kind for values, kind in zip(ended, "bbi", strict=True)),
-        *((values < 0).any() for name, values in counted.items() if name not in ("node", "penetration")),
-        *(len(values) != len(each.active) for each in frames for values in vars(each).values()),
-        (ended[2] < 0).any(),
-        seconds.shape != () or not np.isfinite(seconds) or seconds < 0,
-        len(arrays) != 4 + len(metrics) + len(counted) + sum(len(vars(each)) for each in frames),
-    ]
-    if any(wrong):
-        raise ValueError("these are not the arrays of a batch")
-    return Finished(*ended, metrics, Tally(**counted), frames, float(seconds))
+    sizes: dict[str, int] = {"B": kept, "2": 2}
+    for name, values in arrays.items():
+        place, _, field = name.partition(":")
+        kind, dimensions = SHAPES.get("frame:" + field if place.startswith("frame") else name, ("", ""))
+        if place == "metrics":
+            kind, dimensions = "biuf", "B F"[: 2 * values.ndim - 1]
+        if not kind:
+            raise ValueError(f"{name} is none of them")
+        letters = [f"{place}T" if letter == "T" else letter for letter in dimensions.split()]
+        shape = tuple(sizes.setdefault(*pair) for pair in zip(letters, values.shape, strict=True))
+        if values.shape != shape or values.dtype.kind not in kind:
+            raise ValueError(f"{name} is {values.dtype} {values.shape}")
+        if place != "metrics" and not (np.isfinite(values) | (field == "action")).all():
+            raise ValueError(f"{name} is not finite")
+        if name in ("steps", "seconds", "tally:heat", "tally:walks", "tally:together", "tally:group_size"):
+            if (values < 0).any():
+                raise ValueError(f"{name} is negative")
+    if any(2**number != sizes["K"] for number in (sizes.get("S"), sizes.get("F", 0) - 1) if number not in (None, -1)):
+        raise ValueError("they are not of the same situations")
+    ended = arrays["completed"], arrays["timed_out"], arrays["steps"]
+    return Finished(*ended, of("metrics"), Tally(**of("tally")), frames, float(arrays["seconds"]))
