@@ -73,12 +73,17 @@ def _main(arguments: list[str]) -> int:
         if word not in COMMANDS:
             raise InputError(_unknown(word))
         _refuse_empty(arguments)
-        options = _read(word, arguments[1:])
-        from sean_jax import compiler
+        model = _method(arguments[1:]) if word == "train" else COMMANDS[word]
+        from sean_jax import flags
 
-        compiler.configure()
-        with interrupts.unwrapped():
-            return _DO[word](options)
+        given = flags.parse(word, model, arguments[1:], configurable=word == "run")
+        from sean_jax import compiler, components
+
+        with components.read_once():
+            options = _read(model, given)
+            compiler.configure()
+            with interrupts.unwrapped():
+                return _DO[word](options)
     except InputError as error:
         return _fail(str(error), WRONG)
     except (IncompleteError, FloatingPointError) as error:
@@ -114,16 +119,12 @@ def _unknown(word: str) -> str:
     return f"'{word}' is not one of {known}{suggest(word, COMMANDS) or '; `sean --help` tells what they do.'}"
 
 
-def _read(word: str, arguments: list[str]) -> Any:
-    """The description that the words ask for."""
+def _read(model: type[Config], given: Any) -> Any:
+    """The description that the flags ask for."""
     from sean_jax import flags
 
-    model, configurable = COMMANDS[word], word == "run"
-    if word == "train":
-        model = _method(arguments)
-    given = flags.parse(word, model, arguments, configurable)
     base = None
-    if configurable and given.config is not None:
+    if getattr(given, "config", None) is not None:
         from sean_jax.evaluation.output import read_config
 
         base = read_config(given.config)

@@ -1,9 +1,15 @@
 """Parts from a file outside the package in every command and in Python: docs/extending.md, as it stands."""
 
 import csv
+import hashlib
 import json
+import os
+import py_compile
+import random
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import jax
@@ -12,10 +18,12 @@ import pytest
 import yaml
 
 import sean_jax
-from sean_jax import cli, components, config, learning
-from sean_jax.config import CollectConfig, RunConfig
+from sean_jax import cli, components, config, learning, validation
+from sean_jax.config import BenchmarkConfig, CollectConfig, ExperimentConfig, RunConfig, ValidateConfig
 from sean_jax.errors import InputError
 from sean_jax.evaluation.output import read_config
+from sean_jax.experiments import parts
+from sean_jax.validation import results
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -149,6 +157,157 @@ def test_what_is_wrong_with_a_file_is_told_in_one_sentence(folder, kind, capsys)
     error = " ".join(capsys.readouterr().err.split())
     assert re.search(BAD[kind], error) and error.startswith("sean: policy: "), error
     assert not (folder / "never").exists()
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A folder to work in, where Python writes and reads bytecode as it usually does."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    return tmp_path
+
+
+def thing(name: str = "my.py:f"):
+    return components.load(config.OwnPart(kind=name), "policy")
+
+
+def test_what_runs_is_what_the_file_holds_now(place):
+    """Contents of one size that are written within a second: bytecode tells them apart by neither."""
+    digests = set()
+    for k in range(1, 9):
+        for name, text in {
+            "my": f"from helper import y\n\ndef f():\n    return {k}, y\n",
+            "helper": f"y = {k}\n",
+        }.items():
+            (place / f"{name}.py").write_text(text)
+            os.utime(place / f"{name}.py", (1e9, 1e9))
+        assert thing()() == (k, k)
+        digests.add(components.content("my.py").digest)
+    assert len(digests) == 8 and thing() is thing()
+    (place / "helper.py").write_text("y = 7\n")
+    assert thing()() == (8, 7)
+
+
+def test_bytecode_beside_a_file_is_never_run(place):
+    for name in ("my", "helper"):
+        (place / f"{name}.py").write_text("def f():\n    return 'forged'\n")
+        cached = py_compile.compile(f"{name}.py", invalidation_mode=py_compile.PycInvalidationMode.UNCHECKED_HASH)
+        (place / f"{name}.py").write_text("def f():\n    return 'true'\n")
+        assert cached is not None and Path(cached).is_file()
+    (place / "both.py").write_text("import my, helper\n\ndef f():\n    return my.f(), helper.f()\n")
+    assert thing()() == "true" and thing("both.py:f")() == ("true", "true")
+    assert not list(place.rglob("both*.pyc"))
+
+
+def tree(rng: random.Random) -> dict[str, str]:
+    """Modules at random that import each other in all ways of Python, those of packages with dots, too."""
+    names = ["my", *rng.sample(["a", "b", "p", "p.c", "p.d", "q.e", "json", "colorsys"], 6)]
+    names = [name for name in names if name != "p"] + ["p"] * any(name[:2] == "p." for name in names)
+    texts = {}
+    for number, name in enumerate(names):
+        lines = [f"value = [{rng.randrange(100)}]"]
+        for other in names[:0:-1][: len(names) - 1 - number]:  # never in a circle
+            if other.startswith(f"{name}.") or name.startswith(f"{other}."):
+                continue
+            above, _, last = other.rpartition(".")
+            ways = [f"import {other}\nvalue += {other}.value", f"from {other} import value as v\nvalue += v"]
+            ways.append(f"import {other} as m\nvalue += m.value")
+            ways.append(f"def late():\n    from {other} import value\n    return value\nvalue += late()")
+            ways += [f"from {above} import {last}\nvalue += {last}.value"] * bool(above)
+            if above and name.startswith(f"{above}."):
+                ways += [f"from . import {last}\nvalue += {last}.value", f"from .{last} import value as v\nvalue += v"]
+            if rng.random() < 0.6:
+                lines.append(rng.choice(ways))
+        texts[name] = "\n".join(lines)
+    texts["my"] += "\n\ndef f():\n    return value\n"
+    paths = {name: name.replace(".", "/") + ("/__init__.py" if name == "p" else ".py") for name in names}
+    return {paths[name]: text for name, text in texts.items()}
+
+
+def test_imports_beside_a_file_are_those_of_a_script(place):
+    """The oracle is Python itself, which runs each file as a script, and tells which modules it has read."""
+    ask = "import sys, my; print(my.value, [m.__file__ for m in sys.modules.values() if hasattr(m, 'value')])"
+    rng = random.Random(int(os.environ.get("SEAN_JAX_FUZZ_SEED", 0)))
+    for number in range(12):
+        folder = place / f"{number}"
+        for path, text in tree(rng).items():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_text(text)
+        found = thing(f"{number}/my.py:f")()
+        held = components.content(folder / "my.py").digests
+        ran = subprocess.run([sys.executable, "-S", "-B", "-c", ask], cwd=folder, capture_output=True, text=True)
+        value, _, read = ran.stdout.partition("] ")
+        assert ran.returncode == 0 and str(found) == f"{value}]", (number, ran.stderr)
+        read = {Path(file).relative_to(folder).as_posix() for file in eval(read) if Path(file).is_relative_to(folder)}
+        assert read <= held.keys() and "my.py" in read, number
+        for path, digest in held.items():
+            assert hashlib.sha256((folder / path).read_bytes()).hexdigest() == digest
+
+
+def test_what_is_not_beside_a_file_is_told(place):
+    (place / "my.py").write_text("import p.q\n")
+    (place / "p").mkdir()
+    (place / "p" / "__init__.py").write_text("")
+    with pytest.raises(
+        InputError, match=r"^policy: my.py cannot be imported: .*No module named 'p.q' \(line 1 of my.py"
+    ):
+        thing()
+    for text, message in {"import sys; sys.exit()": "SystemExit", "def f(:": "SyntaxError", "\0": "null byte"}.items():
+        (place / "my.py").write_text(text)
+        with pytest.raises(InputError, match=f"cannot be imported: .*{message}"):
+            thing()
+
+
+def test_a_command_reads_a_file_once(place):
+    (place / "my.py").write_text("import b\n\ndef f():\n    return b.v\n")
+    (place / "other.py").write_text("import b\n\ndef f():\n    return b.v\n")
+    (place / "b.py").write_text("v = 1\n")
+    with components.read_once():
+        assert thing()() == 1
+        (place / "b.py").write_text("v = 2\n")
+        assert thing()() == 1 and thing("other.py:f")() == 1
+        kept = config.RunConfig(policy="my.py:f", metrics="other.py:f")  # pyright: ignore
+        copies, hashes = components.copy(place / "kept", kept)
+        assert components.digests(kept).keys() == {"my.py", "other.py", "b.py"}
+    assert copies == {"my.py": "parts/my.py", "other.py": "parts/other.py"}
+    assert (place / "kept" / "parts" / "b.py").read_text() == "v = 1\n" and len(hashes) == 3
+    assert thing()() == 2
+
+
+def test_what_was_begun_with_another_file_is_not_gone_on_with(place):
+    """Experiments and benchmarks tell by the record; drivers that are added later are recorded then."""
+    (place / "my.py").write_text("f = 1\n")
+    (place / "more.py").write_text("f = 1\n")
+    for kind, own in [(ExperimentConfig, {"which": "table1", "policies": "expert,my.py:f"}),
+                      (BenchmarkConfig, {"policy": "my.py:f"})]:  # fmt: skip
+        options = kind(**own, out=place / kind.__name__)
+        options.folder.mkdir()
+        parts.start(options)
+        assert parts.has_started(options)
+        (place / "my.py").write_text("f = 2\n")
+        with pytest.raises(InputError, match="was begun with another my.py; restore it, or choose another --out"):
+            parts.has_started(options)
+        (place / "my.py").write_text("f = 1\n")
+    (place / "figure4").mkdir()
+    for others in ("none", "none,more.py:f"):
+        options = ExperimentConfig(which="figure4", others=others, out=place / "figure4")
+        parts.start(options)
+    (place / "more.py").write_text("f = 2\n")
+    with pytest.raises(InputError, match="was begun with another more.py"):
+        parts.start(options)
+
+
+def test_a_row_of_a_validation_is_that_of_the_force_of_now(place):
+    """A law of one's own with the same constants."""
+    laws = set()
+    for k in (1, 2):
+        (place / "my.py").write_text(
+            f"from flax import struct\n\n@struct.dataclass\nclass F:\n    strength: float = 1.0\n"
+            f"    def pair(self, pair):\n        return {k} * pair.dx, {k} * pair.dy\n\nf = F()\n"
+        )
+        (model,) = validation.models_of("my.py:f")
+        laws.add(json.dumps(results._made_with(model, ValidateConfig())))
+    assert len(laws) == 2
 
 
 def test_no_file_holds_a_value():

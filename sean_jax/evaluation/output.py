@@ -3,7 +3,6 @@
 import csv
 import dataclasses
 import json
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,15 +10,13 @@ import numpy as np
 import yaml
 
 from sean_jax import components, files
-from sean_jax.config import Config, RunConfig
+from sean_jax.config import RunConfig
 from sean_jax.errors import InputError
 from sean_jax.flags import command
 from sean_jax.versions import versions
 
 if TYPE_CHECKING:
     from sean_jax.evaluation import Evaluation
-
-PARTS = "parts"  # folder beside config.yaml with the files that parts of one's own came from
 
 
 def write_all(folder: Path, evaluation: "Evaluation", config: RunConfig | None) -> None:
@@ -141,7 +138,7 @@ def write_config(folder: Path, evaluation: "Evaluation", config: RunConfig | Non
     """
     content: dict[str, Any] = {}
     if config is not None:
-        copies, hashes = copy_parts(folder, config)
+        copies, hashes = components.copy(folder, config)
         data = config.decisive() | {name: getattr(config, name) for name in ("camera", "renderer")}
         told = {name: value for name, value in data.items() if value is not None}
         content["command"] = command("run", config)
@@ -155,29 +152,6 @@ def write_config(folder: Path, evaluation: "Evaluation", config: RunConfig | Non
     content["versions"] = made_with
     text = yaml.safe_dump(content, sort_keys=False, width=1000)
     (folder / "config.yaml").write_text(text, encoding="utf-8")
-
-
-def copy_parts(folder: Path, config: Config) -> tuple[dict[str, str], dict[str, str]]:
-    """Copies of the files that parts of one's own came from.
-
-    Args:
-        folder: they are put into its folder ``parts``.
-        config: names the files.
-
-    Returns:
-        File as it is named in the description -> its copy; copy -> SHA-256.
-    """
-    copies, hashes = {}, {}
-    for name, file in components.own_files(config).items():
-        (folder / PARTS).mkdir(exist_ok=True)
-        stem, number = file.stem, 1
-        while f"{PARTS}/{stem}.py" in hashes and hashes[f"{PARTS}/{stem}.py"] != components.digest(file):
-            number += 1
-            stem = f"{file.stem}_{number}"
-        copy = f"{PARTS}/{stem}.py"
-        shutil.copyfile(file, folder / copy)
-        copies[name], hashes[copy] = copy, components.digest(folder / copy)
-    return copies, hashes
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -200,23 +174,4 @@ def read_config(path: Path) -> dict[str, Any]:
     data = content.get("config", {name: value for name, value in content.items() if name != "$schema"})
     if not isinstance(data, dict):
         raise InputError(f"{path}: config: holds no description; give field: value lines.")
-    hashes = content.get("sha256") or {}
-    if not isinstance(hashes, dict):
-        raise InputError(f"{path}: sha256: {hashes!r:.60} is no list of files; give file: digest lines, or none.")
-    for name, digest in hashes.items():
-        if components.digest(path.parent / name) != digest:
-            cure = f"restore it, or remove its line under sha256 in {path.name} to take it as it is"
-            raise InputError(f"{path.parent / name}: is not the file that the run was made with; {cure}.")
-    return components.relocate(data, {name: str(path.parent / name) for name in _own_files(data, path.parent)})
-
-
-def _own_files(data: Any, folder: Path) -> set[str]:
-    """The files of parts in a description that lie beside it."""
-    found: set[str] = set()
-    values = data.values() if isinstance(data, dict) else data if isinstance(data, list) else [data]
-    for value in values:
-        if isinstance(value, dict | list):
-            found |= _own_files(value, folder)
-        elif components.is_own_part(value) and (folder / value.rpartition(":")[0]).is_file():
-            found.add(value.rpartition(":")[0])
-    return found
+    return components.recorded(path, data, content.get("sha256"), "sha256")

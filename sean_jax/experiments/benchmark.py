@@ -256,7 +256,7 @@ def policy_digest(policy: str) -> str:
     """
     described = validate(RunConfig, {"policy": policy}).policy
     if isinstance(described, OwnPart):
-        return components.digest(Path(described.file))[:16]
+        return components.content(described.file).digest[:16]
     scenario = assembly.build(tracks.description(next(iter(tracks.TRACKS))))[0]
     return fingerprint(choice.policy(described, scenario).params)
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from rich.console import Console
 
-from sean_jax import writing
+from sean_jax import components, writing
 from sean_jax.config import CollectConfig, DaggerConfig, TrainConfig, validate
 from sean_jax.flags import command
 from sean_jax.learning import collection, training
@@ -95,6 +95,7 @@ def _config(options: DaggerConfig, first: Dataset) -> dict[str, Any]:
         "command": command("train", options),
         "method": options.method,
         **options.decisive(),
+        "parts": components.digests(options),
         "dataset": {"fingerprint": first.fingerprint(), "command": first.manifest["command"]},
         "versions": versions(),
     }

@@ -24,7 +24,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int, PyTree
 from rich.console import Console
 
-from sean_jax import devices, mdp, prng, registry, writing
+from sean_jax import components, devices, mdp, prng, registry, writing
 from sean_jax.base import Array, Policy, Scenario
 from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
@@ -87,10 +87,11 @@ def train(options: ReinforcementConfig, console: Console | Callable[[float], Non
         IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
         FloatingPointError: the loss is not finite. The checkpoints stay.
     """
-    config = _config(options)
-    processes.by_first(lambda: check_config(options.folder, config))  # refuses before anything is written
-    scenarios, envs, network = processes.together(lambda: build(options))
     with contextlib.ExitStack() as stack:
+        stack.enter_context(components.read_once())
+        config = processes.together(lambda: _config(options))
+        processes.by_first(lambda: check_config(options.folder, config))  # refuses before anything is written
+        scenarios, envs, network = processes.together(lambda: build(options))
         processes.by_first(lambda: stack.enter_context(writing.folder_lock(options.folder)))
         return _train(options, console, scenarios, envs, network, config)
 
@@ -429,6 +430,7 @@ def _config(options: ReinforcementConfig) -> dict[str, Any]:
         "command": command("train", options),
         "method": options.method,
         **options.decisive(),
+        "parts": components.digests(options),
         "devices": len(jax.devices()),
         "versions": versions(),
     }
