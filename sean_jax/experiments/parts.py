@@ -61,7 +61,7 @@ def start(options: ExperimentConfig | BenchmarkConfig) -> None:
     """
     content = load(options.folder / OPTIONS) if has_started(options) else None
     about = content or {"options": options.decisive(), "versions": versions()}
-    about["parts"] = about.get("parts", {}) | components.digests(options)  # drivers can be added later
+    about = about | {"parts": about.get("parts", {}) | components.digests(options)}  # drivers can be added later
     if about != content:
         save(options.folder / OPTIONS, about)
 
