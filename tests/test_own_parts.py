@@ -302,8 +302,8 @@ def test_a_row_of_a_validation_is_that_of_the_force_of_now(place):
     laws = set()
     for k in (1, 2):
         (place / "my.py").write_text(
-            f"from flax import struct\n\n@struct.dataclass\nclass F:\n    strength: float = 1.0\n"
-            f"    def pair(self, pair):\n        return {k} * pair.dx, {k} * pair.dy\n\nf = [F()]\n"
+            f"import sean_jax\nfrom flax import struct\n\n@struct.dataclass\nclass F:\n    strength: float = 1.0\n"
+            f"    def pair(self, pair):\n        return {k} * pair.dx, {k} * pair.dy\n\nf = [*sean_jax.preset('helbing1995'), F()]\n"
         )
         (model,) = validation.models_of("my.py:f")
         laws.add(json.dumps(results._made_with(model, ValidateConfig())))
