@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # of those that matplotlib writes
 LEARNING = ("optax", "orbax", "tensorstore")  # what the extra "learning" brings
+READERS = ("run", "collect", "train", "experiment", "export", "replay", "benchmark")  # run what folders name
 WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, what broke midway, Ctrl-C, SIGTERM
 
 
@@ -76,10 +78,10 @@ def _main(arguments: list[str]) -> int:
         model = _method(arguments[1:]) if word == "train" else COMMANDS[word]
         from sean_jax import flags
 
-        given = flags.parse(word, model, arguments[1:], configurable=word == "run")
+        given = flags.parse(word, model, arguments[1:], configurable=word == "run", trust=word in READERS)
         from sean_jax import compiler, components
 
-        with components.read_once():
+        with components.read_once(), components.trust() if getattr(given, "trust", False) else nullcontext():
             options = _read(model, given)
             compiler.configure()
             with interrupts.unwrapped():
@@ -132,7 +134,7 @@ def _read(model: type[Config], given: Any) -> Any:
             config.validate(model, base)
         except InputError as error:
             raise InputError(f"{given.config}: {error}") from None
-    return flags.read(model, given, base)
+    return flags.read(model, given, base, source=given.config if base is not None else None)
 
 
 def _method(arguments: list[str]) -> type[Config]:
@@ -201,7 +203,9 @@ def _train(options: config.TrainConfig | config.ReinforcementConfig) -> int:
             value, after = map(np.asarray, (state.best.value, state.best.update))
             best = f"best return in an evaluation {value.max():.2f} after {after[value.argmax()]}"
             _say(console, f"{int(state.update)} updates, {best}: ", options.folder)
-        _say(console, "next: ", _drive(options.folder))
+        from sean_jax import components
+
+        _say(console, "next: ", _drive(options.folder, bool(components.digests(options))))
 
     return _keeping(options, work)
 
@@ -219,9 +223,10 @@ def _join() -> int:
     return jax.process_index()
 
 
-def _drive(folder: Path) -> str:
+def _drive(folder: Path, trust: bool) -> str:
     """The command that lets the policy in a folder drive, whose name alone could be that of a policy of the package."""
-    return shlex.join(["sean", "run", "--policy", str(folder) if folder.name != str(folder) else f"./{folder}"])
+    policy = str(folder) if folder.name != str(folder) else f"./{folder}"
+    return shlex.join(["sean", "run", "--policy", policy, *["--trust"] * trust])
 
 
 def _experiment(options: config.ExperimentConfig) -> int:
@@ -249,12 +254,12 @@ def _export(options: config.ExportConfig) -> int:
     check_new_folder(options.out)
 
     def work(console: "Console") -> None:
-        from sean_jax import learning
+        from sean_jax import components, learning
 
         write = learning.pack if options.format == "agent" else learning.export
         _say(console, "written: ", write(options.source, options.out))
         if options.format == "agent":
-            _say(console, "next: ", _drive(options.out))
+            _say(console, "next: ", _drive(options.out, (options.out / components.PARTS).is_dir()))
 
     return _keeping(options, work)
 

@@ -63,7 +63,7 @@ class Content:
 
 _LOADED: dict[str, ModuleType] = {}  # root -> the executed file
 _READ: dict[Path, Content] = {}  # what was read within ``read_once``
-_reading_once = 0  # blocks of ``read_once`` that are open
+_reading_once = _trust = 0  # blocks of ``read_once`` and of ``trust`` that are open
 
 
 def resolve(component: Component, family: Mapping[str, Any], option: str) -> Any:
@@ -100,8 +100,10 @@ def load(part: OwnPart, option: str) -> Any:
         Whatever has that name in the file.
 
     Raises:
-        InputError: there is no such file or name, or the file or the call raised something.
+        InputError: a file names the part and is not trusted, there is no such file or name, or the file or the call
+            raised something.
     """
+    _check_trust(part, option)
     module = _module(part.file, option)
     names = [name for name in vars(module) if not name.startswith("_")]
     if not hasattr(module, part.name):
@@ -113,6 +115,39 @@ def load(part: OwnPart, option: str) -> Any:
         return thing(**part.options)
     except Exception as error:
         raise InputError(f"{option}: {part.kind} cannot be made: {_reason(error)}") from error
+
+
+@contextlib.contextmanager
+def trust() -> Iterator[None]:
+    """Within the block, code runs that only a file names, such as ``FILE.py:NAME`` in the config.json of an agent.
+
+    Otherwise only such parts run as the user has named, on the command line or in Python.
+    """
+    global _trust
+    _trust += 1
+    try:
+        yield
+    finally:
+        _trust -= 1
+
+
+def check_trust(config: Config) -> None:
+    """Refuse what ``load`` would refuse of a description, before anything is made of it.
+
+    Args:
+        config: of any command.
+
+    Raises:
+        InputError: a file names one of its parts, and is not trusted.
+    """
+    for field, part in _parts(config):
+        _check_trust(part, field)
+
+
+def _check_trust(part: OwnPart, option: str) -> None:
+    if part.named_in is not None and not _trust:
+        cure = "read it, then add --trust (in Python: with sean_jax.trust())"
+        raise InputError(f"{option}: {part.kind} is code, and {part.named_in} names it, not you; {cure}.")
 
 
 # ------------------------------------------------------------------ what files hold
@@ -199,6 +234,21 @@ def digests(config: Config) -> dict[str, str]:
         except InputError as error:
             raise InputError(f"{field}: {error}") from None
     return found
+
+
+def by_content(config: Config) -> dict[str, Any]:
+    """What decides the results, with own files by their content: equal for copies of a file.
+
+    Args:
+        config: of any command.
+
+    Returns:
+        As ``Config.decisive``.
+
+    Raises:
+        FileError: a file cannot be read.
+    """
+    return relocate(config.decisive(), {part.file: content(part.file).digest[:16] for _, part in _parts(config)})
 
 
 def copy(folder: Path, config: Config) -> tuple[dict[str, str], dict[str, str]]:

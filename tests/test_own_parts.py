@@ -18,11 +18,13 @@ import pytest
 import yaml
 
 import sean_jax
-from sean_jax import cli, components, config, learning, validation
+from sean_jax import cli, components, config, flags, learning, validation
 from sean_jax.config import BenchmarkConfig, CollectConfig, ExperimentConfig, RunConfig, ValidateConfig
 from sean_jax.errors import InputError
 from sean_jax.evaluation.output import read_config
 from sean_jax.experiments import parts
+from sean_jax.learning import dataset
+from sean_jax.learning.agents import AGENTS
 from sean_jax.validation import results
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -71,7 +73,7 @@ def test_a_run_has_own_parts_in_table_csv_and_report(run):
 
 def test_its_config_repeats_it_to_the_byte(run, capsys):
     before = (run / "episodes.csv").read_bytes()
-    assert cli.main(["run", "--config", str(run / "config.yaml"), "--out", "again", "--quiet"]) == 0
+    assert cli.main(["run", "--config", str(run / "config.yaml"), "--trust", "--out", "again", "--quiet"]) == 0
     again = run.parent / "again"
     assert (again / "episodes.csv").read_bytes() == before
     told, retold = (yaml.safe_load((place / "config.yaml").read_text()) for place in (run, again))
@@ -86,9 +88,12 @@ def test_a_flag_changes_a_config_and_a_changed_part_is_refused(run, capsys):
         stream.write("\n# changed\n")
     assert cli.main(["run", "--config", str(copy / "config.yaml"), "--out", "never"]) == 2
     error = " ".join(capsys.readouterr().err.split())
-    assert "is not the file that the run was made with" in error and "sha256" in error
+    assert "parts/my_parts.py: is not the file that copy/config.yaml was made with" in error.replace(
+        f"{run.parent}/", ""
+    )
+    assert "or remove sha256 from config.yaml" in error
     assert not (run.parent / "never").exists()
-    asked = ["run", "--config", str(run / "config.yaml"), "--episodes", "1", "--out", "fewer", "--quiet"]
+    asked = ["run", "--config", str(run / "config.yaml"), "--trust", "--episodes", "1", "--out", "fewer", "--quiet"]
     assert cli.main(asked) == 0
     first, told = rows(run.parent / "fewer" / "episodes.csv"), rows(run / "episodes.csv")
     assert len(first) == 1 and abs(float(first[0]["path_length"]) - float(told[0]["path_length"])) < 1e-4
@@ -299,15 +304,161 @@ def test_what_was_begun_with_another_file_is_not_gone_on_with(place):
 
 def test_a_row_of_a_validation_is_that_of_the_force_of_now(place):
     """A law of one's own with the same constants."""
+    law = """
+import sean_jax
+from flax import struct
+
+@struct.dataclass
+class Law:
+    strength: float = 1.0
+
+    def pair(self, pair):
+        return self.strength * pair.dx, NUMBER * pair.dy
+
+f = [*sean_jax.preset("helbing1995"), Law()]
+"""
     laws = set()
-    for k in (1, 2):
-        (place / "my.py").write_text(
-            f"import sean_jax\nfrom flax import struct\n\n@struct.dataclass\nclass F:\n    strength: float = 1.0\n"
-            f"    def pair(self, pair):\n        return {k} * pair.dx, {k} * pair.dy\n\nf = [*sean_jax.preset('helbing1995'), F()]\n"
-        )
+    for number in ("1.0", "2.0"):
+        (place / "my.py").write_text(law.replace("NUMBER", number))
         (model,) = validation.models_of("my.py:f")
         laws.add(json.dumps(results._made_with(model, ValidateConfig())))
     assert len(laws) == 2
+
+
+CODE = """
+import pathlib
+
+(pathlib.Path(__file__).parent / "ran").touch()
+raise ValueError("it ran")
+"""
+FIELDS = ["behavior", "task", "robot", "model", "forces", "situations", "metrics", "sensors", "policy"]
+NAMED = {  # command -> the option whose code it would run
+    **{f"run --config {field}/config.yaml": field for field in FIELDS},
+    **{f"replay {field}": field for field in FIELDS},
+    "run --policy agent": "observations",
+    "run --policy training": "critic",
+    "collect --policy agent": "observations",
+    "collect --labels training": "critic",
+    "train ppo --imitate training": "critic",
+    "train dagger dataset --expert expert --hours 0.02": "task",
+    "experiment table1 --quick --policies agent": "observations",
+    "experiment figure4 --quick --others training": "critic",
+    "benchmark agent --quick": "observations",
+    "export agent training --out new": "critic",
+    "replay training": "critic",
+    "replay imitates": "imitate",
+    "replay learned": "task",
+    "replay dataset": "task",
+    "replay validated": "models",
+}
+
+
+@pytest.fixture(scope="module")
+def named(tmp_path_factory):
+    """Folders of all kinds in whose files code is named."""
+    folder = tmp_path_factory.mktemp("named")
+    (folder / "code.py").write_text(CODE)
+    for field in FIELDS:
+        (folder / field).mkdir()
+        (folder / field / "episodes.csv").write_text("episode,task,completed,timed_out,seconds\n0,a,True,False,1.0\n")
+        (folder / field / "config.yaml").write_text(
+            f"environment: lab\npeople: 2\ndynamics: twin\n{field}: code.py:f\n"
+        )
+    saved = json.loads((AGENTS["ppo"] / "config.json").read_text())
+    for name, own in {"agent": "observations", "training": "critic", "imitates": "imitate"}.items():
+        shutil.copytree(AGENTS["ppo"], folder / name)
+        value = "code.py:f" if own == "imitate" else [*saved.get(own, []), "code.py:f"]
+        (folder / name / "config.json").write_text(json.dumps(saved | {own: value}))
+        if name != "agent":
+            (folder / name / "weights.npz").unlink()
+            (folder / name / "checkpoints").mkdir()
+    camera, shard = {"width": 16, "height": 12}, dict(stream=0, lengths=[3], completed=[True])
+    sizes = dict.fromkeys(dataset.fields(1, 1, 1), 1)
+    manifest = dict(
+        format=1, command="sean collect", options={"environment": "lab", "task": ["code.py:f"]}, hours=0.01, batch=1,
+        seconds=120, streams=["a"], situations=["b"], camera=camera, robot={"name": "kuri"},
+        shards=[{**shard, "bytes": sizes}],
+    )  # fmt: skip
+    for name, file, content in [
+        ("dataset", "dataset.json", manifest),
+        ("learned", "config.json", {"dataset": {"command": "sean collect --environment lab --task code.py:f"}}),
+        ("validated", "results.json", {"command": "sean validate --models code.py:f", "rows": [{"check": "rimea-1"}]}),
+    ]:
+        (folder / name).mkdir()
+        (folder / name / file).write_text(json.dumps(content))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.chdir(folder)
+        yield folder
+
+
+@pytest.mark.parametrize("words", NAMED)
+def test_code_that_a_file_names_does_not_run(named, words, capsys):
+    """With ``--trust`` it runs, which it tells by an error of its own."""
+    small = "--environment lab --people 2 --dynamics twin".split() if "ppo" in words else []
+    begin = set(named.rglob("*"))
+    assert cli.main([*words.split(), *small]) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    pattern = rf"{NAMED[words]}: \S*code.py:f is code, and \S+ names it, not you; read it, then add --trust \(in Python"
+    assert re.search(pattern, error), error
+    assert set(named.rglob("*")) == begin
+    assert cli.main([*words.split(), *small, "--trust"]) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    if words.startswith("train dagger"):  # whose networks learn before one drives
+        assert "dataset has 1 episodes" in error
+        return
+    assert "code.py cannot be imported: ValueError: it ran" in error, error
+    (named / "ran").unlink()
+
+
+def test_in_python_a_file_is_trusted_within_a_block_alone(named):
+    lab = sean_jax.make("lab", behavior="random", people=2, dynamics="twin")
+    with pytest.raises(InputError, match=r"code.py:f is code, and agent.config.json names it, not you"):
+        learning.load("agent", lab)
+    with sean_jax.trust(), sean_jax.trust(), pytest.raises(InputError, match="it ran"):
+        learning.load("agent", lab)
+    (named / "ran").unlink()
+    with pytest.raises(InputError, match="not you"):
+        sean_jax.evaluate(lab, "training", episodes=1)
+    with pytest.raises(InputError, match="it ran"):
+        sean_jax.make("lab", task="code.py:f")
+    (named / "ran").unlink()
+
+
+def test_to_compare_runs_nothing(named):
+    assert cli.main(["compare", "policy", "metrics", "--out", "page.html", "--quiet"]) == 0
+    assert not (named / "ran").exists()
+    (named / "page.html").unlink()
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_only_what_is_typed_is_yours(named, field, capsys):
+    """Of a description that flags change, and of its copies with other values."""
+    text = f"environment: lab\n{field}: {{kind: code.py:f, size: 1}}\n"
+    (named / "mixed.yaml").write_text(
+        text if field in ("robot", "model", "policy") else text.replace("size: 1", "routing: whole")
+    )
+
+    def read(*words):
+        given = flags.parse("run", RunConfig, ["--config", "mixed.yaml", *words], configurable=True)
+        return dict(components._parts(cli._read(RunConfig, given).replace(people=3)))
+
+    source = Path("mixed.yaml")
+    assert {name: part.named_in for name, part in read().items()} == {field: source}
+    singular = {"forces": "force", "situations": "situation", "metrics": "metric", "sensors": "sensor"}.get(field)
+    if singular:
+        config = flags.parse(
+            "run", RunConfig, ["--config", "mixed.yaml", f"--{singular}", "my.py:g"], configurable=True
+        )
+        parts = getattr(cli._read(RunConfig, config), field)
+        assert [(part.kind, part.named_in) for part in parts] == [("code.py:f", source), ("my.py:g", None)]
+    else:
+        assert read(f"--{field}", "my.py:g")[field].named_in is None
+    if field == "behavior":
+        (part,) = read("--routing", "edge").values()
+        assert part.named_in == source and part.options["routing"] == "edge"
+    (named / "mixed.yaml").write_text(f"config: {{{field}: code.py:f, trust: true}}\n")
+    assert cli.main(["run", "--config", "mixed.yaml"]) == 2
+    assert "'trust' is not a known key" in capsys.readouterr().err
 
 
 def test_no_file_holds_a_value():

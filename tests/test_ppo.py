@@ -518,19 +518,24 @@ def test_a_training_goes_on_with_the_same_own_files_alone(own, tmp_path):
     assert (tmp_path / "trained" / "config.json").read_bytes() == kept and not (tmp_path / "packed").exists()
 
 
-def test_a_packed_agent_has_its_own_files_with_it(own, tmp_path, monkeypatch):
+def test_a_packed_agent_has_its_own_files_with_it(own, tmp_path, monkeypatch, capsys):
     scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=4.0)
-    learning.pack("trained", "packed")
+    with pytest.raises(InputError, match="mine.py:seen is code, and trained/config.json names it, not you"):
+        learning.pack("trained", "packed")
+    assert cli.main(["export", "agent", "trained", "--out", "packed", "--trust"]) == 0
+    assert "next: sean run --policy ./packed --trust" in capsys.readouterr().out
     names = {path.relative_to("packed").as_posix() for path in Path("packed").rglob("*.*")}
     assert names == {"config.json", "weights.npz", "parts/mine.py", "parts/helper.py"}
-    expected = learning.load("trained", scenario).params.agent.statistics.mean
+    with sean_jax.trust():
+        expected = learning.load("trained", scenario).params.agent.statistics.mean
     away = tmp_path / "away"
     away.mkdir()
     shutil.move("packed", away / "packed")
     for file in ("mine.py", "helper.py"):
         (tmp_path / file).unlink()
     monkeypatch.chdir(away)
-    driver = learning.load("packed", scenario)
+    with sean_jax.trust():
+        driver = learning.load("packed", scenario)
     np.testing.assert_array_equal(driver.params.agent.statistics.mean, expected)
     state = SimpleNamespace(robot=SimpleNamespace(position=jnp.array([3.0, -2.0])))
     np.testing.assert_allclose(dict(driver.params.terms)["seen"].read(scenario, state, ()), [0.3, -0.2], rtol=1e-6)

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from sean_jax import files, replay, report, writing
+from sean_jax import components, files, replay, report, writing
 from sean_jax.config import CompareConfig, RunConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import output, table
@@ -106,7 +106,8 @@ def read(folder: Path) -> Measured:
     for name in ("config.yaml", "episodes.csv"):
         if not (folder / name).is_file():
             raise InputError(f"{folder}: holds no {name}; give a folder that `sean run` has finished.")
-    config = validate(RunConfig, output.read_config(folder / "config.yaml"))
+    path = folder / "config.yaml"
+    config = validate(RunConfig, output.read_config(path), source=path)
     rows = list(csv.DictReader(files.read_text(folder / "episodes.csv").splitlines()))
     if not rows:
         raise InputError(f"{folder / 'episodes.csv'}: holds no episode; run it again.")
@@ -158,7 +159,7 @@ def unlike(first: Measured, second: Measured) -> list[str]:
     Returns:
         Names of fields, but for the number of episodes.
     """
-    one, other = (each.config.decisive() for each in (first, second))
+    one, other = (components.by_content(each.config) for each in (first, second))
     return [name for name in one if name != "episodes" and one[name] != other.get(name)]
 
 

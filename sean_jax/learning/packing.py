@@ -34,6 +34,7 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     options = agents.read_options(folder)
     if agents.is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
+    components.check_trust(options)
     _, agent, _ = trained.load(folder, registry.build(options.of_each[0]).scenario)
     told = {**_best(folder), "weights": "float16", "packed_with": versions()}
     with writing.atomic_folder(out) as made:

@@ -289,7 +289,7 @@ def _train(
             envs = tuple(draw(env, own, options.pool) for env, own in zip(envs, keys, strict=True))
         several = _agents(options, network, envs[0], scenarios[0])
         if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
-            tell.stage(f"imitating {options.imitate}")
+            tell.stage(f"imitating {options.imitate.kind}")
             several = _imitating(options, network, envs, scenarios, several)
         if options.noise is not None:
             several = with_noise(several, options.noise)
@@ -354,7 +354,8 @@ def _imitating(
     several: Agent,
 ) -> Agent:
     """The agents after they have learned from another policy, (A, ...)."""
-    teachers = tuple(choice.policy(str(options.imitate), scenario, "imitate") for scenario in scenarios)
+    assert options.imitate is not None
+    teachers = tuple(choice.policy(options.imitate, scenario, "imitate") for scenario in scenarios)
     envs = tuple(replace(env, pool=None) for env in envs)
     keys = jnp.stack([prng.key("imitation", int(agent["seed"])) for agent in options.agents])
 
@@ -439,7 +440,7 @@ def _config(options: ReinforcementConfig) -> dict[str, Any]:
 def _pretrained(options: ReinforcementConfig, scenario: Scenario) -> Agent:
     """The best agent of another training, which must have seen the same and be of the same size."""
     folder = Path(str(options.pretrained))
-    had, asked = agents.read_options(folder).decisive(), options.decisive()
+    had, asked = components.by_content(agents.read_options(folder)), components.by_content(options)
     for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16", "careful"):
         if had[name] != asked[name]:
             raise InputError(f"pretrained: {folder} has {name} {had[name]}, not {asked[name]}; ask for the same.")

@@ -68,7 +68,7 @@ def read_options(folder: Path) -> ReinforcementConfig:
     told = {name: saved[name] for name in saved if name in model.model_fields}
     told = components.recorded(folder / CONFIG, told, saved.get("parts"), "parts")
     try:
-        return validate(model, told)
+        return validate(model, told, source=folder / CONFIG)
     except InputError as error:
         raise InputError(f"{folder / CONFIG}: {error}") from None
 
