@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     )
     from sean_jax.behaviors import BEHAVIORS, Place
     from sean_jax.classifiers import SITUATION_SETS, SITUATIONS, Thresholds
+    from sean_jax.components import trust
     from sean_jax.config import (
         APGConfig,
         CollectConfig,
@@ -78,6 +79,7 @@ _PUBLIC = {
     "Scenario Sensor State Trajectory as_policy",
     "behaviors": "BEHAVIORS Place",
     "classifiers": "SITUATIONS SITUATION_SETS Thresholds",
+    "components": "trust",
     "config": "APGConfig CollectConfig CustomTask EnvConfig GraphBehavior HandcraftedBehavior PPOConfig "
     "PlaybackBehavior RandomBehavior RunConfig ScenarioConfig TrainConfig",
     "crowding": "congestion",
@@ -187,6 +189,7 @@ __all__ = [
     "sensors",
     "simulate",
     "step",
+    "trust",
     "view",
     "with_task",
 ]

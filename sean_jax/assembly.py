@@ -176,6 +176,7 @@ def check(config: ScenarioConfig) -> Path:
     Raises:
         InputError: one sentence that names the value and the cure.
     """
+    components.check_trust(config)
     try:
         if isinstance(config.behavior, Named):
             components.resolve(config.behavior, behaviors.BEHAVIORS, "behavior")

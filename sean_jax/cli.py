@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # of those that matplotlib writes
 LEARNING = ("optax", "orbax", "tensorstore")  # what the extra "learning" brings
+READERS = ("run", "collect", "train", "experiment", "export", "replay", "benchmark")  # run what folders name
 WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, what broke midway, Ctrl-C, SIGTERM
 
 
@@ -73,12 +75,17 @@ def _main(arguments: list[str]) -> int:
         if word not in COMMANDS:
             raise InputError(_unknown(word))
         _refuse_empty(arguments)
-        options = _read(word, arguments[1:])
-        from sean_jax import compiler
+        model = _method(arguments[1:]) if word == "train" else COMMANDS[word]
+        from sean_jax import flags
 
-        compiler.configure()
-        with interrupts.unwrapped():
-            return _DO[word](options)
+        given = flags.parse(word, model, arguments[1:], configurable=word == "run", trust=word in READERS)
+        from sean_jax import compiler, components
+
+        with components.read_once(), components.trust() if getattr(given, "trust", False) else nullcontext():
+            options = _read(model, given)
+            compiler.configure()
+            with interrupts.unwrapped():
+                return _DO[word](options)
     except InputError as error:
         return _fail(str(error), WRONG)
     except (IncompleteError, FloatingPointError) as error:
@@ -114,16 +121,12 @@ def _unknown(word: str) -> str:
     return f"'{word}' is not one of {known}{suggest(word, COMMANDS) or '; `sean --help` tells what they do.'}"
 
 
-def _read(word: str, arguments: list[str]) -> Any:
-    """The description that the words ask for."""
+def _read(model: type[Config], given: Any) -> Any:
+    """The description that the flags ask for."""
     from sean_jax import flags
 
-    model, configurable = COMMANDS[word], word == "run"
-    if word == "train":
-        model = _method(arguments)
-    given = flags.parse(word, model, arguments, configurable)
     base = None
-    if configurable and given.config is not None:
+    if getattr(given, "config", None) is not None:
         from sean_jax.evaluation.output import read_config
 
         saved = read_config(given.config)
@@ -134,7 +137,7 @@ def _read(word: str, arguments: list[str]) -> Any:
             raise InputError(f"{given.config}: {error}") from None
         for sentence in saved.changes:
             print(sentence, file=sys.stderr)
-    return flags.read(model, given, base)
+    return flags.read(model, given, base, source=given.config if base is not None else None)
 
 
 def _method(arguments: list[str]) -> type[Config]:
@@ -203,7 +206,9 @@ def _train(options: config.TrainConfig | config.ReinforcementConfig) -> int:
             value, after = map(np.asarray, (state.best.value, state.best.update))
             best = f"best return in an evaluation {value.max():.2f} after {after[value.argmax()]}"
             _say(console, f"{int(state.update)} updates, {best}: ", options.folder)
-        _say(console, "next: ", _drive(options.folder))
+        from sean_jax import components
+
+        _say(console, "next: ", _drive(options.folder, bool(components.digests(options))))
 
     return _keeping(options, work)
 
@@ -221,9 +226,10 @@ def _join() -> int:
     return jax.process_index()
 
 
-def _drive(folder: Path) -> str:
+def _drive(folder: Path, trust: bool) -> str:
     """The command that lets the policy in a folder drive, whose name alone could be that of a policy of the package."""
-    return shlex.join(["sean", "run", "--policy", str(folder) if folder.name != str(folder) else f"./{folder}"])
+    policy = str(folder) if folder.name != str(folder) else f"./{folder}"
+    return shlex.join(["sean", "run", "--policy", policy, *["--trust"] * trust])
 
 
 def _experiment(options: config.ExperimentConfig) -> int:
@@ -251,12 +257,12 @@ def _export(options: config.ExportConfig) -> int:
     check_new_folder(options.out)
 
     def work(console: "Console") -> None:
-        from sean_jax import learning
+        from sean_jax import components, learning
 
         write = learning.pack if options.format == "agent" else learning.export
         _say(console, "written: ", write(options.source, options.out))
         if options.format == "agent":
-            _say(console, "next: ", _drive(options.out))
+            _say(console, "next: ", _drive(options.out, (options.out / components.PARTS).is_dir()))
 
     return _keeping(options, work)
 

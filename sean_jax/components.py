@@ -1,23 +1,69 @@
 """Parts of your own: ``my.py:thing`` of a description becomes the thing, and the record of a run can find it again.
 
-A file is executed once for its content, so the same file gives the same functions and nothing compiles anew. Importing
-this imports no JAX.
+What is executed are the bytes whose SHA-256 is recorded, never ``__pycache__``: a file is read together with all that
+its import statements find beside it (``Content``), and executed once for its content, so the same files give the same
+functions and nothing compiles anew. Importing this imports no JAX.
 """
 
+import ast
+import builtins
 import contextlib
 import hashlib
+import importlib.abc
 import importlib.util
+import re
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
-from sean_jax import files
+from sean_jax import files, writing
 from sean_jax.config import Component, Config, OwnPart, Value, is_own_part
 from sean_jax.errors import InputError
 
-_LOADED: dict[tuple[Path, str], ModuleType] = {}
+PARTS = "parts"  # folder beside a description with the files of one's own parts
+PACKAGE = __name__.partition(".")[0]
+
+
+class Source(NamedTuple):
+    """A module of one's own, before it is executed."""
+
+    path: Path
+    text: bytes | None  # of a folder without __init__.py none
+    is_package: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """A file and all that its import statements find beside it, at any depth, as it was read."""
+
+    file: Path  # absolute
+    sources: Mapping[str, Source]  # name as it is imported -> module; the file's own is the first
+
+    @cached_property
+    def digests(self) -> dict[str, str]:
+        """Path from the folder of the file -> SHA-256 of each file; the file's own is the first."""
+        read = [source for source in self.sources.values() if source.text is not None]
+        return {each.path.relative_to(self.file.parent).as_posix(): _sha256(each.text or b"") for each in read}
+
+    @cached_property
+    def digest(self) -> str:
+        """What tells all of it from another content: 64 hexadecimal digits."""
+        return _sha256(repr(self.digests).encode())
+
+    @cached_property
+    def root(self) -> str:
+        """The package that its modules are in, which no other file or content has."""
+        return f"sean_jax_part_{_sha256(f'{self.file}{self.digest}'.encode())[:16]}"
+
+
+_LOADED: dict[str, ModuleType] = {}  # root -> the executed file
+_READ: dict[Path, Content] = {}  # what was read within ``read_once``
+_reading_once = _trust = 0  # blocks of ``read_once`` and of ``trust`` that are open
 
 
 def resolve(component: Component, family: Mapping[str, Any], option: str) -> Any:
@@ -54,9 +100,11 @@ def load(part: OwnPart, option: str) -> Any:
         Whatever has that name in the file.
 
     Raises:
-        InputError: there is no such file or name, or the file or the call raised something.
+        InputError: a file names the part and is not trusted, there is no such file or name, or the file or the call
+            raised something.
     """
-    module = _module(Path(part.file), option)
+    _check_trust(part, option)
+    module = _module(part.file, option)
     names = [name for name in vars(module) if not name.startswith("_")]
     if not hasattr(module, part.name):
         raise InputError(f"{option}: {part.file} has no '{part.name}'{files.suggest(part.name, names) or '.'}")
@@ -69,8 +117,91 @@ def load(part: OwnPart, option: str) -> Any:
         raise InputError(f"{option}: {part.kind} cannot be made: {_reason(error)}") from error
 
 
+@contextlib.contextmanager
+def trust() -> Iterator[None]:
+    """Within the block, code runs that only a file names, such as ``FILE.py:NAME`` in the config.json of an agent.
+
+    Otherwise only such parts run as the user has named, on the command line or in Python.
+    """
+    global _trust
+    _trust += 1
+    try:
+        yield
+    finally:
+        _trust -= 1
+
+
+def check_trust(config: Config) -> None:
+    """Refuse what ``load`` would refuse of a description, before anything is made of it.
+
+    Args:
+        config: of any command.
+
+    Raises:
+        InputError: a file names one of its parts, and is not trusted.
+    """
+    for field, part in _parts(config):
+        _check_trust(part, field)
+
+
+def _check_trust(part: OwnPart, option: str) -> None:
+    if part.named_in is not None and not _trust:
+        cure = "read it, then add --trust (in Python: with sean_jax.trust())"
+        raise InputError(f"{option}: {part.kind} is code, and {part.named_in} names it, not you; {cure}.")
+
+
+# ------------------------------------------------------------------ what files hold
+
+
+@contextlib.contextmanager
+def read_once() -> Iterator[None]:
+    """Within the block each file of one's own is read once, so that all of a command runs what its record names."""
+    global _reading_once
+    _reading_once += 1
+    try:
+        yield
+    finally:
+        _reading_once -= 1
+        if not _reading_once:
+            _READ.clear()
+
+
+def content(file: str | Path) -> Content:
+    """What a file and its neighbours hold now, or held when this command first read them.
+
+    Args:
+        file: to be read.
+
+    Returns:
+        Its content.
+
+    Raises:
+        FileError: a file cannot be read.
+    """
+    path = Path(file).absolute()
+    if path in _READ:
+        return _READ[path]
+    own = path.stem if path.stem.isidentifier() else "__file__"
+    sources, waiting = {own: Source(path, _bytes(path), False)}, [own]
+    while waiting:
+        for name in _imported(waiting.pop(), sources):
+            parts = name.split(".")
+            for count in range(1, len(parts) + 1):
+                prefix = ".".join(parts[:count])
+                if prefix not in sources:
+                    found = _beside(path.parent, parts[:count])
+                    if found is None:
+                        break
+                    sources[prefix] = found
+                    waiting.append(prefix)
+    made = Content(path, sources)
+    if _reading_once:
+        _READ[path] = made
+    return made
+
+
 def digest(file: Path) -> str:
-    """What tells the content of a file from another: its SHA-256.
+    """What tells the bytes of a file from others: their SHA-256.
 
     Args:
         file: to be read.
@@ -81,29 +212,17 @@ def digest(file: Path) -> str:
     Raises:
         FileError: the file cannot be read.
     """
-    return hashlib.sha256(files.read_bytes(file)).hexdigest()
-
-
-def own_files(config: Config) -> dict[str, Path]:
-    """The files that a description takes parts from.
-
-    Args:
-        config: of any command.
-
-    Returns:
-        The file as it is named there -> its absolute path, in the order of the fields.
-    """
-    return {part.file: Path(part.file).absolute() for _, part in _parts(config)}
+    return _sha256(files.read_bytes(file))
 
 
 def digests(config: Config) -> dict[str, str]:
-    """What tells the content of the files that a description takes parts from.
+    """What tells the content of the files that a description takes parts from, and that those import beside them.
 
     Args:
         config: of any command.
 
     Returns:
-        The file as it is named there -> its ``digest``.
+        The file as it is named there -> its SHA-256.
 
     Raises:
         InputError: a file cannot be read; the message begins with the field that names it.
@@ -111,19 +230,81 @@ def digests(config: Config) -> dict[str, str]:
     found: dict[str, str] = {}
     for field, part in _parts(config):
         try:
-            found[part.file] = digest(Path(part.file))
+            found |= _named(part.file, content(part.file))
         except InputError as error:
             raise InputError(f"{field}: {error}") from None
     return found
 
 
-def _parts(config: Config) -> Iterator[tuple[str, OwnPart]]:
-    """Each part of one's own with the field that has it."""
-    for name in type(config).model_fields:
-        value = getattr(config, name)
-        for part in value if isinstance(value, tuple) else (value,):
-            if isinstance(part, OwnPart):
-                yield name, part
+def by_content(config: Config) -> dict[str, Any]:
+    """What decides the results, with own files by their content: equal for copies of a file.
+
+    Args:
+        config: of any command.
+
+    Returns:
+        As ``Config.decisive``.
+
+    Raises:
+        FileError: a file cannot be read.
+    """
+    return relocate(config.decisive(), {part.file: content(part.file).digest[:16] for _, part in _parts(config)})
+
+
+def copy(folder: Path, config: Config) -> tuple[dict[str, str], dict[str, str]]:
+    """Copies of the files that a description takes parts from, as they were executed.
+
+    Args:
+        folder: they are put into its folder ``parts``, those of a second folder into ``parts/2``, ...
+        config: names the files.
+
+    Returns:
+        File as it is named in the description -> its copy; copy -> SHA-256.
+    """
+    copies: dict[str, str] = {}
+    hashes: dict[str, str] = {}
+    places: dict[Path, str] = {}
+    for _, part in _parts(config):
+        held = content(part.file)
+        place = places.setdefault(held.file.parent, f"{PARTS}/{len(places) + 1}" if places else PARTS)
+        for source in held.sources.values():
+            if source.text is not None:
+                to = folder / place / source.path.relative_to(held.file.parent)
+                to.parent.mkdir(parents=True, exist_ok=True)
+                writing.write(to, source.text)
+        copies[part.file] = f"{place}/{held.file.name}"
+        hashes |= _named(copies[part.file], held)
+    return copies, hashes
+
+
+def recorded(path: Path, data: Any, hashes: Any, key: str) -> Any:
+    """A description that a file holds, whose own parts are found from here: first beside that file.
+
+    Args:
+        path: of the file.
+        data: the description in it.
+        hashes: what it says of the content of own files, as ``digests`` and ``copy`` give it; None for nothing.
+        key: where it says so.
+
+    Returns:
+        The same with the files as they are named from here.
+
+    Raises:
+        InputError: a file cannot be read, or is not what it was.
+    """
+    hashes = {} if hashes is None else hashes
+    if not isinstance(hashes, dict):
+        raise InputError(f"{path}: {key}: {hashes!r:.60} is no list of files; give file: digest lines, or none.")
+    names = _files(data)
+    found = {name: path.parent / name for name in names}
+    found = {name: file if file.is_file() or not Path(name).is_file() else Path(name) for name, file in found.items()}
+    for name in names if hashes else ():
+        held = content(found[name])
+        for (inner, digest), file in zip(held.digests.items(), _named(name, held), strict=True):
+            if hashes.get(file) != digest:
+                cure = f"restore it, or remove {key} from {path.name} to take all files as they are"
+                raise InputError(f"{found[name].parent / inner}: is not the file that {path} was made with; {cure}.")
+    return relocate(data, {name: str(file) for name, file in found.items()})
 
 
 def relocate(data: Any, place: Mapping[str, str]) -> Any:
@@ -146,44 +327,151 @@ def relocate(data: Any, place: Mapping[str, str]) -> Any:
     return data
 
 
-def _module(file: Path, option: str) -> ModuleType:
+def _files(data: Any) -> list[str]:
+    """The files of parts in a description's JSON, each once."""
+    if isinstance(data, str):
+        return [data.rpartition(":")[0]] if is_own_part(data) else []
+    values = data.values() if isinstance(data, Mapping) else data if isinstance(data, list | tuple) else ()
+    return list(dict.fromkeys(file for value in values for file in _files(value)))
+
+
+def _named(file: str, held: Content) -> dict[str, str]:
+    """The digests of a content, by names as that of its file."""
+    _, *others = held.digests
+    names = [file, *((Path(file).parent / other).as_posix() for other in others)]
+    return dict(zip(names, held.digests.values(), strict=True))
+
+
+def _parts(config: Config) -> Iterator[tuple[str, OwnPart]]:
+    """Each part of one's own with the field that has it; lists of names are texts with commas."""
+    for name in type(config).model_fields:
+        value = getattr(config, name)
+        for part in value if isinstance(value, tuple) else files.listed(value) if isinstance(value, str) else (value,):
+            if isinstance(part, OwnPart):
+                yield name, part
+            elif is_own_part(part):
+                yield name, OwnPart(kind=part)
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _bytes(path: Path) -> bytes:
+    """A file, or what another file of this command found there."""
+    for each in _READ.values():
+        for source in each.sources.values():
+            if source.path == path and source.text is not None:
+                return source.text
+    return files.read_bytes(path)
+
+
+def _beside(folder: Path, parts: list[str]) -> Source | None:
+    """The module of that name in a folder; None where it comes from elsewhere."""
+    place = folder.joinpath(*parts)
+    if parts == [PACKAGE]:
+        return None
+    for file, is_package in ((place / "__init__.py", True), (place.with_name(f"{place.name}.py"), False)):
+        if file.is_file():
+            return Source(file, _bytes(file), is_package)
+    if not place.is_dir() or (len(parts) == 1 and _is_installed(parts[0])):
+        return None
+    return Source(place, None, True)
+
+
+def _is_installed(name: str) -> bool:
+    """Whether a name is that of a module, before which a folder without __init__.py counts for nothing."""
+    try:
+        spec = importlib.util.find_spec(name)
+    except ValueError:  # such as __main__
+        return True
+    return spec is not None and spec.origin is not None
+
+
+def _imported(name: str, sources: Mapping[str, Source]) -> Iterator[str]:
+    """The names that the import statements of a module ask for, in all its functions and branches."""
+    source = sources[name]
+    try:
+        tree = ast.parse(source.text or b"")
+    except (SyntaxError, ValueError):  # which is told when it is executed
+        return
+    package = name.split(".") if source.is_package else name.split(".")[:-1]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) + 1 - node.level] if node.level else []
+            base = [*above, *([node.module] if node.module else [])]
+            yield from (".".join([*base, alias.name]) for alias in node.names)
+
+
+# ------------------------------------------------------------------ executed
+
+
+def _module(name: str, option: str) -> ModuleType:
     """The executed file."""
     try:
-        key = file.absolute(), digest(file)
+        held = content(name)
     except InputError as error:
         raise InputError(f"{option}: {error}") from None
-    if key not in _LOADED:
-        name = f"sean_jax_part_{key[1][:16]}_{file.stem}"
-        spec = importlib.util.spec_from_file_location(name, key[0])
-        assert spec is not None and spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module  # dataclasses and pickle look it up
+    if held.root not in _LOADED:
+        if _FINDER not in sys.meta_path:
+            sys.meta_path.insert(0, _FINDER)
+        _FINDER.contents[held.root] = held
         try:
-            with _importable(key[0].parent):
-                spec.loader.exec_module(module)
-        except Exception as error:
-            del sys.modules[name]
-            raise InputError(f"{option}: {file} cannot be imported: {_reason(error)}") from error
-        _LOADED[key] = module
-    return _LOADED[key]
+            _LOADED[held.root] = importlib.import_module(f"{held.root}.{next(iter(held.sources))}")
+        except (Exception, SystemExit) as error:
+            for each in [each for each in sys.modules if each.split(".")[0] == held.root]:
+                del sys.modules[each]
+            raise InputError(f"{option}: {name} cannot be imported: {_reason(error)}") from error
+    return _LOADED[held.root]
 
 
-@contextlib.contextmanager
-def _importable(folder: Path) -> Iterator[None]:
-    """So that a file finds its neighbours."""
-    sys.path.insert(0, str(folder))
-    try:
-        yield
-    finally:
-        sys.path.remove(str(folder))
+class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Makes the modules of contents. Their import statements find each other, and nothing else beside them."""
+
+    def __init__(self) -> None:
+        self.contents: dict[str, Content] = {}  # by root
+
+    def find_spec(self, fullname: str, path: Any, target: Any = None) -> ModuleSpec | None:
+        root, _, name = fullname.partition(".")
+        held = self.contents.get(root)
+        source = held and (held.sources.get(name) if name else Source(held.file.parent, None, True))
+        return source and importlib.util.spec_from_loader(fullname, self, is_package=source.is_package)
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        return None
+
+    def exec_module(self, module: ModuleType) -> None:
+        root, _, name = module.__name__.partition(".")
+        held = self.contents[root]
+        source = held.sources.get(name)
+        if source is None or source.text is None:
+            return
+
+        def find(name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0) -> ModuleType:
+            """What an import statement means."""
+            top = name.partition(".")[0]
+            if level or top not in held.sources:
+                return builtins.__import__(name, globals, locals, fromlist, level)
+            found = builtins.__import__(f"{root}.{name}", globals, locals, fromlist, 0)
+            return found if fromlist else sys.modules[f"{root}.{top}"]
+
+        module.__file__ = str(source.path)
+        vars(module)["__builtins__"] = vars(builtins) | {"__import__": find}
+        exec(compile(source.text, str(source.path), "exec", dont_inherit=True), vars(module))
 
 
-def _reason(error: Exception) -> str:
+_FINDER = _Finder()
+
+
+def _reason(error: BaseException) -> str:
     """The error in one sentence, with the line of the user's file."""
     line, trace = "", error.__traceback__
     while trace is not None:
-        if not trace.tb_frame.f_code.co_filename.startswith(str(Path(__file__).parent)):
-            line = f" (line {trace.tb_lineno} of {Path(trace.tb_frame.f_code.co_filename).name})"
+        file = trace.tb_frame.f_code.co_filename
+        if not file.startswith((str(Path(__file__).parent), "<frozen ")):
+            line = f" (line {trace.tb_lineno} of {Path(file).name})"
         trace = trace.tb_next
-    text = " ".join(str(error).split()) or "no reason given"
+    text = re.sub(r"sean_jax_part_\w+\.", "", " ".join(str(error).split())) or "no reason given"
     return f"{type(error).__name__}: {text[:300].rstrip('.')}{line}."

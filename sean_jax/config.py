@@ -212,6 +212,16 @@ class OwnPart(Component):
     model_config = pydantic.ConfigDict(extra="allow")
 
     kind: Annotated[str, Field(pattern=f"^{OWN_PART.pattern}$".replace("?P<file>", "").replace("?P<name>", ""))]
+    _named_in: Path | None = pydantic.PrivateAttr(default=None)
+
+    def model_post_init(self, context: Any, /) -> None:
+        """Remember the file whose description names it, as ``validate`` tells."""
+        self._named_in = context if isinstance(context, Path) else None
+
+    @property
+    def named_in(self) -> Path | None:
+        """The file whose description names it; None if the user has, on the command line or in Python."""
+        return self._named_in
 
     @property
     def file(self) -> str:
@@ -752,7 +762,7 @@ class ReinforcementConfig(EnvConfig):
     """Updates until a curriculum draws new starts for those that have least to teach."""
     pretrained: Path | None = None
     """Folder of a training whose agent goes on to learn."""
-    imitate: Text | None = None
+    imitate: Part | None = None
     """Who is imitated at first: the name of a policy, or the folder of a training, such as sean train dagger's."""
     seeds: Count = 1
     """Agents that are trained side by side, with seeds that follow one another."""
@@ -779,7 +789,7 @@ class ReinforcementConfig(EnvConfig):
             text = f"{self.scenarios} scenarios do not make {self.minibatches} minibatches of equal size"
             raise ValueError(f"minibatches: {text}; choose a divisor")
         if self.imitate is not None and self.pretrained is not None:
-            raise ValueError(f"imitate: {self.imitate} besides --pretrained {self.pretrained}; choose one")
+            raise ValueError(f"imitate: {self.imitate.kind} besides --pretrained {self.pretrained}; choose one")
         if self.scenarios % len(self.environments):
             text = f"{self.scenarios} do not spread evenly over {len(self.environments)} environments"
             raise ValueError(f"scenarios: {text}; take a multiple")
@@ -1345,6 +1355,8 @@ def _with_options(
     name: str, chosen: Any, default: object, options: dict[str, object], family: Family, named: Callable[[str], str]
 ) -> Any:
     """A component together with options that stand beside it."""
+    if isinstance(chosen, OwnPart):
+        return chosen.model_copy(update=options)
     if family.several:
         chosen = chosen[0] if isinstance(chosen, list | tuple) and len(chosen) == 1 else chosen
         if chosen is None and len(options) == len(family.options()):
@@ -1365,13 +1377,20 @@ def _with_options(
     return {**chosen, **options}
 
 
-def validate(model: type[Described], data: Mapping[str, object], named: Callable[[str], str] = str) -> Described:
+def validate(
+    model: type[Described],
+    data: Mapping[str, object],
+    named: Callable[[str], str] = str,
+    source: Path | None = None,
+) -> Described:
     """The description, checked.
 
     Args:
         model: its class.
         data: field -> value.
         named: field -> how messages name it.
+        source: the file that holds the values, whose own parts run if the user trusts it (``components.trust``); None
+            for values that the user has given. A component that is there already stays whose it is.
 
     Returns:
         An instance of the model.
@@ -1380,7 +1399,7 @@ def validate(model: type[Described], data: Mapping[str, object], named: Callable
         InputError: one sentence for the first thing that is wrong: field, value, cure.
     """
     try:
-        return model.model_validate(dict(data))
+        return model.model_validate(dict(data), context=source)
     except pydantic.ValidationError as error:
         raise InputError(sentence(model, error.errors(include_url=False)[0], named)) from None
 

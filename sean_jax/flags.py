@@ -26,6 +26,7 @@ from sean_jax.config import (
     Value,
     family_of,
     gather,
+    is_own_part,
     validate,
 )
 from sean_jax.errors import InputError
@@ -58,12 +59,16 @@ def number(value: object) -> str:
     return repr(float(value)).removesuffix(".0") if isinstance(value, float) else str(value)
 
 
-def parser(model: type[Config], configurable: bool = False) -> type:
+TRUST = "Run code, FILE.py:NAME, that a file names; otherwise code runs only if it is named on the command line."
+
+
+def parser(model: type[Config], configurable: bool = False, trust: bool = False) -> type:
     """A dataclass by which tyro reads the flags of a description; what is not given is None.
 
     Args:
         model: the description.
         configurable: whether --config may name a file with values for what is not given.
+        trust: whether --trust may let code run that files name.
 
     Returns:
         The class.
@@ -99,6 +104,8 @@ def parser(model: type[Config], configurable: bool = False) -> type:
         else:
             text += _default(field.default)
             fields.append(_field(name, kind | None, text, None, _choices(field.annotation)))
+    if trust:
+        fields.append(_field("trust", bool, TRUST, False))
     made = dataclasses.make_dataclass(model.__name__, fields, kw_only=True)
     made.__doc__ = model.__doc__
     return made
@@ -162,13 +169,16 @@ def _literal(kind: Any) -> Any:
     return kind if typing.get_origin(kind) is Literal else None
 
 
-def read(model: type[Described], given: object, base: Mapping[str, object] | None = None) -> Described:
+def read(
+    model: type[Described], given: object, base: Mapping[str, object] | None = None, source: Path | None = None
+) -> Described:
     """The description that flags ask for.
 
     Args:
         model: its class.
         given: an instance of ``parser(model)``.
         base: values for what is not given, as JSON has words for.
+        source: the file that holds them.
 
     Returns:
         An instance of the model.
@@ -176,25 +186,39 @@ def read(model: type[Described], given: object, base: Mapping[str, object] | Non
     Raises:
         InputError: a value cannot be, or an option does not belong to the chosen component; it names the flag.
     """
-    words = {name: value for name, value in vars(given).items() if value is not None and name != "config"}
+    words = {
+        name: value for name, value in vars(given).items() if value is not None and name not in ("config", "trust")
+    }
     switches = {name for name, value in words.items() if value is False}  # which are off by default
     data = dict(base or {})
     preset = words.get("preset", data.get("preset"))
     for name, field in model.model_fields.items():
         family = family_of(field)
+        if family is not None:
+            for option in {name, family.singular} & words.keys():
+                words[option] = _own(words[option], family)
         if family is not None and family.singular is not None:
             default = presets.usual(preset, name, ",".join(each.kind for each in field.default))
             _add(data, name, default, words.pop(name, None), words.pop(family.singular, []))
     words = {name: value for name, value in words.items() if name not in switches}
-    return validate(model, gather(model, words, data, flag), flag)
+    return validate(model, gather(model, words, data, flag), flag, source)
 
 
-def _add(data: dict, name: str, default: str, chosen: str | None, further: Sequence[str]) -> None:
+def _own(value: Any, family: Family) -> Any:
+    """The words of components, of which those in files of one's own are named by nobody else."""
+    if not (family.several or family.singular):
+        return OwnPart(kind=value) if is_own_part(value) else value
+    words = listed(value) if isinstance(value, str) else value
+    return [OwnPart(kind=word) if is_own_part(word) else word for word in words]
+
+
+def _add(data: dict, name: str, default: str, chosen: list | None, further: Sequence[object]) -> None:
     """Put the parts of a field with several together."""
     if chosen is not None:
-        data[name] = listed(chosen)
+        data[name] = chosen
     if further:
-        data[name] = [*data.get(name, listed(default)), *further]
+        had = data.get(name, default)  # of a file, which may hold one as it is
+        data[name] = [*(listed(had) if isinstance(had, str) else had if isinstance(had, list) else [had]), *further]
 
 
 def command(word: str, config: Config) -> str:
@@ -260,7 +284,9 @@ def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
             raise InputError(f"{flag(name)} is given more than once; give it once, with all of its values.")
 
 
-def parse(word: str, model: type[Config], arguments: Sequence[str], configurable: bool = False) -> Any:
+def parse(
+    word: str, model: type[Config], arguments: Sequence[str], configurable: bool = False, trust: bool = False
+) -> Any:
     """An instance of ``parser(model)`` from the words after the command; the parser's own exit if they are wrong.
 
     Args:
@@ -268,6 +294,7 @@ def parse(word: str, model: type[Config], arguments: Sequence[str], configurable
         model: its description.
         arguments: the words after it.
         configurable: as in ``parser``.
+        trust: as in ``parser``.
 
     Returns:
         What was given.
@@ -275,6 +302,6 @@ def parse(word: str, model: type[Config], arguments: Sequence[str], configurable
     Raises:
         InputError: a flag of several values is given twice.
     """
-    made = parser(model, configurable)
+    made = parser(model, configurable, trust)
     _check_once(model, arguments)
     return tyro.cli(made, prog=f"sean {word}", description=model.__doc__, args=list(arguments), config=SETTINGS)

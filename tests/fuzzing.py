@@ -477,9 +477,11 @@ def described() -> bytes:
 
 def load_config(folder: Path) -> Any:
     """What `sean run --config` understands; parts are not made, for a file may name a program."""
-    from sean_jax import cli
+    from sean_jax import cli, flags
+    from sean_jax.config import RunConfig
 
-    return cli._read("run", ["--config", str(folder / "config.yaml")]).decisive()
+    words = ["--config", str(folder / "config.yaml")]
+    return cli._read(RunConfig, flags.parse("run", RunConfig, words, configurable=True)).decisive()
 
 
 def kinds(folder: Path) -> dict[str, Kind]:

@@ -3,6 +3,8 @@
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -477,6 +479,69 @@ def test_a_packed_agent_drives_as_its_training(trained, tmp_path, capsys):
         learning.pack(out, tmp_path / "again")
     with pytest.raises(InputError, match="not empty"):
         learning.pack(folder, out)
+
+
+OWN = """import jax.numpy as jnp
+import helper
+from sean_jax.mdp.rewards import RewardTerm
+
+seen = lambda scenario, state: helper.scale * state.robot.position
+near = RewardTerm(lambda scenario, before, after: after.robot.speed, weight=1000.0)
+"""
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """A training with an observation and a reward of files of one's own, and a folder that has them."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(reinforcement, "programs", standing)
+    monkeypatch.setattr(mdp.Env, "with_pool", lambda env, key, size: env)
+    (tmp_path / "mine.py").write_text(OWN)
+    (tmp_path / "helper.py").write_text("scale = 0.1\n")
+    parts = {"observations": ["goal", "mine.py:seen"], "rewards": ["progress", "mine.py:near"]}
+    reinforcement.train(options(tmp_path / "trained", **parts))
+    return parts
+
+
+def test_a_training_goes_on_with_the_same_own_files_alone(own, tmp_path):
+    kept = (tmp_path / "trained" / "config.json").read_bytes()
+    assert set(json.loads(kept)["parts"]) == {"mine.py", "helper.py"}
+    for file, old, new in [("mine.py", "1000.0", "1.0"), ("helper.py", "0.1", "0.2"), ("mine.py", "", "# as it was")]:
+        text = (tmp_path / file).read_text()
+        (tmp_path / file).write_text(text.replace(old, new) if old else text + new)
+        with pytest.raises(InputError, match=f"trained was trained with another {file}.*restore the file, or choose"):
+            reinforcement.train(options(tmp_path / "trained", **own))
+        with pytest.raises(InputError, match=f"{file}: is not the file that .*config.json was made with; restore"):
+            learning.pack(tmp_path / "trained", tmp_path / "packed")
+        (tmp_path / file).write_text(text)
+    reinforcement.train(options(tmp_path / "trained", **own))
+    assert (tmp_path / "trained" / "config.json").read_bytes() == kept and not (tmp_path / "packed").exists()
+
+
+def test_a_packed_agent_has_its_own_files_with_it(own, tmp_path, monkeypatch, capsys):
+    scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=4.0)
+    with pytest.raises(InputError, match="mine.py:seen is code, and trained/config.json names it, not you"):
+        learning.pack("trained", "packed")
+    assert cli.main(["export", "agent", "trained", "--out", "packed", "--trust"]) == 0
+    assert "next: sean run --policy ./packed --trust" in capsys.readouterr().out
+    names = {path.relative_to("packed").as_posix() for path in Path("packed").rglob("*.*")}
+    assert names == {"config.json", "weights.npz", "parts/mine.py", "parts/helper.py"}
+    with sean_jax.trust():
+        expected = learning.load("trained", scenario).params.agent.statistics.mean
+    away = tmp_path / "away"
+    away.mkdir()
+    shutil.move("packed", away / "packed")
+    for file in ("mine.py", "helper.py"):
+        (tmp_path / file).unlink()
+    monkeypatch.chdir(away)
+    with sean_jax.trust():
+        driver = learning.load("packed", scenario)
+    np.testing.assert_array_equal(driver.params.agent.statistics.mean, expected)
+    state = SimpleNamespace(robot=SimpleNamespace(position=jnp.array([3.0, -2.0])))
+    np.testing.assert_allclose(dict(driver.params.terms)["seen"].read(scenario, state, ()), [0.3, -0.2], rtol=1e-6)
+    (away / "packed" / "parts" / "helper.py").write_text("scale = 0.3\n")
+    with pytest.raises(InputError, match="parts/helper.py: is not the file that packed/config.json was made with"):
+        learning.load("packed", scenario)
 
 
 def test_a_training_that_saw_something_else_is_refused(trained, tmp_path):

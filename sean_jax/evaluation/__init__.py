@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from sean_jax import assembly, drawing, interrupts, robots, sensors, trajectories, writing
+from sean_jax import assembly, components, drawing, interrupts, robots, sensors, trajectories, writing
 from sean_jax.base import Policy, PolicyLike, Scenario, Trajectory
 from sean_jax.config import OwnPart, RunConfig, Value
 from sean_jax.errors import InputError
@@ -228,6 +228,7 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
         KeyboardInterrupt: no batch was finished.
     """
     with contextlib.ExitStack() as stack:
+        stack.enter_context(components.read_once())
         folder = _own_folder(config, stack)
         unfinished = Unfinished(folder, config)
         stack.enter_context(unfinished.explained())

@@ -122,8 +122,9 @@ def _title(number: int, name: str) -> str:
 
 def _of_run(folder: Path, numbers: list[int]) -> Source:
     """The episodes of ``sean run``, from its config.yaml."""
-    saved = output.read_config(folder / "config.yaml")
-    config = validate(RunConfig, saved.description)
+    path = folder / "config.yaml"
+    saved = output.read_config(path)
+    config = validate(RunConfig, saved.description, source=path)
     _check(numbers, config.episodes, folder)
     scenarios = assembly.build(config)
     policy = choice.policy(config.policy, scenarios[0])
@@ -177,10 +178,7 @@ def _of_dataset(folder: Path, numbers: list[int]) -> Source:
     from sean_jax.learning.dataset import open_dataset  # which needs the extra "learning"
 
     data = open_dataset(folder)
-    manifest, size = data.manifest, data.batch
-    if not manifest["command"].startswith("sean collect"):
-        raise InputError(f"{folder}: was driven by hand or by another program, which cannot be simulated again.")
-    config = validate(CollectConfig, manifest["options"])
+    manifest, size, config = data.manifest, data.batch, data.description()
     _check(numbers, size * len(manifest["shards"]), folder)
     parts = streams(config)
     names, scenarios = list(parts), list(parts.values())
@@ -257,6 +255,7 @@ def _of_imitation(folder: Path) -> Source:
             f"{folder / CONFIG}: its demonstrations were not made by `sean collect`; use `sean run` for it."
         )
     config = flags.read(CollectConfig, flags.parse("collect", CollectConfig, words[2:]))
+    config = validate(CollectConfig, config.model_dump(mode="json"), source=folder / CONFIG)
     parts = streams(config)
     names, scenarios = list(parts), list(parts.values())
     return Source(

@@ -5,7 +5,6 @@ import csv
 import dataclasses
 import json
 import math
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,7 +12,7 @@ import numpy as np
 import yaml
 
 from sean_jax import components, files
-from sean_jax.config import Config, RunConfig
+from sean_jax.config import RunConfig
 from sean_jax.errors import FileError, InputError
 from sean_jax.evaluation import inputs
 from sean_jax.evaluation.inputs import Inputs
@@ -29,7 +28,6 @@ LIMITS = {"episode": (0, 2**31), "completed": (0, 1), "timed_out": (0, 1), "seco
 """Column of episodes.csv -> least and most; none of its cells is empty."""
 
 WORDS = {"True": 1.0, "False": 0.0, "": math.nan}  # of episodes.csv
-PARTS = "parts"  # folder beside config.yaml with the files that parts of one's own came from
 
 
 def write_all(
@@ -207,7 +205,7 @@ def write_config(
     """
     content: dict[str, Any] = {}
     if config is not None and made_of is not None:
-        copies, hashes = copy_parts(folder, config)
+        copies, hashes = components.copy(folder, config)
         told = {name: value for name, value in made_of.description.items() if value is not None}
         content["command"] = command("run", config)
         content["config"] = components.relocate(json.loads(json.dumps(told)), copies)
@@ -221,29 +219,6 @@ def write_config(
     content["versions"] = made_with
     text = yaml.safe_dump(content, sort_keys=False, width=1000)
     (folder / "config.yaml").write_text(text, encoding="utf-8")
-
-
-def copy_parts(folder: Path, config: Config) -> tuple[dict[str, str], dict[str, str]]:
-    """Copies of the files that parts of one's own came from.
-
-    Args:
-        folder: they are put into its folder ``parts``.
-        config: names the files.
-
-    Returns:
-        File as it is named in the description -> its copy; copy -> SHA-256.
-    """
-    copies, hashes = {}, {}
-    for name, file in components.own_files(config).items():
-        (folder / PARTS).mkdir(exist_ok=True)
-        stem, number = file.stem, 1
-        while f"{PARTS}/{stem}.py" in hashes and hashes[f"{PARTS}/{stem}.py"] != components.digest(file):
-            number += 1
-            stem = f"{file.stem}_{number}"
-        copy = f"{PARTS}/{stem}.py"
-        shutil.copyfile(file, folder / copy)
-        copies[name], hashes[copy] = copy, components.digest(folder / copy)
-    return copies, hashes
 
 
 class Saved(NamedTuple):
@@ -279,19 +254,21 @@ def read_config(path: Path, check: bool = True) -> Saved:
         raise InputError(f"{path}: config: holds no description; give field: value lines.")
     hashes, copies = _texts(path, content, "sha256", "digest"), _texts(path, content, "copies", "copy")
     folder = path.parent
+    code = {name: digest for name, digest in hashes.items() if name.endswith(".py")}
     for name, digest in hashes.items() if check else ():
-        if inputs.digest(folder / name) != digest:
+        if name not in code and inputs.digest(folder / name) != digest:
             cure = f"restore it, or remove its line under sha256 in {path.name} to take it as it is"
             raise InputError(f"{folder / name}: is not the file that the run was made with; {cure}.")
-    parts = {name: str(folder / name) for name in _own_files(data, folder)}
     places, changes = inputs.locate(copies, hashes, folder)
-    identities = {str(folder / name): hashes[name] for name in parts if name in hashes}
+    description = components.recorded(path, inputs.rename(data, places), code if check else None, "sha256")
+    copied = ((folder / name, digest) for name, digest in code.items())
+    identities = {str(file): components.content(file).digest if file.is_file() else told for file, told in copied}
     for name, copy in copies.items():
         told = " ".join(f"{part} {digest}" for part, digest in hashes.items() if part.startswith(copy))
         identities |= {name: told, str(folder / copy): told}
     versions = content.get("versions")
     return Saved(
-        description=components.relocate(inputs.rename(data, places), parts),
+        description=description,
         changes=changes,
         identities=identities,
         fingerprint=str(content.get("fingerprint", "")),
@@ -304,16 +281,4 @@ def _texts(path: Path, content: dict[str, Any], key: str, what: str) -> dict[str
     found = content.get(key) or {}
     if not isinstance(found, dict) or not all(isinstance(text, str) for pair in found.items() for text in pair):
         raise InputError(f"{path}: {key}: {found!r:.60} is no list of files; give file: {what} lines, or none.")
-    return found
-
-
-def _own_files(data: Any, folder: Path) -> set[str]:
-    """The files of parts in a description that lie beside it."""
-    found: set[str] = set()
-    values = data.values() if isinstance(data, dict) else data if isinstance(data, list) else [data]
-    for value in values:
-        if isinstance(value, dict | list):
-            found |= _own_files(value, folder)
-        elif components.is_own_part(value) and (folder / value.rpartition(":")[0]).is_file():
-            found.add(value.rpartition(":")[0])
     return found

@@ -321,7 +321,7 @@ def policy_digest(policy: str) -> str:
     """
     described = validate(RunConfig, {"policy": policy}).policy
     if isinstance(described, OwnPart):
-        return _digest(components.digest(Path(described.file)), described.name)
+        return _digest(components.content(described.file).digest, described.name)
     scenario = assembly.build(tracks.description(next(iter(tracks.TRACKS))))[0]
     numbers = fingerprint(choice.policy(described, scenario).params)
     return _digest(numbers, described.kind) if described.kind in POLICIES else numbers

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from sean_jax import files, writing
+from sean_jax import components, files, writing
 from sean_jax.config import BenchmarkConfig, ExperimentConfig
 from sean_jax.errors import FileError, InputError
 from sean_jax.flags import flag
@@ -30,7 +30,8 @@ def has_started(options: ExperimentConfig | BenchmarkConfig) -> bool:
         try:
             content = files.read_json(folder / OPTIONS)
             previous, previous_versions = content["options"], content.get("versions")
-            if not isinstance(previous, dict):
+            had = content.get("parts", {})
+            if not (isinstance(previous, dict) and isinstance(had, dict)):
                 raise TypeError
         except (ValueError, KeyError, TypeError, AttributeError):
             raise InputError(f"{folder / OPTIONS} is damaged; choose another folder with --out.") from None
@@ -38,6 +39,9 @@ def has_started(options: ExperimentConfig | BenchmarkConfig) -> bool:
             if current[name] != previous.get(name):
                 text = f"{flag(name)} {previous.get(name)}, not {current[name]}"
                 raise InputError(f"{folder} was begun with {text}; ask for the same or choose another --out.")
+        for name, digest in components.digests(options).items():
+            if had.get(name, digest) != digest:
+                raise InputError(f"{folder} was begun with another {name}; restore it, or choose another --out.")
         if (other := version_mismatch(previous_versions)) is not None:
             raise InputError(f"{folder} was begun with {other}; go on with the same, or choose another --out.")
         return True
@@ -55,8 +59,11 @@ def start(options: ExperimentConfig | BenchmarkConfig) -> None:
     Raises:
         InputError: the folder holds another experiment, results of other versions, or other files.
     """
-    if not has_started(options):
-        save(options.folder / OPTIONS, {"options": options.decisive(), "versions": versions()})
+    content = load(options.folder / OPTIONS) if has_started(options) else None
+    about = content or {"options": options.decisive(), "versions": versions()}
+    about = about | {"parts": about.get("parts", {}) | components.digests(options)}  # drivers can be added later
+    if about != content:
+        save(options.folder / OPTIONS, about)
 
 
 def save(path: Path, content: Any) -> None:

@@ -240,10 +240,20 @@ def check_config(folder: Path, config: dict[str, Any]) -> bool:
     if not isinstance(saved, dict):
         raise InputError(f"{file} is no configuration of a network; choose another folder with --out.")
     for name, value in json.loads(json.dumps(config)).items():
-        if name not in ("versions", "command") and saved.get(name) != value:
+        if name == "parts":
+            _check_parts(file, value, saved.get(name))
+        elif name not in ("versions", "command") and saved.get(name) != value:
             difference = f"{name.replace('_', ' ')} {_text(saved.get(name))}, not {_text(value)}"
             raise InputError(f"{folder} has checkpoints of another network, with {difference}; choose another --out.")
     return True
+
+
+def _check_parts(file: Path, now: dict[str, str], saved: Any) -> None:
+    """Refuse to go on with another content of own files; a training of an earlier version does not tell theirs."""
+    for name, digest in now.items():
+        if not isinstance(saved, dict) or saved.get(name) != digest:
+            what = f"{file.parent} was trained with another {name}, or with one whose content it does not tell"
+            raise InputError(f"{what}; restore the file, or choose another --out.")
 
 
 def write_config(folder: Path, config: dict[str, Any]) -> None:

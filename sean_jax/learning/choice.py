@@ -6,7 +6,7 @@ from typing import Any
 from sean_jax import components, files
 from sean_jax.base import Policy, PolicyLike, Scenario, as_policy
 from sean_jax.classifiers import SITUATION_SETS
-from sean_jax.config import Component, Named, RunConfig, ScenarioConfig, validate
+from sean_jax.config import METHODS, Component, Named, ReinforcementConfig, RunConfig, ScenarioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.learning import agents
 from sean_jax.learning.agents import AGENTS
@@ -88,7 +88,10 @@ def check(given: PolicyLike | Component | str, config: ScenarioConfig, option: s
         from sean_jax.learning.network import read_network
 
         folder = _found(description.kind, option)
-        if agents.is_packed(folder) or read_method(folder) != "imitation":
+        method = read_method(folder)
+        if issubclass(METHODS[method], ReinforcementConfig):
+            agents.terms(agents.read_options(folder))
+        if method != "imitation":
             return
         sets = [part.kind for part in config.situations if isinstance(part, Named)]
         if len(sets) == len(config.situations) == 1 and sets[0] in SITUATION_SETS:

@@ -55,10 +55,11 @@ def collect(config: CollectConfig, console: Console | Callable[[float], None] | 
         IncompleteError: something broke midway.
         FloatingPointError: a number is not finite.
     """
-    check(config)
-    check_place(config.folder)
-    with writing.folder_lock(config.folder):
-        return _collect(config, console)
+    with components.read_once():
+        check(config)
+        check_place(config.folder)
+        with writing.folder_lock(config.folder):
+            return _collect(config, console)
 
 
 def _collect(config: CollectConfig, console: Console | Callable[[float], None] | None) -> Dataset:

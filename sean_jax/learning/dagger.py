@@ -15,8 +15,8 @@ from typing import Any
 
 from rich.console import Console
 
-from sean_jax import writing
-from sean_jax.config import CollectConfig, DaggerConfig, TrainConfig, validate
+from sean_jax import components, writing
+from sean_jax.config import CollectConfig, DaggerConfig, TrainConfig
 from sean_jax.flags import command
 from sean_jax.learning import collection, training
 from sean_jax.learning.checkpoints import check_config, write_config
@@ -42,6 +42,7 @@ def train(options: DaggerConfig, console: Console | Callable[[float], None] | No
         FloatingPointError: a number is not finite. What was finished stays.
     """
     first = open_dataset(options.dataset)
+    components.check_trust(_driving(options, first, 1))
     config = _config(options, first)
     resumes = check_config(options.folder, config)
     with writing.folder_lock(options.folder):
@@ -62,13 +63,10 @@ def train(options: DaggerConfig, console: Console | Callable[[float], None] | No
 
 def _driving(options: DaggerConfig, first: Dataset, number: int) -> CollectConfig:
     """What is recorded in a round: the demonstrations' scenario, with other episodes."""
-    had = {name: first.manifest["options"][name] for name in first.manifest["options"] if name in _COLLECTED}
+    had = first.description()
     student = str(options.folder / f"round-{number - 1}")
-    own = {"policy": student, "labels": options.expert, "hours": options.hours, "seed": had["seed"] + number}
-    return validate(CollectConfig, had | own | {"out": options.folder / f"data-{number}", "quiet": options.quiet})
-
-
-_COLLECTED = set(CollectConfig.model_fields)
+    own = {"policy": student, "labels": options.expert, "hours": options.hours, "seed": had.seed + number}
+    return had.replace(**own, out=options.folder / f"data-{number}", quiet=options.quiet)
 
 
 def _learning(options: DaggerConfig, data: list[Path], before: Path | None, out: Path) -> TrainConfig:
@@ -95,6 +93,7 @@ def _config(options: DaggerConfig, first: Dataset) -> dict[str, Any]:
         "command": command("train", options),
         "method": options.method,
         **options.decisive(),
+        "parts": components.digests(options),
         "dataset": {"fingerprint": first.fingerprint(), "command": first.manifest["command"]},
         "versions": versions(),
     }

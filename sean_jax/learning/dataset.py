@@ -18,7 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import files, prng, writing
+from sean_jax import components, files, prng, writing
+from sean_jax.config import CollectConfig, validate
 from sean_jax.errors import FileError, IncompleteError, InputError
 from sean_jax.learning import store
 from sean_jax.learning.examples import POINTS, Recording, Row
@@ -49,6 +50,25 @@ class Dataset:
     folder: Path
     manifest: dict[str, Any]  # the content of dataset.json
     part: tuple[int, int] = (1, 1)  # which of how many equal parts of the episodes is read; (3, 10) is the third of ten
+
+    def description(self) -> CollectConfig:
+        """What ``sean collect`` recorded, with the files of own parts as they are found from here.
+
+        Returns:
+            The description.
+
+        Raises:
+            InputError: something else made the dataset, or a file is not what it was.
+        """
+        file, options = self.folder / MANIFEST, self.manifest["options"]
+        if not self.manifest["command"].startswith("sean collect"):
+            text = "was driven by hand or by another program, which cannot be simulated again"
+            raise InputError(f"{self.folder}: {text}; record one with `sean collect`.")
+        options = components.recorded(file, options, self.manifest.get("parts"), "parts")
+        try:
+            return validate(CollectConfig, options, source=file)
+        except InputError as error:
+            raise InputError(f"{file}: options: {error}") from None
 
     @property
     def batch(self) -> int:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from sean_jax import files, registry, writing
+from sean_jax import components, files, registry, writing
 from sean_jax.errors import InputError
 from sean_jax.learning import agents, trained
 from sean_jax.learning.logs import read_lines
@@ -14,6 +14,8 @@ from sean_jax.writing import check_new_folder
 
 def pack(folder: Path | str, out: Path | str) -> Path:
     """Write the best agent of a training into a small folder, which drives as the training's does.
+
+    Files of one's own that the training names, and what they import beside them, are copied into its ``parts``.
 
     Args:
         folder: that ``sean train ppo`` has written, or is writing.
@@ -32,10 +34,13 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     options = agents.read_options(folder)
     if agents.is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
+    components.check_trust(options)
     _, agent, _ = trained.load(folder, registry.build(options.of_each[0]).scenario)
     told = {**_best(folder), "weights": "float16", "packed_with": versions()}
     with writing.atomic_folder(out) as made:
-        agents.save(made, agent, {**files.read_json(folder / CONFIG), "agent": told})
+        copies, hashes = components.copy(made, options)
+        own = components.relocate(options.decisive(), copies) | {"parts": hashes} if copies else {}
+        agents.save(made, agent, {**files.read_json(folder / CONFIG), **own, "agent": told})
     return out
 
 

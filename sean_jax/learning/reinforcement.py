@@ -24,7 +24,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int, PyTree
 from rich.console import Console
 
-from sean_jax import devices, mdp, prng, registry, writing
+from sean_jax import components, devices, mdp, prng, registry, writing
 from sean_jax.base import Array, Policy, Scenario
 from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
@@ -87,10 +87,11 @@ def train(options: ReinforcementConfig, console: Console | Callable[[float], Non
         IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
         FloatingPointError: the loss is not finite. The checkpoints stay.
     """
-    config = _config(options)
-    processes.by_first(lambda: check_config(options.folder, config))  # refuses before anything is written
-    scenarios, envs, network = processes.together(lambda: build(options))
     with contextlib.ExitStack() as stack:
+        stack.enter_context(components.read_once())
+        config = processes.together(lambda: _config(options))
+        processes.by_first(lambda: check_config(options.folder, config))  # refuses before anything is written
+        scenarios, envs, network = processes.together(lambda: build(options))
         processes.by_first(lambda: stack.enter_context(writing.folder_lock(options.folder)))
         return _train(options, console, scenarios, envs, network, config)
 
@@ -288,7 +289,7 @@ def _train(
             envs = tuple(draw(env, own, options.pool) for env, own in zip(envs, keys, strict=True))
         several = _agents(options, network, envs[0], scenarios[0])
         if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
-            tell.stage(f"imitating {options.imitate}")
+            tell.stage(f"imitating {options.imitate.kind}")
             several = _imitating(options, network, envs, scenarios, several)
         if options.noise is not None:
             several = with_noise(several, options.noise)
@@ -353,7 +354,8 @@ def _imitating(
     several: Agent,
 ) -> Agent:
     """The agents after they have learned from another policy, (A, ...)."""
-    teachers = tuple(choice.policy(str(options.imitate), scenario, "imitate") for scenario in scenarios)
+    assert options.imitate is not None
+    teachers = tuple(choice.policy(options.imitate, scenario, "imitate") for scenario in scenarios)
     envs = tuple(replace(env, pool=None) for env in envs)
     keys = jnp.stack([prng.key("imitation", int(agent["seed"])) for agent in options.agents])
 
@@ -429,6 +431,7 @@ def _config(options: ReinforcementConfig) -> dict[str, Any]:
         "command": command("train", options),
         "method": options.method,
         **options.decisive(),
+        "parts": components.digests(options),
         "devices": len(jax.devices()),
         "versions": versions(),
     }
@@ -437,7 +440,7 @@ def _config(options: ReinforcementConfig) -> dict[str, Any]:
 def _pretrained(options: ReinforcementConfig, scenario: Scenario) -> Agent:
     """The best agent of another training, which must have seen the same and be of the same size."""
     folder = Path(str(options.pretrained))
-    had, asked = agents.read_options(folder).decisive(), options.decisive()
+    had, asked = components.by_content(agents.read_options(folder)), components.by_content(options)
     for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16", "careful"):
         if had[name] != asked[name]:
             raise InputError(f"pretrained: {folder} has {name} {had[name]}, not {asked[name]}; ask for the same.")

@@ -5,10 +5,11 @@ Each check is done for each model and kept as soon as it is done, so a run that 
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sean_jax import writing
-from sean_jax.config import OwnPart, ValidateConfig, is_own_part
+from sean_jax.config import OwnPart, ValidateConfig, is_own_part, validate
 from sean_jax.errors import InputError
 from sean_jax.files import listed
 from sean_jax.progress import Progress, progress
@@ -90,12 +91,13 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
     return [row.check for row in rows if row.model == models[0].name and row.verdict == "fails"]
 
 
-def models_of(names: str | None) -> list[Model]:
+def models_of(names: str | None, source: Path | None = None) -> list[Model]:
     """The models that a list of names stands for.
 
     Args:
         names: separated by commas: presets, files of constants, pedestrian models, FILE.py:NAME; the default forces if
             None.
+        source: the file that holds the names; None for those that the user has given.
 
     Returns:
         One or more models.
@@ -108,7 +110,7 @@ def models_of(names: str | None) -> list[Model]:
         if is_own_part(name):
             from sean_jax.components import load
 
-            part = OwnPart(kind=name)
+            part = validate(OwnPart, {"kind": name}, source=source)
             found.append(model(load(part, "models"), part.name))
         else:
             found.append(model(name))

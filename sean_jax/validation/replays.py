@@ -60,11 +60,12 @@ def write(options: ReplayConfig, console: "Console") -> Path:
         if name not in known:
             raise InputError(f"only: '{name}' is none of the tests in {folder}: {', '.join(known)}.")
     made = flags.read(ValidateConfig, flags.parse("validate", ValidateConfig, words[2:]))
+    moved_by = models_of(made.models, folder / RESULTS)[0]
     players: list[tuple[str, dict[str, Any]]] = []
     with progress(console) as bar:
         for number, name in enumerate(names):
             bar.start(name, len(names))
-            laboratory = Laboratory(models_of(made.models)[0], made.data, made.quick)
+            laboratory = Laboratory(moved_by, made.data, made.quick)
             try:
                 CHECKS[name].function(laboratory)
             except Skipped as error:

@@ -142,7 +142,7 @@ def _part(folder: Path, check: Check, moved_by: Model) -> Path:
 def _made_with(moved_by: Model, options: ValidateConfig) -> dict[str, Any]:
     """All that decides a row."""
     who = f"{getattr(moved_by.move, '__module__', '')}.{getattr(moved_by.move, '__qualname__', '')}"
-    terms = [type(term).__name__ for term in moved_by.forces]
+    terms = [f"{type(term).__module__}.{type(term).__name__}" for term in moved_by.forces]  # own ones have their digest
     return {
         "model": [who, *terms, fingerprint(moved_by.forces)],
         "quick": options.quick,

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from sean_jax import files, registry, writing
+from sean_jax import components, files, registry, writing
 from sean_jax.base import Scenario
 from sean_jax.config import METHODS, ReinforcementConfig, validate
 from sean_jax.errors import InputError
@@ -65,8 +65,10 @@ def read_options(folder: Path) -> ReinforcementConfig:
     saved, model = files.read_json(folder / CONFIG), METHODS[read_method(folder)]
     if not issubclass(model, ReinforcementConfig):
         raise InputError(f"{folder} has a network that imitates, and no agent; train one with `sean train ppo`.")
+    told = {name: saved[name] for name in saved if name in model.model_fields}
+    told = components.recorded(folder / CONFIG, told, saved.get("parts"), "parts")
     try:
-        return validate(model, {name: saved[name] for name in saved if name in model.model_fields})
+        return validate(model, told, source=folder / CONFIG)
     except InputError as error:
         raise InputError(f"{folder / CONFIG}: {error}") from None
 
