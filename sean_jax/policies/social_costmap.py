@@ -8,7 +8,7 @@ Four parts follow one another in this file:
    is free, 252 is the highest beside an obstacle, 253 touches. A cell has the highest cost of all layers. Here no
    command may touch; ROS's local planner may enter 253 at its price, and only 254, the obstacle itself, stops it;
 2. a global plan on it, as of global_planner, by a wave that starts at the goal. ROS plans over the whole map. Here
-   the map is a window around the robot, and what lies beyond is taken from the exact tables of shortest paths: the
+   the map is a window around the robot, and what lies beyond is taken from the tables of shortest paths: the
    wave starts at the window's border with the distance that is left from there, and at the goal if that lies inside.
    So people change the plan only within the window;
 3. a local planner, the dynamic window approach after ROS's TrajectoryPlanner (D. Fox, W. Burgard & S. Thrun, 1997):
