@@ -39,6 +39,21 @@ def test_links_and_pictures_are_there():
             assert "://" in link or (path.parent / link).exists(), f"{path.name}: {link}"
 
 
+def anchors(page: Path) -> set[str]:
+    """Where links into a page may lead: its headings, as mkdocs names them."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    plain = [re.sub(r"[^\w\s-]", "", line).strip().lower() for line in re.findall(r"^#+ (.+)$", text, re.MULTILINE)]
+    return {re.sub(r"[-\s]+", "-", words) for words in plain}
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))], ids=lambda path: path.name)
+def test_links_lead_to_headings(page):
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)#([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if target.endswith(".md") and "://" not in target or not target:
+            where = page.parent / target if target else page
+            assert anchor in anchors(where), f"{page.name}: {target}#{anchor}"
+
+
 def test_the_gallery_shows_every_picture():
     shown = set(re.findall(r"\(pictures/([^)]+\.png)\)", (DOCS / "gallery.md").read_text()))
     assert shown == {path.name for path in (DOCS / "pictures").glob("*.png")}

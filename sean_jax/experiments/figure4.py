@@ -1,8 +1,8 @@
-"""Figure 4: policies that learned among people of three behaviors, and the navigation stack, in three scenarios.
+"""Figure 4: policies that learned among people of three behaviors, and social_costmap, in three scenarios.
 
 For each behavior (G, R, H) several datasets of demonstrations are collected, and several networks are trained on each.
-These policies, one with balanced examples (B), the navigation stack with social cost layers (N) and the demonstrator
-(E) are evaluated on the same numbered episodes (section V-C), of which each network drives its share.
+These policies, one with balanced examples (B), ``social_costmap`` for the paper's navigation stack (N) and the
+demonstrator (E) are evaluated on the same numbered episodes (section V-C), of which each network drives its share.
 """
 
 from __future__ import annotations

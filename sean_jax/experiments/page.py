@@ -382,8 +382,8 @@ PAPER = {  # section V-C: means over the three scenarios
 }
 FIGURE = (
     "<p class=note>G, R and H learned from demonstrations among people of the behavior graph, at random and "
-    "handcrafted, B from those of G drawn so that all situations are equally frequent; N is the navigation stack with "
-    "social cost layers, E the demonstrator. Darker is more.</p>"
+    "handcrafted, B from those of G drawn so that all situations are equally frequent; N is social_costmap, for the "
+    "paper's navigation stack, E the demonstrator. Darker is more.</p>"
 )
 BOOTSTRAP = (
     "<p class=note>Small: the middle 95 % of a bootstrap over datasets, seeds of training of each, and episodes of "

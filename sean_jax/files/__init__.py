@@ -1,4 +1,4 @@
-"""YAML files as pydantic models, with all errors at once, each with its line, its column and its cure.
+"""YAML files as pydantic models: all errors of one kind at once, each with its line, its column and its cure.
 
 A message has one line an error, such as ``warehouse/graph.yaml:6:19: nodes.dock.kind: 'gruop' is not one of
 waypoint, group; did you mean 'group'?``: file, line, column, keys, value, cure.

@@ -1,29 +1,29 @@
-"""social_costmap: the paper's navigation stack with social cost layers [49], and move_base, by SEAN 2.0's public files.
+"""social_costmap and move_base: a planner after ROS's navigation stack, with social cost layers [49] or without.
 
-move_base in four parts, which follow one another in this file:
+Four parts follow one another in this file:
 
 1. a cost map in layers: obstacles with their inflation, people's bodies likewise, as a lidar sees them, and the
    proxemic layer (D. V. Lu, D. Hershberger & W. D. Smart, "Layered costmaps for context-sensitive navigation", IROS
    2014; the formula as in navigation_layers, the numbers as in SEAN 2.0's configuration). Costs are those of ROS: 0
-   is free, 252 is the highest that can be driven over, 253 touches. A cell has the highest cost of all layers;
+   is free, 252 is the highest beside an obstacle, 253 touches. A cell has the highest cost of all layers. Here no
+   command may touch; ROS's local planner may enter 253 at its price, and only 254, the obstacle itself, stops it;
 2. a global plan on it, as of global_planner, by a wave that starts at the goal. ROS plans over the whole map. Here
-   the map is a window around the robot, and what lies beyond is taken from the exact tables of shortest paths: the
+   the map is a window around the robot, and what lies beyond is taken from the tables of shortest paths: the
    wave starts at the window's border with the distance that is left from there, and at the goal if that lies inside.
    So people change the plan only within the window;
-3. a local planner, the dynamic window approach as ROS's TrajectoryPlanner samples and scores it (D. Fox, W. Burgard &
-   S. Thrun, 1997): 20 speeds by 40 turn rates that can be reached in one control step, each driven for two seconds on
-   the cost map; path distance counts .75 and goal distance 1 for each cell of 0.05 m, a cost .1;
+3. a local planner, the dynamic window approach after ROS's TrajectoryPlanner (D. Fox, W. Burgard & S. Thrun, 1997):
+   20 speeds by 40 turn rates that can be reached in one control step, each driven for two seconds on the cost map;
+   path distance counts .75 and goal distance 1 for each 0.05 m, a cost .1;
 4. recovery: the robot turns on the spot where these fail for 5 seconds.
 
 The paper says that the stack has social cost layers. SEAN 2.0's public files for Kuri have their numbers, but the
 proxemic layer is commented out, the local map's obstacle layer is disabled, and the global map's has no sensor: no
-person is on any map. ``social_costmap`` is the paper's text, ``move_base`` those files.
+person is on any map. ``social_costmap`` has people on its maps, ``move_base`` nobody.
 
-What differs from ROS: the global plan is renewed every half second and not 20 times a second, on 32 x 32 cells of 0.2
-m around the robot and not on the whole map with 0.05 m. The local map has 32 x 32 cells of 0.05 m or, for a faster
-robot, as much as two seconds of it need. Maps hold the current places of people, without the errors of a lidar. The
-robot drives backward only to get out of what it touches (SEAN's -1.0 m/s would let it drive faster backward than
-ahead). A control step takes some three million operations, most of them for the two maps.
+Neither stands still as ROS's move_base does with the same files: docs/policies.md lists the differences. Here the
+global plan is renewed every half second, on 32 x 32 cells of 0.2 m around the robot, and the local map has 32 x 32
+cells of 0.05 m or, for a faster robot, as much as two seconds of it need. Maps hold the current places of people,
+without the errors of a lidar. A control step takes some three million operations, most of them for the two maps.
 """
 
 from dataclasses import replace
@@ -122,7 +122,10 @@ class SocialCostmapMemory(NamedTuple):
 
 
 def default_params(top_speed: float = 0.6, covariance: float = 0.1) -> SocialCostmapParams:
-    """The paper's stack: SEAN's numbers, with the proxemic layer and people's bodies on both maps.
+    """The paper's stack: the proxemic layer and people's bodies on both maps.
+
+    The numbers are those of SEAN's files, but for the inflation, which is 0.3 m and 10 on both maps (in the files 0.3
+    m on the global and 0.1 m on the local map, and 3).
 
     Args:
         top_speed: 1, share of the robot's own top speed.
@@ -157,10 +160,10 @@ def default_params(top_speed: float = 0.6, covariance: float = 0.1) -> SocialCos
 
 
 def sean2_params() -> SocialCostmapParams:
-    """What SEAN 2.0's public files say: no people on the maps, and an inflation that reaches less far and falls slower.
+    """The maps of SEAN 2.0's public files: no people, and an inflation that falls slower and ends sooner.
 
-    ``meter_scoring``, which they set, multiplies all three weights of the local planner by a cell's side, so that no
-    choice depends on it.
+    The weights of the local planner are theirs, but ``meter_scoring``, which they set, is left out. In ROS Noetic it
+    multiplies the weights of path and goal by a cell's side, and not that of cost.
 
     Returns:
         All parameters of the policy.
@@ -542,7 +545,7 @@ def distance_to_path(
 
 
 def init(scenario: Scenario, params: SocialCostmapParams, state: State) -> SocialCostmapMemory:
-    """ROS's navigation stack: social_costmap has people and their space on its maps, move_base nobody.
+    """A planner after ROS's navigation stack: social_costmap has people on its maps, move_base nobody.
 
     Args:
         scenario: where it drives.
@@ -664,4 +667,4 @@ social_costmap = Policy(params=default_params(), name="social_costmap", init=ini
 """The stack of the paper's text; otherwise by ``replace(social_costmap, params=default_params(top_speed=1.0))``."""
 
 move_base = Policy(params=sean2_params(), name="move_base", init=init, apply=apply)
-"""The stack of SEAN 2.0's public files, which sees no people."""
+"""The same planner with the maps of SEAN 2.0's public files, on which nobody is."""
