@@ -311,14 +311,14 @@ def test_no_loop_is_left_to_the_host_of_a_gpu():
     for program in programs:
         text = lowered_for_gpu(program, people)
         assert "stablehlo.while" not in text
-        launches = re.findall(r"custom_call @__gpu\$xla.gpu.triton.* : \((.*)\) ->", text)
+        launches = re.findall(r"custom_call @mosaic_gpu.* : \((.*)\) ->", text)
         assert len(launches) == 1
         sizes = re.findall(r"tensor<(\d+)x(\d+)x", launches[0])
-        assert sizes[0] == ("1", str(2 * 5 * 32)) and ("7", str(5 * 2)) in sizes
+        assert sizes[0] == ("1", str(2 * 5 * kernel.THREADS)) and ("7", str(5 * 2)) in sizes
     with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):
         double = jax.ShapeDtypeStruct((7, 5, 2), jnp.float64)
         exact = lowered_for_gpu(jax.vmap(lambda people: intersect.nearest(in_double(view(people)), rays)), double)
-    assert "stablehlo.while" in exact and "triton" not in exact
+    assert "stablehlo.while" in exact and "mosaic_gpu" not in exact
 
 
 def in_double(view):

@@ -1,4 +1,4 @@
-"""The first body that each ray meets, on a GPU: one kernel, written in Pallas (Triton).
+"""The first body that each ray meets, on a GPU: one kernel, written in Pallas (Mosaic GPU).
 
 Each program of the kernel has up to ``WIDTH`` rays of one tile in registers, goes through the bodies that the tile has
 in sight, and writes its result once. So the loops end on the GPU. A loop of XLA's whose end depends on data ends on the
@@ -21,9 +21,9 @@ from sean_jax.base import Array
 from sean_jax.raycast import laws
 from sean_jax.raycast.rays import Beams, Rays
 
-WARP = 32  # threads of a GPU that run together; rays of a program are a multiple of it
-WIDTH = 4 * WARP  # rays of a program at most; one warp has them all
-AMPERE = 8.0  # compute capability of the first GPUs for which XLA takes Triton's kernels
+THREADS = 128  # of a program; its rays are a multiple of them
+WIDTH = 2 * THREADS  # rays of a program at most
+HOPPER = 9.0  # compute capability of the oldest GPUs that the kernel was tried on
 BITS = 32  # bodies in a word, of which each bit says whether a tile has a body in sight
 
 
@@ -55,14 +55,14 @@ def available() -> bool:
         True or False.
     """
     try:
-        import_module("jax.experimental.pallas.triton")
+        import_module("jax.experimental.pallas.mosaic_gpu")
     except ImportError:
         return False
     device = jax.devices()[0]
     if device.platform == "cpu":
         return True
     try:
-        return float(device.compute_capability) >= AMPERE
+        return float(device.compute_capability) >= HOPPER
     except (AttributeError, ValueError):  # not one of NVIDIA's
         return False
 
@@ -84,9 +84,9 @@ def first(
         (tiles, rays) m, ``laws.MISS`` where a ray meets no body; and with ``numbers`` (tiles, rays) int32.
     """
     tiles, count = rays.direction.shape[1:]
-    warps = -(-count // WARP)
-    parts = -(-warps * WARP // WIDTH)
-    width = -(-warps // parts) * WARP
+    groups = -(-count // THREADS)
+    parts = -(-groups * THREADS // WIDTH)
+    width = -(-groups // parts) * THREADS
     fixed = tuple((family.start, family.table.shape[1], family.law) for family in families)
     shape = _Shape(rays, fixed, floor, numbers, parts, width)
     operands = [_beams(shape), jnp.stack([radius, height])[None]]
@@ -162,83 +162,61 @@ def _split(shape: _Shape, operands: Sequence[Array]) -> Callable:
 def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
     """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
     from jax.experimental import pallas
-    from jax.experimental.pallas import triton
+    from jax.experimental.pallas import mosaic_gpu
 
-    scenarios = max(operand.shape[0] for operand in operands)
-    programs = shape.rays.tiles * shape.parts
-
-    def block(operand: Array | jax.ShapeDtypeStruct, share: int) -> pallas.BlockSpec:
-        """What a program has of an operand, of which this many programs in a row have the same."""
-        one = operand.shape[0] == 1
-
-        def place(scenario: Any, program: Any) -> tuple:
-            return 0 if one else scenario, program // share
-
-        return pallas.BlockSpec((None, operand.shape[1] * share // programs), place)
-
-    shares = [1, programs] + [share for _ in shape.laws for share in (programs, shape.parts)]
+    grid = max(operand.shape[0] for operand in operands), shape.rays.tiles * shape.parts
     kinds = (operands[0].dtype, jnp.int32)[: 1 + shape.numbers]
-    out = tuple(jax.ShapeDtypeStruct((scenarios, programs * shape.width), kind) for kind in kinds)
-    return tuple(
-        pallas.pallas_call(
-            partial(_kernel, shape),
-            name="raycast",
-            grid=(scenarios, programs),
-            in_specs=[block(operand, share) for operand, share in zip(operands, shares, strict=True)],
-            out_specs=tuple(block(each, 1) for each in out),
-            out_shape=out,
-            compiler_params=triton.CompilerParams(num_warps=1, num_stages=1),
-            interpret=interpret,
-        )(*operands)
-    )
+    out = tuple(jax.ShapeDtypeStruct((grid[0], grid[1] * shape.width), kind) for kind in kinds)
+    if interpret:  # on a CPU, by XLA
+        kernel = partial(_kernel, shape, pallas.program_id)
+        return tuple(pallas.pallas_call(kernel, grid=grid, out_shape=out, interpret=True)(*operands))
+    names = "scenario", "program"
+    parameters = mosaic_gpu.CompilerParams(unsafe_no_auto_barriers=True)  # safe: a program reads nothing that it writes
+    return mosaic_gpu.kernel(
+        partial(_kernel, shape, lambda axis: jax.lax.axis_index(names[axis])),
+        out_type=out,
+        grid=grid,
+        grid_names=names,
+        compiler_params=parameters,
+        kernel_name="raycast",
+    )(*operands)
 
 
-def _kernel(shape: _Shape, beams_of: Any, numbers_of: Any, *references: Any) -> None:
-    """One program: up to ``WIDTH`` rays of one tile."""
-    bodies, results = references[: 2 * len(shape.laws)], references[2 * len(shape.laws) :]
+def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> None:
+    """One program: up to ``WIDTH`` rays of one tile of one scenario."""
+    from jax.experimental import pallas
+
+    scenario, program = index(0), index(1)
+    inputs = [each.at[0 if each.shape[0] == 1 else scenario] for each in references[: 2 + 2 * len(shape.laws)]]
+    beams_of, numbers_of, *bodies = inputs
     radius, height = numbers_of[0], numbers_of[1]
-    slices = _powers_of_two(shape.width)
-    beams = [_load(shape, beams_of, start, size) for start, size in slices]
-    nearest = [laws.ground(height, rays.direction[2], rays.inverse_rise) for rays in beams]
-    first = [jnp.where(distance < laws.MISS, shape.floor, shape.floor + 1).astype(jnp.int32) for distance in nearest]
-    found = list(zip(nearest, first, strict=True)) if shape.numbers else [(distance,) for distance in nearest]
-    for (start, columns, law), table, words in zip(shape.laws, bodies[::2], bodies[1::2], strict=True):
+    columns = 5 if shape.rays.offset is None else 8
+    parts = [
+        beams_of[pallas.ds((program * columns + column) * shape.width, shape.width)] for column in range(columns)
+    ]
+    beams = Beams(tuple(parts[:3]), parts[3], parts[4], tuple(parts[5:]) or None)
+    distance = laws.ground(height, beams.direction[2], beams.inverse_rise)
+    number = shape.floor + (distance >= laws.MISS).astype(jnp.int32)
+    first = (distance, number) if shape.numbers else (distance,)
+    for (start, columns, law), table, words_of in zip(shape.laws, bodies[::2], bodies[1::2], strict=True):
+        words = words_of.shape[0] // shape.rays.tiles
 
-        def test(_, carry: tuple, word: Any, start=start, columns=columns, law=law, table=table) -> tuple:
-            bits, found = carry
+        def test(carry: tuple, word: Any, start=start, columns=columns, law=law, table=table) -> tuple:
+            bits, *first = carry
             body = word * BITS + (BITS - 1) - jax.lax.clz(bits & -bits)  # that of the lowest bit
             row = tuple(table[body * columns + column] for column in range(columns))
-            new = [law(row, rays, radius, height) for rays in beams]
-            return bits & (bits - 1), [_nearer(*pair, start + body) for pair in zip(found, new, strict=True)]
+            return bits & (bits - 1), *_nearer(tuple(first), law(row, beams, radius, height), start + body)
 
-        def of_word(word: Any, found: list, words=words, test=test) -> list:
-            bits = words[word]
-            return jax.lax.fori_loop(0, jax.lax.population_count(bits), partial(test, word=word), (bits, found))[1]
+        def of_word(word: Any, first: tuple, words_of=words_of, words=words, test=test) -> tuple:
+            bits = words_of[program // shape.parts * words + word]
+            return jax.lax.while_loop(lambda carry: carry[0] != 0, partial(test, word=word), (bits, *first))[1:]
 
-        found = jax.lax.fori_loop(0, words.shape[0], of_word, found)
-    for (start, size), each in zip(slices, found, strict=True):
-        for result, values in zip(results, each, strict=True):
-            result[start : start + size] = values
+        first = jax.lax.fori_loop(0, words, of_word, first)
+    for result, values in zip(references[2 + 2 * len(shape.laws) :], first, strict=True):
+        result.at[scenario][pallas.ds(program * shape.width, shape.width)] = values
 
 
-def _nearer(found: tuple[Array, ...], distance: Array, number: Any) -> tuple[Array, ...]:
-    if len(found) == 1:
-        return (jnp.minimum(found[0], distance),)
-    nearer = distance < found[0]
-    return jnp.where(nearer, distance, found[0]), jnp.where(nearer, number, found[1])
-
-
-def _load(shape: _Shape, reference: Any, start: int, size: int) -> Beams:
-    columns = [reference[first : first + size] for first in range(start, reference.shape[0], shape.width)]
-    offset = None if shape.rays.offset is None else tuple(columns[5:8])
-    return Beams(tuple(columns[:3]), columns[3], columns[4], offset)
-
-
-def _powers_of_two(width: int) -> list[tuple[int, int]]:
-    """(start, size) of parts that make up the width; Triton's arrays have such sizes."""
-    parts, start = [], 0
-    while start < width:
-        size = 1 << ((width - start).bit_length() - 1)
-        parts.append((start, size))
-        start += size
-    return parts
+def _nearer(first: tuple[Array, ...], distance: Array, number: Any) -> tuple[Array, ...]:
+    if len(first) == 1:
+        return (jnp.minimum(first[0], distance),)
+    return jnp.minimum(first[0], distance), jnp.where(distance >= first[0], first[1], number)
