@@ -1,6 +1,9 @@
 """Adapters: each passes its own project's checker, and rows are what single environments are."""
 
+import importlib
+import re
 import warnings
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +11,7 @@ import numpy as np
 import pytest
 
 from sean_jax import mdp, registry
+from sean_jax.errors import InputError
 
 pytestmark = pytest.mark.slow
 NAME = "Lab-Random-RandomAbNav-v0"
@@ -44,38 +48,87 @@ def test_gymnasium_finds_it_by_name(gymnasium):
         gymnasium.make("sean/Nowhere-v0")
 
 
-def test_rows_are_single_environments(gymnasium, env):
-    """Row k with seed s is the single environment with seed s + k, over the ends of episodes."""
+@pytest.mark.parametrize("mode", ["SAME_STEP", "NEXT_STEP"])
+def test_rows_are_what_gymnasium_makes_of_single_environments(gymnasium, env, mode):
+    """Over the ends of episodes. Row k with seed s is the single environment with seed s + k."""
     from sean_jax.adapters.gymnasium import SocialNavigation, VectorSocialNavigation
 
     rows, seed, steps = 2, 7, 40  # two and a half episodes of 15 steps
-    actions = np.random.default_rng(0).uniform(-1, 1, (steps, rows, 2)).astype(np.float32)
-    vector = VectorSocialNavigation(env, rows)
-    observation, _ = vector.reset(seed=seed)
-    singles = [SocialNavigation(env) for _ in range(rows)]
-    first = [single.reset(seed=seed + row)[0] for row, single in enumerate(singles)]
-    _same(observation, first)
+    singles = [lambda: SocialNavigation(env)] * rows
+    wanted = gymnasium.vector.SyncVectorEnv(singles, autoreset_mode=gymnasium.vector.AutoresetMode[mode])
+    vector = VectorSocialNavigation(env, rows, autoreset_mode=mode)
+    assert vector.metadata["autoreset_mode"] == wanted.metadata["autoreset_mode"]
+    _close(vector.reset(seed=seed)[0], wanted.reset(seed=seed)[0])
     ends = 0
-    for action in actions:
-        observation, reward, terminated, truncated, info = vector.step(action)
-        for row, single in enumerate(singles):
-            seen, gain, term, trunc, _ = single.step(action[row])
-            assert (term, trunc) == (terminated[row], truncated[row])
-            np.testing.assert_allclose(gain, reward[row], atol=2e-5)
-            if term or trunc:
-                ends += 1
-                _close({name: part[row] for name, part in info["final_obs"].items()}, seen)
-                seen, _ = single.reset()
-            _close({name: part[row] for name, part in observation.items()}, seen)
-    assert ends == rows * (steps // 15)
+    for action in np.random.default_rng(0).uniform(-1, 1, (steps, rows, 2)).astype(np.float32):
+        observation, *numbers, info = vector.step(action)
+        expected, *others, told = wanted.step(action)
+        _close(observation, expected)
+        for value, other in zip(numbers, others, strict=True):  # reward, terminated, truncated
+            np.testing.assert_allclose(value, other, atol=2e-5)
+        over = numbers[1] | numbers[2]
+        ends += over.sum()
+        assert ("final_obs" in info) == ("final_obs" in told) and ("_metrics" in info) == ("_metrics" in told)
+        metrics, theirs = info.get("metrics"), told.get("metrics")
+        if "final_obs" in told:
+            metrics, theirs = info["final_info"]["metrics"], told["final_info"]["metrics"]
+            for row in np.flatnonzero(over):
+                _close({name: part[row] for name, part in info["final_obs"].items()}, told["final_obs"][row])
+        if over.any():
+            for name in metrics:
+                np.testing.assert_allclose(metrics[name][over], theirs[name][over], atol=1e-3, err_msg=name)
+    assert ends == rows * 2
+    with pytest.raises(InputError, match="3 seeds for 2 environments"):
+        vector.reset(seed=[1, 2, 3])
+    with pytest.raises(InputError, match="autoreset_mode: 'DISABLED' is not SAME_STEP or NEXT_STEP"):
+        VectorSocialNavigation(env, rows, autoreset_mode="DISABLED")
 
 
-def _same(batch: dict, rows: list[dict]) -> None:
-    for row, one in enumerate(rows):
-        _close({name: part[row] for name, part in batch.items()}, one)
+def test_wrappers_of_gymnasium_take_the_vector_environment(gymnasium):
+    """Those of observations accept NEXT_STEP alone."""
+    import sean_jax.adapters.gymnasium  # noqa: F401
+
+    made = gymnasium.make_vec(f"sean/{NAME}", num_envs=2, autoreset_mode="NextStep", **SMALL)
+    flat = gymnasium.wrappers.vector.FlattenObservation(gymnasium.wrappers.vector.RecordEpisodeStatistics(made))
+    observation, _ = flat.reset(seed=0)
+    assert flat.observation_space.contains(observation) and observation.ndim == 2
+    for _ in range(16):
+        observation, _, _, truncated, info = flat.step(np.ones((2, 2), np.float32))
+        assert flat.observation_space.contains(observation)
+        if truncated.any():
+            assert info["episode"]["l"].tolist() == [15, 15]
+    assert not truncated.any()
+
+
+def test_equal_instances_share_compiled_programs(gymnasium):
+    """Of the same name and options; those of other options have their own."""
+    from sean_jax.adapters.gymnasium import make, make_vec
+
+    compiled = []
+
+    def count(name, seconds, **others):
+        compiled.extend([name] * name.endswith("backend_compile_duration"))
+
+    def compiles(**others) -> int:
+        before = len(compiled)
+        for made, action in (
+            (make(NAME, **SMALL | others), np.zeros(2)),
+            (make_vec(NAME, 2, **SMALL), np.zeros((2, 2))),
+        ):
+            made.reset(seed=0)
+            made.step(action)
+        return len(compiled) - before
+
+    jax.monitoring.register_event_duration_secs_listener(count)
+    try:
+        compiles()
+        assert compiles() == 0 and compiles(observations=["goal"]) > 0
+    finally:
+        jax.monitoring.unregister_event_duration_listener(count)
 
 
 def _close(one: dict, other: dict) -> None:
+    assert one.keys() == other.keys()
     for name in one:
         np.testing.assert_allclose(one[name], other[name], atol=2e-4, err_msg=name)
 
@@ -95,6 +148,30 @@ def test_gymnax(env):
         observation, state, reward, terminated, truncated, info = step(jax.random.key(tick), state, jnp.ones(2), params)
         assert bool(truncated) == (tick == 14)
     assert int(state.episode_length) == 1 and {"final_observation", "terminated", "truncated"} <= info.keys()
+
+
+def test_gymnax_flattens_observations(env):
+    """As its own wrappers need them; and equal instances are one to jax, which compiles for each instance."""
+    gymnax = pytest.importorskip("gymnax")
+    from gymnax.wrappers.purerl import FlattenObservationWrapper, LogWrapper
+
+    import sean_jax.adapters.gymnax
+
+    (adapted, params), (again, _) = (gymnax.make(f"sean/{NAME}", flat=True, **SMALL) for _ in range(2))
+    assert adapted == again and hash(adapted) == hash(again)
+    others = [sean_jax.adapters.gymnax.SocialNavigation(NAME, **SMALL), adapted.with_transition_gradients()]
+    others.append(sean_jax.adapters.gymnax.SocialNavigation(NAME, flat=True, **{**SMALL, "people": 2}))
+    assert len({adapted, again, *others}) == 4
+    wrapped = LogWrapper(FlattenObservationWrapper(adapted))
+    space = wrapped.observation_space(params)
+    observation, state = wrapped.reset(jax.random.key(0), params)
+    plain = jax.jit(env.reset)(jax.random.key(0))[0]
+    np.testing.assert_array_equal(observation, np.concatenate([np.ravel(plain[name]) for name, _ in env.observations]))
+    for tick in range(15):
+        assert observation.shape == space.shape and bool(space.contains(observation))
+        with jax.numpy_dtype_promotion("standard"):  # its own arithmetic is not strict
+            observation, state, *_, info = wrapped.step(jax.random.key(tick), state, jnp.ones(2), params)
+    assert int(info["returned_episode_lengths"]) == 15 and info["final_observation"].shape == space.shape
 
 
 @pytest.mark.parametrize("through", [False, True])
@@ -129,6 +206,26 @@ def test_brax(env):
         assert jax.tree.structure(after) == jax.tree.structure(state)
         state = after
         assert bool(state.done) == (tick == 14) == bool(state.info["truncation"])
+
+
+def test_brax_is_imported_with_a_warning_where_its_trainers_cannot_run(monkeypatch):
+    """Their own error does not say what to do; the cure of docs/training.md ends the warning."""
+    pmap = pytest.importorskip("brax.training.pmap")
+    import sean_jax.adapters.brax
+
+    if not hasattr(jax, "device_put_replicated"):
+        with pytest.raises(AttributeError, match="device_put_replicated"):
+            pmap.bcast_local_devices(jnp.zeros(2))
+        with pytest.warns(UserWarning, match="docs/training.md"):
+            importlib.reload(sean_jax.adapters.brax)
+    text = (Path(__file__).parent.parent / "docs/training.md").read_text(encoding="utf-8")
+    (cure,) = re.findall(r"^    (jax\.device_put_replicated = .*)$", text, re.M)
+    monkeypatch.setattr(jax, "device_put_replicated", None, raising=False)
+    exec(cure, {"jax": jax})  # noqa: S102
+    np.testing.assert_array_equal(pmap.bcast_local_devices(jnp.arange(2.0)), [[0.0, 1.0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        importlib.reload(sean_jax.adapters.brax)
 
 
 def test_stable_baselines_checker_finds_nothing_wrong():

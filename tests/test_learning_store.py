@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib.util
+import io
 import json
 import os
 import shutil
@@ -10,11 +11,12 @@ from pathlib import Path
 import learning_data
 import numpy as np
 import pytest
+from PIL import Image
 
 from sean_jax import cli, environment, writing
 from sean_jax.config import CollectConfig, ExperimentConfig, TrainConfig, validate
 from sean_jax.errors import IncompleteError, InputError
-from sean_jax.learning import collection, dataset, lerobot, store
+from sean_jax.learning import collection, dataset, demonstrations, lerobot, store
 from sean_jax.learning.dataset import open_dataset, split
 from sean_jax.learning.examples import example
 from sean_jax.learning.loader import Loader, Token
@@ -118,9 +120,7 @@ def test_readers_change_nothing(made, tmp_path, monkeypatch):
         train, validation = split(again, 0.25, 0)
         assert len(again.recording(validation).first) and len(list(Loader(again, train, batch=64).epoch()))
         if importlib.util.find_spec("pyarrow"):
-            from sean_jax.learning.lerobot import export
-
-            export(made.folder, tmp_path / "out")
+            lerobot.export(made.folder, tmp_path / "out")
         assert everything(made.folder) == before
     finally:
         for path in paths:
@@ -312,13 +312,7 @@ def test_export_to_lerobot_has_the_rate(fine, tmp_path):
 
 def test_export_to_lerobot(made, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow, of the extra lerobot, is not installed")
-    import io
-
-    from PIL import Image
-
-    from sean_jax.learning.lerobot import export
-
-    out = export(made.folder, tmp_path / "out")
+    out = lerobot.export(made.folder, tmp_path / "out")
     names = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
     table = "chunk-000/file-000.parquet"
     assert names == {
@@ -342,26 +336,69 @@ def test_export_to_lerobot(made, tmp_path):
     ):
         assert set(rows["episode_index"][first:last]) == {number} and rows["index"][first] == first
         assert rows["frame_index"][first:last] == list(range(episodes["length"][number]))
-        np.testing.assert_allclose(
-            episodes["stats/action/mean"][number], np.mean(rows["action"][first:last], 0), atol=1e-5
-        )
-    stats = json.loads((out / "meta/stats.json").read_text())
-    np.testing.assert_allclose(stats["action"]["std"], np.std(rows["action"], 0), atol=1e-5)
     assert parquet.read_table(out / "meta/tasks.parquet").to_pydict()["task"] == ["join group", "leave group"]
     with pytest.raises(InputError, match="is not empty"):
-        export(made.folder, out)
+        lerobot.export(made.folder, out)
 
 
-def test_lerobot_loads_the_export(made, tmp_path):
-    datasets = pytest.importorskip("lerobot.datasets.lerobot_dataset", reason="LeRobot itself is not installed")
-    from sean_jax.learning.lerobot import export
+def test_an_export_has_the_form_that_lerobot_writes(made, tmp_path):
+    """Recorded of LeRobot's own writer by ``benchmarks/lerobot_oracle.py --record``, which also compares the values."""
+    pytest.importorskip("pyarrow")
+    import lerobot_oracle
 
-    loaded = datasets.LeRobotDataset("local/exported", root=export(made.folder, tmp_path / "out"))
-    rows = made.recording(made.episodes).rows
-    assert len(loaded) == len(rows.command) and loaded.num_episodes == len(made.episodes)
-    for index in (0, 77, len(loaded) - 1):
-        np.testing.assert_array_equal(loaded[index]["action"].numpy(), rows.command[index])
-        np.testing.assert_array_equal(loaded[index]["observation.images.depth"][0].numpy(), rows.depth[index])
+    recorded = json.loads((Path(__file__).parent / "lerobot_schema.json").read_text())
+    assert recorded.pop("lerobot") == "0.6.1"
+    ours = lerobot_oracle.schema(lerobot.export(made.folder, tmp_path / "out"))
+    assert json.loads(json.dumps(ours)) == recorded
+
+
+def test_statistics_of_an_export_are_those_of_its_data(made, tmp_path):
+    """So that a policy which normalizes by them gets numbers around 0. Depth is in mm there as in its pixels."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    out = lerobot.export(made.folder, tmp_path / "out")
+    table = parquet.read_table(out / "data/chunk-000/file-000.parquet").to_pydict()
+    images = [cell["bytes"] for cell in table["observation.images.depth"]]
+    table["observation.images.depth"] = [np.asarray(Image.open(io.BytesIO(image))) for image in images]
+    stats = json.loads((out / "meta/stats.json").read_text())
+    episodes = parquet.read_table(out / "meta/episodes/chunk-000/file-000.parquet").to_pydict()
+    tasks = parquet.read_table(out / "meta/tasks.parquet").to_pydict()["task"]
+    assert {name for each in episodes["tasks"] for name in each} == set(tasks)
+    which = np.array(table["episode_index"])
+    for name, column in table.items():
+        values = np.array(column, np.float64)
+        cases = [(stats[name], values)]
+        for number in range(len(episodes["length"])):
+            own = {key: episodes[f"stats/{name}/{key}"][number] for key in stats[name]}
+            cases.append((own, values[which == number]))
+        for own, rows in cases:
+            assert own["count"] == [len(rows)]
+            rows = rows.reshape(-1, 1) if name.endswith("depth") else rows.reshape(len(rows), -1)
+            for key, wanted in {
+                "min": rows.min(0),
+                "max": rows.max(0),
+                "mean": rows.mean(0),
+                "std": rows.std(0),
+            }.items():
+                np.testing.assert_allclose(np.ravel(own[key]), wanted, rtol=1e-9, atol=1e-9, err_msg=f"{name} {key}")
+            for key in ("q01", "q10", "q50", "q90", "q99"):
+                level, share = np.ravel(own[key]), int(key[1:]) / 100
+                assert ((rows <= level).mean(0) >= share - 1e-9).all(), (name, key)
+                assert ((rows < level).mean(0) <= share + 1e-9).all(), (name, key)
+
+
+def test_one_situation_is_exported_as_a_number(fine, tmp_path):
+    """LeRobot reads a feature of shape (1,) as a plain column."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    manifest = {**fine.manifest, "situations": ["passing"]}
+    one = dataset.create_dataset(tmp_path / "one", {name: manifest[name] for name in manifest if name != "shards"})
+    blank = {name: np.zeros((8, one.most_rows, *shape), kind) for name, (shape, kind) in one.fields.items()}
+    for stream in range(2):
+        one.commit(stream, demonstrations.Batch(blank, np.full(8, 90), np.ones(8, bool)))
+    out = lerobot.export(one.folder, tmp_path / "out")
+    feature = json.loads((out / "meta/info.json").read_text())["features"]["observation.situations"]
+    assert feature == {"dtype": "float32", "shape": [1], "names": ["passing"]}
+    columns = parquet.read_schema(out / "data/chunk-000/file-000.parquet")
+    assert str(columns.field("observation.situations").type) == "float"
 
 
 def test_what_the_options_stand_for_must_not_have_changed(data):

@@ -1,1 +1,23 @@
 """Interfaces of other projects to the same environments: Gymnasium, gymnax, Brax, each imported when asked for."""
+
+from collections.abc import Hashable
+
+import jax
+
+from sean_jax import mdp, prng
+from sean_jax.versions import fingerprint
+
+NAMESPACE = "sean"
+"""What stands before the names of ``registry.ALL_ENVS`` in other projects' registries."""
+
+
+def identity(env: mdp.Env) -> Hashable:
+    """What an environment has in common with those of the same parts and numbers, and with no other.
+
+    Args:
+        env: of ``make_env``.
+
+    Returns:
+        A value to compare, or a key of a dict.
+    """
+    return jax.tree.structure(env), fingerprint(prng.as_numbers(env))

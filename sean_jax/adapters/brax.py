@@ -7,15 +7,25 @@ time limit ended it. Observations are vectors, or with ``flat=False`` dicts.
 # pyright: reportMissingImports=false, reportArgumentType=false, reportAttributeAccessIssue=false
 # pyright: reportInvalidTypeArguments=false
 
+import warnings
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from brax.envs import base
+from brax.training import pmap
 
 from sean_jax import mdp, registry
 from sean_jax.base import Array
 from sean_jax.mdp import observations
+
+REPLICATE = "device_put_replicated"
+if REPLICATE in pmap.bcast_local_devices.__code__.co_names and not hasattr(jax, REPLICATE):
+    warnings.warn(
+        f"Brax's trainers PPO, SAC and APG call jax.{REPLICATE}, which jax {jax.__version__} does not have; "
+        'docs/training.md, "Other projects", has the line that replaces it.',
+        stacklevel=2,
+    )
 
 
 class SocialNavigation(base.Env):

@@ -18,12 +18,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from jaxtyping import PyTree
 
 from sean_jax import mdp, prng, registry
+from sean_jax.adapters import NAMESPACE, identity
 from sean_jax.base import Array
 from sean_jax.drawing import view
 from sean_jax.errors import InputError
 from sean_jax.scenario import frame, results
 
-NAMESPACE = "sean"
+MAX_RECENT = 8  # environments whose compiled programs are remembered
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,6 +109,18 @@ class _Programs:
         self.begin, self.advance, self.measured = (jax.jit(over(part)) for part in (begin, advance, measured))
 
 
+_recent: dict[Any, _Programs] = {}
+
+
+def _programs(env: mdp.Env, rows: bool) -> _Programs:
+    """Those of an equal environment, if it is among the last; else new ones."""
+    key = identity(env), rows
+    _recent[key] = _recent.pop(key, None) or _Programs(env, rows)
+    if len(_recent) > MAX_RECENT:
+        del _recent[next(iter(_recent))]
+    return _recent[key]
+
+
 class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     """One scenario; an episode that has ended waits for ``reset``."""
 
@@ -131,7 +144,7 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         self.render_mode = render_mode
         self.observation_space = _space(self.env)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self._run = _Programs(self.env, rows=False)
+        self._run = _programs(self.env, rows=False)
         self._seed: int | None = None
         self._episodes = 0
         self._state: Array | None = None
@@ -197,16 +210,23 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
 
 class VectorSocialNavigation(VectorEnv):
-    """Many scenarios that step together; one that has ended begins its next episode in the same step."""
+    """Many scenarios that step together; where an episode has ended, the same step or the next one begins another."""
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
 
-    def __init__(self, env: mdp.Env | str, num_envs: int = 1, **config: Any):
+    def __init__(
+        self,
+        env: mdp.Env | str,
+        num_envs: int = 1,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        **config: Any,
+    ):
         """Make the environments.
 
         Args:
             env: as of ``SocialNavigation``.
             num_envs: how many.
+            autoreset_mode: SAME_STEP or NEXT_STEP, which Gymnasium's wrappers of observations need.
             config: as of ``SocialNavigation``.
 
         Raises:
@@ -214,14 +234,17 @@ class VectorSocialNavigation(VectorEnv):
         """
         self.env = _env(env, config)
         self.num_envs = num_envs
-        self.metadata = self.metadata | {"render_fps": round(1.0 / self.env.scenario.time_step)}
+        self._mode = _autoreset_mode(autoreset_mode)
+        rate = round(1.0 / self.env.scenario.time_step)
+        self.metadata = self.metadata | {"render_fps": rate, "autoreset_mode": self._mode}
         self.single_observation_space = _space(self.env)
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
-        self._run = _Programs(self.env, rows=True)
+        self._run = _programs(self.env, rows=True)
         self._seeds: np.ndarray | None = None
         self._episodes = np.zeros(num_envs, np.int32)
+        self._over = np.zeros(num_envs, bool)
         self._state: Array | None = None
 
     def reset(
@@ -235,8 +258,13 @@ class VectorSocialNavigation(VectorEnv):
 
         Returns:
             The observations (B, ...), and an empty dict.
+
+        Raises:
+            InputError: seeds are not as many as rows, or one is out of range.
         """
         if isinstance(seed, list):
+            if len(seed) != self.num_envs:
+                raise InputError(f"seed: {len(seed)} seeds for {self.num_envs} environments; give one for each.")
             self._seeds = np.array([_seed(each, self.np_random) for each in seed], np.uint32)
         else:
             super().reset(seed=seed)
@@ -245,7 +273,7 @@ class VectorSocialNavigation(VectorEnv):
         if seed is not None:
             self._episodes = np.zeros(self.num_envs, np.int32)
         self._state, packed = self._run.begin(self._seeds, self._episodes)
-        self._episodes = self._episodes + 1
+        self._episodes, self._over = self._episodes + 1, np.zeros(self.num_envs, bool)
         return self._run.told.observation(self._run.told.unpack(np.asarray(packed))), {}
 
     def step(
@@ -257,8 +285,10 @@ class VectorSocialNavigation(VectorEnv):
             actions: (B, 2) from -1 to 1.
 
         Returns:
-            The observations, rewards, ``terminated`` and ``truncated`` (B, ...), and a dict. Where an episode has ended
-            the observation is the first of the next one, and the dict's ``final_obs`` and ``final_info`` hold the last.
+            The observations, rewards, ``terminated`` and ``truncated`` (B, ...), and a dict with the ``metrics`` of
+            episodes that have ended. SAME_STEP: there the observation is the first of the next episode, and the dict's
+            ``final_obs`` and ``final_info`` hold the last. NEXT_STEP: there the step after it begins the next episode,
+            whatever the action, with a reward of 0.
 
         Raises:
             InputError: no episode has begun.
@@ -266,22 +296,33 @@ class VectorSocialNavigation(VectorEnv):
         if self._state is None:
             raise InputError("step: no episode has begun; call reset first.")
         state, packed = self._run.advance(self._state, np.asarray(actions, np.float32))
-        told = self._run.told.unpack(np.asarray(packed))
+        packed = np.asarray(packed)
+        if self._mode == AutoresetMode.NEXT_STEP:
+            state, packed = self._begin(self._over, state, packed)
+        told = self._run.told.unpack(packed)
         observation = self._run.told.observation(told)
         terminated, truncated = told["terminated"] > 0.5, told["truncated"] > 0.5
         over, completed = terminated | truncated, told["completed"] > 0.5
         info: dict[str, Any] = {"completed": completed, "command": np.array(told["command"])}
         if over.any():
             metrics = jax.device_get(self._run.measured(state))
-            info |= {"final_obs": observation, "_final_obs": over, "_final_info": over}
-            info["final_info"] = {"metrics": metrics, "completed": completed}
-            begun, first = self._run.begin(self._seeds, self._episodes)
-            self._episodes = self._episodes + over.astype(np.int32)
-            state = jnp.where(over[:, None], begun, state)
-            packed = np.where(over[:, None], np.asarray(first), np.asarray(packed))
-            observation = self._run.told.observation(self._run.told.unpack(packed))
-        self._state = state
+            if self._mode == AutoresetMode.NEXT_STEP:
+                info |= {"metrics": metrics, "_metrics": over}
+            else:
+                info |= {"final_obs": observation, "_final_obs": over, "_final_info": over}
+                info["final_info"] = {"metrics": metrics, "completed": completed}
+                state, packed = self._begin(over, state, packed)
+                observation = self._run.told.observation(self._run.told.unpack(packed))
+        self._state, self._over = state, over
         return observation, np.array(told["reward"]), terminated, truncated, info
+
+    def _begin(self, rows: np.ndarray, state: Array, packed: np.ndarray) -> tuple[Array, np.ndarray]:
+        """The next episode in some rows, and what the others have."""
+        if not rows.any():
+            return state, packed
+        begun, first = self._run.begin(self._seeds, self._episodes)
+        self._episodes = self._episodes + rows.astype(np.int32)
+        return jnp.where(rows[:, None], begun, state), np.where(rows[:, None], np.asarray(first), packed)
 
 
 def make(name: str, render_mode: str | None = None, **config: Any) -> SocialNavigation:
@@ -301,12 +342,15 @@ def make(name: str, render_mode: str | None = None, **config: Any) -> SocialNavi
     return SocialNavigation(name, render_mode, **config)
 
 
-def make_vec(name: str, num_envs: int = 1, **config: Any) -> VectorSocialNavigation:
+def make_vec(
+    name: str, num_envs: int = 1, autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP, **config: Any
+) -> VectorSocialNavigation:
     """Many environments by their name, which step together in one compiled call.
 
     Args:
         name: of ``registry.ALL_ENVS``.
         num_envs: how many.
+        autoreset_mode: as of ``VectorSocialNavigation``.
         config: fields of its description that differ.
 
     Returns:
@@ -315,7 +359,7 @@ def make_vec(name: str, num_envs: int = 1, **config: Any) -> VectorSocialNavigat
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    return VectorSocialNavigation(name, num_envs, **config)
+    return VectorSocialNavigation(name, num_envs, autoreset_mode, **config)
 
 
 def _env(env: mdp.Env | str, config: dict[str, Any]) -> mdp.Env:
@@ -324,6 +368,14 @@ def _env(env: mdp.Env | str, config: dict[str, Any]) -> mdp.Env:
     if config:
         raise InputError(f"{next(iter(config))}: the environment is made already; give its name, or leave this out.")
     return env
+
+
+def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    modes = AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP
+    for known in modes:
+        if mode in (known, known.name, known.value):
+            return known
+    raise InputError(f"autoreset_mode: '{mode}' is not {' or '.join(known.name for known in modes)}.")
 
 
 def _space(env: mdp.Env) -> spaces.Dict:

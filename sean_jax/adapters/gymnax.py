@@ -1,22 +1,28 @@
 """gymnax's interface (version 1): ``reset`` and ``step`` of one environment, with ``EnvParams`` beside the state.
 
-gymnax's own ``step`` computes a whole reset each time; this one takes the starts of ``Env.with_pool``, if it has them.
+Once this is imported, ``gymnax.make("sean/Lab-Random-RandomAbNav-v0")`` makes those of ``registry.ALL_ENVS``, too.
+Observations are dicts, or with ``flat=True`` vectors, which gymnax's ``FlattenObservationWrapper`` needs. gymnax's own
+``step`` computes a whole reset each time; this one takes the starts of ``Env.with_pool``, if it has them.
 """
 
 # pyright: reportMissingImports=false, reportArgumentType=false, reportAttributeAccessIssue=false
 # pyright: reportInvalidTypeArguments=false
 
+import functools
+from collections.abc import Hashable
 from dataclasses import replace
 from typing import Any
 
 import gymnax
 import jax
+import numpy as np
 from flax import struct
 from gymnax.environments import spaces
 
 from sean_jax import mdp, registry
+from sean_jax.adapters import NAMESPACE, identity
 from sean_jax.base import Array
-from sean_jax.mdp import EnvState
+from sean_jax.mdp import EnvState, observations
 
 gymnax_environment = gymnax.environments.environment
 
@@ -29,21 +35,39 @@ class EnvParams(gymnax_environment.EnvParams):
 
 
 class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
-    """A scenario as an environment of gymnax."""
+    """A scenario as an environment of gymnax. Equal ones share the programs that gymnax compiles for each instance."""
 
     _supports_transition_gradients = True
 
-    def __init__(self, env: mdp.Env | str, **config: Any):
+    def __init__(self, env: mdp.Env | str, flat: bool = False, **config: Any):
         """Make the environment.
 
         Args:
             env: of ``make_env``, or a name of ``registry.ALL_ENVS``.
+            flat: give observations as one vector, without images.
             config: of a name, fields of its description.
 
         Raises:
             InputError: one sentence that names the value and the cure.
         """
         self.env = registry.load(env, config_overrides=config) if isinstance(env, str) else env
+        self.flat = flat
+
+    @functools.cached_property
+    def _identity(self) -> Hashable:
+        return identity(self.env)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SocialNavigation) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple:
+        return type(self), self._identity, self.flat, self.transition_gradients_enabled
+
+    def _given(self, observation: dict[str, Array]) -> Any:
+        return observations.flatten(self.env.observations, observation) if self.flat else observation
 
     @property
     def default_params(self) -> EnvParams:
@@ -61,8 +85,10 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
         Returns:
             The observation and the state.
         """
-        return params.env.reset(_typed(key))
+        observation, state = params.env.reset(_typed(key))
+        return self._given(observation), state
 
+    @functools.partial(jax.jit, static_argnames=("self",))
     def step(
         self, key: Array, state: EnvState, action: Array, params: EnvParams | None = None
     ) -> tuple[Any, EnvState, Array, Array, Array, dict[Any, Any]]:
@@ -80,7 +106,8 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
         env = (params or self.default_params).env
         env = replace(env, transition_gradients=self.transition_gradients_enabled)
         observation, state, reward, terminated, truncated, info = env.step(_typed(key), state, action)
-        return observation, state, reward, terminated, truncated, info | _ends(terminated, truncated)
+        info |= {"final_observation": self._given(info["final_observation"]), **_ends(terminated, truncated)}
+        return self._given(observation), state, reward, terminated, truncated, info
 
     def step_env(
         self, key: Array, state: EnvState, action: Array, params: EnvParams
@@ -97,7 +124,7 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
             The observation, the state, the reward, whether the episode is terminated, and a dict.
         """
         state, observation, reward, terminated, truncated, info = params.env.advance(state, action)
-        return observation, state, reward, terminated, info | _ends(terminated, truncated)
+        return self._given(observation), state, reward, terminated, info | _ends(terminated, truncated)
 
     def is_truncated(self, state: EnvState, params: EnvParams) -> Array:
         """Whether the time limit has passed.
@@ -139,17 +166,21 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
         """
         return spaces.Box(-1.0, 1.0, (2,))
 
-    def observation_space(self, params: EnvParams | None = None) -> spaces.Dict:
+    def observation_space(self, params: EnvParams | None = None) -> spaces.Dict | spaces.Box:
         """The values that observations may have.
 
         Args:
             params: unused.
 
         Returns:
-            A box for each term.
+            A box for each term, or, of a flat observation, one box.
         """
         boxes = self.env.observation_space.items()
-        return spaces.Dict({name: spaces.Box(box.low, box.high, box.shape) for name, box in boxes})
+        if not self.flat:
+            return spaces.Dict({name: spaces.Box(box.low, box.high, box.shape) for name, box in boxes})
+        low = self._given({name: np.full(box.shape, box.low) for name, box in boxes})
+        high = self._given({name: np.full(box.shape, box.high) for name, box in boxes})
+        return spaces.Box(low, high, low.shape)
 
 
 def _typed(key: Array) -> Array:
@@ -158,3 +189,8 @@ def _typed(key: Array) -> Array:
 
 def _ends(terminated: Array, truncated: Array) -> dict[str, Array]:
     return {"terminated": terminated, "truncated": truncated}
+
+
+for _name in registry.ALL_ENVS:
+    if f"{NAMESPACE}/{_name}" not in gymnax.registered_envs:
+        gymnax.register(f"{NAMESPACE}/{_name}", functools.partial(SocialNavigation, _name))

@@ -5,7 +5,6 @@ The parquet files contain the depth images as PNG of 16 bits, in mm, as LeRobot 
 
 import io
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ IMAGE, STATE, PLAN, FLAGS, ACTION = (
     "observation.situations",
     "action",
 )
+QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 NUMBERS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
@@ -57,106 +57,96 @@ def export(dataset: Path | str, out: Path | str) -> Path:
 
 
 def _export(data: Dataset, out: Path) -> None:
-    tasks, descriptions, totals, index = list(data.manifest["streams"]), [], Statistics(), 0
+    import pyarrow.parquet as pq
+
+    tasks, schema = [name.replace("_", " ") for name in data.manifest["streams"]], _schema(_features(data))
+    descriptions, everything, depths, index = [], [], np.zeros(2**16, np.int64), 0
     for number, first in enumerate(range(0, len(data.episodes), EPISODES_IN_FILE)):
         where = {"chunk_index": number // FILES_IN_CHUNK, "file_index": number % FILES_IN_CHUNK}
-        rows: list[dict[str, Any]] = []
-        for episode_index, episode in enumerate(data.episodes[first : first + EPISODES_IN_FILE], first):
-            frames = list(_frames(data, episode, episode_index, index))
-            own = Statistics()
-            own.add(frames)
-            totals.join(own)
-            descriptions.append(_description(episode, episode_index, index, tasks, where, own))
-            rows += [_cells(frame) for frame in frames]
-            index += len(frames)
-        _write(out / _file("data", **where), rows, _schema(data))
+        file = out / _file("data", **where)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with pq.ParquetWriter(file, schema) as writer:  # a row group for each episode, as LeRobot writes them
+            for episode_index, episode in enumerate(data.episodes[first : first + EPISODES_IN_FILE], first):
+                columns = _columns(data, episode, episode_index, index)
+                writer.write_table(_table(columns, schema))
+                own = np.bincount(columns.pop(IMAGE).ravel(), minlength=len(depths))
+                stats = _stats(columns, own)
+                descriptions.append(_description(episode, episode_index, index, tasks, where, stats))
+                everything.append(columns)
+                depths += own
+                index += episode.length
     _write(out / _file("meta/episodes", 0, 0), descriptions)
     _write(out / "meta/tasks.parquet", *_tasks(tasks))
-    (out / "meta/info.json").write_text(json.dumps(_info(data, index, tasks), indent=4) + "\n", encoding="utf-8")
-    (out / "meta/stats.json").write_text(json.dumps(totals.as_dict(), indent=4) + "\n", encoding="utf-8")
+    whole = {name: np.concatenate([columns[name] for columns in everything]) for name in everything[0]}
+    for name, content in (("info", _info(data, index, tasks)), ("stats", _stats(whole, depths))):
+        (out / f"meta/{name}.json").write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")
 
 
-class Statistics:
-    """Minimum, maximum, mean, standard deviation and count of each feature; of images, per channel from 0 to 1."""
+def _stats(columns: dict[str, np.ndarray], depths: np.ndarray) -> dict[str, dict[str, Any]]:
+    """Feature -> statistic -> value; of depth per channel and in mm, as its pixels are.
 
-    def __init__(self):
-        self.sums: dict[str, list[np.ndarray]] = {}
-
-    def add(self, frames: list[dict[str, Any]]) -> None:
-        """Count frames.
-
-        Args:
-            frames: name -> value of each feature, for each frame.
-        """
-        for name in frames[0]:
-            values = np.stack([np.atleast_1d(frame[name]) for frame in frames]).astype(np.float64)
-            if name == IMAGE:
-                values = values.reshape(-1, 1) / 65535.0
-            parts = [values.min(0), values.max(0), values.sum(0), np.square(values).sum(0), np.array([len(values)])]
-            self._add(name, parts)
-
-    def join(self, other: "Statistics") -> None:
-        """Count what another object has counted.
-
-        Args:
-            other: the other.
-        """
-        for name, parts in other.sums.items():
-            self._add(name, parts)
-
-    def _add(self, name: str, parts: list[np.ndarray]) -> None:
-        if name not in self.sums:
-            self.sums[name] = parts
-            return
-        low, high, total, square, count = self.sums[name]
-        sums = [total + parts[2], square + parts[3], count + parts[4]]
-        self.sums[name] = [np.minimum(low, parts[0]), np.maximum(high, parts[1]), *sums]
-
-    def as_dict(self) -> dict[str, dict[str, Any]]:
-        """Convert to the content of stats.json. Returns feature -> statistic -> value."""
-        return {name: self._feature(name) for name in self.sums}
-
-    def _feature(self, name: str) -> dict[str, Any]:
-        low, high, total, square, count = self.sums[name]
-        mean = total / count
-        std = np.sqrt(np.maximum(square / count - mean * mean, 0.0))
-        values = {"min": low, "max": high, "mean": mean, "std": std}
-        shaped = {key: value.reshape(-1, 1, 1) if name == IMAGE else value for key, value in values.items()}
-        return {**{key: value.tolist() for key, value in shaped.items()}, "count": count.tolist()}
+    Args:
+        columns: (T,) or (T, K) of each feature but the image.
+        depths: (65,536,) how many pixels have each depth.
+    """
+    kinds = np.flatnonzero(depths)
+    image = {name: value.reshape(1, 1, 1) for name, value in _statistics(kinds[:, None], depths[kinds]).items()}
+    found = {IMAGE: image, **{name: _statistics(values.reshape(len(values), -1)) for name, values in columns.items()}}
+    count = [len(columns["index"])]
+    return {
+        feature: {**{name: value.tolist() for name, value in values.items()}, "count": count}
+        for feature, values in found.items()
+    }
 
 
-def _frames(data: Dataset, episode: Episode, number: int, index: int) -> Iterator[dict[str, Any]]:
-    rows = data.read([episode])
-    for row in range(episode.length):
-        yield {
-            IMAGE: rows["depth"][row],
-            STATE: np.concatenate([rows["pose"][row], rows["velocity"][row]]),
-            PLAN: rows["plan"][row].reshape(-1),
-            FLAGS: rows["situations"][row].astype(np.float32),
-            ACTION: rows["command"][row],
-            "timestamp": np.float32(row / data.rate),
-            "frame_index": row,
-            "episode_index": number,
-            "index": index + row,
-            "task_index": episode.stream,
-        }
+def _statistics(values: np.ndarray, weights: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """(K,) of each statistic of (N, K) values, each of which counts ``weights`` times."""
+    values = values.astype(np.float64)
+    mean = np.average(values, axis=0, weights=weights)
+    std = np.sqrt(np.average(np.square(values - mean), axis=0, weights=weights))
+    levels = np.quantile(values, list(QUANTILES.values()), axis=0, weights=weights, method="inverted_cdf")
+    found = {"min": values.min(0), "max": values.max(0), "mean": mean, "std": std}
+    return found | dict(zip(QUANTILES, levels, strict=True))
 
 
-def _cells(frame: dict[str, Any]) -> dict[str, Any]:
-    """A frame as a row of a parquet file."""
+def _columns(data: Dataset, episode: Episode, number: int, index: int) -> dict[str, np.ndarray]:
+    """(T, ...) of each feature; one of a single number has (T,), as LeRobot stores it."""
+    rows, steps = data.read([episode]), np.arange(episode.length)
+    columns = {
+        IMAGE: rows["depth"],
+        STATE: np.concatenate([rows["pose"], rows["velocity"]], axis=1),
+        PLAN: rows["plan"].reshape(len(steps), -1),
+        FLAGS: rows["situations"].astype(np.float32),
+        ACTION: rows["command"],
+        "timestamp": (steps / data.rate).astype(np.float32),
+        "frame_index": steps,
+        "episode_index": np.full_like(steps, number),
+        "index": index + steps,
+        "task_index": np.full_like(steps, episode.stream),
+    }
+    return {name: values[:, 0] if values.shape[1:] == (1,) else values for name, values in columns.items()}
+
+
+def _table(columns: dict[str, np.ndarray], schema: Any) -> Any:
+    import pyarrow as pa
+
+    images = [{"bytes": _png(image), "path": None} for image in columns[IMAGE]]
+    return pa.Table.from_pydict({**{name: list(values) for name, values in columns.items()}, IMAGE: images}, schema)
+
+
+def _png(image: np.ndarray) -> bytes:
     from PIL import Image
 
     packed = io.BytesIO()
-    Image.fromarray(frame[IMAGE]).save(packed, format="PNG")
-    cells = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in frame.items()}
-    return {**cells, IMAGE: {"bytes": packed.getvalue(), "path": None}}
+    Image.fromarray(image).save(packed, format="PNG")
+    return packed.getvalue()
 
 
 def _description(
-    episode: Episode, number: int, index: int, tasks: list[str], where: dict[str, int], own: Statistics
+    episode: Episode, number: int, index: int, tasks: list[str], where: dict[str, int], own: dict[str, Any]
 ) -> dict[str, Any]:
     """A row of meta/episodes."""
-    statistics = {f"stats/{name}/{key}": value for name, stats in own.as_dict().items() for key, value in stats.items()}
+    statistics = {f"stats/{name}/{key}": value for name, stats in own.items() for key, value in stats.items()}
     return {
         "episode_index": number,
         "tasks": [tasks[episode.stream]],
@@ -170,20 +160,21 @@ def _description(
     }
 
 
-def _info(data: Dataset, frames: int, tasks: list[str]) -> dict[str, Any]:
+def _features(data: Dataset) -> dict[str, dict[str, Any]]:
     height, width = data.image_shape
     pose = ["x", "y", "heading_x", "heading_y", "speed", "turn_rate"]
     points = [f"plan_{axis}_{number}" for number in range(1, 11) for axis in "xy"]
-    flags = data.manifest["situations"]
-    features = {
-        IMAGE: {"dtype": "image", "shape": [height, width, 1], "names": ["height", "width", "channel"]},
-        STATE: {"dtype": "float32", "shape": [6], "names": pose},
-        PLAN: {"dtype": "float32", "shape": [20], "names": points},
-        FLAGS: {"dtype": "float32", "shape": [len(flags)], "names": flags},
-        ACTION: {"dtype": "float32", "shape": [2], "names": ["speed", "turn_rate"]},
-    }
+    image = {"dtype": "image", "shape": [height, width, 1], "names": ["height", "width", "channel"]}
+    features = {IMAGE: {**image, "info": {"is_depth_map": True, "depth_unit": "mm"}}}
+    named = {STATE: pose, PLAN: points, FLAGS: data.manifest["situations"], ACTION: ["speed", "turn_rate"]}
+    for name, names in named.items():
+        features[name] = {"dtype": "float32", "shape": [len(names)], "names": names}
     for name in NUMBERS:
         features[name] = {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None}
+    return features
+
+
+def _info(data: Dataset, frames: int, tasks: list[str]) -> dict[str, Any]:
     return {
         "codebase_version": "v3.0",
         "robot_type": data.manifest["robot"]["name"],
@@ -197,25 +188,27 @@ def _info(data: Dataset, frames: int, tasks: list[str]) -> dict[str, Any]:
         "splits": {"train": f"0:{len(data.episodes)}"},
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": None,
-        "features": features,
+        "features": _features(data),
     }
 
 
-def _schema(data: Dataset) -> Any:
+def _schema(features: dict[str, dict[str, Any]]) -> Any:
     import pyarrow as pa
 
-    image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-    sizes = {STATE: 6, PLAN: 20, FLAGS: len(data.manifest["situations"]), ACTION: 2}
-    columns = [(IMAGE, image), *((name, pa.list_(pa.float32(), size)) for name, size in sizes.items())]
-    columns += [(name, pa.float32() if name == "timestamp" else pa.int64()) for name in NUMBERS]
-    return pa.schema(columns)
+    def column(feature: dict[str, Any]) -> Any:
+        if feature["dtype"] == "image":
+            return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+        kind, (size,) = getattr(pa, feature["dtype"])(), feature["shape"]
+        return kind if size == 1 else pa.list_(kind, size)
+
+    return pa.schema([(name, column(feature)) for name, feature in features.items()])
 
 
 def _tasks(tasks: list[str]) -> tuple[list[dict[str, Any]], Any]:
     """The tasks. Their names are marked as the index of a table of pandas, where LeRobot looks for them."""
     import pyarrow as pa
 
-    rows = [{"task_index": number, "task": name.replace("_", " ")} for number, name in enumerate(tasks)]
+    rows = [{"task_index": number, "task": name} for number, name in enumerate(tasks)]
     columns = [
         {"name": name, "field_name": name, "pandas_type": pandas_type, "numpy_type": numpy, "metadata": None}
         for name, pandas_type, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
