@@ -10,7 +10,6 @@ import os
 import shlex
 import signal
 import sys
-import threading
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -46,10 +45,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = _main(words)
     except KeyboardInterrupt:  # at the very end, while memory is freed, or a second one while the first was answered
         pass
+    except Exception as error:
+        if arguments is not None or not interrupts.is_compiling():
+            raise
+        sys.excepthook(type(error), error, error.__traceback__)
+        code = FAILED
     code = TERMINATED if code == STOPPED and signal.SIGTERM in received else code
-    if code in (STOPPED, TERMINATED) and any(
-        thread.name == interrupts.COMPILER_THREAD for thread in threading.enumerate()
-    ):
+    if arguments is None and interrupts.is_compiling():
+        sys.stdout.flush()
         os._exit(code)  # the compiler cannot be interrupted, and the interpreter would wait for it
     if code in (FAILED, STOPPED, TERMINATED) and _is_joined():
         sys.stdout.flush()

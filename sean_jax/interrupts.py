@@ -1,16 +1,53 @@
 """How long work is interrupted: SIGTERM, by which schedulers end a job, does what Ctrl-C does."""
 
+import atexit
 import contextlib
 import gc
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from types import FrameType
 
 RETRY_INTERVAL = 0.02  # s, after which an interrupt that was put off is tried again
-COMPILER_THREAD = "sean-compiler"  # name of the thread that compiles; nothing can interrupt it
+COMPILER_THREAD = "sean-compiler"  # name of a thread that compiles; nothing can interrupt it
+
+
+def compile_in_thread(work: Callable[[], None]) -> threading.Thread:
+    """Begin work of XLA's compiler in a thread, for which the end of the interpreter waits.
+
+    An interpreter that ends unwinds the threads that are left, and XLA's C++ answers that with ``abort``.
+
+    Args:
+        work: what the thread does.
+
+    Returns:
+        The thread.
+    """
+    atexit.unregister(_wait_for_compiler)
+    atexit.register(_wait_for_compiler)  # as the last one, so before JAX frees what the compiler uses
+    thread = threading.Thread(target=work, name=COMPILER_THREAD, daemon=True)
+    thread.start()
+    return thread
+
+
+def is_compiling() -> bool:
+    """Whether a thread of ``compile_in_thread`` is at work.
+
+    Returns:
+        True if there is one.
+    """
+    return any(thread.name == COMPILER_THREAD for thread in threading.enumerate())
+
+
+def _wait_for_compiler() -> None:
+    try:
+        while is_compiling():
+            time.sleep(RETRY_INTERVAL)
+    except KeyboardInterrupt:
+        os._exit(128 + signal.SIGINT)
 
 
 @contextlib.contextmanager

@@ -9,7 +9,6 @@ import dataclasses
 import functools
 import gc
 import math
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -21,10 +20,9 @@ from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
 
-from sean_jax import clock, devices, prng
+from sean_jax import clock, devices, interrupts, prng
 from sean_jax.base import Array, PolicyLike, RobotTask, Scenario, State, as_policy
 from sean_jax.episodes import init_policy, policy_step
-from sean_jax.interrupts import COMPILER_THREAD
 from sean_jax.scenario import reset
 
 CHUNK = 10.0  # s, between two looks at the progress
@@ -431,8 +429,7 @@ class _Compiling:
 
     def __init__(self, lowered: Any, options: dict[str, Any] | None = None) -> None:
         self._outcome: Any = None
-        self._thread = threading.Thread(target=self._work, args=(lowered, options), name=COMPILER_THREAD, daemon=True)
-        self._thread.start()
+        self._thread = interrupts.compile_in_thread(functools.partial(self._work, lowered, options))
 
     def _work(self, lowered: Any, options: dict[str, Any] | None) -> None:
         try:

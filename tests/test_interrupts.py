@@ -3,6 +3,8 @@
 import asyncio
 import gc
 import signal
+import subprocess
+import sys
 import time
 import weakref
 from types import SimpleNamespace
@@ -157,3 +159,50 @@ def test_a_handler_that_is_not_pythons_is_left_alone(monkeypatch):
         with interrupts.interruptible():
             patched.undo()
             assert signal.getsignal(signal.SIGINT) is before
+
+
+# A program whose main thread ends while another one compiles, which takes seconds.
+COMPILING = """
+import signal, sys
+import jax, jax.numpy as jnp
+from sean_jax import cli, errors, interrupts
+
+def long(x):
+    for k in range(100):
+        x = jnp.sort(x * k)
+    return x
+
+jax.config.update("jax_enable_compilation_cache", False)
+
+def work(*options):
+    interrupts.compile_in_thread(jax.jit(long).lower(jnp.zeros(8)).compile)
+    print("compiling")
+    {end}
+
+{begin}
+"""
+ENDS = [  # of a program of a user's, and of the command line
+    ("raise ValueError('mine')", "work()", 1, "mine"),
+    ("raise errors.InputError('no such thing')", "", 2, "sean: no such thing"),
+    *(
+        pytest.param(*each, marks=pytest.mark.slow)
+        for each in (
+            ("sys.exit(3)", "work()", 3, ""),
+            ("signal.raise_signal(signal.SIGINT)", "work()", -signal.SIGINT, "KeyboardInterrupt"),
+            ("raise ValueError('ours')", "", 1, "ours"),
+            ("signal.raise_signal(signal.SIGINT)", "", 130, "sean: stopped"),
+            ("signal.raise_signal(signal.SIGTERM)", "", 143, "sean: stopped"),
+        )
+    ),
+]
+
+
+@pytest.mark.parametrize(("end", "begin", "code", "text"), ENDS)
+def test_an_error_while_xla_compiles_ends_in_its_own_code(end, begin, code, text):
+    """An interpreter that ends unwinds the threads that are left, which XLA answers with ``abort``."""
+    begin = begin or "cli._DO['list'] = work; sys.argv = ['sean', 'list']; sys.exit(cli.main())"
+    program = COMPILING.format(end=end, begin=begin)
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    assert ended.returncode == code, ended.stderr
+    assert text in ended.stderr and "terminate called" not in ended.stderr
+    assert ended.stdout == "compiling\n"
