@@ -123,6 +123,15 @@ def test_shares_of_table_1_have_the_intervals_of_their_blocks():
     assert found.seconds == 24_000 and found.none[0] == pytest.approx((~block.any(-1)).mean())
 
 
+def test_shares_of_table_1_are_resampled_within_each_stream():
+    """Each of two streams is all alike, so no resample differs; blocks of both together would."""
+    flags = np.zeros((40, 60, 5), bool)
+    flags[20:, :, 0] = True
+    found = shares.count(flags, streams=2)
+    np.testing.assert_allclose(found.examples[:, 0], 0.5, rtol=1e-6)
+    assert shares.count(flags).examples[:, 0].std() > 0.05
+
+
 def test_intervals_hold_the_truth_as_often_as_they_say():
     """300 experiments of 40 episodes: 95 % intervals hold the true mean in about 93 %, for the percentile is short."""
     data = np.random.default_rng(4).normal(1.0, 1.0, (40, 300))
