@@ -923,7 +923,7 @@ class ExperimentConfig(Config):
     has written, such as runs/dagger of `sean train dagger` or runs/apg of `sean train apg`, or FILE.py:NAME. By default
     move_base, ppo, ppo_depth and sensing_expert, and none with --quick."""
     hours: HoursOfMinutes | None = None
-    """Hours for each behavior, 1 by default: of each seed in table1, of demonstrations in figure4."""
+    """Hours for each behavior, 1 by default: in table1 as often as --seeds says, in figure4 of demonstrations."""
     amounts: Annotated[tuple[HoursOfMinutes, ...] | None, Field(min_length=1)] = None
     """Of learning_curve: hours of demonstrations, 1, 10 and 100 by default. Networks of the first one are compared with
     those of other rates, and with those that know the situations."""
@@ -933,7 +933,7 @@ class ExperimentConfig(Config):
     """Of learning_curve: most steps of a network's optimizer, 20,000 by default; a hundred hours end by it, fewer ones
     stop by themselves before."""
     seeds: Count | None = None
-    """Of table1: how many times, 10 by default."""
+    """Of table1: how many times these hours are simulated, all drawn from the one seed of --seed, 10 by default."""
     preset: Literal["sean2"] | None = None
     """Whose conditions: this package's, or sean2 for those of SEAN 2.0. What is given besides wins."""
     speeds: Annotated[tuple[WalkingSpeed, ...], Field(min_length=1)] = (1.4, 1.2, 1.0, 0.8, 0.6, 0.4)

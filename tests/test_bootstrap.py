@@ -1,5 +1,7 @@
 """Figures over episodes: means and bootstrap intervals against closed forms and scipy's bootstrap."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -52,22 +54,40 @@ def test_ratio_equals_scipys():
     np.testing.assert_allclose([found.low, found.high], tuple(theirs.confidence_interval), atol=noise)
 
 
-def test_hierarchical_interval_is_that_of_the_variance_of_each_level():
-    """Of a mean over 60 groups of 4 groups of 10 episodes, which differ by 1.0, 0.6 and 2.0 each."""
-    random, sizes = np.random.default_rng(3), (60, 4, 10)
-    values = random.normal(0, 1.0, (60, 1, 1)) + random.normal(0, 0.6, (60, 4, 1)) + random.normal(0, 2.0, sizes)
+@pytest.mark.parametrize("sizes", [(3, 2, 8), (10, 3, 8), (1, 4, 20)])
+@pytest.mark.parametrize("spreads", [(1.0, 0.6, 2.0), (0.0, 0.0, 1.0)])
+def test_hierarchical_intervals_hold_the_truth_as_often_as_they_say(sizes, spreads):
+    """Normal effects of datasets, seeds and episodes; a single dataset is part of the truth."""
+    random, experiments = np.random.default_rng(3), 1000
+    data = np.zeros((experiments, *sizes))
+    for depth, spread in enumerate(spreads):
+        if sizes[depth] > 1:
+            data += random.normal(0, spread, (experiments, *sizes[: depth + 1], *[1] * (2 - depth)))
     weights = bootstrap.hierarchical_resamples(sizes)
-    assert weights.shape == (2000, 2400) and (weights.sum(1) == 2400).all()
-    found = aggregate(values.reshape(-1), weights=weights)
-    half = 1.96 * np.sqrt(values.mean((1, 2)).var(ddof=1) / 60)  # what lies below is in the spread of the 60 means
-    assert found.high - found.low == pytest.approx(2 * half, rel=0.25)
-    flat = aggregate(values.reshape(-1))
-    assert flat.high - flat.low < 0.75 * (found.high - found.low)
+    np.testing.assert_allclose(weights.sum(1), math.prod(sizes), rtol=1e-4)
+    found = aggregate(data.reshape(experiments, -1).T, weights=weights)
+    assert 0.92 <= ((found.low <= 0) & (found.high >= 0)).mean() <= 0.97
 
 
-def test_one_group_of_episodes_is_the_plain_bootstrap():
-    one = bootstrap.hierarchical_resamples((1, 1, 50), seed=4, count=3000)
-    assert one.var() == pytest.approx(1 - 1 / 50, rel=0.05) and (one.sum(1) == 50).all()
+def test_one_group_of_many_episodes_is_the_plain_bootstrap(normal):
+    found = aggregate(normal, weights=bootstrap.hierarchical_resamples((1, 1, 400)))
+    for k in range(3):
+        theirs = scipy.stats.bootstrap((normal[:, k],), np.mean, n_resamples=8000, method="percentile", rng=1)
+        noise = 0.15 * float(theirs.standard_error)
+        np.testing.assert_allclose([found.low[k], found.high[k]], tuple(theirs.confidence_interval), atol=noise)
+    assert (bootstrap.hierarchical_resamples((1, 1, 1)) == 1).all()
+
+
+@pytest.mark.parametrize("number", [1, 16, 400])
+@pytest.mark.parametrize("level", [0.5, 0.95])
+def test_shares_of_none_or_all_have_the_interval_of_wilson(number, level):
+    for value in (0, 1):
+        found = bootstrap.of_share(aggregate(np.full(number, float(value))), level)
+        exact = scipy.stats.binomtest(value * number, number).proportion_ci(level, "wilson")
+        np.testing.assert_allclose([found.low, found.high], [exact.low, exact.high], atol=1e-9)
+    some = aggregate(np.arange(20) % 3 == 0)
+    assert bootstrap.of_share(some) == some
+    assert bootstrap.of_share(aggregate(np.full(3, np.nan))) == (0, 0, 0, 0)
 
 
 def test_interval_of_a_ratio_is_that_of_the_delta_method():
@@ -101,6 +121,15 @@ def test_shares_of_table_1_have_the_intervals_of_their_blocks():
     by_aggregate = aggregate(block[:, 0].astype(float))
     np.testing.assert_allclose(shares.interval(found.examples), [by_aggregate.low, by_aggregate.high], rtol=1e-9)
     assert found.seconds == 24_000 and found.none[0] == pytest.approx((~block.any(-1)).mean())
+
+
+def test_shares_of_table_1_are_resampled_within_each_stream():
+    """Each of two streams is all alike, so no resample differs; blocks of both together would."""
+    flags = np.zeros((40, 60, 5), bool)
+    flags[20:, :, 0] = True
+    found = shares.count(flags, streams=2)
+    np.testing.assert_allclose(found.examples[:, 0], 0.5, rtol=1e-6)
+    assert shares.count(flags).examples[:, 0].std() > 0.05
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sean_jax.metrics import Estimate, aggregate_ratio, resamples
+from sean_jax.metrics.bootstrap import of_share
 
 if TYPE_CHECKING:
     from sean_jax.evaluation import Evaluation
@@ -31,9 +32,11 @@ def aggregate(results: "Evaluation") -> dict[str, Any]:
     weights = resamples(len(results.completed))
     every = np.ones(len(results.completed))
 
-    def by_column(values: np.ndarray, applies: np.ndarray) -> dict[str, Any]:
+    def by_column(values: np.ndarray, applies: np.ndarray, shares: bool = False) -> dict[str, Any]:
+        estimate = aggregate_ratio(values * applies, applies, weights=weights)
+        estimate = of_share(estimate) if shares else estimate
         return {
-            name: _figure(aggregate_ratio(values[:, k] * applies[:, k], applies[:, k], weights=weights))
+            name: _figure(Estimate(*(part[k] for part in estimate)))
             for k, name in enumerate(columns[: values.shape[1]])
         }
 
@@ -45,7 +48,7 @@ def aggregate(results: "Evaluation") -> dict[str, Any]:
         }
         among = np.concatenate([among, spent[:, 1:] > 0], 1).astype(float)
     number = among.shape[1]
-    figures = {"completed": by_column(np.repeat(results.completed[:, None], number, 1).astype(float), among)}
+    figures = {"completed": by_column(np.repeat(results.completed[:, None], number, 1).astype(float), among, True)}
     for name, values in results.metrics.items():
         if name in ("completed", "timed_out"):
             continue

@@ -250,8 +250,11 @@ def scores(measured: dict[str, Columns]) -> Scores:
     def joined(take: Callable[[Columns], np.ndarray]) -> np.ndarray:
         return np.concatenate([np.asarray(take(columns), float) for columns in each])
 
-    figures = {"polite": aggregate(100.0 * joined(polite), weights=weights)}
-    figures["completed"] = aggregate(100.0 * joined(lambda columns: columns["completed"]), weights=weights)
+    def percent(take: Callable[[Columns], np.ndarray]) -> Estimate:
+        share = bootstrap.of_share(aggregate(joined(take), weights=weights))
+        return share._replace(mean=100.0 * share.mean, low=100.0 * share.low, high=100.0 * share.high)
+
+    figures = {"polite": percent(polite), "completed": percent(lambda columns: columns["completed"])}
     for name in Scores.FIGURES:
         if name not in figures:
             figures[name] = aggregate(joined(lambda columns, name=name: _overall(columns[name])), weights=weights)

@@ -11,7 +11,7 @@ from sean_jax.experiments import shares
 from sean_jax.experiments.drivers import MEASURES
 from sean_jax.experiments.shares import BEHAVIORS
 from sean_jax.metrics import Estimate, aggregate, aggregate_ratio
-from sean_jax.metrics.bootstrap import hierarchical_resamples, with_estimate
+from sean_jax.metrics.bootstrap import hierarchical_resamples, of_share, with_estimate
 
 LEARNED = {"G": "graph", "R": "random", "H": "handcrafted"}
 BALANCED, NAVIGATION, DEMONSTRATOR = "B", "N", "E"
@@ -44,7 +44,7 @@ class Results:
     """Measures of every policy in every scenario. All intervals use the same resamples of the numbered episodes.
 
     Episodes are in the order of the datasets, seeds of training and numbers; N and E, who learned nothing, drive the
-    same ones. A resample draws datasets, seeds of each, and episodes of each.
+    same ones. A resample draws datasets, with all networks and episodes of each; where there is one dataset, its seeds.
     """
 
     MEASURES: ClassVar[dict[str, str]] = MEASURES
@@ -106,7 +106,7 @@ class Results:
 
     def _estimates(self, values: dict[str, np.ndarray]) -> dict[str, Estimate]:
         each = {name: self._estimate(value) for name, value in values.items()}
-        return each | {"completed": _scaled(each["completed"], self.episodes)}
+        return each | {"completed": _scaled(of_share(each["completed"]), self.episodes)}
 
     def _of_completed(self, values: np.ndarray, completed: np.ndarray) -> Estimate:
         return aggregate_ratio(values * completed, completed, weights=self.resamples)

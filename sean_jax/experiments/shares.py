@@ -73,17 +73,20 @@ class Shares:
         return normalised_entropy(self.examples)
 
 
-def count(flags: np.ndarray, seed: int = 0) -> Shares:
+def count(flags: np.ndarray, seed: int = 0, streams: int = 1) -> Shares:
     """Shares of the situations and their bootstrap resamples.
 
     Args:
         flags: (blocks, seconds, S) bool, the situations that hold in each second of each block.
         seed: of the resamples.
+        streams: of equally many blocks, one after another; a resample draws as many of each, for the protocol fixes it.
 
     Returns:
         The shares.
     """
-    weights = bootstrap.with_estimate(bootstrap.resamples(len(flags), seed, bootstrap.RESAMPLES))
+    each = [seed + 1000 * stream for stream in range(streams)]
+    drawn = [bootstrap.resamples(len(flags) // streams, seed, bootstrap.RESAMPLES) for seed in each]
+    weights = bootstrap.with_estimate(np.concatenate(drawn, axis=1))
     none = ~flags.any(-1)
     return Shares(weights @ flags.mean(1), weights @ none.mean(1), flags.shape[0] * flags.shape[1])
 

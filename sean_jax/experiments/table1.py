@@ -55,6 +55,7 @@ class Cell:
     flags: np.ndarray  # (V, blocks, 60, 5) bool
     more: np.ndarray  # (blocks, 60, M) bool, the further situations, which do not depend on V
     ended: np.ndarray  # (2,) episodes completed and not
+    streams: int  # of the protocol, each with as many blocks
 
     def shares(self, speed: int = 0) -> Shares:
         """Shares of the situations.
@@ -65,7 +66,7 @@ class Cell:
         Returns:
             The shares, with resamples.
         """
-        return shares.count(self.flags[speed])
+        return shares.count(self.flags[speed], streams=self.streams)
 
     def further(self) -> Shares:
         """Shares of the situations beyond the paper's five.
@@ -73,7 +74,7 @@ class Cell:
         Returns:
             The shares, with resamples.
         """
-        return shares.count(self.more)
+        return shares.count(self.more, streams=self.streams)
 
 
 def run(options: ExperimentConfig, console: Console | None = None) -> Path:
@@ -260,7 +261,8 @@ def cell(
             flags = np.unpackbits(arrays["flags"], axis=-1, count=len(shares.NAMES)).astype(bool)
             if not further or tuple(arrays["names"] if "names" in arrays else ()) == names:
                 more = np.unpackbits(arrays["more"], axis=-1, count=len(names)).astype(bool)
-                return Cell(behavior, policy, int(arrays["people"]), flags, more, arrays["ended"])
+                number = int(arrays["streams"]) if "streams" in arrays else len(places().scenarios)
+                return Cell(behavior, policy, int(arrays["people"]), flags, more, arrays["ended"], number)
     there, seeds = places(), options.seeds or 1
     kinds = there.scenarios
     minutes = max(1, math.ceil(60.0 * (options.hours or 1.0) / len(kinds) - 1e-6))
@@ -272,8 +274,8 @@ def cell(
     flags = np.moveaxis(flags.reshape(*flags.shape[:2], -1, len(shares.NAMES)), 2, 0)
     packed = {"flags": np.packbits(flags, axis=-1), "more": np.packbits(more, axis=-1), "names": np.array(names, str)}
     with writing.atomic_file(file) as stream:
-        np.savez_compressed(stream, **packed, people=kinds[0].people, ended=ended)
-    return Cell(behavior, policy, kinds[0].people, flags, more, ended)
+        np.savez_compressed(stream, **packed, people=kinds[0].people, ended=ended, streams=len(kinds))
+    return Cell(behavior, policy, kinds[0].people, flags, more, ended, len(kinds))
 
 
 def _at_speeds(scenario: Scenario, speeds: tuple[float, ...]) -> tuple:

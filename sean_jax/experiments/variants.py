@@ -66,7 +66,7 @@ class Verdict(TypedDict):
 class Curve:
     """Measures of every variant in every scenario. All intervals use the same resamples of the numbered episodes.
 
-    A resample draws datasets, seeds of training on each, and episodes of each network, as in Figure 4.
+    A resample draws datasets, with all networks and episodes of each, as in Figure 4.
     """
 
     variants: tuple[Variant, ...]

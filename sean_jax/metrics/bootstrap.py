@@ -8,6 +8,7 @@ at the end, on the host and in double precision; nothing here is traced.
 
 import math
 from collections.abc import Sequence
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -127,10 +128,12 @@ def resamples(episodes: int, seed: int = 0, count: int | None = None) -> np.ndar
 
 
 def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | None = None) -> np.ndarray:
-    """How often each episode is in each resample, where episodes are of groups that are chance themselves.
+    """Weights of episodes in resamples, where episodes are of groups that are chance themselves.
 
-    Such are episodes of networks that were trained with several seeds on several datasets: a resample draws datasets
-    with replacement, of each that it drew some of its seeds, and of each of these some of its episodes.
+    Such are episodes of networks that were trained with several seeds on several datasets. Only the outermost groups
+    of which there are several are independent, and what lies below is in the spread of their means; to draw that as
+    well would count it twice. There are few of them, so their weights are not counts but such that the interval of a
+    mean is that of Student's distribution; a weight may be negative.
 
     Args:
         sizes: number of groups at each level, and last the number of episodes of each innermost group: (10, 3, 410).
@@ -138,19 +141,46 @@ def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | Non
         count: R, as in ``resamples``.
 
     Returns:
-        (R, E) float32 counts of the episodes in order, those of the first dataset's first seed before those of its
-        second; E is the product of the sizes.
+        (R, E) float32 weights that add up to E, of the episodes in order, those of the first dataset's first seed
+        before those of its second; E is the product of the sizes.
 
-    Source: A. Davison & D. Hinkley, "Bootstrap methods and their application", 1997, section 3.8.
+    Source: D. Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981), for weights that are no counts.
     """
     number = math.prod(sizes)
     if count is None:
         count = int(np.clip(ENTRIES // number, MIN_RESAMPLES, RESAMPLES))
+    groups = next((size for size in sizes if size > 1), 1)
+    if groups == 1:
+        return np.ones((count, number), np.float32)
     draw = np.random.default_rng(seed)
-    times = np.ones((count, 1), np.int64)
-    for size in sizes:  # each group that was drawn k times draws k times as many of its own
-        times = draw.multinomial(times * size, np.full(size, 1.0 / size)).reshape(count, -1)
-    return times.astype(np.float32)
+    normal = draw.standard_normal((count, groups))
+    student = (normal - normal.mean(1, keepdims=True)) * np.sqrt(groups / draw.chisquare(groups - 1, (count, 1)))
+    return np.repeat(1.0 + student, number // groups, axis=1).astype(np.float32)
+
+
+def of_share(estimate: Estimate, level: float = 0.95) -> Estimate:
+    """The interval of a share of episodes, where it is that of none or of all.
+
+    Resamples of equal values are all equal, which would say that no other seed can differ.
+
+    Args:
+        estimate: of values that are 0 or 1.
+        level: as in ``aggregate``.
+
+    Returns:
+        The estimate, with Wilson's interval where the mean is 0 or 1.
+
+    Raises:
+        InputError: the level does not lie between 0 and 1.
+
+    Source: E. Wilson, "Probable inference", Journal of the American Statistical Association 22 (1927).
+    """
+    _check_level(level)
+    square = NormalDist().inv_cdf((1 + level) / 2) ** 2
+    far = square / (np.maximum(estimate.episodes, 1) + square)
+    low = np.where((estimate.mean == 1) & (estimate.episodes > 0), 1 - far, estimate.low)
+    high = np.where((estimate.mean == 0) & (estimate.episodes > 0), far, estimate.high)
+    return estimate._replace(low=low, high=high)
 
 
 def with_estimate(weights: np.ndarray) -> np.ndarray:

@@ -8,7 +8,8 @@ robot and obstacles wholly, for these need not reciprocate.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Bool, Float
+import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.geometry import length, unit
@@ -23,8 +24,7 @@ RANGE = 10.0  # m, nobody farther away is avoided
 SPACE = 0.1  # m, kept between two bodies; ours
 PARALLEL = 1e-6  # sine of the angle below which two borders count as parallel
 TOLERANCE = 1e-5  # m/s
-HALVINGS = 18  # of the interval in which the smallest violation is searched for
-SEARCHED = 1e-4  # m/s; the search errs by less
+FORBIDDEN = 1e6  # times what is above the top speed or violates a hard half-plane counts as a violation
 UNBOUNDED = -1e6  # m/s: c of a half-plane that holds every velocity
 
 
@@ -194,9 +194,7 @@ def _left_of_borders(
 
     A point of border i is c n + t (-ny, nx).
     """
-    chord = limit * limit - c * c
-    crosses = chord > 0.0
-    half = jnp.sqrt(jnp.where(crosses, chord, 1.0))
+    low, high = _chord(c, limit)
     # There, half-plane j says rate t >= rest.
     rate = ny[None, :] * nx[:, None] - nx[None, :] * ny[:, None]  # (i, j)
     rest = c[None, :] - c[:, None] * (nx[:, None] * nx[None, :] + ny[:, None] * ny[None, :])
@@ -205,8 +203,15 @@ def _left_of_borders(
     bound = rest / jnp.where(slope, rate, 1.0)
     lower = jnp.where(slope & (rate > 0.0) & ~itself, bound, -jnp.inf).max(1)
     upper = jnp.where(slope & (rate < 0.0) & ~itself, bound, jnp.inf).min(1)
-    lower, upper = jnp.maximum(lower, -half), jnp.minimum(upper, half)
-    return lower, upper, crosses & (lower <= upper + TOLERANCE) & (slope | itself | (rest <= TOLERANCE)).all(1)
+    lower, upper = jnp.maximum(lower, low), jnp.minimum(upper, high)
+    return lower, upper, (high > 0.0) & (lower <= upper + TOLERANCE) & (slope | itself | (rest <= TOLERANCE)).all(1)
+
+
+def _chord(c: Float[Array, "*M"], limit: Float[Array, ""]) -> tuple[Float[Array, "*M"], Float[Array, "*M"]]:
+    """From where to where a border lies within the top speed; both are zero where it does not."""
+    square = limit * limit - c * c
+    half = jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
+    return -half, half
 
 
 def best_velocity(
@@ -232,43 +237,59 @@ def best_velocity(
     Returns:
         x and y parts [m/s].
     """
-    x, y, exists = nearest(nx, ny, c, px, py, limit)
-    fixed = jax.lax.stop_gradient((nx, ny, c, limit))
-    violation = _least_violation(*fixed, hard)
-    eased = jnp.where(hard, fixed[2], fixed[2] - violation)
-    border = jnp.argmin(_nearest_on_borders(*fixed[:2], eased, px, py, limit)[2])
+    free_x, free_y, exists = nearest(nx, ny, c, px, py, limit)
+    program = (nx, ny, c, hard, px, py, limit)
 
-    def width(violation: Array, nx: Array, ny: Array, c: Array, limit: Array) -> Array:
-        lower, upper, _ = _left_of_borders(nx, ny, jnp.where(hard, c, c - violation), limit)
-        return (upper - lower)[border]
+    def violation(i: Array, j: Array) -> Array:
+        nx, ny, c, hard, px, py, limit = jax.lax.stop_gradient(program)
+        x, y, opposite = _least_violating(i, j, nx, ny, c, hard, px, py, limit)
+        each = c - nx * x - ny * y
+        forbidden = jnp.maximum(jnp.where(hard, each, UNBOUNDED).max(), length(x, y) - limit)
+        largest = jnp.where(hard, UNBOUNDED, each).max() + FORBIDDEN * jnp.maximum(forbidden - TOLERANCE, 0.0)
+        return largest - jnp.where(opposite, TOLERANCE, 0.0)  # others are the ends of what lies between these
 
-    # What is left of that border shrinks to nothing at the least violation, however the half-planes lie. A step of
-    # Newton's method makes the violation exact and gives it derivatives; those of the search would be wrong.
-    growth = jax.grad(width)(violation, *fixed)
-    grows = growth > 0.0
-    change = jnp.where(grows, width(violation, nx, ny, c, limit) / jnp.where(grows, growth, 1.0), 0.0)
-    violation = violation - jnp.clip(change, -SEARCHED, SEARCHED)
-    least_x, least_y, _ = _nearest_on_borders(nx, ny, jnp.where(hard, c, c - violation), px, py, limit)
-    return jnp.where(exists, x, least_x[border]), jnp.where(exists, y, least_y[border])
+    first, second = (jnp.asarray(index, jnp.int32) for index in np.triu_indices(c.shape[0]))
+    least = jnp.argmin(jax.vmap(violation)(first, second))
+    x, y, _ = _least_violating(first[least], second[least], *program)
+    return jnp.where(exists, free_x, x), jnp.where(exists, free_y, y)
 
 
-def _least_violation(
+def _least_violating(
+    i: Int[Array, ""],
+    j: Int[Array, ""],
     nx: Float[Array, "M"],
     ny: Float[Array, "M"],
     c: Float[Array, "M"],
-    limit: Float[Array, ""],
     hard: Bool[Array, "M"],
-) -> Float[Array, ""]:
-    """By how much the half-planes that are not hard must be eased, so that some velocity is in all; by halvings."""
+    px: Float[Array, ""],
+    py: Float[Array, ""],
+    limit: Float[Array, ""],
+) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
+    """The velocity that violates half-planes i and j least, if both by as much and all others by no more.
 
-    def halve(carry: tuple, _) -> tuple:
-        low, high = carry
-        middle = 0.5 * (low + high)
-        is_enough = _left_of_borders(nx, ny, jnp.where(hard, c, c - middle), limit)[2].any()
-        return (jnp.where(is_enough, low, middle), jnp.where(is_enough, middle, high)), None
-
-    most = jnp.maximum(jnp.max(jnp.where(hard, UNBOUNDED, c)), 0.0)  # of the zero velocity
-    return jax.lax.scan(halve, (jnp.zeros_like(most), most), length=HALVINGS)[0][1]
+    Three dimensions, the velocity and the violation, have three bounds at their optimum: two half-planes and a third or
+    the top speed, or one and the top speed (i = j). Where i and j lie opposite, as the third value says, all velocities
+    between the others are as good; it is the one nearest to the preferred. If there is no such velocity, the result has
+    no meaning. A hard half-plane is not violated, but met on its border.
+    """
+    i, j = jnp.where(hard[i], j, i), jnp.where(hard[i], i, j)
+    # Half-plane k is violated by no more than i, where m . v >= b.
+    mx, my = nx - jnp.where(hard, 0.0, nx[i]), ny - jnp.where(hard, 0.0, ny[i])
+    b = c - jnp.where(hard, 0.0, c[i])
+    size = length(mx[j], my[j])
+    ax, ay = unit(mx[j], my[j])
+    offset = jnp.where(size > 0.0, b[j] / jnp.where(size > 0.0, size, 1.0), 0.0)
+    lower, upper = _chord(offset, limit)
+    rate, rest = my * ax - mx * ay, b - offset * (mx * ax + my * ay)  # there, t rate >= rest
+    others = (jnp.abs(rate) > PARALLEL) & (jnp.arange(c.shape[0], dtype=jnp.int32) != j)
+    bound = rest / jnp.where(others, rate, 1.0)
+    lower = jnp.maximum(lower, jnp.where(others & (rate > 0.0), bound, -jnp.inf).max())
+    upper = jnp.maximum(lower, jnp.minimum(upper, jnp.where(others & (rate < 0.0), bound, jnp.inf).min()))
+    gain = ny[i] * ax - nx[i] * ay
+    opposite = (jnp.abs(gain) <= PARALLEL) & (i != j)
+    t = jnp.where(opposite, jnp.clip(py * ax - px * ay, lower, upper), jnp.where(gain > 0.0, upper, lower))
+    x, y = offset * ax - t * ay, offset * ay + t * ax
+    return jnp.where(i == j, limit * nx[i], x), jnp.where(i == j, limit * ny[i], y), opposite
 
 
 def _neighbors(people: Pedestrians) -> Array:

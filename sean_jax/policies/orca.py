@@ -35,9 +35,7 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"]:
     """Drives along the shortest path, at the nearest velocity without a collision with people within 4 s (ORCA).
 
     The robot takes all of the avoidance, for people need not reciprocate, as far as its speed allows; otherwise it
-    takes the velocity that violates the half-planes least. Obstacles bound its speed, ahead and backward. At most 19
-    linear programs of 12 half-planes are solved: some 30,000 operations, a quarter of what the look-up of the shortest
-    path takes.
+    takes the velocity that violates the half-planes least. Obstacles bound its speed, ahead and backward.
 
     Args:
         scenario: where it drives.

@@ -191,9 +191,7 @@ def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> Non
     beams_of, numbers_of, *bodies = inputs
     radius, height = numbers_of[0], numbers_of[1]
     columns = 5 if shape.rays.offset is None else 8
-    parts = [
-        beams_of[pallas.ds((program * columns + column) * shape.width, shape.width)] for column in range(columns)
-    ]
+    parts = [beams_of[pallas.ds((program * columns + column) * shape.width, shape.width)] for column in range(columns)]
     beams = Beams(tuple(parts[:3]), parts[3], parts[4], tuple(parts[5:]) or None)
     distance = laws.ground(height, beams.direction[2], beams.inverse_rise)
     number = shape.floor + (distance >= laws.MISS).astype(jnp.int32)
