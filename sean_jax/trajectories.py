@@ -352,6 +352,8 @@ def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, firs
             refuse(~robot & ~np.isnan(values), name, "stands in the row of a person")
         if flag:
             refuse(robot & (values != 0) & (values != 1), name, "is not 0 or 1")
+        elif name.startswith("command"):
+            refuse(np.isfinite(values) & (np.abs(values) > np.finfo(np.float32).max), name, "is no number of 32 bits")
         elif name in LIMITS:
             low, high = LIMITS[name]
             mine = robot if name in OF_ROBOT else np.ones(len(values), bool)

@@ -27,8 +27,6 @@ from xml.etree import ElementTree
 
 import yaml
 
-from sean_jax.errors import FileError
-
 HANG, WAIT = 5.0, 60.0  # s of processor time, and of waiting
 MEMORY = 10**9  # bytes that a mutant may take
 INFINITE = ("walked", "cost", "distance", "arrival_angle")  # fields in which inf stands for what is not there
@@ -52,6 +50,10 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 MERGES = "a: &a {k: 1, l: 2}\n" + "".join(
     f"{chr(98 + k)}: &{chr(98 + k)} {{<<: [{', '.join(['*' + chr(97 + k)] * 9)}]}}\n" for k in range(12)
 )
+
+
+class Refused(Exception):
+    """The program has done without the input, and said so where it should."""
 
 
 class Kind:
@@ -267,7 +269,7 @@ def load_walk(folder: Path) -> Any:
 
     from sean_jax.trajectories import load_trajectory
 
-    (path,) = (path for path in folder.iterdir() if path.stem == "walk")
+    path = next((path for path in folder.iterdir() if path.stem == "walk"), folder / "walk.csv")
     found = load_trajectory(path)
     if path.suffix == ".csv":
         lines = path.read_text(encoding="utf-8-sig").splitlines()
@@ -329,7 +331,7 @@ def load_batch(folder: Path) -> Any:
     (folder / "batch.npz").rename(kept._file(0, 2))
     found = kept.load(0, 2)
     if found is None:  # nothing is there, and so it is made anew
-        raise FileError("batch.npz: there is none.")
+        raise Refused("there is none")
     assert found.completed.shape == found.timed_out.shape == found.steps.shape == (2,)
     assert found.completed.dtype == found.timed_out.dtype == bool and (found.steps >= 0).all() and found.seconds >= 0
     assert all(len(values) == 2 for values in found.metrics.values()) and (found.tally.heat >= 0).all()
@@ -370,7 +372,7 @@ def load_table(folder: Path) -> Any:
     for name, values in NUMBERS.items():
         np.testing.assert_array_equal(found[name], values)
     if built:
-        raise FileError("table.npz: was made anew.")
+        raise Refused("it was made anew")
     return found
 
 
@@ -398,7 +400,7 @@ def load_run(folder: Path) -> Any:
     assert found.shown is not None or found.unseen or not (folder / "report.html").read_text().count("application/json")
     comparison.page(comparison.differences(found, found), (found, found), comparison.told(found, found))
     if found.unseen:
-        raise FileError(found.unseen)
+        raise Refused(found.unseen)
     return None
 
 
@@ -457,7 +459,7 @@ def load_options(folder: Path) -> Any:
 
     given = files.read_json(folder / "options.json")
     if not isinstance(given, dict):
-        raise FileError("options: is no mapping.")
+        raise Refused("options: no mapping")
     told: Any = {
         name: tuple(value) if isinstance(value, list) else value for name, value in given.items() if name in OPTIONS
     }
@@ -731,7 +733,7 @@ def in_arrays(chance: random.Random, given: bytes) -> bytes:
 
     with np.load(io.BytesIO(given)) as opened:
         arrays: dict[str, Any] = {name: opened[name] for name in opened.files}
-    name, how = chance.choice(list(arrays)), chance.randrange(9)
+    name, how = chance.choice(list(arrays)), chance.randrange(10)
     values = arrays[name]
     if how == 0:
         del arrays[name]
@@ -750,6 +752,8 @@ def in_arrays(chance: random.Random, given: bytes) -> bytes:
         wrong[chance.randrange(wrong.size)] = chance.choice((-1, -7) if values.dtype.kind == "i" else (np.nan, np.inf))
         arrays[name] = wrong.reshape(values.shape)
     elif how == 7:
+        arrays = dict(reversed(arrays.items()))
+    elif how == 8:
         arrays[name] = np.zeros(chance.choice(((0,), (30_000_000,), (2, 0))), np.uint8)
     else:
         stream = io.BytesIO()
@@ -845,6 +849,8 @@ def attempt(kind: Kind, folder: Path, name: str) -> tuple[str, str]:
     """("accepted" or "refused" or "wrong", what was said)."""
     try:
         found = kind.load(folder)
+    except Refused as error:
+        return "refused", str(error)
     except Exception as error:  # whatever it is, it is looked at
         try:
             known = {"map": "map", "batch.npz": "batch", "report.html": "report.html"}
