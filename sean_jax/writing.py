@@ -241,10 +241,9 @@ def broken(error: OSError) -> str:
         error: of the system.
 
     Returns:
-        The cause in a few words, and the file in brackets if there is one; of a full disk, the cause alone.
+        The cause in a few words, and the file in brackets if there is one.
     """
-    cause = reason(error)
-    return cause + (f" ({error.filename})" if error.filename and cause != DISK_FULL else "")
+    return reason(error) + (f" ({error.filename})" if error.filename else "")
 
 
 def _lock(file: Path) -> int:

@@ -90,6 +90,18 @@ def test_files_that_a_robot_and_a_scene_read_are_copied_along(place):
     assert "more/limits.xml" in saved.changes[0]
 
 
+def test_what_a_scene_reads_outside_its_folder_is_not_copied_and_must_be_as_it_was(place):
+    (place / "mine" / "wall.xml").write_text("<mujoco></mujoco>")
+    scene = place / "mine" / "hall" / "scene.xml"
+    scene.write_text(scene.read_text().replace("</mujoco>", '<include file="../wall.xml"/></mujoco>'))
+    file = written(place / "run", described())
+    assert [path.name for path in (place / "run").rglob("*")] == ["config.yaml"]
+    output.read_config(file)
+    (place / "mine" / "wall.xml").write_text("<mujoco> </mujoco>")
+    with pytest.raises(InputError, match=r"wall\.xml: is not the file that the run was made with"):
+        output.read_config(file)
+
+
 def test_two_files_of_one_name_are_two_copies(place):
     (place / "other").mkdir()
     (place / "other" / "forces.yaml").write_text("preset: calibrated\n")

@@ -15,10 +15,11 @@ from sean_jax.config import Named, PlaybackBehavior, RunConfig
 from sean_jax.files import mjcf
 from sean_jax.learning.agents import AGENTS
 from sean_jax.policies import POLICIES
+from sean_jax.robots import ROBOTS
 
 MAX_COPY = 10_000_000  # bytes of an environment's or a robot's files; more stay where they are
 MAX_FILE = 100_000_000  # bytes of a file, such as a recording
-ENDINGS = (".xml", ".yaml", ".yml")  # of a robot, forces and sensors in a file
+ENDINGS = (".yaml", ".yml")  # of forces and sensors in a file
 COPIED = ("environment", "robot", "forces", "sensors")  # options whose files are copied
 OPTIONS = (*COPIED, "policy", "behavior")  # that name files
 
@@ -64,10 +65,9 @@ def read(config: RunConfig) -> Inputs:
     hashes: dict[str, str] = {}
     names: dict[str, str] = {}
     for option, name, path in _named(config):
-        path = Path(os.path.abspath(path))
-        names[name] = name if name in environment.available() else str(path)
-        found = {part: files.read_bytes(part, MAX_FILE) for part in _sources(option, path)}
-        root = path if path.is_dir() else path.parent
+        names[name] = name if name in environment.available() else os.path.abspath(path)
+        root, sources = _sources(option, path)
+        found = {part: files.read_bytes(part, MAX_FILE) for part in sources}
         small = sum(map(len, found.values())) <= MAX_COPY and all(part.is_relative_to(root) for part in found)
         if option not in COPIED or not small:
             hashes |= {str(part): hashlib.sha256(data).hexdigest() for part, data in found.items()}
@@ -121,8 +121,8 @@ def locate(copies: Mapping[str, str], hashes: Mapping[str, str], folder: Path) -
         then = {part.removeprefix(inside): value for part, value in hashes.items() if part.startswith(inside)}
         try:
             path = environment.find(name) if option == "environment" else Path(name)
-            root = path if path.is_dir() else path.parent
-            now = {part.relative_to(root).as_posix(): digest(part) for part in _sources(option, path)}
+            root, sources = _sources(option, path)
+            now = {part.relative_to(root).as_posix(): digest(part) for part in sources}
         except (ValueError, OSError):  # it is not here, or is another thing now
             now = {}
         if now != then:
@@ -151,10 +151,12 @@ def digest(file: Path) -> str:
 def _named(config: RunConfig) -> Iterator[tuple[str, str, Path]]:
     """Option, name and path of each file and folder of a description."""
     yield "environment", config.environment, environment.find(config.environment)
-    parts = [("robot", config.robot), *(("forces", part) for part in config.forces)]
-    for option, part in [*parts, *(("sensors", part) for part in config.sensors)]:
-        if isinstance(part, Named) and part.kind.lower().endswith(ENDINGS):
-            yield option, part.kind, Path(part.kind)
+    if isinstance(config.robot, Named) and config.robot.kind not in ROBOTS:
+        yield "robot", config.robot.kind, Path(config.robot.kind)
+    for option, parts in (("forces", config.forces), ("sensors", config.sensors)):
+        for part in parts:
+            if isinstance(part, Named) and part.kind.lower().endswith(ENDINGS):
+                yield option, part.kind, Path(part.kind)
     policy, behavior = config.policy, config.behavior
     if isinstance(policy, Named) and policy.kind not in POLICIES and policy.kind not in AGENTS:
         yield "policy", policy.kind, Path(policy.kind)
@@ -162,10 +164,13 @@ def _named(config: RunConfig) -> Iterator[tuple[str, str, Path]]:
         yield "behavior", behavior.recording, Path(behavior.recording)
 
 
-def _sources(option: str, path: Path) -> list[Path]:
-    """The files that are read for one; those of a policy are told by the fingerprint."""
+def _sources(option: str, path: Path) -> tuple[Path, list[Path]]:
+    """The folder of a file or folder, and the files that are read for it; those of a policy the fingerprint tells."""
     if option == "environment":
-        return environment.sources(path)
-    if option == "robot":
-        return [path, *mjcf.sources(path)]
-    return [] if option == "policy" else [path]
+        sources = environment.sources(path)
+    elif option == "robot":
+        sources = [path, *mjcf.sources(path)]
+    else:
+        sources = [] if option == "policy" else [path]
+    root = path if path.is_dir() else path.parent
+    return Path(os.path.abspath(root)), [Path(os.path.abspath(part)) for part in sources]

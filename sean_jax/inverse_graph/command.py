@@ -3,7 +3,6 @@
 import functools
 import json
 import operator
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,6 +15,7 @@ from sean_jax import environment as environments
 from sean_jax.base import Environment, Scenario
 from sean_jax.config import FitGraphConfig, GraphBehavior, Named, ScenarioConfig
 from sean_jax.errors import InputError
+from sean_jax.files.mjcf import MAX_TEXT
 from sean_jax.flags import command
 from sean_jax.graph import BehaviorGraph, annotation, graph_of
 from sean_jax.inverse_graph import annotating, page
@@ -70,7 +70,7 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
     with progress(console) as told, writing.atomic_folder(options.folder) as folder:
         words = _words(options, source, environment, told)
         for name in (environments.SETTINGS, environments.SCENE):
-            shutil.copyfile(source / name, folder / name)
+            writing.write(folder / name, files.read_bytes(source / name, MAX_TEXT))
         graph = annotation.build(words, environment)
         lines = [f"{len(words.nodes)} nodes, {len(words.edges)} edges"]
         if options.recording is None and not options.simulate:
