@@ -1,6 +1,6 @@
 """The first body that each ray meets, on a GPU: one kernel, written in Pallas (Mosaic GPU).
 
-Each program of the kernel has up to ``WIDTH`` rays of one tile in registers, goes through the bodies that the tile has
+Each program of the kernel has up to ``WIDTH`` rays of one tile, one a thread, goes through the bodies that the tile has
 in sight, and writes its result once. So the loops end on the GPU. A loop of XLA's whose end depends on data ends on the
 host, which reads a flag after every turn: a busy host then holds up the card.
 """
@@ -21,8 +21,7 @@ from sean_jax.base import Array
 from sean_jax.raycast import laws
 from sean_jax.raycast.rays import Beams, Rays
 
-THREADS = 128  # of a program; its rays are a multiple of them
-WIDTH = 2 * THREADS  # rays of a program at most
+WIDTH = 128  # threads of a program, each of which has one ray
 HOPPER = 9.0  # compute capability of the oldest GPUs that the kernel was tried on
 BITS = 32  # bodies in a word, of which each bit says whether a tile has a body in sight
 
@@ -44,7 +43,6 @@ class _Shape(NamedTuple):
     floor: int  # number of the floor
     numbers: bool  # whether the numbers of bodies are wanted as well
     parts: int  # programs of a tile
-    width: int  # rays of a program
 
 
 @cache
@@ -84,24 +82,22 @@ def first(
         (tiles, rays) m, ``laws.MISS`` where a ray meets no body; and with ``numbers`` (tiles, rays) int32.
     """
     tiles, count = rays.direction.shape[1:]
-    groups = -(-count // THREADS)
-    parts = -(-groups * THREADS // WIDTH)
-    width = -(-groups // parts) * THREADS
+    parts = -(-count // WIDTH)
     fixed = tuple((family.start, family.table.shape[1], family.law) for family in families)
-    shape = _Shape(rays, fixed, floor, numbers, parts, width)
+    shape = _Shape(rays, fixed, floor, numbers, parts)
     operands = [_beams(shape), jnp.stack([radius, height])[None]]
     for family in families:
         operands += [family.table.reshape(1, -1), _words(family.in_sight).reshape(1, -1)]
-    return tuple(out.reshape(tiles, parts * width)[:, :count] for out in _launch(shape)(*operands))
+    return tuple(out.reshape(tiles, parts * WIDTH)[:, :count] for out in _launch(shape)(*operands))
 
 
 def _beams(shape: _Shape) -> Array:
-    """(1, tiles * parts * columns * width) of the rays; the last is repeated up to the width."""
+    """(1, tiles * parts * columns * WIDTH) of the rays; the last is repeated up to the width."""
     rays = shape.rays
     columns = [*rays.direction, rays.inverse_rise, rays.inverse_run, *(() if rays.offset is None else rays.offset)]
     tiles, count = columns[0].shape
-    more = np.pad(np.stack(columns, 1), ((0, 0), (0, 0), (0, shape.parts * shape.width - count)), mode="edge")
-    apart = more.reshape(tiles, len(columns), shape.parts, shape.width).swapaxes(1, 2)
+    more = np.pad(np.stack(columns, 1), ((0, 0), (0, 0), (0, shape.parts * WIDTH - count)), mode="edge")
+    apart = more.reshape(tiles, len(columns), shape.parts, WIDTH).swapaxes(1, 2)
     return jnp.asarray(apart.reshape(1, -1), float)
 
 
@@ -166,7 +162,7 @@ def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Arr
 
     grid = max(operand.shape[0] for operand in operands), shape.rays.tiles * shape.parts
     kinds = (operands[0].dtype, jnp.int32)[: 1 + shape.numbers]
-    out = tuple(jax.ShapeDtypeStruct((grid[0], grid[1] * shape.width), kind) for kind in kinds)
+    out = tuple(jax.ShapeDtypeStruct((grid[0], grid[1] * WIDTH), kind) for kind in kinds)
     if interpret:  # on a CPU, by XLA
         kernel = partial(_kernel, shape, pallas.program_id)
         return tuple(pallas.pallas_call(kernel, grid=grid, out_shape=out, interpret=True)(*operands))
@@ -191,7 +187,7 @@ def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> Non
     beams_of, numbers_of, *bodies = inputs
     radius, height = numbers_of[0], numbers_of[1]
     columns = 5 if shape.rays.offset is None else 8
-    parts = [beams_of[pallas.ds((program * columns + column) * shape.width, shape.width)] for column in range(columns)]
+    parts = [beams_of[pallas.ds((program * columns + column) * WIDTH, WIDTH)] for column in range(columns)]
     beams = Beams(tuple(parts[:3]), parts[3], parts[4], tuple(parts[5:]) or None)
     distance = laws.ground(height, beams.direction[2], beams.inverse_rise)
     number = shape.floor + (distance >= laws.MISS).astype(jnp.int32)
@@ -211,7 +207,7 @@ def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> Non
 
         first = jax.lax.fori_loop(0, words, of_word, first)
     for result, values in zip(references[2 + 2 * len(shape.laws) :], first, strict=True):
-        result.at[scenario][pallas.ds(program * shape.width, shape.width)] = values
+        result.at[scenario][pallas.ds(program * WIDTH, WIDTH)] = values
 
 
 def _nearer(first: tuple[Array, ...], distance: Array, number: Any) -> tuple[Array, ...]:

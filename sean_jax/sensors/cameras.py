@@ -17,7 +17,7 @@ from sean_jax.raycast import Rays, bundle
 
 OVERHEAD = "overhead"
 SEES_ROBOT = ("third_person", OVERHEAD)
-TILE = (48, 4)  # rows and columns of pixels of a tile, which share the bodies that they may meet
+TILE = (8, 16)  # rows and columns of pixels of a tile, which share the bodies that they may meet
 
 
 @dataclasses.dataclass(frozen=True)
