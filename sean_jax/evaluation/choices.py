@@ -73,6 +73,8 @@ def offered() -> Iterator[tuple[str, dict[str, str]]]:
     yield "situations", {name: ", ".join(held) for name, held in classifiers.SITUATION_SETS.items()}
     yield "observations", {name: _sentence(term.definition) for name, term in mdp.OBSERVATIONS.items()}
     yield "rewards", {name: _sentence(term.definition) for name, term in mdp.REWARDS.items()}
+    yield "terminations", {name: _documented(value) for name, value in mdp.TERMINATIONS.items()}
+    yield "randomization", {name: _documented(type(value)) for name, value in mdp.RANDOMIZATIONS.items()}
     yield "dynamics", {name: DYNAMICS.get(name, "") for name in robots.DYNAMICS}
 
 
