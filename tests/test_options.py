@@ -126,6 +126,7 @@ def test_an_option_stands_in_one_place():
 
 
 FOLDERS = {"file": "kept", "full/old": "kept", "map.yaml": "image: none.pgm\n"}
+FOLDERS |= {"odd.py": "number = 3\ndef sonar(scenario, state):\n    return 0.0\n"}
 BAD = """
 run --episodes x | --episodes; sean run --help
 run --episode 3 | --episode; sean run --help
@@ -263,6 +264,10 @@ run --task join_group,join_group | --task: 'join_group' is there twice
 experiment table1 --policies expert,expert | --policies: 'expert' is there twice
 validate --only rimea-1,rimea-1 | --only: 'rimea-1' is there twice
 bench --only step,step | --only: 'step' is there twice
+run --sensors depht | sensors: 'depht' is no sensor; did you mean 'depth'
+run --sensors depth,depth | --sensors: 'depth' is there twice
+run --sensor odd.py:sonar | sensors: <function sonar; is no Sensor; give one of
+run --sensor odd.py:number | sensors: 3 is no Sensor; give one of
 rn | 'rn' is not one of run, collect; did you mean 'run'
 """.strip().splitlines()
 
@@ -391,14 +396,14 @@ def test_numbers_of_numpy_are_numbers():
     assert asked.people == 5 and asked.time_limit == 2.5 and type(asked.people) is int
 
 
-def test_every_choice_is_explained_by_a_whole_sentence():
+def test_every_choice_is_explained_by_a_whole_sentence_of_its_own():
     from sean_jax.evaluation import choices
 
     for option, offered in choices.offered():
+        assert len(set(offered.values())) == len(offered), option
         for name, line in offered.items():
-            if option != "situations":
-                assert line[0].isupper() and line.endswith(".") and "``" not in line, (option, name, line)
-                assert len(line.split()) >= 4, (option, name, line)
+            assert line[0].isupper() and line.endswith(".") and "``" not in line, (option, name, line)
+            assert len(line.split()) >= 4, (option, name, line)
 
 
 def test_the_endings_of_pictures_are_those_that_matplotlib_writes(tmp_path):
