@@ -266,7 +266,7 @@ validate --only rimea-1,rimea-1 | --only: 'rimea-1' is there twice
 bench --only step,step | --only: 'step' is there twice
 run --sensors depht | sensors: 'depht' is no sensor; did you mean 'depth'
 run --sensors depth,depth | --sensors: 'depth' is there twice
-run --sensor odd.py:sonar | sensors: <function sonar; is no Sensor; give one of
+run --sensor odd.py:sonar | sensors: sonar is no Sensor; give one of
 run --sensor odd.py:number | sensors: 3 is no Sensor; give one of
 rn | 'rn' is not one of run, collect; did you mean 'run'
 """.strip().splitlines()

@@ -217,7 +217,7 @@ Contact between bodies is none of them: the steps in which forces act were chose
 
 @dataclass(frozen=True)
 class BehaviorRandomization:
-    """People who behave otherwise in each episode. ``randomize_behavior`` makes one."""
+    """People behave otherwise in each episode. Made by ``randomize_behavior``."""
 
     bounds: tuple[tuple[str, float, float], ...]  # name in ``PARAMETERS``, least and greatest value
 

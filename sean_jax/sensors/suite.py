@@ -249,7 +249,7 @@ def check_sensor(value: SensorLike) -> None:
     """
     cure = f"; give one of {', '.join(SENSORS)} or the path of a .yaml file."
     if not isinstance(value, str | Path | Sensor):
-        raise InputError(f"sensors: {value!r:.60} is no Sensor{cure}")
+        raise InputError(f"sensors: {getattr(value, '__name__', None) or repr(value):.60} is no Sensor{cure}")
     if isinstance(value, str | Path) and value not in SENSORS and Path(value).suffix not in (".yaml", ".yml"):
         raise InputError(f"sensors: '{value}' is no sensor{files.suggest(str(value), SENSORS) or cure}")
 
