@@ -189,6 +189,8 @@ def check(config: ScenarioConfig) -> Path:
         _situations(config)
         components.resolve(config.model, pedestrian_models.MODELS, "model")
         _metrics(config)
+        for part in config.sensors:
+            sensors.check_sensor(components.resolve(part, _ANY, "sensors"))
         if config.behavior.kind == "playback" and config.model.kind != "social_forces":
             name = config.model.kind
             raise InputError(f"model: '{name}' moves nobody in behavior 'playback', where people walk as recorded.")

@@ -18,10 +18,18 @@ from functools import partial, reduce
 from numbers import Integral, Real
 from operator import or_
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import pydantic
-from pydantic import BeforeValidator, Discriminator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, Tag
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    Tag,
+)
 from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
@@ -41,6 +49,40 @@ DAY = 86_400.0  # s
 INFINITE = "inf"  # how a file says infinity
 
 OWN_PART = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
+
+ALIASES = {
+    "environment": "env env_id env_name world map",
+    "people": "num_people n_people humans num_humans human_num pedestrians num_pedestrians",
+    "time_step": "dt timestep",
+    "time_limit": "max_steps max_episode_steps episode_length max_episode_length",
+    "episodes": "num_episodes n_episodes eval_episodes",
+    "evaluation_episodes": "n_eval_episodes num_eval_episodes eval_episodes",
+    "evaluate_every": "eval_freq eval_interval eval_every",
+    "scenarios": "num_envs n_envs envs num_workers num_actors",
+    "steps": "total_timesteps timesteps num_timesteps max_timesteps total_steps",
+    "horizon": "n_steps num_steps rollout_length rollout_steps unroll_length",
+    "minibatches": "num_minibatches n_minibatches n_minibatch",
+    "batch": "batch_size minibatch_size num_envs n_envs",
+    "epochs": "n_epochs num_epochs update_epochs num_updates_per_batch",
+    "learning_rate": "lr",
+    "discount": "gamma discounting",
+    "advantage_decay": "gae_lambda lam gae",
+    "clip": "clip_range clip_coef clip_eps clip_epsilon clipping_epsilon",
+    "entropy": "ent_coef entropy_coef entropy_cost",
+    "width": "hidden_size hidden_dim hidden_units",
+    "layers": "num_layers n_layers",
+    "noise": "log_std_init init_std",
+    "pretrained": "checkpoint resume load load_path restore init_from",
+    "policy": "agent driver controller",
+    "rewards": "reward_fn",
+    "terminations": "termination_fn dones",
+    "randomization": "domain_randomization randomize",
+    "action_delay": "delay latency",
+    "seeds": "num_seeds n_seeds",
+    "out": "output output_dir out_dir log_dir logdir save_dir save_path",
+    "quiet": "silent",
+}
+"""Option -> names that other projects have for it, by which it is proposed."""
 
 USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcrafted",)}
 """behavior -> its robot tasks in the paper's protocol (section V-B); of others it is random_ab_nav."""
@@ -102,11 +144,32 @@ def _text(value: object) -> object:
     return str(value) if isinstance(value, Path) else value
 
 
+def _both(value: object) -> object:
+    """A number as the least and the most."""
+    return (value, value) if isinstance(value, Integral) else value
+
+
 def _compact(value: object) -> object:
     """A component without options as its name."""
     if isinstance(value, list):
         return [_compact(each) for each in value]
     return value["kind"] if isinstance(value, dict) and value.keys() == {"kind"} else value
+
+
+def meant(word: str, known: Iterable[str], named: Callable[[str], str] = str) -> str:
+    """The end of a message about an unknown option.
+
+    Args:
+        word: the unknown one.
+        known: the fields or options that there are.
+        named: option -> how the message names it.
+
+    Returns:
+        The option that other projects call so, or one whose name is like it, as a question; nothing if there is none.
+    """
+    known = list(known)
+    alike = [name for name in known if word.lower() in ALIASES.get(name, "").split()]
+    return f"; did you mean '{named(alike[0])}'?" if alike else suggest(named(word), map(named, known))
 
 
 def short(value: object) -> str:
@@ -152,16 +215,40 @@ HoursOfMinutes = Annotated[float, Number(0.0166, MAX_HOURS, "h")]
 WalkingSpeed = Annotated[float, Number(0.0, 100.0, "m/s")]
 Threshold = Annotated[float, Number(-1e9, 1e9)]
 Noise = Annotated[float, Number(1e-3, 1.0)]
+Delay = Annotated[int, Number(0, 1_000, "steps")]
 LearningRate = Annotated[float, Number(1e-12, 1.0)]
 Height = Annotated[float, Number(0.06, 100.0, "m")]
 TimingSeconds = Annotated[float, Number(1e-6, 1e5, "s")]
 Text = Annotated[str, BeforeValidator(_text), Field(min_length=1, max_length=4_096)]
 
 
+def _each_once(value: Any) -> Any:
+    """Refuse names, or components, of which one is there twice."""
+    each = listed(value) if isinstance(value, str) else value or ()
+    each = [part for part in each if not isinstance(part, Value)]
+    for part in each:
+        if each.count(part) > 1:
+            raise ValueError(f"'{part if isinstance(part, str) else part.kind}' is there twice; give it once")
+    return value
+
+
+Names = Annotated[Text, AfterValidator(_each_once)]  # separated by commas
+
+
 class Config(pydantic.BaseModel):
     """A description: it cannot be changed, and has no key that it does not know."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    if not TYPE_CHECKING:  # which knows the fields by the class
+
+        def __init__(self, **values: Any) -> None:
+            try:
+                super().__init__(**values)
+            except pydantic.ValidationError as error:
+                raise InputError(sentence(type(self), error.errors(include_url=False)[0])) from None
+
+        __init__.__pydantic_base_init__ = True  # what validates a description does not call it
 
     def replace(self, **changes: object) -> Self:
         """The description with other values.
@@ -328,7 +415,8 @@ class Family:
         if not (self.several or self.singular):
             return one
         many = core_schema.tuple_variable_schema(one, min_length=1 if self.several else 0)
-        return core_schema.no_info_before_validator_function(self._read_several, many)
+        once = core_schema.no_info_after_validator_function(_each_once, many)
+        return core_schema.no_info_before_validator_function(self._read_several, once)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         return {"anyOf": [{"type": "string"}, handler(schema)]}
@@ -353,6 +441,8 @@ class Family:
 
     def _read_several(self, value: object) -> object:
         """Several components: a mapping has names of values, and a text commas between names."""
+        if value is None:
+            return []
         if isinstance(value, str):
             return listed(value)
         if isinstance(value, Mapping) and "kind" not in value:
@@ -420,6 +510,7 @@ Metrics = Annotated[tuple[Component, ...], Family((Named,), "metric")]
 Sensors = Annotated[tuple[Component, ...], Family((Named,), "sensor")]
 Observations = Annotated[tuple[Component, ...], Family((Named,), "observation")]
 Rewards = Annotated[tuple[Component, ...], Family((Named,), "reward")]
+Terminations = Annotated[tuple[Component, ...], Family((Named,), "termination")]
 BehaviorPart = Annotated[
     GraphBehavior | RandomBehavior | HandcraftedBehavior | PlaybackBehavior | Named | OwnPart | Value,
     Family((GraphBehavior, RandomBehavior, HandcraftedBehavior, PlaybackBehavior, Named)),
@@ -709,8 +800,19 @@ class EnvConfig(ScenarioConfig):
     """What the agent sees: terms of `sean list`, and further ones."""
     rewards: Rewards = (Named(kind="default"),)
     """What it is rewarded for: default, terms of `sean list`, and further ones."""
-    terminations: Text | None = None
-    """What ends an episode beside completion, separated by commas: collision, obstacle, intimate."""
+    terminations: Terminations = ()
+    """What ends an episode beside completion and the time limit: collision, obstacle, intimate, and further ones."""
+    randomization: Part | None = None
+    """What differs between episodes: behavior is how people behave; or a function (key, scenario) -> scenario."""
+    action_delay: Annotated[tuple[Delay, Delay], BeforeValidator(_both)] = (0, 0)
+    """Steps of control by which commands are late, least and most; drawn for each episode."""
+
+    @pydantic.field_validator("action_delay")
+    @classmethod
+    def _in_order(cls, value: tuple[int, int]) -> tuple[int, int]:
+        if value[0] > value[1]:
+            raise ValueError(f"{value[0]} is more than {value[1]}; give the least steps first")
+        return value
 
 
 class ReinforcementConfig(EnvConfig):
@@ -721,7 +823,7 @@ class ReinforcementConfig(EnvConfig):
 
     method: Annotated[str, Positional(), Incidental()]
     """How."""
-    environment: Text = "warehouse"
+    environment: Names = "warehouse"
     """Physical environment: a name, or the folder of your own; several, separated by commas, share the scenarios, and
     one agent learns in all of them."""
     critic: Annotated[tuple[Component, ...], Family((Named,), "critic_term")] = ()
@@ -796,6 +898,10 @@ class ReinforcementConfig(EnvConfig):
         if self.curriculum != "none" and len(self.environments) > 1:
             text = f"{self.curriculum} chooses the starts of one environment, and not of {self.environment}"
             raise ValueError(f"curriculum: {text}; choose one of the two")
+        if self.seed + self.seeds > 2**32:
+            raise ValueError(
+                f"seeds: {self.seeds} that follow seed {self.seed} go beyond {2**32 - 1}; take a lesser seed"
+            )
         _ = self.agents
         return self
 
@@ -817,17 +923,22 @@ class ReinforcementConfig(EnvConfig):
             ValueError: the sweep names something else, or an impossible number.
         """
         found = [{name: float(getattr(self, name)) for name in self.SWEPT}]
+        swept = [text.partition("=")[0] for text in self.sweep]
         for text in self.sweep:
             name, _, values = text.partition("=")
             if name not in self.SWEPT and not name.startswith("rewards."):
                 known = ", ".join((*self.SWEPT, "rewards.NAME"))
                 raise ValueError(f"sweep: '{name}' cannot be swept; {known} can, as in {self.SWEPT[0]}=0.1,0.2")
+            if swept.count(name) > 1:
+                raise ValueError(f"sweep: '{name}' is there twice; give it once, with all of its numbers")
             limits = type(self).model_fields[name].metadata if name in self.SWEPT else [pydantic.AllowInfNan(False)]
             possible = pydantic.TypeAdapter(Annotated[float, *limits])
             try:
                 numbers = [possible.validate_python(float(part)) for part in values.split(",")]
             except ValueError:
                 raise ValueError(f"sweep: {name}={values} must be numbers that --{name} may have") from None
+            if len({*numbers}) < len(numbers):
+                raise ValueError(f"sweep: {name}={values} has a number twice; give it once")
             found = [{**agent, name: number} for agent in found for number in numbers]
         return [{"seed": self.seed + more, **agent} for agent in found for more in range(self.seeds)]
 
@@ -910,15 +1021,15 @@ class ExperimentConfig(Config):
     """Small enough for a CPU and ten minutes: less time, fewer seeds and episodes, smaller images."""
     environment: Text = "warehouse"
     """Physical environment: a name, or the folder of your own."""
-    policies: Text = "go_to_goal,social_costmap,expert"
+    policies: Names = "go_to_goal,social_costmap,expert"
     """Of table1: who drives, separated by commas; none for recordings alone."""
-    recordings: Text | None = None
+    recordings: Names | None = None
     """Of table1: recordings, CSV files separated by commas; each of their people in turn plays the robot."""
     frame_rate: FrameRate | None = None
     """Frames a second of the recordings; those of their formats by default."""
     demonstrator: Text = "expert"
     """Of figure4 and learning_curve: who demonstrates."""
-    others: Text | None = None
+    others: Names | None = None
     """Of figure4: further drivers of the same episodes, separated by commas, or none: names, folders that `sean train`
     has written, such as runs/dagger of `sean train dagger` or runs/apg of `sean train apg`, or FILE.py:NAME. By default
     move_base, ppo, ppo_depth and sensing_expert, and none with --quick."""
@@ -1027,7 +1138,7 @@ class BenchConfig(Config):
     """Robot: a name, or an MJCF file."""
     dynamics: Literal["mjx", "twin", "kinematic"] = "mjx"
     """How the robot moves: mjx, its closed-form twin, faster, or kinematic, without inertia as in SEAN 2.0."""
-    only: Text = "step,depth,images,pictures,crowd,compile,devices"
+    only: Names = "step,depth,images,pictures,crowd,compile,devices"
     """Parts to measure, separated by commas."""
     batches: tuple[BatchSize, ...] = ()
     """Numbers of scenarios at once; by default 1 to 256 on a CPU and 1 to 65536 on a GPU."""
@@ -1064,9 +1175,9 @@ class ValidateConfig(Config):
 
     quick: bool = False
     """Small enough for a CPU and five minutes: fewer seeds, and without the checks of a thousand people."""
-    only: Text | None = None
+    only: Names | None = None
     """Checks, separated by commas; rimea-* stands for all whose names begin so. All by default."""
-    models: Text | None = None
+    models: Names | None = None
     """Who moves people, separated by commas: presets of forces, files of constants, models, or FILE.py:NAME; the
     default forces if none is named."""
     data: Path | None = None
@@ -1091,9 +1202,9 @@ class CalibrateConfig(Config):
     """Folder of recordings: scenes of ETH and UCY, runs of Juelich's corridors."""
     forces: Text = DEFAULT_FORCES
     """Where the fit begins: a preset of social forces, or a YAML file of constants."""
-    fit: Text | None = None
+    fit: Names | None = None
     """Constants to fit, separated by commas, such as repulsion.range; by default all that have bounds."""
-    leave_out: Text | None = None
+    leave_out: Names | None = None
     """Scenes of prediction, separated by commas, each left out by a fit of its own that is judged by it; all by
     default, or none."""
     steps: Count = 60
@@ -1183,7 +1294,7 @@ class ReplayConfig(Config):
     episodes: Annotated[tuple[EpisodeNumber, ...], Field(min_length=1)] = (0,)
     """Their numbers from 0 on: of a run as in episodes.csv, of a dataset as they were recorded, of a training those of
     its evaluations, which take turns in its environments."""
-    only: Text | None = None
+    only: Names | None = None
     """Tests of a validation, separated by commas, such as rimea-6,imo-1; its first by default."""
     out: Path | None = None
     """File to write, replay.html in the folder by default."""
@@ -1442,7 +1553,7 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
     elif kind == "extra_forbidden":
         known = list(owner.model_fields)
         word = str(error["loc"][-1])
-        text = f"{short(word)} is not a known key{suggest(word, known) or '; there are ' + ', '.join(known)}"
+        text = f"{short(word)} is not a known key{meant(word, known) or '; there are ' + ', '.join(known)}"
         head, place = ("", "") if len(path) == 1 else (head, ".".join(map(str, path[1:-1])))
     elif kind == "missing":
         text = "is missing; add it"

@@ -16,6 +16,7 @@ import tyro
 
 from sean_jax import presets
 from sean_jax.config import (
+    ALIASES,
     Component,
     Config,
     Described,
@@ -27,6 +28,7 @@ from sean_jax.config import (
     family_of,
     gather,
     is_own_part,
+    meant,
     validate,
 )
 from sean_jax.errors import InputError
@@ -284,6 +286,17 @@ def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
             raise InputError(f"{flag(name)} is given more than once; give it once, with all of its values.")
 
 
+def _check_known(made: type, arguments: Sequence[str]) -> None:
+    """Refuse a flag of another project with the one that is meant; what else is unknown is left to the parser."""
+    known = [field.name for field in dataclasses.fields(made)]
+    for each in arguments:
+        name = each.split("=")[0].removeprefix("--").replace("-", "_")
+        if not each.startswith("--") or name in (*known, "help"):
+            continue
+        if any(name in ALIASES.get(option, "").split() for option in known):
+            raise InputError(f"{each.split('=')[0]}: there is no such option{meant(name, known, flag)}")
+
+
 def parse(
     word: str, model: type[Config], arguments: Sequence[str], configurable: bool = False, trust: bool = False
 ) -> Any:
@@ -300,8 +313,9 @@ def parse(
         What was given.
 
     Raises:
-        InputError: a flag of several values is given twice.
+        InputError: a flag of several values is given twice, or a flag is what other projects call an option.
     """
     made = parser(model, configurable, trust)
     _check_once(model, arguments)
+    _check_known(made, arguments)
     return tyro.cli(made, prog=f"sean {word}", description=model.__doc__, args=list(arguments), config=SETTINGS)

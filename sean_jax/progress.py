@@ -1,11 +1,16 @@
 """The progress of long work: what is being done, how far it is, and a note, on a console or told to a longer work."""
 
 import contextlib
+import datetime
+import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+
+INTERVAL = 10.0  # s between two plain lines, at least
 
 
 class Progress:
@@ -64,12 +69,40 @@ class _Bar(Progress):
         self._bar.update(self._task, completed=done, note=note)
 
 
+class _Lines(Progress):
+    """Plain lines where no bar can be drawn: into a pipe or a file. The longer the work, the rarer they are."""
+
+    def __init__(self, console: Any) -> None:
+        self._console, self._text, self._total = console, "starting", 0.0
+        self._begin = self._last = time.monotonic()
+
+    def stage(self, text: str) -> None:
+        self._text, self._total = text, 0.0
+        self._line("")
+
+    def start(self, text: str, total: float) -> None:
+        self._text, self._total = text, max(total, 1e-9)
+        self._line("")
+
+    def update(self, done: float, note: str = "") -> None:
+        self._line(f" {min(1.0, done / self._total):.0%}" if self._total else "", note)
+
+    def _line(self, share: str, note: str = "") -> None:
+        now = time.monotonic()
+        if now - self._last >= max(INTERVAL, 0.1 * (self._last - self._begin)):
+            self._last = now
+            text = f"{self._text}{share}{note and ' · '}{note} · {datetime.timedelta(seconds=int(now - self._begin))}"
+            self._console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)
+            self._console.file.flush()
+
+
 @contextlib.contextmanager
 def progress(console: "Console | Callable[[float], None] | None") -> Iterator[Progress]:
     """What tells how far the work of the block is.
 
     Args:
-        console: shows a bar until the block ends; a function is told the share that is done; None tells nobody.
+        console: shows a bar until the block ends, or prints a line now and then if it is no terminal; a function is
+            told the share that is done; None tells nobody.
 
     Yields:
         A ``Progress``.
@@ -79,6 +112,9 @@ def progress(console: "Console | Callable[[float], None] | None") -> Iterator[Pr
         return
     if not hasattr(console, "print"):
         yield _Share(console)  # pyright: ignore[reportArgumentType]
+        return
+    if not (console.is_terminal or console.is_jupyter):  # pyright: ignore[reportAttributeAccessIssue]
+        yield _Lines(console)
         return
     from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar

@@ -11,8 +11,9 @@ from typing import Any
 from sean_jax import assembly, components, files, mdp, tasks
 from sean_jax.config import USUAL_TASKS, Component, EnvConfig, Named, gather, validate
 from sean_jax.errors import InputError
-from sean_jax.files.reading import listed
 from sean_jax.mdp import observations, rewards
+from sean_jax.mdp.env import as_termination
+from sean_jax.mdp.randomization import as_randomization
 
 PLACES = ("warehouse", "lab", "outdoor")
 TASKS = {
@@ -101,13 +102,43 @@ def build(config: EnvConfig) -> mdp.Env:
     Raises:
         InputError: one sentence that names the value and the cure.
     """
+    parts = check(config)
     scenarios = assembly.build(config)
     scenario = scenarios[0]
     if len(scenarios) > 1:
         mixed = tasks.Mixture(tuple(each.task for each in scenarios))
         scenario = replace(scenario, task=mixed, task_name=",".join(each.task_name for each in scenarios))
-    terms = dict(observation_terms(config.observations))
-    return mdp.make_env(scenario, terms, _rewards(config), terminations=listed(config.terminations or ""))
+    return mdp.make_env(scenario, **parts, action_delay=config.action_delay)
+
+
+def check(config: EnvConfig) -> dict[str, Any]:
+    """Refuse what ``build`` would refuse, as far as it can be told in a moment: nothing is compiled or tabulated.
+
+    Args:
+        config: the description.
+
+    Returns:
+        Observations, rewards, terminations and randomization, as ``make_env`` takes them.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    assembly.check(config)
+    terminations = [
+        part.kind if isinstance(part, Named) else components.resolve(part, {}, "terminations")
+        for part in config.terminations
+    ]
+    for each in terminations:
+        as_termination(each)
+    randomization = config.randomization
+    if randomization is not None:
+        randomization = as_randomization(components.resolve(randomization, mdp.RANDOMIZATIONS, "randomization"))
+    return {
+        "observations": dict(observation_terms(config.observations)),
+        "rewards": dict(rewards.as_terms(_rewards(config))),
+        "terminations": terminations,
+        "randomization": randomization,
+    }
 
 
 def observation_terms(parts: Sequence[Component], option: str = "observations") -> observations.Terms:

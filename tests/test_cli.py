@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib.metadata
+import io
 import json
 import os
 import signal
@@ -14,8 +15,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from rich.console import Console
 
 from sean_jax import assembly, bench, cache, cli, compiler, interrupts, learning
+from sean_jax import progress as progress_of
 from sean_jax.bench import page, parts
 
 SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
@@ -378,3 +381,22 @@ def test_a_full_disk_leaves_what_a_benchmark_measured(monkeypatch, capsys, tmp_p
     assert cli.main(["bench", "--out", str(tmp_path / "made")]) == 1
     said = f"the disk is full; what was measured until then is in {tmp_path / 'made'}."
     assert said in capsys.readouterr().err
+
+
+def test_progress_is_plain_lines_into_a_pipe_and_rarer_with_time(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(progress_of.time, "monotonic", lambda: now[0])
+    pipe = io.StringIO()
+    for console in (Console(file=pipe), Console(file=pipe, quiet=True)):
+        now[0] = 0.0
+        with progress_of.progress(console) as tell:
+            tell.stage("drawing starts")
+            tell.start("training", 7_200)
+            for second in range(1, 7_201):
+                now[0] = float(second)
+                tell.update(second, f"update {second} [/x] :smile:")
+    lines = pipe.getvalue().splitlines()
+    assert lines[0] == "training 0% · update 10 [/x] :smile: · 0:00:10" and len(lines) < 80
+    shown = [int(line.split("update ")[1].split()[0]) for line in lines]
+    assert all(10 <= after - before <= max(10, 0.11 * before) for before, after in zip(shown, shown[1:], strict=False))
+    assert shown[-1] > 6_400 and "\x1b" not in pipe.getvalue()

@@ -156,7 +156,7 @@ def test_a_metric_and_a_situation_of_a_user_are_in_table_csv_and_report(tmp_path
     assert rows["share_right"].cells[0] == f"{100 * values[:, 0].mean():.1f}"
     assert rows["mean_x"].cells[5] == f"{values[:, 5].mean():.3f}"
     console = Console(width=120, file=io.StringIO())
-    table.print_table(console, summary, given.definitions, "runs")
+    table.print_table(console, summary, given.definitions, "runs", 0.25)
     text = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
     assert all(words in text for words in ("near misses", "time right s", "mean <x> m/s²", "own"))
     assert "share right" not in text, "it is no headline"

@@ -1,5 +1,6 @@
 """Options of the commands: a command repeats them to the bit, and mistakes are told before anything is made."""
 
+import dataclasses
 import re
 import shlex
 import typing
@@ -125,6 +126,7 @@ def test_an_option_stands_in_one_place():
 
 
 FOLDERS = {"file": "kept", "full/old": "kept", "map.yaml": "image: none.pgm\n"}
+FOLDERS |= {"odd.py": "number = 3\ndef sonar(scenario, state):\n    return 0.0\n"}
 BAD = """
 run --episodes x | --episodes; sean run --help
 run --episode 3 | --episode; sean run --help
@@ -238,6 +240,34 @@ export lerobot nope --out full | --out; the folder full is not empty
 export lerobot nope --out file | --out; file is a file
 export agent nope --out full | --out; the folder full is not empty
 export agent nope --out new | nope has no trained agent; sean train ppo
+train ppo --environment lab,nope | environment 'nope' is not one of; give one of them
+train ppo --environment lab,lab | --environment: 'lab' is there twice; give it once
+train ppo --pretrained nope | nope has no trained agent; sean train ppo
+train ppo --imitate nope | imitate: 'nope' is not one of
+train ppo --observations goal,gaol | observations: 'gaol' is not one of; did you mean 'goal'
+train ppo --critic goall | critic: 'goall' is not one of; did you mean 'goal'
+train ppo --rewards progress,progress | --rewards: 'progress' is there twice; give it once
+train ppo --rewards progres | rewards: 'progres' is not one of; did you mean 'progress'
+train ppo --terminations colision | terminations: 'colision' is not one of; did you mean 'collision'
+train ppo --termination nope.py:fall | terminations: nope.py; there is no such file
+train ppo --randomization people | randomization: 'people' is not one of behavior
+train ppo --action-delay 3 1 | --action-delay: 3 is more than 1; give the least steps first
+train ppo --action-delay -1 1 | --action-delay: -1 must be from 0 to 1,000 steps
+train ppo --sweep clip=0.1,0.1 | --sweep: clip=0.1,0.1 has a number twice
+train ppo --sweep clip=0.1 clip=0.2 | --sweep: 'clip' is there twice; with all of its numbers
+train ppo --seed 4294967295 --seeds 2 | --seeds: 2 that follow seed 4294967295
+train ppo --num-envs 8 | --num-envs: there is no such option; did you mean '--scenarios'
+train apg --total_timesteps=100 | --total_timesteps: there is no such option; did you mean '--steps'
+run --num-episodes 8 | --num-episodes: there is no such option; did you mean '--episodes'
+run --situations paper,paper | --situations: 'paper' is there twice
+run --task join_group,join_group | --task: 'join_group' is there twice
+experiment table1 --policies expert,expert | --policies: 'expert' is there twice
+validate --only rimea-1,rimea-1 | --only: 'rimea-1' is there twice
+bench --only step,step | --only: 'step' is there twice
+run --sensors depht | sensors: 'depht' is no sensor; did you mean 'depth'
+run --sensors depth,depth | --sensors: 'depth' is there twice
+run --sensor odd.py:sonar | sensors: sonar is no Sensor; give one of
+run --sensor odd.py:number | sensors: 3 is no Sensor; give one of
 rn | 'rn' is not one of run, collect; did you mean 'run'
 """.strip().splitlines()
 
@@ -337,6 +367,28 @@ def test_a_mistake_in_a_description_is_told_in_a_sentence(values, text):
     with pytest.raises(InputError) as caught:
         config.validate(RunConfig, values)
     assert str(caught.value).startswith(text)
+    with pytest.raises(InputError) as caught:
+        RunConfig(**values)
+    assert str(caught.value).startswith(text)
+
+
+def test_names_of_other_projects_lead_to_an_option():
+    models = {(word, model) for word, model in COMMANDS.items() if word != "train"}
+    models |= {("train", model) for model in config.METHODS.values()}
+    used = set()
+    for word, model in models:
+        known = [field.name for field in dataclasses.fields(flags.parser(model))]
+        for option in set(known) & set(config.ALIASES):
+            used.add(option)
+            for other in set(config.ALIASES[option].split()) - set(known):
+                with pytest.raises(
+                    InputError, match=rf"^{flags.flag(other)}: there is no such option; did you mean '--"
+                ):
+                    flags.parse(word, model, [flags.flag(other), "3"])
+                if option in model.model_fields and not any(f.is_required() for f in model.model_fields.values()):
+                    with pytest.raises(InputError, match=f"'{other}' is not a known key; did you mean '"):
+                        model(**{other: 3})
+    assert used == set(config.ALIASES)
 
 
 def test_numbers_of_numpy_are_numbers():
@@ -344,14 +396,14 @@ def test_numbers_of_numpy_are_numbers():
     assert asked.people == 5 and asked.time_limit == 2.5 and type(asked.people) is int
 
 
-def test_every_choice_is_explained_by_a_whole_sentence():
+def test_every_choice_is_explained_by_a_whole_sentence_of_its_own():
     from sean_jax.evaluation import choices
 
     for option, offered in choices.offered():
+        assert len(set(offered.values())) == len(offered), option
         for name, line in offered.items():
-            if option != "situations":
-                assert line[0].isupper() and line.endswith(".") and "``" not in line, (option, name, line)
-                assert len(line.split()) >= 4, (option, name, line)
+            assert line[0].isupper() and line.endswith(".") and "``" not in line, (option, name, line)
+            assert len(line.split()) >= 4, (option, name, line)
 
 
 def test_the_endings_of_pictures_are_those_that_matplotlib_writes(tmp_path):

@@ -306,6 +306,70 @@ def test_bad_words(words, message, capsys, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+OWN = """
+import jax
+
+def slower(key, scenario):
+    share = jax.random.uniform(key, (), float, 0.5, 1.0)
+    return scenario.replace(robot=scenario.robot.replace(max_speed=share * scenario.robot.max_speed))
+
+def backward(scenario, before, after):
+    return after.robot.speed < -0.05
+
+def smaller(key, scenario):
+    return scenario.replace(goal_radius=scenario.goal_radius * scenario.task_distance)
+
+def nothing(key, scenario):
+    return None
+"""
+
+
+@pytest.fixture(scope="module")
+def mine(tmp_path_factory):
+    file = tmp_path_factory.mktemp("own") / "mine.py"
+    file.write_text(OWN)
+    return file
+
+
+def varied(out, mine, **others) -> PPOConfig:
+    ends = ["obstacle", f"{mine}:backward"]
+    return options(out, terminations=ends, randomization=f"{mine}:slower", action_delay=(1, 2), **others)
+
+
+def test_randomization_delay_and_ends_reach_the_environment_of_a_training(mine, tmp_path):
+    _, (env,), _ = reinforcement.build(varied(tmp_path, mine))
+    assert [name for name, _ in env.terminations] == ["obstacle", "backward"] and env.action_delay == (1, 2)
+    assert env.randomization is not None
+    keys = jax.random.split(jax.random.key(0), 32)
+    drawn = jax.vmap(lambda key: env.scenario_of(key).robot.max_speed)(keys) / env.scenario.robot.max_speed
+    assert drawn.min() < 0.6 and drawn.max() > 0.9
+    (_, (usual,), _) = reinforcement.build(options(tmp_path, randomization="behavior", action_delay=3))
+    assert usual.randomization == mdp.randomize_behavior() and usual.action_delay == (3, 3)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("smaller", r"it gives goal_radius the shape \(2,\), not \(\)"), ("nothing", "it gives NoneType, not a Scenario")],
+)
+def test_a_randomization_that_gives_something_else_is_refused(mine, name, text, tmp_path):
+    with pytest.raises(InputError, match=f"randomization: {text}"):
+        reinforcement.build(options(tmp_path, randomization=f"{mine}:{name}"))
+
+
+@pytest.mark.slow
+def test_a_training_with_randomization_delay_and_own_ends_goes_on(mine, tmp_path):
+    half, whole = tmp_path / "half", tmp_path / "whole"
+    reinforcement.train(varied(whole, mine))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reinforcement.processes, "must_stop", lambda done: done == 3)
+        with pytest.raises(KeyboardInterrupt):
+            reinforcement.train(varied(half, mine))
+    reinforcement.train(varied(half, mine))
+    assert [line["train"] for line in curve(half)] == [line["train"] for line in curve(whole)]
+    with pytest.raises(InputError, match="randomization"):
+        reinforcement.train(options(half, terminations=["obstacle", f"{mine}:backward"], action_delay=(1, 2)))
+
+
 @pytest.mark.slow
 def test_it_goes_on_with_another_agent(learned, tmp_path):
     state, folder = learned

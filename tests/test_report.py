@@ -87,11 +87,12 @@ def test_terminal_table_holds_every_situation_at_any_width(width):
     names = [*NAMES, "frontal_approach", "a_situation_of_mine", *(f"situation_{k}" for k in range(7))]
     for k, name in enumerate(names):
         found["situations"][name] = {"mean": 0.01 * (k + 30) + 1e-4, "interval": [0.0, 1.0]}
-    table.print_table(console, found, results().definitions, "runs")
+    table.print_table(console, found, results().definitions, "runs", 0.25)
     said = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
     assert max(len(line) for line in said.splitlines()[:-1]) <= width and "…" not in said
     shares = [cell for line in said.splitlines() if "share of robot time" in line for cell in line.split()[5:]]
     assert shares == ["100.0", *(f"{k + 30}.0" for k in range(len(names)))]
+    assert "In no situation: 25.0 % of the robot's time." in said
 
 
 def test_episodes_file_is_the_same_bytes_again_and_reads_back(tmp_path):

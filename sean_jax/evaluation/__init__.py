@@ -135,7 +135,7 @@ class Evaluation:
 
         stream = io.StringIO()
         console = Console(file=stream, width=width, color_system=None)
-        table.print_table(console, self.summary(), self.definitions, self.title)
+        table.print_table(console, self.summary(), self.definitions, self.title, self.exclusive_shares()["none"])
         return stream.getvalue()
 
     def exclusive_shares(self) -> dict[str, float]:
@@ -249,7 +249,8 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
             console.print(f"live: {live.url}", highlight=False, soft_wrap=True)
         with progress(console) as tell:
             evaluation = _episodes(scenarios, policy, config, tell, unfinished, console, live)
-        table.print_table(console, evaluation.summary(), evaluation.definitions, evaluation.title)
+        none = evaluation.exclusive_shares()["none"]
+        table.print_table(console, evaluation.summary(), evaluation.definitions, evaluation.title, none)
         complete = len(evaluation.tasks) == config.episodes
         with console.status("drawing the report"), unfinished.results(complete) as place:
             output.write_all(place, evaluation, config, made_of)

@@ -18,6 +18,16 @@ DYNAMICS = {
     "kinematic": "It has the speeds of its command at once, within its limits, as in SEAN 2.0.",
 }
 
+STACKS = {
+    "social_costmap": "ROS's navigation stack with people and their space on its maps, as in the paper's text.",
+    "move_base": "ROS's navigation stack with nobody on its maps, by SEAN 2.0's public files.",
+}
+SETS = {
+    "paper": "Conditions and thresholds as printed",
+    "sean2": "Conditions and thresholds of SEAN 2.0's code",
+    "more": "Those of the paper, and further ones",
+}
+
 
 def print_choices() -> None:
     """Every option of ``sean run`` and ``sean train`` that takes a name, each of its names and one line on it."""
@@ -68,13 +78,15 @@ def offered() -> Iterator[tuple[str, dict[str, str]]]:
     yield "task", {name: _documented(value) for name, value in tasks.TASKS.items()}
     yield "places", {name: _documented(value) for name, value in navigation.PLACES.items()}
     yield "robot", {name: _robot(path) for name, path in robots.ROBOTS.items()}
-    known = {name: _documented(value) for name, value in policies.POLICIES.items()}
+    known = {name: _documented(value) for name, value in policies.POLICIES.items()} | STACKS
     yield "policy", known | {name: agents.described(folder) for name, folder in agents.AGENTS.items()}
     yield "model", {name: _documented(value) for name, value in pedestrian_models.MODELS.items()}
     yield "forces", {name: _forces(value) for name, value in social_forces.PRESETS.items()}
-    yield "situations", {name: ", ".join(held) for name, held in classifiers.SITUATION_SETS.items()}
+    yield "situations", {name: f"{SETS[name]}: {', '.join(each)}." for name, each in classifiers.SITUATION_SETS.items()}
     yield "observations", {name: _sentence(term.definition) for name, term in mdp.OBSERVATIONS.items()}
     yield "rewards", {name: _sentence(term.definition) for name, term in mdp.REWARDS.items()}
+    yield "terminations", {name: _documented(value) for name, value in mdp.TERMINATIONS.items()}
+    yield "randomization", {name: _documented(type(value)) for name, value in mdp.RANDOMIZATIONS.items()}
     yield "dynamics", {name: DYNAMICS.get(name, "") for name in robots.DYNAMICS}
 
 
@@ -112,5 +124,6 @@ def _robot(path: Path) -> str:
 
 def _forces(forces: Any) -> str:
     speed, spread = float(forces.walking.speed_mean), float(forces.walking.speed_deviation)
-    law = forces.repulsion.law.__name__.capitalize()
-    return f"{law} repulsion acts between people, who walk at {speed:.2f} ± {spread:.2f} m/s."
+    law, reach = forces.repulsion.law.__name__.capitalize(), float(forces.repulsion.range)
+    strength = f"{float(forces.repulsion.strength):.3g} m/s² that falls by e in {reach:.3g} m"
+    return f"{law} repulsion of {strength} acts between people, who walk at {speed:.2f} ± {spread:.2f} m/s."

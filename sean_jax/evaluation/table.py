@@ -106,7 +106,9 @@ def _row(name: str, figure: Figure, values: dict[str, Any], columns: list[str]) 
     return Row(name, figure.title, figure.unit, figure.definition, cells, intervals)
 
 
-def print_table(console: Console, summary: dict[str, Any], definitions: Mapping[str, Metric], title: str) -> None:
+def print_table(
+    console: Console, summary: dict[str, Any], definitions: Mapping[str, Metric], title: str, none: float
+) -> None:
     """Prints the table; where the terminal is too narrow for all situations, the others follow below.
 
     Args:
@@ -114,6 +116,7 @@ def print_table(console: Console, summary: dict[str, Any], definitions: Mapping[
         summary: as ``statistics.aggregate`` gives it.
         definitions: name -> metric, in the order of the rows.
         title: of the table.
+        none: share of the robot's time in no situation.
     """
     names = list(summary["situations"])
     shades = situation_colors(tuple(names))
@@ -138,6 +141,7 @@ def print_table(console: Console, summary: dict[str, Any], definitions: Mapping[
             cells = row.cells[first + (first > 0) : last + 1]
             table.add_row(head, *(Text(cell) if cell else Text("–", "dim") for cell in cells))
         console.print(table)
+    console.print(f"In no situation: {100.0 * none:.1f} % of the robot's time.", highlight=False)
     console.print(
         "[dim]Violations and collisions are times per episode; 95 % intervals are in summary.json.[/]", soft_wrap=True
     )

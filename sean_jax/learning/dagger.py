@@ -18,7 +18,7 @@ from rich.console import Console
 from sean_jax import components, writing
 from sean_jax.config import CollectConfig, DaggerConfig, TrainConfig
 from sean_jax.flags import command
-from sean_jax.learning import collection, training
+from sean_jax.learning import choice, collection, training
 from sean_jax.learning.checkpoints import check_config, write_config
 from sean_jax.learning.dataset import Dataset, open_dataset
 from sean_jax.learning.training import TrainState
@@ -44,6 +44,8 @@ def train(options: DaggerConfig, console: Console | Callable[[float], None] | No
     first = open_dataset(options.dataset)
     components.check_trust(_driving(options, first, 1))
     config = _config(options, first)
+    training.prepare(_learning(options, [options.dataset, *options.further], options.pretrained, options.folder))
+    choice.check(options.expert, _driving(options, first, 1), "expert")
     resumes = check_config(options.folder, config)
     with writing.folder_lock(options.folder):
         if not resumes:

@@ -111,6 +111,10 @@ def build(options: ReinforcementConfig) -> tuple[tuple[Scenario, ...], tuple[mdp
     """
     if options.imitate is not None:
         choice.check(options.imitate, options, "imitate")
+    if options.pretrained is not None:
+        _check_pretrained(options, options.pretrained)
+    for each in options.of_each:
+        registry.check(each)
     terms = sum(agents.terms(options), ())
     built = [curricula.prepare(registry.build(each), options.curriculum) for each in options.of_each]
     envs = [replace(env, observations=terms) for env in built]
@@ -281,16 +285,19 @@ def _train(
         text += f" in {len(envs)} environments" if len(envs) > 1 else ""
         raise InputError(f"{text}; take a multiple.")
     run = programs(options, network, over)
+    several, teachers = _agents(options, network, envs[0], scenarios[0]), ()
+    if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
+        teachers = tuple(choice.policy(options.imitate, scenario, "imitate") for scenario in scenarios)
     with progress(console if first else None) as tell:
         tell.stage("drawing starts")
         key, draw = prng.key("training", options.seed), jax.jit(mdp.Env.with_pool, static_argnums=2)
         if options.curriculum == "none":
             keys = [jax.random.fold_in(key, 2**31 - 1 - turn) for turn in range(len(envs))]
             envs = tuple(draw(env, own, options.pool) for env, own in zip(envs, keys, strict=True))
-        several = _agents(options, network, envs[0], scenarios[0])
-        if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
+        if teachers:
+            assert options.imitate is not None
             tell.stage(f"imitating {options.imitate.kind}")
-            several = _imitating(options, network, envs, scenarios, several)
+            several = _imitating(options, network, envs, teachers, several)
         if options.noise is not None:
             several = with_noise(several, options.noise)
         state = run.begin(envs, several)
@@ -342,7 +349,8 @@ def _agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.Env, sc
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     if options.pretrained is None:
         return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
-    other = _pretrained(options, scenario)
+    folder = options.pretrained
+    other = (agents.load if agents.is_packed(folder) else load)(folder, scenario)[1]
     return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), other)
 
 
@@ -350,12 +358,10 @@ def _imitating(
     options: ReinforcementConfig,
     network: ActorCritic,
     envs: tuple[mdp.Env, ...],
-    scenarios: tuple[Scenario, ...],
+    teachers: tuple[Policy, ...],
     several: Agent,
 ) -> Agent:
     """The agents after they have learned from another policy, (A, ...)."""
-    assert options.imitate is not None
-    teachers = tuple(choice.policy(options.imitate, scenario, "imitate") for scenario in scenarios)
     envs = tuple(replace(env, pool=None) for env in envs)
     keys = jnp.stack([prng.key("imitation", int(agent["seed"])) for agent in options.agents])
 
@@ -437,11 +443,9 @@ def _config(options: ReinforcementConfig) -> dict[str, Any]:
     }
 
 
-def _pretrained(options: ReinforcementConfig, scenario: Scenario) -> Agent:
-    """The best agent of another training, which must have seen the same and be of the same size."""
-    folder = Path(str(options.pretrained))
+def _check_pretrained(options: ReinforcementConfig, folder: Path) -> None:
+    """Refuse an agent that sees something else or is of another size."""
     had, asked = components.by_content(agents.read_options(folder)), components.by_content(options)
     for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16", "careful"):
         if had[name] != asked[name]:
             raise InputError(f"pretrained: {folder} has {name} {had[name]}, not {asked[name]}; ask for the same.")
-    return (agents.load if agents.is_packed(folder) else load)(folder, scenario)[1]

@@ -91,13 +91,34 @@ def train(options: TrainConfig, console: Console | Callable[[float], None] | Non
         IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
         FloatingPointError: the loss is not finite. The checkpoints stay.
     """
-    data = open_datasets([options.dataset, *options.further], options.part)
+    data, network = prepare(options)
     training, validation = split_each(data, options.validation, options.seed)
-    network = Network(options.width, options.flags, data.image_shape)
     config = _config(options, data, network)
     check_config(options.folder, config)  # refuses before anything is written
     with writing.folder_lock(options.folder):
         return _train(options, console, data, training, validation, network, config)
+
+
+def prepare(options: TrainConfig) -> tuple[Several, Network]:
+    """What is learned from, and what learns.
+
+    Args:
+        options: of the training.
+
+    Returns:
+        The datasets, and the network.
+
+    Raises:
+        InputError: there is no such dataset, or the pretrained network is missing or another one.
+    """
+    data = open_datasets([options.dataset, *options.further], options.part)
+    network = Network(options.width, options.flags, data.image_shape)
+    if options.pretrained is not None:
+        had, _ = read_network(options.pretrained, data.manifest["situations"])
+        if had != network:
+            text = f"{options.pretrained} has another network, {had}, not {network}"
+            raise InputError(f"pretrained: {text}; ask for the same.")
+    return data, network
 
 
 def init_state(
@@ -272,11 +293,11 @@ def _train(
 ) -> TrainState:
     """Train in a folder that this process has locked."""
     resumes, mesh = check_config(options.folder, config), devices.mesh()
-    epoch = _epoch(data, training, validation, network, options, mesh)
     commands = jnp.asarray(data.read(training, ("command",))["command"])
     state = jax.jit(init_state, static_argnums=(0, 1, 2))(network, len(data.manifest["situations"]), options, commands)
     if options.pretrained is not None:
-        state = replace(state, weights=_pretrained(options, network, state.weights, data))
+        state = replace(state, weights=Checkpoints(options.pretrained).best("weights", state.weights))
+    epoch = _epoch(data, training, validation, network, options, mesh)
     if not resumes:
         write_config(options.folder, config)
     checkpoints = Checkpoints(options.folder, writes=True)
@@ -301,15 +322,6 @@ def _train(
         finally:
             checkpoints.wait()
     return state
-
-
-def _pretrained(options: TrainConfig, network: Network, weights: Weights, data: Several) -> Weights:
-    """The best weights of another training of the same network, with its scale of commands."""
-    folder = Path(str(options.pretrained))
-    had, _ = read_network(folder, data.manifest["situations"])
-    if had != network:
-        raise InputError(f"pretrained: {folder} has another network, {had}, not {network}; ask for the same.")
-    return Checkpoints(folder).best("weights", weights)
 
 
 def _epoch(

@@ -4,7 +4,13 @@ from sean_jax.config import OBSERVED
 from sean_jax.mdp.actions import to_action, to_command
 from sean_jax.mdp.env import TERMINATIONS, Env, EnvState, Pool, make_env
 from sean_jax.mdp.observations import OBSERVATIONS, ObservationTerm, as_term, delayed, flatten, stacked
-from sean_jax.mdp.randomization import PARAMETERS, BehaviorRandomization, Randomization, randomize_behavior
+from sean_jax.mdp.randomization import (
+    PARAMETERS,
+    RANDOMIZATIONS,
+    BehaviorRandomization,
+    Randomization,
+    randomize_behavior,
+)
 from sean_jax.mdp.rewards import REWARDS, RewardTerm, in_situations, of_metric
 from sean_jax.mdp.spaces import Box, Dict
 
@@ -12,6 +18,7 @@ __all__ = [
     "OBSERVATIONS",
     "OBSERVED",
     "PARAMETERS",
+    "RANDOMIZATIONS",
     "REWARDS",
     "TERMINATIONS",
     "BehaviorRandomization",

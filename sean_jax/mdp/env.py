@@ -22,7 +22,7 @@ from sean_jax.mdp import observations as seen
 from sean_jax.mdp import rewards as rewarded
 from sean_jax.mdp.actions import to_command
 from sean_jax.mdp.observations import ObservationLike
-from sean_jax.mdp.randomization import Randomization, RandomizationLike, as_randomization
+from sean_jax.mdp.randomization import Randomization, RandomizationLike, as_randomization, check_randomization
 from sean_jax.mdp.rewards import RewardLike
 from sean_jax.mdp.spaces import Box, Dict
 from sean_jax.scenario import reset, results, step
@@ -277,16 +277,21 @@ def _choose(key: Array, weights: Float[Array, "K"]) -> Int[Array, ""]:
 # ------------------------------------------------------------------ ends
 
 
-def _grown(name: str) -> Callable:
+def _grown(name: str, definition: str) -> Callable:
     term = rewarded.of_metric(name).step
     assert term is not None
-    return lambda scenario, before, after: term(scenario, before, after) > 0.0
+
+    def grows(scenario: Scenario, before: State, after: State) -> Array:
+        return term(scenario, before, after) > 0.0
+
+    grows.__doc__ = definition
+    return grows
 
 
 TERMINATIONS: dict[str, Callable[[Scenario, State, State], Array]] = {
-    "collision": _grown("collision_robot_on_person"),
-    "obstacle": _grown("collision_with_obstacle"),
-    "intimate": _grown("intimate_robot_on_person"),
+    "collision": _grown("collision_robot_on_person", "The robot, by its own motion, touches a person."),
+    "obstacle": _grown("collision_with_obstacle", "The robot touches an obstacle."),
+    "intimate": _grown("intimate_robot_on_person", "The robot, by its own motion, comes within 0.45 m of a person."),
 }
 """What can end an episode early, by name: (scenario, before, after) -> () bool."""
 
@@ -319,6 +324,9 @@ def make_env(
     Raises:
         InputError: one sentence that names the value and the cure.
     """
+    randomization = as_randomization(randomization)
+    if randomization is not None:
+        check_randomization(randomization, scenario)
     least, most = (action_delay, action_delay) if isinstance(action_delay, int) else action_delay
     if not 0 <= least <= most:
         raise InputError(f"action_delay: {least} to {most} steps must be a lesser and a greater number, 0 or more.")
@@ -327,18 +335,30 @@ def make_env(
         pool=None,
         observations=seen.as_terms(observations if isinstance(observations, Mapping) else tuple(observations)),
         rewards=rewarded.as_terms(rewarded.DEFAULT if rewards is None else rewards),
-        terminations=tuple(_termination(each) for each in terminations),
-        randomization=as_randomization(randomization),
+        terminations=tuple(as_termination(each) for each in terminations),
+        randomization=randomization,
         action_delay=(least, most),
     )
     _ = env.observation_space  # says now what a term lacks
     return env
 
 
-def _termination(value: str | Callable) -> tuple[str, Callable]:
+def as_termination(value: str | Callable) -> tuple[str, Callable]:
+    """The termination that a value stands for.
+
+    Args:
+        value: a name in ``TERMINATIONS``, or a function (scenario, before, after) -> () bool.
+
+    Returns:
+        Its name, and the function.
+
+    Raises:
+        InputError: it is neither.
+    """
     if callable(value):
         return getattr(value, "__name__", "own"), value
+    if not isinstance(value, str):
+        raise InputError(f"terminations: {value!r:.60} is no function (scenario, before, after) -> bool; give one.")
     if value not in TERMINATIONS:
-        hint = files.suggest(value, TERMINATIONS) or "."
-        raise InputError(f"terminations: '{value}' is not one of {', '.join(TERMINATIONS)}{hint}")
+        raise InputError(files.unknown_name("terminations", value, TERMINATIONS))
     return value, TERMINATIONS[value]

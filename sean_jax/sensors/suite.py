@@ -231,13 +231,27 @@ def as_sensor(value: SensorLike, robot: RobotModel) -> Sensor:
     """
     if isinstance(value, Sensor):
         return value
+    check_sensor(value)
     if isinstance(value, str) and value in SENSORS:
         return SENSORS[value](robot)
     path = Path(value)
-    if path.suffix not in (".yaml", ".yml"):
-        hint = files.suggest(str(value), SENSORS) or f"; give one of {', '.join(SENSORS)} or the path of a .yaml file."
-        raise InputError(f"sensors: '{value}' is no sensor{hint}")
     return _from_settings(files.load(path, Settings, _problems), robot)
+
+
+def check_sensor(value: SensorLike) -> None:
+    """Refuse what is no sensor, as far as it can be told without a robot.
+
+    Args:
+        value: as of ``as_sensor``.
+
+    Raises:
+        InputError: there is no sensor of that name, or it is no name, path or ``Sensor``.
+    """
+    cure = f"; give one of {', '.join(SENSORS)} or the path of a .yaml file."
+    if not isinstance(value, str | Path | Sensor):
+        raise InputError(f"sensors: {getattr(value, '__name__', None) or repr(value):.60} is no Sensor{cure}")
+    if isinstance(value, str | Path) and value not in SENSORS and Path(value).suffix not in (".yaml", ".yml"):
+        raise InputError(f"sensors: '{value}' is no sensor{files.suggest(str(value), SENSORS) or cure}")
 
 
 def as_sensors(values: Iterable[SensorLike], robot: RobotModel) -> tuple[Sensor, ...]:
