@@ -229,7 +229,7 @@ def _join() -> int:
     return jax.process_index()
 
 
-def _drive(folder: Path, trust: bool) -> str:
+def _drive(folder: Path, trust: bool = False) -> str:
     """The command that lets the policy in a folder drive, whose name alone could be that of a policy of the package."""
     policy = str(folder) if folder.name != str(folder) else f"./{folder}"
     return shlex.join(["sean", "run", "--policy", policy, *["--trust"] * trust])

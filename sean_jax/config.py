@@ -302,7 +302,11 @@ class OwnPart(Component):
     _named_in: Path | None = pydantic.PrivateAttr(default=None)
 
     def model_post_init(self, context: Any, /) -> None:
-        """Remember the file whose description names it, as ``validate`` tells."""
+        """Remember the file whose description names it, as ``validate`` tells.
+
+        Args:
+            context: that file, or None.
+        """
         self._named_in = context if isinstance(context, Path) else None
 
     @property

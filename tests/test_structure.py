@@ -369,14 +369,12 @@ def test_readme_and_ci_run_the_same_test_command():
 
 def test_readme_names_options_that_exist():
     """Of ``sean run`` or of the command in the same line."""
-    from sean_jax import flags
+    from sean_jax import cli, flags
     from sean_jax.config import COMMANDS
 
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    known = {
-        word: {field.name.replace("_", "-") for field in dataclasses.fields(flags.parser(model, word == "run"))}
-        for word, model in COMMANDS.items()
-    }
+    parsers = {word: flags.parser(model, word == "run", word in cli.READERS) for word, model in COMMANDS.items()}
+    known = {word: {each.name.replace("_", "-") for each in dataclasses.fields(made)} for word, made in parsers.items()}
     for line in readme.splitlines():
         named = set(re.findall(r"(?<![\w-])--([a-z][a-z-]*)", line)) - {"help"}
         words = {"run", *re.findall(r"\bsean ([a-z-]+)", line)} & set(known)
