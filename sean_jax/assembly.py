@@ -4,10 +4,12 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from sean_jax import (
     behaviors,
+    calls,
     classifiers,
     components,
     files,
@@ -21,7 +23,7 @@ from sean_jax import (
     tasks,
 )
 from sean_jax import environment as environments
-from sean_jax.base import Behavior, RobotModel, Scenario
+from sean_jax.base import Array, Behavior, RobotModel, Scenario
 from sean_jax.config import (
     Component,
     CustomTask,
@@ -37,6 +39,7 @@ from sean_jax.config import (
 )  # fmt: skip
 from sean_jax.errors import InputError
 from sean_jax.recordings.lines import check_clock
+from sean_jax.scenario import direct_pedestrians, measure, move_pedestrians, reset, results
 
 MAX_SITUATIONS = 20  # times of all 2 ** 20 sets of them are counted
 NEEDS_POSES = "task: 'custom' needs a start and a goal; give both, x and y in metres."
@@ -128,7 +131,32 @@ def _build(config: ScenarioConfig) -> list[Scenario]:
         sensors=_sensors(config, robot),
         warm_up=config.warm_up,
     )
-    return [with_task(scenario, task) for task in config.tasks]
+    scenarios = [with_task(scenario, task) for task in config.tasks]
+    own = {name for name in type(config).model_fields if _is_own(getattr(config, name))}
+    if own & {"behavior", "model", "forces", "situations", "metrics", "sensors"}:
+        _try_parts(scenarios[0], own)
+    return scenarios
+
+
+def _is_own(value: Any) -> bool:
+    return any(isinstance(part, OwnPart | Value) for part in (value if isinstance(value, tuple) else (value,)))
+
+
+def _try_parts(scenario: Scenario, own: set[str]) -> None:
+    """Try the parts of a user's own by the shapes of their values alone: nothing is compiled."""
+
+    def try_parts(scenario: Scenario, key: Array) -> None:
+        state = reset(scenario, key)
+        if "behavior" in own:
+            direct_pedestrians(scenario, state, key)
+        if own & {"behavior", "model", "forces"}:
+            move_pedestrians(scenario, state)
+        if "metrics" in own:
+            results(scenario, measure(scenario, state, state))
+        if "sensors" in own:
+            sensors.sense(scenario, state)
+
+    jax.eval_shape(try_parts, scenario, jax.eval_shape(jax.random.key, 0))
 
 
 def with_task(scenario: Scenario, task: Any) -> Scenario:
@@ -158,6 +186,8 @@ def with_task(scenario: Scenario, task: Any) -> Scenario:
         raise InputError(f"task: {name} is no function (scenario, pedestrians, groups, memory, key) -> RobotTask.")
     scenario = dataclasses.replace(scenario, task=function, task_name=name)
     tasks.check_requirement(scenario)
+    if not isinstance(task, Named):
+        _try_parts(scenario, set())
     return scenario
 
 
@@ -259,7 +289,7 @@ def _behavior(config: ScenarioConfig, place: behaviors.Place) -> Behavior:
     description = config.behavior
     if isinstance(description, OwnPart | Value):
         part = components.resolve(description, {}, "behavior")
-        behavior = part if isinstance(part, Behavior) else part(place, config.people) if callable(part) else part
+        behavior = part if isinstance(part, Behavior) else _build_own(part, place, config.people)
     else:
         given = {name: getattr(description, name) for name in type(description).model_fields if name != "kind"}
         build = behaviors.BEHAVIORS[description.kind]
@@ -268,6 +298,10 @@ def _behavior(config: ScenarioConfig, place: behaviors.Place) -> Behavior:
         what = f"{description.kind} gives {quantities.short_repr(behavior)}"
         raise InputError(f"behavior: {what}, not a Behavior; give one, or a function (place, people) -> Behavior.")
     return behavior
+
+
+def _build_own(part: Any, place: behaviors.Place, people: int | None) -> Any:
+    return calls.call("behavior", part, "place, people", place, people) if callable(part) else part
 
 
 def _robot(config: ScenarioConfig) -> RobotModel:

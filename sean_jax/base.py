@@ -351,12 +351,21 @@ class _Stateless:
     """``Policy.apply`` of a plain function; equal for equal functions, so that what was compiled is found again."""
 
     function: Callable[[Scenario, State, Array], Array]
+    arguments = "scenario, state, key"
 
     def __call__(self, scenario: Scenario, params: PyTree, state: State, key: Array) -> tuple[Array, tuple]:
         return self.function(scenario, state, key), ()
 
 
-def _no_memory(scenario: Scenario, params: PyTree, state: State) -> tuple:
+def no_memory(scenario: Scenario, params: PyTree, state: State) -> tuple:
+    """``Policy.init`` of a policy that remembers nothing.
+
+    Args:
+        scenario, params, state: as of ``Policy.init``.
+
+    Returns:
+        ().
+    """
     return ()
 
 
@@ -377,4 +386,4 @@ def as_policy(policy: PolicyLike) -> Policy:
     if not callable(policy):
         raise TypeError(f"policy: {policy!r:.60} must be a Policy or a function (scenario, state, key) -> (2,).")
     name = getattr(policy, "__name__", type(policy).__name__)
-    return Policy(params=(), name=name, init=_no_memory, apply=_Stateless(policy))
+    return Policy(params=(), name=name, init=no_memory, apply=_Stateless(policy))

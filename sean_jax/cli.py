@@ -10,6 +10,7 @@ import os
 import shlex
 import signal
 import sys
+import traceback
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from sean_jax import config, interrupts
 from sean_jax.config import COMMANDS, METHODS, Config
-from sean_jax.errors import IncompleteError, InputError
+from sean_jax.errors import IncompleteError, InputError, PartError
 from sean_jax.writing import atomic_file, broken, check_file, check_new_folder, contents
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # of those that matplotlib writes
 LEARNING = ("optax", "orbax", "tensorstore")  # what the extra "learning" brings
 READERS = ("run", "collect", "train", "experiment", "export", "replay", "benchmark")  # run what folders name
+TRACEBACK = "--traceback"  # of any command
 WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, what broke midway, Ctrl-C, SIGTERM
 
 
@@ -39,10 +41,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0, 2 for bad input, 1 for what broke midway, 130 for Ctrl-C and 143 for SIGTERM.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if whole := TRACEBACK in words:
+        words.remove(TRACEBACK)
     code, received = STOPPED, []
     try:
         with interrupts.interruptible() as received:
-            code = _main(words)
+            code = _main(words, whole)
     except KeyboardInterrupt:  # at the very end, while memory is freed, or a second one while the first was answered
         pass
     except Exception as error:
@@ -66,7 +70,8 @@ def _is_joined() -> bool:
     return jax is not None and jax.distributed.is_initialized()
 
 
-def _main(arguments: list[str]) -> int:
+def _main(arguments: list[str], whole: bool) -> int:
+    """The exit code; ``whole`` prints the traceback of an error before its sentence."""
     if arguments in (["--version"], ["-V"]):
         print(f"sean_jax {_version()}")
         return 0
@@ -90,7 +95,9 @@ def _main(arguments: list[str]) -> int:
             with interrupts.unwrapped():
                 return _DO[word](options)
     except InputError as error:
-        return _fail(str(error), WRONG)
+        if whole:
+            traceback.print_exception(error)
+        return _fail(_hinted(error, whole), WRONG)
     except (IncompleteError, FloatingPointError) as error:
         return _fail(str(error), FAILED)
     except OSError as error:
@@ -103,12 +110,22 @@ def _main(arguments: list[str]) -> int:
         return _fail(str(error) or "stopped; nothing was written.", STOPPED)
 
 
+def _hinted(error: InputError, whole: bool) -> str:
+    """The sentence of an error, with the option that shows what is below."""
+    if whole or not isinstance(error, PartError) or error.__cause__ is None:
+        return str(error)
+    return f"{str(error).rstrip('.')} ({TRACEBACK} shows where it comes from)."
+
+
 def _help() -> str:
     """The commands, a line each."""
     width = max(map(len, COMMANDS))
     lines = [f"  {word:<{width}}  {_summary(model)}" for word, model in COMMANDS.items()]
     head = "usage: sean COMMAND [OPTIONS]\n\nSocial robot navigation in JAX: simulate, measure, report.\n\ncommands:"
-    return "\n".join([head, *lines, "", "`sean COMMAND --help` tells its options, `sean --version` this version."])
+    tail = (
+        f"`sean COMMAND --help` tells its options, `sean --version` this version; {TRACEBACK} shows where an error is."
+    )
+    return "\n".join([head, *lines, "", tail])
 
 
 def _summary(model: type[Config]) -> str:

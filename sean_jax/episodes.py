@@ -12,10 +12,10 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import PyTree
+from jaxtyping import Float, PyTree
 
-from sean_jax import prng
-from sean_jax.base import Array, PolicyLike, Scenario, State, as_policy
+from sean_jax import calls, prng
+from sean_jax.base import Array, Policy, PolicyLike, Scenario, State, as_policy, no_memory
 from sean_jax.errors import InputError
 from sean_jax.scenario import frame, reset, step
 
@@ -101,7 +101,8 @@ def init_policy(scenario: Scenario, policy: PolicyLike, state: State) -> State:
         The state with a new ``policy_state``.
     """
     policy = as_policy(policy)
-    return replace(state, policy_state=policy.init(scenario, policy.params, state))
+    memory = calls.call("policy", policy.init, "scenario, params, state", scenario, policy.params, state)
+    return replace(state, policy_state=memory)
 
 
 def policy_step(scenario: Scenario, policy: PolicyLike, state: State) -> tuple[State, Array]:
@@ -117,9 +118,56 @@ def policy_step(scenario: Scenario, policy: PolicyLike, state: State) -> tuple[S
     """
     policy = as_policy(policy)
     key = jax.random.fold_in(state.streams.policy, state.tick)
-    action, memory = policy.apply(scenario, policy.params, state, key)
-    action = jnp.asarray(action, state.robot.position.dtype)
+    action, memory = command(scenario, policy, state, key)
     return step(scenario, replace(state, policy_state=memory), action), action
+
+
+def command(scenario: Scenario, policy: Policy, state: State, key: Array) -> tuple[Float[Array, "2"], PyTree]:
+    """What a policy commands, and what it remembers then.
+
+    Args:
+        scenario: what is simulated.
+        policy: who drives.
+        state: that holds the memory of the policy.
+        key: () typed PRNG key.
+
+    Returns:
+        The command (2,) [m/s, rad/s], and the new memory.
+
+    Raises:
+        PartError: a policy of the user's own raised something, or gives no such command or another memory.
+    """
+    apply = policy.apply
+    given = calls.call("policy", apply, "scenario, params, state, key", scenario, policy.params, state, key)
+    cure = "give jnp.stack([speed, turn_rate]), in m/s and rad/s"
+    if not isinstance(given, tuple) or len(given) != 2:
+        found = calls.describe(given)
+        raise calls.wrong("policy", apply, found, "(command, memory)", "give both; the memory is () if there is none")
+    calls.check_array("policy", apply, given[0], float, (2,), cure)
+    if policy.init is not no_memory:
+        calls.check_like("policy", apply, given[1], state.policy_state, "a memory that is")
+    return jnp.asarray(given[0], state.robot.position.dtype), given[1]
+
+
+def check_policy(scenario: Scenario, policy: PolicyLike) -> None:
+    """Try a policy by the shapes of its values alone: nothing is compiled.
+
+    Args:
+        scenario: where it shall drive.
+        policy: who shall drive.
+
+    Raises:
+        PartError: one sentence with file and line of the user's, and the cure.
+    """
+
+    def try_policy(scenario: Scenario, policy: Policy, state: State, key: Array) -> PyTree:
+        return command(scenario, policy, init_policy(scenario, policy, state), key)
+
+    key = jax.eval_shape(jax.random.key, 0)
+    jax.eval_shape(try_policy, scenario, as_policy(policy), _reset.eval_shape(scenario, key), key)
+
+
+_reset = jax.jit(reset)  # whose shapes are traced once for a scenario
 
 
 @struct.dataclass

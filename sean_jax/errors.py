@@ -19,3 +19,7 @@ class WriteError(InputError):
 
 class IncompleteError(SeanError, RuntimeError):
     """Something broke midway; the message says what is left and how to go on. The command line ends with code 1."""
+
+
+class PartError(InputError):
+    """A function of a user's own raised something or gives a wrong value; ``__cause__`` is what it raised."""

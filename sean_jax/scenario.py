@@ -6,9 +6,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from sean_jax import clock, prng
+from sean_jax import calls, clock, prng
 from sean_jax import navigation as paths
-from sean_jax.base import Array, Groups, Moment, Observation, Pedestrians, Scenario, State, Trajectory
+from sean_jax.base import Array, Groups, Moment, Observation, Pedestrians, RobotTask, Scenario, State, Trajectory
 from sean_jax.geometry import length, rotate
 
 NOWHERE = 1e4  # m, where the robot is while people warm up
@@ -30,7 +30,14 @@ def reset(scenario: Scenario, key: Array) -> State:
     Source: section IV-B.
     """
     people_key, task_key, streams_key = jax.random.split(key, 3)
-    pedestrians, groups, memory = scenario.behavior.reset(scenario, people_key)
+    begin = scenario.behavior.reset
+    people = calls.call("behavior", begin, "scenario, key", scenario, people_key)
+    if not isinstance(people, tuple) or len(people) != 3:
+        found = calls.describe(people)
+        raise calls.wrong("behavior", begin, found, "(pedestrians, groups, memory)", "give all three")
+    pedestrians, groups, memory = people
+    calls.check_type("behavior", begin, pedestrians, Pedestrians, N=scenario.people)
+    calls.check_type("behavior", begin, groups, Groups)
     state = _begin(scenario, pedestrians, groups, memory, task_key, streams_key)
     if clock.ceil_ticks(scenario.warm_up, scenario.time_step) == 0:
         return state
@@ -81,7 +88,9 @@ def _begin(
     scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, task_key: Array, streams_key: Array
 ) -> State:
     """The first state of a task among those people."""
-    task = scenario.task(scenario, pedestrians, groups, memory, task_key)
+    given, names = (scenario, pedestrians, groups, memory, task_key), "scenario, pedestrians, groups, memory, key"
+    task = calls.call("task", scenario.task, names, *given)
+    calls.check_type("task", scenario.task, task, RobotTask)
     path = task.start, task.start_heading, task.goal, task.paths_to_goal
     task = replace(task, path_rotation=paths.path_rotation(scenario.navigation, *path))
     state = State(
@@ -100,7 +109,9 @@ def _begin(
     )
     state = classify(scenario, state)
     now = moment(scenario, state)
-    return replace(state, metrics={name: metric.init(now) for name, metric in scenario.metrics})
+    return replace(
+        state, metrics={name: calls.call("metrics", metric.init, "moment", now) for name, metric in scenario.metrics}
+    )
 
 
 def step(scenario: Scenario, state: State, action: Array) -> State:
@@ -162,7 +173,10 @@ def direct_pedestrians(scenario: Scenario, state: State, key: Array) -> State:
 
     Source: section IV-D, high level.
     """
-    return scenario.behavior.direct(scenario, state, key)
+    direct = scenario.behavior.direct
+    after = calls.call("behavior", direct, "scenario, state, key", scenario, state, key)
+    calls.check_like("behavior", direct, after, state, "a state whose")
+    return after
 
 
 @jax.named_scope("move_pedestrians")
@@ -178,7 +192,9 @@ def move_pedestrians(scenario: Scenario, state: State) -> State:
 
     Source: section IV-D, low level.
     """
-    return replace(state, pedestrians=scenario.move(scenario, state))
+    people = calls.call("model", scenario.move, "scenario, state", scenario, state)
+    calls.check_like("model", scenario.move, people, state.pedestrians, "people whose")
+    return replace(state, pedestrians=people)
 
 
 @jax.named_scope("move_robot")
@@ -231,7 +247,12 @@ def measure(scenario: Scenario, before: State, after: State) -> State:
     """
     then, now = moment(scenario, before), moment(scenario, after)
     over = before.completed | before.timed_out
-    values = {name: metric.update(before.metrics[name], then, now) for name, metric in scenario.metrics}
+    values = {
+        name: calls.call("metrics", metric.update, "value, before, after", before.metrics[name], then, now)
+        for name, metric in scenario.metrics
+    }
+    for name, metric in scenario.metrics:
+        calls.check_like("metrics", metric.update, values[name], before.metrics[name], "a value that is")
     values = jax.tree.map(lambda old, new: jnp.where(over, old, new), before.metrics, values)
     return replace(after, metrics=values)
 
@@ -304,7 +325,9 @@ def results(scenario: Scenario, state: State) -> dict[str, Array]:
 
     Source: section IV-H.
     """
-    return {name: metric.compute(state.metrics[name]) for name, metric in scenario.metrics}
+    return {
+        name: calls.call("metrics", metric.compute, "value", state.metrics[name]) for name, metric in scenario.metrics
+    }
 
 
 def observe(scenario: Scenario, state: State) -> Observation:

@@ -199,7 +199,7 @@ def test_what_goes_wrong_midway_ends_in_one_sentence(raised, code, said, capsys,
 
 @pytest.mark.parametrize(("kind", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupt_while_another_is_answered_ends_in_its_code_and_no_traceback(kind, code, capsys, monkeypatch):
-    monkeypatch.setattr(cli, "_main", lambda _: signal.raise_signal(kind))
+    monkeypatch.setattr(cli, "_main", lambda *_: signal.raise_signal(kind))
     assert cli.main(["run"]) == code
     assert capsys.readouterr() == ("", "")
 
@@ -212,7 +212,7 @@ def test_an_interrupt_when_all_is_done_changes_nothing(monkeypatch):
             signal.raise_signal(signal.SIGTERM)
 
     before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setattr(cli, "_main", lambda _: 0)
+    monkeypatch.setattr(cli, "_main", lambda *_: 0)
     monkeypatch.setattr(cli, "interrupts", SimpleNamespace(interruptible=freeing_much))
     assert cli.main(["run"]) == 0
     assert signal.getsignal(signal.SIGTERM) is before

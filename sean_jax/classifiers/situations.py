@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Bool, Float
 
+from sean_jax import calls
 from sean_jax.base import Array, Moment, Pedestrians
 from sean_jax.classifiers.predicates import (
     any_person,
@@ -239,10 +240,9 @@ class _Situation:
     with_thresholds: bool
 
     def __call__(self, moment: Moment, thresholds: Thresholds) -> Array:
-        value = jnp.asarray(self.function(moment, thresholds) if self.with_thresholds else self.function(moment))
-        if value.dtype != bool or value.ndim:
-            raise InputError(
-                f"situations: {self.name} gives {value.dtype} {value.shape}, not a () bool; compare numbers, and "
-                "reduce those of all people with any."
-            )
-        return value
+        names = "moment, thresholds" if self.with_thresholds else "moment"
+        given = (moment, thresholds) if self.with_thresholds else (moment,)
+        value = calls.call("situations", self.function, names, *given)
+        cure = "compare numbers, and reduce those of all people with any"
+        calls.check_array("situations", self.function, value, bool, (), cure)
+        return jnp.asarray(value)

@@ -7,6 +7,7 @@ from sean_jax import components, files
 from sean_jax.base import Policy, PolicyLike, Scenario, as_policy
 from sean_jax.classifiers import SITUATION_SETS
 from sean_jax.config import METHODS, Component, Named, ReinforcementConfig, RunConfig, ScenarioConfig, validate
+from sean_jax.episodes import check_policy
 from sean_jax.errors import InputError
 from sean_jax.learning import agents
 from sean_jax.learning.agents import AGENTS
@@ -28,15 +29,19 @@ def policy(given: PolicyLike | Component | str, scenario: Scenario, option: str 
 
     Raises:
         InputError: there is none of that name, or it does not fit to the scenario.
+        PartError: a policy of the user's own fails, as ``episodes.check_policy`` finds.
     """
     description = _described(given)
     if isinstance(description, Named) and description.kind not in POLICIES:
         return load(_found(description.kind, option), scenario)
     part = components.resolve(description, POLICIES, option)
     try:
-        return as_policy(part)
+        policy = as_policy(part)
     except TypeError as error:
         raise InputError(str(error)) from error
+    if not isinstance(description, Named):
+        check_policy(scenario, policy)
+    return policy
 
 
 def load(folder: Path | str, scenario: Scenario) -> Policy:

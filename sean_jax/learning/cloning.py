@@ -16,7 +16,7 @@ import optax
 from sean_jax import mdp
 from sean_jax.base import Array, Policy
 from sean_jax.config import ReinforcementConfig
-from sean_jax.episodes import init_policy
+from sean_jax.episodes import command, init_policy
 from sean_jax.learning import ppo, rollouts
 from sean_jax.learning.actor_critic import ActorCritic, Agent, Answer, update_statistics
 from sean_jax.learning.descent import Descent, learn
@@ -99,9 +99,9 @@ def _drive(
     def ask(env: mdp.Env, teacher: Policy, before: mdp.EnvState) -> tuple[Array, mdp.EnvState]:
         state = before.simulation
         chance = jax.random.fold_in(state.streams.policy, state.tick)
-        command, memory = teacher.apply(env.scenario, teacher.params, state, chance)
+        wanted, memory = command(env.scenario, teacher, state, chance)
         asked = replace(before, simulation=replace(state, policy_state=memory))
-        return mdp.to_action(env.scenario.robot, command).astype(jnp.float32), asked
+        return mdp.to_action(env.scenario.robot, wanted).astype(jnp.float32), asked
 
     def one(rows: Rows, tick: Array) -> tuple[Rows, Seen]:
         said = say(network, agent, envs[0].observations, rows)

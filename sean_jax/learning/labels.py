@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Float, PyTree
 
+from sean_jax import episodes
 from sean_jax.base import Array, Policy, PolicyLike, Scenario, State, as_policy
 
 
@@ -64,9 +65,9 @@ def _apply(
     (driver, labeller), memory = params, state.policy_state
     of_driver, of_labeller = replace(state, policy_state=memory.driver), replace(state, policy_state=memory.labeller)
     label_key = jax.random.fold_in(key, 1)
-    command, driving = driver.apply(scenario, driver.params, of_driver, key)
-    wanted, labelling = labeller.apply(scenario, labeller.params, of_labeller, label_key)
-    return command, LabelledState(driving, labelling, jnp.asarray(wanted, state.robot.position.dtype))
+    command, driving = episodes.command(scenario, driver, of_driver, key)
+    wanted, labelling = episodes.command(scenario, labeller, of_labeller, label_key)
+    return command, LabelledState(driving, labelling, wanted)
 
 
 NOISE_TIME = 0.5  # s, for which the noise of commands stays about the same: shorter ones hardly move the robot
@@ -105,8 +106,7 @@ def _apply_disturbed(
     scenario: Scenario, params: tuple[Policy, Array], state: State, key: Array
 ) -> tuple[Float[Array, "2"], DisturbedState]:
     (driver, deviation), memory = params, state.policy_state
-    command, driving = driver.apply(scenario, driver.params, replace(state, policy_state=memory.driver), key)
-    command = jnp.asarray(command, state.robot.position.dtype)
+    command, driving = episodes.command(scenario, driver, replace(state, policy_state=memory.driver), key)
     stays = math.exp(-scenario.time_step / NOISE_TIME)
     fresh = jax.random.normal(jax.random.fold_in(key, 1), (2,), memory.noise.dtype)
     noise = stays * memory.noise + math.sqrt(1.0 - stays * stays) * fresh

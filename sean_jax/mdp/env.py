@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax import files, prng
+from sean_jax import calls, files, prng
 from sean_jax.base import Array, Scenario, State
 from sean_jax.config import OBSERVED
 from sean_jax.errors import InputError
@@ -200,7 +200,12 @@ class Env:
         Returns:
             What each termination says.
         """
-        return [condition(scenario, before, after) for _, condition in self.terminations]
+        found = []
+        for _, condition in self.terminations:
+            value = calls.call("terminations", condition, "scenario, before, after", scenario, before, after)
+            calls.check_array("terminations", condition, value, bool, (), "compare numbers, and reduce with any or all")
+            found.append(value)
+        return found
 
     # ------------------------------------------------------------------ other environments of the same parts
 
@@ -255,7 +260,16 @@ class Env:
         Returns:
             The scenario.
         """
-        return self.scenario if self.randomization is None else self.randomization.apply(randomization, self.scenario)
+        if self.randomization is None:
+            return self.scenario
+        apply = self.randomization.apply
+        scenario = calls.call("randomization", apply, "parameters, scenario", randomization, self.scenario)
+        if not isinstance(scenario, Scenario):
+            own = getattr(self.randomization, "function", apply)
+            raise calls.wrong(
+                "randomization", own, calls.describe(scenario), "a Scenario", "give scenario.replace(...)"
+            )
+        return scenario
 
     def _start(self, key: Array) -> tuple[dict[str, Array], EnvState]:
         if self.pool is None:
@@ -339,8 +353,16 @@ def make_env(
         randomization=randomization,
         action_delay=(least, most),
     )
-    _ = env.observation_space  # says now what a term lacks
+    jax.eval_shape(_try_env, env, jax.eval_shape(jax.random.key, 0))  # says now what a part lacks
     return env
+
+
+def _try_env(env: Env, key: Array) -> None:
+    """A reset, and what reads a step; the step itself is the scenario's."""
+    _, state = env.reset(key)
+    scenario, simulation = env.scenario_of(state.randomization), state.simulation
+    rewarded.of_step(env.rewards, scenario, simulation, simulation, state.potentials, state.potentials)
+    env.ends(scenario, simulation, simulation)
 
 
 def as_termination(value: str | Callable) -> tuple[str, Callable]:

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, PyTree
 
-from sean_jax import files, navigation, obstacle_grid, sensors
+from sean_jax import calls, files, navigation, obstacle_grid, sensors
 from sean_jax.base import Array, Scenario, State
 from sean_jax.errors import InputError
 from sean_jax.geometry import from_rectangle, length, rotate
@@ -377,9 +377,10 @@ class _Plain:
     """``ObservationTerm.read`` of a function of two arguments; equal for equal functions."""
 
     function: Callable[[Scenario, State], Array]
+    arguments = "scenario, state"
 
     def __call__(self, scenario: Scenario, state: State, prepared: tuple) -> Array:
-        return jnp.asarray(self.function(scenario, state), float)
+        return self.function(scenario, state)
 
 
 Terms = tuple[tuple[str, ObservationTerm], ...]
@@ -450,7 +451,9 @@ def observe(terms: Terms, scenario: Scenario, state: State, memory: PyTree) -> t
 
 
 def _read(term: ObservationTerm, scenario: Scenario, state: State, prepared: PyTree) -> Array:
-    return jnp.clip(jnp.asarray(term.read(scenario, state, prepared), float), term.low, term.high)
+    value = calls.call("observations", term.read, "scenario, state, prepared", scenario, state, prepared)
+    calls.check_array("observations", term.read, value, None, None, "give an array, such as jnp.stack([a, b])")
+    return jnp.clip(jnp.asarray(value, float), term.low, term.high)
 
 
 def _of_line(term: ObservationTerm, now: Array, name: str, lines: dict, late: dict) -> Array:

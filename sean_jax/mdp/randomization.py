@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, PyTree
 
-from sean_jax import files
+from sean_jax import calls, files
 from sean_jax.base import Array, Scenario
 from sean_jax.errors import InputError
 from sean_jax.graph import graph_of
@@ -96,7 +96,7 @@ class OfKey:
         Returns:
             What the function makes of both.
         """
-        return self.function(parameters, scenario)
+        return calls.call("randomization", self.function, "key, scenario", parameters, scenario)
 
     def mutate(self, key: Array, parameters: Array, scenario: Scenario) -> Array:
         """As of a ``Randomization``.

@@ -9,12 +9,13 @@ not see, are ``privileged``: a simulator may use them to train, and a robot coul
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax import files, metrics, navigation
+from sean_jax import calls, files, metrics, navigation
 from sean_jax.base import Array, Scenario, State
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
@@ -285,7 +286,17 @@ def potentials(terms: Terms, scenario: Scenario, state: State) -> dict[str, Floa
     Returns:
         name -> () of the terms that have one.
     """
-    return {name: term.potential(scenario, state) for name, term in terms if term.potential is not None}
+    return {
+        name: _number(term.potential, "scenario, state", scenario, state)
+        for name, term in terms
+        if term.potential is not None
+    }
+
+
+def _number(function: Callable, arguments: str, *values: Any) -> Array:
+    value = calls.call("rewards", function, arguments, *values)
+    calls.check_array("rewards", function, value, None, (), "give one number, by sum(), mean() or an index")
+    return value
 
 
 def of_step(
@@ -306,7 +317,9 @@ def of_step(
     """
     with jax.named_scope("reward"):
         numbers = {
-            name: now[name] - then[name] if term.step is None else term.step(scenario, before, after)
+            name: now[name] - then[name]
+            if term.step is None
+            else _number(term.step, "scenario, before, after", scenario, before, after)
             for name, term in terms
         }
         return {name: term.weight * jnp.asarray(numbers[name], float) for name, term in terms}

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax import clock
+from sean_jax import calls, clock
 from sean_jax.base import Array, Moment
 from sean_jax.errors import InputError
 
@@ -358,7 +358,9 @@ def _text(function: Callable, title: str, definition: str) -> tuple[str, str]:
 
 def _truth(condition: Condition, moment: Moment, ndim: int | None = 0) -> Array:
     """The condition's value, checked while the program is traced."""
-    value = jnp.asarray(condition(moment))
+    value = calls.call("metrics", condition, "moment", moment)
+    calls.check_array("metrics", condition, value, None, None, "compare numbers")
+    value = jnp.asarray(value)
     if value.dtype != bool or value.ndim > (1 if ndim is None else ndim):
         wanted = "() bool or (N,) bool" if ndim is None else "() bool"
         raise InputError(
@@ -370,7 +372,9 @@ def _truth(condition: Condition, moment: Moment, ndim: int | None = 0) -> Array:
 
 def _number(function: Callable, *moments: Moment) -> Array:
     """The function's value as a () float, checked while the program is traced."""
-    value = jnp.asarray(function(*moments))
+    value = calls.call("metrics", function, "moment" if len(moments) == 1 else "before, after", *moments)
+    calls.check_array("metrics", function, value, None, None, "give one number")
+    value = jnp.asarray(value)
     if value.ndim:
         arguments = "moment" if len(moments) == 1 else "before, after"
         raise InputError(

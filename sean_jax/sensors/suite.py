@@ -17,7 +17,7 @@ import pydantic
 from flax import struct
 from jaxtyping import Float
 
-from sean_jax import files
+from sean_jax import calls, files
 from sean_jax.base import Array, RobotModel, Scenario, Sensor, State
 from sean_jax.errors import InputError
 from sean_jax.platforms import to_device
@@ -173,12 +173,15 @@ def sense(scenario: Scenario, state: State) -> dict[str, Any]:
         The reading of each sensor by its name.
     """
     key = jax.random.fold_in(state.streams.sensors, state.tick)
-    return {
-        sensor.name: sensor.read(
-            scenario, sensor.params, state, jax.random.fold_in(key, np.uint32(zlib.crc32(sensor.name.encode())))
-        )
-        for sensor in scenario.sensors
-    }
+    readings = {}
+    for sensor in scenario.sensors:
+        own_key = jax.random.fold_in(key, np.uint32(zlib.crc32(sensor.name.encode())))
+        given = scenario, sensor.params, state, own_key
+        reading = calls.call("sensors", sensor.read, "scenario, params, state, key", *given)
+        for part in jax.tree.leaves(reading) or [None]:
+            calls.check_array("sensors", sensor.read, part, None, None, "give the reading")
+        readings[sensor.name] = reading
+    return readings
 
 
 class Errors(pydantic.BaseModel):

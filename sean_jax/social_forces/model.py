@@ -15,7 +15,7 @@ from sean_jax.social_forces.neighbors import MIN_PEOPLE, Neighbors, find
 from sean_jax.social_forces.pair_sums import ABSENT, sum_pairs
 from sean_jax.social_forces.repulsion import Repulsion
 from sean_jax.social_forces.robot_repulsion import RobotRepulsion
-from sean_jax.social_forces.terms import Crowd, Force, Forces, Pair, gather, sum_pair_terms
+from sean_jax.social_forces.terms import Crowd, Force, Forces, Pair, PersonTerm, force_of, gather, sum_pair_terms
 from sean_jax.social_forces.walking import look_direction, turn
 from sean_jax.social_forces.walls import project_velocity
 
@@ -104,8 +104,8 @@ def integrate(
     px, py = people.position[:, 0], people.position[:, 1]
     vx, vy = people.velocity[:, 0], people.velocity[:, 1]
     crowd = Crowd(forces, people, *look_direction(people), obstacle_grid, groups, robot, robot_radius, companions)
-    damped = (term.person(crowd) for term in forces.person_terms if getattr(term, "damped", True))
-    undamped = (term.person(crowd) for term in forces.person_terms if not getattr(term, "damped", True))
+    damped = (_of_persons(term, crowd) for term in forces.person_terms if getattr(term, "damped", True))
+    undamped = (_of_persons(term, crowd) for term in forces.person_terms if not getattr(term, "damped", True))
     force = _add_up([pair_forces(crowd, near), *damped])
     if force is not None:
         force = walking.damp(*force, people.heading)
@@ -204,8 +204,15 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> Force | None:
     by_robot = None if robot is None or not gathered else robot.gathered(crowd)
     if by_robot is not None:
         gathered = jax.tree.map(jnp.add, gathered, by_robot)
-    acts = [term.act(crowd, *numbers) for term, numbers in zip(forces.gather_terms, gathered, strict=True)]
+    acts = [
+        force_of(term.act, "crowd, " + ", ".join(f"sum_{k}" for k in range(len(numbers))), crowd, *numbers)
+        for term, numbers in zip(forces.gather_terms, gathered, strict=True)
+    ]
     return _add_up([force, *acts])
+
+
+def _of_persons(term: PersonTerm, crowd: Crowd) -> Force | None:
+    return force_of(term.person, "crowd", crowd, optional=True)
 
 
 def _add_up(parts: Iterable[Force | None]) -> Force | None:

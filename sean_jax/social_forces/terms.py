@@ -27,7 +27,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 
-from sean_jax import quantities
+from sean_jax import calls, quantities
 from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot
 from sean_jax.errors import InputError
 from sean_jax.files import suggest
@@ -267,9 +267,9 @@ def sum_pair_terms(terms: tuple[PairTerm, ...], pair: Pair) -> Force:
     Returns:
         () x and y parts [m/s2].
     """
-    fx, fy = terms[0].pair(pair)
+    fx, fy = force_of(terms[0].pair, "pair", pair)
     for term in terms[1:]:
-        gx, gy = term.pair(pair)
+        gx, gy = force_of(term.pair, "pair", pair)
         fx, fy = fx + gx, fy + gy
     return fx, fy
 
@@ -284,7 +284,32 @@ def gather(terms: tuple[GatherTerm, ...], pair: Pair) -> tuple[tuple[Array, ...]
     Returns:
         () each, a tuple for each term.
     """
-    return tuple(tuple(term.gather(pair)) for term in terms)
+    return tuple(tuple(calls.call("forces", term.gather, "pair", pair)) for term in terms)
+
+
+def force_of(law: Callable, arguments: str, *values: Any, optional: bool = False) -> Any:
+    """What a method of a term gives.
+
+    Args:
+        law: the method.
+        arguments: their names, for messages.
+        values: of the arguments.
+        optional: whether it may be None.
+
+    Returns:
+        x and y parts [m/s2], or None.
+
+    Raises:
+        PartError: the term is a user's, and raised something or gives no such parts.
+    """
+    value = calls.call("forces", law, arguments, *values)
+    if value is None and optional:
+        return None
+    if not isinstance(value, tuple | list) or len(value) != 2:
+        raise calls.wrong("forces", law, calls.describe(value), "(fx, fy)", "give both parts, in m/s2")
+    for part in value:
+        calls.check_array("forces", law, part, None, None, "give numbers, in m/s2")
+    return value[0], value[1]
 
 
 def collect(terms: Iterable[Term]) -> Forces:
