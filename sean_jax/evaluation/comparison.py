@@ -120,15 +120,17 @@ def read(folder: Path) -> Measured:
         return Measured(folder, config, description, tasks, columns, None, str(error))
 
 
-def _shown(page: Path) -> dict[str, Any] | None:
-    """The recording in a report; None if nobody was recorded."""
+def _shown(page: Path) -> dict[str, Any]:
+    """The recording in a report."""
     found = HELD.findall(files.read_text(page, files.MAX_RECORD))
+    if not found:
+        raise InputError(f"{files.short_name(page)}: holds none.")
     with files.sentence(page, "run it again to see its replay"):
-        shown = json.loads(found[0]) if found else {}
+        shown = json.loads(found[0])
         json.dumps(shown, allow_nan=False)
         if not isinstance(shown, dict):
             raise TypeError
-    return shown or None
+    return shown
 
 
 def paired(first: Measured, second: Measured) -> int:
