@@ -2,8 +2,8 @@
 
 The mesh has one axis, ``scenarios``. What a scenario draws comes from its number alone, so it does not depend on how
 many devices or hosts there are. Scenarios never speak to one another, so devices exchange nothing, but for whether a
-loop of rays is over where XLA has one: on CPUs, on GPUs before NVIDIA's Hopper, and in double precision. (``shard_map``, which
-would spare that, makes XLA crash while it compiles for two GPUs: seen with jax 0.11.2.)
+loop of rays is over where XLA has one: on CPUs, on GPUs before NVIDIA's Hopper, and in double precision.
+(``shard_map``, which would spare that, makes XLA crash while it compiles for two GPUs: seen with jax 0.11.2.)
 """
 
 from collections.abc import Callable, Sequence

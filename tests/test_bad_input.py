@@ -385,7 +385,7 @@ def test_a_configuration_of_nonsense(tmp_path, capsys, text, words):
 def test_bodies_have_a_size(radius):
     forces = sean_jax.social_forces.preset("sean2").tree_replace({"walking.radius": np.float32(radius)})
     for people in (None, 2):
-        with pytest.raises(ValueError, match=r"^forces.walking.radius: .* must be from 0.01 to 10 m"):
+        with pytest.raises(ValueError, match=r"^forces.walking.radius: .* must be from 0.01 to 10"):
             sean_jax.make("lab", people=people, forces=forces, dynamics="twin")
 
 

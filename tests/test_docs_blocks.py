@@ -119,7 +119,7 @@ def test_commands_parse(page, words, tmp_path, monkeypatch):
     model = cli.COMMANDS[word]
     if word == "train":
         model = cli.METHODS[arguments[0]]
-    given = flags.parse(word, model, arguments, configurable=word == "run")
+    given = flags.parse(word, model, arguments, configurable=word == "run", trust=word in cli.READERS)
     if word != "run" or given.config is None:
         flags.read(model, given)
 

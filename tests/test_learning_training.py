@@ -317,11 +317,11 @@ def test_a_policy_is_opened_while_its_training_replaces_the_best(trained, tmp_pa
     best, restore = int(trained[0].best_epoch), Checkpoints._restore
     old, new = (folder / "checkpoints" / str(number) for number in (best, 13))
 
-    def replaced(self, step, like, part=None):
+    def replaced(self, *arguments, **options):
         if not new.exists():
             shutil.copytree(old, new)
             shutil.rmtree(old / "state")
-        return restore(self, step, like, part)
+        return restore(self, *arguments, **options)
 
     monkeypatch.setattr(Checkpoints, "_restore", replaced)
     scenario = learning_data.setting()[0]["join_group"]

@@ -294,11 +294,11 @@ def test_a_function_is_a_situation():
         (lambda: classifiers.as_situation(lambda: True, "nothing"), "give a function"),
         (
             lambda: classifiers.as_situation(lambda here: here.people.present, "all")(moment(), None),
-            r"all gives bool \(7,\), not a \(\) bool",
+            r"gives bool \(7,\), not bool \(\)",
         ),
         (
             lambda: classifiers.as_situation(lambda here: here.position[0], "x")(moment(), None),
-            r"x gives float32 \(\), not a \(\) bool",
+            r"gives float32 \(\), not bool \(\)",
         ),
     ],
 )

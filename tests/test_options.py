@@ -249,7 +249,7 @@ train ppo --critic goall | critic: 'goall' is not one of; did you mean 'goal'
 train ppo --rewards progress,progress | --rewards: 'progress' is there twice; give it once
 train ppo --rewards progres | rewards: 'progres' is not one of; did you mean 'progress'
 train ppo --terminations colision | terminations: 'colision' is not one of; did you mean 'collision'
-train ppo --termination nope.py:fall | terminations: nope.py; there is no such file
+train ppo --termination nope.py:fall | terminations: ; nope.py: there is no such file
 train ppo --randomization people | randomization: 'people' is not one of behavior
 train ppo --action-delay 3 1 | --action-delay: 3 is more than 1; give the least steps first
 train ppo --action-delay -1 1 | --action-delay: -1 must be from 0 to 1,000 steps

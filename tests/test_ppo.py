@@ -349,10 +349,10 @@ def test_randomization_delay_and_ends_reach_the_environment_of_a_training(mine, 
 
 @pytest.mark.parametrize(
     ("name", "text"),
-    [("smaller", r"it gives goal_radius the shape \(2,\), not \(\)"), ("nothing", "it gives NoneType, not a Scenario")],
+    [("smaller", r"gives goal_radius of shape \(2,\), not \(\)"), ("nothing", "gives None, not a Scenario")],
 )
 def test_a_randomization_that_gives_something_else_is_refused(mine, name, text, tmp_path):
-    with pytest.raises(InputError, match=f"randomization: {text}"):
+    with pytest.raises(InputError, match=f"randomization: .*{text}"):
         reinforcement.build(options(tmp_path, randomization=f"{mine}:{name}"))
 
 
@@ -545,7 +545,7 @@ def test_a_packed_agent_drives_as_its_training(trained, tmp_path, capsys):
         learning.pack(folder, out)
 
 
-OWN = """import jax.numpy as jnp
+WITH_HELPER = """import jax.numpy as jnp
 import helper
 from sean_jax.mdp.rewards import RewardTerm
 
@@ -560,7 +560,7 @@ def own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(reinforcement, "programs", standing)
     monkeypatch.setattr(mdp.Env, "with_pool", lambda env, key, size: env)
-    (tmp_path / "mine.py").write_text(OWN)
+    (tmp_path / "mine.py").write_text(WITH_HELPER)
     (tmp_path / "helper.py").write_text("scale = 0.1\n")
     parts = {"observations": ["goal", "mine.py:seen"], "rewards": ["progress", "mine.py:near"]}
     reinforcement.train(options(tmp_path / "trained", **parts))
@@ -638,7 +638,7 @@ def test_scenarios_of_environments_take_turns():
 
 
 def test_environments_that_do_not_go_together_are_refused(cell, tmp_path):
-    with pytest.raises(InputError, match="environment: lab is there more than once"):
+    with pytest.raises(InputError, match="environment: 'lab' is there twice"):
         reinforcement.build(options(None, environment="lab,lab"))
     file = tmp_path / "mine.py"
     file.write_text("def crowd(scenario, state):\n    return state.pedestrians.position[:, 0]\n")

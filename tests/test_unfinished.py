@@ -134,7 +134,9 @@ def stopped_at_the_report(patched):
         pytest.param(stopped(signal.SIGTERM), 143, f"stopped; {KEPT} in", True, id="SIGTERM"),
         pytest.param(with_nan, 1, "1 of 2 episodes hold numbers that are not finite: 3. The 2", False, id="NaN"),
         pytest.param(with_a_full_disk, 1, f"full; {KEPT}", False, marks=pytest.mark.slow, id="full"),
-        pytest.param(with_a_full_disk_at_the_report, 1, "the disk is full; the 5 episodes", False, id="full report"),
+        pytest.param(
+            with_a_full_disk_at_the_report, 1, "the 5 episodes finished until then are kept", False, id="full report"
+        ),
         pytest.param(
             stopped_at_the_report, 130, "stopped; the 5 episodes", False, marks=pytest.mark.slow, id="Ctrl-C, report"
         ),

@@ -22,7 +22,7 @@ from sean_jax.mdp import observations as seen
 from sean_jax.mdp import rewards as rewarded
 from sean_jax.mdp.actions import to_command
 from sean_jax.mdp.observations import ObservationLike
-from sean_jax.mdp.randomization import Randomization, RandomizationLike, as_randomization, check_randomization
+from sean_jax.mdp.randomization import Randomization, RandomizationLike, as_randomization
 from sean_jax.mdp.rewards import RewardLike
 from sean_jax.mdp.spaces import Box, Dict
 from sean_jax.scenario import reset, results, step
@@ -339,8 +339,6 @@ def make_env(
         InputError: one sentence that names the value and the cure.
     """
     randomization = as_randomization(randomization)
-    if randomization is not None:
-        check_randomization(randomization, scenario)
     least, most = (action_delay, action_delay) if isinstance(action_delay, int) else action_delay
     if not 0 <= least <= most:
         raise InputError(f"action_delay: {least} to {most} steps must be a lesser and a greater number, 0 or more.")
@@ -361,6 +359,13 @@ def _try_env(env: Env, key: Array) -> None:
     """A reset, and what reads a step; the step itself is the scenario's."""
     _, state = env.reset(key)
     scenario, simulation = env.scenario_of(state.randomization), state.simulation
+    if jax.tree.structure(scenario) == jax.tree.structure(env.scenario):  # not with another term of its forces, say
+        for (path, old), new in zip(jax.tree.leaves_with_path(env.scenario), jax.tree.leaves(scenario), strict=True):
+            if jnp.shape(old) != jnp.shape(new):
+                name = jax.tree_util.keystr(path, simple=True, separator=".")
+                own: Any = getattr(env.randomization, "function", env.randomization)
+                made, cure = f"{name} of shape {jnp.shape(new)}", "keep the shapes of the scenario"
+                raise calls.wrong("randomization", own, made, str(jnp.shape(old)), cure)
     rewarded.of_step(env.rewards, scenario, simulation, simulation, state.potentials, state.potentials)
     env.ends(scenario, simulation, simulation)
 

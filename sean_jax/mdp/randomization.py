@@ -355,25 +355,3 @@ def as_randomization(value: RandomizationLike | None) -> Randomization | None:
     if callable(value):
         return OfKey(value)
     raise InputError(f"randomization: {value!r:.60} is no function (key, scenario) -> scenario; give one.")
-
-
-def check_randomization(value: Randomization, scenario: Scenario) -> None:
-    """Refuse what does not make a scenario of the same shapes.
-
-    Args:
-        value: of an environment.
-        scenario: that it changes.
-
-    Raises:
-        InputError: it gives something else.
-    """
-    made = jax.eval_shape(lambda key, each: value.apply(value.draw(key, each), each), jax.random.key(0), scenario)
-    if not isinstance(made, Scenario):
-        raise InputError(f"randomization: it gives {type(made).__name__}, not a Scenario; give scenario.replace(...).")
-    if jax.tree.structure(made) != jax.tree.structure(scenario):
-        return  # such as one with another term of its forces
-    for (path, old), new in zip(jax.tree.leaves_with_path(scenario), jax.tree.leaves(made), strict=True):
-        if jnp.shape(old) != new.shape:
-            name = jax.tree_util.keystr(path, simple=True, separator=".")
-            text = f"it gives {name} the shape {new.shape}, not {jnp.shape(old)}"
-            raise InputError(f"randomization: {text}; give leaves of the same shapes.")

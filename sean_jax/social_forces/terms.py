@@ -354,9 +354,10 @@ def collect(terms: Iterable[Term]) -> Forces:
 def _check_limits(name: str, term: Term) -> None:
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(term)):
         return
+    term = jax.tree.map(np.asarray, term)  # nothing is compiled
     for field, (low, high) in getattr(term, "limits", {}).items():
         value = getattr(term, field)
-        if value is not None and not ((low <= np.asarray(value)) & (np.asarray(value) <= high)).all():
+        if value is not None and not ((low <= value) & (value <= high)).all():
             raise InputError(f"forces.{name}.{field}: {value} must be from {low:,g} to {high:,g}.")
     for what, wrong in getattr(term, "relations", {}).items():
         if np.any(wrong(term)):

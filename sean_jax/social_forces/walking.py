@@ -21,7 +21,7 @@ class Walking:
     """How people move. Every collection of forces has exactly one of these; it is the term that drives them."""
 
     limits: ClassVar[dict[str, tuple[float, float]]] = {
-        "radius": (1e-3, 10.0),
+        "radius": (0.01, 10.0),
         "relaxation_time": (1e-3, 1e9),
         "speed_mean": (0.0, 100.0),
         "speed_deviation": (0.0, 100.0),
