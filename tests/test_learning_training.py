@@ -350,6 +350,32 @@ def test_a_damaged_checkpoint_is_named(data, trained, tmp_path):
         training.train(options(data, folder, epochs=14))
 
 
+def test_a_byte_that_changed_in_a_checkpoint_changes_no_weight(trained, tmp_path):
+    """Orbax has no checksum: without the digests, some of these policies would act otherwise."""
+    import shutil
+
+    random, refused = np.random.default_rng(0), 0
+    scenario = learning_data.setting()[0]["join_group"]
+    expected = jax.tree.leaves(learned.load(trained[1], scenario).params.weights)
+    for number in range(24):
+        folder = tmp_path / str(number)
+        shutil.copytree(trained[1], folder)
+        best = folder / "checkpoints" / str(int(trained[0].best_epoch)) / "state"
+        files = sorted(path for path in best.rglob("*") if path.is_file() and path.stat().st_size)
+        sizes = np.array([path.stat().st_size for path in files])
+        file = files[random.choice(len(files), p=sizes / sizes.sum())]
+        content = bytearray(file.read_bytes())
+        content[random.integers(len(content))] ^= 1 << random.integers(8)
+        file.write_bytes(content)
+        try:
+            found = jax.tree.leaves(learned.load(folder, scenario).params.weights)
+        except (InputError, IncompleteError) as error:
+            refused += "cannot be read" in str(error)
+            continue
+        assert all(np.array_equal(one, other) for one, other in zip(found, expected, strict=True))
+    assert refused >= 3
+
+
 def test_a_full_disk_keeps_the_checkpoints(data, trained, tmp_path, monkeypatch):
     import shutil
 

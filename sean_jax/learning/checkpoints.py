@@ -1,10 +1,12 @@
 """The folder of a training: its configuration, and checkpoints through orbax.
 
 The latest and the best checkpoint are kept, and a half-written one is never read. Where only the best ones are asked
-for, orbax deletes the latest, and a training would start anew; so the policy below keeps both.
+for, orbax deletes the latest, and a training would start anew; so the policy below keeps both. The SHA-256 of each
+field of the state stands beside the loss, since orbax restores arrays whose bytes were changed on disk.
 """
 
 import contextlib
+import hashlib
 import json
 import logging
 import os
@@ -23,7 +25,7 @@ from sean_jax.errors import FileError, IncompleteError, InputError
 from sean_jax.learning import processes
 from sean_jax.learning.manifests import CONFIG
 
-STATE = "state"
+STATE, DIGESTS = "state", "sha256"
 RESERVE = 4_000_000  # bytes that must be free in addition to the size of a checkpoint
 UNCHANGED = "earlier checkpoints are as they were."  # how a message about a failed write ends
 CURE = "remove it to go on from an earlier one."
@@ -31,6 +33,10 @@ ATTEMPTS = 10  # to read while a training replaces checkpoints
 
 Result = TypeVar("Result")
 Tree = TypeVar("Tree")
+
+
+def _is_not_of_orbax(record: logging.LogRecord) -> bool:
+    return "orbax" not in record.getMessage()
 
 
 def _negative_loss(metrics: dict[str, float]) -> float:
@@ -55,6 +61,7 @@ class Checkpoints:
             writes: whether checkpoints may be saved and deleted; the caller holds the lock then.
         """
         logging.getLogger("absl").setLevel(logging.CRITICAL)  # orbax logs every step
+        logging.getLogger("asyncio").addFilter(_is_not_of_orbax)  # its tasks print tracebacks of what is raised as well
         self.folder = Path(folder).absolute()
         policy = AnyPreservationPolicy([LatestN(n=1), BestN(get_metric_fn=_negative_loss, n=1)])
         options = ocp.CheckpointManagerOptions(
@@ -88,7 +95,8 @@ class Checkpoints:
         processes.by_first(lambda: self._check_space(size))
         try:
             content = ocp.args.Composite(**{STATE: ocp.args.PyTreeSave(state)})  # pyright: ignore
-            self.manager.save(epoch, args=content, metrics={"loss": loss}, force=True)
+            metrics = {"loss": loss, DIGESTS: _digests(state)}
+            self.manager.save(epoch, args=content, metrics=metrics, force=True)
         except (OSError, ValueError) as error:
             raise IncompleteError(f"{self.folder}: {writing.reason(error)}; {UNCHANGED}") from error
 
@@ -188,10 +196,27 @@ class Checkpoints:
             placement = ocp.checkpoint_utils.construct_restore_args(target)
             request = ocp.args.PyTreeRestore(item=target, restore_args=placement, partial_restore=True)  # pyright: ignore
             content = self.manager.restore(step, args=ocp.args.Composite(**{STATE: request}))
-            found = content[STATE] if part is None else content[STATE][part]
+            restored = content[STATE]
+            digests = (self.manager.metrics(step) or {}).get(DIGESTS, {})  # earlier versions wrote none
+            if any(digests.get(name, digest) != digest for name, digest in _digests(restored).items()):
+                raise ValueError("other numbers than were saved")
+            found = restored if part is None else restored[part]
             if finite and not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found)):
                 raise ValueError("a number is not finite")
             return found
+
+
+def _digests(state: Any) -> dict[str, str]:
+    """Field of a state -> SHA-256 of its arrays; {} where this process has only a share of them."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(state)
+    if any(isinstance(leaf, jax.Array) and not leaf.is_fully_addressable for _, leaf in leaves):
+        return {}
+    found: dict[str, Any] = {}
+    for name, leaf in sorted((jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in leaves):
+        array = np.ascontiguousarray(leaf)
+        digest = found.setdefault(name.partition("/")[0], hashlib.sha256())
+        digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
+    return {name: digest.hexdigest() for name, digest in found.items()}
 
 
 @contextlib.contextmanager
