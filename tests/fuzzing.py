@@ -404,6 +404,39 @@ def load_run(folder: Path) -> Any:
     return None
 
 
+def result(folder: Path) -> dict[str, bytes]:
+    """A complete result of a protocol of two tracks of 20 episodes."""
+    import pytest
+    from test_benchmark import place, smaller
+
+    smaller(pytest.MonkeyPatch())  # to the end of this process
+    made = place(folder, "go_to_goal", 20, 0)
+    return {path.name: path.read_bytes() for path in made.iterdir() if path.suffix in (".json", ".npz")}
+
+
+def load_result(folder: Path) -> Any:
+    """What is changed has the checksum and the digests of the change, as an author would write them."""
+    from sean_jax import components
+    from sean_jax.experiments import benchmark, tracks
+
+    file = folder / "result.json"
+    try:
+        content = json.loads(file.read_bytes())
+        for track in tracks.TRACKS:
+            if content["files"].get(track) and (folder / f"{track}.npz").is_file():
+                content["files"][track] = components.digest(folder / f"{track}.npz")
+        content["checksum"] = benchmark.checksum(content)
+        file.write_text(json.dumps(content), encoding="utf-8")
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        pass  # it is read as it is
+    found = benchmark.check(folder)
+    assert (found["policy"] != "orca") and found["episodes"] == 20 and found["tracks"].keys() == tracks.TRACKS.keys()
+    for name, figure in found["scores"]["figures"].items():
+        assert figure["low"] <= figure["mean"] <= figure["high"], name
+    benchmark.table(found)
+    return None
+
+
 def load_forces(folder: Path) -> Any:
     """Constants, with which two people and a robot take a step."""
     import jax
@@ -504,7 +537,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
     kept = sorted((name for name in trained if name.startswith("checkpoints")), key=lambda name: len(trained[name]))
     for name in ("walks", "cache", "run"):
         (folder / name).mkdir()
-    measured = run(folder)
+    measured, ranked = run(folder), result(folder / "ranked")
     return {
         "environment": Kind(hall(), ("environment.yaml",), load_environment, 10),
         "scene": Kind(hall(), ("scene.xml",), load_environment, 14),
@@ -523,6 +556,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "batch": Kind(batch(folder / "run"), ("batch.npz",), load_batch, 12),
         "cache": Kind(table(folder / "cache"), ("table.npz",), load_table, 6),
         "checkpoint": Kind(trained, tuple(kept), load_policy, 10),
+        "result": Kind(ranked, ("result.json", *(name for name in ranked if name.endswith(".npz"))), load_result, 10),
         "run": Kind(measured, ("episodes.csv", "episodes.csv", "report.html"), load_run, 12),
         "forces": Kind({"forces.yaml": constants.encode()}, ("forces.yaml",), load_forces, 10),
     }
