@@ -200,11 +200,12 @@ def content(file: str | Path) -> Content:
     return made
 
 
-def digest(file: Path) -> str:
+def digest(file: Path, max_bytes: int = files.MAX_BYTES) -> str:
     """What tells the bytes of a file from others: their SHA-256.
 
     Args:
         file: to be read.
+        max_bytes: that it may have.
 
     Returns:
         64 hexadecimal digits.
@@ -212,7 +213,7 @@ def digest(file: Path) -> str:
     Raises:
         FileError: the file cannot be read.
     """
-    return _sha256(files.read_bytes(file))
+    return _sha256(files.read_bytes(file, max_bytes))
 
 
 def digests(config: Config) -> dict[str, str]:

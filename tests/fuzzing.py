@@ -780,7 +780,8 @@ def in_arrays(chance: random.Random, given: bytes) -> bytes:
     elif how == 4:
         arrays[name] = values[None]
     elif how == 5:
-        arrays[name] = values.astype(chance.choice(("U9", "c16", "f2", "f8", "i1", "u8", "?", "S3")))
+        kinds = ("U9", "S3") if values.dtype.kind == "U" else ("U9", "c16", "f2", "f8", "i1", "u8", "?", "S3")
+        arrays[name] = values.astype(chance.choice(kinds))
     elif how == 6 and values.size and values.dtype.kind in "fi":
         wrong = values.reshape(-1).copy()
         wrong[chance.randrange(wrong.size)] = chance.choice((-1, -7) if values.dtype.kind == "i" else (np.nan, np.inf))

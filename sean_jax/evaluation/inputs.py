@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sean_jax import environment, files
+from sean_jax import components, environment, files
 from sean_jax.config import Named, PlaybackBehavior, RunConfig
 from sean_jax.files import mjcf
 from sean_jax.learning.agents import AGENTS
@@ -122,7 +122,7 @@ def locate(copies: Mapping[str, str], hashes: Mapping[str, str], folder: Path) -
         try:
             path = environment.find(name) if option == "environment" else Path(name)
             root, sources = _sources(option, path)
-            now = {part.relative_to(root).as_posix(): digest(part) for part in sources}
+            now = {part.relative_to(root).as_posix(): components.digest(part, MAX_FILE) for part in sources}
         except (ValueError, OSError):  # it is not here, or is another thing now
             now = {}
         if now != then:
@@ -131,21 +131,6 @@ def locate(copies: Mapping[str, str], hashes: Mapping[str, str], folder: Path) -
             other = ", ".join(sorted(part for part in now.keys() | then.keys() if now.get(part) != then.get(part)))
             sentences.append(f"{option}: {name} is not as it was in the run ({other}); the copy in {folder} is used.")
     return names, sentences
-
-
-def digest(file: Path) -> str:
-    """The SHA-256 of a file of any kind that a run is made with.
-
-    Args:
-        file: to be read.
-
-    Returns:
-        64 hexadecimal digits.
-
-    Raises:
-        FileError: the file cannot be read.
-    """
-    return hashlib.sha256(files.read_bytes(file, MAX_FILE)).hexdigest()
 
 
 def _named(config: RunConfig) -> Iterator[tuple[str, str, Path]]:

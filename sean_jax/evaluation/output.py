@@ -256,7 +256,7 @@ def read_config(path: Path, check: bool = True) -> Saved:
     folder = path.parent
     code = {name: digest for name, digest in hashes.items() if name.endswith(".py")}
     for name, digest in hashes.items() if check else ():
-        if name not in code and inputs.digest(folder / name) != digest:
+        if name not in code and components.digest(folder / name, inputs.MAX_FILE) != digest:
             cure = f"restore it, or remove its line under sha256 in {path.name} to take it as it is"
             raise InputError(f"{folder / name}: is not the file that the run was made with; {cure}.")
     places, changes = inputs.locate(copies, hashes, folder)

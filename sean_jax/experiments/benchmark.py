@@ -39,7 +39,7 @@ RESAMPLES = 1_000
 ROBOTS_FAULT = "intimate_robot_on_person", "collision_robot_on_person", "collision_with_obstacle"
 COUNTED = (*ROBOTS_FAULT, "intimate_person_on_robot", "collision_person_on_robot")
 METRICS = ("time_in_situation", *COUNTED, "time_not_moving", "path_efficiency")
-MAX_BYTES = 2_000_000  # of what was measured on a track
+MAX_BYTES = 10_000_000  # of what was measured on a track
 Columns = dict[str, np.ndarray]  # of the E episodes of a track: (E,), or (E, 1 + S) overall and by situation
 
 
@@ -295,7 +295,7 @@ def write(options: BenchmarkConfig, measured: dict[str, Columns]) -> None:
         "policy_digest": policy_digest(options.policy),
         "episodes": options.episodes,
         "versions": versions(),
-        "files": {track: components.digest(folder / f"{track}.npz") for track in measured},
+        "files": {track: components.digest(folder / f"{track}.npz", MAX_BYTES) for track in measured},
         "scores": _as_json(scores(measured)),
         "tracks": {track: _as_json(each) for track, each in by_track.items()},
     }
@@ -385,7 +385,7 @@ def check(folder: Path) -> dict[str, Any]:
         text = f"{result.policy} of this package has another digest than its driver ({made or result.policy_digest})"
         raise InputError(f"{file}: {text}; run the benchmark again.")
     for track, digest in result.files.items():
-        if components.digest(folder / f"{track}.npz") != digest:
+        if components.digest(folder / f"{track}.npz", MAX_BYTES) != digest:
             raise InputError(f"{folder / track}.npz is not the file of the result; run the benchmark again.")
     measured = {track: read_track(folder, track, result.episodes) for track in tracks.TRACKS}
     again = {

@@ -18,6 +18,7 @@ from sean_jax.errors import FileError
 from sean_jax.files import nodes
 from sean_jax.files.nodes import Location
 from sean_jax.files.reading import (
+    MAX_BYTES,
     MAX_DEPTH,
     MAX_RECORD,
     MAX_TABLE,
@@ -35,6 +36,7 @@ from sean_jax.files.reading import (
 )
 
 __all__ = [
+    "MAX_BYTES",
     "MAX_DEPTH",
     "MAX_RECORD",
     "MAX_TABLE",
