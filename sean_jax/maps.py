@@ -88,7 +88,7 @@ def read(path: Path | str) -> Raster:
     settings = files.load(path, MapFile, _problems)
     image = path.parent / settings.image
     if not os.path.lexists(image):
-        raise FileError(f"{files.short_name(path)}: image: there is no file {image}.")
+        raise FileError(f"{files.short_name(path)}: image: there is no file {settings.image!r:.200}.")
     shades, opaque = _image(image)
     size = settings.resolution * max(shades.shape)
     if size > MAX_FLOOR_SIDE:

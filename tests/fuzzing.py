@@ -328,7 +328,8 @@ def load_batch(folder: Path) -> Any:
     shutil.copytree(folder, run := folder / "run", ignore=shutil.ignore_patterns(PLACE, "batch.npz"))
     kept = Unfinished(run, RunConfig())
     kept.place.mkdir()
-    (folder / "batch.npz").rename(kept._file(0, 2))
+    if os.path.lexists(folder / "batch.npz"):
+        (folder / "batch.npz").rename(kept._file(0, 2))
     found = kept.load(0, 2)
     if found is None:  # nothing is there, and so it is made anew
         raise Refused("there is none")
@@ -421,7 +422,7 @@ def load_result(folder: Path) -> Any:
 
     file = folder / "result.json"
     try:
-        content = json.loads(file.read_bytes())
+        content = json.loads(file.read_bytes()) if file.is_file() else None
         for track in tracks.TRACKS:
             if content["files"].get(track) and (folder / f"{track}.npz").is_file():
                 content["files"][track] = components.digest(folder / f"{track}.npz")
@@ -889,7 +890,7 @@ def attempt(kind: Kind, folder: Path, name: str) -> tuple[str, str]:
     except Exception as error:  # whatever it is, it is looked at
         try:
             known = {"map": "map", "batch.npz": "batch", "report.html": "report.html"}
-            check_error(error, known.get(name[:3], known.get(name, name)), "policy", "checkpoint", *OPTIONS)
+            check_error(error, known.get(name[:3], known.get(name, name)), "policy", "agent", "checkpoint", *OPTIONS)
         except AssertionError as wrong:
             return "wrong", f"{wrong}\n{''.join(traceback.format_exception(error))}"
         return "refused", str(error)

@@ -6,11 +6,14 @@ field of the state stands beside the loss, since orbax restores arrays whose byt
 """
 
 import contextlib
+import functools
 import hashlib
 import json
 import logging
 import os
 import shutil
+import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
@@ -35,8 +38,18 @@ Result = TypeVar("Result")
 Tree = TypeVar("Tree")
 
 
-def _is_not_of_orbax(record: logging.LogRecord) -> bool:
-    return "orbax" not in record.getMessage()
+@functools.cache
+def _mute_orbax() -> None:
+    """Print no traceback beside the error that is raised: of its tasks, and of threads that find its loop closed."""
+    logging.getLogger("asyncio").addFilter(lambda record: "orbax" not in record.getMessage())
+    hook = sys.unraisablehook
+
+    def unraisable(found: Any) -> None:
+        closed = isinstance(found.exc_value, RuntimeError) and "Event loop is closed" in str(found.exc_value)
+        if not closed or threading.current_thread() is threading.main_thread():
+            hook(found)
+
+    sys.unraisablehook = unraisable
 
 
 def _negative_loss(metrics: dict[str, float]) -> float:
@@ -61,7 +74,7 @@ class Checkpoints:
             writes: whether checkpoints may be saved and deleted; the caller holds the lock then.
         """
         logging.getLogger("absl").setLevel(logging.CRITICAL)  # orbax logs every step
-        logging.getLogger("asyncio").addFilter(_is_not_of_orbax)  # its tasks print tracebacks of what is raised as well
+        _mute_orbax()
         self.folder = Path(folder).absolute()
         policy = AnyPreservationPolicy([LatestN(n=1), BestN(get_metric_fn=_negative_loss, n=1)])
         options = ocp.CheckpointManagerOptions(

@@ -208,7 +208,10 @@ def load(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observat
         InputError: its observations are not of the sizes of the scenario's, or a file cannot be read.
     """
     options = read_options(folder)
-    actor_critic, expected, seen = outline(options, scenario)
+    try:
+        actor_critic, expected, seen = outline(options, scenario)
+    except InputError as error:
+        raise InputError(f"{folder / CONFIG}: {error}") from None
     return actor_critic, restore(folder, options, expected), seen
 
 
