@@ -147,7 +147,8 @@ def _clause(error: Any, model: type[pydantic.BaseModel]) -> str:
         return "one value more is needed" if isinstance(loc[-1], int) else "is missing; add it"
     if kind == "extra_forbidden":
         keys = [key for part in _types_at(model, loc[:-1]) for key in getattr(part, "model_fields", ())]
-        return f"'{loc[-1]}' is not a known key{suggest(str(loc[-1]), keys) or '; there are ' + ', '.join(keys)}"
+        key = str(loc[-1])[: nodes.MAX_KEY]
+        return f"'{key}' is not a known key{suggest(key, keys) or '; there are ' + ', '.join(keys)}"
     if kind == "literal_error":
         choices = [c for part in _types_at(model, loc) if typing.get_origin(part) is Literal for c in part.__args__]
         return f"{value} is not one of {', '.join(map(str, choices))}{suggest(str(error['input']), choices)}"

@@ -14,6 +14,7 @@ from sean_jax.errors import FileError
 from sean_jax.files.reading import MAX_DEPTH, read_text, short_name
 
 MAX_ERRORS = 100  # of a file that a message names
+MAX_KEY = 60  # characters of a key in a message
 MAX_VALUES = 50_000  # in a file, with aliases expanded
 MAX_DIGITS = 60  # characters of a number
 Location = tuple[str | int, ...]  # keys and list indices that lead to a value
@@ -243,6 +244,6 @@ def key_path(loc: Location) -> str:
         loc: keys and indices.
 
     Returns:
-        Text such as nodes.dock.position[0].
+        Text such as nodes.dock.position[0]; of a long key its beginning.
     """
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc).lstrip(".")
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part:.{MAX_KEY}}" for part in loc).lstrip(".")
