@@ -81,7 +81,7 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
     normal_y = jnp.concatenate([ny, ry[:, None], wy], 1)
     bound = jnp.concatenate([jnp.where(avoided, c, UNBOUNDED), rc[:, None], wall], 1)
     hard = jnp.arange(bound.shape[1]) >= others.shape[1] + 1
-    desired, limit = people.desired_velocity, walking.speed_ratio * people.preferred_speed
+    desired, limit = people.desired_velocity, jnp.maximum(walking.speed_ratio * people.preferred_speed, 0.0)
     x, y = jax.vmap(best_velocity, in_axes=(0, 0, 0, None, 0, 0, 0))(
         normal_x, normal_y, bound, hard, desired[:, 0], desired[:, 1], limit
     )

@@ -82,7 +82,8 @@ class Walking:
         Returns:
             (N,) x and y parts of the limited velocities [m/s].
         """
-        speed, speed_max = length(vx, vy), self.speed_ratio * preferred_speed
+        # A step of an optimizer may make a preferred speed negative: such a person stands.
+        speed, speed_max = length(vx, vy), jnp.maximum(self.speed_ratio * preferred_speed, 0.0)
         slower = jnp.where(speed > speed_max, speed_max / jnp.where(speed > speed_max, speed, 1.0), 1.0)
         return vx * slower, vy * slower
 
