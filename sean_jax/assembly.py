@@ -56,9 +56,6 @@ def make(environment: str | Path | ScenarioConfig = "warehouse", **options: Any)
             (``behavior=GraphBehavior(routing="edge")``, or ``behavior="graph", routing="edge"``), a file
             (``"my.py:thing"``) or the part itself.
 
-    Returns:
-        The scenario.
-
     Raises:
         InputError: one sentence that names the value and the cure.
     """
@@ -75,12 +72,6 @@ def make(environment: str | Path | ScenarioConfig = "warehouse", **options: Any)
 
 def build(config: ScenarioConfig) -> list[Scenario]:
     """The scenarios of a description, which differ in their task alone.
-
-    Args:
-        config: the description.
-
-    Returns:
-        One scenario for each task.
 
     Raises:
         InputError: one sentence that names the value and the cure.
@@ -163,12 +154,8 @@ def with_task(scenario: Scenario, task: Any) -> Scenario:
     """The same scenario with another robot task.
 
     Args:
-        scenario: any.
         task: a name, a description, FILE.py:NAME, or a function (scenario, pedestrians, groups, memory, key) ->
             RobotTask.
-
-    Returns:
-        The scenario with that task.
 
     Raises:
         InputError: there is none of that name, or it does not fit to the behavior.
@@ -196,12 +183,6 @@ def with_task(scenario: Scenario, task: Any) -> Scenario:
 
 def check(config: ScenarioConfig) -> Path:
     """Refuse what ``build`` would refuse, as far as it can be told in a moment: nothing is compiled or tabulated.
-
-    Args:
-        config: the description.
-
-    Returns:
-        The folder of the environment.
 
     Raises:
         InputError: one sentence that names the value and the cure.

@@ -47,14 +47,10 @@ def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build
     """Build tables, or load what was built before from the same inputs, in this process or in another.
 
     Args:
-        kind: of table.
         code: files and folders of the package, such as ``navigation``, on which the result depends.
         inputs: numbers and arrays, compared in single precision. Tables that were built in one precision are not used
             in the other, or results would depend on which of the two ran first.
         build: gives arrays by name. It runs if there is no table, or if it cannot be read.
-
-    Returns:
-        Arrays by name.
     """
     import jax.numpy as jnp  # here, for the command line sets up jax's own cache beside this one before it is imported
 

@@ -39,11 +39,6 @@ def call(part: str, function: Callable, arguments: str, *values: Any) -> Any:
     Args:
         part: the part, such as policy, with which a message begins.
         function: of the package or of a user.
-        arguments: their names, as a user writes them.
-        values: of the arguments.
-
-    Returns:
-        What the function returns.
 
     Raises:
         PartError: the function is a user's and raised something, or takes other arguments.
@@ -65,12 +60,8 @@ def check_array(
     """Refuse what is no array of that kind and shape.
 
     Args:
-        part: the part, with which a message begins.
-        function: that gave the value.
-        value: to be checked.
         kind: ``bool``, ``float``, or any kind of number if None.
         shape: that it must have; any if None.
-        cure: what to give, for messages.
 
     Raises:
         PartError: it is none.
@@ -87,13 +78,6 @@ def check_array(
 
 def check_type(part: str, function: Callable, value: Any, kind: type, **sizes: int) -> None:
     """Refuse what is not of a data type, or whose fields have not the shapes of its annotations.
-
-    Args:
-        part: the part, with which a message begins.
-        function: that gave the value.
-        value: to be checked.
-        kind: a dataclass.
-        sizes: what letters of the shapes mean.
 
     Raises:
         PartError: it is not.
@@ -122,11 +106,7 @@ def check_like(part: str, function: Callable, value: PyTree, like: PyTree, what:
     """Refuse what has another structure, other shapes or other types than it had before.
 
     Args:
-        part: the part, with which a message begins.
-        function: that gave the value.
-        value: to be checked.
         like: that it must be like.
-        what: the value is, for messages.
 
     Raises:
         PartError: it is not.
@@ -145,9 +125,6 @@ def check_like(part: str, function: Callable, value: PyTree, like: PyTree, what:
 def describe(value: Any) -> str:
     """What a value is, in a few words.
 
-    Args:
-        value: any.
-
     Returns:
         Such as "float32 (2,)", "None" or "a list of 2".
     """
@@ -163,18 +140,7 @@ def describe(value: Any) -> str:
 
 
 def wrong(part: str, function: Callable, found: str, wanted: str, cure: str) -> PartError:
-    """The error about a function that gives something else than it should.
-
-    Args:
-        part: the part, with which the message begins.
-        function: that gave it.
-        found: what it gave.
-        wanted: what it should have given.
-        cure: what to do.
-
-    Returns:
-        The error, to be raised.
-    """
+    """The error about a function that gives something else than it should."""
     plain = _plain(function)
     missing = ", for a return is missing" if found.endswith("None") else ""
     return PartError(f"{part}: {_definition(plain)}{_name(plain)} gives {found}, not {wanted}{missing}; {cure}.")

@@ -17,9 +17,6 @@ def ceil_ticks(duration: float, time_step: float) -> int:
     Args:
         duration: s.
         time_step: s.
-
-    Returns:
-        The number of steps.
     """
     return math.ceil(duration / time_step * (1.0 - 1e-12))
 
@@ -30,9 +27,6 @@ def to_ticks(duration: Float[Array, "*shape"], time_step: float) -> Float[Array,
     Args:
         duration: (...) s.
         time_step: s.
-
-    Returns:
-        (...) steps.
     """
     exact = duration / time_step
     whole = jnp.round(exact)
@@ -45,9 +39,6 @@ def events_per_tick(time_step: float, rate: float = 1.0) -> tuple[int, int]:
     Args:
         time_step: s.
         rate: 1/s, of the events.
-
-    Returns:
-        Numerator and denominator.
 
     Raises:
         ValueError: there is less than one event in 1000 steps, which such a fraction cannot represent.

@@ -69,11 +69,6 @@ _reading_once = _trust = 0  # blocks of ``read_once`` and of ``trust`` that are 
 def resolve(component: Component, family: Mapping[str, Any], option: str) -> Any:
     """The part that a description stands for.
 
-    Args:
-        component: the description.
-        family: name -> part, those that come with the package.
-        option: what asks for it, for messages.
-
     Returns:
         The part of the family, the thing of a file, or the value itself.
 
@@ -91,13 +86,6 @@ def resolve(component: Component, family: Mapping[str, Any], option: str) -> Any
 
 def load(part: OwnPart, option: str) -> Any:
     """The thing of a file, or what it gives when it is called with the further options of the part.
-
-    Args:
-        part: FILE.py:NAME, with options.
-        option: what asks for it, for messages.
-
-    Returns:
-        Whatever has that name in the file.
 
     Raises:
         InputError: a file names the part and is not trusted, there is no such file or name, or the file or the call
@@ -134,9 +122,6 @@ def trust() -> Iterator[None]:
 def check_trust(config: Config) -> None:
     """Refuse what ``load`` would refuse of a description, before anything is made of it.
 
-    Args:
-        config: of any command.
-
     Raises:
         InputError: a file names one of its parts, and is not trusted.
     """
@@ -169,12 +154,6 @@ def read_once() -> Iterator[None]:
 def content(file: str | Path) -> Content:
     """What a file and its neighbours hold now, or held when this command first read them.
 
-    Args:
-        file: to be read.
-
-    Returns:
-        Its content.
-
     Raises:
         FileError: a file cannot be read.
     """
@@ -204,7 +183,6 @@ def digest(file: Path, max_bytes: int = files.MAX_BYTES) -> str:
     """What tells the bytes of a file from others: their SHA-256.
 
     Args:
-        file: to be read.
         max_bytes: that it may have.
 
     Returns:
@@ -218,9 +196,6 @@ def digest(file: Path, max_bytes: int = files.MAX_BYTES) -> str:
 
 def digests(config: Config) -> dict[str, str]:
     """What tells the content of the files that a description takes parts from, and that those import beside them.
-
-    Args:
-        config: of any command.
 
     Returns:
         The file as it is named there -> its SHA-256.
@@ -240,9 +215,6 @@ def digests(config: Config) -> dict[str, str]:
 def by_content(config: Config) -> dict[str, Any]:
     """What decides the results, with own files by their content: equal for copies of a file.
 
-    Args:
-        config: of any command.
-
     Returns:
         As ``Config.decisive``.
 
@@ -257,7 +229,6 @@ def copy(folder: Path, config: Config) -> tuple[dict[str, str], dict[str, str]]:
 
     Args:
         folder: they are put into its folder ``parts``, those of a second folder into ``parts/2``, ...
-        config: names the files.
 
     Returns:
         File as it is named in the description -> its copy; copy -> SHA-256.
@@ -282,10 +253,7 @@ def recorded(path: Path, data: Any, hashes: Any, key: str) -> Any:
     """A description that a file holds, whose own parts are found from here: first beside that file.
 
     Args:
-        path: of the file.
-        data: the description in it.
         hashes: what it says of the content of own files, as ``digests`` and ``copy`` give it; None for nothing.
-        key: where it says so.
 
     Returns:
         The same with the files as they are named from here.

@@ -115,7 +115,6 @@ class Number:
 
         Args:
             kind: int or float.
-            value: anything.
 
         Returns:
             The same number.
@@ -160,9 +159,7 @@ def meant(word: str, known: Iterable[str], named: Callable[[str], str] = str) ->
     """The end of a message about an unknown option.
 
     Args:
-        word: the unknown one.
         known: the fields or options that there are.
-        named: option -> how the message names it.
 
     Returns:
         The option that other projects call so, or one whose name is like it, as a question; nothing if there is none.
@@ -174,9 +171,6 @@ def meant(word: str, known: Iterable[str], named: Callable[[str], str] = str) ->
 
 def short(value: object) -> str:
     """A value as messages give it: not too long.
-
-    Args:
-        value: anything.
 
     Returns:
         At most 60 characters.
@@ -252,9 +246,6 @@ class Config(pydantic.BaseModel):
 
     def replace(self, **changes: object) -> Self:
         """The description with other values.
-
-        Args:
-            changes: field = value.
 
         Returns:
             Another description of the same class, checked anew.
@@ -471,9 +462,6 @@ class Family:
     def variant(self, kind: str) -> type[Component] | None:
         """What describes a component of that kind.
 
-        Args:
-            kind: a name.
-
         Returns:
             Its class; None if no component of the family has that name.
         """
@@ -498,9 +486,6 @@ def _is_one_kind(variant: type[Component]) -> bool:
 
 def is_own_part(kind: object) -> bool:
     """Whether a kind stands for a part in a file, ``FILE.py:NAME``.
-
-    Args:
-        kind: of a component.
 
     Returns:
         True or False.
@@ -653,9 +638,6 @@ class RunConfig(ScenarioConfig):
 
     def folder(self, now: str) -> Path:
         """The folder to write.
-
-        Args:
-            now: date and time for its name.
 
         Returns:
             ``out``, or a folder in runs/.
@@ -1374,9 +1356,6 @@ COMMANDS: dict[str, type[Config]] = {
 def family_of(field: FieldInfo) -> Family | None:
     """The components that can stand in a field.
 
-    Args:
-        field: of a description, as pydantic describes it.
-
     Returns:
         Their family; None if it holds no component.
     """
@@ -1397,13 +1376,9 @@ def gather(
     So ``behavior="graph", routing="edge"`` is ``behavior={"kind": "graph", "routing": "edge"}``, as for the commands.
 
     Args:
-        model: the class of the description.
         values: field or option -> value.
         base: fields for what is not given.
         named: field or option -> how messages name it.
-
-    Returns:
-        field -> value.
 
     Raises:
         InputError: an option does not belong to the chosen component.
@@ -1428,16 +1403,7 @@ def _given(description: Config) -> dict[str, Any]:
 
 
 def fill(model: type[Config], data: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a description with options that were not given. Those of a component hold where it is chosen.
-
-    Args:
-        model: the class of the description.
-        data: fields that were given.
-        options: option -> value, as of a preset.
-
-    Returns:
-        The fields.
-    """
+    """Fields of a description with options that were not given. Those of a component hold where it is chosen."""
     full = dict(data)
     behavior = _as_mapping(full.get("behavior")) or {}
     for option, value in options.items():
@@ -1501,14 +1467,8 @@ def validate(
     """The description, checked.
 
     Args:
-        model: its class.
-        data: field -> value.
-        named: field -> how messages name it.
         source: the file that holds the values, whose own parts run if the user trusts it (``components.trust``); None
             for values that the user has given. A component that is there already stays whose it is.
-
-    Returns:
-        An instance of the model.
 
     Raises:
         InputError: one sentence for the first thing that is wrong: field, value, cure.
@@ -1533,12 +1493,7 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
     """pydantic's error as one sentence.
 
     Args:
-        model: what was validated.
         error: one of ``ValidationError.errors()``.
-        named: field -> how the sentence names it.
-
-    Returns:
-        It names field, value and cure.
     """
     classes = {each.__name__: each for each in _component_classes(model)}
     path = [part for part in error["loc"] if part not in classes]

@@ -40,15 +40,11 @@ def congestion(
     for the nearest cell. Under ``jit`` give ``cells``, or close over the scenario.
 
     Args:
-        scenario: the one that the frames come from.
         frames: (T, ...), or with batch axes before T, which the result has as well. All frames count, those after
             the end of an episode too.
         span: s, of the average; the last span may be shorter.
         cells: rows and columns of the grid over the floor; cells of about half a metre if None, which a traced
             scenario does not allow.
-
-    Returns:
-        Density and flow in each span.
 
     Raises:
         InputError: the span is shorter than a control step, or cells are missing under jit.
@@ -84,9 +80,6 @@ def grid_shape(environment: Environment) -> tuple[int, int]:
     Args:
         environment: with the floor, which must not be traced.
 
-    Returns:
-        Rows and columns.
-
     Raises:
         InputError: the environment is traced.
     """
@@ -102,8 +95,6 @@ def cell_of(environment: Environment, cells: tuple[int, int], points: Float[Arra
     """The cell of a grid over the floor that each point is in.
 
     Args:
-        environment: with the floor.
-        cells: rows and columns of the grid.
         points: (..., 2) m; those off the floor count for the nearest cell.
 
     Returns:
@@ -123,10 +114,8 @@ def track_nodes(
     """Update the node that each person was at last.
 
     Args:
-        graph: with the nodes.
         last: (N,) node that they were at last until now, ``NO_NODE`` if they were at none yet.
         people: (N, 2) m, where they are.
-        present: (N,) whether they are there.
 
     Returns:
         (N,) node that they were at last, and (N,) whether they have just walked an edge to it.

@@ -25,9 +25,6 @@ def mesh(devices: Sequence[object] | None = None) -> Mesh:
 
     Args:
         devices: in a row; all devices of all hosts if None.
-
-    Returns:
-        The mesh.
     """
     chosen = jax.devices() if devices is None else list(devices)
     return jax.make_mesh((len(chosen),), (AXIS,), axis_types=(AxisType.Auto,), devices=chosen)
@@ -37,9 +34,7 @@ def keys(over: Mesh, key: Array, number: int) -> Array:
     """Keys on the devices, one for each scenario.
 
     Args:
-        over: the mesh.
         key: () typed PRNG key.
-        number: how many.
 
     Returns:
         (number,) typed keys, the i-th ``fold_in(key, i)``.
@@ -58,10 +53,6 @@ def keys(over: Mesh, key: Array, number: int) -> Array:
 def replicate(over: Mesh, tree: PyTree) -> PyTree:
     """A scenario, or any other arrays, on every device of the mesh: what ``shard`` wants as the fixed argument.
 
-    Args:
-        over: the mesh.
-        tree: any arrays.
-
     Returns:
         The same arrays, on all devices.
     """
@@ -72,9 +63,7 @@ def split(over: Mesh, tree: PyTree, axis: int = 0) -> PyTree:
     """Arrays of all scenarios, each device with its own part of them.
 
     Args:
-        over: the mesh.
         tree: arrays with an axis of the scenarios, a multiple of the number of devices; the same in every process.
-        axis: which.
 
     Returns:
         The same arrays, split over the devices.
@@ -103,13 +92,9 @@ def shard(over: Mesh, function: Callable, donate: bool = False) -> Callable:
     """``jit(vmap(function))`` over all arguments but the first, whose leading axis is split over the devices.
 
     Args:
-        over: the mesh.
         function: ``(fixed, ...)``, such as ``lambda scenario, key: rollout(scenario, policy, key, 100)``. The fixed
             argument is one that ``replicate`` gave; the others are those of one scenario, as are the results.
         donate: the memory of all but the first is used for the results, as in ``states = step(scenario, states)``.
-
-    Returns:
-        The function of whole batches.
     """
 
     run = shard_jit(over, function, donate)
@@ -120,7 +105,6 @@ def shard_jit(over: Mesh, function: Callable, donate: bool = False) -> Any:
     """As ``shard``, but called with all but the first argument in a tuple: what can be lowered and compiled ahead.
 
     Args:
-        over: the mesh.
         function: as of ``shard``.
         donate: as of ``shard``.
 

@@ -47,11 +47,7 @@ class Settings(pydantic.BaseModel):
 
 
 def available() -> list[str]:
-    """The environments that come with the package.
-
-    Returns:
-        Their names in order.
-    """
+    """The environments that come with the package."""
     return sorted(path.parent.name for path in ENVS.glob(f"*/{SETTINGS}"))
 
 
@@ -60,9 +56,6 @@ def find(name_or_path: str | Path) -> Path:
 
     Args:
         name_or_path: name of one that comes with the package, or the path of any other.
-
-    Returns:
-        Its folder.
 
     Raises:
         InputError: there is no such environment.
@@ -82,9 +75,6 @@ def find(name_or_path: str | Path) -> Path:
 def sources(folder: Path) -> list[Path]:
     """The files that an environment is read from.
 
-    Args:
-        folder: of the environment.
-
     Returns:
         Their paths; those that the scene reads are among them.
 
@@ -96,22 +86,12 @@ def sources(folder: Path) -> list[Path]:
 
 
 def default_people(folder: str | Path) -> int:
-    """The default number of people of an environment.
-
-    Args:
-        folder: of the environment.
-
-    Returns:
-        The number in its environment.yaml.
-    """
+    """The default number of people of an environment."""
     return _settings(Path(folder)).people
 
 
 def floor(folder: str | Path) -> tuple[float, float, float, float]:
     """The floor of an environment.
-
-    Args:
-        folder: of the environment.
 
     Returns:
         x_min, y_min, x_max, y_max [m].
@@ -155,7 +135,6 @@ def clearance(environment: Environment, points: Float[Array, "P 2"]) -> Float[Ar
     """Distance to the nearest obstacle or edge of the floor.
 
     Args:
-        environment: with the obstacles and the floor.
         points: (P, 2) m.
 
     Returns:
@@ -170,9 +149,7 @@ def free_points(environment: Environment, radius: float, number: int, seed: int 
     They are drawn on the host, outside jit. Whether a path leads from one to another is for navigation to tell.
 
     Args:
-        environment: with the obstacles and the floor.
         radius: m, of the disc.
-        number: of places.
         seed: the same one gives the same places.
 
     Returns:

@@ -33,8 +33,6 @@ def rollout(
     """An episode from its reset.
 
     Args:
-        scenario: what is simulated.
-        policy: who drives.
         key: () typed PRNG key of the episode.
         steps: how many steps of control; static.
         record: (before, after, action) -> what is kept of a step, a pytree; ``base.Trajectory`` unless told otherwise.
@@ -66,8 +64,6 @@ def simulate(
     """As ``rollout``, from a state that holds the memory of the policy.
 
     Args:
-        scenario: what is simulated.
-        policy: who drives.
         state: where to begin; ``init_policy`` puts the memory of a policy there.
         steps: how many steps of control; static.
         record: (before, after, action) -> what is kept of a step.
@@ -93,8 +89,6 @@ def init_policy(scenario: Scenario, policy: PolicyLike, state: State) -> State:
     """The state with the memory of a policy at the beginning of an episode.
 
     Args:
-        scenario: what is simulated.
-        policy: who will drive.
         state: the first of the episode, or one from which the policy takes over.
 
     Returns:
@@ -109,8 +103,6 @@ def policy_step(scenario: Scenario, policy: PolicyLike, state: State) -> tuple[S
     """One step of control with the command of a policy, whose chance is a stream of the episode's own.
 
     Args:
-        scenario: what is simulated.
-        policy: who drives.
         state: that holds the memory of the policy (``init_policy``).
 
     Returns:
@@ -126,9 +118,6 @@ def command(scenario: Scenario, policy: Policy, state: State, key: Array) -> tup
     """What a policy commands, and what it remembers then.
 
     Args:
-        scenario: what is simulated.
-        policy: who drives.
-        state: that holds the memory of the policy.
         key: () typed PRNG key.
 
     Returns:
@@ -151,10 +140,6 @@ def command(scenario: Scenario, policy: Policy, state: State, key: Array) -> tup
 
 def check_policy(scenario: Scenario, policy: PolicyLike) -> None:
     """Try a policy by the shapes of its values alone: nothing is compiled.
-
-    Args:
-        scenario: where it shall drive.
-        policy: who shall drive.
 
     Raises:
         PartError: one sentence with file and line of the user's, and the cure.
@@ -181,13 +166,8 @@ def reset_pool(scenario: Scenario, key: Array, size: int, policy: PolicyLike | N
     """A pool of starts; wrap it in ``jax.jit`` with ``size`` static.
 
     Args:
-        scenario: what is simulated.
         key: () typed PRNG key.
-        size: how many starts.
         policy: who will drive, if it remembers anything: each start holds its memory.
-
-    Returns:
-        The pool.
     """
 
     def one(key: Array) -> State:
@@ -202,10 +182,6 @@ def autoreset(pool: ResetPool, state: State) -> State:
 
     Args:
         pool: starts of episodes of the same scenario.
-        state: after a step.
-
-    Returns:
-        A state whose episode goes on.
     """
     choice_key, streams_key = jax.random.split(jax.random.fold_in(state.streams.restart, state.tick))
     fresh = draw_start(pool, choice_key, streams_key)
@@ -217,12 +193,8 @@ def draw_start(pool: ResetPool, choice_key: Array, streams_key: Array) -> State:
     """One of the pool's starts, with chance of its own.
 
     Args:
-        pool: starts of episodes.
         choice_key: () typed PRNG key that chooses the start.
         streams_key: () typed PRNG key of what happens in the episode.
-
-    Returns:
-        The first state of an episode.
     """
     chosen = jax.random.randint(choice_key, (), 0, pool.starts.tick.shape[0], jnp.int32)
     start = jax.tree.map(lambda leaf: leaf[chosen], pool.starts)
@@ -243,10 +215,6 @@ def rollout_autoreset(
     """As ``simulate``, but episodes follow one another: who trains a policy steps like this.
 
     Args:
-        scenario: what is simulated.
-        policy: who drives.
-        pool: where ended episodes go on.
-        state: where to begin.
         steps: how many steps of control; static.
         record: (before, after, action) -> what is kept of a step. It sees the last step of an episode before the reset,
             so ``after`` tells how it ended; ``Trajectory.active`` is true throughout.

@@ -42,18 +42,12 @@ def flag(name: str) -> str:
 
     Args:
         name: such as time_limit.
-
-    Returns:
-        Such as --time-limit.
     """
     return "--" + name.replace("_", "-")
 
 
 def number(value: object) -> str:
     """A value as the command line takes it.
-
-    Args:
-        value: of a field.
 
     Returns:
         120.0 is 120, and a float is read back as the same float.
@@ -68,12 +62,8 @@ def parser(model: type[Config], configurable: bool = False, trust: bool = False)
     """A dataclass by which tyro reads the flags of a description; what is not given is None.
 
     Args:
-        model: the description.
         configurable: whether --config may name a file with values for what is not given.
         trust: whether --trust may let code run that files name.
-
-    Returns:
-        The class.
     """
     fields: list[tuple[str, Any, Any]] = []
     if configurable:
@@ -177,13 +167,8 @@ def read(
     """The description that flags ask for.
 
     Args:
-        model: its class.
         given: an instance of ``parser(model)``.
         base: values for what is not given, as JSON has words for.
-        source: the file that holds them.
-
-    Returns:
-        An instance of the model.
 
     Raises:
         InputError: a value cannot be, or an option does not belong to the chosen component; it names the flag.
@@ -229,9 +214,6 @@ def command(word: str, config: Config) -> str:
     Args:
         word: the command, such as ``run``.
         config: its description; what is None, incidental, or has no flag is left out.
-
-    Returns:
-        A line for a shell.
     """
     first, words = ["sean", word], []
     for name, field in type(config).model_fields.items():
@@ -303,14 +285,8 @@ def parse(
     """An instance of ``parser(model)`` from the words after the command; the parser's own exit if they are wrong.
 
     Args:
-        word: the command.
-        model: its description.
-        arguments: the words after it.
         configurable: as in ``parser``.
         trust: as in ``parser``.
-
-    Returns:
-        What was given.
 
     Raises:
         InputError: a flag of several values is given twice, or a flag is what other projects call an option.

@@ -56,9 +56,6 @@ def rotate(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array
         y: (...) of the same unit.
         cosine: (...) of the angle.
         sine: (...) of the angle.
-
-    Returns:
-        The rotated x and y, of the broadcast shape.
     """
     return cosine * x - sine * y, sine * x + cosine * y
 
@@ -71,11 +68,6 @@ def sum_vectors(x: Array, y: Array, axis: int) -> tuple[Array, Array]:
 
     Args:
         x: (...) of any unit.
-        y: of the shape of x.
-        axis: along which to sum.
-
-    Returns:
-        The sums of x and of y.
     """
     total = jax.lax.complex(x, y).sum(axis)
     return total.real, total.imag
@@ -86,10 +78,6 @@ def sum_in_pairs(parts: Sequence[Array], axis: int) -> tuple[Array, ...]:
 
     Args:
         parts: (...) each, of any unit.
-        axis: along which to sum.
-
-    Returns:
-        The sums, in the order of the parts.
     """
     parts = tuple(parts)
     sums = [sum_vectors(parts[i], parts[i + 1], axis) for i in range(0, len(parts) - 1, 2)]
@@ -115,10 +103,6 @@ def unit_vectors(vectors: Float[Array, "*batch 2"], default: Float[Array, "*defa
 
 def angle_between(heading: Float[Array, "*batch 2"], target: Float[Array, "*other 2"]) -> Float[Array, "..."]:
     """Signed angle from one direction to another, counter-clockwise.
-
-    Args:
-        heading: (..., 2) of any length.
-        target: (..., 2) of any length, broadcasts with heading.
 
     Returns:
         (...) rad, in (-pi, pi]; 0 where one of the two is zero.
@@ -185,7 +169,6 @@ def signed_distances(
     """Signed distances from points to the nearest obstacle and to the edge of the floor.
 
     Args:
-        environment: with W obstacles.
         points: (P, 2) m.
 
     Returns:
@@ -204,7 +187,6 @@ def signed_distances_on_host(
     """``signed_distances`` by numpy in double precision. Nothing is compiled for a question that is asked once.
 
     Args:
-        environment: with W obstacles.
         points: (P, 2) m.
 
     Returns:
@@ -227,7 +209,6 @@ def to_edge(environment: Environment, x: Array, y: Array) -> Array:
     """Signed distance to the nearest edge of the floor.
 
     Args:
-        environment: with the floor.
         x: (...) m.
         y: (...) m.
 
@@ -242,7 +223,6 @@ def to_border(environment: Environment, x: Array, y: Array) -> Array:
     """Signed distance to the nearest edge of the floor, if the edge stops people and robots.
 
     Args:
-        environment: with the floor.
         x: (...) m.
         y: (...) m.
 

@@ -22,10 +22,6 @@ MOVING = ("position", "velocity", "heading", "desired_velocity")  # of people
 def truncate(state: State, every: int) -> State:
     """Ends the derivative at each ``every``-th step: backpropagation through that many steps, block by block.
 
-    Args:
-        state: any.
-        every: steps.
-
     Returns:
         The same state.
     """
@@ -36,7 +32,6 @@ def damp(state: State, factor: Float[Array, ""] | float) -> State:
     """Multiplies the derivative by a factor: what lies n steps back counts ``factor ** n``.
 
     Args:
-        state: any.
         factor: 1, between 0 and 1; at 0 the derivative ends here.
 
     Returns:
@@ -51,7 +46,6 @@ def clip(state: State, limit: Float[Array, ""] | float) -> State:
     """Shortens the cotangent of each body to a length, in reverse mode; forward mode is as without.
 
     Args:
-        state: any.
         limit: of the length, over all that moves of one person, or of the robot; of the unit of what is differentiated
             per metre.
 

@@ -19,12 +19,6 @@ def compile_in_thread(work: Callable[[], None]) -> threading.Thread:
     """Begin work of XLA's compiler in a thread, for which the end of the interpreter waits.
 
     An interpreter that ends unwinds the threads that are left, and XLA's C++ answers that with ``abort``.
-
-    Args:
-        work: what the thread does.
-
-    Returns:
-        The thread.
     """
     atexit.unregister(_wait_for_compiler)
     atexit.register(_wait_for_compiler)  # as the last one, so before JAX frees what the compiler uses
@@ -59,9 +53,6 @@ def interruptible() -> Iterator[list[int]]:
     block has begun is done: orbax reads and writes in one, and threads that it has left behind would complain of a
     closed loop. A signal that is ignored, or that has a handler outside Python, is left alone. In other threads, where
     no signal arrives, the block runs as it is.
-
-    Yields:
-        The signals received so far.
     """
     received: list[int] = []
     pending: list[int] = []

@@ -73,12 +73,6 @@ class ImportSummary:
 def read(path: Path | str) -> Raster:
     """Read a map: a map_server YAML file and its PGM or PNG image.
 
-    Args:
-        path: of the YAML file.
-
-    Returns:
-        The cells of the map.
-
     Raises:
         FileError: a file cannot be used.
     """
@@ -249,14 +243,10 @@ def import_map(
     The result is read again and compared with the map, cell by cell.
 
     Args:
-        path: of the map's YAML file.
         folder: of the environment; must be new or empty.
         people: default number of people; one for each 25 m2 of free floor if None.
         height: m, of all boxes, since a map has none.
         unknown: what unknown cells are, ``obstacle`` or ``free``.
-
-    Returns:
-        What was written.
 
     Raises:
         InputError: a number is out of range, or the map cannot be described by boxes.
@@ -294,7 +284,6 @@ def rasterize(obstacles: Obstacles, raster: Raster) -> np.ndarray:
 
     Args:
         obstacles: boxes without yaw.
-        raster: the map.
 
     Returns:
         (rows, columns) bool, whether a cell's middle lies in one of the boxes.

@@ -18,7 +18,6 @@ def build(obstacles: Obstacles, floor: Float[Array, "4"], cell: float = 1.0, rea
     """Build the grid on the host: for each cell all obstacles within reach of any point of it.
 
     Args:
-        obstacles: W upright boxes.
         floor: (4,) m, x_min, y_min, x_max, y_max.
         cell: m, side of a cell; wider on a floor with more than ``MAX_CELLS`` of them.
         reach: m.

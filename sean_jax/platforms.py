@@ -14,11 +14,7 @@ def by_platform(cpu: Callable, default: Callable) -> Callable:
     Where derivatives are taken it is ``cpu`` on all platforms: tracing those of both takes seconds.
 
     Args:
-        cpu: the form for CPUs.
         default: the form for all other platforms, with the same arguments and results.
-
-    Returns:
-        A function with the arguments and results of both.
     """
 
     @jax.custom_jvp
@@ -37,9 +33,6 @@ def to_device(tree: PyTree) -> PyTree:
 
     Nothing is compiled, while ``jnp.asarray`` compiles a copy for each new shape.
 
-    Args:
-        tree: of numpy arrays.
-
     Returns:
         The same tree of arrays of jax.
     """
@@ -53,9 +46,6 @@ def to_device(tree: PyTree) -> PyTree:
 
 def scalar(value: float) -> Any:  # a numpy array, for the fields of dataclasses whose arrays are those of jax
     """A parameter made at import, before the precision is known.
-
-    Args:
-        value: the number.
 
     Returns:
         () float; becomes an array of the default precision where a program uses it.

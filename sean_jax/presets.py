@@ -41,7 +41,6 @@ def usual(name: object, option: str, default: Any) -> Any:
 
     Args:
         name: of a preset, or anything else for none.
-        option: its name.
         default: without a preset.
 
     Returns:

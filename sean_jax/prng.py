@@ -62,7 +62,6 @@ def key(use: str, seed: int | Array) -> Array:
 
     Args:
         use: one of ``USES``.
-        seed: of the user.
 
     Returns:
         () typed PRNG key; that of episode ``i``, where a use has episodes, is ``fold_in(key(use, seed), i)``.
@@ -75,11 +74,7 @@ def generator(use: str, seed: int, *further: int) -> np.random.Generator:
 
     Args:
         use: one of ``USES``.
-        seed: of the user.
         *further: numbers, such as that of an epoch, which have streams of their own.
-
-    Returns:
-        A new generator.
     """
     return np.random.default_rng((stream_id(use), len(further), seed, *further))  # numpy takes (1, 0) for (1,)
 
@@ -89,18 +84,12 @@ def streams(key: Array) -> Streams:
 
     Args:
         key: () typed PRNG key, used for nothing else.
-
-    Returns:
-        One key for each stream.
     """
     return Streams(*jax.random.split(key, 4))
 
 
 def as_numbers(tree: PyTree) -> PyTree:
     """A tree with its typed keys as plain numbers, which files and quick calls can hold.
-
-    Args:
-        tree: of arrays.
 
     Returns:
         The same tree with uint32 in place of keys.

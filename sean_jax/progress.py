@@ -17,27 +17,17 @@ class Progress:
     """Tells how far some work is; this one tells nobody."""
 
     def stage(self, text: str) -> None:
-        """Work of unknown length begins.
-
-        Args:
-            text: what it is.
-        """
+        """Work of unknown length begins."""
 
     def start(self, text: str, total: float) -> None:
         """Work of known length begins.
 
         Args:
-            text: what it is.
             total: its length, in any unit.
         """
 
     def update(self, done: float, note: str = "") -> None:
-        """How far it is.
-
-        Args:
-            done: out of the total.
-            note: further words.
-        """
+        """How far it is."""
 
 
 class _Share(Progress):

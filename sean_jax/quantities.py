@@ -32,16 +32,6 @@ Degrees = Annotated[float, pydantic.Field(ge=-3600, le=3600)]
 def check_number(name: str, value: Any, minimum: float, maximum: float, unit: str = "") -> Any:
     """Check that a value is a number in a range.
 
-    Args:
-        name: of the value, with which the message begins.
-        value: to be checked.
-        minimum: of the range.
-        maximum: of the range.
-        unit: for the message.
-
-    Returns:
-        The value as it is.
-
     Raises:
         InputError: it is no number, or out of range.
     """
@@ -57,15 +47,6 @@ def check_number(name: str, value: Any, minimum: float, maximum: float, unit: st
 def check_integer(name: str, value: Any, minimum: int, maximum: int) -> int:
     """Check that a value is a whole number in a range.
 
-    Args:
-        name: of the value, with which the message begins.
-        value: to be checked.
-        minimum: of the range.
-        maximum: of the range.
-
-    Returns:
-        The value as it is.
-
     Raises:
         InputError: it is no whole number, or out of range.
     """
@@ -76,10 +57,6 @@ def check_integer(name: str, value: Any, minimum: int, maximum: int) -> int:
 
 def check_leaves(name: str, tree: Any) -> None:
     """Check that all numbers of a pytree are finite and not too large; tracers are not checked.
-
-    Args:
-        name: of the tree, with which the message begins.
-        tree: of arrays.
 
     Raises:
         InputError: a number is not, in a sentence that names the leaf.
@@ -92,9 +69,6 @@ def check_leaves(name: str, tree: Any) -> None:
 
 def short_repr(value: Any) -> str:
     """A value as messages name it.
-
-    Args:
-        value: anything.
 
     Returns:
         Its ``repr``, cut to 60 letters.

@@ -93,9 +93,6 @@ def load(name: str, config: EnvConfig | None = None, config_overrides: Mapping[s
 def build(config: EnvConfig) -> mdp.Env:
     """The environment of a description; several tasks are drawn anew for each episode.
 
-    Args:
-        config: the description.
-
     Returns:
         The environment, without a pool.
 
@@ -113,9 +110,6 @@ def build(config: EnvConfig) -> mdp.Env:
 
 def check(config: EnvConfig) -> dict[str, Any]:
     """Refuse what ``build`` would refuse, as far as it can be told in a moment: nothing is compiled or tabulated.
-
-    Args:
-        config: the description.
 
     Returns:
         Observations, rewards, terminations and randomization, as ``make_env`` takes them.
@@ -146,10 +140,6 @@ def observation_terms(parts: Sequence[Component], option: str = "observations") 
 
     Args:
         parts: names in ``OBSERVATIONS``, or parts of a user's own.
-        option: what asks for them, for messages.
-
-    Returns:
-        Name and term of each.
 
     Raises:
         InputError: there is none of that name.

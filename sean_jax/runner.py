@@ -121,7 +121,6 @@ class Runner:
             policy: who drives; several of one structure if its leaves have a leading axis of ``drivers``.
             size: how many episodes at once; more are simulated if devices and drivers cannot share so many evenly.
             use: of the seed, one of ``prng.USES``.
-            record: what is kept.
             mesh: devices that share the work; all if None.
             chunk: time [s] between two looks at the progress.
             drivers: D, of whom each has an equal share of a batch, one after the other. None: the policy is one driver.
@@ -181,11 +180,7 @@ class Runner:
         return self.scenarios[0], self._varying
 
     def compile(self, watch: Watch) -> None:
-        """Compile everything now, in a thread that Ctrl-C need not wait for.
-
-        Args:
-            watch: is told what is being compiled.
-        """
+        """Compile everything now, in a thread that Ctrl-C need not wait for."""
         began = time.perf_counter()
         watch.compiling(f"tracing the starts of {self.size} episodes")
         seed, numbers, index = self._arguments()
@@ -215,15 +210,9 @@ class Runner:
         """The episodes from number ``first`` on until all have ended.
 
         Args:
-            seed: of the use.
-            first: number of the first episode.
             count: how many count; the rest fill the batch. All if None.
             index: (B,) which scenario each is of; they take turns by number if None.
             watch: is told how far they are, and what the record stacked.
-            keep_rows: whether what the record stacks is kept in memory.
-
-        Returns:
-            What is left of them.
 
         Raises:
             FloatingPointError: a number is not finite; the message names the episodes.
@@ -270,10 +259,6 @@ def not_finite(numbers: np.ndarray, count: int) -> str:
 
     Args:
         numbers: (F,) of those episodes.
-        count: how many episodes there were.
-
-    Returns:
-        A sentence that names them.
     """
     names = ", ".join(map(str, numbers[:8])) + (f" and {len(numbers) - 8} more" if len(numbers) > 8 else "")
     return f"{len(numbers)} of {count} episodes hold numbers that are not finite: {names}."
@@ -329,14 +314,9 @@ def first_state(tasks: tuple, scenario: Scenario, varying: dict[int, Array], ind
     """The first state of an episode of one of several scenarios, in one program for all of them.
 
     Args:
-        tasks: of each scenario.
-        scenario: the first of them.
         varying: ``varying_leaves`` of all.
         index: () int32 which one.
         key: () typed PRNG key.
-
-    Returns:
-        The state before anybody drives.
     """
 
     def task(scenario: Scenario, *others: PyTree) -> RobotTask:

@@ -21,12 +21,10 @@ def reset(scenario: Scenario, key: Array) -> State:
     People walk for ``scenario.warm_up`` seconds before there is a robot.
 
     Args:
-        scenario: what is simulated.
         key: () typed PRNG key, from which all chance of the episode comes.
 
     Returns:
         The first state; its situations and metrics are those of this moment.
-
     Source: section IV-B.
     """
     people_key, task_key, streams_key = jax.random.split(key, 3)
@@ -51,12 +49,7 @@ def next_task(scenario: Scenario, state: State, key: Array) -> State:
     ``episodes.init_policy``. People of a recording begin at their first moment again.
 
     Args:
-        scenario: what is simulated.
-        state: any.
         key: () typed PRNG key, from which all further chance comes.
-
-    Returns:
-        The first state of the task.
     """
     task_key, streams_key = jax.random.split(key)
     return _begin(scenario, state.pedestrians, state.groups, state.memory, task_key, streams_key)
@@ -64,10 +57,6 @@ def next_task(scenario: Scenario, state: State, key: Array) -> State:
 
 def warm_up(scenario: Scenario, state: State) -> State:
     """The state after people have walked for ``scenario.warm_up`` seconds without a robot.
-
-    Args:
-        scenario: what is simulated.
-        state: the first of an episode.
 
     Returns:
         The state with people as they are then; the robot is far away.
@@ -118,14 +107,11 @@ def step(scenario: Scenario, state: State, action: Array) -> State:
     """The state one control step later.
 
     Args:
-        scenario: what is simulated.
-        state: before the step.
         action: (2,) linear [m/s] and angular [rad/s] velocity that the robot is told to take; a command that is not
             finite is no new one.
 
     Returns:
         The state after ``scenario.time_step``.
-
     Source: sections III-A, IV-D, IV-E and IV-H.
     """
     key = jax.random.fold_in(state.streams.people, state.tick)
@@ -146,13 +132,8 @@ def place(scenario: Scenario, state: State, position: Array, heading: Array) -> 
     with pushes it out. A policy that remembers is begun again by ``episodes.init_policy``.
 
     Args:
-        scenario: what is simulated.
-        state: any of an episode.
         position: (2,) m.
         heading: (2,) where it looks, of any length; along x if it is zero.
-
-    Returns:
-        The state with the robot there.
     """
     there, looking = (jnp.asarray(part, state.robot.position.dtype) for part in (position, heading))
     robot = scenario.robot.place(scenario.robot, there, looking)
@@ -164,13 +145,10 @@ def direct_pedestrians(scenario: Scenario, state: State, key: Array) -> State:
     """Who goes where: the pedestrian behavior.
 
     Args:
-        scenario: what is simulated.
-        state: before the step.
         key: () typed PRNG key of this tick.
 
     Returns:
         The state with new desired velocities, members of groups and memory of the behavior.
-
     Source: section IV-D, high level.
     """
     direct = scenario.behavior.direct
@@ -183,13 +161,8 @@ def direct_pedestrians(scenario: Scenario, state: State, key: Array) -> State:
 def move_pedestrians(scenario: Scenario, state: State) -> State:
     """How people get there: the pedestrian model.
 
-    Args:
-        scenario: what is simulated.
-        state: with desired velocities.
-
     Returns:
         The state with people one control step later.
-
     Source: section IV-D, low level.
     """
     people = calls.call("model", scenario.move, "scenario, state", scenario, state)
@@ -202,13 +175,10 @@ def move_robot(scenario: Scenario, state: State, action: Array) -> State:
     """The robot's dynamics, with people where they are after their step.
 
     Args:
-        scenario: what is simulated.
-        state: with people one control step later.
         action: (2,) m/s and rad/s, the command.
 
     Returns:
         The state with the robot one control step later.
-
     Source: Fig. 3.
     """
     return replace(state, robot=scenario.robot.drive(scenario, state, action))
@@ -218,13 +188,8 @@ def move_robot(scenario: Scenario, state: State, action: Array) -> State:
 def classify(scenario: Scenario, state: State) -> State:
     """The social situations that occur now.
 
-    Args:
-        scenario: what is simulated.
-        state: any.
-
     Returns:
         The state with its situations (S,).
-
     Source: section III-A.
     """
     now = moment(scenario, state)
@@ -235,14 +200,8 @@ def classify(scenario: Scenario, state: State) -> State:
 def measure(scenario: Scenario, before: State, after: State) -> State:
     """Metrics one step later; they stand still once the episode has ended.
 
-    Args:
-        scenario: what is simulated.
-        before: the state before the step.
-        after: the state after it.
-
     Returns:
         ``after`` with new metrics.
-
     Source: section IV-H.
     """
     then, now = moment(scenario, before), moment(scenario, after)
@@ -260,14 +219,8 @@ def measure(scenario: Scenario, before: State, after: State) -> State:
 def finish(scenario: Scenario, before: State, after: State) -> State:
     """Whether the task is completed, the goal having been held, or the time is over; both stay once they are.
 
-    Args:
-        scenario: what is simulated.
-        before: the state before the step.
-        after: the state after it.
-
     Returns:
         ``after`` with ``completed``, ``timed_out`` and ``ticks_at_goal``.
-
     Source: section IV-E.
     """
     gap = after.robot.position - after.task.goal
@@ -281,15 +234,7 @@ def finish(scenario: Scenario, before: State, after: State) -> State:
 
 
 def moment(scenario: Scenario, state: State) -> Moment:
-    """What situations and metrics read of a state.
-
-    Args:
-        scenario: what is simulated.
-        state: any.
-
-    Returns:
-        Arrays alone, as a recording has them as well.
-    """
+    """What situations and metrics read of a state."""
     robot, task = state.robot, state.task
     return Moment(
         people=state.pedestrians,
@@ -317,12 +262,10 @@ def results(scenario: Scenario, state: State) -> dict[str, Array]:
     """The metrics of the episode so far.
 
     Args:
-        scenario: what is simulated.
         state: at the end of an episode, or before.
 
     Returns:
         name -> () or (1 + S,), the overall figure before those by situation.
-
     Source: section IV-H.
     """
     return {
@@ -334,13 +277,6 @@ def observe(scenario: Scenario, state: State) -> Observation:
     """What the robot perceives and plans with, in its own frame.
 
     It is apart from the step, so that nobody pays for an observation that is not used.
-
-    Args:
-        scenario: what is simulated.
-        state: any.
-
-    Returns:
-        The observation.
     """
     robot, people = state.robot, state.pedestrians
     hx, hy = robot.heading[0], robot.heading[1]
@@ -366,12 +302,7 @@ def frame(before: State, after: State, action: Array) -> Trajectory:
     """What a rollout keeps of a step.
 
     Args:
-        before: the state before the step.
-        after: the state after it.
         action: (2,) m/s and rad/s, the command that led there.
-
-    Returns:
-        Enough to draw, and to compute any metric afterwards.
     """
     robot, people = after.robot, after.pedestrians
     return Trajectory(

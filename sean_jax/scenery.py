@@ -20,9 +20,6 @@ SQUARE = 1.0  # m
 def plain_scenery(obstacles: Obstacles) -> Scenery:
     """The scenery of obstacles of which nothing but the boxes is known.
 
-    Args:
-        obstacles: the boxes.
-
     Returns:
         Grey boxes on the default floor, under the default sky.
     """
@@ -41,9 +38,6 @@ def scenery_from_mjcf(model: Any, data: Any, obstacles: list[int]) -> Scenery:
         model: a ``mujoco.MjModel``.
         data: a ``mujoco.MjData`` with the positions of its geoms.
         obstacles: indices of the geoms that can be touched; they come first.
-
-    Returns:
-        Its solids, floor, sky and sun.
     """
     rest = [index for index in range(model.ngeom) if index not in set(obstacles)]
     shape = solids_from_mjcf(model, data, [*obstacles, *rest])
@@ -62,10 +56,6 @@ def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
     Args:
         model: a ``mujoco.MjModel``.
         data: a ``mujoco.MjData`` with the positions of its geoms.
-        geoms: indices of geoms.
-
-    Returns:
-        The bodies in the frame of the world.
     """
     kind = import_module("mujoco").mjtGeom
     boxes, cylinders, spheres = [], [], []

@@ -227,13 +227,7 @@ def trajectory_writer(
     Args:
         path: to be written, as of ``save_trajectory``.
         time_step: s, between two frames.
-        situations: their names.
         people: N, of each episode.
-        steps: most frames of an episode.
-        first: number of the first episode.
-
-    Yields:
-        What adds an episode.
 
     Raises:
         InputError: the path has another ending, or a package is missing.
@@ -253,7 +247,6 @@ def join_trajectories(parts: Sequence[Path], path: Path) -> None:
     """One file of several that ``trajectory_writer`` wrote, whose episodes follow one another.
 
     Args:
-        parts: of one format and of episodes alike.
         path: to be written, in the same format.
 
     Raises:

@@ -43,9 +43,6 @@ def version_mismatch(saved: Any) -> str | None:
 def fingerprint(*trees: Any) -> str:
     """A digest of all numbers in pytrees, such as scenarios and the parameters of policies.
 
-    Args:
-        *trees: of arrays.
-
     Returns:
         16 letters, equal for equal shapes, types and numbers.
     """

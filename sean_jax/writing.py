@@ -36,12 +36,6 @@ def atomic_file(file: Path) -> Iterator[BinaryIO]:
 
     If anything is raised or this is killed, the file is as it was.
 
-    Args:
-        file: to be written.
-
-    Yields:
-        A binary stream.
-
     Raises:
         WriteError: another process writes the file, or its temporary name is that of a link.
     """
@@ -82,7 +76,6 @@ def write(file: Path, content: str | bytes) -> None:
     """Write a file: it is as it was or new, whenever this is interrupted, and new for good when it returns.
 
     Args:
-        file: to be written.
         content: text, as UTF-8, or bytes.
 
     Raises:
@@ -147,9 +140,6 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
 
     Args:
         folder: to be written; of a symbolic link, the folder that it leads to.
-
-    Yields:
-        The new folder.
 
     Raises:
         WriteError: ``folder`` holds something already, or cannot be written.
@@ -237,9 +227,6 @@ def reason(error: Exception) -> str:
 def broken(error: OSError) -> str:
     """The cause of an error, with the name of its file.
 
-    Args:
-        error: of the system.
-
     Returns:
         The cause in a few words, and the file in brackets if there is one.
     """
@@ -312,10 +299,6 @@ def _remove_empty(folders: list[Path]) -> None:
 def check_new_folder(folder: Path, option: str = "--out") -> None:
     """Refuse a folder that cannot be made: one that holds something, or is no folder.
 
-    Args:
-        folder: to be written.
-        option: what asks for it, for messages.
-
     Raises:
         InputError: the sentence names the option, the folder and the cure.
     """
@@ -331,9 +314,7 @@ def check_file(path: Path, suffixes: Collection[str], option: str = "--out") -> 
     """Refuse a file that cannot be written, or whose name ends in no known way; one that is there is written anew.
 
     Args:
-        path: of the file.
         suffixes: that are known, such as .png.
-        option: what asks for it, for messages.
 
     Raises:
         InputError: the sentence names the option, the file and the cure.

@@ -156,7 +156,8 @@ def states(seed=0):
     velocity[: NUMBER // 32] = 0.0
     speed = np.where(near, np.resize([0.0, 1e-30, 1e-12, 0.5, -0.5, 0.05], NUMBER), random.uniform(-0.2, 0.5, NUMBER))
     turn = np.where(near, np.resize([0.0, 1e-12, 3.0, -3.0, 1e-3], NUMBER), random.uniform(-2, 2, NUMBER))
-    preferred = np.where(near[:, None], np.resize([1.0, 0.1, 1.3, 0.0, -0.1], (NUMBER, 1)), random.uniform(0.6, 1.4, (NUMBER, 1)))
+    paces = np.resize([1.0, 0.1, 1.3, 0.0, -0.1], (NUMBER, 1))
+    preferred = np.where(near[:, None], paces, random.uniform(0.6, 1.4, (NUMBER, 1)))
     parts = {"robot": robot, "ahead": ahead, "speed": speed, "turn": turn, "people": people, "velocity": velocity,
              "heading": heading, "desired": desired, "preferred": np.repeat(preferred, PEOPLE, 1)}  # fmt: skip
     return {name: jnp.asarray(part, jnp.float32) for name, part in parts.items()}

@@ -169,30 +169,6 @@ def test_an_environment_is_the_place(path):
     assert not vague
 
 
-def undocumented(path: Path) -> Iterator[str]:
-    """Public functions of a module, and public methods of its public classes, that do not tell arguments or result."""
-    body = ast.parse(path.read_text(encoding="utf-8")).body
-    functions = [(node.name, node) for node in body if isinstance(node, ast.FunctionDef)]
-    for owner in (node for node in body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")):
-        functions += [(f"{owner.name}.{node.name}", node) for node in owner.body if isinstance(node, ast.FunctionDef)]
-    for name, node in functions:
-        arguments = node.args
-        names = [argument.arg for argument in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs)]
-        names += [argument.arg for argument in (arguments.vararg, arguments.kwarg) if argument is not None]
-        if node.name.startswith("_") or not set(names) - {"self", "cls"}:
-            continue
-        text = ast.get_docstring(node) or ""
-        gives = node.returns is not None and ast.unparse(node.returns) != "None"
-        lacks = ["Args:"] * ("Args:" not in text)
-        lacks += ["Returns:"] * (gives and not re.search("Returns:|Yields:", text))
-        if lacks:
-            yield f"{path.relative_to(ROOT)}:{node.lineno}: {name} has no {' and no '.join(lacks)}"
-
-
-def test_public_functions_tell_their_arguments_and_results():
-    assert not (found := [line for path in MODULES for line in undocumented(path)]), "\n".join(found)
-
-
 def test_optional_packages_stay_in_their_rooms():
     """orbax belongs to learning, optax to whatever fits, Gymnasium and its like to adapters; mujoco has five rooms."""
     rooms = {

@@ -37,7 +37,6 @@ class SocialNavigation(base.Env):
         Args:
             env: of ``make_env``, or a name of ``registry.ALL_ENVS``.
             flat: give observations as one vector, without images.
-            config: of a name, fields of its description.
 
         Raises:
             InputError: one sentence that names the value and the cure.
@@ -50,9 +49,6 @@ class SocialNavigation(base.Env):
 
         Args:
             rng: () PRNG key, typed or not.
-
-        Returns:
-            The state.
         """
         key = rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
         observation, state = self.env.reset(key)
@@ -65,7 +61,6 @@ class SocialNavigation(base.Env):
         """One step of control.
 
         Args:
-            state: before the step.
             action: (2,) from -1 to 1.
 
         Returns:

@@ -156,7 +156,6 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
         Args:
             seed: begins a new row of episodes; None goes on with the next one.
-            options: none are known.
 
         Returns:
             The observation, and an empty dict.
@@ -225,7 +224,6 @@ class VectorSocialNavigation(VectorEnv):
 
         Args:
             env: as of ``SocialNavigation``.
-            num_envs: how many.
             autoreset_mode: SAME_STEP or NEXT_STEP, which Gymnasium's wrappers of observations need.
             config: as of ``SocialNavigation``.
 
@@ -254,7 +252,6 @@ class VectorSocialNavigation(VectorEnv):
 
         Args:
             seed: of the first row, and one more for each of the next; or a seed for each row.
-            options: none are known.
 
         Returns:
             The observations (B, ...), and an empty dict.
@@ -333,9 +330,6 @@ def make(name: str, render_mode: str | None = None, **config: Any) -> SocialNavi
         render_mode: None or rgb_array.
         config: fields of its description that differ, such as ``people=20``.
 
-    Returns:
-        The environment.
-
     Raises:
         InputError: one sentence that names the value and the cure.
     """
@@ -349,12 +343,7 @@ def make_vec(
 
     Args:
         name: of ``registry.ALL_ENVS``.
-        num_envs: how many.
         autoreset_mode: as of ``VectorSocialNavigation``.
-        config: fields of its description that differ.
-
-    Returns:
-        The environments.
 
     Raises:
         InputError: one sentence that names the value and the cure.

@@ -45,7 +45,6 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
         Args:
             env: of ``make_env``, or a name of ``registry.ALL_ENVS``.
             flat: give observations as one vector, without images.
-            config: of a name, fields of its description.
 
         Raises:
             InputError: one sentence that names the value and the cure.
@@ -80,10 +79,6 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
 
         Args:
             key: () PRNG key, typed or not.
-            params: the environment.
-
-        Returns:
-            The observation and the state.
         """
         observation, state = params.env.reset(_typed(key))
         return self._given(observation), state
@@ -96,9 +91,7 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
 
         Args:
             key: () PRNG key, typed or not.
-            state: before the step.
             action: (2,) from -1 to 1.
-            params: the environment.
 
         Returns:
             As ``Env.step``.
@@ -115,10 +108,7 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
         """One step of control without a reset.
 
         Args:
-            key: unused; all chance comes from the state.
-            state: before the step.
             action: (2,) from -1 to 1.
-            params: the environment.
 
         Returns:
             The observation, the state, the reward, whether the episode is terminated, and a dict.
@@ -129,10 +119,6 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
     def is_truncated(self, state: EnvState, params: EnvParams) -> Array:
         """Whether the time limit has passed.
 
-        Args:
-            state: any.
-            params: the environment.
-
         Returns:
             () bool.
         """
@@ -140,10 +126,6 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
 
     def is_terminated(self, state: EnvState, params: EnvParams) -> Array:
         """Whether the task is completed.
-
-        Args:
-            state: any.
-            params: the environment.
 
         Returns:
             () bool.
@@ -158,9 +140,6 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
     def action_space(self, params: EnvParams | None = None) -> spaces.Box:
         """The values that actions may have.
 
-        Args:
-            params: unused.
-
         Returns:
             A box of (2,) from -1 to 1.
         """
@@ -168,9 +147,6 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
 
     def observation_space(self, params: EnvParams | None = None) -> spaces.Dict | spaces.Box:
         """The values that observations may have.
-
-        Args:
-            params: unused.
 
         Returns:
             A box for each term, or, of a flat observation, one box.

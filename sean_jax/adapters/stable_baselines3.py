@@ -26,7 +26,6 @@ class VecSocialNavigation(VecEnv):
 
         Args:
             env: of ``make_env``, or a name of ``registry.ALL_ENVS``.
-            num_envs: how many.
             config: of a name, fields of its description, such as ``people=20``.
 
         Raises:
@@ -80,11 +79,7 @@ class VecSocialNavigation(VecEnv):
         """An attribute, which all rows share.
 
         Args:
-            attr_name: its name.
             indices: of rows; all if None.
-
-        Returns:
-            Its value, once for each row.
         """
         return [getattr(self.rows, attr_name)] * len(self._rows(indices))
 
@@ -105,9 +100,6 @@ class VecSocialNavigation(VecEnv):
         Args:
             method_name, arguments, indices, named: of a call.
 
-        Returns:
-            Never.
-
         Raises:
             NotImplementedError: always.
         """
@@ -117,7 +109,6 @@ class VecSocialNavigation(VecEnv):
         """Whether rows are wrapped.
 
         Args:
-            wrapper_class: by what.
             indices: of rows; all if None.
 
         Returns:

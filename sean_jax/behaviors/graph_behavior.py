@@ -141,10 +141,6 @@ def build(
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     """People at their starts: seats of groups first, then places of waypoint nodes drawn by their spawn chance.
 
-    Args:
-        scenario: of this behavior.
-        key: of the draws.
-
     Returns:
         N people, the G groups of the graph, and where each person is on it.
     """
@@ -231,11 +227,6 @@ def _send_at_start(scenario: Scenario, people: Pedestrians, memory: Memory) -> M
 def direct(scenario: Scenario, state: State, key: Array) -> State:
     """People keep a goal until they are there, along the cheapest path to it, as in the paper.
 
-    Args:
-        scenario: of this behavior.
-        state: before the step.
-        key: of the draws.
-
     Returns:
         The state with new desired velocities, group members and memory.
     """
@@ -244,11 +235,6 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
 
 def direct_edge_by_edge(scenario: Scenario, state: State, key: Array) -> State:
     """People choose anew at every node and walk one edge of the path, as in SEAN 2.0's code.
-
-    Args:
-        scenario: of this behavior.
-        state: before the step.
-        key: of the draws.
 
     Returns:
         The state with new desired velocities, group members and memory.

@@ -34,18 +34,12 @@ def whole(
     to a waypoint node.
 
     Args:
-        graph: of the scenario.
-        people: N of them.
-        memory: before the step.
-        seats: whose they are.
         arrival: (N, G) s, when each would be at each group.
-        free: (N,) who has no goal.
         chance: (2, N) uniform from 0 to 1.
         draws: with a temperature, see ``relaxation``.
 
     Returns:
         The memory with new goals, seats, hops and targets.
-
     Source: section IV-D.
     """
     onward = free | _passes(people, memory)
@@ -72,16 +66,11 @@ def edge(
     2.0, paths never lead through a group to somewhere else.
 
     Args:
-        graph: of the scenario.
-        people: N of them.
-        memory: before the step.
-        free: (N,) who has no goal.
         chance: (2, N) uniform from 0 to 1.
         draws: with a temperature, see ``relaxation``.
 
     Returns:
         The memory with new goals, seats, hops and targets.
-
     Source: NavManager of SEAN 2.0.
     """
     onward = free | _passes(people, memory)

@@ -37,12 +37,8 @@ def whose(memory: Memory, patience: Int[Array, "Q"], time_step: float) -> Seats:
     """Who stands at each seat, and who walks there.
 
     Args:
-        memory: of N people.
         patience: (Q,) ticks, for which the holder of each seat waits for a successor.
         time_step: s, of control.
-
-    Returns:
-        The seats.
     """
     seat, person = jnp.arange(patience.shape[0], dtype=jnp.int32), jnp.arange(memory.seat.shape[0], dtype=jnp.int32)
     own, stands = memory.seat[:, None] == seat[None, :], (memory.stay > 0)[:, None]

@@ -64,15 +64,7 @@ def build(place: Place, people: int | None = None, *, sets: str = ALL) -> Behavi
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
-    """People of a set drawn by its odds: on their loops, spread from a random place on or at waypoints; in formations.
-
-    Args:
-        scenario: of this behavior.
-        key: of the draws.
-
-    Returns:
-        N people, G groups, and which set it is.
-    """
+    """People of a set drawn by its odds, on their loops or at waypoints, and in formations."""
     tables: Sets = scenario.behavior.data
     set_key, form_key, phase_key, trait_key = jax.random.split(key, 4)
     number = jax.random.categorical(set_key, jnp.log(tables.odds.sum((1, 2)))).astype(jnp.int32)
@@ -119,12 +111,7 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     The way to a waypoint is straight, or the shortest one around obstacles in sets where people start at waypoints.
 
     Args:
-        scenario: of this behavior.
-        state: before the step.
         key: not used.
-
-    Returns:
-        The state with new desired velocities and waypoints.
     """
     tables: Sets = scenario.behavior.data
     people, memory = state.pedestrians, state.memory

@@ -50,7 +50,6 @@ def build(
     """Recorded people walk as they did.
 
     Args:
-        place: where they walk.
         people: None, or as many as are recorded at once.
         recording: a CSV file with the columns frame, id, x and y in metres.
         recording_format: a key of ``recordings.READERS``; recognised if None.
@@ -76,15 +75,7 @@ def build(
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
-    """Who is there at a random moment, after which the recording lasts for an episode; if it is shorter, at its start.
-
-    Args:
-        scenario: of this behavior.
-        key: of the draws.
-
-    Returns:
-        N people, no groups, and the moment.
-    """
+    """Who is there at a random moment; the recording then lasts for an episode. A shorter one is taken from its start."""
     motion: RecordedMotion = scenario.behavior.data
     begin_key, trait_key = jax.random.split(key)
     steps = clock.ceil_ticks(scenario.time_limit, scenario.time_step)
@@ -110,27 +101,14 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     """Desired velocities are the recorded ones.
 
     Args:
-        scenario: of this behavior.
-        state: before the step.
         key: not used.
-
-    Returns:
-        The state with new desired velocities.
     """
     velocity = _at(scenario.behavior.data, state.memory.first + state.tick + 1)[1]
     return replace(state, pedestrians=replace(state.pedestrians, desired_velocity=velocity))
 
 
 def follow(scenario: Scenario, state: State) -> Pedestrians:
-    """The pedestrian model of playback: everybody is where they were recorded, or absent; the robot moves nobody.
-
-    Args:
-        scenario: of this behavior.
-        state: before the step.
-
-    Returns:
-        N people one control step later.
-    """
+    """The pedestrian model of playback: everybody is where they were recorded, or absent; the robot moves nobody."""
     position, velocity, heading, present = _at(scenario.behavior.data, state.memory.first + state.tick + 1)
     return replace(state.pedestrians, position=position, velocity=velocity, heading=heading, present=present)
 

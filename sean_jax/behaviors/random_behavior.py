@@ -58,12 +58,8 @@ def build(place: Place, people: int | None = None, *, walking_groups: tuple[floa
     """People walk from anywhere to anywhere, alone, in pairs or in triples.
 
     Args:
-        place: where they walk.
         people: how many; as many as the environment says if None.
         walking_groups: shares of the people who walk in pairs and in triples.
-
-    Returns:
-        The behavior.
 
     Raises:
         InputError: so many people or walking groups do not fit.
@@ -95,15 +91,7 @@ def _paths_to_places(navigation: paths.Navigation) -> dict[str, np.ndarray]:
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
-    """People at uniformly drawn starts, each with a uniformly drawn goal.
-
-    Args:
-        scenario: of this behavior.
-        key: of the draws.
-
-    Returns:
-        N people, no groups, and where each person goes.
-    """
+    """People at uniformly drawn starts, each with a uniformly drawn goal."""
     tables: Tables = scenario.behavior.data
     people = scenario.people
     place_key, goal_key, trait_key, turn_key = jax.random.split(key, 4)
@@ -128,16 +116,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
-    """A new goal for who has arrived; desired velocities along the shortest paths.
-
-    Args:
-        scenario: of this behavior.
-        state: before the step.
-        key: of the draws.
-
-    Returns:
-        The state with new desired velocities and goals.
-    """
+    """A new goal for who has arrived; desired velocities along the shortest paths."""
     tables: Tables = scenario.behavior.data
     people, places = state.pedestrians, tables.navigation.places
     gap = places[state.memory.goal] - people.position

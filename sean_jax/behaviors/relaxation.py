@@ -42,13 +42,7 @@ def draw(key: Array, temperature: Float[Array, ""], people: int, seats: int) -> 
     """The draws of a step.
 
     Args:
-        key: of the step.
         temperature: m.
-        people: their number N.
-        seats: their number Q.
-
-    Returns:
-        The draws.
     """
     person_key, seat_key = jax.random.split(key)
     hop, stay, seat = jax.random.uniform(person_key, (3, people), float)
@@ -59,11 +53,7 @@ def added(memory: Memory, log_chance: Float[Array, ""]) -> Memory:
     """The memory after further choices.
 
     Args:
-        memory: of people who choose with a temperature.
         log_chance: () sum of the logarithms of the chances of what was drawn.
-
-    Returns:
-        The memory with the new sum.
     """
     assert memory.log_chance is not None  # reset has made it
     return memory._replace(log_chance=memory.log_chance + log_chance)

@@ -19,9 +19,6 @@ MAX_TRIES = 500_000  # candidates in all
 def who_is_there(scenario: Scenario) -> Bool[Array, "N"]:
     """Who of the people is present: the first ``people_present``, as if the scenario was made with so many.
 
-    Args:
-        scenario: of N people.
-
     Returns:
         (N,) true for everybody if the scenario does not say how many.
     """
@@ -45,13 +42,10 @@ def in_discs(
     avoid and not too near to another place.
 
     Args:
-        environment: with its obstacles.
-        navigation: for people.
         center: (M, 2) m, of the discs.
         radius: (M,) m, of the discs.
         chance: (M,) of each disc; those with 0 get no places.
         avoid: centre (2,) m and radius m of discs without places.
-        seed: of the draw.
 
     Returns:
         Places (P, 2) m, and the disc (P,) of each.
@@ -81,11 +75,7 @@ def anywhere(
     The navigation's own free places are enough for most numbers of people. For more, the whole floor is filled.
 
     Args:
-        environment: with its floor and obstacles.
-        navigation: for people.
         people: how many places there shall be at least, if they fit.
-        seed: of the draw.
-        dense: whether to fill the whole floor in any case.
 
     Returns:
         (P, 2) m, float32.
@@ -119,10 +109,6 @@ def apart(spots: np.ndarray, generator: np.random.Generator) -> list[int]:
 
     Args:
         spots: (P, 2) m.
-        generator: of the draw.
-
-    Returns:
-        Indices of the chosen spots.
     """
     chosen: list[int] = []
     by_cell: dict[tuple[int, int], list[int]] = {}  # by cell of that size, so that only neighbours are compared

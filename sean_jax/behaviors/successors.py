@@ -35,10 +35,6 @@ MIN_PACE = 0.6  # of the preferred speed, for a successor who is early
 def walking_lengths(graph: BehaviorGraph, navigation: paths.Navigation) -> np.ndarray:
     """Lengths of the ways over waypoints that cost least, which are not their costs. Runs on the host.
 
-    Args:
-        graph: M nodes.
-        navigation: for people.
-
     Returns:
         (M, G) m from each node to the centre of each group, by shortest paths around obstacles from node to node.
     """
@@ -78,13 +74,7 @@ def arrival_times(
     """When people would be at the groups, if they went there from the next node on their way.
 
     Args:
-        graph: with G groups.
         walk: (M, G) m, of ``walking_lengths``.
-        people: N of them.
-        memory: their next nodes and targets.
-
-    Returns:
-        (N, G) s from now.
     """
     gap = memory.target - people.position
     first = length(gap[:, 0], gap[:, 1])
@@ -113,10 +103,7 @@ def send(
     is best in time, if that seeker asks for it. So nobody gets two seats, and no seat gets two successors.
 
     Args:
-        graph: of the scenario.
         arrival: (N, G) s, when each would be at each group.
-        memory: before the step.
-        seats: whose they are.
         seekers: (N,) who is at a node, goes on, and has no seat.
         draws: with a temperature, people ask and seats take by a chance that falls with the score.
 
@@ -158,10 +145,6 @@ def send(
 def misfit(arrival: Float[Array, "..."], due: Float[Array, "..."]) -> Float[Array, "..."]:
     """How badly an arrival suits the end of a stay.
 
-    Args:
-        arrival: (...) s from now.
-        due: (...) s from now.
-
     Returns:
         (...) s too late, or so many times ``EARLY`` too early.
     """
@@ -170,12 +153,6 @@ def misfit(arrival: Float[Array, "..."], due: Float[Array, "..."]) -> Float[Arra
 
 def pace(graph: BehaviorGraph, arrival: Float[Array, "N G"], memory: Memory, seats: Seats) -> Float[Array, "N"]:
     """Share of the preferred speed at which people walk: successors who would be early go slower.
-
-    Args:
-        graph: of the scenario.
-        arrival: (N, G) s from now, at the preferred speed.
-        memory: with their seats.
-        seats: whose they are.
 
     Returns:
         (N,) from ``MIN_PACE`` to 1.

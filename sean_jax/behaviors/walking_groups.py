@@ -68,13 +68,6 @@ class WalkingGroups(NamedTuple):
 def count_walking_groups(people: int, shares: tuple[float, float]) -> WalkingGroups:
     """How many pairs and triples there are among so many people, rounded down to whole groups.
 
-    Args:
-        people: how many there are.
-        shares: of them, who walk in pairs and in triples.
-
-    Returns:
-        Numbers of pairs and of triples.
-
     Raises:
         InputError: a share is negative, or they add up to more than 1.
     """
@@ -90,7 +83,6 @@ def find_spawn_clusters(navigation: Navigation, start: np.ndarray, groups: Walki
     """Triples of starts that lie beside one another, for groups to start at. Runs on the host.
 
     Args:
-        navigation: for people.
         start: (P, 2) m.
         groups: for which there must be clusters; none are searched for if there are no groups.
 
@@ -129,13 +121,7 @@ def choose_starts(
     """The starts with the highest scores, for walking groups among the spawn clusters.
 
     Args:
-        score: (P,) of each start, random.
-        spawn_clusters: (C, 3) indices of starts.
         walkers: N, how many people start.
-        groups: in which the last of them walk.
-
-    Returns:
-        (N,) indices of starts.
     """
     alone = walkers - groups.members
     if not groups.number:
@@ -181,13 +167,11 @@ def group_speeds(scenario: Scenario, walking_group: Int[Array, "N"], preferred: 
     """Preferred speeds: members of a walking group have their leader's, less a constant for each companion.
 
     Args:
-        scenario: with the companions of its behavior.
         walking_group: (N,) index of each person's leader, -1 none.
         preferred: (N,) m/s, of each person alone.
 
     Returns:
         (N,) m/s.
-
     Source: Moussaid et al., PLoS ONE 5(4), e10047 (2010).
     """
     companions = scenario.behavior.companions
@@ -204,7 +188,6 @@ def walk_abreast(people: Pedestrians, velocity: Float[Array, "N 2"]) -> Float[Ar
     If all members headed for one and the same point, they would arrive there in single file.
 
     Args:
-        people: N of them.
         velocity: (N, 2) m/s, desired by each person alone.
 
     Returns:

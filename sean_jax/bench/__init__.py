@@ -30,13 +30,6 @@ def run(options: BenchConfig, console: Console) -> Path:
 
     The table is written after each row, so Ctrl-C or a kill loses at most the row under way.
 
-    Args:
-        options: parts, sizes and folder.
-        console: shows the table as it grows.
-
-    Returns:
-        The folder.
-
     Raises:
         InputError: the options name a scenario that does not exist or a folder that is not empty.
         WriteError: the folder cannot be written.

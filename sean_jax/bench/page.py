@@ -18,14 +18,7 @@ HEAD = f"{'part':<9}{'B':>7}{'people':>8}{'pixels':>9}{'devices':>8}{'per second
 
 
 def title(setup: Setup) -> str:
-    """Name the machine and the scenario.
-
-    Args:
-        setup: of the measurement.
-
-    Returns:
-        One line.
-    """
+    """Name the machine and the scenario."""
     return (
         f"{setup['device']} ({setup['devices']}), jax {setup['versions']['jax']}; {setup['environment']}, "
         f"{setup['people']} people, {setup['robot']} ({setup['dynamics']})"
@@ -34,9 +27,6 @@ def title(setup: Setup) -> str:
 
 def line(row: Row) -> str:
     """Format a row to stand under ``HEAD``.
-
-    Args:
-        row: of the table.
 
     Returns:
         One line, as long as ``HEAD``.
@@ -50,15 +40,7 @@ def line(row: Row) -> str:
 
 
 def notes(rows: list[Row], setup: Setup) -> list[str]:
-    """Estimate the largest batch that fits into memory, and compare several devices with one.
-
-    Args:
-        rows: of the table so far.
-        setup: of the measurement.
-
-    Returns:
-        One line for each note.
-    """
+    """Estimate the largest batch that fits into memory, and compare several devices with one."""
     lines = []
     for part, name in (("step", "without images"), ("depth", "with a depth image each")):
         largest = max((row for row in rows if row.part == part), key=lambda row: row.batch, default=None)
@@ -93,10 +75,6 @@ def picture(rows: list[Row], setup: Setup) -> Figure:
 
     Args:
         rows: of the table; a panel without rows says so.
-        setup: of the measurement, for the title.
-
-    Returns:
-        The figure.
     """
     with matplotlib.rc_context({"font.size": 9, "axes.edgecolor": colors.MUTED, "svg.fonttype": "none"}):
         figure = Figure(figsize=(12.5, 4.2), layout="constrained", facecolor="white")

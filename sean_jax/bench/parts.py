@@ -27,18 +27,12 @@ def batches(options: BenchConfig) -> tuple[int, ...]:
 
     Args:
         options: may name the sizes.
-
-    Returns:
-        Scenarios at once, in the order of measuring.
     """
     return options.batches or ((1, 16, 64, 256) if on_cpu() else (1, 64, 1024, 8192, 32768, 65536))
 
 
 def turns(batch: int) -> int:
     """Control steps in one call: enough to hide the cost of the call, few enough to take seconds.
-
-    Args:
-        batch: scenarios at once.
 
     Returns:
         2 to 200 steps.
@@ -51,10 +45,6 @@ def steps(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
 
     Args:
         options: sizes of the batches, repeats and seconds of each timing.
-        scenario: to be stepped.
-
-    Yields:
-        One row for each batch.
     """
     for batch in batches(options):
         yield _row(options, "step", "scenario-steps", scenario, batch, programs.stepping(scenario, batch, turns(batch)))
@@ -65,10 +55,6 @@ def depth(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
 
     Args:
         options: sizes of the batches, repeats and seconds of each timing.
-        scenario: to be stepped.
-
-    Yields:
-        One row for each batch.
     """
     for batch in batches(options):
         program = programs.stepping(scenario, batch, turns(batch), IMAGE)
@@ -80,10 +66,6 @@ def images(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
 
     Args:
         options: sizes of the batches, repeats and seconds of each timing.
-        scenario: whose robots hold the camera.
-
-    Yields:
-        One row for each batch and size.
     """
     yield from _images(options, scenario, "images", "depth", "depth images")
 
@@ -93,10 +75,6 @@ def pictures(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
 
     Args:
         options: sizes of the batches, repeats and seconds of each timing.
-        scenario: whose robots hold the camera.
-
-    Yields:
-        One row for each size.
     """
     yield from _images(options, scenario, "pictures", "first_person", "color images")
 
@@ -125,7 +103,6 @@ def compiling(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
 
     Args:
         options: not used, for there is one size.
-        scenario: to be stepped.
 
     Yields:
         One row without a compilation cache, and one with the cache on the disk.
@@ -156,10 +133,6 @@ def scaling(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
 
     Args:
         options: sizes of the batches, repeats and seconds of each timing.
-        scenario: to be stepped.
-
-    Yields:
-        One row for each number of devices.
     """
     number, each = 1, batches(options)[-1] if on_cpu() else 32768
     while number <= jax.device_count():

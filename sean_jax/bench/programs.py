@@ -42,11 +42,7 @@ def stepping(
     """Control steps with restarts.
 
     Args:
-        scenario: to be stepped.
-        batch: scenarios at once on each device.
-        turns: control steps in one call.
         image: width and height [px] of a depth image of each scenario after each step; None for no images.
-        number: of devices.
 
     Returns:
         The program, whose unit is one step of one scenario.
@@ -77,12 +73,9 @@ def images(scenario: Scenario, name: str, batch: int, width: int, height: int, t
     """Images alone; the robots turn between two images.
 
     Args:
-        scenario: whose robots hold the camera.
         name: of the camera; "depth" gives depth images, any other color images.
-        batch: scenarios at once.
         width: of an image [px].
         height: of an image [px].
-        turns: images of each scenario in one call.
 
     Returns:
         The program, whose unit is one image.
@@ -117,11 +110,7 @@ def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = DE
     depend on the length of the measurement. Large crowds look for neighbors every second step, as in a control step.
 
     Args:
-        people: in one crowd.
-        batch: crowds at once.
-        turns: steps in one call, an even number.
         walls: obstacles in the hall, 0 or at least 4.
-        preset: of the social forces.
 
     Returns:
         The program, whose unit is one step of one person.

@@ -55,11 +55,6 @@ class Program:
 def measure(program: Program, repeats: int, seconds: float) -> dict[str, float]:
     """Compile a program and time it, after a warm-up.
 
-    Args:
-        program: to be timed.
-        repeats: timings, of which the median counts.
-        seconds: of each timing, about.
-
     Returns:
         ``per_second``, ``microseconds`` and ``compile_seconds`` as in ``Row``, and ``bytes``, the state and the
         temporary memory of the whole batch (NaN if the compiler does not report it).

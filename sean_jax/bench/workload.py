@@ -29,7 +29,6 @@ def boxes(people: int, walls: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Obstacles of the hall: four thin outer walls, and shelves on a lattice.
 
     Args:
-        people: in the hall.
         walls: obstacles W, outer walls and shelves together; 0 or at least 4.
 
     Returns:
@@ -55,7 +54,6 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Obstacle
     Args:
         people: N.
         walls: obstacles W, 0 or at least 4.
-        seed: of positions and speeds.
 
     Returns:
         The people (N), the obstacle grid (None without walls), and the same numbers in float64 by name.
@@ -108,7 +106,6 @@ def repeat(people: Pedestrians, size: int) -> Pedestrians:
 
     Args:
         people: one crowd (N).
-        size: B copies.
 
     Returns:
         The crowds (B, N).

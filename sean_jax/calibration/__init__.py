@@ -40,10 +40,6 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
 
     Args:
         options: what is fitted to what, and where the results go.
-        console: shows how far it is.
-
-    Returns:
-        The folder.
 
     Raises:
         InputError: there are no recordings, a name does not exist, or the folder holds something else.

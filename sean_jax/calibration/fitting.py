@@ -65,14 +65,7 @@ def losses(forces: Forces, scenes: Scenes, rows: Int[Array, "W"], grid: Obstacle
     """How far predictions are from what was recorded.
 
     Args:
-        forces: the model.
-        scenes: that the windows are taken from.
         rows: (W,) which windows, ``EMPTY`` for none.
-        grid: of the walls of the scenes.
-        habits: what people desire.
-
-    Returns:
-        By scene.
     """
     there = rows != EMPTY
     pick = lambda leaf: jnp.asarray(leaf)[jnp.maximum(rows, 0)]  # noqa: E731
@@ -115,8 +108,6 @@ def objective(
         free: (P,) the parameters, as ``to_free`` has them, and at the end the habits.
         weights: (E,) of all scenes, zero for those left out.
         parts: what gives the losses of the scenes of each kind.
-        forces: all other constants.
-        names: of the parameters.
 
     Returns:
         The loss, and the error of each scene (E,) in shares of that of constant velocity.
@@ -135,7 +126,6 @@ def parts_of(forces: Forces, names: Sequence[str], free: Float[Array, "*batch P"
 
     Args:
         forces: all constants that are not fitted.
-        names: of the others.
         free: (..., P) as ``to_free`` has them, the habits at the end.
 
     Returns:
@@ -163,12 +153,7 @@ class Fit:
         """Where the descent begins.
 
         Args:
-            fits: F.
             starts: K; the first of each fit has the constants of the forces.
-            seed: of the others.
-
-        Returns:
-            The beginning.
         """
         random = prng.generator("calibrate", seed)
         given = np.append(np.asarray(to_free(self.names, values_of(self.forces, self.names))), np.zeros(len(HABITS)))
@@ -181,15 +166,7 @@ class Fit:
         return Descent(free=free, mean=free, optimizer=state, step=jnp.zeros((), jnp.int32))
 
     def rows(self, seed: int, step: int) -> list[np.ndarray]:
-        """The windows of a step: as many of each scene, drawn anew.
-
-        Args:
-            seed: of the draw.
-            step: its number.
-
-        Returns:
-            For each kind of scenes the indices of windows.
-        """
+        """The windows of a step: as many of each scene, drawn anew."""
         random = prng.generator("calibrate windows", seed, step)
         found = []
         for kind in self.kinds:
@@ -202,9 +179,7 @@ class Fit:
         """One step of all fits.
 
         Args:
-            descent: so far.
             weights: (F, E) of the scenes in each fit.
-            rows: windows of the step.
 
         Returns:
             The descent after it, and the losses (F, K) before it.
@@ -216,9 +191,7 @@ class Fit:
         """The errors of all scenes, over many of their windows.
 
         Args:
-            free: (..., P).
             most: windows of a scene, evenly spaced in time; a quarter of that in corridors.
-            chunk: windows at once; an eighth of that in corridors.
 
         Returns:
             (..., E) errors in shares of those of constant velocity, and (...) cost of near pairs.

@@ -26,15 +26,7 @@ CLOCKS = {
 
 
 def html(options: CalibrateConfig, results: dict[str, Any]) -> str:
-    """The page.
-
-    Args:
-        options: of the calibration.
-        results: as results.json has them.
-
-    Returns:
-        HTML that refers to nothing outside itself.
-    """
+    """The page."""
     facts = "".join(f"<dt>{name}</dt><dd>{version}</dd>" for name, version in versions().items())
     sections = [
         _section("Prediction, each scene left out once", _scores(results)),

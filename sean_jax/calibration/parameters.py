@@ -46,11 +46,7 @@ def names_of(forces: Forces, chosen: Sequence[str] = ()) -> list[str]:
     """The parameters to be fitted.
 
     Args:
-        forces: that are fitted.
         chosen: names of ``BOUNDS``; all that the forces have and read if empty.
-
-    Returns:
-        Names, in the order of the table.
 
     Raises:
         InputError: a name is not in the table, or the forces have no such term.
@@ -69,10 +65,6 @@ def names_of(forces: Forces, chosen: Sequence[str] = ()) -> list[str]:
 def values_of(forces: Forces, names: Sequence[str]) -> Float[Array, "P"]:
     """The parameters of forces.
 
-    Args:
-        forces: that have all of them.
-        names: P names.
-
     Returns:
         (P,) each in its unit.
     """
@@ -83,12 +75,7 @@ def with_values(forces: Forces, names: Sequence[str], values: Float[Array, "P"])
     """Forces with other parameters, which may be traced.
 
     Args:
-        forces: any.
-        names: P names.
         values: (P,) each in its unit.
-
-    Returns:
-        New forces.
     """
     return forces.tree_replace({name: values[index] for index, name in enumerate(names)})
 
@@ -97,11 +84,7 @@ def to_free(names: Sequence[str], values: Float[Array, "*batch P"]) -> Float[Arr
     """Parameters as numbers that may be anything; those outside of their bounds are moved to them first.
 
     Args:
-        names: P names.
         values: (..., P) each in its unit.
-
-    Returns:
-        (..., P).
     """
     low, high, logarithmic = _scales(names, values.ndim)
     safe = jnp.where(logarithmic, low, 1.0)
@@ -113,10 +96,6 @@ def to_free(names: Sequence[str], values: Float[Array, "*batch P"]) -> Float[Arr
 
 def from_free(names: Sequence[str], free: Float[Array, "*batch P"]) -> Float[Array, "*batch P"]:
     """The inverse of ``to_free``.
-
-    Args:
-        names: P names.
-        free: (..., P) any numbers.
 
     Returns:
         (..., P) each in its unit, within its bounds.

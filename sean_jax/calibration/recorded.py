@@ -51,12 +51,6 @@ class Scenes:
 def find(folder: str | Path) -> tuple[dict[str, Path], dict[str, Path]]:
     """The recordings in a folder that forces can be fitted to.
 
-    Args:
-        folder: searched with all folders in it.
-
-    Returns:
-        Scene -> file, of prediction and of corridors.
-
     Raises:
         InputError: there is no such folder, or not one recording in it.
     """
@@ -78,9 +72,6 @@ def find(folder: str | Path) -> tuple[dict[str, Path], dict[str, Path]]:
 def prediction_scenes(files: dict[str, Path]) -> Scenes:
     """The windows of ETH and UCY, 0.4 s apart in real time.
 
-    Args:
-        files: scene -> file.
-
     Returns:
         Windows of 8 moments given and 12 compared.
     """
@@ -99,9 +90,6 @@ def prediction_scenes(files: dict[str, Path]) -> Scenes:
 
 def corridor_scenes(files: dict[str, Path]) -> Scenes:
     """Windows of Juelich's runs; each run lies at a place of its own on one floor, between its own walls.
-
-    Args:
-        files: run -> file.
 
     Returns:
         Windows of 3 s.

@@ -31,7 +31,6 @@ def o_space_votes(
 
     Returns:
         (..., 2) m.
-
     Source: Cristani et al. (BMVC 2011).
     """
     return position + stride * heading
@@ -44,13 +43,11 @@ def o_space_groups(
 
     Args:
         votes: (N, 2) m, from ``o_space_votes``; mean votes over some frames are steadier where facing is noisy.
-        present: (N,) bool.
         price: () m2, how much description a group costs: two people merge where their votes are nearer than
             sqrt(2 price) to each other.
 
     Returns:
         (N,) int32; members of a group have the index of the first of them.
-
     Source: Setti et al. (PLoS ONE 2015), with Ward's linkage as the search.
     """
     number = votes.shape[0]
@@ -90,12 +87,10 @@ def match_groups(
     Args:
         estimated: (N,) int32 group of each person, -1 none; indices below N.
         annotated: (N,) int32 likewise.
-        present: (N,) bool.
         tolerance: T; 2/3 is the usual one and 1 asks for the very group.
 
     Returns:
         (3,) int32: numbers of groups found, estimated and annotated; groups of one do not count.
-
     Source: Cristani et al. (BMVC 2011).
     """
     number = estimated.shape[0]

@@ -23,13 +23,8 @@ def overtaking(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     Headings parallel within A, both moving, speeds at least ``gaining`` apart, |aside| < ``personal``, and the faster
     one behind or beside (not ahead by the sum of the radii or more), within ``reach``.
 
-    Args:
-        moment: the robot among people.
-        thresholds: of the predicates.
-
     Returns:
         () bool, whether it occurs.
-
     Source: Francis et al. (2023), Fig. 7 c and d.
     """
     touch = moment.robot_radius + moment.person_radius
@@ -56,13 +51,8 @@ def following(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     Headings parallel within A, both moving, speeds less than ``gaining`` apart, |aside| < ``personal``, and the person
     ahead by more than the sum of the radii and less than ``reach``. Never of the same person as overtaking.
 
-    Args:
-        moment: the robot among people.
-        thresholds: of the predicates.
-
     Returns:
         () bool, whether it occurs.
-
     Source: Francis et al. (2023), Fig. 7 r.
     """
     touch = moment.robot_radius + moment.person_radius
@@ -86,13 +76,8 @@ def frontal_approach(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
     Headings opposite within A, both moving, the person ahead, within ``reach``, and |aside| < ``personal``.
 
-    Args:
-        moment: the robot among people.
-        thresholds: of the predicates.
-
     Returns:
         () bool, whether it occurs.
-
     Source: Francis et al. (2023), Fig. 7 a.
     """
 
@@ -117,13 +102,8 @@ def crowded(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     Density of people on the disc of radius D about the robot of ``crowd`` or more: six people within 2.4 m. The disc
     is taken as all free floor, so that walls make the robot no less crowded than it is.
 
-    Args:
-        moment: the robot among people.
-        thresholds: of the predicates.
-
     Returns:
         () bool, whether it occurs.
-
     Source: Francis et al. (2023), Fig. 7 u and y.
     """
     people = moment.people

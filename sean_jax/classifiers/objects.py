@@ -24,13 +24,8 @@ def blind_corner(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     ways, followed straight on, cross at more than the angle A, within ``reach`` of each, and no obstacle of any
     height stands on either way before that place.
 
-    Args:
-        moment: the robot among people and obstacles.
-        thresholds: of the predicates.
-
     Returns:
         () bool, whether it occurs; never where obstacles are not known (None).
-
     Source: Francis et al. (2023), Fig. 7 i.
     """
     obstacles = moment.obstacles
@@ -65,13 +60,8 @@ def narrow_passage(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     keeping to its wall, the centres would still come within ``personal``. It is measured at right angles to the
     heading, at the robot and at four places up to ``personal`` ahead, as far as the way is free.
 
-    Args:
-        moment: the robot among people and obstacles.
-        thresholds: of the predicates.
-
     Returns:
         () bool, whether it occurs; never where obstacles are not known (None).
-
     Source: Francis et al. (2023), Fig. 7 j and k.
     """
     obstacles = moment.obstacles
@@ -97,13 +87,8 @@ def occlusion(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
     Near(x_r, x_p) as in the paper, and an obstacle at least ``hides`` high on the line between them.
 
-    Args:
-        moment: the robot among people and obstacles.
-        thresholds: of the predicates.
-
     Returns:
         () bool, whether it occurs; never where obstacles are not known (None).
-
     Source: section VI, "the configuration of objects in the environment"; the inequalities are ours.
     """
     obstacles = moment.obstacles
@@ -126,13 +111,8 @@ def activity_space(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     inside it; or the robot moves, and its way, straight on and as far as it is free, crosses the line of sight within
     ``personal``. Edges of the floor, of no height, are no objects.
 
-    Args:
-        moment: the robot among people and obstacles.
-        thresholds: of the predicates.
-
     Returns:
         () bool, whether it occurs; never where obstacles are not known (None).
-
     Source: F. Lindner & C. Eschenbach, "Towards a Formalization of Social Spaces for Socially Aware Robots", COSIT
     2011; J. Rios-Martinez et al., "From Proxemics Theory to Socially-Aware Navigation: A Survey", 2015.
     """

@@ -60,8 +60,6 @@ def perpendicular_trajectory(d1: Float[Array, "2"], d2: Float[Array, "2"], angle
     """PerpTraj(d1, d2): cos(pi/2 + A) <= d1 . d2 / (|d1| |d2|) <= cos(pi/2 - A).
 
     Args:
-        d1: (2,) orientation.
-        d2: (2,) orientation.
         angle: () rad, A.
 
     Returns:
@@ -75,8 +73,6 @@ def parallel_trajectory(d1: Float[Array, "2"], d2: Float[Array, "2"], angle: Sca
     """ParTraj(d1, d2): cos(A) <= d1 . d2 / (|d1| |d2|).
 
     Args:
-        d1: (2,) orientation.
-        d2: (2,) orientation.
         angle: () rad, A.
 
     Returns:
@@ -87,10 +83,6 @@ def parallel_trajectory(d1: Float[Array, "2"], d2: Float[Array, "2"], angle: Sca
 
 def cosine(d1: Float[Array, "2"], d2: Float[Array, "2"]) -> Float[Array, ""]:
     """Cosine of the angle between two vectors.
-
-    Args:
-        d1: (2,) of any length.
-        d2: (2,) of any length.
 
     Returns:
         () from -1 to 1; -2, so that no predicate holds, if one of them is zero (to 1e-12).
@@ -118,7 +110,6 @@ def any_person(moment: Moment, holds: Callable[[Pedestrians], Array]) -> Bool[Ar
     """Whether a predicate holds for at least one person who is present.
 
     Args:
-        moment: the robot among people.
         holds: ``person -> () bool``, where the person is a ``Pedestrians`` whose fields lack the axis N.
 
     Returns:

@@ -29,10 +29,6 @@ def sean2_thresholds() -> Thresholds:
 def cross_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (1) on directions of motion instead of orientations; the limits of the angle are not included.
 
-    Args:
-        moment: the robot among people.
-        thresholds: D, V and A of the predicates.
-
     Returns:
         () bool, whether it occurs.
     """
@@ -47,10 +43,6 @@ def cross_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
 def down_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (2), but the agent must walk, and coming the other way (anti-parallel) counts as well.
-
-    Args:
-        moment: the robot among people.
-        thresholds: D, V and A of the predicates.
 
     Returns:
         () bool, whether it occurs.
@@ -69,10 +61,6 @@ def down_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 def join_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (3), but anybody near serves, member or not, and the robot must be within D of its goal; also at it.
 
-    Args:
-        moment: the robot among people.
-        thresholds: D, V and A of the predicates.
-
     Returns:
         () bool, whether it occurs.
     """
@@ -82,10 +70,6 @@ def join_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 def leave_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (4), but anybody near serves, member or not, and the robot must still be within D of its start.
 
-    Args:
-        moment: the robot among people.
-        thresholds: D, V and A of the predicates.
-
     Returns:
         () bool, whether it occurs.
     """
@@ -94,9 +78,6 @@ def leave_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
 def robot_direction(moment: Moment) -> Float[Array, "2"]:
     """The robot's direction of motion, or its orientation where it stands.
-
-    Args:
-        moment: the robot.
 
     Returns:
         (2,), its velocity [m/s] or its unit heading.

@@ -74,7 +74,6 @@ def thresholds(
 
     Returns:
         The thresholds as arrays, which can be swept.
-
     Source: section V-B.
     """
     values = (near, walking, angle, arrival, reach, personal, moving, gaining, crowd, hides, engaged, imminent, hurry)
@@ -83,10 +82,6 @@ def thresholds(
 
 def cross_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (1): near an agent who walks with an orientation perpendicular to the robot's.
-
-    Args:
-        moment: the robot among people.
-        thresholds: D, V and A of the predicates.
 
     Returns:
         () bool, whether it occurs.
@@ -105,10 +100,6 @@ def cross_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 def down_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (2): near an agent with an orientation parallel to the robot's. As printed: it need not walk.
 
-    Args:
-        moment: the robot among people.
-        thresholds: D, V and A of the predicates.
-
     Returns:
         () bool, whether it occurs.
     """
@@ -124,10 +115,6 @@ def down_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 def join_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (3): near a member of the group that the goal belongs to, and not yet at the goal.
 
-    Args:
-        moment: the robot among people.
-        thresholds: D, V and A of the predicates.
-
     Returns:
         () bool, whether it occurs.
     """
@@ -141,10 +128,6 @@ def join_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 def leave_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (4): near a member of the group that the start belongs to.
 
-    Args:
-        moment: the robot among people.
-        thresholds: D, V and A of the predicates.
-
     Returns:
         () bool, whether it occurs.
     """
@@ -157,10 +140,6 @@ def leave_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
 def empty(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (5): no agent is near.
-
-    Args:
-        moment: the robot among people.
-        thresholds: D, V and A of the predicates.
 
     Returns:
         () bool, whether it occurs.
@@ -190,8 +169,6 @@ def classify(
     """The situations that occur at a moment; several can.
 
     Args:
-        moment: the robot among people.
-        thresholds: of the predicates.
         situations: S names and functions; the paper's five by default.
 
     Returns:
@@ -205,7 +182,6 @@ def as_situation(value: Callable, name: str = "") -> Situation:
 
     Args:
         value: ``(moment, thresholds) -> () bool`` or ``moment -> () bool``.
-        name: of the situation, for messages.
 
     Returns:
         ``(moment, thresholds) -> () bool``, which checks what the function gives while the program is traced. The

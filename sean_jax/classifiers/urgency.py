@@ -18,13 +18,8 @@ def collision_course(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     The time to collision is at most ``imminent``: at some t from 0 to it, the centres are closer than the sum of the
     radii. Who touches already is on collision course as well.
 
-    Args:
-        moment: the robot among people.
-        thresholds: of the predicates.
-
     Returns:
         () bool, whether it occurs.
-
     Source: I. Karamouzas, B. Skinner & S. Guy, "Universal Power Law Governing Pedestrian Interactions", Physical Review
     Letters 113, 2014: people react to collisions that are up to about 3 s away.
     """
@@ -47,13 +42,8 @@ def hurrying(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     The person is faster than ``hurry``, and the robot lies less than ``reach`` ahead and less than ``personal`` aside
     of the direction in which the person moves.
 
-    Args:
-        moment: the robot among people.
-        thresholds: of the predicates.
-
     Returns:
         () bool, whether it occurs.
-
     Source: section VI, "urgency"; the inequalities are ours. U. Weidmann, "Transporttechnik der Fussgaenger", 1993:
     people walk at 1.34 m/s with a standard deviation of 0.26 m/s, so 2.3 % of them are faster than 1.86 m/s.
     """

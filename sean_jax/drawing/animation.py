@@ -37,17 +37,13 @@ def animate(
     """Write one episode as a GIF.
 
     Args:
-        environment: to draw.
         frames: (T, ...) of one episode.
         path: where to write, a path or a binary file.
-        graph: a behavior graph, drawn below the episode.
         situations: names of the frames' situations, any names; the paper's five, or numbers, if None.
         time_step: s, between two frames.
         robot_radius: m.
         every: number of frames from one picture to the next; the last frame is always shown.
-        speed: how many times as fast as it happened.
         size: pixels, the width.
-        title: below the floor.
 
     Raises:
         InputError: frames with a batch axis or another number of situations, or a path that cannot be written.
@@ -111,14 +107,7 @@ class _Scene:
         self.tail = round(TAIL / time_step)
 
     def picture(self, t: int) -> Image.Image:
-        """Draw a frame.
-
-        Args:
-            t: index of the frame.
-
-        Returns:
-            An RGB image of PIL.
-        """
+        """Draw a frame."""
         from PIL import ImageDraw
 
         image = self.background.copy()

@@ -40,26 +40,12 @@ HEAT = ("#ffe8c400", "#fdcf94", "#f78d4f", "#dd3a25", "#a3082f")
 
 
 def situation_colors(names: Sequence[str]) -> list[str]:
-    """Colors of situations, the paper's and the user's own.
-
-    Args:
-        names: of the situations.
-
-    Returns:
-        One color for each name, all different.
-    """
+    """Colors of situations, the paper's and the user's own."""
     return category_colors(names, SITUATION_COLORS)
 
 
 def policy_colors(names: Sequence[str]) -> list[str]:
-    """Colors of policies, the package's and the user's own.
-
-    Args:
-        names: of the policies.
-
-    Returns:
-        One color for each name, all different.
-    """
+    """Colors of policies, the package's and the user's own."""
     return category_colors(names, POLICY_COLORS)
 
 
@@ -67,7 +53,6 @@ def category_colors(names: Sequence[str], reserved: Mapping[str, str]) -> list[s
     """Colors of any categories, by name.
 
     Args:
-        names: of the categories. Equal names have equal colors.
         reserved: colors of names that always have the same one.
 
     Returns:

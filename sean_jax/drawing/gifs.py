@@ -41,11 +41,9 @@ def save(
 
     Args:
         path: where to write, a path or a binary file.
-        number: of pictures.
         picture: gives the picture of an index (PIL, RGB); called twice for some.
         pause: s, for which each picture is shown; rounded to hundredths.
         last: s, for which the last picture is shown.
-        colors: of the palette.
     """
     from PIL import Image
     from scipy.spatial import KDTree

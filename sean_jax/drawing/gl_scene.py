@@ -39,8 +39,6 @@ def images(frames: Trajectory, scenario: Scenario, eye: Camera) -> Iterator[np.n
 
     Args:
         frames: (T, ...) of one episode.
-        scenario: the one that they come from.
-        eye: the camera.
 
     Returns:
         An iterator of (H, W, 3) uint8 for each frame.
@@ -53,8 +51,6 @@ def depths(frames: Trajectory, scenario: Scenario, eye: Camera) -> Iterator[np.n
 
     Args:
         frames: (T, ...) of one episode.
-        scenario: the one that they come from.
-        eye: the camera.
 
     Yields:
         (H, W) m for each frame, ``eye.far`` where there is nothing nearer.

@@ -31,9 +31,6 @@ def one_episode(frames: Trajectory) -> Trajectory:
     Args:
         frames: (T, ...).
 
-    Returns:
-        The frames as numpy arrays.
-
     Raises:
         InputError: they have a batch axis.
     """
@@ -50,9 +47,6 @@ def situation_names(frames: Trajectory, names: Sequence[str] | None) -> tuple[st
     Args:
         frames: (T, ...) with S situations.
         names: in the order of the frames; None for the paper's five, or numbers if there are not five.
-
-    Returns:
-        S names.
 
     Raises:
         InputError: there are not S names.
@@ -85,10 +79,6 @@ def step_colors(frames: Trajectory, situations: Sequence[str]) -> list[str]:
 
     Args:
         frames: (T, ...) with S situations.
-        situations: their names.
-
-    Returns:
-        T colors.
     """
     shades = [*colors.situation_colors(situations), colors.NO_SITUATION]
     return [shades[index] for index in situation_indices(frames)]
@@ -98,8 +88,6 @@ def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, 
     """A figure whose only axes show the floor in true proportion, without ticks.
 
     Args:
-        environment: with the floor.
-        width: inches.
         title: above the floor; none if empty.
 
     Returns:
@@ -131,12 +119,7 @@ def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, 
 
 
 def draw_obstacles(axes: Axes, environment: Environment) -> None:
-    """Draw the visible boxes, the higher the darker.
-
-    Args:
-        axes: to draw on.
-        environment: with the obstacles.
-    """
+    """Draw the visible boxes, the higher the darker."""
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgba
 
@@ -159,8 +142,6 @@ def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
     """Draw nodes as discs and edges as lines: thick where flow is high, dotted where low, with an arrow where one-way.
 
     Args:
-        axes: to draw on.
-        graph: of the behavior.
         alone: name the nodes; otherwise colors are faint, for a background.
     """
     from matplotlib.collections import EllipseCollection, LineCollection
@@ -212,9 +193,7 @@ def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
     """Draw where each person walked, fading with age.
 
     Args:
-        axes: to draw on.
         frames: (T, ...) of one episode.
-        steps: number of the last frames.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgb
@@ -243,7 +222,6 @@ def draw_people(axes: Axes, frames: Trajectory) -> None:
     """Draw each person at the last frame: a disc with a tick along the heading, in another color in a group.
 
     Args:
-        axes: to draw on.
         frames: (T, ...) of one episode.
     """
     present = np.asarray(frames.present[-1], bool)
@@ -259,12 +237,10 @@ def draw_discs(
     """Draw people from above, by their shoulders, with a tick along the heading.
 
     Args:
-        axes: to draw on.
         position: (N, 2) m.
         heading: (N, 2) unit vectors.
         member: (N,) bool, of a group, which has another color.
         radius: m, half of the width of the shoulders.
-        linewidth: points.
     """
     from matplotlib.collections import EllipseCollection, LineCollection
 
@@ -285,9 +261,7 @@ def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius
     """Draw the robot's path in the colors of the situations, its start (ring), goal (target) and last pose, to scale.
 
     Args:
-        axes: to draw on.
         frames: (T, ...) of one episode.
-        situations: their names.
         radius: m, of the robot.
     """
     from matplotlib.collections import LineCollection
@@ -313,12 +287,7 @@ def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius
 
 
 def draw_scale(axes: Axes, environment: Environment) -> None:
-    """Draw a bar of a round length below the floor's left corner.
-
-    Args:
-        axes: to draw on.
-        environment: with the floor.
-    """
+    """Draw a bar of a round length below the floor's left corner."""
     x0, y0, x1, _ = (float(v) for v in np.asarray(environment.floor))
     span = x1 - x0
     bar = max(length for length in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if length <= max(0.15 * span, 0.5))
@@ -332,10 +301,7 @@ def draw_legend(axes: Axes, graph: bool, frames: Trajectory | None, situations: 
     """Draw what the marks mean, in up to three rows below the floor; only situations that occurred are named.
 
     Args:
-        axes: to draw on.
-        graph: whether a behavior graph is drawn.
         frames: (T, ...) of one episode, if one is drawn.
-        situations: their names.
     """
     from matplotlib.legend_handler import HandlerTuple
     from matplotlib.lines import Line2D

@@ -43,18 +43,11 @@ def top_down(
     situations.
 
     Args:
-        environment: to draw.
-        graph: a behavior graph, drawn below the episode.
         frames: (T, ...) of one episode, if there is one.
         situations: names of the frames' situations, any names; the paper's five, or numbers, if None.
         time_step: s, between two frames.
         robot_radius: m.
         trail: s, of people's trails.
-        width: inches.
-        title: above the floor.
-
-    Returns:
-        The figure.
 
     Raises:
         InputError: the frames have a batch axis, or another number of situations.
@@ -78,14 +71,8 @@ def heat_map(environment: Environment, seconds: np.ndarray, *, width: float = 6.
     """Draw where people spent their time.
 
     Args:
-        environment: to draw.
         seconds: (rows, columns) s, the time that people spent in each of the equal cells that cover the floor, row 0
             at its lowest y.
-        width: inches.
-        title: above the floor.
-
-    Returns:
-        The figure.
     """
     figure, axes = parts.canvas(environment, width, title)
     x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
@@ -111,15 +98,8 @@ def congestion_map(
     that nobody walked are left out.
 
     Args:
-        environment: to draw.
         density: (rows, columns) people per m2, row 0 at the lowest y.
-        graph: a behavior graph with M nodes.
         flow: (M, M) people per minute from the row's node to the column's.
-        width: inches.
-        title: above the floor.
-
-    Returns:
-        The figure.
     """
     figure, axes = parts.canvas(environment, width, title)
     draw_heat(axes, environment, np.asarray(density, float), "people per m²")
@@ -134,10 +114,7 @@ def draw_heat(axes: Axes, environment: Environment, density: np.ndarray, label: 
     """Draw values over the floor, with their scale below it; the 3 % highest share one color.
 
     Args:
-        axes: to draw on.
-        environment: with the floor.
         density: (rows, columns) values, row 0 at the lowest y.
-        label: of the scale.
     """
     from matplotlib.colors import LinearSegmentedColormap, PowerNorm
     from matplotlib.ticker import MaxNLocator
@@ -168,9 +145,6 @@ def draw_flow(axes: Axes, environment: Environment, graph: BehaviorGraph, flow: 
     """Draw a band for each directed edge that was walked, as wide as its flow, with its tip where it leads.
 
     Args:
-        axes: to draw on.
-        environment: with the floor.
-        graph: with M nodes.
         flow: (M, M) people per minute.
     """
     from matplotlib.collections import PolyCollection
@@ -215,8 +189,6 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
 
     Args:
         trajectory: (T, ...) frames; of a batch (B, T, ...) the first episode.
-        scenario: the one that it comes from.
-        animate: whether it moves.
 
     Returns:
         A matplotlib ``Figure``, or with ``animate`` a moving IPython ``Image``.
@@ -245,9 +217,6 @@ def empty_floor(frames: Trajectory) -> Environment:
 
     Args:
         frames: (T, ...).
-
-    Returns:
-        The environment.
     """
     places = np.concatenate([np.asarray(frames.people).reshape(-1, 2), np.asarray(frames.position).reshape(-1, 2)])
     floor = jnp.asarray(np.concatenate([places.min(0) - 2.0, places.max(0) + 2.0]), float)

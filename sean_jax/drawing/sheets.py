@@ -52,11 +52,6 @@ def handcrafted_sheet(scenario: Scenario, *, panel: float = 3.2, seed: int = 0) 
 
     Args:
         scenario: with behavior and task ``handcrafted``.
-        panel: inches, width of a panel.
-        seed: of the people's starts.
-
-    Returns:
-        The figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -97,15 +92,6 @@ def graph_sheet(environment: Environment, graph: BehaviorGraph, *, width: float 
     """Draw the behavior graph with its names, flows and one-way edges, and with full groups.
 
     Of a large floor, only the part around the graph is drawn.
-
-    Args:
-        environment: to draw.
-        graph: of its behavior.
-        width: inches.
-        seed: of the people in groups.
-
-    Returns:
-        The figure.
     """
     floor = np.asarray(environment.floor, float)
     place, radius = np.asarray(graph.position, float), np.asarray(graph.radius, float)[:, None]

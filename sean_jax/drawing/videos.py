@@ -37,13 +37,11 @@ def video(
 
     Args:
         frames: (T, ...) of one episode.
-        scenario: the one that they come from.
         path: where to write, a path or a binary file.
         view: name of a camera, for pictures of 320 x 240 pixels, or a camera of ``sensors.camera``. Depth is shown
             in colors, blue near and red far.
         renderer: ``rays`` or ``mujoco``, see ``RENDERERS``.
         rate: pictures a second.
-        speed: how many times as fast as it happened.
 
     Raises:
         InputError: frames with a batch axis, an unknown camera or renderer, no OpenGL for MuJoCo, or a path that
@@ -69,8 +67,6 @@ def by_rays(frames: Trajectory, scenario: Scenario, eye: Camera) -> Iterator[np.
 
     Args:
         frames: (T, ...) of one episode.
-        scenario: the one that they come from.
-        eye: the camera.
 
     Yields:
         (H, W, 3) uint8 for each frame.
@@ -95,8 +91,6 @@ def by_mujoco(frames: Trajectory, scenario: Scenario, eye: Camera) -> Iterator[n
 
     Args:
         frames: (T, ...) of one episode.
-        scenario: the one that they come from.
-        eye: the camera.
 
     Returns:
         An iterator of (H, W, 3) uint8 for each frame.
@@ -114,9 +108,6 @@ RENDERERS: dict[str, Callable[[Trajectory, Scenario, Camera], Iterator[np.ndarra
 
 def check_renderer(renderer: str) -> None:
     """Check that a renderer works here; for ``mujoco`` that takes a moment.
-
-    Args:
-        renderer: its name.
 
     Raises:
         InputError: there is no such renderer, or no OpenGL for ``mujoco``.

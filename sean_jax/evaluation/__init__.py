@@ -64,11 +64,7 @@ class Evaluation:
     wanted: int  # episodes asked for; fewer are here after Ctrl-C
 
     def summary(self) -> dict[str, Any]:
-        """Shares of the situations, means of the metrics with 95 % bootstrap intervals, checks and timing.
-
-        Returns:
-            What summary.json holds.
-        """
+        """Shares of the situations, means of the metrics with 95 % bootstrap intervals, checks and timing."""
         simulated = float(self.seconds.sum())
         return {
             "scenario": self.names(),
@@ -91,11 +87,7 @@ class Evaluation:
         }
 
     def names(self) -> dict[str, Any]:
-        """What took part, by name.
-
-        Returns:
-            part -> name.
-        """
+        """What took part, by name."""
         scenario = self.scenario
         return {
             "environment": scenario.environment.name,
@@ -116,21 +108,11 @@ class Evaluation:
 
         Args:
             complete: every metric, not only the headlines.
-
-        Returns:
-            Text, cell by cell.
         """
         return table.rows(self.summary(), self.definitions, complete)
 
     def table(self, width: int = 120) -> str:
-        """The table as text.
-
-        Args:
-            width: characters in a line.
-
-        Returns:
-            Some lines.
-        """
+        """The table as text."""
         from rich.console import Console
 
         stream = io.StringIO()
@@ -151,9 +133,6 @@ class Evaluation:
 
         Args:
             folder: a new or an empty one.
-
-        Returns:
-            The folder.
 
         Raises:
             InputError: it holds something.
@@ -182,11 +161,8 @@ def evaluate(
         scenario: what is simulated; several, which differ in their task or in leaves alone, take turns.
         policy: who drives: a ``Policy``, a function (scenario, state, key) -> (2,) [m/s, rad/s], a name, the folder of
             a training, or FILE.py:NAME.
-        episodes: how many.
         seed: the same seed gives the same episodes, those of ``sean run``.
-        batch: most episodes that are simulated at once.
         out: folder to write the report and all results to; a new or an empty one.
-        console: shows the progress.
 
     Returns:
         The metrics of each episode, and what was counted over all.
@@ -212,13 +188,6 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
 
     Fewer episodes than asked for are there after Ctrl-C between two batches. Batches that were finished until then, or
     until a kill, stay in the folder; given the same description and that folder, the run goes on.
-
-    Args:
-        config: what to run.
-        console: for the progress and the table.
-
-    Returns:
-        The folder written, and what was found.
 
     Raises:
         InputError: the description cannot be met.

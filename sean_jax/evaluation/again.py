@@ -53,13 +53,6 @@ class Source:
 def write(options: ReplayConfig, console: Console) -> Path:
     """Simulate the episodes and write the page.
 
-    Args:
-        options: which folder and which episodes.
-        console: shows the progress.
-
-    Returns:
-        The file.
-
     Raises:
         InputError: the folder holds nothing that can be replayed, or has no episode of that number.
         FloatingPointError: a number is not finite.

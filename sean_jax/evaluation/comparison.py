@@ -71,13 +71,6 @@ class Difference(NamedTuple):
 def compare(options: CompareConfig, console: Console) -> Path:
     """Print the table and write the page.
 
-    Args:
-        options: which runs.
-        console: for the table.
-
-    Returns:
-        The page.
-
     Raises:
         InputError: a folder holds no run.
     """
@@ -96,9 +89,6 @@ def read(folder: Path) -> Measured:
 
     Args:
         folder: that ``sean run`` has written.
-
-    Returns:
-        What was measured.
 
     Raises:
         InputError: it holds no run.
@@ -136,10 +126,6 @@ def _shown(page: Path) -> dict[str, Any]:
 def paired(first: Measured, second: Measured) -> int:
     """How many episodes are the same in both.
 
-    Args:
-        first: a run.
-        second: another.
-
     Returns:
         Their number, from episode 0 on; 0 if they were drawn otherwise.
     """
@@ -150,29 +136,13 @@ def paired(first: Measured, second: Measured) -> int:
 
 
 def unlike(first: Measured, second: Measured) -> list[str]:
-    """Options in which they differ.
-
-    Args:
-        first: a run.
-        second: another.
-
-    Returns:
-        Names of fields, but for the number of episodes.
-    """
+    """Options in which they differ."""
     one, other = first.description, second.description
     return [name for name in one if name != "episodes" and one[name] != other.get(name)]
 
 
 def differences(first: Measured, second: Measured) -> list[Difference]:
-    """Each figure that both have.
-
-    Args:
-        first: a run.
-        second: another.
-
-    Returns:
-        Overall figures, in the order of episodes.csv.
-    """
+    """Each figure that both have."""
     number, found = paired(first, second), []
     for name in first.columns:
         if "__" in name or name not in second.columns:
@@ -211,15 +181,7 @@ def _difference(name: str, pair: list[np.ndarray], same: bool) -> Difference | N
 
 
 def told(first: Measured, second: Measured) -> str:
-    """What was compared, in a sentence or two.
-
-    Args:
-        first: a run.
-        second: another.
-
-    Returns:
-        Text.
-    """
+    """What was compared, in a sentence or two."""
     number, others = paired(first, second), unlike(first, second)
     unlikeness = f"They differ in {', '.join(map(flag, others))}." if others else "They were told the same."
     unseen = "".join(f" No replay of {each.name}: {each.unseen}" for each in (first, second) if each.unseen)
@@ -245,16 +207,7 @@ def _table(found: list[Difference], names: list[str]) -> Table:
 
 
 def page(found: list[Difference], runs: tuple[Measured, Measured], said: str) -> str:
-    """The comparison as a page, with the replays of both.
-
-    Args:
-        found: the figures.
-        runs: both.
-        said: what was compared.
-
-    Returns:
-        HTML that refers to nothing outside itself.
-    """
+    """The comparison as a page, with the replays of both."""
     names = [markup.escape(run.name) for run in runs]
     head = "".join(f"<th>{name}</th>" for name in (*names, "second less first", "95 % interval"))
     body = "".join(

@@ -48,9 +48,6 @@ class BatchFrames:
     def episode(self, place: int) -> Trajectory:
         """The frames of an episode, cut after its last active step.
 
-        Args:
-            place: of the episode in the batch.
-
         Returns:
             (T, ...) frames.
         """
@@ -65,12 +62,6 @@ def kept(file: Path, scenario: Scenario, base: int, count: int) -> Iterator[Batc
 
     Args:
         file: to be written, as of ``trajectories.trajectory_writer``.
-        scenario: what is simulated.
-        base: number of the first episode.
-        count: how many episodes the batch has.
-
-    Yields:
-        What takes the frames.
     """
     scratch = file.parent / ".batch-frames"
     shutil.rmtree(scratch, ignore_errors=True)  # of one who was killed

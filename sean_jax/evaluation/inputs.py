@@ -36,9 +36,6 @@ class Inputs(NamedTuple):
     def write(self, folder: Path) -> dict[str, str]:
         """Write the copies.
 
-        Args:
-            folder: of the run.
-
         Returns:
             File -> SHA-256, of the copies by their path in the folder.
         """
@@ -50,12 +47,6 @@ class Inputs(NamedTuple):
 
 def read(config: RunConfig) -> Inputs:
     """The files that a description names.
-
-    Args:
-        config: of the run.
-
-    Returns:
-        Their bytes and digests.
 
     Raises:
         InputError: a file cannot be read.
@@ -85,7 +76,6 @@ def rename(description: dict[str, Any], names: Mapping[str, str]) -> dict[str, A
     """A description with files elsewhere.
 
     Args:
-        description: field -> value, as JSON has words for.
         names: file or folder as it is named there -> its new name.
 
     Returns:
@@ -108,7 +98,6 @@ def locate(copies: Mapping[str, str], hashes: Mapping[str, str], folder: Path) -
     Args:
         copies: as of ``Inputs``.
         hashes: file -> SHA-256.
-        folder: of the run.
 
     Returns:
         File or folder as the description names it -> the copy that is read in its stead; and a sentence on each that

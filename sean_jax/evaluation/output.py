@@ -37,7 +37,6 @@ def write_all(
 
     Args:
         folder: an empty one.
-        evaluation: what was found.
         config: what ``sean run`` was told; None for an evaluation in Python, which no file repeats.
         made_of: the files that ``config`` names.
     """
@@ -97,11 +96,7 @@ def outcome(completed: bool, seconds: float) -> str:
     """How an episode ended, in words.
 
     Args:
-        completed: whether its task was.
         seconds: s, that it lasted.
-
-    Returns:
-        Text.
     """
     return f"{'completed' if completed else 'not completed'} in {seconds:.1f} s"
 
@@ -110,10 +105,6 @@ def write_episodes(path: Path, evaluation: "Evaluation") -> None:
     """episodes.csv: one row an episode, metrics overall and as ``metric__situation``.
 
     The same results give the same bytes: fixed digits, no time of day. A value that is not finite is an empty cell.
-
-    Args:
-        path: of the file.
-        evaluation: what was found.
     """
     columns: dict[str, np.ndarray] = {}
     for name, values in evaluation.metrics.items():
@@ -143,9 +134,6 @@ def _cell(value: Any) -> str:
 
 def read_episodes(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
     """What ``write_episodes`` wrote.
-
-    Args:
-        path: of the file.
 
     Returns:
         The E tasks, and the columns (E,) of numbers, NaN for an empty cell.
@@ -197,11 +185,8 @@ def write_config(
     """config.yaml, by which ``sean run --config`` repeats the run; the files that the run was made of are beside it.
 
     Args:
-        folder: for the file and the copies.
-        evaluation: what was found.
         config: what ``sean run`` was told, or None.
         made_of: the files that ``config`` names, or None.
-        made_with: package -> version.
     """
     content: dict[str, Any] = {}
     if config is not None and made_of is not None:
@@ -235,11 +220,7 @@ def read_config(path: Path, check: bool = True) -> Saved:
     """The description in a config.yaml, whose files are found beside it where they are no longer as they were.
 
     Args:
-        path: of the file.
         check: refuse files that are not what they were, as for a run.
-
-    Returns:
-        The description, and what the run was made with.
 
     Raises:
         InputError: the file cannot be used, or one that it names is not what it was.

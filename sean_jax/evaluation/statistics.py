@@ -75,9 +75,6 @@ def _figure(estimate: Estimate) -> dict[str, Any] | None:
 def exclusive_shares(results: "Evaluation") -> dict[str, float]:
     """Shares of robot time that add up to one: time in several situations is divided equally among them.
 
-    Args:
-        results: of a run.
-
     Returns:
         Situation, or "none" for time in no situation, -> share from 0 to 1.
     """

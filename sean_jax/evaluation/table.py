@@ -60,7 +60,6 @@ def rows(summary: dict[str, Any], definitions: Mapping[str, Metric], complete: b
 
     Args:
         summary: as ``statistics.aggregate`` gives it.
-        definitions: name -> metric, in the order of the rows.
         complete: every metric, not only the headlines.
 
     Returns:
@@ -82,10 +81,6 @@ def rows(summary: dict[str, Any], definitions: Mapping[str, Metric], complete: b
 
 def figure(name: str, metric: Metric) -> Figure:
     """How a metric is shown.
-
-    Args:
-        name: of the metric.
-        metric: the metric.
 
     Returns:
         Its title, unit, digits and definition.
@@ -112,10 +107,7 @@ def print_table(
     """Prints the table; where the terminal is too narrow for all situations, the others follow below.
 
     Args:
-        console: of the terminal.
         summary: as ``statistics.aggregate`` gives it.
-        definitions: name -> metric, in the order of the rows.
-        title: of the table.
         none: share of the robot's time in no situation.
     """
     names = list(summary["situations"])

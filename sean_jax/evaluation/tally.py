@@ -49,11 +49,6 @@ class Finished:
 def record(scenario: Scenario, size: int, frames: int = FRAMES) -> Record:
     """What a run keeps of batches of the scenario's episodes: a ``Tally``, and the frames of the first episodes.
 
-    Args:
-        scenario: what is simulated.
-        size: episodes in a batch.
-        frames: of how many of them the frames are recorded.
-
     Returns:
         The record for a ``Runner``.
     """
@@ -113,7 +108,6 @@ def episodes(chunks: list[Trajectory], count: int) -> list[Trajectory]:
 
     Args:
         chunks: frames (T, F, ...) of one chunk of time after another.
-        count: how many episodes there are.
 
     Returns:
         Frames (T, ...) of each episode, cut after its last active step.

@@ -66,10 +66,6 @@ class Unfinished:
     def settle(self, scenario: Scenario, policy: Policy) -> None:
         """Add what only the scenario and the policy tell.
 
-        Args:
-            scenario: the first of those that take turns.
-            policy: who drives.
-
         Raises:
             InputError: the batches were made with others.
         """
@@ -83,10 +79,6 @@ class Unfinished:
 
     def load(self, base: int, kept: int) -> Finished | None:
         """The batch of so many episodes from a number on, if it is finished.
-
-        Args:
-            base: number of its first episode.
-            kept: how many episodes it has.
 
         Returns:
             The batch, or None.
@@ -102,12 +94,7 @@ class Unfinished:
             return _finished(arrays, kept)
 
     def save(self, base: int, batch: Finished) -> None:
-        """Keep a batch, for good when this returns.
-
-        Args:
-            base: number of its first episode.
-            batch: that is finished.
-        """
+        """Keep a batch, for good when this returns."""
         self.place.mkdir(exist_ok=True)
         if not (self.place / ABOUT).is_file():
             writing.write(self.place / ABOUT, json.dumps(self.about, indent=1) + "\n")
@@ -117,10 +104,6 @@ class Unfinished:
     def frames(self, base: int, kept: int) -> Path | None:
         """The file of a batch's trajectories, which is written before the batch is kept.
 
-        Args:
-            base: number of its first episode.
-            kept: how many episodes it has.
-
         Returns:
             Its path, None if nobody asked for trajectories.
         """
@@ -129,9 +112,6 @@ class Unfinished:
     @contextlib.contextmanager
     def results(self, complete: bool) -> Iterator[Path]:
         """A folder whose files become the run's when the block ends.
-
-        Args:
-            complete: all episodes are there, so the batches go then.
 
         Yields:
             An empty folder.
@@ -198,10 +178,6 @@ class Unfinished:
 def check_place(folder: Path, held: bool = False) -> None:
     """Refuse a folder that holds something else than such a run. What a kill left at the very beginning or end goes.
 
-    Args:
-        folder: for a run.
-        held: whether this process has locked it.
-
     Raises:
         InputError: the folder holds something else.
     """
@@ -221,13 +197,6 @@ def unfinished_runs(config: RunConfig, beside: Path) -> list[tuple[Path, int]]:
     """Folders beside one with an unfinished run of this description that nobody is at.
 
     Of runs that were killed before anything was finished, the folders go. What cannot be read is left out.
-
-    Args:
-        config: of the run.
-        beside: a folder.
-
-    Returns:
-        Folder and number of finished episodes of each.
     """
     asked = _about(config)
     folders: list[Path] = []

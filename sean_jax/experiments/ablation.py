@@ -41,11 +41,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     """Simulate what the folder lacks, and write the report.
 
     Args:
-        options: of the experiment.
         console: shows progress; None shows nothing.
-
-    Returns:
-        The folder.
 
     Raises:
         InputError: the options are wrong, or the folder holds another experiment.
@@ -82,7 +78,6 @@ def description(options: ExperimentConfig, world: str, behavior: str) -> Collect
     """What is simulated in a world with people of a behavior.
 
     Args:
-        options: of the experiment.
         world: one of ``WORLDS``.
         behavior: random, handcrafted or graph.
 
@@ -97,7 +92,6 @@ def simulated(options: ExperimentConfig, world: str, behavior: str) -> str:
     """The world that is simulated for a world: the default one if the switch changes nothing for people of a behavior.
 
     Args:
-        options: of the experiment.
         world: one of ``WORLDS``.
         behavior: random, handcrafted or graph.
 
@@ -122,11 +116,6 @@ def _cell(
 
 def write(options: ExperimentConfig, folder: Path, by_world: dict[str, list[Cell]]) -> None:
     """Write ablation.csv, orderings.csv, the figure and report.html.
-
-    Args:
-        options: of the experiment.
-        folder: to be written.
-        by_world: world -> cells of each policy and behavior.
 
     Raises:
         WriteError: another process writes one of the files.

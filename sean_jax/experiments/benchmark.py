@@ -81,11 +81,7 @@ def run(options: BenchmarkConfig, console: Console | None = None) -> Path:
     """Drive the tracks that the folder lacks, and write the result and the report.
 
     Args:
-        options: of the benchmark.
         console: shows progress; None shows nothing.
-
-    Returns:
-        The folder.
 
     Raises:
         InputError: there is no such driver, the folder holds something else, there are more episodes than the protocol
@@ -184,8 +180,6 @@ def check_columns(columns: Columns, episodes: int, limit: float) -> None:
     """Refuse what no episodes can have.
 
     Args:
-        columns: of a track.
-        episodes: E.
         limit: s, the longest duration of an episode.
 
     Raises:
@@ -225,9 +219,6 @@ def check_columns(columns: Columns, episodes: int, limit: float) -> None:
 def polite(columns: Columns) -> np.ndarray:
     """Which tasks were completed without an intimate violation or a collision by the robot's fault.
 
-    Args:
-        columns: of E episodes.
-
     Returns:
         (E,) bool.
     """
@@ -235,14 +226,7 @@ def polite(columns: Columns) -> np.ndarray:
 
 
 def scores(measured: dict[str, Columns]) -> Scores:
-    """Figures over some tracks, all of which count alike; a resample draws as many episodes of each.
-
-    Args:
-        measured: track -> what was measured on it.
-
-    Returns:
-        The figures.
-    """
+    """Figures over some tracks, all of which count alike; a resample draws as many episodes of each."""
     each = list(measured.values())
     sizes = [len(columns["completed"]) for columns in each]
     weights = np.concatenate([bootstrap.resamples(size, seed, RESAMPLES) for seed, size in enumerate(sizes)], axis=1)
@@ -277,10 +261,6 @@ def _overall(values: np.ndarray) -> np.ndarray:
 
 def write(options: BenchmarkConfig, measured: dict[str, Columns]) -> None:
     """Write result.json and report.html.
-
-    Args:
-        options: of the benchmark.
-        measured: track -> what was measured on it.
 
     Raises:
         WriteError: another process writes one of the files.
@@ -358,9 +338,6 @@ def check(folder: Path) -> dict[str, Any]:
     Args:
         folder: that ``run`` has written.
 
-    Returns:
-        The content of result.json.
-
     Raises:
         InputError: something was changed or is missing, or it is of another version of the protocol.
         IncompleteError: a file of episodes is damaged, or no episodes can have what it holds.
@@ -400,14 +377,7 @@ def check(folder: Path) -> dict[str, Any]:
 
 
 def table(content: dict[str, Any]) -> str:
-    """A result as text.
-
-    Args:
-        content: of result.json.
-
-    Returns:
-        Some lines.
-    """
+    """A result as text."""
     found = content["scores"]
     size = f"{len(content['tracks'])} tracks x {content['episodes']} episodes"
     lines = [f"{content['policy']} · protocol {content['protocol']} · {size}"]
@@ -431,12 +401,6 @@ def _interval(figure: dict[str, float]) -> str:
 
 def ranking(folders: list[Path]) -> list[dict[str, Any]]:
     """Results in the order of how many tasks were completed politely.
-
-    Args:
-        folders: of complete results.
-
-    Returns:
-        The content of each result.json, the best first.
 
     Raises:
         InputError: ``check`` refuses a result, one is not complete, or two are of one driver or of one name.

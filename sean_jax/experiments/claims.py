@@ -139,7 +139,6 @@ def claims(results: Results) -> list[Claim]:
 
     Returns:
         For each statement the paper's numbers, ours, whether it holds, and the share of the resamples in which it does.
-
     Source: section V-C, Figure 4.
     """
     weights = with_estimate(results.resamples)

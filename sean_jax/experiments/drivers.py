@@ -55,16 +55,9 @@ def drive(
     """Measure drivers that differ only in their parameters: they share compiled programs.
 
     Args:
-        drivers: with equally many policies each.
         folder: of the experiment; a driver whose file is there is not measured again.
-        behavior: of the people, for the names of files.
-        kinds: scenarios, which take turns.
-        seed: of the episodes.
         episodes: of each driver, from number 0 on, a multiple of its policies.
         watch: is told the share that is done.
-
-    Returns:
-        driver -> measures of each episode.
 
     Raises:
         FloatingPointError: a measure is not finite; nothing of that driver is written.
@@ -106,9 +99,6 @@ def drive(
 def file_name(driver: str) -> str:
     """A folder or FILE.py:NAME as a part of a file's name.
 
-    Args:
-        driver: its name.
-
     Returns:
         Text without separators of paths.
     """
@@ -116,16 +106,7 @@ def file_name(driver: str) -> str:
 
 
 def at_once(policies: int, each: int, max_size: int) -> int:
-    """How many policies drive at once: as many as a batch has room for, and as share it evenly.
-
-    Args:
-        policies: of a driver.
-        each: episodes of each.
-        max_size: the most in a batch.
-
-    Returns:
-        A divisor of the policies.
-    """
+    """How many policies drive at once: as many as a batch has room for, and as share it evenly."""
     import jax
 
     fitting = (n for n in range(2, policies + 1) if policies % n == 0 and n * each <= max_size)
@@ -133,15 +114,7 @@ def at_once(policies: int, each: int, max_size: int) -> int:
 
 
 def even(number: int, max_size: int) -> int:
-    """The size of equal batches that together have ``number`` episodes or a few more.
-
-    Args:
-        number: of episodes.
-        max_size: the most in a batch.
-
-    Returns:
-        Episodes in a batch.
-    """
+    """The size of equal batches that together have ``number`` episodes or a few more."""
     return math.ceil(number / math.ceil(number / max_size))
 
 
@@ -149,10 +122,6 @@ def measure(runner: Runner, seed: int, begin: int, number: int, tell: Callable[[
     """Metrics of numbered episodes.
 
     Args:
-        runner: of the scenarios and the policy.
-        seed: of the episodes.
-        begin: number of the first.
-        number: how many.
         tell: is told the share that is done.
 
     Returns:
@@ -174,9 +143,6 @@ def measure(runner: Runner, seed: int, begin: int, number: int, tell: Callable[[
 
 def measures(columns: Columns) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """What is reported of a driver's episodes. Violations and collisions are the robot's and people's added up.
-
-    Args:
-        columns: metric -> its value in each episode.
 
     Returns:
         A name of ``MEASURES`` -> (E,); and (E, S) violations in each situation.

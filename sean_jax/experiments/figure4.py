@@ -36,11 +36,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     """Collect, train and evaluate what the folder lacks, and write the report.
 
     Args:
-        options: of the experiment.
         console: shows progress; None shows nothing.
-
-    Returns:
-        The folder.
 
     Raises:
         InputError: the options are wrong, or the folder holds another experiment.
@@ -64,9 +60,6 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
 
 def others(options: ExperimentConfig) -> list[str]:
     """Drivers beside those of the paper, N and E.
-
-    Args:
-        options: of the experiment.
 
     Returns:
         Names, folders or FILE.py:NAME, each once.
@@ -132,9 +125,6 @@ def _parts(options: ExperimentConfig, folder: Path, places: dict[str, list[Scena
 def sizes(options: ExperimentConfig) -> tuple[int, int, int]:
     """How many there are of what the intervals are over.
 
-    Args:
-        options: of the experiment.
-
     Returns:
         Datasets, trainings on each, and episodes of each network, enough to make what was asked for.
     """
@@ -146,11 +136,7 @@ def description(options: ExperimentConfig, behavior: str) -> dict[str, Any]:
     """In which scenario people of a behavior are.
 
     Args:
-        options: of the experiment.
         behavior: random, handcrafted or graph.
-
-    Returns:
-        Fields of a description.
     """
     return {"preset": options.preset, **table1.fields(options, behavior, options.people)}
 
@@ -159,13 +145,8 @@ def collection(options: ExperimentConfig, behavior: str, name: str | None = None
     """What is demonstrated: the hours of all datasets together, since many episodes at once fill a GPU.
 
     Args:
-        options: of the experiment.
         behavior: random, handcrafted or graph.
         name: in that of the folder, the behavior's by default.
-        others: further fields.
-
-    Returns:
-        The description.
 
     Raises:
         InputError: a value cannot be.
@@ -181,11 +162,7 @@ def learner(options: ExperimentConfig, policy: str) -> Learner:
     """The networks of a learned policy.
 
     Args:
-        options: of the experiment.
         policy: G, R, H or B.
-
-    Returns:
-        What they learn from, and how.
     """
     behavior = LEARNED.get(policy, "graph")
     name = "graph-balanced" if policy == BALANCED else behavior
@@ -194,26 +171,12 @@ def learner(options: ExperimentConfig, policy: str) -> Learner:
 
 
 def seeds(options: ExperimentConfig) -> tuple[int, ...]:
-    """Those of the trainings on each dataset.
-
-    Args:
-        options: of the experiment.
-
-    Returns:
-        Numbers.
-    """
+    """Those of the trainings on each dataset."""
     return tuple(options.seed + more for more in range(options.trainings or 1))
 
 
 def training(options: ExperimentConfig) -> dict[str, Any]:
-    """How networks are trained.
-
-    Args:
-        options: of the experiment.
-
-    Returns:
-        Fields of a description.
-    """
+    """How networks are trained."""
     return {"epochs": options.epochs or 1000, "batch": 256 if options.quick else 1024}
 
 
@@ -242,11 +205,6 @@ def _by_situation(policy: str, behavior: str, cells: Estimate) -> list[str]:
 
 def write(options: ExperimentConfig, folder: Path, results: Results) -> None:
     """Write figure4.csv, claims.csv, the figure and report.html.
-
-    Args:
-        options: of the experiment.
-        folder: to be written.
-        results: measures of all policies.
 
     Raises:
         WriteError: another process writes one of the files.

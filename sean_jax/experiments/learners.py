@@ -46,25 +46,11 @@ class Learner:
         return [(dataset, seed) for dataset in range(self.datasets) for seed in range(len(self.seeds))]
 
     def summary(self, network: tuple[int, int]) -> Path:
-        """The file that is written when a network is trained.
-
-        Args:
-            network: numbers of its dataset and seed.
-
-        Returns:
-            Its path.
-        """
+        """The file that is written when a network is trained."""
         return self.folder / f"trained-{self.name}-{network[0]}-{network[1]}.json"
 
     def training(self, network: tuple[int, int]) -> TrainConfig:
-        """How a network is trained.
-
-        Args:
-            network: numbers of its dataset and seed.
-
-        Returns:
-            The options.
-        """
+        """How a network is trained."""
         dataset, seed = network
         return TrainConfig(
             method="imitation", dataset=self.data.folder, part=(dataset + 1, self.datasets), seed=self.seeds[seed],
@@ -73,9 +59,6 @@ class Learner:
 
     def driver(self, name: str) -> Driver:
         """The networks as one driver.
-
-        Args:
-            name: of the driver.
 
         Returns:
             The driver; each network has its share of the episodes.
@@ -88,8 +71,6 @@ def collect(config: CollectConfig, learners: Sequence[Learner], watch: Callable[
     """Collect demonstrations in a folder of their own, or continue it, if a network still needs them.
 
     Args:
-        config: of the collection.
-        learners: all of the experiment.
         watch: is told the share that is done.
     """
     needed = [learner for learner in learners if learner.data.folder == config.folder]
@@ -101,11 +82,7 @@ def train(learner: Learner, watch: Callable[[float], None]) -> list[Training]:
     """Train the networks that are missing, side by side.
 
     Args:
-        learner: whose networks.
         watch: is told the share that is done.
-
-    Returns:
-        How each was trained.
     """
     missing = [network for network in learner.networks if parts.load(learner.summary(network)) is None]
     if missing:
@@ -119,14 +96,7 @@ def train(learner: Learner, watch: Callable[[float], None]) -> list[Training]:
 
 
 def mean(summaries: Sequence[Training]) -> Training:
-    """How the networks of a learner were trained on average.
-
-    Args:
-        summaries: of each.
-
-    Returns:
-        The means.
-    """
+    """How the networks of a learner were trained on average."""
     return cast(Training, {name: float(np.mean([each[name] for each in summaries])) for name in summaries[0]})
 
 

@@ -38,11 +38,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     """Collect, train and evaluate what the folder lacks, and write the report.
 
     Args:
-        options: of the experiment.
         console: shows progress; None shows nothing.
-
-    Returns:
-        The folder.
 
     Raises:
         InputError: the options are wrong, or the folder holds another experiment.
@@ -72,9 +68,6 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
 def variants(options: ExperimentConfig) -> tuple[Variant, ...]:
     """What is compared.
 
-    Args:
-        options: of the experiment, complete.
-
     Returns:
         Each amount by itself, the first one at other rates, and with flags.
     """
@@ -87,13 +80,6 @@ def variants(options: ExperimentConfig) -> tuple[Variant, ...]:
 def collection(options: ExperimentConfig, variant: Variant) -> CollectConfig:
     """What networks of a variant learn from.
 
-    Args:
-        options: of the experiment.
-        variant: of the networks.
-
-    Returns:
-        The description.
-
     Raises:
         InputError: a value cannot be.
     """
@@ -103,10 +89,6 @@ def collection(options: ExperimentConfig, variant: Variant) -> CollectConfig:
 
 def learner(options: ExperimentConfig, variant: Variant) -> Learner:
     """The networks of a variant.
-
-    Args:
-        options: of the experiment.
-        variant: what they learn from.
 
     Returns:
         What they learn from, and how: in so few epochs that the optimizer makes no more steps than the options say.
@@ -158,11 +140,6 @@ def _curve(options: ExperimentConfig, asked: tuple[Variant, ...], outcomes: dict
 
 def write(options: ExperimentConfig, folder: Path, curve: Curve) -> None:
     """Write learning_curve.csv, differences.csv, verdicts.csv, the figure and report.html.
-
-    Args:
-        options: of the experiment.
-        folder: to be written.
-        curve: measures of all variants.
 
     Raises:
         WriteError: another process writes one of the files.

@@ -36,12 +36,6 @@ def document(
 ) -> str:
     """A page with these sections and one more: the command and the versions that reproduce it.
 
-    Args:
-        title: of the page, plain text.
-        kicker: small line above the title, HTML.
-        sections: heading and body of each, HTML.
-        options: of the experiment.
-
     Returns:
         HTML without references to other files.
     """
@@ -68,13 +62,7 @@ def table1(options: ExperimentConfig, cells: list[Cell], figures: dict[str, Figu
     """The page of Table I.
 
     Args:
-        options: of the experiment.
-        cells: of each policy and behavior.
         figures: by name, as ``pictures.table1`` draws them.
-        real: recordings.
-
-    Returns:
-        HTML.
     """
     policies = list(dict.fromkeys(cell.policy for cell in cells))
     speed = options.speeds[0]
@@ -218,12 +206,8 @@ def ablation(options: ExperimentConfig, by_world: dict[str, list[Cell]], figure:
     """The page of Table I in several worlds.
 
     Args:
-        options: of the experiment.
         by_world: world -> cells of each policy and behavior, the world that others are compared with first.
         figure: as ``pictures.ablation`` draws it.
-
-    Returns:
-        HTML.
     """
     policies = list(dict.fromkeys(cell.policy for cells in by_world.values() for cell in cells))
     tables = [
@@ -303,16 +287,7 @@ def _decided(by_world: dict[str, list[Cell]], policy: str) -> str:
 
 
 def benchmark(options: BenchmarkConfig, whole: Scores, by_track: dict[str, Scores]) -> str:
-    """The page of a benchmark.
-
-    Args:
-        options: of the benchmark.
-        whole: over all tracks.
-        by_track: track -> figures there.
-
-    Returns:
-        HTML.
-    """
+    """The page of a benchmark."""
     tracks = {"all": whole, **by_track}
     figures = [
         f"<tr><td>{name}</td>{''.join(_between(each) for each in found.figures.values())}</tr>"
@@ -344,12 +319,7 @@ def figure4(options: ExperimentConfig, results: Results, grids: Figure) -> str:
     """The page of Figure 4.
 
     Args:
-        options: of the experiment.
-        results: measures of all policies.
         grids: the figure that ``pictures.grids`` draws.
-
-    Returns:
-        HTML.
     """
     sections = [
         ("Figure 4", pictures.embed(grids, "figure4-grids") + FIGURE),
@@ -461,12 +431,7 @@ def learning_curve(options: ExperimentConfig, curve: Curve, figure: Figure) -> s
     """The page of the learning curve of policy G.
 
     Args:
-        options: of the experiment.
-        curve: measures of all variants.
         figure: as ``pictures.learning_curve`` draws it.
-
-    Returns:
-        HTML.
     """
     first = curve.variants[0].name
     places = list(curve.cells[first])

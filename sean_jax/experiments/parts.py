@@ -16,9 +16,6 @@ OPTIONS = "experiment.json"
 def has_started(options: ExperimentConfig | BenchmarkConfig) -> bool:
     """Whether the folder holds the beginning of this experiment, made with the same versions of packages.
 
-    Args:
-        options: of the experiment.
-
     Returns:
         False if the folder is new or empty.
 
@@ -70,7 +67,6 @@ def save(path: Path, content: Any) -> None:
     """Write a file.
 
     Args:
-        path: of the file.
         content: text, or anything that JSON has.
 
     Raises:
@@ -82,9 +78,6 @@ def save(path: Path, content: Any) -> None:
 
 def load(path: Path) -> Any:
     """Read a JSON file.
-
-    Args:
-        path: of the file.
 
     Returns:
         Its content, or None if there is no such file or it is damaged.

@@ -43,15 +43,7 @@ def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Figur
 
 
 def embed(figure: Figure, name: str) -> str:
-    """A figure to stand in a page.
-
-    Args:
-        figure: to be drawn.
-        name: from which the identifiers in the SVG are made.
-
-    Returns:
-        HTML with the figure as SVG.
-    """
+    """A figure to stand in a page."""
     return f"<figure>{svg(figure, name)}</figure>"
 
 
@@ -59,7 +51,6 @@ def save(folder: Path, figures: dict[str, Figure]) -> None:
     """Write figures as PNG files.
 
     Args:
-        folder: to be written.
         figures: by name of the file without its ending.
 
     Raises:
@@ -74,9 +65,7 @@ def table1(options: ExperimentConfig, cells: list[Cell], swept: list[Cell]) -> d
     """The figures of Table I; a sweep is drawn if the options have one.
 
     Args:
-        options: of the experiment.
         cells: of each policy and behavior, with the experiment's number of people.
-        swept: cells of one policy with other numbers of people.
 
     Returns:
         Figures by name of the file without its ending.
@@ -96,9 +85,6 @@ def bars(cells: list[Cell]) -> Figure:
 
     Args:
         cells: of each policy and behavior, with the experiment's number of people.
-
-    Returns:
-        The figure.
     """
     policies = list(dict.fromkeys(cell.policy for cell in cells))
     figure, axes = _figure(3.6 * len(BEHAVIORS), 2.1 * len(policies) + 0.3, len(policies), len(BEHAVIORS))
@@ -128,11 +114,7 @@ def speeds(options: ExperimentConfig, cells: list[Cell]) -> Figure:
     """Entropy and share of cross path by the walking speed V; one line for each behavior and policy.
 
     Args:
-        options: of the experiment.
         cells: of each policy and behavior, with the experiment's number of people.
-
-    Returns:
-        The figure.
     """
     policies = list(dict.fromkeys(cell.policy for cell in cells))
     figure, axes = _figure(10.8, 2.8, 1, 2)
@@ -164,10 +146,6 @@ def crowds(cells: list[Cell], swept: list[Cell]) -> Figure:
 
     Args:
         cells: of each policy and behavior, with the experiment's number of people.
-        swept: cells of one policy with other numbers of people.
-
-    Returns:
-        The figure.
     """
     first = [cell for cell in cells if cell.policy == swept[0].policy]
     kinds = list(dict.fromkeys(cell.behavior for cell in swept))
@@ -188,14 +166,7 @@ def crowds(cells: list[Cell], swept: list[Cell]) -> Figure:
 
 
 def ablation(by_world: dict[str, list[Cell]]) -> Figure:
-    """By how many points each world moves the shares of flags of the first, means over the policies.
-
-    Args:
-        by_world: world -> cells of each policy and behavior.
-
-    Returns:
-        The figure.
-    """
+    """By how many points each world moves the shares of flags of the first, means over the policies."""
     worlds = list(by_world)
 
     def mean(world: str, behavior: str) -> np.ndarray:
@@ -221,14 +192,7 @@ def ablation(by_world: dict[str, list[Cell]]) -> Figure:
 
 
 def grids(results: Results) -> Figure:
-    """Figure 4: a grid of scenarios and policies for each measure; below, violations in each situation.
-
-    Args:
-        results: measures of all policies.
-
-    Returns:
-        The figure.
-    """
+    """Figure 4: a grid of scenarios and policies for each measure; below, violations in each situation."""
     names = list(results.MEASURES)
     figure, axes = _figure(5 * max(3.2, 0.4 * len(results.policies) + 0.4), 5.6, 2, 5)
     for spot, name in zip(axes[0], names, strict=False):
@@ -261,9 +225,6 @@ def _grid(spot: Axes, values: np.ndarray, policies: tuple[str, ...], title: str,
 
 def learning_curve(curve: Curve) -> Figure:
     """Measures by hours of demonstrations: a line with intervals, and points for other rates and for flags.
-
-    Args:
-        curve: measures of all variants.
 
     Returns:
         The figure, a row for each measure and a column for each scenario, and their mean.

@@ -47,22 +47,11 @@ class Recorded:
         return len(np.unique(self.person))
 
     def shares(self, speed: int = 0) -> Shares:
-        """Shares of the paper's situations.
-
-        Args:
-            speed: index of the walking speed V.
-
-        Returns:
-            The shares, with resamples.
-        """
+        """Shares of the paper's situations."""
         return shares.count_by_person(self.flags[speed], self.person)
 
     def further(self) -> Shares:
-        """Shares of the situations beyond the paper's five.
-
-        Returns:
-            The shares, with resamples.
-        """
+        """Shares of the situations beyond the paper's five."""
         return shares.count_by_person(self.more, self.person)
 
 
@@ -77,7 +66,6 @@ def read(paths: Sequence[str], frame_rate: float | None = None) -> dict[str, Peo
     """The recordings in files. Where NAME.groups.txt is beside NAME.csv, it tells who walks together.
 
     Args:
-        paths: of CSV files.
         frame_rate: frames a second; those of their formats if None.
 
     Returns:
@@ -108,7 +96,6 @@ def count(
     """The situations of everybody in a recording.
 
     Args:
-        name: of the recording.
         people: T times, N people, and who does not meet whom.
         speeds: walking speeds V, m/s.
         watch: called with the finished share.

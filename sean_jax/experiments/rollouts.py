@@ -74,9 +74,6 @@ class Chains:
         """Situations once a second, after ``LEAD`` minutes that do not count.
 
         Args:
-            streams: C of them.
-            chains: of each stream.
-            minutes: that count, of each chain.
             watch: called with the finished share, from 0 to 1.
 
         Returns:

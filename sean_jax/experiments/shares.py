@@ -78,11 +78,7 @@ def count(flags: np.ndarray, seed: int = 0, streams: int = 1) -> Shares:
 
     Args:
         flags: (blocks, seconds, S) bool, the situations that hold in each second of each block.
-        seed: of the resamples.
         streams: of equally many blocks, one after another; a resample draws as many of each, for the protocol fixes it.
-
-    Returns:
-        The shares.
     """
     each = [seed + 1000 * stream for stream in range(streams)]
     drawn = [bootstrap.resamples(len(flags) // streams, seed, bootstrap.RESAMPLES) for seed in each]
@@ -97,7 +93,6 @@ def count_by_person(flags: np.ndarray, person: np.ndarray, seed: int = 0) -> Sha
     Args:
         flags: (E, S) bool, the situations that hold in each example.
         person: (E,) whose example it is; people may have different numbers of them.
-        seed: of the resamples.
 
     Returns:
         The shares, where a resample has all examples of the people whom it drew.
@@ -140,13 +135,11 @@ def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[O
     """The orderings that the paper's table shows, and how sure they are here.
 
     Args:
-        by_behavior: shares by behavior: random, handcrafted and graph.
         counting: one of ``COUNTINGS``.
 
     Returns:
         For each ordering its name, its statement, whether it is expected with any policy (hard), whether it holds, and
         the share of the resamples in which it does.
-
     Source: Table I.
     """
     r, h, g = (by_behavior[name].of(counting) for name in ("random", "handcrafted", "graph"))
@@ -182,7 +175,6 @@ def paper() -> dict[str, np.ndarray]:
 
     Returns:
         behavior -> (5,) from 0 to 1.
-
     Source: Table I.
     """
     return {name: np.array(row) / sum(row) for name, row in PAPER.items()}

@@ -58,22 +58,11 @@ class Cell:
     streams: int  # of the protocol, each with as many blocks
 
     def shares(self, speed: int = 0) -> Shares:
-        """Shares of the situations.
-
-        Args:
-            speed: index of the walking speed V.
-
-        Returns:
-            The shares, with resamples.
-        """
+        """Shares of the situations."""
         return shares.count(self.flags[speed], streams=self.streams)
 
     def further(self) -> Shares:
-        """Shares of the situations beyond the paper's five.
-
-        Returns:
-            The shares, with resamples.
-        """
+        """Shares of the situations beyond the paper's five."""
         return shares.count(self.more, streams=self.streams)
 
 
@@ -81,11 +70,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     """Simulate what the folder lacks, and write the report.
 
     Args:
-        options: of the experiment.
         console: shows progress; None shows nothing.
-
-    Returns:
-        The folder.
 
     Raises:
         InputError: the options are wrong, or the folder holds another experiment.
@@ -146,9 +131,6 @@ def _part_name(behavior: str, policy: str, people: int | None) -> str:
 def policies(options: ExperimentConfig) -> list[str]:
     """Who drives.
 
-    Args:
-        options: of the experiment.
-
     Returns:
         Names or folders, each once; none if that is asked for and recordings are.
 
@@ -169,12 +151,8 @@ def description(options: ExperimentConfig, behavior: str, people: int | None) ->
     """What is simulated with people of a behavior.
 
     Args:
-        options: of the experiment.
         behavior: random, handcrafted or graph.
         people: how many; None for as many as the environment says, and with handcrafted people.
-
-    Returns:
-        The description.
     """
     return CollectConfig(preset=options.preset, **fields(options, behavior, people))
 
@@ -183,12 +161,8 @@ def fields(options: ExperimentConfig, behavior: str, people: int | None) -> dict
     """What an experiment was told of its scenarios; a preset may fill in the rest.
 
     Args:
-        options: of the experiment.
         behavior: random, handcrafted or graph.
         people: how many; None for as many as the environment says, and with handcrafted people.
-
-    Returns:
-        Fields of a description.
     """
     told = {name: getattr(options, name) for name in TOLD if name in options.model_fields_set}
     return told | {"behavior": behavior, "people": None if behavior == "handcrafted" else people}
@@ -202,15 +176,7 @@ def _places(options: ExperimentConfig, behavior: str, people: int | None) -> Str
 
 
 def with_starts(options: ExperimentConfig, kinds: list[Scenario]) -> Streams:
-    """The streams of the protocol, with as many starts as the experiment needs.
-
-    Args:
-        options: of the experiment.
-        kinds: the scenarios.
-
-    Returns:
-        The streams.
-    """
+    """The streams of the protocol, with as many starts as the experiment needs."""
     return Streams(kinds, options.seed, STARTS * (options.seeds or 1))
 
 
@@ -239,16 +205,9 @@ def cell(
     """A cell from its file, or simulated.
 
     Args:
-        options: of the experiment.
-        file: of the cell.
-        behavior: of its people.
-        policy: who drives.
         places: the streams of the protocol. Their situations may be those of several walking speeds, one after another.
         watch: called with the finished share.
         further: names and functions of situations that are noted besides. A file without them is made anew.
-
-    Returns:
-        The cell.
 
     Raises:
         FileError: the file is damaged.
@@ -297,10 +256,7 @@ def write(
     """Write shares.csv, more.csv, entropies.csv, orderings.csv, recordings.csv, the figures and report.html.
 
     Args:
-        options: of the experiment.
-        folder: to be written.
         cells: of each policy and behavior, with the experiment's number of people.
-        swept: cells of one policy with other numbers of people.
         real: recordings, none by default.
 
     Raises:

@@ -85,10 +85,6 @@ def together(parts: Sequence[Part], console: Console | None, what: str) -> dict[
     Args:
         parts: in an order in which they could run one by one.
         console: shows the bar; None shows nothing.
-        what: the title of the bar.
-
-    Returns:
-        Result of each part by its name.
     """
     at_once = min(workers(), len(parts))
     with progress(console) as tell:

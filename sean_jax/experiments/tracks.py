@@ -66,9 +66,6 @@ def description(track: str) -> CollectConfig:
 
     Args:
         track: one of ``TRACKS``.
-
-    Returns:
-        The description of its scenario.
     """
     return CollectConfig(**TRACKS[track])
 

@@ -96,10 +96,6 @@ class Curve:
     def differences(self, one: Variant, other: Variant) -> dict[str, dict[str, Estimate]]:
         """By how much a variant has more than another, in the same episodes.
 
-        Args:
-            one: has more.
-            other: has less.
-
         Returns:
             behavior or mean -> measure -> estimate.
         """
@@ -124,9 +120,6 @@ class Curve:
 
 def comparisons(variants: tuple[Variant, ...]) -> list[tuple[Variant, Variant]]:
     """Which variants are held against which.
-
-    Args:
-        variants: of the experiment.
 
     Returns:
         Each amount and the next smaller one; the other rates and flags and what they vary; and a rate beside the amount

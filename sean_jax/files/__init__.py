@@ -66,13 +66,8 @@ def load(path: Path | str, model: type[Model], *checks: Callable[[Model], Iterab
     """Read a YAML file into a pydantic model.
 
     Args:
-        path: of the file.
-        model: of its content; it should forbid extra fields.
         *checks: of relations between fields, once each field is right by itself. They give problems, which are
             reported at their positions in the file.
-
-    Returns:
-        An instance of the model.
 
     Raises:
         FileError: the file cannot be read, or its content is wrong.
@@ -96,13 +91,7 @@ def check_json(path: Path | str, data: Any, model: type[Model], *checks: Callabl
     """Check the values of a JSON file.
 
     Args:
-        path: of the file, for messages.
-        data: its values.
-        model: of its content.
         *checks: as of ``load``.
-
-    Returns:
-        An instance of the model.
 
     Raises:
         FileError: the content is wrong.

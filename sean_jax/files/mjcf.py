@@ -40,9 +40,6 @@ WORDS = ("name", "class", "childclass", "file", "filename", "model", "prefix")  
 def read(path: Path) -> Any:
     """Read an MJCF file.
 
-    Args:
-        path: of the file.
-
     Returns:
         Its ``mujoco.MjModel``, in which every number is finite.
 
@@ -78,12 +75,6 @@ def read(path: Path) -> Any:
 def sources(path: Path) -> list[Path]:
     """The files that an MJCF file reads: those that it includes, meshes and images.
 
-    Args:
-        path: of the file.
-
-    Returns:
-        Their paths, in order.
-
     Raises:
         FileError: an element is refused, or a file cannot be read.
     """
@@ -106,12 +97,6 @@ class _Scan:
 
     def run(self, path: Path, content: str, including: tuple[Path, ...] = (), times: int = 1) -> None:
         """Check the text of a file.
-
-        Args:
-            path: of the file.
-            content: its text.
-            including: the files that include it.
-            times: how often its elements are made.
 
         Raises:
             FileError: an element is refused, or the file is not XML.
@@ -156,14 +141,6 @@ class _Scan:
     def element(self, name: str, attributes: dict[str, str], times: int) -> int:
         """Check an element.
 
-        Args:
-            name: of the element.
-            attributes: of the element.
-            times: how often it is made.
-
-        Returns:
-            How often it makes its content.
-
         Raises:
             _ElementError: it is refused.
         """
@@ -194,10 +171,6 @@ class _Scan:
 
     def count_images(self, name: str, attributes: dict[str, str]) -> None:
         """Count the pixels that MuJoCo paints for an element, and collect the names of the files that it reads.
-
-        Args:
-            name: of the element.
-            attributes: of the element.
 
         Raises:
             _ElementError: there are too many pixels.
@@ -231,9 +204,6 @@ class _Scan:
 
     def count_pixels(self, pixels: float) -> None:
         """Add pixels to the total.
-
-        Args:
-            pixels: to be added.
 
         Raises:
             _ElementError: there are too many.

@@ -80,12 +80,6 @@ _Loader.add_constructor("tag:yaml.org,2002:str", _word)
 def read(path: Path) -> tuple[yaml.Node, Any]:
     """Read a YAML file.
 
-    Args:
-        path: of the file.
-
-    Returns:
-        Its composed nodes, and its plain data.
-
     Raises:
         FileError: it cannot be read, or is not YAML of the plain kind.
     """
@@ -170,16 +164,7 @@ def _refuse_duplicate_keys(path: Path, root: yaml.Node) -> None:
 
 
 def lines(path: Path, marked: list[tuple[yaml.Mark, str]], more: int = 0) -> str:
-    """Format problems in the order of their positions in the file.
-
-    Args:
-        path: of the file.
-        marked: position and text of each problem.
-        more: number of further problems.
-
-    Returns:
-        One line for each problem.
-    """
+    """Format problems in the order of their positions in the file."""
     marked = sorted(marked, key=lambda item: (item[0].line, item[0].column))
     return limit_lines(
         path, [f"{short_name(path)}:{mark.line + 1}:{mark.column + 1}: {text}" for mark, text in marked], more
@@ -188,11 +173,6 @@ def lines(path: Path, marked: list[tuple[yaml.Mark, str]], more: int = 0) -> str
 
 def limit_lines(path: Path, messages: list[str], more: int = 0) -> str:
     """Limit the number of lines of a message.
-
-    Args:
-        path: of the file.
-        messages: one line for each problem.
-        more: number of further problems.
 
     Returns:
         The first lines, each once, and one line with the number of problems that are left out.
@@ -207,11 +187,6 @@ def locate(root: yaml.Node, loc: Location, at_key: bool) -> tuple[Location, yaml
     """Find the position of a value.
 
     A mapping is marked at its key, and a missing value at the key of the mapping or list that lacks it.
-
-    Args:
-        root: of the file's nodes.
-        loc: keys and indices that lead to the value.
-        at_key: mark the key in place of the value.
 
     Returns:
         The keys that the file has, and the position of the value, or of the nearest key that leads to it.
@@ -239,9 +214,6 @@ def locate(root: yaml.Node, loc: Location, at_key: bool) -> tuple[Location, yaml
 
 def key_path(loc: Location) -> str:
     """Format the keys and indices that lead to a value.
-
-    Args:
-        loc: keys and indices.
 
     Returns:
         Text such as nodes.dock.position[0]; of a long key its beginning.

@@ -43,10 +43,6 @@ def listed(text: str | None) -> list[str]:
 def suggest(word: str, choices: Iterable[str]) -> str:
     """The end of a message about an unknown name.
 
-    Args:
-        word: the unknown name.
-        choices: the names that there are.
-
     Returns:
         "; did you mean 'x'?" with the choice most like the word, or nothing if none is like it.
     """
@@ -59,11 +55,6 @@ def suggest(word: str, choices: Iterable[str]) -> str:
 def unknown_name(option: str, name: str, choices: Iterable[str]) -> str:
     """The message about an unknown name.
 
-    Args:
-        option: that the name was given for.
-        name: the unknown name.
-        choices: the names that there are.
-
     Returns:
         A sentence that names the option, the name and the choices, with a suggestion if a choice is like it.
     """
@@ -72,14 +63,7 @@ def unknown_name(option: str, name: str, choices: Iterable[str]) -> str:
 
 
 def short_name(path: Path) -> str:
-    """A file's name as messages give it.
-
-    Args:
-        path: of the file.
-
-    Returns:
-        Its name and that of its folder.
-    """
+    """A file's name as messages give it."""
     return "/".join(part for part in (path.parent.name, path.name) if part)
 
 
@@ -88,11 +72,7 @@ def open_file(path: Path | str, max_bytes: int = MAX_BYTES) -> Iterator[BinaryIO
     """A regular file, open for reading.
 
     Args:
-        path: of the file.
         max_bytes: that it may have.
-
-    Yields:
-        Its bytes as a stream.
 
     Raises:
         FileError: there is no such file, or it cannot be read, or is too large.
@@ -124,11 +104,7 @@ def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
     """Read a regular file.
 
     Args:
-        path: of the file.
         max_bytes: that it may have.
-
-    Returns:
-        Its bytes.
 
     Raises:
         FileError: there is no such file, or it cannot be read, or is too large.
@@ -153,7 +129,6 @@ def sentence(path: Path | str, cure: str) -> Iterator[None]:
     """Whatever another package raises in this block about a file's content becomes a ``FileError``.
 
     Args:
-        path: of the file.
         cure: the end of the sentence, such as ``get it anew``.
 
     Yields:
@@ -179,7 +154,6 @@ def read_text(path: Path | str, max_bytes: int = MAX_BYTES) -> str:
     """Read a UTF-8 file.
 
     Args:
-        path: of the file.
         max_bytes: that it may have.
 
     Returns:
@@ -203,11 +177,7 @@ def read_json(path: Path | str, max_bytes: int = MAX_RECORD) -> Any:
     """Read a JSON file; NaN and infinities are not JSON.
 
     Args:
-        path: of the file.
         max_bytes: that it may have.
-
-    Returns:
-        Its values.
 
     Raises:
         FileError: there is no such file, or it cannot be read, is too large, or is not JSON.
@@ -246,7 +216,6 @@ def read_rows(path: Path | str, max_bytes: int = MAX_TABLE) -> Iterator[list[str
     """Read a CSV file row by row.
 
     Args:
-        path: of the file.
         max_bytes: that it may have.
 
     Yields:
@@ -314,12 +283,7 @@ def read_arrays(
     """Read a .npz file of numbers and words.
 
     Args:
-        path: of the file.
         max_bytes: that it may have, and may unpack to.
-        cure: the end of the sentence about a damaged file.
-
-    Returns:
-        Name to array of numpy.
 
     Raises:
         FileError: there is no such file, or it cannot be read, is too large, or is damaged.

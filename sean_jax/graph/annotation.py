@@ -76,9 +76,6 @@ class Annotation(pydantic.BaseModel):
     def flow_of(self, edge: Edge) -> str:
         """The category of flow of an edge, whether it is given by its word or by its pair of weights.
 
-        Args:
-            edge: of this annotation.
-
         Returns:
             One of ``FLOWS``: the word, or that whose factors are nearest to the weights, as ratios.
         """
@@ -95,9 +92,6 @@ class Annotation(pydantic.BaseModel):
     def factors_of(self, edge: Edge) -> tuple[float, float]:
         """The factors by which the length of an edge is multiplied.
 
-        Args:
-            edge: of this annotation.
-
         Returns:
             There and back: its weights, or those of its flow.
         """
@@ -106,13 +100,6 @@ class Annotation(pydantic.BaseModel):
 
 def read(path: Path | str, environment: Environment) -> BehaviorGraph:
     """The graph of a ``graph.yaml``.
-
-    Args:
-        path: of the file.
-        environment: in which its nodes lie.
-
-    Returns:
-        M nodes with their tables of paths.
 
     Raises:
         FileError: lists all that is wrong with the file, with line, key and cure.
@@ -125,11 +112,7 @@ def build(annotation: Annotation, environment: Environment, seed: int = 0) -> Be
 
     Args:
         annotation: without mistakes.
-        environment: in which its nodes lie.
         seed: from which the places in the nodes' discs are drawn.
-
-    Returns:
-        M nodes with their tables of paths.
     """
     nodes = list(annotation.nodes.values())
     position = np.array([node.position for node in nodes], np.float64)
@@ -182,14 +165,7 @@ def _edges(annotation: Annotation, position: np.ndarray) -> tuple[np.ndarray, np
 
 
 def check(annotation: Annotation) -> Iterator[files.Problem]:
-    """Mistakes in the fields of an annotation, wherever its nodes lie.
-
-    Args:
-        annotation: as read from the file.
-
-    Returns:
-        Location and message of each mistake.
-    """
+    """Mistakes in the fields of an annotation, wherever its nodes lie."""
     for name, node in annotation.nodes.items():
         if node.kind == "group":
             if node.capacity is None:
@@ -261,15 +237,7 @@ def _unreachable(annotation: Annotation) -> Iterator[files.Problem]:
 
 
 def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
-    """Mistakes in where the nodes lie: off the floor, in obstacles or without room.
-
-    Args:
-        annotation: as read from the file.
-        environment: in which its nodes shall lie.
-
-    Returns:
-        Location and message of each mistake.
-    """
+    """Mistakes in where the nodes lie: off the floor, in obstacles or without room."""
     to_box, to_edge = signed_distances_on_host(
         environment, np.array([node.position for node in annotation.nodes.values()])
     )

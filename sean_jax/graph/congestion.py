@@ -20,9 +20,6 @@ MIN_AREA = 1.0  # m2, of an edge between nodes that coincide
 def edge_areas(graph: BehaviorGraph) -> Float[Array, "M M"]:
     """The floor that people share between two nodes: a strip as wide as the mean diameter of the nodes' discs.
 
-    Args:
-        graph: M nodes.
-
     Returns:
         (M, M) m2, whether there is an edge or not.
     """
@@ -35,12 +32,6 @@ def edge_densities(
     graph: BehaviorGraph, origin: Int[Array, "N"], hop: Int[Array, "N"], walking: Bool[Array, "N"]
 ) -> Float[Array, "M M"]:
     """Density of people between two nodes. Both directions count, because they share the floor.
-
-    Args:
-        graph: M nodes.
-        origin: (N,) node that each person has left.
-        hop: (N,) node that each person walks to.
-        walking: (N,) who counts.
 
     Returns:
         (M, M) people per m2.
@@ -59,7 +50,6 @@ def add_congestion_cost(
     An edge costs ``1 + congestion_cost * density`` times as much. The tables of paths are those of ``routes``.
 
     Args:
-        graph: M nodes.
         density: (M, M) people per m2 on each edge.
         congestion_cost: () m2; with 1, an edge with one person per m2 costs twice as much.
 

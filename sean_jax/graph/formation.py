@@ -46,14 +46,7 @@ MEAN, DEVIATION = _tables()
 
 
 def reach(capacity: int) -> float:
-    """The radius of the disc in which all seats of a group lie.
-
-    Args:
-        capacity: people of the group.
-
-    Returns:
-        m from the group's centre.
-    """
+    """The radius of the disc in which all seats of a group lie."""
     size = min(capacity, MAX_SIZE)
     return float(MEAN[size] + DEVIATION[size]) + JITTER
 
@@ -66,15 +59,12 @@ def formation(
     No two seats, and no seat and the opening, are closer than 0.5 m.
 
     Args:
-        key: of the draw.
-        capacity: (G,) people of each group.
         center: (G, 2) m, of each group.
         seat_group: (Q,) group of each seat; a group has as many seats as its capacity.
 
     Returns:
         Position (Q, 2) m and heading (Q, 2) unit vector of the seats, radius (G,) m of each group's ring, and its
         opening (G, 2) m.
-
     Source: Kendon's F-formation [38], measured in the Cocktail Party data [46].
     """
     groups, seats = capacity.shape[0], seat_group.shape[0]

@@ -21,12 +21,8 @@ def in_sight(environment: Environment, center: Float[Array, "P 2"], points: Floa
     """Whether a person can walk straight from a centre to a point, pair by pair.
 
     Args:
-        environment: with its obstacles.
         center: (P, 2) m.
         points: (P, 2) m.
-
-    Returns:
-        (P,)
     """
     each_box = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
     each_pair = jax.vmap(each_box, in_axes=(0, 0, 0, 0, None, None))
@@ -42,10 +38,8 @@ def places(environment: Environment, position: np.ndarray, radius: np.ndarray, s
     person.
 
     Args:
-        environment: in which the nodes lie.
         position: (M, 2) m, of the nodes.
         radius: (M,) m, of their discs.
-        seed: of the draw.
 
     Returns:
         (M, 64, 2) m, float32.

@@ -61,7 +61,6 @@ def hop_log_chances(
     Args:
         edge_cost: (M, M) m, of the edge from row to column, inf without one.
         cost: (M, M) m, of the cheapest path from row to column, of ``cheapest_paths``.
-        is_group: (M,) nodes through which nobody walks.
         temperature: m, above 0: ways that are dearer by so much are chosen e times less often.
 
     Returns:
@@ -92,7 +91,6 @@ def rerouted(
     Places in nodes' discs move along with them, and edges cost in proportion to their lengths.
 
     Args:
-        graph: M nodes.
         position: (M, 2) m, of its nodes; as they are if None.
         factor: (M, M) by which the cost of the edge from row to column is multiplied; 1 if None.
 

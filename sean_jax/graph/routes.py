@@ -15,7 +15,6 @@ def routes(edge_cost: np.ndarray, is_group: np.ndarray) -> tuple[np.ndarray, np.
     Returns:
         Cost (M, M) m of the path from row to column, float64, inf without a path; and the node (M, M) int32 after the
         row's on it, -1 without a path, the row's own on the diagonal.
-
     Source: section IV-D, [47].
     """
     from scipy.sparse import csr_array

@@ -116,9 +116,6 @@ class Annotation(pydantic.BaseModel):
             name: of a set, of a situation, or ``all``; of a collection ``COLLECTION``, ``COLLECTION_SITUATION`` or
                 ``COLLECTION_SET``.
 
-        Returns:
-            Name -> set.
-
         Raises:
             InputError: there is no such set, situation or collection.
         """

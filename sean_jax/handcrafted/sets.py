@@ -55,9 +55,6 @@ class Sets:
     def one(self, number: Int[Array, ""]) -> "Sets":
         """One of the sets.
 
-        Args:
-            number: its row.
-
         Returns:
             The set, without the axis S and without ``ways``.
         """
@@ -70,9 +67,6 @@ def build(sets: dict[str, Set], navigation: paths.Navigation | None = None) -> S
     Args:
         sets: name -> checked set, at least one.
         navigation: of people, for sets in which somebody starts at a waypoint.
-
-    Returns:
-        S sets.
 
     Raises:
         InputError: there is no way from a waypoint to the next one.

@@ -30,10 +30,6 @@ STRIDE = 0.1  # m, between the points that stand for a loop where distances are 
 def read(folder: Path, environment: Environment) -> Annotation:
     """The sets of the ``handcrafted.yaml`` of an environment.
 
-    Args:
-        folder: of the environment.
-        environment: in which the sets lie.
-
     Returns:
         The annotation, without mistakes.
 
@@ -48,14 +44,7 @@ def read(folder: Path, environment: Environment) -> Annotation:
 
 
 def check(annotation: Annotation) -> Iterator[files.Problem]:
-    """Mistakes in the fields of an annotation, wherever its places lie.
-
-    Args:
-        annotation: as read from the file.
-
-    Returns:
-        Location and message of each mistake.
-    """
+    """Mistakes in the fields of an annotation, wherever its places lie."""
     several = {ALL, *get_args(Situation)}
     for collection in annotation.further:
         if collection in several or collection in annotation.sets:
@@ -113,15 +102,7 @@ def trace(loop: list[tuple[float, float]]) -> np.ndarray:
 
 
 def check_apart(here: files.Location, each: Set) -> Iterator[files.Problem]:
-    """Mistakes in the distances within a set, whatever obstacles there are.
-
-    Args:
-        here: location of the set in the file.
-        each: the set.
-
-    Returns:
-        Location and message of each mistake.
-    """
+    """Mistakes in the distances within a set, whatever obstacles there are."""
     too_long = False
     for number, walkers in enumerate(each.walkers):
         corners = np.array(walkers.loop, float)
@@ -187,15 +168,7 @@ def check_apart(here: files.Location, each: Set) -> Iterator[files.Problem]:
 
 
 def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
-    """Mistakes in where the sets lie: off the floor, in obstacles, without room or with loops that are blocked.
-
-    Args:
-        annotation: as read from the file.
-        environment: in which its sets shall lie.
-
-    Returns:
-        Location and message of each mistake.
-    """
+    """Mistakes in where the sets lie: off the floor, in obstacles, without room or with loops that are blocked."""
     spots, legs = [], []
     for here, _, each in annotation.each():
         for key, poses in (("starts", each.starts), ("goals", each.goals)):

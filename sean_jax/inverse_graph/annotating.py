@@ -16,13 +16,7 @@ def fitted(annotation: Annotation, fit: GraphFit, closed: bool, source: str) -> 
     Factors are given relative to the middle one of all edges, because only their ratios matter.
 
     Args:
-        annotation: of the graph that was fitted.
-        fit: of it.
         closed: whether people were in a closed population; otherwise where they enter becomes ``spawn``.
-        source: a line about what it was fitted to.
-
-    Returns:
-        The annotation.
     """
     names = list(annotation.nodes)
     is_group = np.array([node.kind == "group" for node in annotation.nodes.values()])
@@ -60,9 +54,6 @@ def text(annotation: Annotation) -> str:
 
     Args:
         annotation: without mistakes.
-
-    Returns:
-        YAML.
     """
     lines = [f"version: {annotation.version}", f"source: {json.dumps(annotation.source)}"]
     lines += [f"c_min: {annotation.c_min:g}", f"c_max: {annotation.c_max:g}", "", "nodes:"]

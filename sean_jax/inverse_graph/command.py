@@ -53,13 +53,6 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
     The folder holds graph.yaml beside the environment's own files, so that ``sean run --environment`` takes it, and, if
     there were people, flows.png, flows.csv and fit.json.
 
-    Args:
-        options: environment, people and folder.
-        console: shows progress.
-
-    Returns:
-        What was found, a line each.
-
     Raises:
         InputError: there is no such environment, or hardly anybody walks along the graph's edges.
         FileError: a file cannot be used.

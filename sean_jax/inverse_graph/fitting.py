@@ -64,16 +64,9 @@ def fit_flows(
     What a graph is annotated with, apart from its nodes and edges, is not used: all edges begin with their lengths.
 
     Args:
-        graph: M nodes.
-        measured: what people did on it.
         closed: whether people go on from goal to goal, as in a simulation, or enter and leave, as in a recording.
         temperature: m, of route choice in the end.
         calls: how people were called to groups, if that is known and not to be fitted, in a closed population.
-        steps: of gradient descent.
-        progress: is told how far the fit is.
-
-    Returns:
-        The fit.
     """
     import optax
 

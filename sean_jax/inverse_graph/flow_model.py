@@ -54,14 +54,7 @@ class Layout(NamedTuple):
 
 
 def layout(graph: BehaviorGraph) -> Layout:
-    """The layout of a graph.
-
-    Args:
-        graph: M nodes with G groups.
-
-    Returns:
-        Its layout.
-    """
+    """The layout of a graph."""
     gap = graph.position[:, None] - graph.position[None, :]
     away = length(gap[..., 0], gap[..., 1])
     here = jnp.eye(graph.radius.shape[0], dtype=bool)
@@ -70,14 +63,7 @@ def layout(graph: BehaviorGraph) -> Layout:
 
 
 def weights_of(graph: BehaviorGraph) -> FlowWeights:
-    """The weights that a graph is annotated with, or 1 where it says nothing; people are seldom sent to groups.
-
-    Args:
-        graph: M nodes with G groups.
-
-    Returns:
-        The weights.
-    """
+    """The weights that a graph is annotated with, or 1 where it says nothing; people are seldom sent to groups."""
     distance = layout(graph).length
     joined = jnp.isfinite(distance)
     ratio = jnp.where(joined, graph.edge_cost, 1.0) / jnp.where(joined, jnp.maximum(distance, 1e-6), 1.0)
@@ -99,8 +85,6 @@ def expected_flows(
     """The flows that people have in the long run.
 
     Args:
-        place: M nodes.
-        weights: of the graph.
         temperature: m, of ``route_choice``.
         closed: whether people go on from goal to goal, or enter and leave.
         replaced: (M, G) with what chance somebody who comes to a node on the way to a group is not wanted there any
@@ -195,9 +179,6 @@ def _sent_chances(place: Layout, log_odds: Float[Array, "M G"]) -> Float[Array, 
 def log_odds(chances: Float[Array, "M G"]) -> Float[Array, "M G"]:
     """The logarithms of odds, against being sent nowhere, of which ``FlowWeights.sent`` consists.
 
-    Args:
-        chances: (M, G) to be sent to each group.
-
     Returns:
         (M, G) odds; of chances of 0 they are as small as can be.
     """
@@ -209,8 +190,6 @@ def log_likelihood(flows: Flows, edges: Float[Array, "M M"], turns: Float[Array,
     """How likely measured turns and walks are, a mean of each: of a multinomial draw from the expected ones.
 
     Args:
-        flows: expected.
-        edges: (M, M) walks that were measured.
         turns: (M + 1, M, M + 1) turns that were measured. In a closed population leave out who enters or leaves.
 
     Returns:

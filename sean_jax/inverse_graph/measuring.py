@@ -62,13 +62,9 @@ def measure_flows(
     """Ways, stays and speeds of people on a graph.
 
     Args:
-        graph: M nodes with G groups.
         position: (T, N, 2) m, of a simulation's frames or of a recording.
         present: (T, N) who is there; whoever is absent for a row is somebody else afterwards.
         time_step: s, between rows.
-
-    Returns:
-        The measure.
     """
     last, walked = (np.asarray(part) for part in _nodes(graph, jnp.asarray(position, float), jnp.asarray(present)))
     edges, turns = _ways(last, walked, present, len(graph.names))

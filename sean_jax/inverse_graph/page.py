@@ -25,14 +25,7 @@ def picture(
     """Draw flows as arrows along the edges, each measure in a panel of its own, and compare them in a last one.
 
     Args:
-        environment: in which people walk.
-        graph: M nodes.
         panels: title -> (M, M) people per minute; the first is what the others are compared with.
-        title: above all of them.
-        width: inches, of a panel.
-
-    Returns:
-        The figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -93,11 +86,7 @@ def table(graph: BehaviorGraph, panels: dict[str, np.ndarray]) -> str:
     """The flow along each directed edge, as CSV.
 
     Args:
-        graph: M nodes.
         panels: title -> (M, M) people per minute.
-
-    Returns:
-        A line an edge, after a header.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -108,15 +97,7 @@ def table(graph: BehaviorGraph, panels: dict[str, np.ndarray]) -> str:
 
 
 def findings(graph: BehaviorGraph, fit: GraphFit) -> list[str]:
-    """What was found, for people.
-
-    Args:
-        graph: M nodes.
-        fit: of it.
-
-    Returns:
-        A line each.
-    """
+    """What was found, for people."""
     mean, deviation = fit.speed
     lines = [f"preferred speed: {mean:.2f} m/s, standard deviation {deviation:.2f} m/s"] if np.isfinite(mean) else []
     for number, node in enumerate(np.asarray(graph.groups)):

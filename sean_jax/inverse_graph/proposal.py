@@ -39,7 +39,6 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     """A graph of waypoints for an environment.
 
     Args:
-        environment: with its floor and obstacles.
         ends: (K, 2) m, where people come from and go to, if that is known: where many are, there is a node.
 
     Returns:

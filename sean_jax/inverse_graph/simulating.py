@@ -49,9 +49,6 @@ def people_alone(
     """Where people are, in an episode in which nobody but people moves.
 
     Args:
-        scenario: N people.
-        key: of the episode.
-        steps: of control.
         every: how many of them pass from one row to the next.
 
     Returns:
@@ -68,10 +65,6 @@ def people_called(
     """As ``people_alone``, and how people were called to groups.
 
     Args:
-        scenario: N people, who walk on the graph.
-        graph: M nodes with G groups.
-        key: of the episode.
-        steps: of control.
         every: how many of them pass from one row to the next.
 
     Returns:
@@ -118,15 +111,7 @@ def _simulate(
 
 
 def begin_alone(scenario: Scenario, key: Array) -> State:
-    """A state with people at their starts and the robot far away, without a task, which would take long to compile.
-
-    Args:
-        scenario: N people.
-        key: of the episode.
-
-    Returns:
-        The state.
-    """
+    """A state with people at their starts and the robot far away, without a task, which would take long to compile."""
     blank = jax.eval_shape(lambda key: stages.reset(scenario, key), key)
     state = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), blank.replace(streams=None))
     pedestrians, groups, memory = scenario.behavior.reset(scenario, key)

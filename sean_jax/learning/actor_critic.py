@@ -68,11 +68,7 @@ class ActorCritic(nn.Module):
         Args:
             vector: (..., F) normalized numbers, the last of which may be for the critic alone.
             images: name -> (..., H, W) m, or (..., H, W, C).
-            memory: (..., M) of the step before.
             start: (...) whether an episode begins here, so that what is remembered is of another.
-
-        Returns:
-            The answer.
         """
         shared = vector.shape[-1] - self.private
         vector, private = vector[..., :shared], vector[..., shared:]
@@ -135,13 +131,7 @@ def init_agent(network: ActorCritic, terms: observations.Terms, space: Dict, key
     """The agent before training.
 
     Args:
-        network: what is trained.
-        terms: of the observation.
-        space: of the observation.
         key: () typed PRNG key.
-
-    Returns:
-        The agent.
     """
     empty = {name: jnp.zeros(box.shape, jnp.float32) for name, box in space.items()}
     vector = observations.flatten(terms, empty).astype(jnp.float32)
@@ -159,9 +149,6 @@ def init_agents(network: ActorCritic, terms: observations.Terms, space: Dict, ke
     where two batches of factorizations run at once.
 
     Args:
-        network: what is trained.
-        terms: of the observation.
-        space: of the observation.
         keys: (A,) typed PRNG keys.
 
     Returns:
@@ -174,11 +161,7 @@ def with_noise(agent: Agent, deviation: float) -> Agent:
     """The agent with other noise of its actions.
 
     Args:
-        agent: any.
         deviation: standard deviation of actions from -1 to 1; where it depends on what is seen, that of its bias.
-
-    Returns:
-        The agent.
     """
     inner = dict(agent.parameters["params"])
     value, old = np.log(deviation), inner["log_std"]
@@ -199,15 +182,8 @@ def answer(
     """What the agent says to observations.
 
     Args:
-        network: whose parameters the agent has.
         agent: its parameters, and the statistics by which numbers are normalized.
         vector: (..., F) of ``observations.flatten``.
-        images: name -> images.
-        memory: (..., M) of the step before.
-        start: (...) whether an episode begins.
-
-    Returns:
-        The answer.
     """
     mean, variance = (jnp.broadcast_to(row, vector.shape) for row in (agent.statistics.mean, agent.statistics.variance))
     scaled = (vector - mean) * jax.lax.rsqrt(variance + 1e-8)
@@ -218,13 +194,8 @@ def answer(
 def update_statistics(before: Statistics, vectors: Float[Array, "K F"]) -> Statistics:
     """Statistics with further observations.
 
-    Args:
-        before: of those until now.
-        vectors: (K, F) further ones.
-
     Returns:
         Of all together.
-
     Source: T. Chan et al., "Updating formulae and a pairwise algorithm for computing sample variances", 1979.
     """
     number = jnp.asarray(vectors.shape[0], jnp.float32)
@@ -239,37 +210,18 @@ def draw_action(answered: Answer, key: Array) -> Float[Array, "*batch 2"]:
     """An action with its noise.
 
     Args:
-        answered: to the observation.
         key: () typed PRNG key.
-
-    Returns:
-        (..., 2).
     """
     noise = jax.random.normal(key, answered.mean.shape, answered.mean.dtype)
     return answered.mean + jnp.exp(answered.log_std) * noise
 
 
 def log_density(answered: Answer, action: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
-    """Logarithm of the density with which an action is taken.
-
-    Args:
-        answered: to the observation.
-        action: (..., 2).
-
-    Returns:
-        (...).
-    """
+    """Logarithm of the density with which an action is taken."""
     gap = (action - answered.mean) * jnp.exp(-answered.log_std)
     return -(0.5 * gap * gap + answered.log_std + 0.5 * np.log(2.0 * np.pi)).sum(-1)
 
 
 def entropy(answered: Answer) -> Float[Array, "*batch"]:
-    """Entropy of the actions.
-
-    Args:
-        answered: to the observation.
-
-    Returns:
-        (...) nats.
-    """
+    """Entropy of the actions."""
     return (answered.log_std + 0.5 * np.log(2.0 * np.pi * np.e)).sum(-1)

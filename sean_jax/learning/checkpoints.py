@@ -70,7 +70,6 @@ class Checkpoints:
         """Open the checkpoints of a folder.
 
         Args:
-            folder: the folder of the training.
             writes: whether checkpoints may be saved and deleted; the caller holds the lock then.
         """
         logging.getLogger("absl").setLevel(logging.CRITICAL)  # orbax logs every step
@@ -95,11 +94,6 @@ class Checkpoints:
 
     def save(self, state: Any, epoch: int, loss: float) -> None:
         """Write a checkpoint in the background.
-
-        Args:
-            state: a pytree of arrays.
-            epoch: number of epochs done; the name of the checkpoint.
-            loss: validation loss, which decides which checkpoint is the best.
 
         Raises:
             IncompleteError: this checkpoint or the one before could not be written.
@@ -147,11 +141,7 @@ class Checkpoints:
         """Read one field of the checkpoint with the lowest validation loss, the latest of equals.
 
         Args:
-            part: name of the field of the saved state.
             like: a pytree with the structure, shapes and types of that field.
-
-        Returns:
-            The field.
 
         Raises:
             InputError: there is no checkpoint.
@@ -257,7 +247,6 @@ def check_config(folder: Path, config: dict[str, Any]) -> bool:
     """Check that a training of this configuration may start or continue in the folder.
 
     Args:
-        folder: the folder of the training.
         config: values that JSON can hold. ``versions`` and ``command`` may differ from those on disk.
 
     Returns:
@@ -296,10 +285,6 @@ def _check_parts(file: Path, now: dict[str, str], saved: Any) -> None:
 
 def write_config(folder: Path, config: dict[str, Any]) -> None:
     """Write the configuration of a new training.
-
-    Args:
-        folder: the folder of the training.
-        config: values that JSON can hold.
 
     Raises:
         InputError: the folder cannot be written.

@@ -21,11 +21,6 @@ def policy(given: PolicyLike | Component | str, scenario: Scenario, option: str 
     Args:
         given: a policy, a function, a name of ``POLICIES`` or ``AGENTS``, the folder of a training or a packed agent,
             FILE.py:NAME, or a description of these.
-        scenario: in which it will drive.
-        option: what asks for it, for messages.
-
-    Returns:
-        The policy.
 
     Raises:
         InputError: there is none of that name, or it does not fit to the scenario.
@@ -50,10 +45,6 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
     Args:
         folder: that ``sean train`` has written, or is writing, or that ``sean export agent`` has; as text also a name
             of ``AGENTS``, unless an agent's folder of that name is here, too.
-        scenario: where it will drive.
-
-    Returns:
-        The policy, named after the folder.
 
     Raises:
         InputError: the folder has no trained network, or one that does not fit to the scenario.
@@ -78,8 +69,6 @@ def check(given: PolicyLike | Component | str, config: ScenarioConfig, option: s
 
     Args:
         given: as of ``policy``.
-        config: of the scenario.
-        option: what asks for it, for messages.
 
     Raises:
         InputError: one sentence that names the value and the cure.

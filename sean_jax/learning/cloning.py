@@ -37,11 +37,6 @@ def clone(
     """Let an agent act as a policy does.
 
     Args:
-        options: sizes, as of the training that follows.
-        envs: what is trained on; their pools are drawn anew.
-        network: whose parameters the agent has.
-        agent: what learns.
-        teachers: who is imitated, in each of them.
         key: () typed PRNG key.
 
     Returns:

@@ -43,11 +43,7 @@ def collect(config: CollectConfig, console: Console | Callable[[float], None] | 
     """Record until every stream has its time. What was committed stays, whatever is raised.
 
     Args:
-        config: what to record.
         console: shows the progress; a function is told the share that is done.
-
-    Returns:
-        The dataset.
 
     Raises:
         InputError: what is asked for cannot be.
@@ -160,9 +156,6 @@ def _opened(config: CollectConfig, parts: dict[str, Scenario], policy: Policy, c
 def check_place(folder: Path) -> None:
     """Refuse a folder that holds something else than a dataset, or what a kill at the very beginning left of one.
 
-    Args:
-        folder: for a dataset.
-
     Raises:
         InputError: it holds something else.
     """
@@ -237,13 +230,7 @@ def scenario_facts(scenario: Scenario, camera: sensors.Camera, policy: str, rate
     """What a manifest says of a scenario and of who drives there.
 
     Args:
-        scenario: in which demonstrations are recorded.
-        camera: of the depth images.
-        policy: who drives, by name.
         rate: rows a second.
-
-    Returns:
-        key -> value, as JSON has words for.
     """
     image = {"width": camera.width, "height": camera.height, "fovy": camera.fovy, "far": camera.far}
     limits = {"max_speed": float(scenario.robot.max_speed), "max_turn_rate": float(scenario.robot.max_turn_rate)}

@@ -172,11 +172,9 @@ def follow(
     """The curriculum after an update of a trainer, and what its log tells of it.
 
     Args:
-        env: where it happens.
         plan: what it follows; None for none.
         curriculum: before; None for none.
         told: (T, B, ...) of the dicts of ``Env.step``: rewards, start, situations, episode_return.
-        over: (T, B) the episode ended with this step.
 
     Returns:
         The curriculum; and under its name, of how many starts the weights are worth, how often each has been replaced,
@@ -209,13 +207,8 @@ def init(env: mdp.Env, plan: Plan, key: Array, size: int, policy: PolicyLike | N
 
     Args:
         env: where it happens; ``replace(env, pool=curriculum.pool)`` trains on it.
-        plan: what it follows.
         key: () typed PRNG key.
-        size: K, how many starts.
         policy: who drives to find out which situations occur; None: that shows in the record alone. Regret needs none.
-
-    Returns:
-        The curriculum.
 
     Raises:
         InputError: a situation that is chosen is none of the scenario's.
@@ -236,13 +229,7 @@ def observe(env: mdp.Env, plan: Plan, curriculum: Curriculum, record: Record) ->
     """The curriculum after some steps of an agent, with new weights.
 
     Args:
-        env: where it happens.
-        plan: what it follows.
-        curriculum: before.
         record: of the steps. Episodes from starts that are no longer in the pool count for situations alone.
-
-    Returns:
-        The curriculum.
     """
     size = curriculum.keys.shape[0]
     slot = jnp.maximum(record.start, 0) % size
@@ -289,14 +276,8 @@ def refill(
     go whose regret is known, for others like the best and for new ones.
 
     Args:
-        env: where it happens.
-        plan: what it follows.
-        curriculum: before.
         key: () typed PRNG key, another one each time.
         policy: as of ``init``.
-
-    Returns:
-        The curriculum. Episodes from the former starts go on.
     """
     size = curriculum.keys.shape[0]
     number = int(plan.replaced * size)
@@ -338,11 +319,6 @@ def refill(
 def situation_weights(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Float[Array, "S"]:
     """How much each situation shall occur.
 
-    Args:
-        env: where it happens.
-        plan: what it follows.
-        curriculum: with the record so far.
-
     Returns:
         (S,) that add up to 1.
     """
@@ -359,9 +335,6 @@ def situation_weights(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Float
 def occurrences(curriculum: Curriculum) -> Float[Array, "K S"]:
     """Which situations occur from each start.
 
-    Args:
-        curriculum: with the record so far.
-
     Returns:
         (K, S) shares of the time; those of all starts together where nothing is known.
     """
@@ -370,9 +343,6 @@ def occurrences(curriculum: Curriculum) -> Float[Array, "K S"]:
 
 def regret(curriculum: Curriculum) -> Float[Array, "K"]:
     """How much the agent could do better from each start.
-
-    Args:
-        curriculum: with the record so far.
 
     Returns:
         (K,) the mean of positive advantages, if they were observed, else the best return less their mean; a guess where

@@ -16,9 +16,6 @@ WIDTH = 16  # characters of a curve in a word
 def sparkline(values: Sequence[float]) -> str:
     """A curve in a word.
 
-    Args:
-        values: of the curve.
-
     Returns:
         A block for each value, as high as it is between the least and the greatest; if there are many, for means of as
         many in a row.
@@ -31,11 +28,7 @@ def sparkline(values: Sequence[float]) -> str:
 
 
 def draw_curve(folder: Path) -> None:
-    """Write the picture of a training: return, completed tasks and violations in evaluations, by steps and by time.
-
-    Args:
-        folder: of the training, with its log.
-    """
+    """Write the picture of a training: return, completed tasks and violations in evaluations, by steps and by time."""
     import io
 
     from matplotlib.figure import Figure

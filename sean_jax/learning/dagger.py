@@ -29,7 +29,6 @@ def train(options: DaggerConfig, console: Console | Callable[[float], None] | No
     """Train networks in turn with further demonstrations, or go on with that, in the folder of the options.
 
     Args:
-        options: what to train.
         console: shows the progress; a function receives the fraction done instead, and None shows nothing.
 
     Returns:

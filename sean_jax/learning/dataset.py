@@ -54,9 +54,6 @@ class Dataset:
     def description(self) -> CollectConfig:
         """What ``sean collect`` recorded, with the files of own parts as they are found from here.
 
-        Returns:
-            The description.
-
         Raises:
             InputError: something else made the dataset, or a file is not what it was.
         """
@@ -146,7 +143,6 @@ class Dataset:
         """Read fields of rows.
 
         Args:
-            episodes: which episodes.
             names: of the fields; all if None.
 
         Returns:
@@ -180,12 +176,6 @@ class Dataset:
     def recording(self, episodes: list[Episode]) -> Recording:
         """Read whole episodes.
 
-        Args:
-            episodes: which episodes.
-
-        Returns:
-            A recording of numpy arrays, R rows.
-
         Raises:
             IncompleteError: a file is missing or damaged.
         """
@@ -195,8 +185,6 @@ class Dataset:
         """Write a batch of episodes as a shard, then name it in the manifest.
 
         Args:
-            stream: index of the stream of the episodes.
-            batch: the episodes.
             shard: index of a damaged shard that it replaces; the next new one if None.
 
         Raises:
@@ -213,9 +201,6 @@ class Dataset:
     def save(self, manifest: dict[str, Any]) -> None:
         """Replace the manifest.
 
-        Args:
-            manifest: its new content.
-
         Raises:
             IncompleteError: it cannot be written. What was committed before stays.
         """
@@ -227,11 +212,7 @@ class Dataset:
         self.manifest = manifest
 
     def damaged_shards(self) -> list[int]:
-        """Find shards of which a file is missing or has another size than when it was written.
-
-        Returns:
-            Their indices.
-        """
+        """Find shards of which a file is missing or has another size than when it was written."""
         dimensions = {name: len(shape) + 2 for name, (shape, _) in self.fields.items()}
         return [
             index
@@ -268,11 +249,7 @@ def recording_of(fields: dict[str, np.ndarray], lengths: list[int], rate: int = 
 
     Args:
         fields: name -> (R, ...) the rows of one episode after the other.
-        lengths: rows of each episode.
         rate: rows a second.
-
-    Returns:
-        A recording of numpy arrays, R rows.
     """
     each = np.array(lengths, np.int64)
     ends = np.cumsum(each)
@@ -287,7 +264,6 @@ def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[in
     Args:
         height: of a depth image [pixels].
         width: of a depth image [pixels].
-        situations: number of social situations.
 
     Returns:
         Name -> (shape, type).
@@ -309,9 +285,6 @@ def create_dataset(folder: Path, manifest: dict[str, Any]) -> Dataset:
         folder: does not exist, or is empty.
         manifest: content of dataset.json, but for the format and the shards.
 
-    Returns:
-        The dataset.
-
     Raises:
         InputError: the folder cannot be written.
         IncompleteError: the manifest cannot be written.
@@ -330,10 +303,6 @@ def open_dataset(folder: Path | str, part: tuple[int, int] = (1, 1)) -> Dataset:
 
     Args:
         folder: the folder that ``sean collect`` or a ``Recorder`` has written.
-        part: which of how many equal parts of the episodes.
-
-    Returns:
-        The dataset.
 
     Raises:
         InputError: there is none, or this version cannot read it.
@@ -360,12 +329,7 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[list[Episode], lis
     """Split the episodes into those to train and those to validate with. No episode is in both.
 
     Args:
-        dataset: the dataset.
         share: of the episodes that validate; at least one does.
-        seed: decides which.
-
-    Returns:
-        Training episodes and validation episodes.
 
     Raises:
         InputError: there are fewer than two episodes.
@@ -384,9 +348,6 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[list[Episode], lis
 
 def on_device(recording: Recording) -> Recording:
     """Convert a recording to arrays of jax.
-
-    Args:
-        recording: numpy arrays.
 
     Returns:
         The same on the default device.

@@ -35,8 +35,6 @@ def record(
     """What a collection keeps of episodes: rows.
 
     Args:
-        scenario: what is simulated.
-        camera: of the depth images.
         command: tells the command that is recorded, from the state after a step; the one that was given if None.
         rate: rows a second.
 
@@ -50,11 +48,7 @@ def steps_of_row(scenario: Scenario, rate: int) -> int:
     """How many steps of control there are from one row to the next.
 
     Args:
-        scenario: what is simulated.
         rate: rows a second, a divisor of the steps in a second.
-
-    Returns:
-        The number of steps.
     """
     return round(1.0 / scenario.time_step) // rate
 
@@ -64,13 +58,7 @@ def simulate(runner: Runner, seed: int, shard: int, stream: int, watch: Callable
 
     Args:
         runner: whose record is that of ``record``.
-        seed: of the collection.
-        shard: its number.
-        stream: index of its scenario.
         watch: is told the seconds that are simulated.
-
-    Returns:
-        The rows of all its episodes.
 
     Raises:
         FloatingPointError: a number is not finite; the message names the episodes.

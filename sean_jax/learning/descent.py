@@ -36,13 +36,8 @@ def learn(
     """Go some times through what was seen, in another order each time, with a step of the optimizer for each minibatch.
 
     Args:
-        descent: how; its minibatches divide B.
         loss: of a minibatch: (what the agent says now, ``*part``) -> (loss, numbers for the log).
-        network: whose parameters the agent has.
-        agent: what learns.
-        state: of the optimizer.
         data: (T, B, ...) what was seen, and what else a loss needs of it; its parts are those of a minibatch.
-        memory: (B, M) of the network before the first step.
         key: () typed PRNG key of the update.
 
     Returns:
@@ -75,12 +70,6 @@ def descend(
     Args:
         rule: the optimizer, with a learning rate of -1.
         rate: () learning rate.
-        parameters: of the network.
-        state: of the optimizer.
-        gradient: of the loss by the parameters.
-
-    Returns:
-        Parameters and state afterwards.
     """
     with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
         change, state = rule.update(gradient, state, parameters)

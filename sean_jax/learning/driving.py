@@ -34,12 +34,6 @@ class DriverState:
 def policy(network: ActorCritic, agent: Agent, terms: observations.Terms, name: str = "agent") -> Policy:
     """Make a policy of an agent.
 
-    Args:
-        network: whose parameters the agent has.
-        agent: what was learned.
-        terms: of the observations that it learned from.
-        name: of the policy.
-
     Returns:
         A policy for ``rollout``.
     """
@@ -47,16 +41,7 @@ def policy(network: ActorCritic, agent: Agent, terms: observations.Terms, name: 
 
 
 def init(scenario: Scenario, params: DriverParams, state: State) -> DriverState:
-    """Begin an episode.
-
-    Args:
-        scenario: where it drives.
-        params: of the policy.
-        state: in which the episode begins.
-
-    Returns:
-        The memory before the first step.
-    """
+    """Begin an episode."""
     key = jax.random.fold_in(state.streams.policy, 2**31 - 1)  # above any tick
     _, observed = observations.begin(params.terms, scenario, state, key)
     return DriverState(observed, jnp.zeros(params.network.memory_size, jnp.float32), jnp.ones((), bool))
@@ -66,9 +51,6 @@ def apply(scenario: Scenario, params: DriverParams, state: State, key: Array) ->
     """Drive one control step.
 
     Args:
-        scenario: where it drives.
-        params: of the policy.
-        state: with the memory of the step before.
         key: unused; the mean of the actions is not drawn.
 
     Returns:

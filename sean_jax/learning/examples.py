@@ -70,14 +70,8 @@ def row(
     """Make the row of a state.
 
     Args:
-        scenario: the scenario.
-        state: the state in which the row is recorded.
         command: (2,) m/s, rad/s, what the policy commands in that state.
-        camera: the depth camera.
         last_arc: (V,) ``navigation.last_arc_to_goal`` of the goal of the task.
-
-    Returns:
-        The row.
     """
     robot = state.robot
     return Row(
@@ -93,11 +87,6 @@ def row(
 def depth_image(scenario: Scenario, state: State, camera: sensors.Camera) -> UInt16[Array, "H W"]:
     """Take a depth image.
 
-    Args:
-        scenario: the scenario.
-        state: its state.
-        camera: the depth camera.
-
     Returns:
         (H, W) uint16 mm.
     """
@@ -109,8 +98,6 @@ def plan_ahead(scenario: Scenario, state: State, last_arc: Int[Array, "V"]) -> F
     """Find the next points of the shortest path to the goal.
 
     Args:
-        scenario: the scenario.
-        state: its state.
         last_arc: (V,) ``navigation.last_arc_to_goal`` of the goal of the task.
 
     Returns:
@@ -126,7 +113,6 @@ def example(recording: Recording, index: Int[Array, "*batch"], xp: ModuleType = 
     """Make examples of a recording.
 
     Args:
-        recording: the rows.
         index: () or (B,) the rows at which the examples are.
         xp: ``numpy`` if the recording consists of numpy arrays.
 

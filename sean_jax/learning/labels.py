@@ -29,15 +29,7 @@ class LabelledState:
 
 
 def labelled(driver: PolicyLike, labeller: PolicyLike) -> Policy:
-    """A policy that drives, with another one that labels.
-
-    Args:
-        driver: whose commands the robot takes.
-        labeller: whose commands are the labels.
-
-    Returns:
-        The policy, named after the driver.
-    """
+    """A policy that drives, with another one that labels."""
     both = as_policy(driver), as_policy(labeller)
     return Policy(params=both, name=both[0].name, init=_init, apply=_apply)
 
@@ -86,11 +78,7 @@ def disturbed(driver: PolicyLike, deviation: float) -> Policy:
     """A policy whose commands reach the robot with noise.
 
     Args:
-        driver: whose commands are the labels.
         deviation: of the noise, as a share of the top speed and of the greatest turn rate.
-
-    Returns:
-        The policy, named after the driver.
     """
     one = as_policy(driver)
     params = one, jnp.asarray(deviation, float)

@@ -45,12 +45,6 @@ class PolicyState:
 def policy(network: Network, weights: Weights, scenario: Scenario, name: str = "learned") -> Policy:
     """Make a policy of a network, for the robot of a scenario.
 
-    Args:
-        network: the network.
-        weights: its weights.
-        scenario: the scenario, whose robot has the depth camera.
-        name: of the policy.
-
     Returns:
         A policy for ``rollout``.
 
@@ -67,10 +61,6 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
 
     Args:
         folder: the folder that ``sean train`` has written, or is writing.
-        scenario: the scenario to drive in.
-
-    Returns:
-        The policy, named after the folder.
 
     Raises:
         InputError: the folder has no trained network, or one that receives the flags of other social situations.
@@ -94,16 +84,7 @@ def _last_round(folder: Path) -> Path:
 
 
 def init(scenario: Scenario, params: PolicyParams, state: State) -> PolicyState:
-    """Begin an episode: the images before it are taken to be that of now.
-
-    Args:
-        scenario: the scenario.
-        params: parameters of the policy.
-        state: the state at the beginning.
-
-    Returns:
-        The policy state before the first step.
-    """
+    """Begin an episode: the images before it are taken to be that of now."""
     encoding = _encode(scenario, params, state)
     ticks = round(1.0 / scenario.time_step)
     network = params.network
@@ -124,10 +105,7 @@ def apply(scenario: Scenario, params: PolicyParams, state: State, key: Array) ->
     """Drive one control step.
 
     Args:
-        scenario: the scenario.
-        params: parameters of the policy.
         state: the state, with the policy state of the step before.
-        key: unused; the network draws nothing.
 
     Returns:
         (2,) m/s, rad/s, the command, and the new policy state.

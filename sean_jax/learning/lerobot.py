@@ -32,11 +32,7 @@ def export(dataset: Path | str, out: Path | str) -> Path:
     """Write a dataset in the format of LeRobot.
 
     Args:
-        dataset: folder of the dataset.
         out: folder to write, new or empty.
-
-    Returns:
-        The folder that was written.
 
     Raises:
         InputError: there is no dataset, it is empty, or pyarrow is not installed.

@@ -51,9 +51,6 @@ class Loader:
     def epoch(self, token: Token = Token()) -> Iterator[tuple[Token, Example, np.ndarray]]:  # noqa: B008
         """Iterate over the batches that remain of an epoch.
 
-        Args:
-            token: the epoch and the first batch.
-
         Returns:
             For each batch: the token that continues after it, examples (B, ...) as numpy arrays, and weights (B,).
             Examples of weight zero fill the last batch.
@@ -125,7 +122,6 @@ def balanced_probabilities(situations: Bool[np.ndarray, "R S"]) -> Float[np.ndar
 
     Returns:
         (R,) float32 that sum to one.
-
     Source:
         W. E. Deming and F. F. Stephan, "On a least squares adjustment of a sampled frequency table when the expected
         marginal totals are known", 1940.

@@ -32,12 +32,8 @@ _TABLE = _table()
 def crc32c(data: bytes) -> int:
     """Compute the checksum of Castagnoli.
 
-    Args:
-        data: any bytes.
-
     Returns:
         A number of 32 bits.
-
     Source:
         RFC 3720.
     """
@@ -51,12 +47,7 @@ class Log:
     """The metrics of a training, in its folder."""
 
     def __init__(self, folder: Path, epochs: int):
-        """Open a log, and drop the lines of epochs after the last checkpoint, which an interruption left.
-
-        Args:
-            folder: of the training.
-            epochs: number of epochs done.
-        """
+        """Open a log, and drop the lines of epochs after the last checkpoint, which an interruption left."""
         self.folder = folder
         self.lines = [line for line in read_lines(folder) if line["epoch"] <= epochs]  # of before
         writing.write(folder / LINES, "".join(json.dumps(line) + "\n" for line in self.lines))
@@ -85,9 +76,6 @@ class Log:
 
 def read_lines(folder: Path) -> list[dict[str, Any]]:
     """The metrics of a training until now.
-
-    Args:
-        folder: of the training.
 
     Returns:
         The complete lines of its log; a kill may have cut the last one.

@@ -83,11 +83,6 @@ class NetworkConfig(pydantic.BaseModel):
 def check_manifest(path: Path, data: Any, fields: tuple[str, ...]) -> None:
     """Check the content of a dataset.json.
 
-    Args:
-        path: of the file, for messages.
-        data: its content.
-        fields: names of the fields of a row.
-
     Raises:
         FileError: a value cannot be that of a dataset with these fields.
     """
@@ -96,12 +91,6 @@ def check_manifest(path: Path, data: Any, fields: tuple[str, ...]) -> None:
 
 def read_network_config(path: Path) -> NetworkConfig:
     """Read the configuration of a trained network.
-
-    Args:
-        path: of the config.json.
-
-    Returns:
-        The configuration.
 
     Raises:
         FileError: the file cannot be read or used.

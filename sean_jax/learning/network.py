@@ -81,9 +81,6 @@ class Network(nn.Module):
 
         Args:
             image: (..., H, W) uint16 mm.
-
-        Returns:
-            (..., F) encodings.
         """
         nearness = 1.0 / (1.0 + image.astype(jnp.float32) / MILLIMETRES)  # near things matter most
         values = nearness[..., None]
@@ -133,7 +130,6 @@ def squares(values: Float[Array, "*batch H W C"], side: int) -> Float[Array, "*b
     epoch, convolutions ran 5 times slower on a CPU for small images, and an epoch of larger ones took minutes.
 
     Args:
-        values: (..., H, W, C).
         side: of a square, in pixels.
 
     Returns:
@@ -191,8 +187,6 @@ def init_weights(network: Network, situations: int, key: Array) -> Weights:
     """Draw the weights before training.
 
     Args:
-        network: the network.
-        situations: number of social situations in an example.
         key: () PRNG key.
 
     Returns:
@@ -208,7 +202,6 @@ def read_network(folder: Path, situations: list[str]) -> tuple[Network, int]:
 
     Args:
         folder: the folder that ``sean train`` has written.
-        situations: names of the social situations of the scenario.
 
     Returns:
         The network, and the number of situations of its training.

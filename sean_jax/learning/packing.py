@@ -21,9 +21,6 @@ def pack(folder: Path | str, out: Path | str) -> Path:
         folder: that ``sean train ppo`` has written, or is writing.
         out: folder to write, new or empty.
 
-    Returns:
-        The folder that was written.
-
     Raises:
         InputError: there is no agent.
         WriteError: the folder cannot be written.

@@ -25,14 +25,7 @@ OPTIMIZER = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scal
 
 
 def init(agent: Agent) -> optax.OptState:
-    """The optimizer before the first update.
-
-    Args:
-        agent: what is trained.
-
-    Returns:
-        Its state.
-    """
+    """The optimizer before the first update."""
     return OPTIMIZER.init(agent.parameters)
 
 
@@ -49,14 +42,9 @@ def update(
     """Let the agent drive, and learn from that.
 
     Args:
-        options: sizes.
         numbers: what an agent of a sweep has for itself, of the names in ``PPOConfig.SWEPT``; the learning rate is that
             of this update.
         envs: what is trained on, with pools; scenarios are shared out equally.
-        network: whose parameters the agent has.
-        agent: what is trained.
-        optimizer: its state.
-        rows: the scenarios.
         key: () typed PRNG key of this update.
 
     Returns:

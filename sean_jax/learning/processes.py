@@ -43,12 +43,6 @@ def must_stop(step: int) -> bool:
 def together(work: Callable[[], Result]) -> Result:
     """Work that every process does, after which each knows that all have done it.
 
-    Args:
-        work: what to do.
-
-    Returns:
-        What the work of this process gave.
-
     Raises:
         InputError: the work of another process was refused; which one is said.
         SeanError: that of the work of this process.
@@ -70,12 +64,6 @@ def together(work: Callable[[], Result]) -> Result:
 
 def by_first(work: Callable[[], bool | None]) -> bool:
     """Work that process 0 does alone, while the others wait for its answer.
-
-    Args:
-        work: what to do.
-
-    Returns:
-        Whether its answer was true, in every process.
 
     Raises:
         InputError: process 0 refused.

@@ -20,9 +20,6 @@ from sean_jax.learning import choice
 def check(config: CollectConfig) -> None:
     """Refuse all that can be told before a scenario is made.
 
-    Args:
-        config: of a collection.
-
     Raises:
         InputError: one sentence that names the value and the cure.
     """
@@ -41,9 +38,6 @@ def check(config: CollectConfig) -> None:
 
 def streams(config: CollectConfig) -> dict[str, Scenario]:
     """What takes part.
-
-    Args:
-        config: of a collection.
 
     Returns:
         Name of a stream -> its scenario. They differ in their leaves and their task alone.
@@ -69,15 +63,7 @@ def _only(scenario: Scenario, situation: str) -> Scenario:
 
 
 def seconds_of_each(hours: float, number: int) -> int:
-    """How long each of some streams is recorded.
-
-    Args:
-        hours: of all together.
-        number: of the streams.
-
-    Returns:
-        Seconds.
-    """
+    """How long each of some streams is recorded."""
     return math.ceil(3600.0 * hours / number - 1e-6)
 
 
@@ -85,10 +71,6 @@ def next_stream(recorded: list[int], wanted: int) -> int | None:
     """The stream of which least is recorded.
 
     It does not depend on how much is wanted, so a dataset that is made longer later equals one made at once.
-
-    Args:
-        recorded: rows of each stream.
-        wanted: rows of each.
 
     Returns:
         Its index; None when each has what is wanted.

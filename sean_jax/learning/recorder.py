@@ -74,9 +74,6 @@ class Recorder:
         Args:
             key: () typed PRNG key that the episode is drawn from, such as one of another program's episodes that shall
                 be driven as well; by default of the recorder's own stream, which has no episode of any other.
-
-        Returns:
-            The first state.
         """
         self.discard()
         if key is None:
@@ -89,9 +86,6 @@ class Recorder:
 
         Args:
             command: (2,) m/s and rad/s; None, or one that is not finite, is no new one.
-
-        Returns:
-            The state after the step.
 
         Raises:
             InputError: no episode has begun.
@@ -168,13 +162,8 @@ def record(recorder: Recorder, commands: Callable[[State], Any] | Iterable[Any],
     """Record so many episodes, each until it is completed or timed out, and commit them.
 
     Args:
-        recorder: of a scenario.
         commands: a function of the state, or one command (2,) for each step. If they end midway, what was driven until
             then is committed as the last episode.
-        episodes: how many.
-
-    Returns:
-        The dataset.
     """
     source = commands if callable(commands) else functools.partial(_next, iter(commands))
     for _ in range(episodes):

@@ -75,7 +75,6 @@ def train(options: ReinforcementConfig, console: Console | Callable[[float], Non
     """Train agents, or continue their training, in the folder of the options.
 
     Args:
-        options: what to train.
         console: shows the progress; a function receives the fraction done instead, and None shows nothing.
 
     Returns:
@@ -98,9 +97,6 @@ def train(options: ReinforcementConfig, console: Console | Callable[[float], Non
 
 def build(options: ReinforcementConfig) -> tuple[tuple[Scenario, ...], tuple[mdp.Env, ...], ActorCritic]:
     """What is trained, and where.
-
-    Args:
-        options: of the training.
 
     Returns:
         The scenario of evaluations in each environment, and the ``Env`` of the training, without a pool, and the
@@ -138,24 +134,12 @@ def _check_alike(envs: Sequence[mdp.Env]) -> None:
 
 
 def updates(options: ReinforcementConfig) -> int:
-    """How many updates a training has.
-
-    Args:
-        options: of the training.
-
-    Returns:
-        The number.
-    """
+    """How many updates a training has."""
     return max(1, math.ceil(options.steps / (options.scenarios * options.horizon)))
 
 
 def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> Programs:
     """The compiled functions of a training.
-
-    Args:
-        options: sizes, numbers and seeds.
-        network: what is trained.
-        over: the devices, on which scenarios are spread.
 
     Returns:
         Functions, of which ``update`` reuses (donates) the memory of the state that it receives.

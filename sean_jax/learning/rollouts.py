@@ -78,13 +78,7 @@ def begin(envs: tuple[mdp.Env, ...], network: ActorCritic, key: Array, number: i
     """Scenarios at the start of their first episodes.
 
     Args:
-        envs: what is trained on; scenarios are shared out equally.
-        network: what is trained.
         key: () typed PRNG key.
-        number: of scenarios, B.
-
-    Returns:
-        The scenarios.
     """
     keys = deal(jax.random.split(key, number), len(envs))
     begun = [jax.vmap(env.reset)(own) for env, own in zip(envs, keys, strict=True)]
@@ -96,23 +90,13 @@ def vectors(terms: observations.Terms, observation: dict[str, Array]) -> Float[A
     """The numbers of observations, without images.
 
     Args:
-        terms: of the observation.
         observation: (B, ...) of each term.
-
-    Returns:
-        (B, F).
     """
     return jax.vmap(functools.partial(observations.flatten, terms))(observation).astype(jnp.float32)
 
 
 def say(network: ActorCritic, agent: Agent, terms: observations.Terms, rows: Rows) -> Answer:
     """The answer to what many scenarios show.
-
-    Args:
-        network: whose parameters the agent has.
-        agent: what answers.
-        terms: of the observation.
-        rows: B scenarios.
 
     Returns:
         The answer, (B, ...).
@@ -138,11 +122,6 @@ def step(
 
     Args:
         envs: what is trained on, with pools; scenarios are shared out equally.
-        network: whose parameters the agents have.
-        judge: whose critic tells what would follow a truncation.
-        rows: B scenarios.
-        said: what the agent said to them.
-        action: (B, 2) what is done.
         key: () typed PRNG key of the episodes that begin.
 
     Returns:
@@ -176,10 +155,6 @@ def collect(
 
     Args:
         envs: what is trained on, with pools; scenarios are shared out equally.
-        network: whose parameters the agent has.
-        agent: who drives.
-        rows: B scenarios.
-        steps: T of each.
         key: () typed PRNG key of the noise and of the episodes that begin.
 
     Returns:
@@ -199,12 +174,6 @@ def advantages(seen: Seen, last_value: Float[Array, "B"], discount: Array, decay
 
     Args:
         seen: (T, B) of the scenarios.
-        last_value: (B,) of what they see after these steps.
-        discount: what a reward is worth one step later.
-        decay: lambda of the estimate.
-
-    Returns:
-        (T, B).
     """
 
     def back(carry: tuple[Array, Array], step: Seen) -> tuple[tuple[Array, Array], Array]:
@@ -223,10 +192,7 @@ def unroll(network: ActorCritic, agent: Agent, seen: Seen, memory: Float[Array, 
     """Answers to observations in a row.
 
     Args:
-        network: whose parameters the agent has.
-        agent: what answers.
         seen: (T, B) of the scenarios.
-        memory: (B, M) of the network before the first.
 
     Returns:
         The answers, (T, B, ...).
@@ -247,9 +213,6 @@ def of_episodes(seen: Seen) -> dict[str, Array]:
 
     Args:
         seen: (T, B) of the scenarios.
-
-    Returns:
-        Numbers by name.
     """
     over = seen.over.astype(jnp.float32)
     number = over.sum()

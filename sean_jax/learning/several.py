@@ -81,7 +81,6 @@ class Several:
         """Read fields of rows.
 
         Args:
-            episodes: which episodes.
             names: of the fields; all if None.
 
         Returns:
@@ -102,12 +101,6 @@ class Several:
     def recording(self, episodes: Sequence[Member]) -> Recording:
         """Read whole episodes.
 
-        Args:
-            episodes: which episodes.
-
-        Returns:
-            A recording of numpy arrays, R rows.
-
         Raises:
             IncompleteError: a file is missing or damaged.
         """
@@ -120,9 +113,6 @@ def open_datasets(folders: Sequence[Path], part: tuple[int, int] = (1, 1)) -> Se
     Args:
         folders: that ``sean collect`` or a ``Recorder`` has written.
         part: which of how many equal parts of the first one's episodes; of the others all are read.
-
-    Returns:
-        The datasets.
 
     Raises:
         InputError: one is none, or has other images, situations or another rate than the first.
@@ -143,12 +133,7 @@ def split_each(several: Several, share: float, seed: int) -> tuple[list[Member],
     """Split the episodes of each dataset: what validates one training also validates the next, with more datasets.
 
     Args:
-        several: the datasets.
         share: of the episodes that validate; at least one of each dataset does.
-        seed: decides which.
-
-    Returns:
-        Training episodes and validation episodes.
 
     Raises:
         InputError: a dataset has fewer than two episodes.

@@ -49,27 +49,12 @@ class Held:
     move: Callable[[Scenario, State], Pedestrians]
 
     def __call__(self, scenario: Scenario, state: State) -> Pedestrians:
-        """People one control step later.
-
-        Args:
-            scenario: what is simulated.
-            state: before the step.
-
-        Returns:
-            The people, as constants.
-        """
+        """People one control step later."""
         return jax.lax.stop_gradient(self.move(scenario, state))
 
 
 def init(agent: Agent) -> Optimizers:
-    """The optimizers before the first update.
-
-    Args:
-        agent: what is trained.
-
-    Returns:
-        Their states.
-    """
+    """The optimizers before the first update."""
     parameters = agent.parameters
     return Optimizers(ACTOR.init(parameters), CRITIC.init(parameters), jax.tree.map(jnp.array, parameters))
 
@@ -87,14 +72,9 @@ def update(
     """Let the agent drive, improve the actor by the derivative of what it got, and then the critic.
 
     Args:
-        options: sizes.
         numbers: what an agent of a sweep has for itself, of the names in ``APGConfig.SWEPT``; the learning rate is that
             of this update.
         envs: what is trained on, with pools; scenarios are shared out equally.
-        network: whose parameters the agent has.
-        agent: what is trained.
-        optimizer: of the actor and the critic.
-        rows: the scenarios.
         key: () typed PRNG key of this update.
 
     Returns:

@@ -23,10 +23,7 @@ def create(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], batch: 
     """Create arrays without episodes, in a group that other readers of zarr recognize.
 
     Args:
-        folder: of the dataset.
         fields: name -> (shape, type) of each field of a row.
-        batch: number of episodes in a shard.
-        rows: T, maximum number of rows of an episode.
 
     Raises:
         OSError: the folder cannot be written.
@@ -59,8 +56,6 @@ def write(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict[str, 
     """Write a shard durably.
 
     Args:
-        folder: of the dataset.
-        shard: its index.
         fields: name -> (B, T, ...) values.
 
     Returns:
@@ -87,12 +82,6 @@ def write(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict[str, 
 def read(folder: Path, name: str, first: int, last: int) -> np.ndarray:
     """Read one field of consecutive episodes.
 
-    Args:
-        folder: of the dataset.
-        name: of the field.
-        first: number of the first episode.
-        last: one more than the number of the last episode.
-
     Returns:
         (E, T, ...) values.
 
@@ -109,13 +98,7 @@ def path(folder: Path, name: str, shard: int, dimensions: int) -> Path:
     """Find the file of a shard.
 
     Args:
-        folder: of the dataset.
-        name: of the field.
-        shard: its index.
         dimensions: number of dimensions of the array (episodes, T, ...).
-
-    Returns:
-        The path of the file.
     """
     return folder / name / "c" / str(shard) / "/".join("0" * (dimensions - 1))
 

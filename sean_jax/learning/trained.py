@@ -27,10 +27,6 @@ class Best:
 def load(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
     """The best agent of a training.
 
-    Args:
-        folder: of the training.
-        scenario: where it will drive.
-
     Returns:
         The network, the agent, and the terms of its observation.
 

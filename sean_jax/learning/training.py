@@ -79,7 +79,6 @@ def train(options: TrainConfig, console: Console | Callable[[float], None] | Non
     """Train a network, or continue its training, in the folder of the options.
 
     Args:
-        options: what to train.
         console: shows the progress; a function receives the fraction done instead, and None shows nothing.
 
     Returns:
@@ -102,12 +101,6 @@ def train(options: TrainConfig, console: Console | Callable[[float], None] | Non
 def prepare(options: TrainConfig) -> tuple[Several, Network]:
     """What is learned from, and what learns.
 
-    Args:
-        options: of the training.
-
-    Returns:
-        The datasets, and the network.
-
     Raises:
         InputError: there is no such dataset, or the pretrained network is missing or another one.
     """
@@ -127,9 +120,6 @@ def init_state(
     """The state before the first epoch.
 
     Args:
-        network: what is trained.
-        situations: number of social situations in an example.
-        options: seed and optimizer.
         commands: (R, 2) m/s, rad/s, the commands of the training examples. Their standard deviation is the scale of
             the network's command.
 
@@ -155,10 +145,6 @@ def command_scale(commands: Float[np.ndarray | Array, "R 2"]) -> Float[Array, "2
 def begin(weights: Weights, options: TrainConfig) -> TrainState:
     """The state before the first epoch, from weights.
 
-    Args:
-        weights: at the beginning.
-        options: of the optimizer.
-
     Returns:
         The initial state; its best loss is infinite.
     """
@@ -173,11 +159,6 @@ def begin(weights: Weights, options: TrainConfig) -> TrainState:
 
 def programs(network: Network, options: TrainConfig, mesh: Mesh) -> TrainPrograms:
     """The compiled functions of a training.
-
-    Args:
-        network: what is trained.
-        options: seed, batch and optimizer.
-        mesh: devices, over which each batch is split.
 
     Returns:
         Functions that reuse (donate) the memory of the state that they receive.

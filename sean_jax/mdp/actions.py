@@ -11,7 +11,6 @@ def to_command(robot: RobotModel, action: Float[Array, "2"]) -> Float[Array, "2"
     """The command that an action stands for.
 
     Args:
-        robot: whose top speeds they are.
         action: (2,) of the speed and of the turn rate, from -1 to 1; clipped to that.
 
     Returns:
@@ -26,7 +25,6 @@ def to_action(robot: RobotModel, command: Float[Array, "2"]) -> Float[Array, "2"
     """The action that stands for a command; the inverse of ``to_command``.
 
     Args:
-        robot: whose top speeds they are.
         command: (2,) m/s, rad/s.
 
     Returns:

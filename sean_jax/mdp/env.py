@@ -92,9 +92,6 @@ class Env:
         Args:
             key: () typed PRNG key, from which all chance of the episode comes.
             randomization: parameters of the scenario; drawn by the key if None.
-
-        Returns:
-            The observation, and the state.
         """
         episode_key, draw_key, delay_key = jax.random.split(key, 3)
         if randomization is None:
@@ -125,7 +122,6 @@ class Env:
         Args:
             key: () typed PRNG key of the episode that follows, if this one ends: within an episode all chance comes
                 from its state.
-            state: before the step.
             action: (2,) from -1 to 1.
 
         Returns:
@@ -147,7 +143,6 @@ class Env:
         """As ``step``, without what follows an episode: who ends episodes on their own uses it.
 
         Args:
-            state: before the step.
             action: (2,) from -1 to 1.
 
         Returns:
@@ -190,16 +185,7 @@ class Env:
         return state, observation, reward, terminated, truncated, info
 
     def ends(self, scenario: Scenario, before: State, after: State) -> list[Bool[Array, ""]]:
-        """Whether a step ends an episode, beside completion and the time limit.
-
-        Args:
-            scenario: of the episode.
-            before: the state before the step.
-            after: the state after it.
-
-        Returns:
-            What each termination says.
-        """
+        """Whether a step ends an episode, beside completion and the time limit."""
         found = []
         for _, condition in self.terminations:
             value = calls.call("terminations", condition, "scenario, before, after", scenario, before, after)
@@ -217,7 +203,6 @@ class Env:
 
         Args:
             key: () typed PRNG key.
-            size: how many starts.
 
         Returns:
             The environment, whose ``step`` is quicker by a reset.
@@ -230,9 +215,6 @@ class Env:
         Args:
             keys: (K,) typed PRNG keys.
             randomization: (K, ...) parameters of their scenarios; drawn by the keys if None.
-
-        Returns:
-            The pool.
         """
         number = keys.shape[0]
         observations, states = jax.vmap(self.reset, (0, None if randomization is None else 0))(keys, randomization)
@@ -243,23 +225,13 @@ class Env:
         """The environment whose observations and states can be differentiated, as gymnax words it.
 
         Elsewhere the derivative ends with each step: that of a reward by the action that led to it is what is left.
-
-        Returns:
-            The environment.
         """
         return replace(self, transition_gradients=True)
 
     # ------------------------------------------------------------------
 
     def scenario_of(self, randomization: PyTree) -> Scenario:
-        """The scenario of an episode. It is made anew in each step, so that a state need not hold what differs.
-
-        Args:
-            randomization: of its state.
-
-        Returns:
-            The scenario.
-        """
+        """The scenario of an episode. It is made anew in each step, so that a state need not hold what differs."""
         if self.randomization is None:
             return self.scenario
         apply = self.randomization.apply
@@ -375,9 +347,6 @@ def as_termination(value: str | Callable) -> tuple[str, Callable]:
 
     Args:
         value: a name in ``TERMINATIONS``, or a function (scenario, before, after) -> () bool.
-
-    Returns:
-        Its name, and the function.
 
     Raises:
         InputError: it is neither.

@@ -133,7 +133,6 @@ def people(nearest: int = NEAREST, reach: float = REACH) -> ObservationTerm:
     """The nearest people, the nearest first.
 
     Args:
-        nearest: how many.
         reach: m, within which people are seen.
 
     Returns:
@@ -161,7 +160,6 @@ def obstacles(nearest: int = SURFACES, reach: float = 3.0) -> ObservationTerm:
     """The nearest obstacles, the nearest first, as the robot's map has them.
 
     Args:
-        nearest: how many.
         reach: m, within which they are seen, at most that of the environment's grid.
 
     Returns:
@@ -189,7 +187,6 @@ def plan(points: int = 10, apart: float = 0.5) -> ObservationTerm:
     """The next points of the shortest path, as a global planner gives them (section V-B).
 
     Args:
-        points: how many.
         apart: m, from one to the next.
 
     Returns:
@@ -214,13 +211,7 @@ def sensor(name: str, low: float, high: float, image: bool = False) -> Observati
     """The reading of one of ``scenario.sensors``, with its noise.
 
     Args:
-        name: of the sensor.
-        low: least number of a reading.
-        high: greatest number of a reading.
         image: as of ``ObservationTerm``.
-
-    Returns:
-        A term of the reading's shape.
     """
     return ObservationTerm(functools.partial(_sensor, name), low, high, image=image)
 
@@ -275,7 +266,6 @@ def lidar(rays: int = RAYS, far: float = 6.0) -> ObservationTerm:
     """The robot's lidar, without noise.
 
     Args:
-        rays: how many, all around.
         far: m, beyond which nothing is seen.
 
     Returns:
@@ -314,12 +304,7 @@ def delayed(term: ObservationLike, least: int, most: int | None = None) -> Obser
     """A term whose readings are late.
 
     Args:
-        term: any.
-        least: steps of control.
         most: steps of control; each episode draws its delay. As ``least`` if None.
-
-    Returns:
-        The term with that delay.
 
     Raises:
         InputError: it would show the future.
@@ -332,10 +317,6 @@ def delayed(term: ObservationLike, least: int, most: int | None = None) -> Obser
 
 def stacked(term: ObservationLike, number: int) -> ObservationTerm:
     """The last readings of a term together.
-
-    Args:
-        term: any.
-        number: of readings, one for each step of control.
 
     Returns:
         The term, of (number, ...), newest first.
@@ -353,9 +334,6 @@ def as_term(value: ObservationLike) -> ObservationTerm:
 
     Args:
         value: an ``ObservationTerm``, a function (scenario, state) -> array, or a name in ``OBSERVATIONS``.
-
-    Returns:
-        The term.
 
     Raises:
         InputError: it is none of these.
@@ -410,9 +388,6 @@ def begin(terms: Terms, scenario: Scenario, state: State, key: Array) -> tuple[d
     """The first observation of an episode: what was before it is taken to be that of now.
 
     Args:
-        terms: of the observation.
-        scenario: what is simulated.
-        state: the first of the episode.
         key: () typed PRNG key, which draws the delays.
 
     Returns:
@@ -436,13 +411,7 @@ def observe(terms: Terms, scenario: Scenario, state: State, memory: PyTree) -> t
     """The observation of a later state.
 
     Args:
-        terms: of the observation.
-        scenario: what is simulated.
-        state: one step of control after that of the memory.
         memory: of ``begin``, or of the observation before.
-
-    Returns:
-        The observation, and the new memory.
     """
     prepared, lines, late = memory
     now = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
@@ -468,12 +437,7 @@ def space(terms: Terms, scenario: Scenario, state: State) -> Dict:
     """The values that observations may have.
 
     Args:
-        terms: of the observation.
-        scenario: what is simulated.
         state: any, or the shapes of one.
-
-    Returns:
-        A box for each term.
     """
     shapes = jax.eval_shape(
         lambda scenario, state: begin(terms, scenario, state, jax.random.key(0))[0], scenario, state
@@ -483,10 +447,6 @@ def space(terms: Terms, scenario: Scenario, state: State) -> Dict:
 
 def flatten(terms: Terms, observation: Mapping[str, Float[Array, "..."]]) -> Float[Array, "size"]:
     """The parts of an observation that are no images, as one vector.
-
-    Args:
-        terms: of the observation.
-        observation: a dict of arrays.
 
     Returns:
         (size,) in the order of the terms.

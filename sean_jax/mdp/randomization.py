@@ -31,10 +31,6 @@ class Randomization(Protocol):
 
         Args:
             key: () typed PRNG key.
-            scenario: that is to be changed.
-
-        Returns:
-            A pytree of arrays.
         """
         ...
 
@@ -43,10 +39,6 @@ class Randomization(Protocol):
 
         Args:
             parameters: of ``draw``.
-            scenario: that is to be changed.
-
-        Returns:
-            The scenario with other leaves.
         """
         ...
 
@@ -56,7 +48,6 @@ class Randomization(Protocol):
         Args:
             key: () typed PRNG key.
             parameters: of ``draw``.
-            scenario: that is to be changed.
 
         Returns:
             Parameters that ``draw`` could have given.
@@ -80,9 +71,6 @@ class OfKey:
         Args:
             key: () typed PRNG key.
             scenario: not used.
-
-        Returns:
-            The key.
         """
         return key
 
@@ -91,10 +79,6 @@ class OfKey:
 
         Args:
             parameters: () typed PRNG key.
-            scenario: that is to be changed.
-
-        Returns:
-            What the function makes of both.
         """
         return calls.call("randomization", self.function, "key, scenario", parameters, scenario)
 
@@ -105,9 +89,6 @@ class OfKey:
             key: () typed PRNG key.
             parameters: not used.
             scenario: not used.
-
-        Returns:
-            The key: nothing is near another one.
         """
         return key
 
@@ -226,7 +207,6 @@ class BehaviorRandomization:
 
         Args:
             key: () typed PRNG key.
-            scenario: that is to be changed.
 
         Returns:
             name -> () number, or (Mw,) of the waypoints.
@@ -242,10 +222,6 @@ class BehaviorRandomization:
 
         Args:
             parameters: of ``draw``.
-            scenario: that is to be changed.
-
-        Returns:
-            The scenario of these people.
         """
         for name, _, _ in self.bounds:
             scenario = PARAMETERS[name].apply(scenario, parameters[name])
@@ -257,10 +233,6 @@ class BehaviorRandomization:
         Args:
             key: () typed PRNG key.
             parameters: of ``draw``.
-            scenario: that is to be changed.
-
-        Returns:
-            Parameters near those.
         """
         moved = {}
         for index, (name, low, high) in enumerate(self.bounds):
@@ -308,7 +280,6 @@ def randomize_behavior(
     Args:
         bounds: name in ``PARAMETERS`` -> least and greatest value; all of them with their usual bounds if None and
             nothing further is given.
-        **further: likewise.
 
     Returns:
         A randomization for ``make_env``.

@@ -130,8 +130,6 @@ def of_metric(name: str, metric: metrics.Metric | None = None, weight: float = 1
 
     Args:
         name: of a metric in ``METRICS``.
-        metric: another one.
-        weight: of the term.
 
     Returns:
         The term; it is privileged, for metrics read all people.
@@ -163,10 +161,6 @@ class _Growth:
 
 def in_situations(term: RewardTerm, names: Sequence[str]) -> RewardTerm:
     """A term that counts only while one of some social situations occurs.
-
-    Args:
-        term: of each step.
-        names: of situations of the scenario.
 
     Returns:
         The term, 0 at steps that end in none of them.
@@ -259,13 +253,6 @@ def _as_term(name: str, value: RewardLike) -> RewardTerm:
 def reweighted(terms: Terms, weights: Mapping[str, Float[Array, ""] | float]) -> Terms:
     """The terms with other weights, which may be arrays where the terms go no further than a traced function.
 
-    Args:
-        terms: of the reward.
-        weights: name -> weight of a term.
-
-    Returns:
-        The terms.
-
     Raises:
         InputError: there is no such term.
     """
@@ -277,11 +264,6 @@ def reweighted(terms: Terms, weights: Mapping[str, Float[Array, ""] | float]) ->
 
 def potentials(terms: Terms, scenario: Scenario, state: State) -> dict[str, Float[Array, ""]]:
     """The potentials of a state.
-
-    Args:
-        terms: of the reward.
-        scenario: what is simulated.
-        state: any.
 
     Returns:
         name -> () of the terms that have one.
@@ -303,14 +285,6 @@ def of_step(
     terms: Terms, scenario: Scenario, before: State, after: State, then: dict[str, Array], now: dict[str, Array]
 ) -> dict[str, Float[Array, ""]]:
     """The parts of the reward of a step.
-
-    Args:
-        terms: of the reward.
-        scenario: what is simulated.
-        before: the state before the step.
-        after: the state after it.
-        then: potentials of the former.
-        now: potentials of the latter.
 
     Returns:
         name -> () weight times number. Their sum is the reward.

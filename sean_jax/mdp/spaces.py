@@ -24,17 +24,11 @@ class Box:
 
         Args:
             key: () typed PRNG key.
-
-        Returns:
-            An array of the box, uniform within its bounds.
         """
         return jax.random.uniform(key, self.shape, float, self.low, self.high)
 
     def contains(self, value: Float[Array, "..."]) -> Array:
         """Whether a value is of the box.
-
-        Args:
-            value: an array.
 
         Returns:
             () bool; False for another shape, and for what is not finite.
@@ -66,18 +60,12 @@ class Dict:
 
         Args:
             key: () typed PRNG key.
-
-        Returns:
-            An array of each box.
         """
         keys = jax.random.split(key, len(self.spaces))
         return {name: box.sample(own) for own, (name, box) in zip(keys, self.spaces, strict=True)}
 
     def contains(self, value: dict[str, Array]) -> Array:
         """Whether a dict is of the space.
-
-        Args:
-            value: a dict of arrays.
 
         Returns:
             () bool.

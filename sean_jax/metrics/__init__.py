@@ -59,9 +59,6 @@ DEFAULT: Metrics = tuple(METRICS.items())
 def topic(name: str) -> str:
     """What a metric is about.
 
-    Args:
-        name: of the metric.
-
     Returns:
         A few words; "your own" for one that does not come with the package.
     """
@@ -74,11 +71,7 @@ def init(moment: Moment, metrics: Metrics = DEFAULT) -> dict[str, PyTree]:
     """Running values before the first step.
 
     Args:
-        moment: the first moment.
         metrics: names and metrics; the package's own by default.
-
-    Returns:
-        name -> running value.
     """
     return {name: metric.init(moment) for name, metric in metrics}
 
@@ -88,12 +81,7 @@ def update(values: dict[str, PyTree], before: Moment, after: Moment, metrics: Me
 
     Args:
         values: name -> running value, as ``init`` or ``update`` gives it.
-        before: the moment before the step.
-        after: the moment after the step.
         metrics: those that ``init`` was given.
-
-    Returns:
-        name -> running value.
     """
     return {name: metric.update(values[name], before, after) for name, metric in metrics}
 
@@ -102,7 +90,6 @@ def compute(values: dict[str, PyTree], metrics: Metrics = DEFAULT) -> dict[str, 
     """The metrics so far.
 
     Args:
-        values: name -> running value.
         metrics: those that ``init`` was given.
 
     Returns:

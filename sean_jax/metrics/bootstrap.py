@@ -115,7 +115,6 @@ def resamples(episodes: int, seed: int = 0, count: int | None = None) -> np.ndar
 
     Args:
         episodes: E, or the number of blocks if blocks are drawn.
-        seed: of the draw.
         count: R, the number of resamples; 2000 if None, or fewer where there are more than 10,000 episodes.
 
     Returns:
@@ -137,13 +136,11 @@ def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | Non
 
     Args:
         sizes: number of groups at each level, and last the number of episodes of each innermost group: (10, 3, 410).
-        seed: of the draw.
         count: R, as in ``resamples``.
 
     Returns:
         (R, E) float32 weights that add up to E, of the episodes in order, those of the first dataset's first seed
         before those of its second; E is the product of the sizes.
-
     Source: D. Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981), for weights that are no counts.
     """
     number = math.prod(sizes)

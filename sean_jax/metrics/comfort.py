@@ -25,9 +25,7 @@ def collision_time(
 
     Args:
         x: (...,) m, of the relative position d.
-        y: likewise.
         vx: (...,) m/s, of the relative velocity v.
-        vy: likewise.
         reach: m, sum of both radii; it broadcasts.
 
     Returns:

@@ -81,7 +81,6 @@ def as_metric(value: Metric | Callable, name: str = "") -> Metric:
 
     Args:
         value: a ``Metric``, ``moment -> () bool`` or ``(before, after) -> () number``.
-        name: of the metric, for its title and for messages.
 
     Returns:
         The metric, with a title and a definition. Equal arguments give the same metric, so nothing is compiled again.
@@ -261,7 +260,6 @@ def minimum(
 
     Args:
         quantity: ``moment -> () number``.
-        by_situation: also in each situation.
         unit: of the quantity.
         title, definition, digits, headline: as of ``duration``.
 
@@ -285,7 +283,6 @@ def maximum(
 
     Args:
         quantity: ``moment -> () number``.
-        by_situation: also in each situation.
         unit: of the quantity.
         title, definition, digits, headline: as of ``duration``.
 
@@ -408,9 +405,6 @@ class Ratio(NamedTuple):
 def situation_weights(moment: Moment) -> Float[Array, " columns"]:
     """Weights by which an amount counts overall and in each situation.
 
-    Args:
-        moment: the robot among people.
-
     Returns:
         (1 + S,): 1 overall, then 1 for each situation that occurs at that moment, else 0.
     """
@@ -420,9 +414,6 @@ def situation_weights(moment: Moment) -> Float[Array, " columns"]:
 def zeros(moment: Moment) -> Float[Array, " columns"]:
     """The value of a sum to which nothing was added yet.
 
-    Args:
-        moment: the robot among people.
-
     Returns:
         (1 + S,) zeros.
     """
@@ -430,34 +421,17 @@ def zeros(moment: Moment) -> Float[Array, " columns"]:
 
 
 def zero_duration(moment: Moment) -> Duration:
-    """The value of a time of which nothing has passed yet.
-
-    Args:
-        moment: the robot among people.
-
-    Returns:
-        No steps, of the moment's time step.
-    """
+    """The value of a time of which nothing has passed yet."""
     return Duration(zeros(moment), jnp.asarray(moment.time_step, float))
 
 
 def zero_ratio(moment: Moment) -> Ratio:
-    """The value of a ratio to which nothing was added yet.
-
-    Args:
-        moment: the robot among people.
-
-    Returns:
-        Zero sums.
-    """
+    """The value of a ratio to which nothing was added yet."""
     return Ratio(zeros(moment), zeros(moment))
 
 
 def in_seconds(value: Duration) -> Float[Array, " columns"]:
     """A time in seconds.
-
-    Args:
-        value: as steps.
 
     Returns:
         (1 + S,) s.
@@ -467,9 +441,6 @@ def in_seconds(value: Duration) -> Float[Array, " columns"]:
 
 def ratio(value: Ratio) -> Float[Array, " columns"]:
     """A sum divided by its weight.
-
-    Args:
-        value: sums by situation.
 
     Returns:
         (1 + S,): 0 overall as long as there is nothing, NaN for situations that did not occur.
@@ -481,9 +452,6 @@ def ratio(value: Ratio) -> Float[Array, " columns"]:
 
 def identity(value: Array) -> Array:
     """The running value as it stands, for metrics whose value is the figure.
-
-    Args:
-        value: any.
 
     Returns:
         The same.
@@ -499,9 +467,6 @@ def second_has_passed(moment: Moment) -> Bool[Array, ""]:
 
     At 0.1 s that is every tenth tick; at 0.15 s the ticks 7, 14, 20, 27, ... of 1.05, 2.1, 3.0, 4.05 s.
 
-    Args:
-        moment: after the step.
-
     Returns:
         () bool.
     """
@@ -510,9 +475,6 @@ def second_has_passed(moment: Moment) -> Bool[Array, ""]:
 
 def time_since_sample(moment: Moment) -> Float[Array, ""]:
     """Time since the last sample before this tick.
-
-    Args:
-        moment: after the step.
 
     Returns:
         () s: 1 where seconds are whole steps, else about that.

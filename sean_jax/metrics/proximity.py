@@ -117,9 +117,6 @@ min_distance_to_people = minimum(
 def obstacle_distance(moment: Moment) -> Float[Array, ""]:
     """Distance from the robot's centre to the surface of the nearest obstacle.
 
-    Args:
-        moment: the robot among obstacles.
-
     Returns:
         () m, negative inside; 1000 where there is no obstacle or none is known.
     """

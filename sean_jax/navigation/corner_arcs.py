@@ -59,13 +59,9 @@ def tangents(arcs: CornerArcs, place: Float[Array, "2"], radius: Float[Array, ""
     From inside a circle the tangent is that of the nearest point on the circle, and has no length.
 
     Args:
-        arcs: V of them.
         place: (2,) m.
         radius: m, of the disc.
         arriving: whether the travel is from the place to the arcs, or from the arcs to the place.
-
-    Returns:
-        V tangents.
     """
     cx, cy = arcs.corner[:, 0], arcs.corner[:, 1]
     dx, dy = place[0] - cx, place[1] - cy
@@ -87,13 +83,8 @@ def tangent_to_arc(
     """The tangent from a place to one arc.
 
     Args:
-        arcs: V of them.
-        index: of the arc.
         place: (2,) m.
         radius: m, of the disc.
-
-    Returns:
-        The tangent.
     """
     one = jax.tree.map(lambda part: part[index][None], arcs)
     _, angle, x, y, on_arc = tangents(one, place, radius, True)
@@ -119,7 +110,6 @@ def find_arcs(environment: Environment, radius: float) -> CornerArcs:
     """Find the corner arcs of an environment, on the host.
 
     Args:
-        environment: with W obstacles.
         radius: m, of the disc.
 
     Returns:
@@ -184,11 +174,7 @@ def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
     """The segments from arc to arc that touch both circles, whatever obstacles are in between.
 
     Args:
-        arcs: V of them, as numpy arrays.
         radius: m, of the disc.
-
-    Returns:
-        K segments.
     """
     corner, middle, side, first, last = (
         np.asarray(part) for part in (arcs.corner, arcs.middle, arcs.side, arcs.first, arcs.last)

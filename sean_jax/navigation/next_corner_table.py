@@ -39,11 +39,7 @@ def build_next_corner_table(navigation: Navigation, points: Float[Array, "M 2"])
     """Build the table on the host, or read it from the user's cache.
 
     Args:
-        navigation: the tables of shortest paths.
         points: (M, 2) m.
-
-    Returns:
-        The table.
     """
     made = cache.load_or_build("next_corner", CODE, [*inputs(navigation), points], lambda: _make(navigation, points))
     return NextCornerTable(**to_device({"point": points, **made}))
@@ -55,10 +51,8 @@ def next_corner(
     """A place ahead on the way to a point of the table.
 
     Args:
-        navigation: the tables of shortest paths.
         table: of ``build_next_corner_table``.
         position: (2,) m, of the start.
-        index: of the point.
 
     Returns:
         (2,) m, the point itself, or a place on the tangent to the next arc.
@@ -76,10 +70,8 @@ def next_point_approx(
     """``next_point`` for many people: the best arc in sight among those that are visible from the cells around.
 
     Args:
-        navigation: the tables of shortest paths.
         position: (2,) m, of the start.
         goal: (2,) m.
-        paths_to_goal: of the goal.
 
     Returns:
         (2,) m; the goal if it is in sight or if there is no path.

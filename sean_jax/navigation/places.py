@@ -34,11 +34,6 @@ CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
 def draw_places(navigation: Navigation, key: Array, number: int) -> Int[Array, "{number}"]:
     """Draw from the free places, with replacement.
 
-    Args:
-        navigation: with its places.
-        key: of the draws.
-        number: of places.
-
     Returns:
         (number,) indices of ``navigation.places``.
     """
@@ -51,10 +46,6 @@ def draw_places(navigation: Navigation, key: Array, number: int) -> Int[Array, "
 def uniform_places(environment: Environment, navigation: Navigation) -> Navigation:
     """All free places are equally likely.
 
-    Args:
-        environment: in which paths lead.
-        navigation: the tables of shortest paths there.
-
     Returns:
         The tables, for ``draw_places``.
     """
@@ -66,10 +57,6 @@ def mesh_places(environment: Environment, navigation: Navigation) -> Navigation:
 
     A point lies between two random corners of the free floor whose whole metres differ in x and in y, at least 0.25 m
     from the nearest edge. The nearest free place in sight stands for it.
-
-    Args:
-        environment: in which paths lead.
-        navigation: the tables of shortest paths there.
 
     Returns:
         The tables, for ``draw_places``.
@@ -95,7 +82,6 @@ def mesh_corners(environment: Environment, radius: float) -> Float[np.ndarray, "
     two of them meet.
 
     Args:
-        environment: with its obstacles and its floor.
         radius: m, of the disc.
 
     Returns:

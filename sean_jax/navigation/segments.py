@@ -21,7 +21,6 @@ def segment_is_free(
     """Whether a disc can move straight from one place to another; exact.
 
     Args:
-        boxes: W obstacles.
         start: (2,) m.
         end: (2,) m.
         radius: m, of the disc.
@@ -45,14 +44,10 @@ def segments_are_free(
     """``segment_is_free`` between one place and several others.
 
     Args:
-        boxes: W obstacles.
         start: (2,) m.
         x: (V,) m, of the other places.
         y: (V,) m.
         radius: m, of the disc.
-
-    Returns:
-        (V,) bool.
     """
     hit = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))(start[0], start[1], x, y, boxes, radius)
     return ~hit.any(0)  # over the first axis: several times faster on a CPU than over the last
@@ -64,7 +59,6 @@ def push_out_of_obstacles(
     """Move a place out of the inflated boxes, in which the tables know no path.
 
     Args:
-        boxes: W obstacles.
         place: (2,) m.
         radius: m, of the disc.
 
@@ -93,13 +87,9 @@ def pairs_are_free(
     """``segment_is_free`` for many pairs, on the host.
 
     Args:
-        boxes: W obstacles.
         radius: m, of the disc.
         starts: (K, 2) m.
         ends: (K, 2) m.
-
-    Returns:
-        (K,) bool.
     """
     return map_in_batches(_pair_is_free, (boxes, jnp.asarray(radius, float)), starts, ends)
 
@@ -114,7 +104,6 @@ def map_in_batches(function: Callable, shared: PyTree, *rows: np.ndarray) -> PyT
 
     Args:
         function: (shared, row, ...) -> pytree; at module level, or it is compiled at each call.
-        shared: the first argument, a pytree.
         rows: (K, ...) each, the further arguments.
 
     Returns:

@@ -46,11 +46,7 @@ def build_paths_to_goal(navigation: Navigation, goal: Float[Array, "2"]) -> Path
     """The shortest paths to a goal from all arcs.
 
     Args:
-        navigation: the tables.
         goal: (2,) m.
-
-    Returns:
-        The paths, for the other functions of this module.
     """
     distance, _, departure_angle = last_arcs(navigation, goal)
     return PathsToGoal(distance, departure_angle)
@@ -62,10 +58,8 @@ def geodesic(
     """Length of the shortest path.
 
     Args:
-        navigation: the tables.
         position: (2,) m, of the start.
         goal: (2,) m.
-        paths_to_goal: of the goal.
 
     Returns:
         () m; inf if there is no path.
@@ -81,10 +75,8 @@ def geodesic_approx(
     """Length of the shortest path within about a cell of the visibility grid: cheap for many positions at once.
 
     Args:
-        navigation: the tables.
         position: (2,) m, of the start.
         goal: (2,) m.
-        paths_to_goal: of the goal.
 
     Returns:
         () m; inf if there is no path.
@@ -110,10 +102,8 @@ def next_point(
     at most 1 % longer than the shortest.
 
     Args:
-        navigation: the tables.
         position: (2,) m, of the start.
         goal: (2,) m.
-        paths_to_goal: of the goal.
 
     Returns:
         (2,) m; the goal if there is no path.
@@ -137,11 +127,8 @@ def path_rotation(
     """Rotation along the shortest path, left and right added up. Rotation at the goal does not count.
 
     Args:
-        navigation: the tables.
         position: (2,) m, of the start.
-        heading: (2,) initial direction, of any length.
         goal: (2,) m.
-        paths_to_goal: of the goal.
 
     Returns:
         () rad; that of a straight path if there is no other.
@@ -163,10 +150,8 @@ def first_arc(
     """The beginning of the shortest path.
 
     Args:
-        navigation: the tables.
         position: (2,) m, of the start.
         goal: (2,) m.
-        paths_to_goal: of the goal.
 
     Returns:
         Whether the path is straight, and else its first arc.
@@ -191,11 +176,7 @@ def last_arcs(navigation: Navigation, goal: Float[Array, "2"]) -> ArcsToGoal:
     """The shortest paths to a goal from all arcs, with their last arcs.
 
     Args:
-        navigation: the tables.
         goal: (2,) m.
-
-    Returns:
-        V paths.
     """
     radius = navigation.radius
     end, free_radius = push_out_of_obstacles(navigation.obstacles, goal, radius)
@@ -220,11 +201,7 @@ def last_arc_to_goal(navigation: Navigation, goal: Float[Array, "2"]) -> Int[Arr
     """The last arc of the shortest path to a goal from each arc: made once for a task, for ``plan``.
 
     Args:
-        navigation: the tables.
         goal: (2,) m.
-
-    Returns:
-        (V,) index of an arc.
     """
     return last_arcs(navigation, goal).last_arc
 
@@ -241,12 +218,9 @@ def plan(
     """The next points of the shortest path, as a global planner gives them to a local one.
 
     Args:
-        navigation: the tables.
         position: (2,) m, of the start.
         goal: (2,) m.
-        paths_to_goal: of the goal.
         last: (V,) of ``last_arc_to_goal``.
-        points: number of points.
         apart: m, minimum distance from one point to the next.
 
     Returns:

@@ -62,12 +62,8 @@ def build(environment: Environment, radius: float, cell: float | None = None) ->
     """Build the tables on the host, or read them from the user's cache.
 
     Args:
-        environment: with W obstacles.
         radius: m, of the disc.
         cell: m, side of the cells of the visibility grid; if None 0.25, or a multiple of it on large floors.
-
-    Returns:
-        The tables.
 
     Raises:
         InputError: there is hardly a free place for such a disc, or there are too many corners.
@@ -85,9 +81,6 @@ def inputs(navigation: Navigation) -> list:
 
     Args:
         navigation: of ``build``.
-
-    Returns:
-        Numbers and arrays.
     """
     boxes, grid = navigation.obstacles, (navigation.origin, navigation.cell, navigation.visible.shape)
     shape = boxes.center, boxes.half_extent, boxes.yaw, navigation.radius

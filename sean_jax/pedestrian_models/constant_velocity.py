@@ -14,15 +14,7 @@ from sean_jax.social_forces.walls import project_velocity
 
 
 def constant_velocity(scenario: Scenario, state: State) -> Pedestrians:
-    """Everybody walks as desired, through one another and the robot, but not into obstacles.
-
-    Args:
-        scenario: with obstacles and a speed limit.
-        state: whose pedestrians have desired velocities.
-
-    Returns:
-        People one control step later.
-    """
+    """Everybody walks as desired, through one another and the robot, but not into obstacles."""
     return walk(scenario, state.pedestrians, state.pedestrians.desired_velocity)
 
 
@@ -30,12 +22,7 @@ def walk(scenario: Scenario, people: Pedestrians, velocity: Float[Array, "N 2"])
     """Takes the given velocities, as far as speed limit and obstacles allow.
 
     Args:
-        scenario: with obstacles and a speed limit.
-        people: N people.
         velocity: (N, 2) m/s.
-
-    Returns:
-        People one control step later.
     """
     walking, (px, py) = scenario.forces.walking, people.position.T
     vx, vy = walking.limit_speed(velocity[:, 0], velocity[:, 1], people.preferred_speed)

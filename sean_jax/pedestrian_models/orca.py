@@ -29,15 +29,7 @@ UNBOUNDED = -1e6  # m/s: c of a half-plane that holds every velocity
 
 
 def orca(scenario: Scenario, state: State) -> Pedestrians:
-    """Each takes the velocity nearest to the desired one that avoids everybody in time.
-
-    Args:
-        scenario: with obstacles, bodies and a speed limit.
-        state: people and the robot.
-
-    Returns:
-        People one control step later.
-    """
+    """Each takes the velocity nearest to the desired one that avoids everybody in time."""
     people, walking, robot = state.pedestrians, scenario.forces.walking, state.robot
     px, py = people.position[:, 0], people.position[:, 1]
     vx, vy = people.velocity[:, 0], people.velocity[:, 1]
@@ -152,8 +144,6 @@ def nearest(
     point of what the others leave of it, decides. All are computed side by side.
 
     Args:
-        nx: (M,) x parts of the normals.
-        ny: (M,) y parts.
         c: (M,) bounds [m/s].
         px: x part of the preferred velocity [m/s].
         py: y part [m/s].
@@ -226,8 +216,6 @@ def best_velocity(
     """As ``nearest``; where nothing is left, the velocity whose largest violation of a half-plane is smallest.
 
     Args:
-        nx: (M,) x parts of the normals.
-        ny: (M,) y parts.
         c: (M,) bounds [m/s].
         hard: (M,) half-planes that are not violated; they must hold the zero velocity.
         px: x part of the preferred velocity [m/s].

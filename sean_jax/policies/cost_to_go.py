@@ -37,10 +37,6 @@ def corner_successors(scenario: Scenario, state: State) -> Int[Array, "V"]:
 
     Costly, for it needs paths between all corners: call it once in an episode.
 
-    Args:
-        scenario: with the navigation tables.
-        state: with the goal.
-
     Returns:
         (V,) int32, the corner itself if it is the last one.
     """
@@ -57,14 +53,9 @@ def build_cost_to_go(
     The corners that follow the first place's best one are added.
 
     Args:
-        scenario: with the navigation tables.
-        state: with the goal.
         successors: (V,) of ``corner_successors``.
         x: (P,) m, of the places.
         y: (P,) m.
-
-    Returns:
-        The chosen corners.
     """
     navigation, paths_to_goal = scenario.navigation, state.task.paths_to_goal
     every = jnp.arange(paths_to_goal.distance.shape[0], dtype=jnp.int32)
@@ -89,8 +80,6 @@ def distance_to_goal(
     places within 1.5 m and in sight of where they were chosen. Elsewhere it is longer.
 
     Args:
-        scenario: with the navigation tables.
-        state: with the goal.
         table: of ``build_cost_to_go``.
         x: (P,) m, of the places.
         y: (P,) m.

@@ -98,11 +98,7 @@ class ExpertMemory(NamedTuple):
 
 
 def default_params() -> ExpertParams:
-    """The expert's parameters.
-
-    Returns:
-        Those that docs/policies.md describes.
-    """
+    """The expert's parameters."""
     weights = SocialCosts(
         contact=scalar(8.0),
         obstacle=scalar(0.4),
@@ -119,16 +115,7 @@ def default_params() -> ExpertParams:
 
 
 def init(scenario: Scenario, params: ExpertParams, state: State) -> ExpertMemory:
-    """Plans seconds ahead by sampling, politely: people are predicted, and their distances and o-spaces kept.
-
-    Args:
-        scenario: where it drives.
-        params: of the expert.
-        state: in which the episode begins.
-
-    Returns:
-        The memory of an episode that begins.
-    """
+    """Plans seconds ahead by sampling, politely: people are predicted, and their distances and o-spaces kept."""
     knots = jnp.zeros((KNOTS, 2), float)
     distance = jnp.full((), INITIAL_DISTANCE, float)
     return ExpertMemory(knots, corner_successors(scenario, state), distance, jnp.zeros((), jnp.int32))
@@ -138,9 +125,6 @@ def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) ->
     """The first command of the best plan.
 
     Args:
-        scenario: where it drives.
-        params: of the expert.
-        state: now, with the expert's memory.
         key: () PRNG key of this step.
 
     Returns:
@@ -156,8 +140,6 @@ def plan(
     """The search, for whatever is known of people.
 
     Args:
-        scenario: where it drives.
-        params: of the expert.
         state: now, with the groups that are known and an ``ExpertMemory``; its people are not looked at.
         people: how people are predicted to move, ``STEPS`` steps of ``TIME_STEP``.
         key: () PRNG key of this step.
@@ -194,9 +176,6 @@ def plan(
 
 def plan_limits(scenario: Scenario) -> PlanLimits:
     """Limits of all plans.
-
-    Args:
-        scenario: with the robot.
 
     Returns:
         The limits of the robot, and of driving among people.
@@ -292,7 +271,6 @@ def obstacle_distance(
     """Distance to the nearest obstacle within reach of the grid.
 
     Args:
-        grid: the environment's obstacles by cell.
         x: (...) m.
         y: (...) m.
 
@@ -309,8 +287,6 @@ def obstacle_rate(
     """Cost of being near obstacles or the edge of the floor.
 
     Args:
-        scenario: with the environment and the robot's radius.
-        weights: of the costs.
         x: (T, P) m.
         y: (T, P) m.
 
@@ -333,11 +309,8 @@ def people_rate(
     Personal space reaches 1.2 m, and farther ahead of people who walk.
 
     Args:
-        scenario: with the radii of robot and people.
-        weights: of the costs.
         x: (T, P) m.
         y: (T, P) m.
-        people: their predicted motion.
 
     Returns:
         (T, P) 1/s.
@@ -363,8 +336,6 @@ def group_rate(
     """Cost of being in o-spaces, with less reach in those of groups that the task joins or leaves.
 
     Args:
-        state: with the groups and the task.
-        weights: of the costs.
         x: (T, P) m.
         y: (T, P) m.
 
@@ -391,7 +362,6 @@ def comfort_rate(
     """Cost of driving backward, of turning and of acceleration.
 
     Args:
-        weights: of the costs.
         speed: (T, P) m/s.
         turn: (T, P) rad/s.
         before: the speed () [m/s] and the turn rate () [rad/s] of now.

@@ -22,8 +22,6 @@ def go_to_goal(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"
     nearer side. It drives as fast as the free distance ahead allows, and turns on the spot where there is none.
 
     Args:
-        scenario: where it drives.
-        state: now.
         key: not used.
 
     Returns:

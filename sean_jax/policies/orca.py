@@ -38,8 +38,6 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"]:
     takes the velocity that violates the half-planes least. Obstacles bound its speed, ahead and backward.
 
     Args:
-        scenario: where it drives.
-        state: now.
         key: () PRNG key of this step.
 
     Returns:

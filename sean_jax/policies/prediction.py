@@ -50,7 +50,6 @@ def predict_robot(
     Each step is the chord of an arc: its heading is that of its middle.
 
     Args:
-        model: the robot.
         speed: () m/s, now.
         turn_rate: () rad/s, now.
         commands: speeds (T, P) [m/s] and turn rates (T, P) [rad/s] of P plans.
@@ -96,7 +95,6 @@ def nearest_people(state: State, count: int) -> Pedestrians:
     """The people who are nearest to the robot.
 
     Args:
-        state: the scenario's state.
         count: of rows; all people if there are fewer.
 
     Returns:
@@ -122,10 +120,6 @@ def predict_people(
     beyond what single precision holds.
 
     Args:
-        scenario: where they walk.
-        people: K of them.
-        groups: the conversational groups.
-        steps: T, to predict.
         time_step: s, of each.
 
     Returns:
@@ -148,8 +142,6 @@ def predict_straight(people: Pedestrians, steps: int, time_step: float) -> Peopl
     """Where people will be if they keep their velocity: all that can be said of people whose aims are unknown.
 
     Args:
-        people: K of them.
-        steps: T, to predict.
         time_step: s, of each.
 
     Returns:

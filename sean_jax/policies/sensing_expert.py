@@ -51,21 +51,12 @@ class SensingMemory(NamedTuple):
 
 
 def default_params() -> SensingParams:
-    """The sensing expert's parameters.
-
-    Returns:
-        Those that docs/policies.md describes.
-    """
+    """The sensing expert's parameters."""
     return SensingParams(expert.params, min_pixels=scalar(1.0), memory_time=scalar(2.0))
 
 
 def init(scenario: Scenario, params: SensingParams, state: State) -> SensingMemory:
     """Plans as ``expert`` does, with a robot's knowledge: people whom its depth camera shows or has just shown.
-
-    Args:
-        scenario: where it drives.
-        params: of the sensing expert.
-        state: in which the episode begins.
 
     Returns:
         The memory of an episode that begins: nobody has been seen yet.
@@ -82,9 +73,6 @@ def apply(
     """The first command of the best plan among the people who are known.
 
     Args:
-        scenario: where it drives.
-        params: of the sensing expert.
-        state: now, with its memory.
         key: () PRNG key of this step.
 
     Returns:
@@ -103,15 +91,6 @@ def known_people(scenario: Scenario, params: SensingParams, state: State, before
     """Who is known: people in the picture of the depth camera as they are, others from memory.
 
     Positions and velocities of who is seen are exact, and nobody is taken for somebody else.
-
-    Args:
-        scenario: with the robot and its depth camera.
-        params: of the sensing expert.
-        state: now.
-        before: what was known a step of control ago.
-
-    Returns:
-        What is known now.
     """
     people, time_step = state.pedestrians, scenario.time_step
     eye = sensors.camera(scenario, "depth", width=WIDTH, height=HEIGHT)

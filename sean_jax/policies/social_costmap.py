@@ -130,9 +130,6 @@ def default_params(top_speed: float = 0.6, covariance: float = 0.1) -> SocialCos
     Args:
         top_speed: 1, share of the robot's own top speed.
         covariance: m2, of personal space.
-
-    Returns:
-        All parameters of the policy.
     """
     layers = CostmapParams(
         amplitude=scalar(77.0),
@@ -167,7 +164,6 @@ def sean2_params() -> SocialCostmapParams:
 
     Returns:
         All parameters of the policy.
-
     Source: yale-sean/social_sim_ros, ``params/kuri``: ``costmap_common_params.yaml`` and ``map_nav_params/*.yaml``.
     """
     params = default_params()
@@ -184,7 +180,6 @@ def rolling_window(middle: Float[Array, "2"], cell: Float[Array, ""], count: int
     Args:
         middle: (2,) m, the place.
         cell: () m, side of a cell.
-        count: of cells each way.
 
     Returns:
         The window of ``count`` x ``count`` cells.
@@ -195,10 +190,6 @@ def rolling_window(middle: Float[Array, "2"], cell: Float[Array, ""], count: int
 
 def cell_centers(window: Window, count: int) -> tuple[Float[Array, "C C"], Float[Array, "C C"]]:
     """Middles of a window's cells.
-
-    Args:
-        window: of cells.
-        count: of cells each way.
 
     Returns:
         x and y (count, count) [m], x along the first axis.
@@ -214,8 +205,6 @@ def cell_index(
     """The cells in which places lie, or the nearest ones.
 
     Args:
-        window: of cells.
-        count: of cells each way.
         x: (...) m.
         y: (...) m.
 
@@ -240,14 +229,10 @@ def proxemic_cost(
     and C behind; 0 below the cutoff. The costs are whole numbers, as in the map, with the gradient of the Gaussian.
 
     Args:
-        params: of the layers.
         dx: (...) m, from the person to the place.
         dy: (...) m.
         vx: (...) m/s, of the person.
         vy: (...) m/s.
-
-    Returns:
-        (...) cost.
     """
     speed = length(vx, vy)
     standing = speed < 1e-6
@@ -263,11 +248,7 @@ def inflation_cost(params: CostmapParams, gap: Float[Array, "*shape"]) -> Float[
     """Cost of being near what must not be touched, by the formula of costmap_2d.
 
     Args:
-        params: of the layers.
         gap: (...) m, between the robot's disc and what it must not touch.
-
-    Returns:
-        (...) cost.
     """
     near = MAX_COST * jnp.exp(-params.decay * jnp.maximum(gap, 0.0))
     return jnp.where(gap <= 0.0, CONTACT_COST, jnp.where(gap <= params.inflation, near, 0.0))
@@ -284,13 +265,8 @@ def cell_costs(
 
     Args:
         scenario: with the obstacles and the radii of robot and people.
-        params: of the layers.
-        people: K of them, who are on the map.
         x: (...) m.
         y: (...) m.
-
-    Returns:
-        (...) cost.
     """
     shape, radius = x.shape, scenario.robot.radius
     x, y = x.ravel(), y.ravel()
@@ -317,9 +293,6 @@ def cell_costs(
 def traversal_resistance(costs: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """How many metres of free way a metre through a cell is worth.
 
-    Args:
-        costs: (...) of cells.
-
     Returns:
         (...) 1, at most 252 / 50; ``UNREACHED`` for cells that touch something.
     """
@@ -331,13 +304,6 @@ def initial_wave(
     scenario: Scenario, state: State, table: CostToGo, window: Window, costs: Float[Array, "C C"]
 ) -> Float[Array, "C C"]:
     """The wave before the first sweep: the distances that are left from the border and around the goal.
-
-    Args:
-        scenario: with the navigation tables.
-        state: with the goal.
-        table: of the distances that are left.
-        window: of cells.
-        costs: (C, C) of its cells.
 
     Returns:
         (C, C) m, ``UNREACHED`` elsewhere.
@@ -362,7 +328,6 @@ def sweep_wave(
 
     Args:
         wave: (C, C) m, the distance to the goal so far.
-        resistance: (C, C) of the cells.
         cell: () m, side of a cell.
 
     Returns:
@@ -387,10 +352,8 @@ def descend_wave(
 
     Args:
         wave: (C, C) m.
-        window: of cells.
         x: () m, of the place.
         y: () m.
-        points: of the plan.
 
     Returns:
         x and y (points,) [m].
@@ -422,8 +385,6 @@ def sample_commands(
     """The 20 x 40 commands of the dynamic window, straight ahead among them, and one that backs out of a contact.
 
     Args:
-        model: the robot.
-        params: of the local planner.
         speed: () m/s, now.
         turn_rate: () rad/s, now.
         time_step: s, in which the commands can be reached.
@@ -480,11 +441,7 @@ def best_command(
     If all commands touch something, the best is the one that ends where nothing is touched, or to stand.
 
     Args:
-        model: the robot.
-        params: of the local planner.
         robot: its position (2,) [m], heading (2,), speed () [m/s] and turn rate () [rad/s].
-        window: of the local map.
-        costs: (C, C), the local map.
         path: x and y (L,) [m] of the plan inside it.
         time_step: s, of control.
 
@@ -545,16 +502,7 @@ def distance_to_path(
 
 
 def init(scenario: Scenario, params: SocialCostmapParams, state: State) -> SocialCostmapMemory:
-    """A planner after ROS's navigation stack: social_costmap has people on its maps, move_base nobody.
-
-    Args:
-        scenario: where it drives.
-        params: of the policy.
-        state: in which the episode begins.
-
-    Returns:
-        The memory of an episode that begins.
-    """
+    """A planner after ROS's navigation stack: social_costmap has people on its maps, move_base nobody."""
     here = jnp.broadcast_to(state.robot.position[:, None], (2, PATH_POINTS))
     cells = jnp.full((GLOBAL_CELLS, GLOBAL_CELLS), UNREACHED, float)
     window = Window(jnp.zeros(2, float), jnp.ones((), float))
@@ -568,9 +516,6 @@ def apply(
     """The command along the plan, and a few cells more of the next plan.
 
     Args:
-        scenario: where it drives.
-        params: of the policy.
-        state: now, with the policy's memory.
         key: not used.
 
     Returns:

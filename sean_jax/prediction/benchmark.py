@@ -50,11 +50,6 @@ def read_windows(path: str | Path, clock: str = "social_gan", seen: int = SEEN, 
         clock: ``social_gan``: moments are ten frames apart and count as 0.4 s, as in [G18]. That holds for UCY and
             hotel; in eth ten frames are 0.67 s, so that people there seem to be fast. ``recorded``: moments are 0.4 s
             apart in all.
-        seen: moments before the prediction.
-        predicted: moments predicted.
-
-    Returns:
-        The windows, in the order of time.
 
     Raises:
         FileError: the file cannot be read.
@@ -80,8 +75,6 @@ def cut_windows(tracks: Tracks, length: int, stride: int = 1) -> Windows:
     """The windows of any recording.
 
     Args:
-        tracks: T times, N people.
-        length: moments in a window.
         stride: moments from the beginning of one window to that of the next.
 
     Returns:
@@ -97,13 +90,8 @@ def evaluate(model: Model, windows: Windows, seen: int = SEEN, chunk: int = 256,
 
     Args:
         model: whatever ``predict`` takes.
-        windows: of a recording.
         seen: moments that are shown to the model; the others are predicted.
-        chunk: windows predicted at once.
         **options: of ``predict``.
-
-    Returns:
-        Errors and collisions.
     """
     steps = windows.position.shape[1] - seen
     parts = []
@@ -130,9 +118,6 @@ def score(
         predicted: (B, S, N, 2) m.
         recorded: (B, S, N, 2) m.
         present: (B, N) whose tracks count.
-
-    Returns:
-        Means over the tracks.
     """
     predicted, recorded, present = np.asarray(predicted, float), np.asarray(recorded, float), np.asarray(present)
     away = np.linalg.norm(predicted - recorded, axis=-1)  # (B, S, N)

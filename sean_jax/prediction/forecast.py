@@ -74,7 +74,6 @@ def predict(
             function (scenario, state) -> Pedestrians as they are.
         seen: (..., T, N, 2) m, in the order of time; NaN where somebody was not seen.
         time_step: s between the seen positions, and between the predicted ones.
-        steps: how many are predicted.
         present: (..., T, N) who was seen, if NaN does not tell.
         walls: obstacles around the people; none if None.
         weights: (K,) of the velocities in the last K steps, the latest first. What was not seen does not count. People
@@ -130,7 +129,6 @@ def observed_people(
 
     Args:
         seen: (T, N, 2) m.
-        present: (T, N) who was seen when.
         time_step: s between the moments.
         weights: (K,) of the velocities in the last K steps, the latest first. What was not seen does not count. People
             start with the mean of these, and desire it times the sum of the weights.
@@ -167,7 +165,6 @@ def walking_companions(
 
     Args:
         seen: (T, N, 2) m.
-        present: (T, N) who was seen when.
         time_step: s between the moments.
 
     Returns:
@@ -201,14 +198,7 @@ def walking_companions(
 
 
 def grid_around(obstacles: Obstacles) -> ObstacleGrid:
-    """The grid of some walls on a floor with much room around them. Runs on the host.
-
-    Args:
-        obstacles: W boxes.
-
-    Returns:
-        The grid.
-    """
+    """The grid of some walls on a floor with much room around them. Runs on the host."""
     reach = jnp.hypot(obstacles.half_extent[:, 0], obstacles.half_extent[:, 1])[:, None]
     lower, upper = (obstacles.center - reach).min(0), (obstacles.center + reach).max(0)
     return obstacle_grid.build(obstacles, jnp.concatenate([lower - MARGIN, upper + MARGIN]))

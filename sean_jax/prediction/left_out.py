@@ -25,7 +25,6 @@ def fitted_without(scene: str, forces: Forces) -> tuple[Forces, dict[str, Any]] 
 
     Args:
         scene: its name, such as eth.
-        forces: that are to be judged.
 
     Returns:
         Forces and arguments of ``predict``; None unless the forces are ``calibrated`` and the scene was fitted to.

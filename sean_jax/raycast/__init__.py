@@ -24,10 +24,6 @@ def distance(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
 
     The gradient is that of the distance to this body: exact within its outline, finite on edges.
 
-    Args:
-        view: the bodies.
-        rays: the rays.
-
     Returns:
         (tiles, rays) m; ``MISS`` where a ray meets no body.
     """

@@ -32,10 +32,6 @@ PERSON_HEIGHT = laws.HEAD + laws.HEAD_RADIUS  # m
 def nearest(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
     """The distance along each ray to the first body.
 
-    Args:
-        view: the bodies.
-        rays: the rays.
-
     Returns:
         (tiles, rays) m; ``laws.MISS`` where a ray meets no body.
     """
@@ -44,10 +40,6 @@ def nearest(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
 
 def search(view: View, rays: Rays) -> tuple[Float[Array, "tiles rays"], Int[Array, "tiles rays"]]:
     """The distance along each ray to the first body, and its number.
-
-    Args:
-        view: the bodies.
-        rays: the rays.
 
     Returns:
         (tiles, rays) m, ``laws.MISS`` where a ray meets no body; and (tiles, rays) the number in the view.
@@ -224,8 +216,6 @@ def surface(
     """The distance along each ray to a given body, and the normal there. Differentiable in the view.
 
     Args:
-        view: the bodies.
-        rays: the rays.
         number: (tiles, rays) the body that each ray meets, of ``search``.
 
     Returns:
@@ -263,7 +253,6 @@ def along(
     """Places along rays.
 
     Args:
-        rays: the rays.
         distance: (tiles, rays) m, along each ray.
 
     Returns:

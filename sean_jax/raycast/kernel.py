@@ -71,12 +71,10 @@ def first(
     """The distance along each ray to the first body; and its number, if that is wanted.
 
     Args:
-        rays: the rays.
         families: the bodies, none of them empty.
         radius: () m, of a person's body.
         height: () m, of the sensor above the floor.
         floor: the number of the floor; the sky has the next.
-        numbers: whether the numbers are wanted.
 
     Returns:
         (tiles, rays) m, ``laws.MISS`` where a ray meets no body; and with ``numbers`` (tiles, rays) int32.

@@ -53,14 +53,7 @@ class Beams:
 
     @classmethod
     def of(cls, rays: Rays) -> "Beams":
-        """All rays as arrays.
-
-        Args:
-            rays: the rays.
-
-        Returns:
-            Beams of all tiles.
-        """
+        """All rays as arrays."""
         offset = None if rays.offset is None else _components(rays.offset)
         return cls(_components(rays.direction), jnp.asarray(rays.inverse_rise), jnp.asarray(rays.inverse_run), offset)
 
@@ -69,9 +62,6 @@ class Beams:
 
         Args:
             tile: (tasks,) indices of tiles.
-
-        Returns:
-            Beams of these tiles.
         """
         return jax.tree.map(lambda part: part[tile], self)
 
@@ -92,12 +82,8 @@ def bundle(
     Args:
         origin: (3,) m, of the sensor in the robot's frame.
         direction: (H, W, 3) of any length.
-        tile: rows and columns of a tile.
         reach: m, horizontal range of the sensor.
         offset: (H, W, 3) m, from the origin to the start of each ray; None if all start there.
-
-    Returns:
-        The rays.
     """
     origin, direction = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
     direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
@@ -133,7 +119,6 @@ def by_rows(rays: Rays, values: Shaped[Array, "tiles rays"]) -> Shaped[Array, "H
     """Arrange values of rays as the rows of the sensor.
 
     Args:
-        rays: the rays.
         values: (tiles, rays) of any type.
 
     Returns:

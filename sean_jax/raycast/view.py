@@ -42,16 +42,12 @@ def make_view(
     """Transform the bodies of the world to the frame of a sensor.
 
     Args:
-        solids: in the world.
         people: (N, 2) m, in the world.
         present: (N,) whether each person is there; absent ones are not seen.
         radius: m, of a person's body.
         position: (2,) m, of the robot.
         heading: (2,) unit vector, of the robot.
         origin: (3,) m, of the sensor in the robot's frame.
-
-    Returns:
-        The bodies in the frame of the sensor.
     """
     cosine, sine = heading[0], heading[1]
     place = jnp.asarray(origin, float)

@@ -20,7 +20,6 @@ def read_companions(path: str | Path, tracks: Tracks) -> Int[np.ndarray, " N"]:
     Args:
         path: of a text file with a line for each group: the numbers of its people, with space between them. Lines that
             share somebody are one group.
-        tracks: the recording, one column a person.
 
     Returns:
         (N,) int32 column of the first member of the person's group, -1 alone.

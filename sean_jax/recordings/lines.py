@@ -62,12 +62,8 @@ def read(path: str | Path, recording_format: str | None = None, frame_rate: floa
     """The lines of a CSV file, with the clock of its format.
 
     Args:
-        path: of the file.
         recording_format: one of ``FORMATS``; recognised if None, where the file has velocities as ETH and UCY do.
         frame_rate: frames a second; that of the format if None.
-
-    Returns:
-        The lines, checked.
 
     Raises:
         FileError: one sentence that names the file, its line or column, the value and the cure, also where people
@@ -87,9 +83,6 @@ def read(path: str | Path, recording_format: str | None = None, frame_rate: floa
 
 def columns(path: str | Path) -> set[str]:
     """Which columns of a recording a CSV file has, by our names: the keys of ``NAMES``.
-
-    Args:
-        path: of the file.
 
     Returns:
         Names; none if it is no recording.

@@ -30,13 +30,11 @@ def moments_of(
     """Moments in which a recorded person is the robot, from where they are first seen to where last.
 
     Args:
-        tracks: T times, N people.
         robot: () int32 column of that person; may be traced.
         group: (T, N) int32 group of each person, -1 none; those of the recording if None. Where nobody
             annotated them, ``classifiers.o_space_groups`` of each row gives them.
         facing: (T, N, 2) unit headings; directions of motion if None.
         obstacles: W boxes, if known.
-        window: rows on each side that velocities are fitted to.
         still: m/s, below which the direction of motion says nothing.
 
     Returns:
@@ -67,12 +65,10 @@ def moments_along(
     """Moments in which a robot goes along a path among recorded people, who do not react to it. It is in no group.
 
     Args:
-        tracks: T times, N people.
         path: (T, 2) m, of the robot.
         group: (T, N) group of each person, -1 none; those of the recording if None.
         facing: (T, N, 2) unit headings; directions of motion if None.
         obstacles: W boxes, if known.
-        window: rows on each side that velocities are fitted to.
         still: m/s, below which the direction of motion says nothing.
 
     Returns:

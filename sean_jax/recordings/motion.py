@@ -22,13 +22,10 @@ def fit_motion(
 
     Args:
         position: (T, N, 2) m.
-        present: (T, N) bool.
         time_step: s between rows.
-        window: rows on each side.
 
     Returns:
         Position (T, N, 2) m on the line, and velocity (T, N, 2) m/s; where absent, the argument's and zero.
-
     Source: SEAN 2.0's classifiers, which fit a line to a person's last poses.
     """
     count, first, second, value, product = (jnp.zeros((), position.dtype),) * 5
@@ -50,7 +47,6 @@ def headings(velocity: Float[Array, "T N 2"], present: Bool[Array, "T N"], still
 
     Args:
         velocity: (T, N, 2) m/s.
-        present: (T, N) bool.
         still: m/s, below which a direction says nothing; who never moves faster looks along x.
 
     Returns:
@@ -76,16 +72,7 @@ def headings(velocity: Float[Array, "T N 2"], present: Bool[Array, "T N"], still
 
 
 def windowed_mean(values: Float[Array, "T N 2"], present: Bool[Array, "T N"], window: int = 1) -> Float[Array, "T N 2"]:
-    """The mean of each person's values over the 2 window + 1 times around, absent ones left out.
-
-    Args:
-        values: (T, N, 2).
-        present: (T, N) bool.
-        window: rows on each side.
-
-    Returns:
-        (T, N, 2)
-    """
+    """The mean of each person's values over the 2 window + 1 times around, absent ones left out."""
     total, count = jnp.zeros_like(values), jnp.zeros(present.shape, values.dtype)
     for shift in range(-window, window + 1):
         there = _shifted(present, shift, False).astype(values.dtype)
@@ -100,7 +87,6 @@ def motion_between_rows(tracks: Tracks, walking: float = 0.1) -> tuple[np.ndarra
     without anybody, as in a sampled recording.
 
     Args:
-        tracks: T times, N columns.
         walking: m/s, at or below which the direction of motion says nothing.
 
     Returns:

@@ -60,13 +60,9 @@ def read(
     bits, and a column serves one person after the other, so that there are as few columns as people at once.
 
     Args:
-        path: of the file.
         recording_format: a key of ``READERS``; recognised if None, where the file has velocities as ETH and UCY do.
         frame_rate: frames a second; that of the format if None.
         time_step: s between rows; as far apart as a person's lines mostly are in the file if None.
-
-    Returns:
-        T times, N columns.
 
     Raises:
         FileError: one sentence that names the file, its line or column, and the cure.
@@ -81,11 +77,7 @@ def read_csv(path: str | Path, seconds: float = 1.0) -> Tracks:
     Lines between rows go to the nearest row.
 
     Args:
-        path: of the file.
         seconds: s that pass while the frame number rises by one.
-
-    Returns:
-        T times, N people.
 
     Raises:
         FileError: one sentence that names the file, its line or column, and the cure.
@@ -98,12 +90,6 @@ def read_eth_ucy(path: str | Path) -> Tracks:
 
     In ETH some people's lines lie between those of others; they are moved by up to half a row.
 
-    Args:
-        path: of the file.
-
-    Returns:
-        T times, N people.
-
     Raises:
         FileError: one sentence that names the file, its line or column, and the cure.
     """
@@ -112,12 +98,6 @@ def read_eth_ucy(path: str | Path) -> Tracks:
 
 def read_juelich(path: str | Path) -> Tracks:
     """Corridor experiments of Forschungszentrum Juelich (HERMES 2009) as CSV: frames are 1/16 s.
-
-    Args:
-        path: of the file.
-
-    Returns:
-        T times, N people.
 
     Raises:
         FileError: one sentence that names the file, its line or column, and the cure.
@@ -129,11 +109,7 @@ def read_groups(path: str | Path, seconds: float = 1.0) -> Tracks:
     """Annotated conversations (Cocktail Party, Coffee Break), also with facing (theta_rad) and group_id, -1 alone.
 
     Args:
-        path: of the file.
         seconds: s between annotated frames (Cocktail Party: 5).
-
-    Returns:
-        T times, N people.
 
     Raises:
         FileError: one sentence that names the file, its line or column, and the cure.

@@ -71,9 +71,6 @@ def recording(
 
     Args:
         episodes: one or more, with as many situations each.
-        environment: where they are.
-        title: of the whole.
-        graph: that people walk on.
         scenario: for the robot's size and sensors; without it, they are not drawn.
         situations: their names; the paper's five, or numbers, if None.
         time_step: s, between two frames.
@@ -94,10 +91,6 @@ def recording(
 
 def awaited(scenario: Scenario, title: str = "") -> dict[str, Any]:
     """A recording without episodes, of which the page asks for the frames.
-
-    Args:
-        scenario: that they will come from.
-        title: of the whole.
 
     Returns:
         A value for ``json.dumps``.
@@ -136,9 +129,7 @@ def of_scenario(scenario: Scenario, episodes: Sequence[Episode], title: str = ""
     """A recording of episodes of a scenario, with planned paths.
 
     Args:
-        scenario: that they come from.
         episodes: one or more.
-        title: of the whole.
 
     Returns:
         A value for ``json.dumps``.
@@ -158,7 +149,6 @@ def plans(scenario: Scenario, frames: Trajectory) -> np.ndarray:
     """The shortest path that is left, once a second.
 
     Args:
-        scenario: with the tables of shortest paths.
         frames: (T, ...) of one episode.
 
     Returns:
@@ -226,8 +216,6 @@ def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[
 
     Args:
         episode: or a part of one.
-        names: of its situations.
-        robot: whether there is one.
 
     Returns:
         A value for ``json.dumps``.
@@ -297,12 +285,7 @@ def element(content: dict[str, Any], name: str = "replay", linked: bool = True, 
 
     Args:
         content: of ``recording``.
-        name: unique on the page.
-        linked: whether the page's address tells the moment.
         program: whether the script follows; a page of several players has it once, after the last of them.
-
-    Returns:
-        HTML.
     """
     text = embedded(content)
     name, link = markup.escape(name), "" if linked else ' data-linked="no"'
@@ -315,28 +298,17 @@ def embedded(content: Any) -> str:
 
     Args:
         content: a value for ``json.dumps``.
-
-    Returns:
-        JSON.
     """
     return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def script() -> str:
-    """The page's program.
-
-    Returns:
-        JavaScript.
-    """
+    """The page's program."""
     return files.read_text(HERE / "page.js")
 
 
 def style() -> str:
-    """The rules of the player's looks, light and dark.
-
-    Returns:
-        CSS.
-    """
+    """The rules of the player's looks, light and dark."""
     return files.read_text(HERE / "page.css")
 
 
@@ -346,10 +318,6 @@ def html(content: dict[str, Any], picture: str = "", linked: bool = True) -> str
     Args:
         content: of ``recording``.
         picture: HTML that stands for it where there is no JavaScript.
-        linked: whether the page's address tells the moment.
-
-    Returns:
-        HTML that refers to nothing outside itself.
     """
     instead = f"<noscript>{picture or 'This page needs JavaScript.'}</noscript>"
     return _page(content["title"], f"{element(content, linked=linked)}\n{instead}")
@@ -360,10 +328,6 @@ def html_of_several(players: Sequence[tuple[str, dict[str, Any]]], title: str = 
 
     Args:
         players: caption and content of each, as of ``recording``.
-        title: of the page.
-
-    Returns:
-        HTML that refers to nothing outside itself.
     """
     parts = [
         f"<h2>{markup.escape(caption)}</h2>{element(content, f'replay-{k}', linked=False, program=False)}"
@@ -392,9 +356,6 @@ class Replay:
 
     def save(self, path: Path | str) -> None:
         """Write the page.
-
-        Args:
-            path: of an HTML file.
 
         Raises:
             WriteError: another process writes the file.
@@ -428,8 +389,6 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
 
     Args:
         trajectory: (T, ...) frames; of a batch (B, T, ...) the first episode.
-        scenario: the one that it comes from.
-        animate: a moving picture instead.
 
     Returns:
         A ``Replay``, whose ``figure`` is the picture from above and whose ``save`` writes the page; with ``animate`` a

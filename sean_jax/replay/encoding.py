@@ -62,7 +62,6 @@ def decode(encoded: Mapping[str, Any], frames: int) -> dict[str, np.ndarray]:
 
     Args:
         encoded: what ``encode`` gave.
-        frames: T.
 
     Returns:
         name -> (T, K) numbers, as far as they are kept.

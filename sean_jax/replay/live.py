@@ -51,19 +51,12 @@ class Live:
             self._chunks.append(text)
 
     def finish(self, outcome: str) -> None:
-        """The episode has ended.
-
-        Args:
-            outcome: how, in words.
-        """
+        """The episode has ended."""
         with self._lock:
             self._over, self._outcome = True, outcome
 
     def since(self, first: int) -> str:
         """What the page is told.
-
-        Args:
-            first: chunk, of those that it lacks.
 
         Returns:
             JSON, of which ``web/src/stream.ts`` tells the layout.
@@ -105,15 +98,7 @@ class _Server(ThreadingHTTPServer):
 
 @contextlib.contextmanager
 def serve(scenario: Scenario, title: str) -> Iterator[Live]:
-    """Serve the page on a free port of 127.0.0.1 until the block ends.
-
-    Args:
-        scenario: what is simulated.
-        title: of the page.
-
-    Yields:
-        What takes the frames and tells the address.
-    """
+    """Serve the page on a free port of 127.0.0.1 until the block ends."""
     page = replay.html(replay.awaited(scenario, title) | {"live": FRAMES}, linked=False).encode("utf-8")
 
     class Handler(BaseHTTPRequestHandler):

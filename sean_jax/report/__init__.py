@@ -54,14 +54,7 @@ class Report:
 
 
 def html(report: Report) -> str:
-    """The page as text.
-
-    Args:
-        report: its content.
-
-    Returns:
-        HTML that refers to nothing outside itself.
-    """
+    """The page as text."""
     sections = [
         *([] if report.replay is None else [replay.element(report.replay)]),
         _tiles(report),
@@ -78,17 +71,7 @@ def html(report: Report) -> str:
 
 
 def page(title: str, kicker: str, sections: Iterable[str], style: str = "") -> str:
-    """A page of the package's looks, whole in one file.
-
-    Args:
-        title: plain text.
-        kicker: small line above the title, HTML.
-        sections: HTML.
-        style: further rules of CSS.
-
-    Returns:
-        HTML that refers to nothing outside itself.
-    """
+    """A page of the package's looks, whole in one file."""
     body, title = "\n".join(sections), markup.escape(title)
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'

@@ -14,7 +14,6 @@ def svg(figure: Any, name: str) -> str:
     """A figure as inline SVG in the colors of the page, light or dark.
 
     Args:
-        figure: of matplotlib.
         name: of the figure on the page, which makes its ids unique.
 
     Returns:

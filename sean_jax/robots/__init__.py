@@ -23,9 +23,6 @@ def load(robot: str | Path, dynamics: str = "mjx") -> RobotModel:
         robot: a name in ``ROBOTS``, or the path of an MJCF file.
         dynamics: "mjx", "twin" for the closed form, or "kinematic" for a robot without inertia.
 
-    Returns:
-        The robot.
-
     Raises:
         InputError: the name, the dynamics or the file does not exist, or the file does not describe a planar
             differential-drive base with all of its limits.
@@ -43,9 +40,6 @@ def find(robot: str | Path, dynamics: str = "mjx") -> Path:
         robot: a name in ``ROBOTS``, or the path of an MJCF file.
         dynamics: a name in ``DYNAMICS``, which is checked as well.
 
-    Returns:
-        The file.
-
     Raises:
         InputError: the name, the dynamics or the file does not exist.
     """
@@ -62,7 +56,6 @@ def check_step(model: RobotModel, time_step: float) -> None:
     """Check that a step of control is a multiple of the robot's step of physics.
 
     Args:
-        model: the robot.
         time_step: s, of control.
 
     Raises:

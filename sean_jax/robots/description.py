@@ -40,9 +40,6 @@ OPTIONAL = ("max_reverse_speed", "max_deceleration")  # without them, the forwar
 def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     """Read a robot.
 
-    Args:
-        path: of an MJCF file.
-
     Returns:
         ``mujoco.MjModel``; fields of ``RobotModel`` by name; and (5,) the diagonal of the mass matrix.
 
@@ -95,9 +92,6 @@ def mounts(model: Any, data: Any) -> tuple[Mount, ...]:
     Args:
         model: ``mujoco.MjModel``.
         data: ``mujoco.MjData`` with their poses.
-
-    Returns:
-        Mounts in the robot's frame.
     """
     result, frame = [], build.base_rotation(model, data)
     places = [

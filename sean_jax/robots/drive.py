@@ -39,7 +39,6 @@ def place(model: RobotModel, position: Float[Array, "2"], heading: Float[Array, 
     """A robot at rest.
 
     Args:
-        model: the robot.
         position: (2,) m.
         heading: (2,) direction of any length; the zero vector counts as the x axis.
 
@@ -53,10 +52,6 @@ def place(model: RobotModel, position: Float[Array, "2"], heading: Float[Array, 
 
 def coordinates(model: RobotModel, robot: Robot) -> tuple[Float[Array, "5"], Float[Array, "5"]]:
     """Generalised coordinates of a robot.
-
-    Args:
-        model: the robot.
-        robot: its pose and velocity.
 
     Returns:
         (5,) x, y [m], yaw, left and right wheel angle [rad]; and (5,) their rates.
@@ -82,13 +77,9 @@ def drive_mjx(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Ro
     """The robot one control step later, simulated by MJX.
 
     Args:
-        scenario: with the robot and the obstacles.
         state: people are where it has them at the end of the control step; they came there at their velocities.
         action: (2,) m/s and rad/s. If it is not finite, the last command holds until ``command_timeout``; then the
             robot stops.
-
-    Returns:
-        The robot.
 
     Raises:
         InputError: the control step is no multiple of the physics step.
@@ -103,9 +94,6 @@ def drive_twin(scenario: Scenario, state: State, action: Float[Array, "2"]) -> R
         scenario: as in ``drive_mjx``.
         state: as in ``drive_mjx``.
         action: as in ``drive_mjx``.
-
-    Returns:
-        The robot.
 
     Raises:
         InputError: the control step is no multiple of the physics step.
@@ -122,9 +110,6 @@ def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "2"])
         scenario: as in ``drive_mjx``.
         state: as in ``drive_mjx``.
         action: as in ``drive_mjx``.
-
-    Returns:
-        The robot.
 
     Raises:
         InputError: the control step is no multiple of the physics step.
@@ -147,7 +132,6 @@ def wheel_speeds(model: RobotModel, robot: Robot, action: Float[Array, "2"], tim
     """Target speeds of the wheels for the command nearest to an action within the robot's limits.
 
     Args:
-        model: the robot's limits.
         robot: its actual speeds, against which acceleration is limited over one control step.
         action: (2,) m/s and rad/s.
         time_step: s, of control.
@@ -166,7 +150,6 @@ def active_command(
 
     Args:
         model: with ``command_timeout``, after which the last command becomes (0, 0).
-        drive_state: with the last command.
         action: (2,) m/s and rad/s.
         time_step: s, of control.
 

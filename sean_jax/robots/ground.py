@@ -46,10 +46,7 @@ def impulse(
     The tyres act first, then people, then obstacles, so that no wall is ever passed.
 
     Args:
-        model: the robot.
-        surroundings: obstacles and people.
         time_left: s, from the start of this physics step to the end of the control step.
-        motion: at the start of the physics step.
         velocity: (5,) rates at the end of the physics step, if there were no impulse.
 
     Returns:
@@ -108,8 +105,6 @@ def touching(
     to rest at the surface. It undoes a share of an overlap. There is no friction: the robot slides along.
 
     Args:
-        model: the robot.
-        surroundings: obstacles and people.
         time_left: s, from the start of this physics step to the end of the control step.
         position: its first two are x and y [m].
         vx: m/s without contacts.

@@ -38,9 +38,6 @@ def move(
     """The way of a control step at a constant speed and turn rate.
 
     Args:
-        steps: of physics.
-        model: the robot.
-        surroundings: obstacles and people.
         position: (2,) m, at its start.
         heading: (2,) unit vector, there.
         speed: () m/s.

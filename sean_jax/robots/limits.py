@@ -24,9 +24,6 @@ class Reach(NamedTuple):
 def max_reverse_speed(model: RobotModel) -> Float[Array, ""]:
     """Top speed backward.
 
-    Args:
-        model: the robot.
-
     Returns:
         () m/s, positive; the top speed ahead if the robot has no other backward.
     """
@@ -39,7 +36,6 @@ def reachable(
     """The speeds that the limits of acceleration allow after one step.
 
     Args:
-        model: the robot.
         speed: (...) m/s, now.
         turn_rate: (...) rad/s, now.
         time_step: s.
@@ -60,7 +56,6 @@ def clip_speeds(
     """Clip speeds to the robot's top speeds.
 
     Args:
-        model: the robot.
         speed: (...) m/s.
         turn_rate: (...) rad/s.
 
@@ -74,7 +69,6 @@ def clip_turn_rate(model: RobotModel, turn_rate: Float[Array, "*shape"]) -> Floa
     """Clip turn rates to the robot's greatest.
 
     Args:
-        model: the robot.
         turn_rate: (...) rad/s.
 
     Returns:
@@ -93,7 +87,6 @@ def limit_command(
     """The speeds within all limits that are nearest to a command, elementwise.
 
     Args:
-        model: the robot.
         speed: (...) m/s, now.
         turn_rate: (...) rad/s, now.
         command: the speed (...) [m/s] and the turn rate (...) [rad/s] that are wanted.

@@ -21,11 +21,7 @@ from sean_jax.robots.twin import diagonal
 
 @functools.cache
 def mjx() -> ModuleType:
-    """The module ``mujoco.mjx``. It is imported here because that takes a second and prints a message about Warp.
-
-    Returns:
-        The module.
-    """
+    """The module ``mujoco.mjx``. It is imported here because that takes a second and prints a message about Warp."""
     with contextlib.redirect_stdout(io.StringIO()):
         import mujoco.mjx as module
     return module
@@ -36,10 +32,6 @@ def put(model: Any, mass: Float[Array, "5"]) -> tuple:
 
     Args:
         model: ``mujoco.MjModel``.
-        mass: (5,) diagonal of its mass matrix.
-
-    Returns:
-        The MJX model and the mass matrix.
     """
     return mjx().put_model(model, impl="jax"), mass
 
@@ -59,9 +51,6 @@ def substep(
         time_left: as in ``twin.substep``.
         motion: as in ``twin.substep``: qpos and qvel.
         targets: as in ``twin.substep``.
-
-    Returns:
-        The motion one physics step later.
     """
     # MJX mixes ranks and dtypes on purpose; a caller may have forbidden that for its own code.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):

@@ -21,14 +21,9 @@ def substep(
     """One physics step by semi-implicit Euler.
 
     Args:
-        model: the robot.
-        surroundings: obstacles and people.
         time_left: s, from the start of this physics step to the end of the control step.
         motion: generalised coordinates (5,) and their rates (5,).
         targets: (2,) rad/s, the wheel speeds that the servos aim at.
-
-    Returns:
-        The motion one physics step later.
     """
     position, velocity = motion
     torque = jnp.clip(model.servo_gain * (targets - velocity[3:]), -model.servo_torque, model.servo_torque)
@@ -39,9 +34,6 @@ def substep(
 
 def diagonal(model: RobotModel) -> Float[Array, "5"]:
     """The diagonal of the mass matrix.
-
-    Args:
-        model: the robot.
 
     Returns:
         (5,) kg, kg, kg m2, kg m2, kg m2.

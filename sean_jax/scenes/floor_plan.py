@@ -33,9 +33,6 @@ def box(lower: Point, upper: Point) -> Float[np.ndarray, "1 5"]:
     Args:
         lower: its corner with the smallest x and y [m].
         upper: its corner with the largest ones [m].
-
-    Returns:
-        (1, 5) plan.
     """
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     return np.array([[*(low + high) / 2, *(high - low) / 2, 0.0]])
@@ -66,9 +63,6 @@ def room(lower: Point, upper: Point, doors: Iterable[tuple[Point, Point]] = ()) 
         upper: its corner with the largest ones [m].
         doors: the two ends of each opening, on a side of the rectangle [m].
 
-    Returns:
-        (W, 5) plan of walls that lie outside the rectangle.
-
     Raises:
         InputError: a door lies on no side.
     """
@@ -98,9 +92,6 @@ def corridor(length: float, width: float, margin: float = 0.0) -> Float[np.ndarr
         length: m.
         width: m, free between the walls: y from 0 to the width.
         margin: by which the walls go on at both ends [m]; half a period of a periodic corridor.
-
-    Returns:
-        (2, 5) plan.
     """
     return np.concatenate(
         [box((-margin, -THICK), (length + margin, 0.0)), box((-margin, width), (length + margin, width + THICK))]
@@ -114,7 +105,6 @@ def environment(plan: Float[np.ndarray, "W 5"], name: str = "scene") -> Environm
 
     Args:
         plan: (W, 5) boxes.
-        name: of the environment.
 
     Returns:
         The environment on the default device.

@@ -93,7 +93,6 @@ def scenario_of(scene: Scene, moved_by: Model | None = None, people: int | None 
     Its arrays are padded to sizes that many scenes have in common.
 
     Args:
-        scene: any.
         moved_by: who moves people; the default forces if None.
         people: N, to which the crowd is padded with absent people; the next of ``PEOPLE`` if None.
 
@@ -149,9 +148,6 @@ def stage(scenario: Scenario, scene: Scene) -> State:
     Args:
         scenario: of ``scenario_of``.
         scene: the same one.
-
-    Returns:
-        The state before the first step.
     """
     place, velocity = scene.robot or ((AWAY, AWAY), (0.0, 0.0))
     return _first_state(

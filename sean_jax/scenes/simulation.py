@@ -82,7 +82,6 @@ def advance(scenario: Scenario, state: State) -> State:
 
     Args:
         scenario: of ``scenario_of``.
-        state: before the step.
 
     Returns:
         The state 0.1 s later.

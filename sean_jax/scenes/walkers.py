@@ -92,15 +92,11 @@ def walkers(
         start: (N, 2) m, such as ``spread`` gives.
         route: indices of gates, in their order; people vanish at the last one. Without a route they stand.
         speed: preferred speed [m/s], one for all or (N,); drawn from N(1.34, 0.26) if None.
-        seed: of that draw.
         velocity: at the start [m/s].
         entry_time: s, one for all or (N,).
         reaction_time: s, likewise.
         together: whether they are a walking group: each keeps to those before and after, and all prefer the speed of
             the slowest.
-
-    Returns:
-        N walkers as numpy arrays.
     """
     start = np.asarray(start, float).reshape(-1, 2)
     number = len(start)
@@ -127,9 +123,6 @@ def join(*parts: Walkers) -> Walkers:
 
     Args:
         *parts: of ``walkers``.
-
-    Returns:
-        All of them, in this order.
     """
     legs = max(part.route.shape[1] for part in parts)
     found: list[Walkers] = []
@@ -149,14 +142,7 @@ def source(
 
     Args:
         gate: through which they enter; their first velocity is across it.
-        number: of people, N.
-        rate: people/s; who finds no room waits outside.
-        route: indices of gates.
         speed: preferred speed [m/s]; drawn if None.
-        seed: of the draws.
-
-    Returns:
-        N walkers as numpy arrays.
     """
     generator = np.random.default_rng([seed, 11])
     left, right = np.asarray(gate.left, float), np.asarray(gate.right, float)
@@ -176,7 +162,6 @@ def spread(lower: Point, upper: Point, number: int, seed: int = 0, apart: float 
     Args:
         lower: corner with the smallest x and y [m].
         upper: corner with the largest ones [m].
-        number: of places, N.
         seed: the same one gives the same places.
         apart: m, least distance of two places; smaller if they do not fit otherwise.
 
@@ -215,10 +200,7 @@ def walkers_behavior(
     """The behavior of walkers.
 
     Args:
-        people: N walkers.
-        gates: G of them.
         exits: indices of gates between which people choose.
-        period: m along x, of a periodic scene.
         sources: whether somebody enters later than at the start; found out if None.
 
     Returns:
@@ -251,7 +233,6 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     """Everybody at the start; those are present who enter at once.
 
     Args:
-        scenario: of this behavior.
         key: of the draw of how far people keep from a moving robot.
 
     Returns:
@@ -283,8 +264,6 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     """Who has passed a gate walks to the next; who has passed the last one vanishes; who is due enters.
 
     Args:
-        scenario: of this behavior.
-        state: before the step.
         key: not used.
 
     Returns:
@@ -358,13 +337,8 @@ def choose_exit(plan: Plan, people: Pedestrians, gate: Int[Array, "N"], tick: In
     Everybody looks once in ``TURNS`` ticks, and turns only for a clear gain, so that crowds do not swing to and fro.
 
     Args:
-        plan: with the exits.
-        people: N of them.
         gate: (N,) to which they walk now; only those who walk to an exit choose.
         tick: () of the episode.
-
-    Returns:
-        (N,) the gate to which each walks.
     """
     number, gates = gate.shape[0], plan.gates.shape[0]
     own = jnp.arange(number, dtype=jnp.int32)

@@ -41,9 +41,6 @@ class Camera:
         Args:
             width: pixels.
             height: pixels.
-
-        Returns:
-            A new camera.
         """
         return dataclasses.replace(self, width=width, height=height)
 
@@ -71,9 +68,6 @@ def camera(
         far: m, along the view: bodies farther than this are not seen; if None 20 for ``depth``, 200 for the others.
         orthographic: m, height of the part of the floor that a view without perspective shows; 0 for perspective;
             if None 6 for ``overhead`` and 0 for the others.
-
-    Returns:
-        A fixed value, to be made outside of jit.
 
     Raises:
         InputError: the robot has no such camera, or a number makes no picture.

@@ -20,8 +20,6 @@ def depth(scenario: Scenario, state: State, camera: Camera) -> Float[Array, "H W
     and finite on its edges.
 
     Args:
-        scenario: with the environment and the robot.
-        state: with the robot's pose and the people.
         camera: of ``sensors.camera``.
 
     Returns:
@@ -38,13 +36,7 @@ def sensor_view(scenario: Scenario, state: State, rays: Rays, with_robot: bool =
     """The bodies around a sensor of the robot.
 
     Args:
-        scenario: with the environment and the robot.
-        state: with the robot's pose and the people.
         rays: of the sensor; only its origin is used.
-        with_robot: whether the sensor sees the robot itself.
-
-    Returns:
-        The bodies, in the frame of the sensor.
     """
     people, robot = state.pedestrians, state.robot
     solids = scenario.environment.scenery.solids

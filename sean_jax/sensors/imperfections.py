@@ -25,7 +25,6 @@ def noise(
     """Add normal noise whose standard deviation is min_deviation + growth (distance - start)².
 
     Args:
-        key: PRNG key of this reading.
         distance: (...) m, of any shape.
         far: m, the range of the sensor. Values at or beyond it are misses and stay as they are.
         min_deviation: m, standard deviation at ``start``.
@@ -34,7 +33,6 @@ def noise(
 
     Returns:
         (...) m, from 0 to ``far``.
-
     Source:
         C. V. Nguyen, S. Izadi & D. Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction and tracking",
         3DIMPVT 2012; the defaults are theirs, for a depth camera.
@@ -53,7 +51,6 @@ def drop_outs(
     """Replace a random share of the distances, as if these rays had missed.
 
     Args:
-        key: PRNG key of this reading.
         distance: (...) m, of any shape.
         share: from 0 to 1.
         replacement: m, such as the sensor's ``far``.
@@ -76,10 +73,6 @@ def delay(image: Shaped[Array, "*shape"], steps: int) -> Delay:
 
     Args:
         image: (...) of any shape and type.
-        steps: number of control steps by which images are late.
-
-    Returns:
-        The delay line.
 
     Raises:
         InputError: ``steps`` is negative.
@@ -93,7 +86,6 @@ def push(line: Delay, image: Shaped[Array, "*shape"]) -> tuple[Delay, Shaped[Arr
     """Put a new image into a delay line.
 
     Args:
-        line: the delay line.
         image: (...) the newest image.
 
     Returns:
@@ -110,7 +102,6 @@ def due(tick: Int[Array, ""], time_step: float, rate: float) -> Bool[Array, ""]:
     control, such as one of 15 Hz with steps of 0.1 s, takes one image at each tick.
 
     Args:
-        tick: number of control steps since the episode began.
         time_step: s, of control.
         rate: 1/s, of the sensor.
 

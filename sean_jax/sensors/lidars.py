@@ -51,9 +51,6 @@ def lidar(
         near: m, bodies nearer than this are not seen.
         far: m, bodies farther than this are not seen.
 
-    Returns:
-        A fixed value, to be made outside of jit.
-
     Raises:
         InputError: the robot's file has no site 'lidar', there is no ray, or the range is empty.
     """
@@ -74,9 +71,6 @@ def rays(sensor: Lidar) -> Rays:
 
     Args:
         sensor: of ``lidar``.
-
-    Returns:
-        The rays, made once for equal lidars.
     """
     angle = sensor.first + sensor.span * np.arange(sensor.count) / sensor.count
     direction = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
@@ -89,8 +83,6 @@ def scan(scenario: Scenario, state: State, sensor: Lidar) -> Float[Array, "rays"
     """Distances along the rays of a lidar. Differentiable in the robot's pose and in people's positions.
 
     Args:
-        scenario: with the environment and the robot.
-        state: with the robot's pose and the people.
         sensor: of ``lidar``.
 
     Returns:

@@ -39,10 +39,6 @@ def colors(
     """The color of each ray.
 
     Args:
-        scenario: with the scenery.
-        state: with the robot's pose and the people's headings.
-        view: the bodies around the camera.
-        bundle: the rays, in tiles.
         number: (tiles, rays) number in the view of the first body that each ray meets.
         distance: (tiles, rays) m along each ray to that body.
         normal: (tiles, rays) each, x, y and z of the outward normal there.
@@ -143,9 +139,6 @@ def _on_leg(ahead: Array, look_x: Array, look_y: Array, x: Array, y: Array, away
 
 def shirts(count: int) -> Color:
     """The color of each person's shirt; people with successive indices differ most.
-
-    Args:
-        count: number of people N.
 
     Returns:
         (N,) each, red, green and blue from 0 to 1.

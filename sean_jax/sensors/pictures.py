@@ -32,12 +32,7 @@ def render(scenario: Scenario, state: State, camera: Camera) -> Picture:
     """The picture of a camera. Depth and color are differentiable as in ``depth``; class and instance are not.
 
     Args:
-        scenario: with the environment and the robot.
-        state: with the robot's pose and the people.
         camera: of ``sensors.camera``.
-
-    Returns:
-        Color, depth, class and instance of each pixel.
     """
     bundle, cosine = rays(camera)
     view = sensor_view(scenario, state, bundle, camera.sees_robot)

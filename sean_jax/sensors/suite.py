@@ -91,9 +91,6 @@ def depth_sensor(device: Camera, errors: DistanceErrors | None = None, name: str
         device: of ``sensors.camera``.
         errors: noise and drop-outs; None for exact distances.
         name: of the reading; that of the camera if None.
-
-    Returns:
-        The sensor.
     """
     return Sensor(() if errors is None else errors, name or device.name, _Distances(device, depth))
 
@@ -104,10 +101,6 @@ def lidar_sensor(device: Lidar, errors: DistanceErrors | None = None, name: str 
     Args:
         device: of ``sensors.lidar``.
         errors: noise and drop-outs; None for exact distances.
-        name: of the reading.
-
-    Returns:
-        The sensor.
     """
     return Sensor(() if errors is None else errors, name, _Distances(device, scan))
 
@@ -118,9 +111,6 @@ def color_sensor(device: Camera, name: str | None = None) -> Sensor:
     Args:
         device: of ``sensors.camera``.
         name: of the reading; that of the camera if None.
-
-    Returns:
-        The sensor.
     """
     return Sensor((), name or device.name, _Color(device))
 
@@ -167,10 +157,6 @@ def sense(scenario: Scenario, state: State) -> dict[str, Any]:
 
     Args:
         scenario: with ``scenario.sensors``.
-        state: the state to be sensed.
-
-    Returns:
-        The reading of each sensor by its name.
     """
     key = jax.random.fold_in(state.streams.sensors, state.tick)
     readings = {}
@@ -224,10 +210,6 @@ def as_sensor(value: SensorLike, robot: RobotModel) -> Sensor:
 
     Args:
         value: a ``Sensor``, a name in ``SENSORS``, or the path of a YAML file with the keys of ``Settings``.
-        robot: on which the sensor is mounted.
-
-    Returns:
-        The sensor.
 
     Raises:
         InputError: there is no sensor of that name, the file cannot be used, or the robot has no such mount.
@@ -262,7 +244,6 @@ def as_sensors(values: Iterable[SensorLike], robot: RobotModel) -> tuple[Sensor,
 
     Args:
         values: see ``as_sensor``.
-        robot: on which the sensors are mounted.
 
     Returns:
         The sensors, in the same order.

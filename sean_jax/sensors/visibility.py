@@ -17,8 +17,6 @@ def pixels_of_people(scenario: Scenario, state: State, camera: Camera) -> Int[Ar
     Obstacles, decoration and other people hide people. Without derivatives.
 
     Args:
-        scenario: with the environment and the robot.
-        state: with the robot's pose and the people.
         camera: of ``sensors.camera``; few pixels are enough to know who is in sight.
 
     Returns:

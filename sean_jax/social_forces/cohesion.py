@@ -40,9 +40,6 @@ class Cohesion:
     def person(self, crowd: Crowd) -> Force | None:
         """Gaze, attraction, repulsion and contact of everybody's companions.
 
-        Args:
-            crowd: the people and what is around them.
-
         Returns:
             (N,) x and y parts [m/s2], zero for those who walk alone; None if there are no companions.
         """
@@ -85,17 +82,13 @@ def gaze(
     alpha [rad] is by how much the middle of the others lies beyond ``view_angle`` off the look.
 
     Args:
-        parameters: gaze and view_angle.
         cx: x part of the way to the middle of the others [m].
         cy: y part [m].
         vx: x part of one's own velocity [m/s].
         vy: y part [m/s].
-        look_x: x part of the direction in which one looks.
-        look_y: y part.
 
     Returns:
         x and y parts [m/s2].
-
     Source:
         [M10], eq. (2).
     """
@@ -114,14 +107,11 @@ def attraction(
     ``attraction_distance``.
 
     Args:
-        parameters: attraction, attraction_distance and ramp.
         cx: x part of the way to the middle of the others [m].
         cy: y part [m].
-        number: of companions.
 
     Returns:
         x and y parts [m/s2].
-
     Source:
         [M10], eq. (3).
     """
@@ -135,13 +125,11 @@ def apart(parameters: Cohesion, dx: Float[Array, "*N"], dy: Float[Array, "*N"]) 
     """Push beta3 away from a companion who is nearer than ``repulsion_distance``.
 
     Args:
-        parameters: repulsion, repulsion_distance and ramp.
         dx: x part of the way from the companion [m].
         dy: y part [m].
 
     Returns:
         x and y parts [m/s2].
-
     Source:
         [M10], eq. (4).
     """

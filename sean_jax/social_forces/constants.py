@@ -37,9 +37,6 @@ class Constants(pydantic.BaseModel):
 def is_file(name: str) -> bool:
     """Whether a name of forces stands for a file of constants.
 
-    Args:
-        name: as a user gives it.
-
     Returns:
         True or False.
     """
@@ -48,9 +45,6 @@ def is_file(name: str) -> bool:
 
 def read(path: str | Path) -> Forces:
     """The forces of a file.
-
-    Args:
-        path: of the file.
 
     Returns:
         Forces whose parameters are float arrays on the default device.
@@ -68,9 +62,6 @@ def read(path: str | Path) -> Forces:
 def content(path: str | Path) -> tuple[str, dict[str, float]]:
     """What a file says.
 
-    Args:
-        path: of the file.
-
     Returns:
         The name of the preset, and the parameters that differ from it.
 
@@ -82,16 +73,7 @@ def content(path: str | Path) -> tuple[str, dict[str, float]]:
 
 
 def text(name: str, parameters: Mapping[str, float], provenance: Mapping[str, str]) -> str:
-    """The content of a file.
-
-    Args:
-        name: of the preset.
-        parameters: term.parameter -> value.
-        provenance: in words, by what they are about.
-
-    Returns:
-        YAML.
-    """
+    """The content of a file."""
     values = {key: float(f"{value:.6g}") for key, value in parameters.items()}
     found = {"preset": name, "parameters": values, "provenance": dict(provenance)}
     return yaml.safe_dump(found, sort_keys=False, width=110)

@@ -46,9 +46,6 @@ class Contact:
     def pair(self, pair: Pair) -> Force:
         """The push and the friction, zero unless the two touch.
 
-        Args:
-            pair: who pushes whom.
-
         Returns:
             () x and y parts [m/s2].
         """
@@ -65,9 +62,6 @@ class Contact:
 
     def cutoff(self, walking: Walking) -> Array:
         """The distance at which bodies touch: two radii.
-
-        Args:
-            walking: the size of bodies.
 
         Returns:
             () m.

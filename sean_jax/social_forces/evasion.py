@@ -45,9 +45,6 @@ class Evasion:
     def gather(self, pair: Pair) -> tuple[Array]:
         """By how much to step to the right for one other. ``act`` multiplies what is the same for all others.
 
-        Args:
-            pair: who comes closer to whom.
-
         Returns:
             () m6 s2, the share of the push, negative to the left, times ``_scale``.
         """
@@ -69,7 +66,6 @@ class Evasion:
         """The push to the side, ``strength`` at most.
 
         Args:
-            crowd: the people and what is around them.
             share: (N,) the sum of what ``gather`` gives of all others.
 
         Returns:
@@ -89,9 +85,6 @@ class Evasion:
 
     def cutoff(self, walking: Walking) -> Array:
         """The distance beyond which nobody can come near within the horizon.
-
-        Args:
-            walking: how fast people walk.
 
         Returns:
             () m.

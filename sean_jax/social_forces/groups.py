@@ -31,9 +31,6 @@ class GroupSpace:
     def person(self, crowd: Crowd) -> Force | None:
         """The push of all groups on everybody.
 
-        Args:
-            crowd: the people and what is around them.
-
         Returns:
             (N,) x and y parts [m/s2]; None if there are no groups.
         """

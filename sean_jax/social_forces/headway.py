@@ -49,9 +49,6 @@ class Headway:
     def gather(self, pair: Pair) -> tuple[Array]:
         """The share of the desired velocity that one other takes. ``act`` multiplies what is the same for all others.
 
-        Args:
-            pair: who is ahead of whom.
-
         Returns:
             () m7, the share times ``_scale``.
         """
@@ -66,10 +63,6 @@ class Headway:
 
     def act(self, crowd: Crowd, share: Float[Array, "N"]) -> Force:
         """The braking that takes that share from the desired velocity.
-
-        Args:
-            crowd: the people and what is around them.
-            share: (N,) the sum of what all others take.
 
         Returns:
             (N,) x and y parts [m/s2].
@@ -87,9 +80,6 @@ class Headway:
 
     def cutoff(self, walking: Walking) -> Array:
         """The distance within which somebody is in the way.
-
-        Args:
-            walking: the size of bodies.
 
         Returns:
             () m.

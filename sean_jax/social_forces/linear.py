@@ -25,9 +25,6 @@ def linear_call(function: Callable, transpose: Callable, constant: PyTree, argum
 
     Args:
         function: closes over nothing that is traced, nor does ``transpose``. Both keep derivatives in forward mode.
-        transpose: gives the cotangent of the argument.
-        constant: a pytree of arrays, of integers too.
-        argument: a pytree of floats.
         result: a pytree of arrays with the shapes and types that the function gives.
 
     Returns:

@@ -29,8 +29,6 @@ def draw_traits(forces: Forces, key: Array, people: int) -> tuple[Float[Array, "
 
     Args:
         forces: whose ``Walking`` and ``RobotRepulsion`` say how both are distributed.
-        key: for random numbers.
-        people: their number N.
 
     Returns:
         (N,) preferred speeds [m/s], normal and truncated, and (N,) extra distances [m] from a moving robot: a uniformly
@@ -55,9 +53,6 @@ def move(scenario: Scenario, state: State) -> Pedestrians:
     Args:
         scenario: whose forces act, in ``scenario.substeps`` steps.
         state: people, groups and the robot, which is held where it is.
-
-    Returns:
-        People one control step later.
     """
     time_step = scenario.time_step / scenario.substeps
     grid, radius, companions = scenario.environment.obstacle_grid, scenario.robot.radius, scenario.behavior.companions
@@ -86,8 +81,6 @@ def integrate(
     """One step of the social forces.
 
     Args:
-        forces: the terms; their sum accelerates people.
-        people: N people.
         obstacle_grid: the obstacles, or None.
         groups: whose o-spaces people avoid, or None.
         robot: the robot, or None.
@@ -129,9 +122,6 @@ def integrate(
 def cutoff(forces: Forces) -> Float[Array, ""] | None:
     """The distance beyond which no pair term pushes anybody by more than 1e-4 m/s2.
 
-    Args:
-        forces: the terms.
-
     Returns:
         () m; None if there is no pair term, or one of them does not say.
     """
@@ -147,8 +137,6 @@ def neighbors(forces: Forces, people: Pedestrians, time: float) -> Neighbors | N
     """Who feels whom within some time.
 
     Args:
-        forces: the terms, which say how far they reach.
-        people: N people.
         time: s.
 
     Returns:
@@ -168,7 +156,6 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> Force | None:
     who walk together, if there is ``Cohesion``, which holds them together and apart.
 
     Args:
-        crowd: the people and the terms.
         near: of a large crowd, who feels whom; pairs of others are left out.
 
     Returns:

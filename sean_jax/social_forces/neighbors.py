@@ -39,11 +39,7 @@ def find(position: Float[Array, "N 2"], present: Bool[Array, "N"], within: Float
 
     Args:
         position: (N, 2) m.
-        present: (N,) who is there.
         within: m, the distance.
-
-    Returns:
-        Neighbors of all people; it has no derivative.
     """
     # Absent people may be anywhere. Far away they would cost the others' coordinates their precision.
     x, y = (_from_min(part, present) for part in jax.lax.stop_gradient(position).T)
@@ -89,10 +85,7 @@ def sum_near(
     Args:
         law: ``law(shared, own (A,), other (B,)) -> numbers``, whose rows come as a sequence; a pytree of numbers, zero
             for a person with itself, for absent people, and beyond the distance of ``near``.
-        near: who is near whom.
         shared: a pytree of floats, such as the parameters of the law.
-        own: (A, N) of those who feel.
-        other: (B, N) of those who are felt.
 
     Returns:
         The numbers as arrays (N,).
@@ -127,12 +120,6 @@ def pull_back_near(
         law: as in ``sum_near``.
         near: as in ``sum_near``.
         shared: as in ``sum_near``.
-        own: (A, N) of those who feel.
-        other: (B, N) of those who are felt.
-        pulls: (C, N) cotangents of the C numbers of the law.
-
-    Returns:
-        Cotangents of shared, own and other.
     """
     own_rows, other_rows = len(own), len(other)
     sorted_other, sorted_own = other[:, near.order], jnp.concatenate([own, pulls])[:, near.order]
@@ -172,7 +159,6 @@ def _over_blocks(near: Neighbors, block: Callable, rows: Array) -> tuple:
 
     Args:
         near: whose people are split into blocks, those with most parts first.
-        block: the function.
         rows: (R, N).
 
     Returns:

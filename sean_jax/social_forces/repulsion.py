@@ -49,9 +49,6 @@ class Repulsion:
     def pair(self, pair: Pair) -> Force:
         """The law's push, weighted by sight and, if the other is a robot that moves, by the pair's scale.
 
-        Args:
-            pair: who pushes whom.
-
         Returns:
             () x and y parts [m/s2].
         """
@@ -66,9 +63,6 @@ class Repulsion:
 
         A push of the elliptical law decays with b, and the ellipse of that b reaches sqrt(b^2 + (y / 2)^2) + y / 2 from
         the other person, y being how far they walk in the time of the anticipation.
-
-        Args:
-            walking: how fast people walk.
 
         Returns:
             () m, or None if the law is not one of this file.
@@ -87,13 +81,8 @@ def elliptical(parameters: Repulsion, pair: Pair) -> Force:
     A exp((reach - b) / B) (|d| + |d - y|) / (4 b) (d / |d| + (d - y) / |d - y|). The difference of squares is evaluated
     as 2 (|d| |d - y| + d . (d - y)), and that sum, where it would cancel, by way of the cross product.
 
-    Args:
-        parameters: strength A, range B, reach, anticipation and own_motion.
-        pair: who pushes whom.
-
     Returns:
         () x and y parts [m/s2].
-
     Source:
         The negative gradient of the potential of [HM95], eq. (3)-(4), and the elliptical specification II of [J07].
     """
@@ -115,13 +104,8 @@ def elliptical(parameters: Repulsion, pair: Pair) -> Force:
 def circular(parameters: Repulsion, pair: Pair) -> Force:
     """Repulsion A exp((reach - |d|) / B) along d.
 
-    Args:
-        parameters: strength A, range B and reach.
-        pair: who pushes whom.
-
     Returns:
         () x and y parts [m/s2].
-
     Source:
         The circular specification of [J07], and the law of SEAN 2.0's code.
     """
@@ -138,14 +122,11 @@ def in_cone(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> Array:
     The condition h . (-f) >= |f| cos(phi) is compared by signed squares.
 
     Args:
-        parameters: back_weight and sight_cosine.
-        pair: who pushes whom.
         fx: () x part of the push [m/s2].
         fy: () y part [m/s2].
 
     Returns:
         () weight.
-
     Source:
         [HM95], eq. (8).
     """
@@ -158,14 +139,11 @@ def in_front(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> Array:
     """Weight of a push: lambda + (1 - lambda) (1 + cos(phi)) / 2, phi between the look and the other person.
 
     Args:
-        parameters: back_weight, lambda.
-        pair: who pushes whom.
         fx: not used.
         fy: not used.
 
     Returns:
         () weight.
-
     Source:
         [J07], eq. (7).
     """
@@ -184,8 +162,5 @@ def all_round(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> float:
         pair: not used.
         fx: not used.
         fy: not used.
-
-    Returns:
-        The weight.
     """
     return 1.0

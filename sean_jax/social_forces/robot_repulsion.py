@@ -36,9 +36,6 @@ class RobotRepulsion:
     def person(self, crowd: Crowd) -> Force | None:
         """The push of the robot on everybody.
 
-        Args:
-            crowd: the people and what is around them.
-
         Returns:
             (N,) x and y parts [m/s2]; None without a robot or pair terms.
         """
@@ -47,9 +44,6 @@ class RobotRepulsion:
 
     def gathered(self, crowd: Crowd) -> tuple[tuple[Array, ...], ...] | None:
         """What the robot adds to the sums of the gather terms.
-
-        Args:
-            crowd: the people and what is around them.
 
         Returns:
             (N,) each, a tuple for each term; None without a robot.

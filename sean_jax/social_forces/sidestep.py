@@ -27,9 +27,6 @@ class Sidestep:
     def pair(self, pair: Pair) -> Force:
         """The push to the side, zero unless the other is oncoming.
 
-        Args:
-            pair: who pushes whom.
-
         Returns:
             () x and y parts [m/s2].
         """

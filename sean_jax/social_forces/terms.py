@@ -79,9 +79,6 @@ class PairTerm(Protocol):
     def pair(self, pair: Pair) -> Force:
         """The acceleration of one person by one other.
 
-        Args:
-            pair: the two.
-
         Returns:
             () x and y parts [m/s2].
         """
@@ -94,9 +91,6 @@ class GatherTerm(Protocol):
 
     def gather(self, pair: Pair) -> tuple[Array, ...]:
         """What one other adds to the sums.
-
-        Args:
-            pair: the two.
 
         Returns:
             () each, of any unit.
@@ -116,9 +110,6 @@ class PersonTerm(Protocol):
 
     def person(self, crowd: Crowd) -> Force | None:
         """The accelerations of all people.
-
-        Args:
-            crowd: the people and what is around them.
 
         Returns:
             (N,) x and y parts [m/s2]; None if the term does not apply.
@@ -195,9 +186,6 @@ class Forces:
         Args:
             **terms: by name, such as ``repulsion=forces.repulsion.replace(strength=...)``.
 
-        Returns:
-            New forces.
-
         Raises:
             AttributeError: there is no term of a name.
         """
@@ -210,9 +198,6 @@ class Forces:
 
         Args:
             values: by the names of term and field, such as ``{"repulsion.strength": 8.0, "contact.friction": None}``.
-
-        Returns:
-            New forces. Numbers become float arrays.
 
         Raises:
             AttributeError: there is no term of a name.
@@ -234,26 +219,12 @@ class Forces:
 
     @classmethod
     def tree_unflatten(cls, _: None, terms: Iterable) -> Self:
-        """The inverse of ``tree_flatten_with_keys``.
-
-        Args:
-            terms: the children.
-
-        Returns:
-            Forces.
-        """
+        """The inverse of ``tree_flatten_with_keys``."""
         return cls(tuple(terms))
 
 
 def term_name(term: object) -> str:
-    """The name of a term among the forces: its class's in lower case, ``RobotRepulsion`` as ``robot_repulsion``.
-
-    Args:
-        term: any term.
-
-    Returns:
-        The name.
-    """
+    """The name of a term among the forces: its class's in lower case, ``RobotRepulsion`` as ``robot_repulsion``."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", type(term).__name__).lower()
 
 
@@ -262,7 +233,6 @@ def sum_pair_terms(terms: tuple[PairTerm, ...], pair: Pair) -> Force:
 
     Args:
         terms: one or more pair terms; they are added up in this order.
-        pair: the two.
 
     Returns:
         () x and y parts [m/s2].
@@ -277,10 +247,6 @@ def sum_pair_terms(terms: tuple[PairTerm, ...], pair: Pair) -> Force:
 def gather(terms: tuple[GatherTerm, ...], pair: Pair) -> tuple[tuple[Array, ...], ...]:
     """What one other adds to the sums of the gather terms.
 
-    Args:
-        terms: any number of gather terms.
-        pair: the two.
-
     Returns:
         () each, a tuple for each term.
     """
@@ -291,9 +257,6 @@ def force_of(law: Callable, arguments: str, *values: Any, optional: bool = False
     """What a method of a term gives.
 
     Args:
-        law: the method.
-        arguments: their names, for messages.
-        values: of the arguments.
         optional: whether it may be None.
 
     Returns:

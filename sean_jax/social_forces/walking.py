@@ -91,9 +91,6 @@ class Walking:
 def look_direction(people: Pedestrians) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
     """Where each person looks: to where they want to go, or along their heading when they stand.
 
-    Args:
-        people: N people.
-
     Returns:
         (N,) x and y parts of unit vectors.
     """
@@ -108,7 +105,6 @@ def turn(
     """Headings turned towards the velocity; standing members of groups keep theirs.
 
     Args:
-        people: N people, with their headings so far.
         velocity: (N, 2) m/s.
         max_angle: by how much a heading turns at most [rad].
 

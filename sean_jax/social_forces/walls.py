@@ -44,9 +44,6 @@ class Walls:
     def person(self, crowd: Crowd) -> Force | None:
         """The push of all obstacles on everybody.
 
-        Args:
-            crowd: the people and what is around them.
-
         Returns:
             (N,) x and y parts [m/s2]; None if there are no obstacles.
         """
@@ -64,7 +61,6 @@ def distances(
     Args:
         px: (N,) x of the people [m].
         py: (N,) y [m].
-        grid: with K rows for each cell.
 
     Returns:
         (N, K) distance [m] from the surface of each obstacle, and x and y parts (N, K) of its unit normal there.
@@ -83,10 +79,8 @@ def wall_forces(
     """The push of all obstacles on people.
 
     Args:
-        parameters: of the law.
         px: (N,) x of the people [m].
         py: (N,) y [m].
-        grid: the obstacles.
         perception: m, a wall farther away is not felt.
 
     Returns:
@@ -129,7 +123,6 @@ def project_velocity(
         py: (N,) y [m].
         vx: (N,) x parts of their velocities [m/s].
         vy: (N,) y parts [m/s].
-        grid: the obstacles.
         radius: of the bodies [m].
         time_step: s.
         friction: kappa / k of [H00] [s/m]; None without friction.

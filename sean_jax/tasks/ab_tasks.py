@@ -20,20 +20,7 @@ ROOM = 0.1  # m, to obstacles beside the robot's radius
 
 
 def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """The robot goes from anywhere to anywhere, as far as ``scenario.task_distance`` asks, with random headings.
-
-    Args:
-        scenario: the rest of the scenario.
-        pedestrians: N people at their starts.
-        groups: G of them.
-        memory: of the behavior.
-        key: of the draws.
-
-    Returns:
-        The task.
-
-    Source: section IV-E.
-    """
+    """The robot goes from anywhere to anywhere, as far as ``scenario.task_distance`` asks, with random headings."""
     navigation = scenario.navigation
     draw_key, choice_key, turn_key = jax.random.split(key, 3)
     spots = navigation.places[paths.draw_places(navigation, draw_key, GOALS + CANDIDATES)]
@@ -47,18 +34,6 @@ def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
 
     Clusters are found by k-means. Where too little of the ring is free, the places nearest to it are taken. With nobody
     there, the ring is around any free place.
-
-    Args:
-        scenario: the rest of the scenario.
-        pedestrians: N people at their starts.
-        groups: G of them.
-        memory: of the behavior.
-        key: of the draws.
-
-    Returns:
-        The task.
-
-    Source: section IV-E.
     """
     navigation = scenario.navigation
     cluster_key, ring_key, draw_key, goal_key, choice_key, turn_key = jax.random.split(key, 6)

@@ -17,9 +17,7 @@ def k_means(
 
     Args:
         points: (N, 2) m.
-        counted: (N,) which of them belong to clusters.
         start: (K, 2) m, the first centres.
-        iterations: how often the centres move.
 
     Returns:
         Centres (K, 2) m, and labels (N,) from which they moved last, -1 of who is not counted.
@@ -43,13 +41,10 @@ def busiest(points: Float[Array, "N 2"], counted: Bool[Array, "N"], key: Array, 
 
     Args:
         points: (N, 2) m, of people.
-        counted: (N,) who of them is there.
         key: of the draw of people who are the first centres.
-        number: of clusters.
 
     Returns:
         () index of the person, of somebody not counted if nobody is.
-
     Source: section IV-E.
     """
     chance = jnp.where(counted, jax.random.uniform(key, counted.shape, float), -1.0)

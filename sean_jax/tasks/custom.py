@@ -52,14 +52,10 @@ class Poses:
         """The task for ``scenario.task``; the same for every key.
 
         Args:
-            scenario: with the navigation of its robot.
             pedestrians: not used.
             groups: not used.
             memory: not used.
             key: not used.
-
-        Returns:
-            The task.
         """
         return build_task(
             scenario,
@@ -74,9 +70,7 @@ def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...])
     """The task ``custom`` with a start and a goal. Without headings the robot looks from the start to the goal.
 
     Args:
-        scenario: with the robot and its navigation.
         start: x, y in metres, and if wanted a heading in degrees.
-        goal: likewise.
 
     Returns:
         The task for ``scenario.task``.

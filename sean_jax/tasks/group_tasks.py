@@ -13,40 +13,14 @@ from sean_jax.tasks.task import build_task, requires
 
 @requires("groups")
 def join_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """The robot goes to the open place of a random group, from a drawn distance away.
-
-    Args:
-        scenario: the rest of the scenario.
-        pedestrians: N people at their starts.
-        groups: G of them.
-        memory: of the behavior.
-        key: of the draws.
-
-    Returns:
-        The task.
-
-    Source: section IV-E.
-    """
+    """The robot goes to the open place of a random group, from a drawn distance away."""
     group, opening, inward, away, facing = _poses(scenario, pedestrians, groups, key)
     return build_task(scenario, away, opening, start_heading=facing, goal_heading=inward, goal_group=group)
 
 
 @requires("groups")
 def leave_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """The robot goes from the open place of a random group to a place a drawn distance away.
-
-    Args:
-        scenario: the rest of the scenario.
-        pedestrians: N people at their starts.
-        groups: G of them.
-        memory: of the behavior.
-        key: of the draws.
-
-    Returns:
-        The task.
-
-    Source: section IV-E.
-    """
+    """The robot goes from the open place of a random group to a place a drawn distance away."""
     group, opening, inward, away, facing = _poses(scenario, pedestrians, groups, key)
     return build_task(scenario, opening, away, start_heading=inward, goal_heading=facing, start_group=group)
 

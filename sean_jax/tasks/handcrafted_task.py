@@ -47,18 +47,6 @@ def handcrafted(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
     """The robot goes from one of the five starts to one of the five goals of the handcrafted set.
 
     The episode's set is read from ``memory``, that of behavior ``handcrafted``.
-
-    Args:
-        scenario: the rest of the scenario.
-        pedestrians: N people at their starts.
-        groups: G of them.
-        memory: of the behavior.
-        key: of the draws.
-
-    Returns:
-        The task.
-
-    Source: section IV-E.
     """
     sets: Sets = scenario.behavior.data
     one = sets.one(memory.set)
@@ -84,12 +72,8 @@ def pair(scenario: Scenario, name: str, start: int, goal: int) -> Scenario:
 
     Args:
         scenario: of behavior ``handcrafted``.
-        name: of the set.
         start: its number, 0 to 4.
         goal: its number, 0 to 4.
-
-    Returns:
-        The scenario with other odds.
 
     Raises:
         InputError: the behavior is another, the set is not among those chosen, or there is no such start or goal.

@@ -22,14 +22,7 @@ class Mixture:
         """The task of an episode.
 
         Args:
-            scenario: what is simulated.
-            pedestrians: at the start.
-            groups: at the start.
-            memory: of the behavior.
             key: () typed PRNG key.
-
-        Returns:
-            A task of the one that is drawn.
         """
         choice_key, task_key = jax.random.split(key)
         which = jax.random.randint(choice_key, (), 0, len(self.tasks), jnp.int32)

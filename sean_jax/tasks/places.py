@@ -20,13 +20,7 @@ def far_place(scenario: Scenario, pedestrians: Pedestrians, other: Float[Array, 
     cell of the navigation.
 
     Args:
-        scenario: with the navigation of its robot.
-        pedestrians: N people.
         other: (2,) m, the other place.
-        key: of the draws.
-
-    Returns:
-        (2,) m
     """
     navigation = scenario.navigation
     draw_key, choice_key = jax.random.split(key)
@@ -53,13 +47,10 @@ def choose_pair(
     everybody. If none fits, the pair of the lowest cost is taken of those that can be walked.
 
     Args:
-        scenario: with the navigation of its robot.
-        pedestrians: N people.
         goals: (D, 2) m.
         starts: (C, 2) m.
         goal_cost: (D,) m, inf where a robot cannot be.
         start_cost: (C,) m, likewise.
-        key: of the draw.
 
     Returns:
         Start (2,) m, goal (2,) m, the paths to the goal and the length () m of the shortest one.

@@ -54,9 +54,6 @@ def requirement(task: Callable[..., RobotTask]) -> Requirement | None:
 def check_requirement(scenario: Scenario) -> None:
     """Refuse a task that does not fit the scenario's behavior or robot.
 
-    Args:
-        scenario: with its task.
-
     Raises:
         InputError: the behavior does not offer what the task needs, or the task's own check fails.
     """
@@ -87,7 +84,6 @@ def build_task(
     """The task to go from a start to a goal, with the shortest paths that belong to it. Works inside jit.
 
     Args:
-        scenario: with the navigation of its robot.
         start: (2,) m.
         goal: (2,) m.
         start_heading: (2,) unit vector; from the start to the goal if None.
@@ -96,9 +92,6 @@ def build_task(
         goal_group: () likewise for the goal.
         paths_to_goal: of ``navigation.build_paths_to_goal``; built if None.
         geodesic: () m, length of the shortest path; computed if None.
-
-    Returns:
-        The task.
     """
     nobody = jnp.full((), -1, jnp.int32)
     if start_heading is None or goal_heading is None:

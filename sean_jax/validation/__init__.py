@@ -48,7 +48,6 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
     """Do what the folder lacks, show the table, and write results.json, table.md and report.html.
 
     Args:
-        options: which checks and models, and the folder.
         console: shows the rows as they are found; None shows nothing.
 
     Returns:

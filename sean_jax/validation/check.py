@@ -84,9 +84,6 @@ class Laboratory:
     def recordings(self) -> Path:
         """The folder of recordings.
 
-        Returns:
-            The folder.
-
         Raises:
             Skipped: none is given.
         """
@@ -99,13 +96,7 @@ def judge(passed: bool, measured: str, criterion: str, **more) -> Finding:
     """A finding whose reason, if it has not passed, is the criterion that is missed.
 
     Args:
-        passed: whether it has passed.
-        measured: the measured values in words.
-        criterion: what was wanted, in words.
         **more: further fields of ``Finding``.
-
-    Returns:
-        The finding.
     """
     return Finding(bool(passed), measured, "" if passed else f"measured {measured}; wanted {criterion}", **more)
 

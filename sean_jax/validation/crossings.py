@@ -13,10 +13,6 @@ from sean_jax.validation.check import Skipped
 def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
     """When each person first crosses a gate in its direction.
 
-    Args:
-        tracks: T moments of N people.
-        gate: the line.
-
     Returns:
         (N,) s, interpolated between moments; of who vanishes there, the moment of vanishing; inf of who never does.
     """
@@ -40,9 +36,6 @@ def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
 
 def vanishing_times(tracks: Tracks) -> Float[np.ndarray, "N"]:
     """When each person vanishes for good.
-
-    Args:
-        tracks: T moments of N people.
 
     Returns:
         (N,) s; inf of who is still there at the end, or never was.
@@ -71,9 +64,6 @@ def flow(times: Float[np.ndarray, "N"], shares: tuple[float, float] = (0.2, 0.8)
 
 def pedpy() -> Any:
     """The package PedPy.
-
-    Returns:
-        The module.
 
     Raises:
         Skipped: it is not installed.

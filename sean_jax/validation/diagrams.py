@@ -51,10 +51,6 @@ ENVELOPE = {  # 1/m, middle of a bin of 0.25 -> m/s, 10th percentile, mean and 9
 def hermes_speeds(number: int, seed: int) -> np.ndarray:
     """Free speeds of people as those of project Hermes.
 
-    Args:
-        number: of people, N.
-        seed: of the draw.
-
     Returns:
         (N,) m/s.
     """
@@ -84,14 +80,8 @@ def in_corridor(
     """Density and speed in the middle of a periodic corridor, over the second half of the time.
 
     Args:
-        laboratory: simulates.
         densities: 1/m2.
         speeds: of (number, seed), the preferred speeds [m/s]; None for those that are usual.
-        seconds: how long it lasts.
-        draws: of places and speeds at each density.
-
-    Returns:
-        The means of each draw for each density.
 
     Raises:
         Skipped: PedPy is not installed.
@@ -113,14 +103,7 @@ def in_corridor(
 
 
 def corridor_diagram(laboratory: Laboratory) -> Finding:
-    """Speeds in a corridor against those measured in Juelich.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Speeds in a corridor against those measured in Juelich."""
     densities = DENSITIES if laboratory.quick else (*DENSITIES, 3.0)
     seconds, draws = (40.0, 2) if laboratory.quick else (60.0, DRAWS)
     found = in_corridor(laboratory, densities, hermes_speeds, seconds, draws)
@@ -133,14 +116,7 @@ def corridor_diagram(laboratory: Laboratory) -> Finding:
 
 
 def weidmann_diagram(laboratory: Laboratory) -> Finding:
-    """Speeds in a corridor against Weidmann's formula.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Speeds in a corridor against Weidmann's formula."""
     found = in_corridor(laboratory, DENSITIES, lambda number, seed: None, 60.0, DRAWS)
     dense = np.linspace(0.25, 3.5, 27)
     curve = Curve("Weidmann 1993", tuple(dense), tuple(weidmann(dense)), reference=True)
@@ -201,14 +177,7 @@ def _recorded_runs(laboratory: Laboratory) -> tuple[Curve, ...]:
 
 
 def single_file_diagram(laboratory: Laboratory) -> Finding:
-    """Speeds of people who cannot pass each other, against 26 experiments.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Speeds of people who cannot pass each other, against 26 experiments."""
     seconds, width, seed = 60.0, 0.6, 0
     scenes = []
     for density in ENVELOPE:

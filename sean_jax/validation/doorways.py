@@ -30,7 +30,6 @@ def before_door(width: float, start: np.ndarray, speed: np.ndarray | float, seco
         width: of the door [m].
         start: (N, 2) places of people [m].
         speed: preferred speed [m/s], one for all or (N,).
-        seconds: how long it lasts.
         **more: of ``walkers``.
 
     Returns:
@@ -42,14 +41,7 @@ def before_door(width: float, start: np.ndarray, speed: np.ndarray | float, seco
 
 
 def bottleneck(laboratory: Laboratory) -> Finding:
-    """The flow of 100 people through doors.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """The flow of 100 people through doors."""
     widths = (0.8, 1.2, 2.4) if laboratory.quick else WIDTHS
     seeds = range(SEEDS)
     scenes = [
@@ -104,14 +96,7 @@ def _recorded_runs(laboratory: Laboratory) -> tuple[Curve, ...]:
 
 
 def doors(laboratory: Laboratory) -> Finding:
-    """One person alone walks through a door.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """One person alone walks through a door."""
     cases = [(width, aside) for width in DOORS for aside in ASIDE]
     scenes = [before_door(width, np.array([[-4.0, aside]]), FREE, 12.0, velocity=(FREE, 0.0)) for width, aside in cases]
     recorded = laboratory.simulate(scenes, ["" if aside else f"{width:g} m" for width, aside in cases])

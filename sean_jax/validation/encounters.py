@@ -57,12 +57,7 @@ def pairs(laboratory: Laboratory, angles: tuple[float, ...], name: str) -> Findi
     """Whether the bodies of two people ever overlap.
 
     Args:
-        laboratory: simulates.
         angles: between their ways [degrees].
-        name: of such a pair.
-
-    Returns:
-        The finding.
     """
     cases = list(itertools.product(angles, OFFSETS, SPEEDS))
     scenes = [two(np.deg2rad(angle), offset, speeds) for angle, offset, speeds in cases]
@@ -98,26 +93,12 @@ def _lost(scene: Scene, tracks: Tracks) -> float:
 
 
 def head_on(laboratory: Laboratory) -> Finding:
-    """Two people who meet head-on.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Two people who meet head-on."""
     return pairs(laboratory, (180.0,), "head-on")
 
 
 def crossing(laboratory: Laboratory) -> Finding:
-    """Two people whose ways cross.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Two people whose ways cross."""
     return pairs(laboratory, (60.0, 90.0, 120.0) if laboratory.quick else ANGLES, "crossing")
 
 
@@ -125,7 +106,6 @@ def passing_scenes(number: int, seed: int = 0) -> list[Scene]:
     """Encounters of a person with a robot that crosses their way at a right angle, from the right.
 
     Args:
-        number: of encounters.
         seed: of the draws: speed of the person from N(1.34, 0.26) m/s, and by how much the two would miss each other.
 
     Returns:
@@ -145,14 +125,7 @@ def passing_scenes(number: int, seed: int = 0) -> list[Scene]:
 
 
 def passing_a_robot(laboratory: Laboratory) -> Finding:
-    """How far a person keeps from a robot that crosses their way and does not react, and how often it touches them.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """How far a person keeps from a robot that crosses their way and does not react, and how often it touches them."""
     scenes = passing_scenes(64 if laboratory.quick else 256)
     recorded = laboratory.simulate(scenes, [f"encounter {k + 1}" for k in range(3)] + [""] * (len(scenes) - 3))
     nearest = [_nearest(scene, tracks)[0] for scene, tracks in zip(scenes, recorded, strict=True)]
@@ -160,15 +133,7 @@ def passing_a_robot(laboratory: Laboratory) -> Finding:
 
 
 def stream_scenes(number: int, seed: int = 0) -> list[Scene]:
-    """A robot that walks through a stream of people, across it.
-
-    Args:
-        number: of scenes.
-        seed: of the draws.
-
-    Returns:
-        The scenes, periodic along the stream.
-    """
+    """A robot that walks through a stream of people, across it."""
     people, robot = round(STREAM_DENSITY * STREAM[0] * STREAM[1]), ((STREAM[0] / 2, -3.0), (0.0, ROBOT_SPEED))
     scenes = []
     for k in range(seed, seed + number):
@@ -184,12 +149,6 @@ def passing_in_a_stream(laboratory: Laboratory) -> Finding:
     """How far people in a stream keep from a robot that crosses it, and how often it touches them.
 
     Those count whom it would miss by less than ``MISS`` if all went straight on.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
     """
     scenes = stream_scenes(16 if laboratory.quick else 64)
     recorded = laboratory.simulate(scenes, ["a stream"])

@@ -25,15 +25,7 @@ WIDTH, TALLEST = 6.4, 6.4  # inches
 
 
 def trajectories(scene: Scene, tracks: Tracks) -> "Figure":
-    """Walls, gates, the paths of some people, and everybody half way through the time.
-
-    Args:
-        scene: what was simulated.
-        tracks: of its people.
-
-    Returns:
-        The figure.
-    """
+    """Walls, gates, the paths of some people, and everybody half way through the time."""
     from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
     from matplotlib.figure import Figure
 
@@ -89,9 +81,6 @@ def plot(curves: Sequence[Curve], axes: tuple[str, str]) -> "Figure":
     Args:
         curves: one or more.
         axes: quantity and unit along x and y.
-
-    Returns:
-        The figure.
     """
     from matplotlib.figure import Figure
 

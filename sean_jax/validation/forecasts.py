@@ -20,12 +20,6 @@ FEWER = 50.0  # times fewer collisions than with constant velocity
 def prediction(laboratory: Laboratory) -> Finding:
     """Errors and collisions of each recorded scene, beside those of constant velocity.
 
-    Args:
-        laboratory: with the model and the recordings.
-
-    Returns:
-        The finding.
-
     Raises:
         Skipped: there are no recordings.
     """
@@ -54,12 +48,8 @@ def compare(own: dict[str, Scores], mark: dict[str, Scores], slower: dict[str, S
     """The finding of the errors of a model.
 
     Args:
-        own: of the model, by scene.
         mark: of constant velocity in the same scenes.
         slower: likewise, of people who get slower by the habit that social forces are given.
-
-    Returns:
-        The finding.
     """
     worse = [
         name

@@ -34,9 +34,6 @@ def group_occupancy(
         capacity: (G,) people that each group is for.
         time_step: s, between two steps.
         warm_up: s, at the beginning of each episode, that do not count.
-
-    Returns:
-        The occupancy, over all episodes.
     """
     group = np.asarray(group)
     group = group.reshape(-1, *group.shape[-2:])[:, round(warm_up / time_step) :]

@@ -22,14 +22,7 @@ AWAY = 1e3  # m, where the robot stands
 
 
 def occupancy(laboratory: Laboratory) -> Finding:
-    """How full the groups of the Behavior Graph are in each environment.
-
-    Args:
-        laboratory: with the model.
-
-    Returns:
-        The finding.
-    """
+    """How full the groups of the Behavior Graph are in each environment."""
     names = ["warehouse"] if laboratory.quick else environment.available()
     found: dict[str, tuple[GroupOccupancy, np.ndarray]] = {}
     for done, name in enumerate(names):
@@ -43,12 +36,6 @@ def in_environment(
     laboratory: Laboratory, name: str, seconds: float, episodes: int
 ) -> tuple[GroupOccupancy, np.ndarray]:
     """The occupancy of groups in episodes of an environment.
-
-    Args:
-        laboratory: with the model.
-        name: of the environment.
-        seconds: how long each episode lasts.
-        episodes: their number.
 
     Returns:
         The occupancy, after 20 s, and (G, 2) s, shortest and longest stay that are drawn in each group.
@@ -82,9 +69,6 @@ def compare(found: dict[str, tuple[GroupOccupancy, np.ndarray]]) -> Finding:
 
     Args:
         found: by environment, of ``in_environment``.
-
-    Returns:
-        The finding.
     """
     members = np.concatenate([each.mean for each, _ in found.values()])
     full = np.concatenate([each.full for each, _ in found.values()])

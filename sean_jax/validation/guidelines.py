@@ -26,13 +26,9 @@ def walk_time(laboratory: Laboratory, speed: float, shortest: float, longest: fl
     """The time in which one person walks 40 m.
 
     Args:
-        laboratory: simulates.
         speed: preferred [m/s].
         shortest: s, allowed.
         longest: s, allowed.
-
-    Returns:
-        The finding.
     """
     (tracks,) = laboratory.simulate(plans.one_walker(speed), f"one person at {speed:g} m/s")
     time = float(vanishing_times(tracks)[0])
@@ -41,14 +37,7 @@ def walk_time(laboratory: Laboratory, speed: float, shortest: float, longest: fl
 
 
 def free_speed(laboratory: Laboratory) -> Finding:
-    """The speed of one person over 40 m, with 10 m before and behind.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """The speed of one person over 40 m, with 10 m before and behind."""
     (tracks,) = laboratory.simulate(plans.one_walker(1.0, 0.0, 60.0), "one person at 1 m/s")
     begin, end = (crossing_times(tracks, Gate((x, 2.0), (x, 0.0)))[0] for x in (10.0, 50.0))
     speed = 40.0 / float(end - begin) if np.isfinite(end) else 0.0
@@ -56,14 +45,7 @@ def free_speed(laboratory: Laboratory) -> Finding:
 
 
 def falling_speed(laboratory: Laboratory) -> Finding:
-    """Speed against density in a periodic corridor of 26 by 2 m, in three squares of 4 m2, after the first 10 s.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Speed against density in a periodic corridor of 26 by 2 m, in three squares of 4 m2, after the first 10 s."""
     densities = (0.5, 1.0, 2.0, 4.0) if laboratory.quick else (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     scenes = [plans.ring(26.0, 2.0, round(52 * density), 70.0) for density in densities]
     captions = [f"{density:g} people/m²" for density in densities[:3]]
@@ -90,9 +72,7 @@ def speed_in_squares(tracks: Tracks, period: float, first: float = 10.0) -> floa
     """The mean speed along x of the people in three squares of 2 by 2 m, spread over a periodic corridor.
 
     Args:
-        tracks: T moments of N people.
         period: m.
-        first: s that are left out.
 
     Returns:
         m/s.
@@ -109,14 +89,7 @@ def speed_in_squares(tracks: Tracks, period: float, first: float = 10.0) -> floa
 
 
 def reaction_times(laboratory: Laboratory) -> Finding:
-    """How far from their own reaction time ten people begin to walk.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """How far from their own reaction time ten people begin to walk."""
     scene = plans.reactions()
     (tracks,) = laboratory.simulate(scene, "ten people with reaction times")
     walking = speeds(tracks) >= 0.5 * np.asarray(scene.walkers.preferred_speed)[None]
@@ -128,14 +101,7 @@ def reaction_times(laboratory: Laboratory) -> Finding:
 
 
 def around_a_corner(laboratory: Laboratory) -> Finding:
-    """Whether twenty people get around a corner, and how deep bodies enter walls on the way.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Whether twenty people get around a corner, and how deep bodies enter walls on the way."""
     scene = plans.corner()
     (tracks,) = laboratory.simulate(scene, "twenty people around a corner")
     deepest = penetration(scene, tracks, float(laboratory.model.forces.walking.radius))
@@ -152,8 +118,6 @@ def penetration(scene: Scene, tracks: Tracks, radius: float) -> float:
     """How deep a body has been inside a wall.
 
     Args:
-        scene: with the walls.
-        tracks: of its people.
         radius: of the bodies [m].
 
     Returns:
@@ -165,14 +129,7 @@ def penetration(scene: Scene, tracks: Tracks, radius: float) -> float:
 
 
 def kept_speeds(laboratory: Laboratory) -> Finding:
-    """Free speeds of fifty people of four ages, beside those that they prefer.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Free speeds of fifty people of four ages, beside those that they prefer."""
     generator = np.random.default_rng(7)
     groups = list(AGES.values()) * 13
     wanted = np.array([generator.uniform(low, high) for low, high in groups[:50]])
@@ -190,14 +147,7 @@ def kept_speeds(laboratory: Laboratory) -> Finding:
 
 
 def normal_speeds(laboratory: Laboratory) -> Finding:
-    """Free speeds of a hundred people whose preferred ones are normal, with mean 1.2 and deviation 0.2 m/s.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Free speeds of a hundred people whose preferred ones are normal, with mean 1.2 and deviation 0.2 m/s."""
     wanted = np.random.default_rng(7).permutation(stats.norm(1.2, 0.2).ppf((np.arange(100) + 0.5) / 100))
     walked = _walked(laboratory, wanted, "a hundred people")
     mean, deviation = float(walked.mean()), float(walked.std())
@@ -219,14 +169,7 @@ def _walked(laboratory: Laboratory, wanted: np.ndarray, caption: str) -> np.ndar
 
 
 def half_the_doors(laboratory: Laboratory) -> Finding:
-    """How much longer 1000 people take to leave a hall through two doors than through four.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """How much longer 1000 people take to leave a hall through two doors than through four."""
     four, two = laboratory.simulate(
         [plans.hall(1000, 4), plans.hall(1000, 2)], ["1000 people, four doors", "1000 people, two doors"]
     )
@@ -252,14 +195,7 @@ def _leaving(name: str, tracks: Tracks) -> Curve:
 
 
 def assigned_exits(laboratory: Laboratory) -> Finding:
-    """How many of 23 people in twelve cabins leave by the exit that they are assigned.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """How many of 23 people in twelve cabins leave by the exit that they are assigned."""
     scene = plans.cabins()
     (tracks,) = laboratory.simulate(scene, "twelve cabins")
     out = np.isfinite(vanishing_times(tracks))
@@ -272,13 +208,8 @@ def exit_choice(laboratory: Laboratory, numbers: Sequence[int], fewest: float, m
     """The share of people who take the nearer of two exits.
 
     Args:
-        laboratory: simulates.
-        numbers: of people; the last is judged.
         fewest: share, allowed.
         most: share, allowed.
-
-    Returns:
-        The finding.
     """
     exits = ((17.0, 18.0), (26.0, 27.0))
     scenes = [plans.two_exits(number, exits) for number in numbers]
@@ -300,14 +231,7 @@ def exit_choice(laboratory: Laboratory, numbers: Sequence[int], fewest: float, m
 
 
 def equal_exits(laboratory: Laboratory) -> Finding:
-    """The share of people who take the left of two equal exits, beginning in the middle.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """The share of people who take the left of two equal exits, beginning in the middle."""
     (tracks,) = laboratory.simulate(plans.equal_exits(200), "200 people, two equal exits")
     out = np.isfinite(vanishing_times(tracks))
     share = float((out & (np.asarray(tracks.position)[-1, :, 0] < 10.0)).sum() / max(out.sum(), 1))
@@ -316,14 +240,7 @@ def equal_exits(laboratory: Laboratory) -> Finding:
 
 
 def one_after_another(laboratory: Laboratory) -> Finding:
-    """Flow into a passage and out of the room behind it, and where people queue.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Flow into a passage and out of the room behind it, and where people queue."""
     widths = (0.8, 1.0, 1.2)
     scenes = [plans.two_rooms(width) for width in widths]
     found = laboratory.simulate(scenes, [f"passage of {width:g} m" for width in widths])
@@ -360,7 +277,6 @@ def density(tracks: Tracks, lower: tuple[float, float], upper: tuple[float, floa
     """The mean density in a rectangle.
 
     Args:
-        tracks: T moments of N people.
         lower: corner with the smallest x and y [m].
         upper: corner with the largest ones [m].
         span: s, first and last.
@@ -377,14 +293,7 @@ def density(tracks: Tracks, lower: tuple[float, float], upper: tuple[float, floa
 
 
 def ways(laboratory: Laboratory) -> Finding:
-    """How long 500 people take along a short way, around a corner and along a long way.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """How long 500 people take along a short way, around a corner and along a long way."""
     scenes = plans.wide_ways()
     names = ("short", "corner", "long")
     found = laboratory.simulate([scenes[name] for name in names], names)
@@ -395,14 +304,7 @@ def ways(laboratory: Laboratory) -> Finding:
 
 
 def against(laboratory: Laboratory) -> Finding:
-    """How long 100 people take through a corridor against 0, 10, 50 and 100 others.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """How long 100 people take through a corridor against 0, 10, 50 and 100 others."""
     others = (0, 10, 50, 100)
     scenes = [plans.counterflow(number) for number in others]
     found = laboratory.simulate(scenes, [f"against {number}" for number in others])
@@ -423,14 +325,7 @@ def against(laboratory: Laboratory) -> Finding:
 
 
 def most_flow(laboratory: Laboratory) -> Finding:
-    """The flow of 100 people out of a room of 8 by 5 m through a door of 1 m.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """The flow of 100 people out of a room of 8 by 5 m through a door of 1 m."""
     scene = plans.full_room()
     (tracks,) = laboratory.simulate(scene, "100 people, a door of 1 m")
     out = crossing_times(tracks, scene.gates[0])
@@ -443,14 +338,7 @@ def most_flow(laboratory: Laboratory) -> Finding:
 
 
 def rising_flow(laboratory: Laboratory) -> Finding:
-    """Flow through doors of 1.0 to 1.8 m.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Flow through doors of 1.0 to 1.8 m."""
     widths = (1.0, 1.2, 1.4, 1.6, 1.8)
     scenes = [plans.full_room(width) for width in widths]
     found = laboratory.simulate(scenes, [f"door of {widths[0]:g} m"])
@@ -471,14 +359,7 @@ def rising_flow(laboratory: Laboratory) -> Finding:
 
 
 def slower_in_crowds(laboratory: Laboratory) -> Finding:
-    """Speed in a zone of a corridor of 60 by 2 m with 60 to 480 people, who would all walk at 1.2 m/s if alone.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Speed in a zone of a corridor of 60 by 2 m with 60 to 480 people, who would all walk at 1.2 m/s if alone."""
     free = 1.2
     numbers = (60, 120, 240) if laboratory.quick else (60, 120, 240, 360, 480)
     scenes = [plans.ring(60.0, 2.0, number, 60.0, speed=free) for number in numbers]
@@ -499,9 +380,7 @@ def speed_in_zone(tracks: Tracks, period: float, first: float = 10.0) -> float:
     """The mean speed along x in the middle third of a periodic corridor.
 
     Args:
-        tracks: T moments of N people.
         period: m.
-        first: s that are left out.
 
     Returns:
         m/s.
@@ -514,14 +393,7 @@ def speed_in_zone(tracks: Tracks, period: float, first: float = 10.0) -> float:
 
 
 def group_together(laboratory: Laboratory) -> Finding:
-    """How far apart in time the members of a group of five arrive, one of whom is slow.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """How far apart in time the members of a group of five arrive, one of whom is slow."""
     (tracks,) = laboratory.simulate(plans.group(), "a group of five")
     times = vanishing_times(tracks)
     apart = float(times.max() - times.min()) if np.isfinite(times).all() else float("inf")
@@ -529,14 +401,7 @@ def group_together(laboratory: Laboratory) -> Finding:
 
 
 def queue(laboratory: Laboratory) -> Finding:
-    """Where people queue before a passage: in the room before it, not in the passage or behind it.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """Where people queue before a passage: in the room before it, not in the passage or behind it."""
     scene = plans.two_rooms(1.0)
     (tracks,) = laboratory.simulate(scene, "150 people before a passage of 1 m")
     times = crossing_times(tracks, scene.gates[0])

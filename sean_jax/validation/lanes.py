@@ -25,8 +25,6 @@ def mixed_corridor(density: float, seed: int, seconds: float = SECONDS) -> Scene
 
     Args:
         density: 1/m2.
-        seed: of all draws.
-        seconds: how long it lasts.
 
     Returns:
         The scene; the first half of the people walk along x.
@@ -45,14 +43,7 @@ def mixed_corridor(density: float, seed: int, seconds: float = SECONDS) -> Scene
 
 
 def lanes(laboratory: Laboratory) -> Finding:
-    """The order of lanes that form out of a random mix.
-
-    Args:
-        laboratory: simulates.
-
-    Returns:
-        The finding.
-    """
+    """The order of lanes that form out of a random mix."""
     seeds = range(1 if laboratory.quick else 5)
     scenes = [mixed_corridor(density, seed) for density in DENSITIES for seed in seeds]
     captions = [f"{density:g} people/m²" if seed == 0 else "" for density in DENSITIES for seed in seeds]
@@ -91,9 +82,6 @@ def recorded_order(tracks: Tracks) -> float:
 
     Args:
         tracks: of people who walk along y, either way.
-
-    Returns:
-        The mean order.
     """
     position, present = np.asarray(tracks.position), np.asarray(tracks.present)
     own, last = np.arange(present.shape[1]), len(present) - 1 - present[::-1].argmax(0)

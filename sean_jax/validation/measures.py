@@ -31,11 +31,7 @@ def area_means(
     """Voronoi density and speed in an area.
 
     Args:
-        tracks: T moments of N people.
         floor: to which cells are cut; who is off it is left out.
-        area: in which is measured.
-        rows: the moments that count.
-        period: m along x, of a periodic scene.
 
     Returns:
         Means over the moments; the speed over those with somebody in the area.
@@ -89,7 +85,6 @@ def lane_order(
 
     Returns:
         (T,) from 0 to 1; NaN where nobody is.
-
     Source:
         S. Nowak & A. Schadschneider, Phys. Rev. E 85, 066128 (2012), who count in the lanes of a lattice.
     """

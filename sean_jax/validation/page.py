@@ -24,12 +24,7 @@ def line(row: Row, checks: Sequence[Check], models: Sequence[Model]) -> str:
     """A row for the terminal.
 
     Args:
-        row: to be shown.
-        checks: of the table, for its widths.
         models: likewise; a single one is not named.
-
-    Returns:
-        One line.
     """
     wide = max(len(check.name) for check in checks)
     who = f"{row.model:<{max(len(each.name) for each in models)}}  " if len(models) > 1 else ""
@@ -38,10 +33,6 @@ def line(row: Row, checks: Sequence[Check], models: Sequence[Model]) -> str:
 
 def gate_lines(rows: Sequence[Row], model: Model) -> list[str]:
     """The gates for the terminal.
-
-    Args:
-        rows: of the table.
-        model: whose rows count.
 
     Returns:
         A heading and a line for each gate of which something was checked; empty if there is none.
@@ -55,10 +46,6 @@ def gate_lines(rows: Sequence[Row], model: Model) -> list[str]:
 
 def gates(rows: Sequence[Row], model: str) -> list[tuple[str, str, str, str]]:
     """What has become of each gate.
-
-    Args:
-        rows: of the table.
-        model: whose rows count.
 
     Returns:
         For each gate its title, its promise, the verdict (passes, fails, partly if a part was skipped or left out, or
@@ -91,11 +78,6 @@ def gates(rows: Sequence[Row], model: str) -> list[tuple[str, str, str, str]]:
 def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Row]) -> str:
     """The table as docs/validation.md has it.
 
-    Args:
-        checks: in the order of the table.
-        models: its columns.
-        rows: of all checks and models.
-
     Returns:
         A table of Markdown, and one of the gates of the first model.
     """
@@ -113,17 +95,7 @@ def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Ro
 
 
 def html(options: ValidateConfig, checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Row]) -> str:
-    """The report.
-
-    Args:
-        options: of the run.
-        checks: in the order of the page.
-        models: its columns.
-        rows: of all checks and models.
-
-    Returns:
-        HTML that refers to nothing outside itself.
-    """
+    """The report."""
     found = {(row.check, row.model): row for row in rows}
     sections = [
         _section("Verdicts", _verdicts(checks, models, found)),

@@ -23,9 +23,6 @@ def one_walker(speed: float, begin: float = 0.0, length: float = 40.0) -> Scene:
         speed: preferred [m/s].
         begin: x of the start [m].
         length: x of the end [m], where the person vanishes.
-
-    Returns:
-        The scene.
     """
     gate = Gate((length, 2.0), (length, 0.0))
     people = walkers(np.array([[begin, 1.0]]), route=(0,), speed=speed)
@@ -38,13 +35,8 @@ def ring(length: float, width: float, number: int, seconds: float, speed: float 
     Args:
         length: of the period [m].
         width: m.
-        number: of people.
         seconds: s.
         speed: preferred [m/s]; drawn if None.
-        seed: of the draws.
-
-    Returns:
-        The scene.
     """
     start = spread((0.0, 0.22), (length, width - 0.22), number, seed)
     return Scene(
@@ -57,14 +49,7 @@ def ring(length: float, width: float, number: int, seconds: float, speed: float 
 
 
 def reactions(seed: int = 0) -> Scene:
-    """A room of 8 by 5 m with ten people, who begin to walk after 10 to 100 s.
-
-    Args:
-        seed: of places and reaction times.
-
-    Returns:
-        The scene.
-    """
+    """A room of 8 by 5 m with ten people, who begin to walk after 10 to 100 s."""
     door = Gate((8.0, 3.0), (8.0, 2.0))
     start = np.stack([np.tile(np.arange(5) * 1.2 + 0.8, 2), np.repeat([1.2, 3.8], 5)], 1)
     reaction = np.random.default_rng([seed, 5]).uniform(10.0, 100.0, 10)
@@ -74,9 +59,6 @@ def reactions(seed: int = 0) -> Scene:
 
 def corner(seed: int = 0) -> Scene:
     """Twenty people walk around a left-hand corner of a corridor 2 m wide.
-
-    Args:
-        seed: of their places and speeds.
 
     Returns:
         The scene; the block inside the corner is x from 0 to 10 and y from 2 to 12.
@@ -108,12 +90,7 @@ def hall(number: int, doors: int, seed: int = 0) -> Scene:
     """A hall of 30 by 20 m, full but for 2 m along the walls, whose people choose between its doors of 1 m.
 
     Args:
-        number: of people.
         doors: 4, or 2: those in the upper wall.
-        seed: of places and speeds.
-
-    Returns:
-        The scene.
     """
     gates = tuple(Gate(*ends) for ends in EXITS[:doors])
     start = spread((2.0, 2.0), (28.0, 18.0), number, seed)
@@ -138,12 +115,7 @@ def two_exits(number: int, exits: Sequence[tuple[float, float]], seed: int = 0) 
     """A hall of 30 by 20 m with people on the left and two exits in the upper wall; all begin towards the first.
 
     Args:
-        number: of people.
         exits: ends of both on the x axis [m].
-        seed: of places and speeds.
-
-    Returns:
-        The scene.
     """
     gates = tuple(Gate((begin, 20.0), (end, 20.0)) for begin, end in exits)
     start = spread((1.0, 1.0), (13.0, 19.0), number, seed)
@@ -161,10 +133,6 @@ def equal_exits(number: int, seed: int = 0) -> Scene:
 
     Args:
         number: of people, all of whom begin towards the left exit.
-        seed: of places and speeds.
-
-    Returns:
-        The scene.
     """
     gates = Gate((0.0, 4.5), (0.0, 5.5)), Gate((20.0, 5.5), (20.0, 4.5))
     start = spread((5.0, 1.0), (15.0, 9.0), number, seed)
@@ -208,7 +176,6 @@ def two_rooms(passage: float, seed: int = 0) -> Scene:
 
     Args:
         passage: its width [m].
-        seed: of places and speeds.
 
     Returns:
         The scene; gate 0 is the beginning of the passage, gate 1 its end, gate 2 the exit.
@@ -230,10 +197,6 @@ def two_rooms(passage: float, seed: int = 0) -> Scene:
 
 def counterflow(against: int, seed: int = 0) -> Scene:
     """Two rooms of 10 by 10 m, a corridor of 10 by 2 m between them; 100 people go from the first to the second.
-
-    Args:
-        against: how many go the other way.
-        seed: of places and speeds.
 
     Returns:
         The scene, with the 100 first; people vanish at the far walls. Gate 1 is the end of the corridor for the 100.
@@ -266,8 +229,6 @@ def full_room(door: float = 1.0, number: int = 100, seed: int = 0) -> Scene:
 
     Args:
         door: its width [m].
-        number: of people.
-        seed: of places and speeds.
 
     Returns:
         The scene, whose people vanish 0.7 m behind the door.
@@ -284,11 +245,7 @@ def full_room(door: float = 1.0, number: int = 100, seed: int = 0) -> Scene:
 
 
 def wide_ways() -> dict[str, Scene]:
-    """Ways 20 m wide for 500 people, who begin in the first 6 m: a long one, one around a corner, a short one.
-
-    Returns:
-        Scenes by name: "short", "corner" and "long".
-    """
+    """Ways 20 m wide for 500 people, who begin in the first 6 m: a long one, one around a corner, a short one."""
     start, wide = spread((0.3, 0.3), (5.7, 19.7), 500, 0), 20.0
     scenes = {}
     for name, length in (("short", 50.0), ("long", 81.4)):

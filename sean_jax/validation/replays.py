@@ -31,13 +31,6 @@ HEIGHT = 2.0  # m, drawn as that of walls, which a plan does not tell
 def write(options: ReplayConfig, console: "Console") -> Path:
     """Simulate the scenes that the report shows of some tests, moved by the first model, and write the page.
 
-    Args:
-        options: which folder and which tests.
-        console: shows the progress.
-
-    Returns:
-        The file.
-
     Raises:
         InputError: the folder has no such test, or nothing of it can be played.
     """
@@ -83,10 +76,6 @@ def write(options: ReplayConfig, console: "Console") -> Path:
 def recording(scene: Scene, tracks: Tracks) -> dict[str, Any]:
     """What the page is given of a scene.
 
-    Args:
-        scene: what was simulated.
-        tracks: of its people.
-
     Returns:
         As of ``replay.recording``; without a robot, unless the scene has one.
     """
@@ -98,10 +87,6 @@ def recording(scene: Scene, tracks: Tracks) -> dict[str, Any]:
 
 def trajectory(scene: Scene, tracks: Tracks) -> Trajectory:
     """People of a scene as frames.
-
-    Args:
-        scene: what was simulated.
-        tracks: of its people.
 
     Returns:
         (T, ...) frames. Whoever goes around a periodic scene is absent for a moment, as nobody walks back through it.
@@ -137,11 +122,7 @@ def place(scene: Scene, frames: Trajectory) -> Environment:
     """The floor around a scene's people, with the walls near them.
 
     Args:
-        scene: what was simulated.
         frames: (T, ...) of it.
-
-    Returns:
-        An environment to be drawn.
     """
     seen = np.asarray(frames.people)[np.asarray(frames.present)]
     if scene.robot is not None:

@@ -42,15 +42,7 @@ class Row:
 
 
 def find(check: Check, laboratory: Laboratory) -> Row:
-    """Do a check.
-
-    Args:
-        check: to be done.
-        laboratory: with the model.
-
-    Returns:
-        The row.
-    """
+    """Do a check."""
     begin = time.monotonic()
     measured, reason, numbers, curves, axes = "", "", {}, (), ("", "")
     try:
@@ -70,9 +62,6 @@ def find(check: Check, laboratory: Laboratory) -> Row:
 def check_folder(folder: Path) -> None:
     """Refuse a folder that holds something else.
 
-    Args:
-        folder: for the results.
-
     Raises:
         InputError: it is not empty and holds no results of this command.
     """
@@ -83,12 +72,6 @@ def check_folder(folder: Path) -> None:
 
 def load(folder: Path, check: Check, moved_by: Model, options: ValidateConfig) -> Row | None:
     """The row of an earlier run with the same code, versions and model.
-
-    Args:
-        folder: of the results.
-        check: of the row.
-        moved_by: of the row.
-        options: of this run.
 
     Returns:
         The row; None if there is none, if it was skipped, or if something has changed since.
@@ -106,28 +89,14 @@ def load(folder: Path, check: Check, moved_by: Model, options: ValidateConfig) -
 
 
 def save(folder: Path, check: Check, moved_by: Model, options: ValidateConfig, row: Row) -> None:
-    """Keep a row.
-
-    Args:
-        folder: of the results, which the caller has locked.
-        check: of the row.
-        moved_by: of the row.
-        options: of this run.
-        row: to be kept.
-    """
+    """Keep a row."""
     (folder / PARTS).mkdir(exist_ok=True)
     content = {"made_with": _made_with(moved_by, options), **_finite(dataclasses.asdict(row))}
     writing.write(_part(folder, check, moved_by), json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def write(folder: Path, options: ValidateConfig, rows: Sequence[Row]) -> None:
-    """Write results.json: the command, the versions, and for each row all but its curves and pictures.
-
-    Args:
-        folder: of the results, which the caller has locked.
-        options: of this run.
-        rows: of the table.
-    """
+    """Write results.json: the command, the versions, and for each row all but its curves and pictures."""
     left_out = ("curves", "axes", "pictures")
     table = [{name: part for name, part in dataclasses.asdict(row).items() if name not in left_out} for row in rows]
     content = {"command": command("validate", options), "versions": versions(), "rows": _finite(table)}

@@ -50,9 +50,6 @@ def chosen(names: str | None, quick: bool = False) -> list[Check]:
         names: separated by commas, beginnings of names followed by * among them; all if None.
         quick: leave out those that are not quick, but for those that are named in full.
 
-    Returns:
-        Checks in the order of the table.
-
     Raises:
         InputError: there is no check of a name.
     """

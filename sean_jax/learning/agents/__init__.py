@@ -39,9 +39,6 @@ AGENTS: dict[str, Path] = {
 def is_packed(folder: Path) -> bool:
     """Whether a folder holds a packed agent, and no training.
 
-    Args:
-        folder: any.
-
     Returns:
         True or False.
     """
@@ -53,9 +50,6 @@ def read_options(folder: Path) -> ReinforcementConfig:
 
     Args:
         folder: of a training, or of a packed agent.
-
-    Returns:
-        The description of its method.
 
     Raises:
         InputError: there is none, or this version does not know it.
@@ -76,9 +70,6 @@ def read_options(folder: Path) -> ReinforcementConfig:
 def terms(options: ReinforcementConfig) -> tuple[observations.Terms, observations.Terms]:
     """What an agent sees.
 
-    Args:
-        options: of its training.
-
     Returns:
         The terms that the actor sees, and those that the critic sees besides.
 
@@ -95,15 +86,7 @@ def terms(options: ReinforcementConfig) -> tuple[observations.Terms, observation
 
 
 def network(options: ReinforcementConfig, space: Dict) -> ActorCritic:
-    """The network of a description.
-
-    Args:
-        options: of the training.
-        space: of all that the actor and the critic see.
-
-    Returns:
-        The network.
-    """
+    """The network of a description."""
     seen, private = terms(options)
     images = tuple(name for name, term in seen if term.image)
     hidden = sum(math.prod(dict(space.items())[name].shape) for name, _ in private)
@@ -114,10 +97,6 @@ def network(options: ReinforcementConfig, space: Dict) -> ActorCritic:
 
 def outline(options: ReinforcementConfig, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
     """The agent of a description, without its numbers.
-
-    Args:
-        options: of the training.
-        scenario: where it shall drive.
 
     Returns:
         The network, shapes and types of the agent, and the terms that the actor sees.
@@ -137,8 +116,6 @@ def check_sizes(folder: Path, options: ReinforcementConfig, saved: PyTree, expec
     """Refuse an agent that sees something else than a scenario shows.
 
     Args:
-        folder: of the agent, for the message.
-        options: of its training.
         saved: name -> shape of each of its arrays, as of ``shapes``.
         expected: as of ``outline``.
 
@@ -175,8 +152,6 @@ def save(folder: Path, agent: Agent, config: dict[str, Any]) -> None:
     """Write an agent into a folder that is there.
 
     Args:
-        folder: to be written.
-        agent: with its numbers.
         config: of its training, and whatever else shall be known of it, as JSON can hold.
 
     Raises:
@@ -199,7 +174,6 @@ def load(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observat
 
     Args:
         folder: as ``save`` wrote it.
-        scenario: where it will drive.
 
     Returns:
         The network, the agent, and the terms of its observation.
@@ -220,7 +194,6 @@ def restore(folder: Path, options: ReinforcementConfig, expected: Agent) -> Agen
 
     Args:
         folder: as ``save`` wrote it.
-        options: of its training.
         expected: an agent of the shapes that it must have.
 
     Returns:
