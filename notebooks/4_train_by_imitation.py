@@ -164,7 +164,7 @@ plt.show()
 # whole of section V.
 
 # %%
-from sean_jax.experiments import shares  # noqa: E402
+from sean_jax.studies.experiments import shares  # noqa: E402
 
 flags = recording.rows.situations
 blocks = flags[: len(flags) // 30 * 30].reshape(-1, 30, flags.shape[-1])

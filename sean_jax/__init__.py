@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sean_jax import gradients, inverse_graph, mdp, registry, scenes, sensors
+    from sean_jax import gradients, mdp, registry, sensors
     from sean_jax.assembly import make, with_task
     from sean_jax.base import (
         Behavior,
@@ -60,13 +60,14 @@ if TYPE_CHECKING:
     from sean_jax.pedestrian_models import MODELS
     from sean_jax.people import pedestrians_at
     from sean_jax.policies import POLICIES
-    from sean_jax.prediction import predict
     from sean_jax.replay import view
     from sean_jax.robots import ROBOTS
     from sean_jax.runner import Record, Runner
     from sean_jax.scenario import next_task, observe, place, reset, results, step
     from sean_jax.sensors import SENSORS, sense
     from sean_jax.social_forces import PRESETS, Forces, preset
+    from sean_jax.studies import inverse_graph, scenes
+    from sean_jax.studies.prediction import predict
     from sean_jax.tasks import TASKS, build_task
     from sean_jax.trajectories import load_trajectory, save_trajectory
 
@@ -91,19 +92,22 @@ _PUBLIC = {
     "pedestrian_models": "MODELS",
     "people": "pedestrians_at",
     "policies": "POLICIES",
-    "prediction": "predict",
     "replay": "view",
     "robots": "ROBOTS",
     "runner": "Record Runner",
     "scenario": "next_task observe place reset results step",
     "sensors": "SENSORS sense",
     "social_forces": "Forces PRESETS preset",
+    "studies.prediction": "predict",
     "tasks": "TASKS build_task",
     "trajectories": "load_trajectory save_trajectory",
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
-_ROOMS = ("gradients", "inverse_graph", "mdp", "registry", "scenes", "sensors")  # public as a whole
+_ROOMS = {  # public as a whole
+    **{name: name for name in ("gradients", "mdp", "registry", "sensors")},
+    **{name: f"studies.{name}" for name in ("inverse_graph", "scenes")},
+}
 
 __all__ = [
     "APGConfig",
@@ -213,7 +217,7 @@ _silence_alarms()
 
 def __getattr__(name: str):
     if name in _ROOMS:
-        return import_module(f"{__name__}.{name}")
+        return import_module(f"{__name__}.{_ROOMS[name]}")
     if name in _HOMES:
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -256,7 +256,7 @@ def _experiment(options: config.ExperimentConfig) -> int:
     def work(console: "Console") -> None:
         from importlib import import_module
 
-        experiment = import_module(f"sean_jax.experiments.{options.which}")
+        experiment = import_module(f"sean_jax.studies.experiments.{options.which}")
         _say(console, "report: ", experiment.run(options, console) / "report.html")
 
     return _keeping(options, work)
@@ -264,7 +264,7 @@ def _experiment(options: config.ExperimentConfig) -> int:
 
 def _benchmark(options: config.BenchmarkConfig) -> int:
     def work(console: "Console") -> None:
-        from sean_jax.experiments import benchmark
+        from sean_jax.studies.experiments import benchmark
 
         folder = benchmark.run(options, console)
         console.print(benchmark.table(benchmark.check(folder)), highlight=False, markup=False)
@@ -303,7 +303,7 @@ def _keeping(options: Any, work: Any) -> int:
 
 def _calibrate(options: config.CalibrateConfig) -> int:
     def work(console: "Console") -> None:
-        from sean_jax import calibration
+        from sean_jax.studies import calibration
 
         folder = calibration.run(options, console)
         _say(console, "report: ", folder / "report.html")
@@ -316,7 +316,7 @@ def _fit_graph(options: config.FitGraphConfig) -> int:
     check_new_folder(options.folder)
     console = _console(options.quiet)
     with console.status("importing JAX"):
-        from sean_jax import inverse_graph
+        from sean_jax.studies import inverse_graph
     for line in inverse_graph.run(options, console):
         _say(console, line, "")
     _say(console, "written: ", options.folder)
@@ -350,7 +350,7 @@ def _draw(options: config.DrawConfig) -> int:
 
 def _replay(options: config.ReplayConfig) -> int:
     if (options.folder / "results.json").is_file():
-        from sean_jax.validation import replays as again
+        from sean_jax.studies.validation import replays as again
     else:
         from sean_jax.evaluation import again
 
@@ -397,7 +397,7 @@ def _validate(options: config.ValidateConfig) -> int:
 
     def work(console: "Console") -> None:
         with console.status("importing JAX"):
-            from sean_jax import validation
+            from sean_jax.studies import validation
         failed.extend(validation.run(options, console))
         _say(console, "report: ", options.folder / "report.html")
 

@@ -418,7 +418,7 @@ def result(folder: Path) -> dict[str, bytes]:
 def load_result(folder: Path) -> Any:
     """What is changed has the checksum and the digests of the change, as an author would write them."""
     from sean_jax import components
-    from sean_jax.experiments import benchmark, tracks
+    from sean_jax.studies.experiments import benchmark, tracks
 
     file = folder / "result.json"
     try:

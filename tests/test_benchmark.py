@@ -11,7 +11,7 @@ import pytest
 from sean_jax import cli, prng
 from sean_jax.config import BenchmarkConfig, CollectConfig
 from sean_jax.errors import IncompleteError, InputError
-from sean_jax.experiments import benchmark, tracks
+from sean_jax.studies.experiments import benchmark, tracks
 
 
 def test_the_protocol_is_frozen():

@@ -9,8 +9,8 @@ import pytest
 import scipy.stats
 
 import sean_jax
-from sean_jax.experiments import shares
 from sean_jax.metrics import aggregate, aggregate_ratio, bootstrap, interval, resamples
+from sean_jax.studies.experiments import shares
 
 
 @pytest.fixture(scope="module")

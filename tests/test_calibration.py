@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import FileError, InputError, calibration, preset
-from sean_jax.calibration import parameters, recorded
-from sean_jax.calibration.fitting import HABITS, Fit
+from sean_jax import FileError, InputError, preset
 from sean_jax.config import CalibrateConfig
-from sean_jax.prediction import predict
 from sean_jax.social_forces import PRESETS, build, constants
+from sean_jax.studies import calibration
+from sean_jax.studies.calibration import parameters, recorded
+from sean_jax.studies.calibration.fitting import HABITS, Fit
+from sean_jax.studies.prediction import predict
 
 NAMES = ["walking.relaxation_time", "repulsion.strength", "repulsion.range"]
 TRUE = {"walking.relaxation_time": 0.5, "repulsion.strength": 4.0, "repulsion.range": 0.35}

@@ -18,13 +18,13 @@ from sean_jax.base import as_policy
 from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import CollectConfig, ExperimentConfig, validate
 from sean_jax.errors import FileError, InputError
-from sean_jax.experiments import ablation, drivers, figure4, rollouts, shares, table1, together
-from sean_jax.experiments.shares import BEHAVIORS
 from sean_jax.learning.protocol import streams
 from sean_jax.metrics import METRICS
 from sean_jax.policies import POLICIES, go_to_goal
 from sean_jax.runner import Runner
 from sean_jax.scenario import results
+from sean_jax.studies.experiments import ablation, drivers, figure4, rollouts, shares, table1, together
+from sean_jax.studies.experiments.shares import BEHAVIORS
 
 
 def test_entropy_is_that_of_the_papers_rows():
@@ -82,7 +82,7 @@ def test_other_tables_have_not():
 
 
 def test_claims_of_figure_4():
-    from sean_jax.experiments.claims import Results, claims
+    from sean_jax.studies.experiments.claims import Results, claims
 
     def cell(wait: float, harm: float, done: float) -> dict:
         names = ("time_not_moving", wait), ("violations", harm), ("completed", done), ("collisions", 0.0)
@@ -145,7 +145,7 @@ def test_balanced_odds_make_situations_equally_frequent():
     ],
 )
 def test_what_cannot_be_asked_is_refused(given, words, tmp_path):
-    from sean_jax.experiments import table1
+    from sean_jax.studies.experiments import table1
 
     with pytest.raises(InputError, match=words):
         table1.run(validate(ExperimentConfig, {"which": "table1", "out": tmp_path / "out", **given}))
@@ -153,7 +153,7 @@ def test_what_cannot_be_asked_is_refused(given, words, tmp_path):
 
 
 def test_a_folder_of_another_experiment_is_refused(tmp_path):
-    from sean_jax.experiments import parts
+    from sean_jax.studies.experiments import parts
 
     options = ExperimentConfig(which="table1", quick=True, out=tmp_path / "here").complete()
     assert not parts.has_started(options)

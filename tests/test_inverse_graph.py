@@ -11,13 +11,14 @@ from rich.console import Console
 
 import sean_jax
 from sean_jax import environment as environments
-from sean_jax import files, inverse_graph
+from sean_jax import files
 from sean_jax.config import FitGraphConfig
 from sean_jax.errors import InputError
 from sean_jax.graph import annotation
 from sean_jax.graph.route_choice import cheapest_paths, hop_log_chances
 from sean_jax.graph.routes import routes
-from sean_jax.inverse_graph import annotating, fitting, flow_model, measuring
+from sean_jax.studies import inverse_graph
+from sean_jax.studies.inverse_graph import annotating, fitting, flow_model, measuring
 
 COLD = 1e-3  # m, at which route choice is the cheapest path
 

@@ -11,11 +11,11 @@ import sean_jax
 from sean_jax import cli
 from sean_jax.config import ExperimentConfig
 from sean_jax.errors import InputError
-from sean_jax.experiments import drivers, figure4, learning_curve, together, variants
-from sean_jax.experiments.shares import BEHAVIORS
-from sean_jax.experiments.variants import Curve, Variant, comparisons
 from sean_jax.learning import choice
 from sean_jax.learning.dataset import open_dataset
+from sean_jax.studies.experiments import drivers, figure4, learning_curve, together, variants
+from sean_jax.studies.experiments.shares import BEHAVIORS
+from sean_jax.studies.experiments.variants import Curve, Variant, comparisons
 
 ASKED = ExperimentConfig(which="learning_curve").complete()
 

@@ -18,14 +18,15 @@ import pytest
 import yaml
 
 import sean_jax
-from sean_jax import cli, components, config, flags, learning, validation
+from sean_jax import cli, components, config, flags, learning
 from sean_jax.config import BenchmarkConfig, CollectConfig, ExperimentConfig, RunConfig, ValidateConfig
 from sean_jax.errors import InputError
 from sean_jax.evaluation.output import read_config
-from sean_jax.experiments import parts
 from sean_jax.learning import dataset
 from sean_jax.learning.agents import AGENTS
-from sean_jax.validation import results
+from sean_jax.studies import validation
+from sean_jax.studies.experiments import parts
+from sean_jax.studies.validation import results
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")

@@ -7,8 +7,8 @@ import pytest
 
 from sean_jax import InputError, preset
 from sean_jax.base import Obstacles
-from sean_jax.prediction import cut_windows, evaluate, forecast, observed_people, predict, read_windows, score
 from sean_jax.recordings import Tracks
+from sean_jax.studies.prediction import cut_windows, evaluate, forecast, observed_people, predict, read_windows, score
 
 rng = np.random.default_rng(3)
 STEP = 0.4

@@ -10,8 +10,8 @@ from sean_jax import cli
 from sean_jax.classifiers import MORE_SITUATIONS, OBJECT_SITUATIONS, SITUATIONS
 from sean_jax.config import ExperimentConfig
 from sean_jax.errors import FileError
-from sean_jax.experiments import recorded, shares, table1
 from sean_jax.metrics import bootstrap
+from sean_jax.studies.experiments import recorded, shares, table1
 
 STEP = 0.4  # s
 SPEEDS = (1.4, 1.0, 0.4)

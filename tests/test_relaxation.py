@@ -14,8 +14,8 @@ import sean_jax
 from sean_jax import scenario as stages
 from sean_jax.behaviors import Place, graph_behavior, relaxation
 from sean_jax.graph import rerouted
-from sean_jax.inverse_graph import annotating
-from sean_jax.inverse_graph.simulating import begin_alone
+from sean_jax.studies.inverse_graph import annotating
+from sean_jax.studies.inverse_graph.simulating import begin_alone
 
 STEPS = 160
 TEMPERATURE = 1.0  # m

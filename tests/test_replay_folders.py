@@ -16,7 +16,7 @@ from sean_jax import cli, prng, scenes
 from sean_jax.config import PPOConfig
 from sean_jax.recordings import Tracks
 from sean_jax.replay.encoding import decode
-from sean_jax.validation import replays
+from sean_jax.studies.validation import replays
 
 LAB = "--environment lab --behavior random --people 2 --dynamics twin".split()
 

@@ -7,7 +7,8 @@ import pytest
 
 from sean_jax import InputError, preset
 from sean_jax.geometry import signed_distances_on_host
-from sean_jax.scenes import (
+from sean_jax.social_forces import walls as laws
+from sean_jax.studies.scenes import (
     Gate,
     Moving,
     Scene,
@@ -26,8 +27,7 @@ from sean_jax.scenes import (
     walkers,
     wall,
 )
-from sean_jax.scenes.walkers import ROOM, aim_at, passed
-from sean_jax.social_forces import walls as laws
+from sean_jax.studies.scenes.walkers import ROOM, aim_at, passed
 
 rng = np.random.default_rng(3)
 DOOR = Gate((6.0, 3.0), (6.0, 1.5))

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax import InputError, cli, validation
+from sean_jax import InputError, cli
 from sean_jax.config import ValidateConfig
 from sean_jax.recordings import Tracks
-from sean_jax.scenes import Gate, model
-from sean_jax.validation import (
+from sean_jax.studies import validation
+from sean_jax.studies.scenes import Gate, model
+from sean_jax.studies.validation import (
     CHECKS,
     GATES,
     Finding,
@@ -27,8 +28,8 @@ from sean_jax.validation import (
     results,
     suite,
 )
-from sean_jax.validation.check import Check
-from sean_jax.validation.crossings import crossing_times, flow, trajectory_data, vanishing_times
+from sean_jax.studies.validation.check import Check
+from sean_jax.studies.validation.crossings import crossing_times, flow, trajectory_data, vanishing_times
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sean_jax import recordings as recorded
-from sean_jax.scenes import Gate
-from sean_jax.validation import crossing_times, diagrams, flow, measures
-from sean_jax.validation.lanes import recorded_order
+from sean_jax.studies.scenes import Gate
+from sean_jax.studies.validation import crossing_times, diagrams, flow, measures
+from sean_jax.studies.validation.lanes import recorded_order
 
 DOOR = Gate((0.0, 0.6), (0.0, -0.6))  # crossed along +x
 

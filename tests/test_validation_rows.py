@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from sean_jax import social_forces
-from sean_jax.prediction.benchmark import Scores
-from sean_jax.prediction.left_out import fitted_without
-from sean_jax.scenes import model
-from sean_jax.validation import Laboratory, Skipped, diagrams, doorways, encounters, forecasts, groups, lanes
-from sean_jax.validation.group_occupancy import group_occupancy
+from sean_jax.studies.prediction.benchmark import Scores
+from sean_jax.studies.prediction.left_out import fitted_without
+from sean_jax.studies.scenes import model
+from sean_jax.studies.validation import Laboratory, Skipped, diagrams, doorways, encounters, forecasts, groups, lanes
+from sean_jax.studies.validation.group_occupancy import group_occupancy
 
 AREA = diagrams.PERIOD * diagrams.WIDTH  # m2, of the corridor of the fundamental diagram
 

@@ -75,7 +75,7 @@ def build(
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
-    """Who is there at a random moment; the recording then lasts for an episode. A shorter one is taken from its start."""
+    """Who is there at a random moment that leaves time for an episode, or at the start of a shorter recording."""
     motion: RecordedMotion = scenario.behavior.data
     begin_key, trait_key = jax.random.split(key)
     steps = clock.ceil_ticks(scenario.time_limit, scenario.time_step)

@@ -1,0 +1,228 @@
+"""``sean calibrate``: the constants of the social forces, fitted by gradient to recorded people.
+
+One fit sees all scenes. Each other one leaves out a scene of prediction, and is judged by it. What is measured of
+crowds (fundamental diagrams, flows, lanes) is not fitted: ``sean validate`` judges by it. Importing this imports no
+JAX.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sean_jax import files, writing
+from sean_jax.config import CalibrateConfig
+from sean_jax.errors import InputError
+from sean_jax.files import listed, unknown_name
+from sean_jax.flags import flag
+from sean_jax.progress import progress
+from sean_jax.versions import version_mismatch, versions
+
+if TYPE_CHECKING:
+    import numpy as np
+    from rich.console import Console
+
+    from sean_jax.studies.calibration.fitting import Descent, Fit
+
+__all__ = ["run"]
+
+OPTIONS, UNFINISHED, RESULTS, REPORT = "calibration.json", "unfinished.npz", "results.json", "report.html"
+FORCES = "forces.yaml"
+EVERY = 10.0  # s between two savings of an unfinished fit
+
+
+def run(options: CalibrateConfig, console: Console | None = None) -> Path:
+    """Fit, and write forces.yaml, one such file for each scene left out, results.json and report.html.
+
+    An unfinished fit is kept every 10 s, and the same command goes on with it.
+
+    Args:
+        options: what is fitted to what, and where the results go.
+
+    Raises:
+        InputError: there are no recordings, a name does not exist, or the folder holds something else.
+        WriteError: the folder cannot be written.
+    """
+    folder = options.folder
+    _check_folder(folder, options)
+    with writing.folder_lock(folder), progress(console) as bar:
+        _check_folder(folder, options)
+        bar.stage("reading the recordings")
+        from sean_jax.social_forces import build
+        from sean_jax.studies.calibration import page, recorded
+        from sean_jax.studies.calibration.fitting import Fit
+        from sean_jax.studies.calibration.parameters import names_of
+
+        forces = build(options.forces)
+        names = names_of(forces, listed(options.fit))
+        prediction, corridors = recorded.find(options.data)
+        left_out = _left_out(options, list(prediction))
+        kinds = [recorded.prediction_scenes(prediction)] if prediction else []
+        kinds += [recorded.corridor_scenes(corridors)] if corridors else []
+        _write_json(folder / OPTIONS, {"options": options.decisive(), "versions": versions()})
+        fit = Fit(forces, names, kinds, options.steps, options.batch)
+        descent, history = _descend(fit, options, left_out, bar)
+        bar.stage("judging by all windows")
+        results = _judge(fit, descent, left_out, history, prediction)
+        for what, values in results["parameters"].items():
+            if what != "before":
+                file = FORCES if what == "all" else f"forces-without-{what}.yaml"
+                writing.write(folder / file, _constants(options, what, values, results))
+        _write_json(folder / RESULTS, results)
+        writing.write(folder / REPORT, page.html(options, results))
+        (folder / UNFINISHED).unlink(missing_ok=True)
+    return folder
+
+
+def _left_out(options: CalibrateConfig, scenes: list[str]) -> list[str | None]:
+    """The scene that each fit leaves out; the first none."""
+    chosen = listed(options.leave_out)
+    if chosen == ["none"]:
+        return [None]
+    for name in chosen:
+        if name not in scenes:
+            raise InputError(unknown_name("leave_out", name, scenes))
+    return [None, *(chosen or scenes if len(scenes) > 1 else [])]
+
+
+def _descend(fit: Fit, options: CalibrateConfig, left_out: list, bar: Any) -> tuple[Descent, np.ndarray]:
+    """All fits to their ends, from where an earlier command of the same options was stopped."""
+    import numpy as np
+
+    weights = np.array([[float(name != scene) for scene in fit.scenes] for name in left_out])
+    descent, history = _resume(fit.start(len(left_out), options.starts, options.seed), options.folder / UNFINISHED)
+    bar.start("compiling and fitting", options.steps)
+    saved = time.monotonic()
+    try:
+        while len(history) < options.steps:
+            descent, loss = fit.descend(descent, weights, fit.rows(options.seed, len(history)))
+            history.append(np.asarray(loss))
+            bar.update(len(history), f"loss {history[-1][0].min():.4f}")
+            if time.monotonic() - saved > EVERY:
+                _save(descent, history, options.folder / UNFINISHED)
+                saved = time.monotonic()
+    except KeyboardInterrupt:
+        _save(descent, history, options.folder / UNFINISHED)
+        raise
+    return descent, np.stack(history)
+
+
+def _judge(fit: Fit, descent: Descent, left_out: list, history: np.ndarray, files: dict[str, Path]) -> dict[str, Any]:
+    """The best start of each fit, and how good its constants are in all scenes."""
+    import numpy as np
+
+    from sean_jax.studies.calibration.fitting import COLLISIONS, parts_of
+    from sean_jax.studies.calibration.parameters import BOUNDS, values_of
+    from sean_jax.studies.prediction import evaluate, read_windows
+
+    error, near = fit.errors(descent.mean)  # (F, K, E), (F, K)
+    weights = np.array([[float(name != scene) for scene in fit.scenes] for name in left_out])
+    total = (error * weights[:, None]).sum(-1) / weights.sum(-1)[:, None] + COLLISIONS * near
+    best = np.nanargmin(total, 1)
+    chosen = np.asarray(descent.mean)[np.arange(len(best)), best]
+    before, _ = fit.errors(fit.start(1, 1, 0).free[0])
+    labels = ["all" if name is None else name for name in left_out]
+    found = {"before": np.asarray(values_of(fit.forces, fit.names))}
+    fits = {label: parts_of(fit.forces, fit.names, each) for label, each in zip(labels, chosen, strict=True)}
+    found |= {label: np.asarray(values_of(forces, fit.names)) for label, (forces, _) in fits.items()}
+    errors = {"before": before[0]} | {label: error[k, best[k]] for k, label in enumerate(labels)}
+    scores: dict[str, Any] = {}
+    for scene, file in files.items():
+        for clock in ("social_gan", "recorded"):
+            windows = read_windows(file, clock)
+            own = {
+                "constant velocity": evaluate("constant_velocity", windows),
+                "before": evaluate(fit.forces, windows),
+            }
+            for name, label in (("all scenes", "all"), ("left out", scene)):
+                if label in fits:
+                    forces, habits = fits[label]
+                    own[name] = evaluate(forces, windows, weights=habits.persistence[None], settled=habits.settled)
+            scores[f"{scene} ({clock})"] = {name: each._asdict() for name, each in own.items()}
+    return {
+        "names": list(fit.names),
+        "bounds": {name: BOUNDS[name] for name in fit.names},
+        "parameters": {what: _floats(fit.names, values) for what, values in found.items()},
+        "habits": {label: _floats(habits._fields, habits) for label, (_, habits) in fits.items()},
+        "errors": {what: _floats(fit.scenes, values) for what, values in errors.items()},
+        "scores": scores,
+        "losses": {label: history[:, k].tolist() for k, label in enumerate(labels)},
+        "best_start": dict(zip(labels, best.tolist(), strict=True)),
+    }
+
+
+def _constants(options: CalibrateConfig, what: str, values: dict[str, float], results: dict[str, Any]) -> str:
+    """The file of constants of a fit; on top of a file, all that it has."""
+    from sean_jax.flags import command
+    from sean_jax.social_forces import constants
+
+    name, others = options.forces, {}
+    if constants.is_file(name):
+        name, others = constants.content(name)
+    scenes = [scene for scene in results["errors"]["all"] if scene != what]
+    provenance = {
+        "fitted by": command("calibrate", options),
+        "fitted to": ", ".join(scenes),
+        "versions": ", ".join(f"{package} {version}" for package, version in versions().items()),
+    }
+    return constants.text(name, {**others, **values}, provenance)
+
+
+def _floats(names: Any, values: Any) -> dict[str, float]:
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+# ------------------------------------------------------------------ what is kept
+
+
+def _check_folder(folder: Path, options: CalibrateConfig) -> None:
+    """Refuse a folder that holds something else, or a fit of other options."""
+    if not folder.is_dir() or not writing.contents(folder):
+        return
+    try:
+        content = files.read_json(folder / OPTIONS)
+        previous, current = content["options"], options.decisive()
+        names = [name for name in current if current[name] != previous.get(name)]
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(f"the folder {folder} holds something else already, choose another with --out.") from None
+    if names:
+        text = f"{flag(names[0])} {previous.get(names[0])}, not {current[names[0]]}"
+        raise InputError(f"{folder} was begun with {text}; ask for the same or choose another --out.")
+    if (folder / UNFINISHED).exists() and (other := version_mismatch(content.get("versions"))) is not None:
+        raise InputError(f"{folder} was begun with {other}; go on with the same, or choose another --out.")
+
+
+def _save(descent: Descent, history: list, file: Path) -> None:
+    import jax
+    import numpy as np
+
+    leaves: dict[str, Any] = {f"leaf{index}": np.asarray(leaf) for index, leaf in enumerate(jax.tree.leaves(descent))}
+    with writing.atomic_file(file) as stream:
+        np.savez(stream, history=np.stack(history) if history else np.zeros(0), **leaves)
+
+
+def _resume(descent: Descent, file: Path) -> tuple[Descent, list]:
+    """The descent that a file holds; the given one if there is none."""
+    import jax
+    import jax.numpy as jnp
+
+    if not file.is_file():
+        return descent, []
+    leaves, structure = jax.tree.flatten(descent)
+    try:
+        kept = files.read_arrays(file)
+        found = [kept[f"leaf{index}"] for index in range(len(leaves))]
+        history = list(kept["history"])
+        if [each.shape for each in found] != [leaf.shape for leaf in leaves]:
+            raise ValueError
+    except (ValueError, KeyError, TypeError):
+        raise InputError(f"{file} is damaged; remove it to begin anew.") from None
+    return structure.unflatten(
+        [jnp.asarray(each, leaf.dtype) for each, leaf in zip(found, leaves, strict=True)]
+    ), history
+
+
+def _write_json(file: Path, content: Any) -> None:
+    writing.write(file, json.dumps(content, indent=1, allow_nan=False) + "\n")

@@ -1,0 +1,245 @@
+"""The fit: errors of predicted people as a loss, and its descent from many starts side by side.
+
+Each of F fits leaves other scenes out; each has K starts. All descend together, by one program, on the same windows:
+the first start of each from the constants given, the others from anywhere within the bounds.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from flax import struct
+from jaxtyping import Float, Int
+
+from sean_jax import prng
+from sean_jax.base import Array, ObstacleGrid
+from sean_jax.geometry import length
+from sean_jax.social_forces import Forces
+from sean_jax.studies.calibration.parameters import from_free, to_free, values_of
+from sean_jax.studies.calibration.recorded import Scenes
+from sean_jax.studies.prediction import predict
+from sean_jax.studies.prediction.forecast import grid_around
+
+MARGIN = 0.4  # m: a predicted pair nearer than this costs something, quadratically
+COLLISIONS = 1.0  # weight of that cost, in shares of the error of constant velocity
+LEARNING_RATE = 0.08
+SMOOTH = 1e-3  # m2: errors are differentiable where they vanish
+EMPTY = -1  # in place of a window
+
+
+class Habits(NamedTuple):
+    """What people desire, as far as recordings do not tell; fitted along."""
+
+    speed: Float[Array, ""]  # m/s, in corridors, where the direction is known
+    persistence: Float[Array, ""]  # share of the velocity last seen that people desire elsewhere
+    settled: Float[Array, ""]  # share of what the model makes people do that is part of that velocity
+
+
+HABITS = Habits((1.1, 1.7), (0.94, 1.02), (0.0, 1.0))  # type: ignore[arg-type]  # bounds; fits begin in the middle
+
+
+class Losses(NamedTuple):
+    """Of some windows, by scene (E,): sums, and what to divide them by."""
+
+    error: Float[Array, "E"]  # in shares of the error of constant velocity
+    weight: Float[Array, "E"]
+    collisions: Float[Array, ""]
+    pairs: Float[Array, ""]
+
+
+@struct.dataclass
+class Descent:
+    """Where all fits are; F fits, K starts, P parameters."""
+
+    free: Float[Array, "F K P"]
+    mean: Float[Array, "F K P"]  # of the last steps
+    optimizer: optax.OptState
+    step: Int[Array, ""]
+
+
+def losses(forces: Forces, scenes: Scenes, rows: Int[Array, "W"], grid: ObstacleGrid | None, habits: Habits) -> Losses:
+    """How far predictions are from what was recorded.
+
+    Args:
+        rows: (W,) which windows, ``EMPTY`` for none.
+    """
+    there = rows != EMPTY
+    pick = lambda leaf: jnp.asarray(leaf)[jnp.maximum(rows, 0)]  # noqa: E731
+    seen, known, after, counted = map(pick, (scenes.seen, scenes.known, scenes.after, scenes.counted))
+    counted = counted & there[:, None, None]
+    wish = None if scenes.direction is None else pick(scenes.direction) * habits.speed
+    found = predict(
+        forces, seen, scenes.time_step, after.shape[1], present=known, walls=grid, desired_velocity=wish,
+        others=None if scenes.others is None else pick(scenes.others), weights=habits.persistence[None],
+        settled=habits.settled,
+    )  # fmt: skip
+    dx, dy = found[..., 0] - after[..., 0], found[..., 1] - after[..., 1]
+    away = jnp.sqrt(dx * dx + dy * dy + SMOOTH) - SMOOTH**0.5
+    away, ends = jnp.where(counted, away, 0.0), counted[:, -1].astype(float)
+    scene, number = pick(scenes.scene), len(scenes.names)
+    total = partial(jax.ops.segment_sum, segment_ids=scene, num_segments=number)
+    reference = jnp.asarray(scenes.reference, float)
+    count, last = total(counted.astype(float).sum((1, 2))), total(ends.sum(1))
+    mean_error = total(away.sum((1, 2))) / reference[:, 0]
+    last_error = total(away[:, -1].sum(1)) / reference[:, 1]
+    share = jnp.where(last > 0.0, count / jnp.where(last > 0.0, last, 1.0), 0.0)
+    gap = length(found[:, :, :, None, 0] - found[:, :, None, :, 0], found[:, :, :, None, 1] - found[:, :, None, :, 1])
+    both = known[:, -1][:, :, None] & known[:, -1][:, None, :] & there[:, None, None]
+    both = (both & ~jnp.eye(known.shape[2], dtype=bool)[None])[:, None]
+    near = jnp.where(both, jnp.maximum(1.0 - gap / MARGIN, 0.0), 0.0) ** 2
+    people = jnp.where(there[:, None], known[:, -1], False).astype(float).sum()
+    return Losses(0.5 * (mean_error + share * last_error), count, near.max(1).sum(), people)
+
+
+def objective(
+    free: Float[Array, "P"],
+    weights: Float[Array, "E"],
+    parts: Sequence[Callable[[Forces, Habits], Losses]],
+    forces: Forces,
+    names: Sequence[str],
+) -> tuple[Float[Array, ""], Float[Array, "E"]]:
+    """The loss of one fit.
+
+    Args:
+        free: (P,) the parameters, as ``to_free`` has them, and at the end the habits.
+        weights: (E,) of all scenes, zero for those left out.
+        parts: what gives the losses of the scenes of each kind.
+
+    Returns:
+        The loss, and the error of each scene (E,) in shares of that of constant velocity.
+    """
+    mine, habits = parts_of(forces, names, free)
+    found = [part(mine, habits) for part in parts]
+    error = jnp.concatenate([each.error / jnp.maximum(each.weight, 1.0) for each in found])
+    seen = jnp.concatenate([(each.weight > 0.0).astype(float) for each in found]) * weights
+    collisions = sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in found)
+    loss = (seen * error).sum() / jnp.maximum(seen.sum(), 1e-9) + COLLISIONS * collisions
+    return loss, error
+
+
+def parts_of(forces: Forces, names: Sequence[str], free: Float[Array, "*batch P"]) -> tuple[Forces, Habits]:
+    """The forces and habits that free numbers stand for.
+
+    Args:
+        forces: all constants that are not fitted.
+        free: (..., P) as ``to_free`` has them, the habits at the end.
+
+    Returns:
+        Forces, and habits (...).
+    """
+    number = len(HABITS)
+    values = from_free(names, free[..., :-number])
+    shares = jax.nn.sigmoid(free[..., -number:])
+    habits = Habits(*(low + (high - low) * shares[..., k] for k, (low, high) in enumerate(HABITS)))
+    return forces.tree_replace({name: values[..., k] for k, name in enumerate(names)}), habits
+
+
+class Fit:
+    """A descent on some scenes."""
+
+    def __init__(self, forces: Forces, names: Sequence[str], kinds: Sequence[Scenes], steps: int, batch: int):
+        self.forces, self.names, self.kinds, self.steps, self.batch = forces, tuple(names), tuple(kinds), steps, batch
+        self.scenes = tuple(name for kind in self.kinds for name in kind.names)
+        self.grids = [None if kind.walls is None else grid_around(kind.walls) for kind in self.kinds]
+        self.optimizer = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, steps, 0.05))
+        self._step = jax.jit(self._descend)
+        self._losses = jax.jit(self._losses_of, static_argnums=2)
+
+    def start(self, fits: int, starts: int, seed: int) -> Descent:
+        """Where the descent begins.
+
+        Args:
+            starts: K; the first of each fit has the constants of the forces.
+        """
+        random = prng.generator("calibrate", seed)
+        given = np.append(np.asarray(to_free(self.names, values_of(self.forces, self.names))), np.zeros(len(HABITS)))
+        free = np.where(
+            np.arange(starts)[None, :, None] == 0, given, random.normal(0.0, 1.2, (fits, starts, len(given)))
+        )
+        free = jnp.asarray(free, float)
+        with jax.numpy_dtype_promotion("standard"):
+            state = jax.vmap(jax.vmap(self.optimizer.init))(free)
+        return Descent(free=free, mean=free, optimizer=state, step=jnp.zeros((), jnp.int32))
+
+    def rows(self, seed: int, step: int) -> list[np.ndarray]:
+        """The windows of a step: as many of each scene, drawn anew."""
+        random = prng.generator("calibrate windows", seed, step)
+        found = []
+        for kind in self.kinds:
+            each = max(1, self.batch // (1 if kind.walls is None else 16))
+            own = [np.flatnonzero(kind.scene == index) for index in range(len(kind.names))]
+            found.append(np.concatenate([random.choice(rows, each, len(rows) < each) for rows in own]))
+        return found
+
+    def descend(self, descent: Descent, weights: np.ndarray, rows: list[np.ndarray]) -> tuple[Descent, np.ndarray]:
+        """One step of all fits.
+
+        Args:
+            weights: (F, E) of the scenes in each fit.
+
+        Returns:
+            The descent after it, and the losses (F, K) before it.
+        """
+        indices = [jnp.asarray(each, jnp.int32) for each in rows]
+        return self._step(descent, jnp.asarray(weights, float), indices)
+
+    def errors(self, free: Float[Array, "*fits P"], most: int = 64, chunk: int = 32) -> tuple[np.ndarray, np.ndarray]:
+        """The errors of all scenes, over many of their windows.
+
+        Args:
+            most: windows of a scene, evenly spaced in time; a quarter of that in corridors.
+
+        Returns:
+            (..., E) errors in shares of those of constant velocity, and (...) cost of near pairs.
+        """
+        found: list[Losses] = []
+        for index, kind in enumerate(self.kinds):
+            crowded = kind.walls is not None
+            each, size = max(1, most // (4 if crowded else 1)), max(1, chunk // (8 if crowded else 1))
+            own = [np.flatnonzero(kind.scene == scene) for scene in range(len(kind.names))]
+            order = np.concatenate(
+                [rows[np.linspace(0, len(rows) - 1, min(each, len(rows))).astype(int)] for rows in own]
+            )
+            order = np.pad(order, (0, -len(order) % size), constant_values=EMPTY)
+            parts = [self._losses(free, jnp.asarray(rows, jnp.int32), index) for rows in order.reshape(-1, size)]
+            found.append(jax.tree.map(lambda *leaves: sum(leaves), *parts))
+        error = np.concatenate([np.asarray(each.error / jnp.maximum(each.weight, 1.0)) for each in found], -1)
+        return error, np.asarray(sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in found))
+
+    def _parts(self, rows: Sequence[Array]) -> list[Callable[[Forces, Habits], Losses]]:
+        return [partial(_part, kind, own, grid) for kind, own, grid in zip(self.kinds, rows, self.grids, strict=True)]
+
+    def _descend(self, descent: Descent, weights: Array, rows: list[Array]) -> tuple[Descent, Array]:
+        parts = self._parts(rows)
+
+        def one(free: Array, state: optax.OptState, weights: Array) -> tuple:
+            (loss, _), slope = jax.value_and_grad(objective, has_aux=True)(
+                free, weights, parts, self.forces, self.names
+            )
+            slope = jnp.where(jnp.isfinite(slope).all(), slope, 0.0)
+            with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
+                change, state = self.optimizer.update(slope, state)
+            return loss, optax.apply_updates(free, change), state
+
+        each = jax.vmap(jax.vmap(one, (0, 0, None)))
+        loss, free, state = each(descent.free, descent.optimizer, weights)
+        share = 1.0 / jnp.maximum(descent.step.astype(float) - 0.7 * self.steps + 1.0, 1.0)
+        mean = descent.mean + share * (free - descent.mean)
+        return Descent(free=free, mean=mean, optimizer=state, step=descent.step + 1), loss
+
+    def _losses_of(self, free: Array, rows: Array, kind: int) -> Losses:
+        def one(free: Array) -> Losses:
+            forces, habits = parts_of(self.forces, self.names, free)
+            return losses(forces, self.kinds[kind], rows, self.grids[kind], habits)
+
+        for _ in range(free.ndim - 1):
+            one = jax.vmap(one)
+        return one(free)
+
+
+def _part(scenes: Scenes, rows: Array, grid: ObstacleGrid | None, forces: Forces, habits: Habits) -> Losses:
+    return losses(forces, scenes, rows, grid, habits)

@@ -1,0 +1,203 @@
+"""What ``sean fit-graph`` does: read or simulate people, fit a graph to them, and check it on others."""
+
+import functools
+import json
+import operator
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import jax
+import numpy as np
+
+from sean_jax import assembly, files, prng, writing
+from sean_jax import environment as environments
+from sean_jax.base import Environment, Scenario
+from sean_jax.config import FitGraphConfig, GraphBehavior, Named, ScenarioConfig
+from sean_jax.errors import InputError
+from sean_jax.files.mjcf import MAX_TEXT
+from sean_jax.flags import command
+from sean_jax.graph import BehaviorGraph, annotation, graph_of
+from sean_jax.progress import Progress, progress
+from sean_jax.recordings import read
+from sean_jax.studies.inverse_graph import annotating, page
+from sean_jax.studies.inverse_graph.fitting import GraphFit, fit_flows, flow_error
+from sean_jax.studies.inverse_graph.measuring import FlowMeasure, measure_flows
+from sean_jax.studies.inverse_graph.proposal import propose
+from sean_jax.studies.inverse_graph.simulating import Calls, people_called
+from sean_jax.versions import versions
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+GRAPH = "graph.yaml"
+EPISODE = 300.0  # s, of a simulated episode
+EVERY = 2  # control steps from one row of a simulation to the next
+ROW = 0.1  # s, between rows of a recording
+HELD_OUT = "held out"
+FEWEST = 20  # walks along edges, from which anything is fitted
+ROUNDS = 2  # of simulating how a fitted graph calls people to its groups, and fitting it again
+SEEN, OTHERS, ANEW, CALLED = range(4)  # each simulation has its own chance; of the rounds each, from CALLED on
+
+
+class Evidence(NamedTuple):
+    """What people did: the part to which weights are fitted, and another by which they are judged."""
+
+    seen: FlowMeasure
+    held_out: FlowMeasure
+
+
+def run(options: FitGraphConfig, console: "Console") -> list[str]:
+    """Propose a graph, or fit one to people, and write it as an environment.
+
+    The folder holds graph.yaml beside the environment's own files, so that ``sean run --environment`` takes it, and, if
+    there were people, flows.png, flows.csv and fit.json.
+
+    Raises:
+        InputError: there is no such environment, or hardly anybody walks along the graph's edges.
+        FileError: a file cannot be used.
+        WriteError: the folder cannot be written.
+    """
+    source = environments.find(options.environment)
+    environment = environments.load(source)
+    with progress(console) as told, writing.atomic_folder(options.folder) as folder:
+        words = _words(options, source, environment, told)
+        for name in (environments.SETTINGS, environments.SCENE):
+            writing.write(folder / name, files.read_bytes(source / name, MAX_TEXT))
+        graph = annotation.build(words, environment)
+        lines = [f"{len(words.nodes)} nodes, {len(words.edges)} edges"]
+        if options.recording is None and not options.simulate:
+            _write(folder / GRAPH, words)
+            return lines
+        closed = options.recording is None
+        evidence = _simulated(options, told) if closed else _recorded(options, graph, told)
+        walks = float(evidence.seen.edges.sum())
+        if walks < FEWEST:
+            what = f"people walk {walks:.0f} times along edges of the graph, and {FEWEST} are the fewest to fit it to"
+            raise InputError(f"{options.recording or options.environment}: {what}; look at --graph and at the units.")
+        what = f"recording {options.recording.name}" if options.recording else "people simulated on its own graph"
+        source = f"fitted by sean fit-graph to {what}"
+        fit = fit_flows(graph, evidence.seen, closed, options.temperature, progress=told)
+        _write(folder / GRAPH, annotating.fitted(words, fit, closed, source))
+        for turn in range(ROUNDS if closed and graph.groups.shape[0] else 0):
+            title = "simulating how groups call people"
+            _, calls = _episodes(_scenario(options, folder), options, CALLED + turn, told, title)
+            fit = fit_flows(graph, evidence.seen, closed, options.temperature, calls, progress=told)
+            _write(folder / GRAPH, annotating.fitted(words, fit, closed, source))
+        panels = _panels(evidence, fit)
+        if closed:
+            again, _ = _episodes(_scenario(options, folder), options, ANEW, told, "simulating the fit")
+            panels["simulated anew"] = again.flow
+        errors = {name: flow_error(flow, panels[HELD_OUT]) for name, flow in panels.items() if name != HELD_OUT}
+        lines += [f"{name}, against people held out: flows differ by {100 * e:.1f} %" for name, e in errors.items()]
+        lines += page.findings(graph, fit)
+        title = f"{environment.name}: {what}"
+        with writing.atomic_file(folder / "flows.png") as stream:
+            page.picture(environment, graph, panels, title).savefig(stream, dpi=130, format="png")
+        writing.write(folder / "flows.csv", page.table(graph, panels))
+        writing.write(folder / "fit.json", json.dumps(_summary(options, graph, fit, errors), indent=2) + "\n")
+        return lines
+
+
+def _words(options: FitGraphConfig, source: Path, environment: Environment, told: Progress) -> annotation.Annotation:
+    """The annotation whose nodes and edges are taken."""
+    file = options.graph or source / GRAPH
+    people = options.recording is not None or options.simulate
+    if options.graph is not None or (people and not options.propose and file.is_file()):
+        return files.load(
+            file, annotation.Annotation, annotation.check, lambda graph: annotation.check_against(graph, environment)
+        )
+    told.stage("proposing a graph")
+    ends = None
+    if options.recording is not None:
+        tracks = read(options.recording, options.recording_format, options.frame_rate, ROW)
+        position, present = np.asarray(tracks.position), np.asarray(tracks.present)
+        begins = present & ~np.pad(present, ((1, 0), (0, 0)))[:-1]
+        stops = present & ~np.pad(present, ((0, 1), (0, 0)))[1:]
+        ends = np.concatenate([position[begins], position[stops]])
+    return propose(environment, ends)
+
+
+def _recorded(options: FitGraphConfig, graph: BehaviorGraph, told: Progress) -> Evidence:
+    """Every other person of a recording, and those between."""
+    told.stage("reading the recording")
+    tracks = read(options.recording or "", options.recording_format, options.frame_rate, ROW)
+    position, present, person = (np.asarray(part) for part in (tracks.position, tracks.present, tracks.person))
+    _, order = np.unique(person, return_inverse=True)
+    even = order.reshape(person.shape) % 2 == 0
+    return Evidence(*(measure_flows(graph, position, present & part, ROW) for part in (even, ~even)))
+
+
+def _simulated(options: FitGraphConfig, told: Progress) -> Evidence:
+    """Episodes on the environment's own graph, and as many others."""
+    scenario = _scenario(options, environments.find(options.environment))
+    seen, _ = _episodes(scenario, options, SEEN, told, "simulating people")
+    held_out, _ = _episodes(scenario, options, OTHERS, told, "simulating people to check it by")
+    return Evidence(seen, held_out)
+
+
+def _scenario(options: FitGraphConfig, folder: Path) -> Scenario:
+    behavior = GraphBehavior(routing=options.routing)
+    described = ScenarioConfig(
+        environment=str(folder),
+        behavior=behavior,
+        task=(Named(kind="random_ab_nav"),),
+        people=options.people,
+        dynamics="twin",
+        time_step=ROW,
+    )
+    return assembly.build(described)[0]
+
+
+def _number(options: FitGraphConfig) -> int:
+    """Episodes of a simulation."""
+    return max(1, round(options.minutes * 60.0 / EPISODE))
+
+
+def _episodes(
+    scenario: Scenario, options: FitGraphConfig, part: int, told: Progress, words: str
+) -> tuple[FlowMeasure, Calls]:
+    """What people do in the episodes of one part, and how they are called to groups."""
+    graph = graph_of(scenario)
+    assert graph is not None  # it is of the behavior "graph"
+    number, steps = _number(options), round(min(EPISODE, options.minutes * 60.0) / scenario.time_step)
+    simulate: Callable = jax.jit(lambda key: people_called(scenario, graph, key, steps, EVERY))
+    key = jax.random.fold_in(prng.key("fit-graph", options.seed), part)
+    found: list[tuple[FlowMeasure, Calls]] = []
+    told.start(words, number)
+    for episode in range(number):
+        position, present, calls = simulate(jax.random.fold_in(key, episode))
+        measured = measure_flows(graph, np.asarray(position), np.asarray(present), scenario.time_step * EVERY)
+        found.append((measured, calls))
+        told.update(episode + 1)
+    flows, called = zip(*found, strict=True)
+    return functools.reduce(operator.add, flows), functools.reduce(operator.add, called)
+
+
+def _panels(evidence: Evidence, fit: GraphFit) -> dict[str, np.ndarray]:
+    """Title -> (M, M) people per minute."""
+    model = np.asarray(fit.flows.edges, float)
+    scale = evidence.held_out.flow.sum() / max(model.sum(), 1e-30)
+    return {HELD_OUT: evidence.held_out.flow, "fitted to": evidence.seen.flow, "flow model": model * scale}
+
+
+def _write(file: Path, words: annotation.Annotation) -> None:
+    writing.write(file, annotating.text(words))
+
+
+def _summary(options: FitGraphConfig, graph: BehaviorGraph, fit: GraphFit, errors: dict[str, float]) -> dict:
+    def plain(value: float) -> float | None:
+        return round(float(value), 5) if np.isfinite(value) else None
+
+    groups = {
+        graph.names[node]: {"stay": [plain(value) for value in fit.stay[k]], "capacity": int(fit.capacity[k])}
+        for k, node in enumerate(np.asarray(graph.groups))
+    }
+    return {
+        "command": command("fit-graph", options),
+        "flow_error": {name: plain(error) for name, error in errors.items()},
+        "preferred_speed": {"mean": plain(fit.speed[0]), "deviation": plain(fit.speed[1])},
+        "groups": groups,
+        "loss": [plain(value) for value in fit.loss[:: max(1, len(fit.loss) // 50)]],
+        "versions": versions(),
+    }

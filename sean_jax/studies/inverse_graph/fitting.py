@@ -1,0 +1,161 @@
+"""Weights, stays and preferred speeds of a graph, fitted to what people did on it.
+
+Weights follow the gradient of the likelihood of what was measured (``flow_model``), with a temperature that falls from
+several metres to a fraction of one: at first all ways say what they would change, and in the end people walk as the
+behavior has them walk. Stays and speeds need no gradient: their distributions are told by a few numbers.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from sean_jax.base import Array
+from sean_jax.graph import BehaviorGraph
+from sean_jax.progress import Progress
+from sean_jax.studies.inverse_graph.flow_model import (
+    SELDOM,
+    Flows,
+    FlowWeights,
+    expected_flows,
+    layout,
+    log_likelihood,
+    log_odds,
+    weights_of,
+)
+from sean_jax.studies.inverse_graph.measuring import FlowMeasure
+from sean_jax.studies.inverse_graph.simulating import Calls
+
+WARM = 4.0  # m, temperature at the beginning
+TEMPERATURE = 0.25  # m, in the end
+LEARNING_RATE = 0.05
+STEPS = 600
+PARTS = 12  # after each of which progress is told
+PLAIN = 2e-3  # by which factors are drawn to 1, and weights to one another: of what no walk tells anything
+HELD = 0.5  # share of the time for which a group holds as many members as its capacity
+FEWEST_STAYS = 5  # from which a distribution is told
+
+
+@dataclass(frozen=True)
+class GraphFit:
+    """A graph of M nodes with G groups, as people walk on it."""
+
+    weights: FlowWeights
+    flows: Flows  # that these weights make, for one walk from a start to a goal
+    stay: Float[np.ndarray, "G 2"]  # s, minimum and maximum; NaN of a group where hardly any stay was seen
+    capacity: np.ndarray  # (G,) people who stand there at once; 0 where none were seen
+    speed: tuple[float, float]  # m/s, mean and standard deviation of the preferred speeds; NaN without walkers
+    loss: Float[np.ndarray, "K"]  # minus the log likelihood, in the course of the fit
+
+
+def fit_flows(
+    graph: BehaviorGraph,
+    measured: FlowMeasure,
+    closed: bool = True,
+    temperature: float = TEMPERATURE,
+    calls: Calls | None = None,
+    steps: int = STEPS,
+    progress: Progress | None = None,
+) -> GraphFit:
+    """Find the weights with which people walk as they were seen to walk.
+
+    What a graph is annotated with, apart from its nodes and edges, is not used: all edges begin with their lengths.
+
+    Args:
+        closed: whether people go on from goal to goal, as in a simulation, or enter and leave, as in a recording.
+        temperature: m, of route choice in the end.
+        calls: how people were called to groups, if that is known and not to be fitted, in a closed population.
+    """
+    import optax
+
+    place, progress = layout(graph), progress or Progress()
+    replaced = None if calls is None else calls.chance_replaced
+    edges, turns = (jnp.asarray(part, float) for part in (measured.edges, measured.turns))
+    count = edges.shape[0]
+    if closed:  # who enters or leaves does so because the measurement begins or ends
+        turns = turns.at[count].set(0.0).at[:, :, count].set(0.0)
+    joined = np.isfinite(np.asarray(place.length))
+    part = max(1, steps // PARTS)
+    schedule = WARM * (temperature / WARM) ** np.minimum(np.arange(part * PARTS) / (0.8 * part * PARTS), 1.0)
+    optimizer = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, part * PARTS, 0.1))
+
+    def with_calls(weights: FlowWeights) -> FlowWeights:
+        return weights if calls is None else replace(weights, sent=log_odds(calls.chance_sent))
+
+    def loss(weights: FlowWeights, warmth: Array) -> Array:
+        flows = expected_flows(place, with_calls(weights), warmth, closed, replaced)
+        spread = [
+            jnp.var(weights.goal),
+            jnp.var(weights.start),
+            jnp.sum((weights.sent - SELDOM) ** 2) / max(weights.sent.size, 1),
+        ]
+        spread.append(jnp.sum(jnp.where(joined, weights.factor, 0.0) ** 2) / max(joined.sum().item(), 1))
+        return PLAIN * sum(spread[1:], spread[0]) - log_likelihood(flows, edges, turns)
+
+    @jax.jit
+    def descend(carry, warmth):
+        def step(carry, warmth):
+            weights, momentum = carry
+            value, slope = jax.value_and_grad(loss)(weights, warmth)
+            change, momentum = optimizer.update(slope, momentum)
+            return (optax.apply_updates(weights, change), momentum), value
+
+        return jax.lax.scan(step, carry, warmth)
+
+    weights = jax.tree.map(jnp.zeros_like, weights_of(graph))
+    weights = weights.replace(sent=weights.sent + SELDOM)
+    carry, values = (weights, optimizer.init(weights)), []
+    progress.start("fitting weights", PARTS)
+    for number, warmth in enumerate(np.split(schedule, PARTS)):
+        with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
+            carry, value = descend(carry, jnp.asarray(warmth, float))
+        values.append(np.asarray(value))
+        progress.update(number + 1, f"loss {values[-1][-1]:.4f}")
+    stay, capacity = _groups(measured)
+    speeds = measured.speeds
+    weights = with_calls(carry[0])
+    return GraphFit(
+        weights=weights,
+        flows=jax.jit(expected_flows, static_argnums=3)(place, weights, temperature, closed, replaced),
+        stay=stay,
+        capacity=capacity,
+        speed=(float(np.mean(speeds)), float(np.std(speeds))) if len(speeds) else (np.nan, np.nan),
+        loss=np.concatenate(values),
+    )
+
+
+def _groups(measured: FlowMeasure) -> tuple[np.ndarray, np.ndarray]:
+    """(G, 2) s stays, and (G,) capacities.
+
+    Stays are uniform between two times: those are the median and the distance of the quartiles to either side. Stays
+    that were broken off, or that ended late, change them less than they would change the shortest or the longest stay.
+    """
+    stays = [_limits(each) if len(each) >= FEWEST_STAYS else (np.nan, np.nan) for each in measured.stays]
+    capacity = [
+        int(np.max(np.flatnonzero(np.cumsum(times[::-1])[::-1] >= HELD * measured.seconds), initial=0))
+        for times in measured.members
+    ]
+    return np.array(stays).reshape(-1, 2), np.array(capacity, int)
+
+
+def _limits(stays: np.ndarray) -> tuple[float, float]:
+    lower, middle, upper = (float(value) for value in np.quantile(stays, [0.25, 0.5, 0.75]))
+    return max(middle - (upper - lower), 0.0), middle + (upper - lower)
+
+
+def flow_error(expected: np.ndarray, measured: np.ndarray) -> float:
+    """By how much flows differ: the sum of all differences over the sum of what was measured, both as shares.
+
+    Args:
+        expected: (M, M) walks along each edge, in any unit.
+        measured: (M, M) likewise, in any other.
+
+    Returns:
+        0 if they are in the same proportions, 2 if no edge has walks in both; NaN if one has none at all.
+    """
+    totals = float(np.sum(expected)), float(np.sum(measured))
+    if not min(totals) > 0.0:
+        return float("nan")
+    return float(np.abs(expected / totals[0] - measured / totals[1]).sum())

@@ -1,0 +1,16 @@
+"""Prediction: recorded people handed to any pedestrian model, and how far it is from where they really went."""
+
+from sean_jax.studies.prediction.benchmark import Scores, Windows, cut_windows, evaluate, read_windows, score
+from sean_jax.studies.prediction.forecast import HABITS, observed_people, predict
+
+__all__ = [
+    "HABITS",
+    "Scores",
+    "Windows",
+    "cut_windows",
+    "evaluate",
+    "observed_people",
+    "predict",
+    "read_windows",
+    "score",
+]

@@ -1,0 +1,173 @@
+"""The usual benchmark of prediction: 8 moments seen, 12 predicted, 0.4 s apart (ETH and UCY recordings).
+
+[G18] A. Gupta, J. Johnson, L. Fei-Fei, S. Savarese & A. Alahi, "Social GAN", CVPR 2018: windows of 20 moments, one
+beginning at each moment, of all who are there throughout, if these are two or more. Errors are means over the tracks
+of all windows. [S20] C. Schoeller, V. Aravantinos, F. Lay & A. Knoll, IEEE RA-L 5(2), 2020: constant velocity in the
+same windows, the mark to beat.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Bool, Float
+
+from sean_jax.errors import InputError
+from sean_jax.files import short_name
+from sean_jax.recordings import Tracks, lines, read
+from sean_jax.studies.prediction.forecast import Model, predict
+
+SEEN, PREDICTED, TIME_STEP = 8, 12, 0.4  # moments, moments, s
+FRAMES = 10  # of the recording, between two moments as [G18] takes them
+TOUCH = 0.2  # m: a predicted pair nearer than this has collided
+
+
+@struct.dataclass
+class Windows:
+    """B windows of a recording: T moments of up to N people who are there throughout."""
+
+    position: Float[np.ndarray, "B T N 2"]  # m; of nobody zero
+    present: Bool[np.ndarray, "B N"]
+    time_step: float = struct.field(pytree_node=False)  # s between moments
+
+
+class Scores(NamedTuple):
+    """How good predictions are, over all tracks of some windows."""
+
+    ade: float  # m, mean distance from where people were, over all predicted moments
+    fde: float  # m, at the last predicted moment
+    collisions: float  # share of the tracks that come within 0.2 m of another one of their window
+    tracks: int
+
+
+def read_windows(path: str | Path, clock: str = "social_gan", seen: int = SEEN, predicted: int = PREDICTED) -> Windows:
+    """The windows of a recording in the format of ETH and UCY.
+
+    Args:
+        path: of a CSV file with frame, ped_id, x_m and y_m.
+        clock: ``social_gan``: moments are ten frames apart and count as 0.4 s, as in [G18]. That holds for UCY and
+            hotel; in eth ten frames are 0.67 s, so that people there seem to be fast. ``recorded``: moments are 0.4 s
+            apart in all.
+
+    Raises:
+        FileError: the file cannot be read.
+        InputError: there is no such clock, or not one window.
+    """
+    if clock == "social_gan":
+        places = _every_ten_frames(Path(path))
+    elif clock == "recorded":
+        tracks = read(path, "eth_ucy")
+        there = np.asarray(tracks.present)
+        places = np.where(there[..., None], np.asarray(tracks.position, float), np.nan)
+    else:
+        raise InputError(f"clock: '{clock}' is not one of social_gan, recorded.")
+    places = places[np.isfinite(places).any((1, 2))]  # moments without anybody do not count [G18]
+    windows = _cut(places, seen + predicted, TIME_STEP)
+    if not len(windows.position):
+        length = f"{seen + predicted} moments of {TIME_STEP} s"
+        raise InputError(f"{short_name(Path(path))}: never are two people there for {length}; take another recording.")
+    return windows
+
+
+def cut_windows(tracks: Tracks, length: int, stride: int = 1) -> Windows:
+    """The windows of any recording.
+
+    Args:
+        stride: moments from the beginning of one window to that of the next.
+
+    Returns:
+        Windows in which two people or more are there throughout.
+    """
+    there = np.asarray(tracks.present)
+    places = np.where(there[..., None], np.asarray(tracks.position, float), np.nan)
+    return _cut(places, length, tracks.time_step, stride)
+
+
+def evaluate(model: Model, windows: Windows, seen: int = SEEN, chunk: int = 256, **options) -> Scores:
+    """Predict what windows hold and compare.
+
+    Args:
+        model: whatever ``predict`` takes.
+        seen: moments that are shown to the model; the others are predicted.
+        **options: of ``predict``.
+    """
+    steps = windows.position.shape[1] - seen
+    parts = []
+    for first in range(0, len(windows.position), chunk):
+        some = np.asarray(windows.position[first : first + chunk])
+        there = np.asarray(windows.present[first : first + chunk])
+        missing = chunk - len(some) if len(windows.position) > chunk else 0  # one shape, compiled once
+        some = np.pad(some, ((0, missing), (0, 0), (0, 0), (0, 0)))
+        there = np.pad(there, ((0, missing), (0, 0)))
+        shown = np.broadcast_to(there[:, None], (len(some), seen, there.shape[1]))
+        found = predict(
+            model, jnp.asarray(some[:, :seen]), windows.time_step, steps, present=jnp.asarray(shown), **options
+        )
+        parts.append(np.asarray(found)[: chunk - missing])
+    return score(np.concatenate(parts), np.asarray(windows.position)[:, seen:], np.asarray(windows.present))
+
+
+def score(
+    predicted: Float[np.ndarray, "B S N 2"], recorded: Float[np.ndarray, "B S N 2"], present: Bool[np.ndarray, "B N"]
+) -> Scores:
+    """Errors and collisions of predictions, at the predicted moments themselves.
+
+    Args:
+        predicted: (B, S, N, 2) m.
+        recorded: (B, S, N, 2) m.
+        present: (B, N) whose tracks count.
+    """
+    predicted, recorded, present = np.asarray(predicted, float), np.asarray(recorded, float), np.asarray(present)
+    away = np.linalg.norm(predicted - recorded, axis=-1)  # (B, S, N)
+    number = present.shape[1]
+    touched = np.zeros(present.shape, bool)
+    for one in range(number):  # pair by pair, for windows may be many
+        for other in range(one + 1, number):
+            both = present[:, one] & present[:, other]
+            gap = np.linalg.norm(predicted[:, :, one] - predicted[:, :, other], axis=-1).min(1)
+            hit = both & (gap < TOUCH)
+            touched[:, one] |= hit
+            touched[:, other] |= hit
+    return Scores(
+        float(away.mean(1)[present].mean()),
+        float(away[:, -1][present].mean()),
+        float(touched[present].mean()),
+        int(present.sum()),
+    )
+
+
+def _every_ten_frames(path: Path) -> np.ndarray:
+    """(T, N, 2) m at frames 0, 10, 20, ..., NaN of who is absent: people begin at the one before their first line."""
+    recorded = lines.read(path, "eth_ucy")
+    order = np.lexsort((recorded.values["frame"], recorded.person))
+    frame, x, y = (recorded.values[name][order] for name in ("frame", "x", "y"))
+    ends = np.flatnonzero(np.diff(recorded.person[order])) + 1
+    first = np.floor(frame.min() / FRAMES)
+    count = int(np.floor(frame.max() / FRAMES) - first) + 1
+    places = np.full((count, len(ends) + 1, 2), np.nan)
+    for column, (own, own_x, own_y) in enumerate(zip(*(np.split(each, ends) for each in (frame, x, y)), strict=True)):
+        if len(own) < 2:
+            continue
+        begin, end = int(np.floor(own[0] / FRAMES) - first), int(np.floor(own[-1] / FRAMES) - first)
+        time = (first + np.arange(begin, end + 1)) * FRAMES
+        early = np.minimum(time - own[0], 0.0) / (own[1] - own[0])
+        for axis, line in enumerate((own_x, own_y)):
+            places[begin : end + 1, column, axis] = np.interp(time, own, line) + early * (line[1] - line[0])
+    return places
+
+
+def _cut(places: np.ndarray, length: int, time_step: float, stride: int = 1) -> Windows:
+    """Windows of (T, N, 2) m, NaN of who is absent."""
+    there = np.asarray(np.isfinite(places).all(-1))
+    found = []
+    for begin in range(0, len(places) - length + 1, stride):
+        columns = np.flatnonzero(there[begin : begin + length].all(0))
+        if len(columns) >= 2:
+            found.append(places[begin : begin + length, columns])
+    people = max((each.shape[1] for each in found), default=0)
+    position, present = np.zeros((len(found), length, people, 2)), np.zeros((len(found), people), bool)
+    for row, each in enumerate(found):
+        position[row, :, : each.shape[1]], present[row, : each.shape[1]] = each, True
+    return Windows(position=position, present=present, time_step=time_step)

@@ -1,0 +1,41 @@
+"""Scenes: walls, people with routes through gates, sources and sinks, periodic corridors, in a few lines.
+
+    scene = Scene(
+        walls=room((0, 0), (10, 10), doors=[((10, 5.6), (10, 4.4))]),
+        gates=(Gate((10, 5.6), (10, 4.4)),),
+        walkers=walkers(spread((1, 1), (6, 9), 60, seed=0), route=(0,)),
+        seconds=120.0,
+    )
+    tracks = simulate(scene)[0]
+
+The people are those of the ordinary simulator, moved by any forces or pedestrian model; there need be no robot.
+"""
+
+from sean_jax.studies.scenes.floor_plan import box, corridor, environment, room, wall
+from sean_jax.studies.scenes.periodic import Periodic
+from sean_jax.studies.scenes.scene import Model, Scene, model, scenario_of, stage
+from sean_jax.studies.scenes.simulation import Moving, simulate
+from sean_jax.studies.scenes.walkers import Gate, Walkers, join, source, spread, walkers, walkers_behavior
+
+__all__ = [
+    "Gate",
+    "Model",
+    "Moving",
+    "Periodic",
+    "Scene",
+    "Walkers",
+    "box",
+    "corridor",
+    "environment",
+    "join",
+    "model",
+    "room",
+    "scenario_of",
+    "simulate",
+    "source",
+    "spread",
+    "stage",
+    "wall",
+    "walkers",
+    "walkers_behavior",
+]

@@ -1,0 +1,241 @@
+"""Scenes simulated: the two people stages of the ordinary step, in spans that all scenes of one size share.
+
+Small scenes run side by side. Of a large crowd those who have left are dropped between two spans, so that what is left
+of it costs no more than a small one.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax import scenario as steps
+from sean_jax.base import Array, Scenario, State
+from sean_jax.recordings import Tracks
+from sean_jax.studies.scenes.scene import PEOPLE, TIME_STEP, Model, Scene, model, scenario_of, stage
+
+SPAN = 50  # control steps in one call
+BATCHES = 1, 4, 16, 64  # sizes to which numbers of scenes side by side are padded
+MAX_TOGETHER = 2048  # people in scenes side by side
+LARGE = 256  # people, from which scenes run one after the other
+SMALLER = 64, 256, 512, 1024, 2048  # sizes to which a large crowd shrinks
+
+
+@dataclass(frozen=True)
+class Moving:
+    """The positions of a robot that does not react, as a scene has it."""
+
+    place: tuple[float, float]  # m
+    velocity: tuple[float, float]  # m/s
+
+    def at(self, time: np.ndarray) -> np.ndarray:
+        """Where it is.
+
+        Args:
+            time: (T,) s.
+
+        Returns:
+            (T, 2) m.
+        """
+        return np.asarray(self.place) + np.asarray(time)[:, None] * np.asarray(self.velocity)
+
+
+def simulate(
+    scenes: Scene | Sequence[Scene],
+    moved_by: Model | str | None = None,
+    tell: Callable[[float], None] | None = None,
+) -> list[Tracks]:
+    """Simulate scenes until everybody has vanished or their time is over.
+
+    Args:
+        scenes: one or several; those of one size run side by side.
+        moved_by: who moves people; the default forces if None.
+        tell: is told the share that is done.
+
+    Returns:
+        For each scene T moments 0.1 s apart, from the start on, of its N people, as numpy arrays. The group of a person
+        is -1, and a person's number the column. In a periodic scene x is from 0 to the period.
+    """
+    chosen = moved_by if isinstance(moved_by, Model) else model(moved_by)
+    listed = [scenes] if isinstance(scenes, Scene) else list(scenes)
+    found: list[Tracks | None] = [None] * len(listed)
+    done = 0
+    for group in _batches(listed, chosen):
+        part = None if tell is None else functools.partial(_tell_part, tell, done, len(group), len(listed))
+        for index, tracks in zip(group, _together([listed[index] for index in group], chosen, part), strict=True):
+            found[index] = tracks
+        done += len(group)
+    return [tracks for tracks in found if tracks is not None]
+
+
+def _tell_part(tell: Callable[[float], None], before: int, number: int, total: int, share: float) -> None:
+    """Tells the share that is done when so many scenes are over and this share of some more is."""
+    tell((before + share * number) / total)
+
+
+def advance(scenario: Scenario, state: State) -> State:
+    """One control step of people alone; a robot goes on as it goes.
+
+    Args:
+        scenario: of ``scenario_of``.
+
+    Returns:
+        The state 0.1 s later.
+    """
+    key = jax.random.fold_in(state.streams.people, state.tick)
+    state = steps.direct_pedestrians(scenario, state, key)
+    state = steps.move_pedestrians(scenario, state)
+    robot = state.robot
+    robot = replace(robot, position=robot.position + scenario.time_step * robot.speed * robot.heading)
+    return replace(state, robot=robot, tick=state.tick + 1)
+
+
+def _span(scenario: Scenario, state: State) -> tuple[State, tuple[Array, Array, Array]]:
+    def turn(state: State, _: None) -> tuple[State, tuple[Array, Array, Array]]:
+        state = advance(scenario, state)
+        people = state.pedestrians
+        return state, (people.position, people.heading, people.present)
+
+    return jax.lax.scan(turn, state, length=SPAN)
+
+
+_alone = jax.jit(_span)
+_side_by_side = jax.jit(jax.vmap(_span))
+
+
+def _batches(scenes: list[Scene], chosen: Model) -> list[list[int]]:
+    """Indices of scenes that run side by side: of one size and kind."""
+    kinds: dict[Any, list[int]] = {}
+    for index, scene in enumerate(scenes):
+        size = _size(len(scene.walkers.start))
+        late = bool((np.asarray(scene.walkers.entry_time) > 0.0).any())
+        company = bool((np.asarray(scene.walkers.companion) >= 0).any())
+        kind = size, scene.period is None, bool(scene.exits), late, company, index if size >= LARGE else -1
+        kinds.setdefault(kind, []).append(index)
+    batches = []
+    for (size, *_), members in kinds.items():
+        most = max(each for each in BATCHES if each == 1 or each * size <= MAX_TOGETHER)
+        batches += [members[k : k + most] for k in range(0, len(members), most)]
+    return batches
+
+
+def _size(people: int) -> int:
+    return next((each for each in PEOPLE if each >= people), people)
+
+
+def _together(scenes: list[Scene], chosen: Model, tell: Callable[[float], None] | None) -> list[Tracks]:
+    """Scenes of one size, side by side."""
+    scenarios = [scenario_of(scene, chosen) for scene in scenes]
+    shapes = {tuple(np.shape(leaf) for leaf in jax.tree.leaves(each)) for each in scenarios}
+    if len(shapes) > 1:  # of plans with few and with many walls
+        return [_together([scene], chosen, None)[0] for scene in scenes]
+    states = [stage(scenario, scene) for scenario, scene in zip(scenarios, scenes, strict=True)]
+    if len(scenes) == 1:
+        return [_one(scenes[0], scenarios[0], states[0], tell)]
+    number = next(each for each in BATCHES if each >= len(scenes))
+    filled = [*range(len(scenes)), *([0] * (number - len(scenes)))]
+    scenario, state = (
+        jax.tree.map(lambda *rows: _stack(rows), *[parts[k] for k in filled]) for parts in (scenarios, states)
+    )
+    frames = [_snapshot(state)]
+    seconds = max(scene.seconds for scene in scenes)
+    for number in range(_spans(seconds)):
+        state, span = _side_by_side(scenario, state)
+        if tell is not None:
+            tell((number + 1) / _spans(seconds))
+        frames += [tuple(np.moveaxis(np.asarray(part), 1, 0) for part in span)]
+        if not _left(state):
+            break
+    parts = [np.concatenate([frame[k] for frame in frames]) for k in range(3)]
+    return [
+        _tracks(scene, *(part[:, k, : len(scene.walkers.start)] for part in parts)) for k, scene in enumerate(scenes)
+    ]
+
+
+def _one(scene: Scene, scenario: Scenario, state: State, tell: Callable[[float], None] | None) -> Tracks:
+    """One scene, whose crowd shrinks as people leave."""
+    number = len(scene.walkers.start)
+    columns = np.arange(scenario.people)
+    frames = []
+    position = np.array(state.pedestrians.position[:number])
+    facing = np.array(state.pedestrians.heading[:number])
+    frames.append((position, facing, np.array(state.pedestrians.present[:number])))
+    for turn in range(_spans(scene.seconds)):
+        state, span = _alone(scenario, state)
+        if tell is not None:
+            tell((turn + 1) / _spans(scene.seconds))
+        index = np.flatnonzero(columns < number)
+        for places, headings, present in zip(*(np.asarray(part) for part in span), strict=True):
+            position, facing, there = frames[-1][0].copy(), frames[-1][1].copy(), np.zeros(number, bool)
+            position[columns[index]], facing[columns[index]] = places[index], headings[index]
+            there[columns[index]] = present[index]
+            frames.append((position, facing, there))
+        if not _left(state):
+            break
+        scenario, state, columns = _shrunk(scene, scenario, state, columns)
+    return _tracks(scene, *(np.stack(part) for part in zip(*frames, strict=True)))
+
+
+def _shrunk(scene: Scene, scenario: Scenario, state: State, columns: np.ndarray) -> tuple[Scenario, State, np.ndarray]:
+    """The same without those who have left, if the crowd then fits the next smaller size."""
+    number = len(scene.walkers.start)
+    late = columns < number
+    gone = np.asarray(state.memory.entered) & ~np.asarray(state.pedestrians.present)
+    keep = np.flatnonzero(late & ~gone)
+    size = next((each for each in SMALLER if each >= len(keep)), len(columns))
+    if len(columns) < LARGE or size >= len(columns) or scenario.behavior.companions is not None:
+        return scenario, state, columns
+    fill = np.flatnonzero(~(late & ~gone))[: size - len(keep)]
+    chosen = np.concatenate([keep, fill])
+    take = lambda tree: jax.tree.map(lambda leaf: _take(leaf, chosen), tree)  # noqa: E731
+    plan = scenario.behavior.data
+    behavior = replace(scenario.behavior, data=replace(plan, walkers=take(plan.walkers)), people=size)
+    state = replace(state, pedestrians=take(state.pedestrians), memory=take(state.memory))
+    left = np.where(np.isin(np.arange(size), np.arange(len(keep))), columns[chosen], number)
+    return replace(scenario, behavior=behavior, people=size), state, left
+
+
+def _take(leaf: Array, rows: np.ndarray) -> Any:
+    return jax.device_put(np.asarray(leaf)[rows])
+
+
+def _stack(rows: tuple) -> Any:
+    if jnp.issubdtype(rows[0].dtype, jax.dtypes.prng_key):
+        return jnp.stack(rows)
+    return jax.device_put(np.stack([np.asarray(row) for row in rows]))
+
+
+def _snapshot(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(1, B, N, 2), (1, B, N, 2), (1, B, N): as a span of one moment."""
+    people = state.pedestrians
+    return np.asarray(people.position)[None], np.asarray(people.heading)[None], np.asarray(people.present)[None]
+
+
+def _left(state: State) -> bool:
+    """Whether somebody is there or is still to come."""
+    coming = ~np.asarray(state.memory.entered) & (np.asarray(state.memory.gate) >= 0)
+    return bool((np.asarray(state.pedestrians.present) | coming).any())
+
+
+def _spans(seconds: float) -> int:
+    return int(np.ceil(seconds / (SPAN * TIME_STEP) - 1e-9))
+
+
+def _tracks(scene: Scene, position: np.ndarray, facing: np.ndarray, present: np.ndarray) -> Tracks:
+    """The recording of a scene, no longer than the scene lasts."""
+    last = min(len(position), int(round(scene.seconds / TIME_STEP)) + 1)
+    position, facing, present = position[:last], facing[:last], present[:last]
+    number = np.broadcast_to(np.arange(present.shape[1], dtype=np.int32), present.shape)
+    made: Any = dict(
+        position=position,
+        facing=facing,
+        group=np.full(present.shape, -1, np.int32),
+        present=present,
+        person=np.where(present, number, -1),
+        frame=np.arange(last, dtype=np.int32),
+    )
+    return Tracks(**made, time_step=TIME_STEP)

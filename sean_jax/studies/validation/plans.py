@@ -1,0 +1,283 @@
+"""The scenes of the guidelines: corridors, a corner, cabins, rooms with doors, and who is in them.
+
+RiMEA, IMO, NIST and ISO share most of these. Dimensions are those of the guidelines.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sean_jax.studies.scenes import Gate, Scene, box, corridor, join, room, spread, walkers, wall
+from sean_jax.studies.scenes.walkers import Walkers
+
+BEYOND = 1e4  # m, where people in a periodic corridor aim
+EXITS = (((4.0, 20.0), (5.0, 20.0)), ((25.0, 20.0), (26.0, 20.0)), ((5.0, 0.0), (4.0, 0.0)), ((26.0, 0.0), (25.0, 0.0)))
+"""The doors of the hall of 30 by 20 m, two in the upper wall and two in the lower, 4 m from the corners"""
+SECONDARY = 4, 5, 10, 11  # cabins whose people leave by the secondary exit: 5, 6, 11 and 12
+
+
+def one_walker(speed: float, begin: float = 0.0, length: float = 40.0) -> Scene:
+    """One person in a corridor 2 m wide.
+
+    Args:
+        speed: preferred [m/s].
+        begin: x of the start [m].
+        length: x of the end [m], where the person vanishes.
+    """
+    gate = Gate((length, 2.0), (length, 0.0))
+    people = walkers(np.array([[begin, 1.0]]), route=(0,), speed=speed)
+    return Scene(walls=corridor(length, 2.0, 10.0), gates=(gate,), walkers=people, seconds=120.0)
+
+
+def ring(length: float, width: float, number: int, seconds: float, speed: float | None = None, seed: int = 0) -> Scene:
+    """A periodic corridor in which all walk the same way.
+
+    Args:
+        length: of the period [m].
+        width: m.
+        seconds: s.
+        speed: preferred [m/s]; drawn if None.
+    """
+    start = spread((0.0, 0.22), (length, width - 0.22), number, seed)
+    return Scene(
+        walls=corridor(length, width, length / 2),
+        gates=(Gate((BEYOND, width), (BEYOND, 0.0)),),
+        walkers=walkers(start, route=(0,), speed=speed, seed=seed),
+        seconds=seconds,
+        period=length,
+    )
+
+
+def reactions(seed: int = 0) -> Scene:
+    """A room of 8 by 5 m with ten people, who begin to walk after 10 to 100 s."""
+    door = Gate((8.0, 3.0), (8.0, 2.0))
+    start = np.stack([np.tile(np.arange(5) * 1.2 + 0.8, 2), np.repeat([1.2, 3.8], 5)], 1)
+    reaction = np.random.default_rng([seed, 5]).uniform(10.0, 100.0, 10)
+    people = walkers(start, route=(0,), speed=1.33, reaction_time=reaction)
+    return Scene(walls=room((0.0, 0.0), (8.0, 5.0), [door]), gates=(door,), walkers=people, seconds=130.0)
+
+
+def corner(seed: int = 0) -> Scene:
+    """Twenty people walk around a left-hand corner of a corridor 2 m wide.
+
+    Returns:
+        The scene; the block inside the corner is x from 0 to 10 and y from 2 to 12.
+    """
+    walls = np.concatenate(
+        [box((-1.0, 2.0), (10.0, 12.0)), box((-1.0, -0.5), (12.0, 0.0)), box((12.0, -0.5), (12.5, 12.0))]
+    )
+    gates = Gate((10.0, 2.0), (12.0, 0.0)), Gate((10.0, 12.0), (12.0, 12.0))
+    people = walkers(spread((0.3, 0.3), (5.7, 1.7), 20, seed), route=(0, 1), seed=seed)
+    return Scene(walls=walls, gates=gates, walkers=people, seconds=60.0)
+
+
+def population(speed: np.ndarray) -> Scene:
+    """People who walk 40 m side by side, two metres apart, so that nobody hinders anybody.
+
+    Args:
+        speed: (N,) preferred [m/s].
+
+    Returns:
+        The scene, without walls.
+    """
+    number = len(speed)
+    start = np.stack([np.zeros(number), 2.0 * np.arange(number)], 1)
+    gate = Gate((40.0, 2.0 * number), (40.0, -2.0))
+    return Scene(walls=np.zeros((0, 5)), gates=(gate,), walkers=walkers(start, route=(0,), speed=speed), seconds=100.0)
+
+
+def hall(number: int, doors: int, seed: int = 0) -> Scene:
+    """A hall of 30 by 20 m, full but for 2 m along the walls, whose people choose between its doors of 1 m.
+
+    Args:
+        doors: 4, or 2: those in the upper wall.
+    """
+    gates = tuple(Gate(*ends) for ends in EXITS[:doors])
+    start = spread((2.0, 2.0), (28.0, 18.0), number, seed)
+    middle = np.array([np.mean(gate, axis=0) for gate in gates])
+    nearest = np.linalg.norm(start[:, None] - middle[None], axis=-1).argmin(1)
+    speed = np.asarray(walkers(start, seed=seed).preferred_speed)
+    parts, order = [], []
+    for door in range(doors):
+        mine = np.flatnonzero(nearest == door)
+        parts.append(walkers(start[mine], route=(door,), speed=speed[mine]))
+        order.append(mine)
+    return Scene(
+        walls=room((0.0, 0.0), (30.0, 20.0), gates),
+        gates=gates,
+        walkers=join(*parts),
+        exits=tuple(range(doors)),
+        seconds=900.0,
+    )
+
+
+def two_exits(number: int, exits: Sequence[tuple[float, float]], seed: int = 0) -> Scene:
+    """A hall of 30 by 20 m with people on the left and two exits in the upper wall; all begin towards the first.
+
+    Args:
+        exits: ends of both on the x axis [m].
+    """
+    gates = tuple(Gate((begin, 20.0), (end, 20.0)) for begin, end in exits)
+    start = spread((1.0, 1.0), (13.0, 19.0), number, seed)
+    return Scene(
+        walls=room((0.0, 0.0), (30.0, 20.0), gates),
+        gates=gates,
+        walkers=walkers(start, route=(0,), seed=seed),
+        exits=(0, 1),
+        seconds=900.0,
+    )
+
+
+def equal_exits(number: int, seed: int = 0) -> Scene:
+    """A room of 20 by 10 m with people in the middle and an exit of 1 m in each of the short walls.
+
+    Args:
+        number: of people, all of whom begin towards the left exit.
+    """
+    gates = Gate((0.0, 4.5), (0.0, 5.5)), Gate((20.0, 5.5), (20.0, 4.5))
+    start = spread((5.0, 1.0), (15.0, 9.0), number, seed)
+    people = walkers(start, route=(0,), seed=seed)
+    return Scene(walls=room((0.0, 0.0), (20.0, 10.0), gates), gates=gates, walkers=people, exits=(0, 1), seconds=300.0)
+
+
+def cabins() -> Scene:
+    """Twelve cabins of 3 by 5 m on both sides of a corridor 1.2 m wide, with 23 people.
+
+    Those of cabins 5, 6, 11 and 12 are to leave by the secondary exit at the right end, the others by the main one at
+    the left. Cabins 1 to 6 lie above the corridor and 7 to 12 below it, from left to right.
+
+    Returns:
+        The scene; gate 12 is the main exit and gate 13 the secondary one.
+    """
+    wide, deep, way, half = 3.0, 5.0, 1.2, 0.45
+    long, top = 6 * wide, way + deep
+    parts = [wall((0.0, way), (0.0, top), (long, top), (long, way)), wall((0.0, 0.0), (0.0, -deep), (long, -deep))]
+    parts.append(wall((long, -deep), (long, 0.0)))
+    gates, people = [], []
+    for cabin in range(12):
+        above, column = cabin < 6, cabin % 6
+        left, middle = column * wide, (column + 0.5) * wide
+        side, back, sign = (way, top, 1.0) if above else (0.0, -deep, -1.0)
+        parts += [wall((left, side), (middle - half, side)), wall((middle + half, side), (left + wide, side))]
+        if column:
+            parts.append(wall((left, side), (left, back)))
+        inside = side - sign * 0.35  # in the corridor, so that nobody turns in the door
+        ends = (middle + half, inside), (middle - half, inside)
+        gates.append(Gate(*ends) if above else Gate(*ends[::-1]))
+        number = 1 if cabin == 11 else 2
+        spots = np.array([[left + 1.0, side + sign * 3.0], [left + 2.0, side + sign * 3.5]])[:number]
+        people.append(walkers(spots, route=(cabin, 13 if cabin in SECONDARY else 12), seed=cabin))
+    gates += [Gate((0.0, 0.0), (0.0, way)), Gate((long, way), (long, 0.0))]
+    return Scene(walls=np.concatenate(parts), gates=tuple(gates), walkers=join(*people), seconds=120.0)
+
+
+def two_rooms(passage: float, seed: int = 0) -> Scene:
+    """Two rooms of 10 by 10 m with a passage 5 m long between them, 150 people in the first, an exit of 1 m.
+
+    Args:
+        passage: its width [m].
+
+    Returns:
+        The scene; gate 0 is the beginning of the passage, gate 1 its end, gate 2 the exit.
+    """
+    low, high = 5.0 - passage / 2, 5.0 + passage / 2
+    first, last = Gate((10.0, high), (10.0, low)), Gate((15.0, high), (15.0, low))
+    door = Gate((25.0, 5.5), (25.0, 4.5))
+    walls = np.concatenate(
+        [
+            room((0.0, 0.0), (10.0, 10.0), [first]),
+            room((15.0, 0.0), (25.0, 10.0), [last, door]),
+            box((10.0, low - 0.2), (15.0, low)),
+            box((10.0, high), (15.0, high + 0.2)),
+        ]
+    )
+    people = walkers(spread((0.3, 0.3), (5.0, 9.7), 150, seed), route=(0, 1, 2), seed=seed)
+    return Scene(walls=walls, gates=(first, last, door), walkers=people, seconds=400.0)
+
+
+def counterflow(against: int, seed: int = 0) -> Scene:
+    """Two rooms of 10 by 10 m, a corridor of 10 by 2 m between them; 100 people go from the first to the second.
+
+    Returns:
+        The scene, with the 100 first; people vanish at the far walls. Gate 1 is the end of the corridor for the 100.
+    """
+    gates = (
+        Gate((10.0, 6.0), (10.0, 4.0)),
+        Gate((20.0, 6.0), (20.0, 4.0)),
+        Gate((29.0, 10.0), (29.0, 0.0)),
+        Gate((20.0, 4.0), (20.0, 6.0)),
+        Gate((10.0, 4.0), (10.0, 6.0)),
+        Gate((1.0, 0.0), (1.0, 10.0)),
+    )
+    walls = np.concatenate(
+        [
+            room((0.0, 0.0), (10.0, 10.0), [gates[0]]),
+            room((20.0, 0.0), (30.0, 10.0), [gates[1]]),
+            box((10.0, 3.8), (20.0, 4.0)),
+            box((10.0, 6.0), (20.0, 6.2)),
+        ]
+    )
+    people: Walkers = walkers(spread((0.3, 0.3), (9.0, 9.7), 100, seed), route=(0, 1, 2), seed=seed)
+    if against:
+        others = walkers(spread((21.0, 0.3), (29.7, 9.7), against, seed + 1), route=(3, 4, 5), seed=seed + 1)
+        people = join(people, others)
+    return Scene(walls=walls, gates=gates, walkers=people, seconds=400.0)
+
+
+def full_room(door: float = 1.0, number: int = 100, seed: int = 0) -> Scene:
+    """A room of 8 by 5 m with a door in the middle of a 5 m wall.
+
+    Args:
+        door: its width [m].
+
+    Returns:
+        The scene, whose people vanish 0.7 m behind the door.
+    """
+    ends = (8.0, 2.5 + door / 2), (8.0, 2.5 - door / 2)
+    start = spread((0.3, 0.3), (7.5, 4.7), number, seed)
+    gate = Gate(*ends)
+    return Scene(
+        walls=room((0.0, 0.0), (8.0, 5.0), [ends]),
+        gates=(gate, Gate((8.7, 4.0), (8.7, 1.0))),
+        walkers=walkers(start, route=(0, 1), seed=seed),
+        seconds=300.0,
+    )
+
+
+def wide_ways() -> dict[str, Scene]:
+    """Ways 20 m wide for 500 people, who begin in the first 6 m: a long one, one around a corner, a short one."""
+    start, wide = spread((0.3, 0.3), (5.7, 19.7), 500, 0), 20.0
+    scenes = {}
+    for name, length in (("short", 50.0), ("long", 81.4)):
+        gate = Gate((length, wide), (length, 0.0))
+        scenes[name] = Scene(
+            walls=corridor(length, wide, 1.0), gates=(gate,), walkers=walkers(start, route=(0,)), seconds=250.0
+        )
+    walls = np.concatenate(
+        [
+            box((-1.0, wide), (20.0, wide + 30.0)),
+            box((-1.0, -0.5), (40.0, 0.0)),
+            box((40.0, -0.5), (40.5, wide + 30.0)),
+        ]
+    )
+    before = Gate((20.0, wide), (20.0, 0.0))  # until there they walk side by side, as along a straight way
+    gates = before, Gate((20.0, wide), (40.0, 0.0)), Gate((20.0, wide + 30.0), (40.0, wide + 30.0))
+    scenes["corner"] = Scene(walls=walls, gates=gates, walkers=walkers(start, route=(0, 1, 2)), seconds=250.0)
+    return scenes
+
+
+def group() -> Scene:
+    """Five people who walk together from one end of a corridor 4 m wide to the other: one at .5 m/s, four at 1.25.
+
+    Returns:
+        The scene, without walls: nothing but the group itself keeps it together.
+    """
+    start = np.stack([np.zeros(5), 0.8 * np.arange(5) + 0.4], 1)
+    speed = np.array([1.25, 1.25, 0.5, 1.25, 1.25])
+    gate = Gate((40.0, 4.0), (40.0, 0.0))
+    return Scene(
+        walls=corridor(40.0, 4.0, 2.0),
+        gates=(gate,),
+        walkers=walkers(start, route=(0,), speed=speed, together=True),
+        seconds=120.0,
+    )
