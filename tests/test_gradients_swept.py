@@ -22,7 +22,7 @@ from sean_jax.pedestrian_models.orca import best_velocity, half_plane
 from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.prediction import predict_people
 from sean_jax.policies.social_costmap import arc_trajectories, distance_to_path, inflation_cost, proxemic_cost
-from sean_jax.social_forces import PRESETS, Pair, cohesion, walls
+from sean_jax.social_forces import PRESETS, Pair, terms, walls
 
 NUMBER, PEOPLE = 1024, 4
 GOAL = (3.0, 1.0)
@@ -380,9 +380,9 @@ def laws() -> dict[str, Any]:
         "wall_forces": lambda d, v: walls.wall_forces(p.walls, d[:1], d[1:], between, 1e6),
         "contact": lambda d, v: p.contact.pair(pair(*d, *v)),
         "sidestep": lambda d, v: p.sidestep.pair(pair(*d, *v)),
-        "gaze": lambda d, v: cohesion.gaze(p.cohesion, *d, *v, jnp.float32(1.0), jnp.float32(0.0)),
-        "attraction": lambda d, v: cohesion.attraction(p.cohesion, *d, 2.0),
-        "apart": lambda d, v: cohesion.apart(p.cohesion, *d),
+        "gaze": lambda d, v: terms.gaze(p.cohesion, *d, *v, jnp.float32(1.0), jnp.float32(0.0)),
+        "attraction": lambda d, v: terms.attraction(p.cohesion, *d, 2.0),
+        "apart": lambda d, v: terms.companion_repulsion(p.cohesion, *d),
         "half_plane": lambda d, v: half_plane(*d, *v, 0.6, 3.0, 0.1, True),
         "proxemic": lambda d, v: proxemic_cost(layers, *d, *v),
         "inflated": lambda d, v: inflation_cost(layers, d[0]),

@@ -16,8 +16,7 @@ from sean_jax import environment as environments
 from sean_jax import prng
 from sean_jax import scenario as stages
 from sean_jax.behaviors import Place, graph_behavior, graph_goals
-from sean_jax.graph.congestion import add_congestion_cost, edge_areas, edge_densities
-from sean_jax.graph.routes import routes
+from sean_jax.graph.behavior_graph import add_congestion_cost, edge_areas, edge_densities, routes
 
 HEAD = "version: 1\nc_min: 0.2\nc_max: 100\n"
 BLOCK = "<mujoco><worldbody><geom type='box' pos='0 0 1' size='5 1.5 1'/></worldbody></mujoco>"

@@ -36,7 +36,7 @@ from sean_jax.behaviors.walking_groups import (
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph, annotation
-from sean_jax.graph.congestion import add_congestion_cost, edge_densities
+from sean_jax.graph.behavior_graph import add_congestion_cost, edge_densities
 from sean_jax.graph.formation import formation, reach
 from sean_jax.platforms import to_device
 from sean_jax.social_forces import draw_traits
@@ -57,7 +57,7 @@ class Tables:
     start: Float[Array, "P 2"]  # m, places where somebody can start, none too close to another
     start_node: Int[Array, "P"]  # the node of each
     start_log_chance: Float[Array, "P"]  # log of the chance with which somebody starts there, relative to the others
-    congestion_cost: Float[Array, ""] | None  # m2, see ``graph.congestion``; None: none
+    congestion_cost: Float[Array, ""] | None  # m2, see ``add_congestion_cost``; None: none
     temperature: Float[Array, ""] | None  # m, see ``relaxation``; None: people take the cheapest way
     spawn_clusters: Int[Array, "C 3"]  # starts beside one another, for walking groups
     first_seats: tuple[int, ...] = struct.field(pytree_node=False)  # those at which people start

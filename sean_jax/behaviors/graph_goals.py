@@ -13,7 +13,7 @@ from sean_jax.behaviors.graph_memory import Memory, Seats, of_seat
 from sean_jax.behaviors.relaxation import Draws
 from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph
-from sean_jax.graph.route_choice import hop_log_chances
+from sean_jax.graph.behavior_graph import hop_log_chances
 
 ARRIVED = 1.0  # m from the target, where a waypoint counts as reached (SEAN 2.0)
 

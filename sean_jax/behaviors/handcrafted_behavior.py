@@ -17,7 +17,7 @@ from sean_jax.behaviors.place import Place
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
 from sean_jax.graph.formation import formation
-from sean_jax.handcrafted import ALL, ARRIVED, Sets, validation
+from sean_jax.handcrafted import ALL, ARRIVED, Sets, annotation
 from sean_jax.handcrafted.sets import Ways
 from sean_jax.handcrafted.sets import build as build_sets
 from sean_jax.social_forces import draw_traits
@@ -49,7 +49,7 @@ def build(place: Place, people: int | None = None, *, sets: str = ALL) -> Behavi
         InputError: there is no such file or no such set, the file has a mistake, a number of people is given, or there
             is no way from a waypoint to the next one.
     """
-    chosen = validation.read(place.folder, place.environment).chosen(sets)
+    chosen = annotation.read(place.folder, place.environment).chosen(sets)
     if people is not None:
         raise InputError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
     tables = build_sets(chosen, place.navigation)
