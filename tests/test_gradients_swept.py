@@ -15,10 +15,9 @@ import pytest
 import sean_jax
 from sean_jax import classifiers, episodes, geometry, metrics, navigation, obstacle_grid, sensors, social_forces
 from sean_jax.base import Moment, Obstacles, Pedestrians, Policy
-from sean_jax.classifiers import objects, predicates
+from sean_jax.classifiers import more_situations, predicates
 from sean_jax.metrics import comfort, proximity
-from sean_jax.pedestrian_models import MODELS
-from sean_jax.pedestrian_models.orca import best_velocity, half_plane
+from sean_jax.pedestrian_models import MODELS, best_velocity, half_plane
 from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.prediction import predict_people
 from sean_jax.policies.social_costmap import arc_trajectories, distance_to_path, inflation_cost, proxemic_cost
@@ -329,7 +328,7 @@ def test_distances_that_classifiers_and_metrics_read(room, kind):
         now = moment(at)
         gap = now.people.position[0] - now.position
         if kind == "situations":
-            first, second, cross = objects._crossing(now.position, now.heading, *_pose(now.people, 0))
+            first, second, cross = more_situations._crossing(now.position, now.heading, *_pose(now.people, 0))
             boxes = scenario.environment.obstacles
             room_left = geometry.signed_distances(scenario.environment, now.position[None])
             return (
@@ -337,7 +336,7 @@ def test_distances_that_classifiers_and_metrics_read(room, kind):
                 predicates.cosine(gap, now.people.velocity[0]),
                 jnp.stack(predicates.ahead_and_aside(now.heading, gap)),
                 jnp.tanh(jnp.stack([first, second, cross])),
-                jnp.tanh(objects._ray_length(boxes, now.position, now.heading)),
+                jnp.tanh(more_situations._ray_length(boxes, now.position, now.heading)),
                 jnp.stack(room_left),
                 jnp.where(classifiers.classify(now, limit), gap[0], gap[1]),
             )

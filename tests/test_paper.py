@@ -20,7 +20,7 @@ from sean_jax import classifiers, files, metrics
 from sean_jax import environment as environments
 from sean_jax.assembly import with_task
 from sean_jax.behaviors import BEHAVIORS
-from sean_jax.behaviors.successors import MAX_WAIT
+from sean_jax.behaviors.graph_choices import MAX_WAIT
 from sean_jax.classifiers import predicates
 from sean_jax.environment import clearance
 from sean_jax.graph import annotation, behavior_graph
