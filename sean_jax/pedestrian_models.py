@@ -1,7 +1,7 @@
 """Pedestrian models (section IV-D, low level): how people move to the goals of their behavior.
 
-Beside the social forces: constant velocity, and optimal reciprocal collision avoidance (ORCA) of J. van den Berg, S. J. Guy, M. Lin & D. Manocha, "Reciprocal
-n-body collision avoidance", Robotics Research (2011).
+Beside the social forces: constant velocity, and optimal reciprocal collision avoidance (ORCA) of J. van den Berg, S. J.
+Guy, M. Lin & D. Manocha, "Reciprocal n-body collision avoidance", Robotics Research (2011).
 """
 
 from dataclasses import replace
