@@ -1,4 +1,4 @@
-"""Metrics (section IV-H): one update per step, constant memory, split by social situation where that has a sense."""
+"""Metrics (section IV-H): one update per step, constant memory, split by social situation if that is meaningful."""
 
 from jaxtyping import PyTree
 
@@ -50,51 +50,31 @@ METRICS: dict[str, Metric] = {
     "max_jerk": motion.max_jerk,
 }
 TOPICS = {path: "way and goal", proximity: "distances and collisions", comfort: "comfort", motion: "motion"}
-"""Module of metrics -> what they are about."""
+"""module of metrics -> their topic"""
 
 Metrics = tuple[tuple[str, Metric], ...]
 DEFAULT: Metrics = tuple(METRICS.items())
 
 
 def topic(name: str) -> str:
-    """What a metric is about.
-
-    Returns:
-        A few words; "your own" for one that does not come with the package.
-    """
-    known = METRICS.get(name)  # a metric of one's own may have the name of something else in a module
-    found = (words for module, words in TOPICS.items() if known is not None and getattr(module, name, None) is known)
-    return next(found, "your own")
+    """The topic of a metric; "your own" for a user's."""
+    metric = METRICS.get(name)  # a user's metric may have the name of something else in a module
+    topics = (words for module, words in TOPICS.items() if metric is not None and getattr(module, name, None) is metric)
+    return next(topics, "your own")
 
 
 def init(moment: Moment, metrics: Metrics = DEFAULT) -> dict[str, PyTree]:
-    """Running values before the first step.
-
-    Args:
-        metrics: names and metrics; the package's own by default.
-    """
+    """Running values before the first step: name -> value."""
     return {name: metric.init(moment) for name, metric in metrics}
 
 
 def update(values: dict[str, PyTree], before: Moment, after: Moment, metrics: Metrics = DEFAULT) -> dict[str, PyTree]:
-    """Running values one step later.
-
-    Args:
-        values: name -> running value, as ``init`` or ``update`` gives it.
-        metrics: those that ``init`` was given.
-    """
+    """Running values one step later."""
     return {name: metric.update(values[name], before, after) for name, metric in metrics}
 
 
 def compute(values: dict[str, PyTree], metrics: Metrics = DEFAULT) -> dict[str, Array]:
-    """The metrics so far.
-
-    Args:
-        metrics: those that ``init`` was given.
-
-    Returns:
-        name -> () or (1 + S,) with the overall figure before those by situation.
-    """
+    """The metrics so far: name -> () or (1 + S,) with the overall figure first."""
     return {name: metric.compute(values[name]) for name, metric in metrics}
 
 

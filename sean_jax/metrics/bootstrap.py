@@ -1,9 +1,9 @@
-"""Bootstrap intervals of figures over many episodes (section V): of means, of ratios of sums, of any figure.
+"""Bootstrap confidence intervals of figures over episodes (section V): means, ratios of sums, or any figure.
 
-Episodes are drawn with replacement and the figure is computed anew for each such resample (Efron 1979); the interval
-holds the middle 95 % of what comes out. It says how much the figure would change with other seeds. Table I draws blocks
-of a minute instead of episodes, and figures of its own, with the same ``resamples`` and ``interval``. All of this runs
-at the end, on the host and in double precision; nothing here is traced.
+Episodes are drawn with replacement and the figure is computed again for each resample (Efron 1979); the interval holds
+the middle 95 % of the results. It estimates how much the figure would change with other seeds. Table I draws blocks of
+a minute instead of episodes, with the same ``resamples`` and ``interval``. All of this runs on the host in double
+precision.
 """
 
 import math
@@ -17,17 +17,17 @@ from numpy.typing import ArrayLike
 from sean_jax.errors import InputError
 
 RESAMPLES = 2000
-MIN_RESAMPLES = 200  # where there are so many episodes that more of them would not fit in memory
+MIN_RESAMPLES = 200  # with so many episodes that more would not fit in memory
 ENTRIES = 20_000_000  # of the table of resamples, 80 MB
 
 
 class Estimate(NamedTuple):
-    """A figure over episodes; no number is NaN: where ``episodes`` is 0 the others are 0 and mean nothing."""
+    """A figure over episodes and its interval, never NaN: if ``episodes`` is 0 the others are 0 without meaning."""
 
     mean: np.ndarray  # () or (1 + S,)
     low: np.ndarray  # likewise, lower end of the interval
     high: np.ndarray  # likewise, upper end
-    episodes: np.ndarray  # likewise, int, how many it is made of
+    episodes: np.ndarray  # likewise, int, number of episodes
 
 
 def aggregate(
@@ -38,20 +38,17 @@ def aggregate(
     level: float = 0.95,
     weights: np.ndarray | None = None,
 ) -> Estimate:
-    """The mean over episodes and its bootstrap interval, for each column.
+    """The mean over episodes and its bootstrap interval, for each column: an ``Estimate``.
 
     ``jax.tree.map(aggregate, measured)`` does all metrics of a dict.
 
     Args:
-        values: (E,) or (E, 1 + S), a metric as ``results`` gives it for each of E episodes.
-        applies: of the same shape, bool: which values count; by default those that are finite, for a mean or an
-            extreme over a situation that never occurred is NaN. What does not apply may hold anything.
-        seed: of the resamples; equal ones draw the same episodes, so that figures can be compared.
-        level: share of the resamples that the interval holds.
-        weights: (R, E) from ``resamples``, instead of drawing them from the seed; one draw can serve many metrics.
-
-    Returns:
-        An ``Estimate`` of the shape of an episode.
+        values: (E,) or (E, 1 + S), a metric of ``results`` for each of E episodes.
+        applies: of the same shape, bool: which values count; None: those that are finite, since a mean or an extreme
+            over a situation that never occurred is NaN. Other values may be anything.
+        seed: of the resamples; equal seeds draw the same episodes, so that figures can be compared.
+        level: confidence level of the interval.
+        weights: (R, E) from ``resamples``, in place of the seed; one draw can serve many metrics.
 
     Raises:
         InputError: there is no episode, shapes differ, or a value that applies is not finite.
@@ -77,18 +74,12 @@ def aggregate_ratio(
 ) -> Estimate:
     """``sum(numerator) / sum(denominator)`` over episodes and its bootstrap interval, for each column.
 
-    Such are shares of time: that of all episodes together in a situation, over that of all together. Resamples whose
-    denominator is zero have no ratio and are left out.
+    Shares of time are such ratios. Resamples with a denominator of zero are left out. Other arguments as in
+    ``aggregate``.
 
     Args:
         numerator: (E,) or (E, 1 + S).
-        denominator: of the same shape, not negative; ``episodes`` counts where it is above 0.
-        seed: as in ``aggregate``.
-        level: as in ``aggregate``.
-        weights: as in ``aggregate``.
-
-    Returns:
-        An ``Estimate`` of the shape of an episode.
+        denominator: of the same shape, not negative; ``episodes`` counts values above 0.
 
     Raises:
         InputError: there is no episode, shapes differ, or a number is not finite or below 0 in the denominator.
@@ -106,19 +97,15 @@ def aggregate_ratio(
     tops, bottoms = above.reshape(len(above), -1), below.reshape(len(above), -1)
     columns = [_column(top, bottom, weights, level) for top, bottom in zip(tops.T, bottoms.T, strict=True)]
     shape = above.shape[1:]
-    mean, low, high = (np.array(part).reshape(shape) for part in zip(*columns, strict=True))
+    mean, low, high = (np.array(values).reshape(shape) for values in zip(*columns, strict=True))
     return Estimate(mean, low, high, np.count_nonzero(below, axis=0) * np.ones(shape, np.int64))
 
 
 def resamples(episodes: int, seed: int = 0, count: int | None = None) -> np.ndarray:
-    """How often each episode is in each resample.
+    """The (R, E) float32 counts of each episode, or block, in each resample.
 
     Args:
-        episodes: E, or the number of blocks if blocks are drawn.
-        count: R, the number of resamples; 2000 if None, or fewer where there are more than 10,000 episodes.
-
-    Returns:
-        (R, E) float32 counts; a figure of resample r is made of ``weights[r]``.
+        count: R; 2000 if None, or fewer for more than 10,000 episodes.
     """
     if count is None:
         count = int(np.clip(ENTRIES // episodes, MIN_RESAMPLES, RESAMPLES))
@@ -127,12 +114,12 @@ def resamples(episodes: int, seed: int = 0, count: int | None = None) -> np.ndar
 
 
 def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | None = None) -> np.ndarray:
-    """Weights of episodes in resamples, where episodes are of groups that are chance themselves.
+    """Weights of episodes in resamples, if episodes belong to groups that are random themselves.
 
-    Such are episodes of networks that were trained with several seeds on several datasets. Only the outermost groups
-    of which there are several are independent, and what lies below is in the spread of their means; to draw that as
-    well would count it twice. There are few of them, so their weights are not counts but such that the interval of a
-    mean is that of Student's distribution; a weight may be negative.
+    An example are episodes of networks that were trained with several seeds on several datasets. Only the outermost
+    groups with more than one member are independent, and the spread of their means has that of lower levels; resampling
+    these as well would count it twice. There are few groups, so their weights are not counts but such that the interval
+    of a mean is that of Student's distribution; a weight may be negative.
 
     Args:
         sizes: number of groups at each level, and last the number of episodes of each innermost group: (10, 3, 410).
@@ -141,7 +128,7 @@ def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | Non
     Returns:
         (R, E) float32 weights that add up to E, of the episodes in order, those of the first dataset's first seed
         before those of its second; E is the product of the sizes.
-    Source: D. Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981), for weights that are no counts.
+    Source: D. Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981), for weights that are not counts.
     """
     number = math.prod(sizes)
     if count is None:
@@ -156,20 +143,12 @@ def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | Non
 
 
 def of_share(estimate: Estimate, level: float = 0.95) -> Estimate:
-    """The interval of a share of episodes, where it is that of none or of all.
+    """The estimate of a share of episodes (values 0 or 1), with Wilson's interval if it is that of none or of all.
 
-    Resamples of equal values are all equal, which would say that no other seed can differ.
-
-    Args:
-        estimate: of values that are 0 or 1.
-        level: as in ``aggregate``.
-
-    Returns:
-        The estimate, with Wilson's interval where the mean is 0 or 1.
+    Resamples of equal values are all equal, so their interval would have no width.
 
     Raises:
-        InputError: the level does not lie between 0 and 1.
-
+        InputError: the level is not between 0 and 1.
     Source: E. Wilson, "Probable inference", Journal of the American Statistical Association 22 (1927).
     """
     _check_level(level)
@@ -181,32 +160,19 @@ def of_share(estimate: Estimate, level: float = 0.95) -> Estimate:
 
 
 def with_estimate(weights: np.ndarray) -> np.ndarray:
-    """Weights of means: of the estimate itself, which takes every episode once, and of its resamples after it.
+    """(1 + R, E) weights of means: first of all episodes, once each, then of the (R, E) resamples; rows add up to one.
 
     ``with_estimate(weights) @ values`` is a mean over episodes and its resamples.
-
-    Args:
-        weights: (R, E) from ``resamples``.
-
-    Returns:
-        (1 + R, E) weights that add up to one in each row.
     """
     episodes = weights.shape[1]
     return np.concatenate([np.ones((1, episodes)), weights]) / episodes
 
 
 def interval(samples: ArrayLike, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-    """The percentile interval of a figure that was computed for each resample.
-
-    Args:
-        samples: (R, ...), the figure of each resample.
-        level: share of the resamples that the interval holds.
-
-    Returns:
-        Lower and upper end, (...) each.
+    """The percentile interval, lower and upper end, of a figure (R, ...) of each resample.
 
     Raises:
-        InputError: the level does not lie between 0 and 1.
+        InputError: the level is not between 0 and 1.
     """
     _check_level(level)
     low, high = np.quantile(np.asarray(samples), [(1 - level) / 2, (1 + level) / 2], axis=0)

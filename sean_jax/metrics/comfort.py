@@ -1,4 +1,4 @@
-"""Metrics of people's comfort (section IV-H): personal space, time to collision, social-force work, being looked at."""
+"""Metrics of people's comfort (section IV-H): personal space, time to collision, social-force work, gazes."""
 
 import jax.numpy as jnp
 from jaxtyping import Float
@@ -8,10 +8,10 @@ from sean_jax.geometry import TINY, length, sum_vectors, unit
 from sean_jax.metrics.metric import duration, minimum, share_of_time, total
 
 SPACE = 0.5  # m, of the iGibson social navigation challenge
-HORIZON = 30.0  # s: a collision later than that counts as one then
+HORIZON = 30.0  # s, maximum of the time to collision
 STRENGTH, RANGE = 7.0, 0.3  # m/s2, m: V0 / sigma and sigma of Helbing & Molnar (1995), circular
 LOOKING = 0.9961947  # cosine of 5 degrees (Arena-Rosnav)
-VISIBLE = 3.6  # m, the end of social distance [Hall]: people farther away do not meet the robot
+VISIBLE = 3.6  # m, the end of social distance [Hall]
 
 
 def collision_time(
@@ -21,15 +21,12 @@ def collision_time(
     vy: Float[Array, "*shape"],
     reach: Float[Array, "#*shape"] | float,
 ) -> Float[Array, "*shape"]:
-    """Time until two discs touch that keep their velocities: the smallest t >= 0 with |d + v t| <= reach.
+    """Time [s] until two discs at constant velocities touch: the smallest t >= 0 with |d + v t| <= reach; inf if never.
 
     Args:
-        x: (...,) m, of the relative position d.
-        vx: (...,) m/s, of the relative velocity v.
+        x, y: m, relative position d.
+        vx, vy: m/s, relative velocity v.
         reach: m, sum of both radii; it broadcasts.
-
-    Returns:
-        (...,) s, infinite if they never touch.
     """
     speeds, product = vx * vx + vy * vy, x * vx + y * vy
     outside = x * x + y * y - reach * reach

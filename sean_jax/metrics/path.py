@@ -22,7 +22,7 @@ from sean_jax.metrics.metric import (
 )
 
 STILL = 0.05  # m/s: not moving is having moved no farther than 0.05 m in the last second (SEAN 2.0)
-GOAL_RADIUS = 1.2  # m, for moments that have none (SEAN 2.0)
+GOAL_RADIUS = 1.2  # m, for moments without one (SEAN 2.0)
 TOP_SPEED = 0.5  # m/s, likewise (Kuri)
 
 
@@ -30,7 +30,7 @@ TOP_SPEED = 0.5  # m/s, likewise (Kuri)
 
 
 class SampledPath(NamedTuple):
-    """A sum over whole seconds, and where the robot was at the last of them."""
+    """A sum over whole seconds, and the robot's position at the last of them."""
 
     position: Float[Array, "2"]  # m
     amount: Float[Array, " columns"]
@@ -115,7 +115,7 @@ Where seconds are no whole number of steps, those from one sample to the next co
 
 
 class SampledRotation(NamedTuple):
-    """How much the robot has turned by whole seconds, and how much its shortest path does."""
+    """Rotation of the robot at whole seconds, and of its shortest path."""
 
     heading: Float[Array, "2"]  # unit vector, at the last whole second
     amount: Float[Array, ""]  # rad
@@ -231,13 +231,13 @@ class Success(NamedTuple):
 
 
 def _init_success(moment: Moment) -> Success:
-    known = moment.robot_top_speed
+    top_speed = moment.robot_top_speed
     return Success(
         reached=_at_goal(moment),
         path=_init_path(moment),
         time=zero_duration(moment),
         geodesic=moment.geodesic,
-        top_speed=jnp.full_like(moment.geodesic, TOP_SPEED) if known is None else known,
+        top_speed=jnp.full_like(moment.geodesic, TOP_SPEED) if top_speed is None else top_speed,
     )
 
 
@@ -258,7 +258,7 @@ def _by_time(value: Success) -> Array:
 
 
 def _quotient(best: Array, actual: Array) -> Array:
-    """best / max(best, actual); 1 where there was nothing to do."""
+    """best / max(best, actual); 1 if both are 0."""
     larger = jnp.maximum(best, actual)
     none = larger <= 0.0
     return jnp.where(none, 1.0, best / jnp.where(none, 1.0, larger))

@@ -1,8 +1,8 @@
 """Metrics of closeness (section IV-H): distance violations and collisions with people, each with its fault; obstacles.
 
-An event is an entry: somebody's distance to the robot (centre to centre, as the paper words it; SEAN's code
-subtracts a person's radius) falls below the limit, having been above it a step before. The fault rule is SEAN's:
-robot on person if the robot moves and its velocity has a part towards the person, else person on robot.
+An event is an entry: a person's distance to the robot (centre to centre, as in the paper; SEAN's code subtracts a
+person's radius) falls below the limit, having been above it a step before. The fault rule is SEAN's: robot on person if
+the robot moves and its velocity has a part towards the person, else person on robot.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ INTIMATE = 0.45  # m [Hall; section IV-H]
 PERSONAL = 1.2  # m [Hall; section IV-G]
 TOUCH = 0.01  # m, SEAN's margin around bodies
 MOVING = 5e-4  # m/s: SEAN rounds the robot's speed to three decimals
-NONE = 1e3  # m, distance to people or obstacles where there are none
+NONE = 1e3  # m, distance to people or obstacles if there are none
 
 
 # --- people ---
@@ -65,7 +65,7 @@ def _person_at_fault(moment: Moment) -> Array:
 
 
 def _entries(limit: Callable[[Moment], Array], by_robot: bool, name: str, distance: float | None = None) -> Metric:
-    """Entries of people into the circle of that limit about the robot, as far as one of both is at fault."""
+    """Entries of people into a circle around the robot, of which one of both is at fault."""
 
     def inside(moment: Moment) -> Array:
         return _squares(moment) <= limit(moment) ** 2
@@ -108,17 +108,16 @@ min_distance_to_people = minimum(
     definition="Distance from the robot to the nearest person, when it was nearest.",
     headline=False,
 )
-"""Least distance from the robot's centre to anybody's; 1000 where there is nobody."""
+"""Least distance from the robot's centre to that of a person; 1000 without people."""
 
 
 # --- obstacles ---
 
 
 def obstacle_distance(moment: Moment) -> Float[Array, ""]:
-    """Distance from the robot's centre to the surface of the nearest obstacle.
+    """Distance [m] from the robot's centre to the surface of the nearest obstacle, negative inside.
 
-    Returns:
-        () m, negative inside; 1000 where there is no obstacle or none is known.
+    It is 1000 if there is no obstacle or none is known.
     """
     if moment.obstacles is None:
         return jnp.full_like(moment.geodesic, NONE)
@@ -136,7 +135,7 @@ collision_with_obstacle = count_onsets(
     definition="Number of times that the robot touched an obstacle.",
     headline=False,
 )
-"""Times that the robot touched an obstacle, having touched none a step before: within its radius and 1 cm.
+"""Times that the robot touched an obstacle, within its radius and 1 cm, and none a step before.
 
 SEAN's code also counts obstacles that come within 1.2 m and 0.45 m; this counts the body alone.
 """
@@ -148,4 +147,4 @@ min_distance_to_obstacles = minimum(
     definition="Distance from the robot's centre to the surface of the nearest obstacle, when it was nearest.",
     headline=False,
 )
-"""Least distance from the robot's centre to the surface of an obstacle; 1000 where there is none."""
+"""Least distance from the robot's centre to the surface of an obstacle; 1000 without obstacles."""

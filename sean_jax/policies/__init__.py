@@ -1,4 +1,4 @@
-"""Policies, which drive the robot: functions (scenario, state, key) -> (2,) [m/s, rad/s], or ``base.Policy``."""
+"""Policies of the robot: functions (scenario, state, key) -> (2,) [m/s, rad/s], or ``base.Policy`` values."""
 
 from sean_jax.base import PolicyLike
 from sean_jax.policies.expert import expert
@@ -15,5 +15,6 @@ POLICIES: dict[str, PolicyLike] = {
     "expert": expert,
     "sensing_expert": sensing_expert,
 }
+"""name -> a function or a ``base.Policy``"""
 
 __all__ = ["POLICIES", "expert", "go_to_goal", "move_base", "orca", "sensing_expert", "social_costmap"]

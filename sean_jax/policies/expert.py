@@ -1,12 +1,12 @@
-"""expert: a model-predictive controller that drives politely; it stands in for the human of section V.
+"""expert: a polite model-predictive controller, in place of the human demonstrator of section V.
 
 The paper's learned policies imitate a human who steers through SEAN. Here every control step searches a plan of the
-next seconds: the robot and the people are predicted (``prediction``), social costs are summed along the way, and the
-path that is left is a shortest path (``cost_to_go``). The search samples in two rounds: widely around the last plan and
-over constant arcs, then narrowly around the best of these. The robot drives the weighted mean of the second round
-(G. Williams et al., "Information theoretic MPC for model-based reinforcement learning", ICRA 2017, with two rounds).
-The expert knows more than a robot's sensors tell: all people, and where they want to go. ``sensing_expert`` does not. A
-control step takes some three million operations.
+next seconds: robot and people are predicted (``prediction``), social costs are summed along the way, and the remaining
+path is a shortest path (``cost_to_go``). The search samples in two rounds: widely around the last plan and over
+constant arcs, then narrowly around the best of these. The robot drives the weighted mean of the second round (MPPI:
+G. Williams et al., "Information theoretic MPC for model-based reinforcement learning", ICRA 2017, with two rounds).
+Unlike ``sensing_expert``, the expert knows all people and their desired velocities. A control step takes some three
+million operations.
 """
 
 from dataclasses import replace
@@ -38,31 +38,31 @@ STEPS, TIME_STEP = 16, 0.2  # of a plan, and s of each: 3.2 s ahead
 KNOTS = 5  # commands of a plan, interpolated linearly
 WIDE_SAMPLES, CLOSE_SAMPLES = 48, 48  # of the two rounds
 DEVIATION = (0.5, 0.15)  # of the limits: standard deviations in the two rounds
-MAX_PEOPLE = 8  # the nearest that are predicted
+MAX_PEOPLE = 8  # the nearest, which are predicted
 MAX_TURN_RATE = 2.0  # rad/s, of a plan
 MAX_SPEED = 1.5  # m/s, of a plan among people
-UNKNOWN_DISTANCE = 40.0  # m, for places from which no path is known
-MIN_PROGRESS = 0.3  # m, that counts as getting nearer
+UNKNOWN_DISTANCE = 40.0  # m, for places without a known path
+MIN_PROGRESS = 0.3  # m, minimum that counts as progress
 INITIAL_DISTANCE = 1e6  # m, more than any path
 ARC_SPEEDS = (-0.4, 0.0, 0.35, 0.7, 1.0)  # of the limits: constant arcs
 ARC_TURN_RATES = (-1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 1.0)
 OBSTACLE_MARGIN = 0.03  # m, kept from obstacles at high cost
 OBSTACLE_REACH = 0.15  # m, beyond it: the cost falls to 0
-PERSON_MARGIN = 0.07  # m, by which predictions may be wrong: added to the intimate distance and to contact
+PERSON_MARGIN = 0.07  # m, for errors of predictions: added to the intimate distance and to contact
 STRETCH_TIME = 0.7  # s, by which the speed of people stretches their personal space ahead
 
 
 @struct.dataclass
 class SocialCosts:
-    """Weights of the social costs (sections IV-G, IV-H); all leaves are () floats.
+    """Weights of the social costs (sections IV-G, IV-H), in rates per second; all leaves are () floats.
 
-    Costs are rates per second. One unit is worth one metre of way.
+    One unit is worth one metre of way.
     """
 
     contact: Float[Array, ""]  # 1/s, with an obstacle or inside the intimate distance
     obstacle: Float[Array, ""]  # 1/s, at contact
     personal_space: Float[Array, ""]  # 1/s, in its middle
-    o_space: Float[Array, ""]  # 1/s, in the middle of a group that the task has nothing to do with
+    o_space: Float[Array, ""]  # 1/s, in the middle of a group that is not the task's
     reverse: Float[Array, ""]  # 1/m, of driving backward
     turn_rate: Float[Array, ""]  # s/rad2, of its square
     acceleration: Float[Array, ""]  # s3/m2, of its square
@@ -74,7 +74,7 @@ class ExpertParams:
     """Parameters of the expert; all leaves are () floats."""
 
     weights: SocialCosts
-    halfway: Float[Array, ""]  # 1, weight of the path that is left in the middle of a plan; at its end it is 1
+    halfway: Float[Array, ""]  # 1, weight of the remaining path in the middle of a plan; at its end it is 1
     goal_tolerance: Float[Array, ""]  # m from the goal, where it is reached
     temperature: Float[Array, ""]  # of the weighted mean
     patience: Float[Array, ""]  # s without progress, after which the weight of personal space is halved
@@ -89,11 +89,11 @@ class PlanLimits(NamedTuple):
 
 
 class ExpertMemory(NamedTuple):
-    """What the expert remembers from step to step."""
+    """The memory of the expert."""
 
     knots: Float[Array, "knots 2"]  # of the last plan, shares of the limits
     successors: Int[Array, "V"]  # of ``cost_to_go.corner_successors``
-    distance_min: Float[Array, ""]  # m, the path that was left at the last progress
+    distance_min: Float[Array, ""]  # m, remaining path at the last progress
     waiting_ticks: Int[Array, ""]  # since then
 
 
@@ -122,14 +122,7 @@ def init(scenario: Scenario, params: ExpertParams, state: State) -> ExpertMemory
 
 
 def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) -> tuple[Float[Array, "2"], ExpertMemory]:
-    """The first command of the best plan.
-
-    Args:
-        key: () PRNG key of this step.
-
-    Returns:
-        The command (2,) [m/s, rad/s], and the new memory.
-    """
+    """The first command [m/s, rad/s] of the best plan, and the new memory."""
     people = predict_people(scenario, nearest_people(state, MAX_PEOPLE), state.groups, STEPS, TIME_STEP)
     return plan(scenario, params, state, people, key)
 
@@ -137,15 +130,11 @@ def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) ->
 def plan(
     scenario: Scenario, params: ExpertParams, state: State, people: PeopleMotion, key: Array
 ) -> tuple[Float[Array, "2"], ExpertMemory]:
-    """The search, for whatever is known of people.
+    """The search for any prediction of people: the command [m/s, rad/s] and the new memory.
 
     Args:
-        state: now, with the groups that are known and an ``ExpertMemory``; its people are not looked at.
-        people: how people are predicted to move, ``STEPS`` steps of ``TIME_STEP``.
-        key: () PRNG key of this step.
-
-    Returns:
-        The command (2,) [m/s, rad/s], and the new memory.
+        state: with the known groups and an ``ExpertMemory``; its people are not read.
+        people: predicted for ``STEPS`` steps of ``TIME_STEP``.
     """
     memory: ExpertMemory = state.policy_state
     limits = plan_limits(scenario)
@@ -175,11 +164,7 @@ def plan(
 
 
 def plan_limits(scenario: Scenario) -> PlanLimits:
-    """Limits of all plans.
-
-    Returns:
-        The limits of the robot, and of driving among people.
-    """
+    """Limits of plans: the minimum of the robot's limits and those among people."""
     model = scenario.robot
     ahead = jnp.minimum(model.max_speed, MAX_SPEED)
     return PlanLimits(
@@ -188,7 +173,7 @@ def plan_limits(scenario: Scenario) -> PlanLimits:
 
 
 def _progress(scenario: Scenario, params: ExpertParams, state: State, table: CostToGo) -> tuple[Array, Array]:
-    """() m of path left at the last progress, of MIN_PROGRESS at least, and () int32 ticks since then, 0 at the goal.
+    """Remaining path [m] at the last progress, of ``MIN_PROGRESS`` at least, and ticks since then, 0 at the goal.
 
     Without it two polite agents would wait for each other forever.
     """
@@ -200,7 +185,7 @@ def _progress(scenario: Scenario, params: ExpertParams, state: State, table: Cos
 
 
 def _arcs() -> np.ndarray:
-    """(A, KNOTS, 2) constant arcs, and turns on the spot after which the robot drives straight ahead."""
+    """(A, KNOTS, 2) constant arcs, and turns on the spot followed by driving straight ahead."""
     arcs = [np.tile([ahead, turn], (KNOTS, 1)) for ahead in ARC_SPEEDS for turn in ARC_TURN_RATES]
     for turn in ARC_TURN_RATES:
         turn_first = np.tile([1.0, 0.0], (KNOTS, 1))
@@ -215,13 +200,13 @@ INTERPOLATION = np.stack([np.interp(np.arange(STEPS) * TIME_STEP, np.linspace(0,
 
 
 def _shift(knots: Array, seconds: float) -> Array:
-    """The plan with that much of its beginning removed; its last command continues."""
+    """The plan without its first seconds; its last command continues."""
     share = seconds * (KNOTS - 1) / (STEPS * TIME_STEP)
     return knots + share * jnp.diff(knots, axis=0, append=knots[-1:])
 
 
 def _commands(shares: Array, limits: PlanLimits) -> Array:
-    """(..., 2) m/s and rad/s of the shares (..., 2) of the limits."""
+    """(..., 2) m/s and rad/s of shares (..., 2) of the limits."""
     ahead, back, turn = limits
     speed = jnp.where(shares[..., 0] > 0.0, ahead, back) * shares[..., 0]
     return jnp.stack([speed, turn * shares[..., 1]], -1)
@@ -246,7 +231,7 @@ def _cost(
     people: PeopleMotion,
     motion: RobotMotion,
 ) -> Float[Array, "P"]:
-    """(P,) cost of trajectories (T, P): the path that is left, and the social costs along the way."""
+    """(P,) costs of trajectories (T, P): the remaining path, and the social costs along the way."""
     x, y, yaw, speed, turn = motion
     weights, robot = params.weights, state.robot
     rate = obstacle_rate(scenario, weights, x, y) + people_rate(scenario, weights, x, y, people)
@@ -268,31 +253,15 @@ def _cost(
 def obstacle_distance(
     grid: ObstacleGrid, x: Float[Array, "*shape"], y: Float[Array, "*shape"]
 ) -> Float[Array, "*shape"]:
-    """Distance to the nearest obstacle within reach of the grid.
-
-    Args:
-        x: (...) m.
-        y: (...) m.
-
-    Returns:
-        (...) m.
-    """
+    """Distances [m] of places [m] to the nearest obstacle within reach of the grid."""
     rows = obstacle_grid.lookup(grid, x, y)
-    return jnp.min(from_rectangle(x[..., None], y[..., None], *(rows[..., part] for part in range(6)))[0], -1)
+    return jnp.min(from_rectangle(x[..., None], y[..., None], *(rows[..., column] for column in range(6)))[0], -1)
 
 
 def obstacle_rate(
     scenario: Scenario, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
-    """Cost of being near obstacles or the edge of the floor.
-
-    Args:
-        x: (T, P) m.
-        y: (T, P) m.
-
-    Returns:
-        (T, P) 1/s.
-    """
+    """Cost [1/s] of being near obstacles or the edge of the floor, at places [m]."""
     edge = to_border(scenario.environment, x, y)
     gap = jnp.minimum(obstacle_distance(scenario.environment.obstacle_grid, x, y), edge)
     gap = gap - scenario.robot.radius - OBSTACLE_MARGIN
@@ -304,16 +273,9 @@ def obstacle_rate(
 def people_rate(
     scenario: Scenario, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"], people: PeopleMotion
 ) -> Float[Array, "T P"]:
-    """Cost of being near people: of contact, of less than 0.45 m, and of personal space.
+    """Cost [1/s] of being near people at places [m]: of contact, of less than 0.45 m, and of personal space.
 
-    Personal space reaches 1.2 m, and farther ahead of people who walk.
-
-    Args:
-        x: (T, P) m.
-        y: (T, P) m.
-
-    Returns:
-        (T, P) 1/s.
+    Personal space reaches 1.2 m, and farther ahead of walking people.
     """
     px, py, vx, vy = (part[:, None, :] for part in people)
     dx, dy = x[..., None] - px, y[..., None] - py
@@ -333,21 +295,13 @@ def people_rate(
 def group_rate(
     state: State, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
-    """Cost of being in o-spaces, with less reach in those of groups that the task joins or leaves.
-
-    Args:
-        x: (T, P) m.
-        y: (T, P) m.
-
-    Returns:
-        (T, P) 1/s.
-    """
+    """Cost [1/s] of being in o-spaces at places [m]; those of the task's groups are smaller."""
     groups, task = state.groups, state.task
     index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
-    own = (index == task.goal_group) | (index == task.start_group)
+    of_task = (index == task.goal_group) | (index == task.start_group)
     cx, cy = groups.center[None, None, :, 0], groups.center[None, None, :, 1]
     away = length(x[..., None] - cx, y[..., None] - cy)
-    size = jnp.where(own, 0.5, 1.2) * jnp.maximum(groups.radius, 1e-3)
+    size = jnp.where(of_task, 0.5, 1.2) * jnp.maximum(groups.radius, 1e-3)
     depth = jnp.clip(1.0 - away / size[None, None, :], 0.0, 1.0)
     return weights.o_space * jnp.where(groups.present[None, None, :], depth, 0.0).sum(-1)
 
@@ -359,16 +313,13 @@ def comfort_rate(
     before: tuple[Float[Array, ""], Float[Array, ""]],
     time_step: float,
 ) -> Float[Array, "T P"]:
-    """Cost of driving backward, of turning and of acceleration.
+    """Cost [1/s] of driving backward, of turning and of acceleration.
 
     Args:
-        speed: (T, P) m/s.
-        turn: (T, P) rad/s.
-        before: the speed () [m/s] and the turn rate () [rad/s] of now.
+        speed: m/s.
+        turn: rad/s.
+        before: speed [m/s] and turn rate [rad/s] now.
         time_step: s, between two rows.
-
-    Returns:
-        (T, P) 1/s.
     """
     acceleration = jnp.diff(speed, axis=0, prepend=jnp.full_like(speed[:1], before[0])) / time_step
     turn_acceleration = jnp.diff(turn, axis=0, prepend=jnp.full_like(turn[:1], before[1])) / time_step
@@ -378,4 +329,4 @@ def comfort_rate(
 
 
 expert = Policy(params=default_params(), name="expert", init=init, apply=apply)
-"""The expert with its usual parameters; others by ``replace(expert, params=...)``."""
+"""The expert with default parameters; others by ``replace(expert, params=...)``."""

@@ -1,9 +1,9 @@
-"""sensing_expert: the expert's search with what the robot's sensors tell of people, and no more.
+"""sensing_expert: the expert's search with the robot's sensors as the only knowledge of people.
 
-``expert`` knows all people, also behind walls and behind its back, and where they want to go. Students who see a depth
-image (section V) cannot copy what follows from that. This one knows people whom the depth camera shows, remembers them
-for a while after, and expects everybody to walk on at constant velocity. The map, its own pose and the goal are known
-to it, as to a navigation stack. Search and costs are those of ``expert``.
+``expert`` knows all people, also behind walls and behind its back, and their desired velocities. Students with a depth
+image (section V) cannot imitate that. This one knows the people in its depth image, remembers them for seconds, and
+predicts constant velocities. It knows the map, its pose and the goal, as a navigation stack does. Search and costs are
+those of ``expert``.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ from sean_jax.platforms import scalar
 from sean_jax.policies.expert import MAX_PEOPLE, STEPS, TIME_STEP, ExpertMemory, ExpertParams, expert, plan
 from sean_jax.policies.prediction import nearest_people, predict_straight
 
-WIDTH, HEIGHT = 64, 48  # pixels of the picture in which people are looked for, a bit more than a degree each
+WIDTH, HEIGHT = 64, 48  # pixels of the depth image, a bit more than a degree each
 
 
 @struct.dataclass
@@ -29,22 +29,22 @@ class SensingParams:
     """Parameters of the sensing expert; all leaves are () floats."""
 
     expert: ExpertParams
-    min_pixels: Float[Array, ""]  # of 64 x 48 of the depth camera, that show whoever is seen; 0: it sees everybody
-    memory_time: Float[Array, ""]  # s, for which people are remembered who are out of sight
+    min_pixels: Float[Array, ""]  # of 64 x 48, in which a visible person is shown; 0: everybody is visible
+    memory_time: Float[Array, ""]  # s, for which invisible people are remembered
 
 
 class KnownPeople(NamedTuple):
-    """What the robot knows of people."""
+    """The robot's knowledge of people."""
 
-    position: Float[Array, "N 2"]  # m, where they are, or would be if they had walked on
-    velocity: Float[Array, "N 2"]  # m/s, when they were last seen
-    group: Int[Array, "N"]  # in which they stood then, -1 none
-    unseen_ticks: Int[Array, "N"]  # since then
-    known: Bool[Array, "N"]  # they are seen or remembered
+    position: Float[Array, "N 2"]  # m, observed, or extrapolated
+    velocity: Float[Array, "N 2"]  # m/s, at the last observation
+    group: Int[Array, "N"]  # at the last observation, -1 none
+    hidden_ticks: Int[Array, "N"]  # since then
+    known: Bool[Array, "N"]  # visible or remembered
 
 
 class SensingMemory(NamedTuple):
-    """What the sensing expert remembers from step to step."""
+    """The memory of the sensing expert."""
 
     search: ExpertMemory
     people: KnownPeople
@@ -56,11 +56,7 @@ def default_params() -> SensingParams:
 
 
 def init(scenario: Scenario, params: SensingParams, state: State) -> SensingMemory:
-    """Plans as ``expert`` does, with a robot's knowledge: people whom its depth camera shows or has just shown.
-
-    Returns:
-        The memory of an episode that begins: nobody has been seen yet.
-    """
+    """Plans as ``expert`` does, with a robot's knowledge: people whom its depth camera shows or has just shown."""
     position, group = jnp.zeros_like(state.pedestrians.position), jnp.full_like(state.pedestrians.group, -1)
     known = jnp.zeros(group.shape, bool)
     nobody = KnownPeople(position, jnp.zeros_like(position), group, known.astype(jnp.int32), known)
@@ -70,14 +66,7 @@ def init(scenario: Scenario, params: SensingParams, state: State) -> SensingMemo
 def apply(
     scenario: Scenario, params: SensingParams, state: State, key: Array
 ) -> tuple[Float[Array, "2"], SensingMemory]:
-    """The first command of the best plan among the people who are known.
-
-    Args:
-        key: () PRNG key of this step.
-
-    Returns:
-        The command (2,) [m/s, rad/s], and the new memory.
-    """
+    """The first command [m/s, rad/s] of the best plan among the known people, and the new memory."""
     memory: SensingMemory = state.policy_state
     people = known_people(scenario, params, state, memory.people)
     state = replace(_as_known(state, people), policy_state=memory.search)
@@ -88,30 +77,30 @@ def apply(
 
 @jax.named_scope("known_people")
 def known_people(scenario: Scenario, params: SensingParams, state: State, before: KnownPeople) -> KnownPeople:
-    """Who is known: people in the picture of the depth camera as they are, others from memory.
+    """People in the depth image, with exact positions and velocities, and remembered people.
 
-    Positions and velocities of who is seen are exact, and nobody is taken for somebody else.
+    Nobody is mistaken for somebody else.
     """
     people, time_step = state.pedestrians, scenario.time_step
     eye = sensors.camera(scenario, "depth", width=WIDTH, height=HEIGHT)
     pixels = sensors.pixels_of_people(scenario, state, eye)
-    seen = people.present & (pixels.astype(people.position.dtype) >= params.min_pixels)
-    unseen_ticks = jnp.where(seen, 0, before.unseen_ticks + 1)
-    fresh = unseen_ticks.astype(people.position.dtype) <= to_ticks(params.memory_time, time_step)
+    visible = people.present & (pixels.astype(people.position.dtype) >= params.min_pixels)
+    hidden_ticks = jnp.where(visible, 0, before.hidden_ticks + 1)
+    fresh = hidden_ticks.astype(people.position.dtype) <= to_ticks(params.memory_time, time_step)
     return KnownPeople(
-        position=jnp.where(seen[:, None], people.position, before.position + time_step * before.velocity),
-        velocity=jnp.where(seen[:, None], people.velocity, before.velocity),
-        group=jnp.where(seen, people.group, before.group),
-        unseen_ticks=unseen_ticks,
-        known=seen | (before.known & fresh),
+        position=jnp.where(visible[:, None], people.position, before.position + time_step * before.velocity),
+        velocity=jnp.where(visible[:, None], people.velocity, before.velocity),
+        group=jnp.where(visible, people.group, before.group),
+        hidden_ticks=hidden_ticks,
+        known=visible | (before.known & fresh),
     )
 
 
 def _as_known(state: State, people: KnownPeople) -> State:
-    """The state with the people who are known, and the groups of which a member is; all others are absent."""
+    """The state with the known people and their groups; all others are absent."""
     groups = state.groups
     index = jnp.arange(groups.present.shape[0], dtype=people.group.dtype)
-    met = (people.known[:, None] & (people.group[:, None] == index[None, :])).any(0)
+    has_member = (people.known[:, None] & (people.group[:, None] == index[None, :])).any(0)
     crowd = replace(
         state.pedestrians,
         position=people.position,
@@ -120,8 +109,8 @@ def _as_known(state: State, people: KnownPeople) -> State:
         group=people.group,
         present=people.known,
     )
-    return replace(state, pedestrians=crowd, groups=replace(groups, present=groups.present & met))
+    return replace(state, pedestrians=crowd, groups=replace(groups, present=groups.present & has_member))
 
 
 sensing_expert = Policy(params=default_params(), name="sensing_expert", init=init, apply=apply)
-"""The sensing expert with its usual parameters; others by ``replace(sensing_expert, params=...)``."""
+"""The sensing expert with default parameters; others by ``replace(sensing_expert, params=...)``."""
