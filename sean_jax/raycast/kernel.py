@@ -18,7 +18,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Bool
 
 from sean_jax.base import Array
-from sean_jax.raycast import laws
+from sean_jax.raycast.bodies import MISS, ground
 from sean_jax.raycast.rays import Beams, Rays
 
 WIDTH = 128  # threads of a program, each of which has one ray
@@ -47,11 +47,7 @@ class _Shape(NamedTuple):
 
 @cache
 def available() -> bool:
-    """Whether the kernel runs on the GPU of this machine. Without a GPU it is asked for another machine: yes.
-
-    Returns:
-        True or False.
-    """
+    """Whether the kernel runs on the GPU of this machine; without a GPU it is asked for another machine: yes."""
     try:
         import_module("jax.experimental.pallas.mosaic_gpu")
     except ImportError:
@@ -68,16 +64,13 @@ def available() -> bool:
 def first(
     rays: Rays, families: Sequence[Family], radius: Array, height: Array, floor: int, numbers: bool
 ) -> tuple[Array, ...]:
-    """The distance along each ray to the first body; and its number, if that is wanted.
+    """The distance [m] along each ray to the first body, ``MISS`` without one; and with ``numbers`` its number.
 
     Args:
         families: the bodies, none of them empty.
-        radius: () m, of a person's body.
-        height: () m, of the sensor above the floor.
+        radius: m, of a person's body.
+        height: m, of the sensor above the floor.
         floor: the number of the floor; the sky has the next.
-
-    Returns:
-        (tiles, rays) m, ``laws.MISS`` where a ray meets no body; and with ``numbers`` (tiles, rays) int32.
     """
     tiles, count = rays.direction.shape[1:]
     parts = -(-count // WIDTH)
@@ -187,8 +180,8 @@ def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> Non
     columns = 5 if shape.rays.offset is None else 8
     parts = [beams_of[pallas.ds((program * columns + column) * WIDTH, WIDTH)] for column in range(columns)]
     beams = Beams(tuple(parts[:3]), parts[3], parts[4], tuple(parts[5:]) or None)
-    distance = laws.ground(height, beams.direction[2], beams.inverse_rise)
-    number = shape.floor + (distance >= laws.MISS).astype(jnp.int32)
+    distance = ground(height, beams.direction[2], beams.inverse_rise)
+    number = shape.floor + (distance >= MISS).astype(jnp.int32)
     first = (distance, number) if shape.numbers else (distance,)
     for (start, columns, law), table, words_of in zip(shape.laws, bodies[::2], bodies[1::2], strict=True):
         words = words_of.shape[0] // shape.rays.tiles

@@ -1,14 +1,17 @@
-"""One ray and one body: the distance along the ray to the body (section IV-F).
+"""The bodies around a sensor, in its frame, and the distance along a ray to one of them (section IV-F).
 
-Each law is for one pair, in components; arrays broadcast. The ray leaves its origin along the unit vector (dx, dy, dz).
-The vector q leads from the origin of the ray to the middle of the body. Distances are in metres, ``MISS`` where the ray
-meets nothing ahead. All laws have finite gradients, also on grazing rays.
+Each law is for one ray and one body, in components; arrays broadcast. The ray leaves its origin along the unit vector
+(dx, dy, dz). The vector q leads from the origin of the ray to the middle of the body. Distances are in metres, ``MISS``
+where the ray meets nothing ahead. All laws have finite gradients, also on grazing rays.
 """
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Bool, Float
 
-from sean_jax.base import Array
+from sean_jax.base import Array, Solids
 
 MISS = 1e9  # m
 STEEP = 1e-9  # smaller components of a direction count as this one
@@ -33,18 +36,7 @@ def box(
     dz: Array,
     inverse_dz: Array,
 ) -> Array:
-    """Distance to an upright box, from outside.
-
-    Args:
-        qx, qy, qz: (...) m, from the origin of the ray to the middle of the box.
-        hx, hy, hz: (...) m, half extent.
-        cosine, sine: (...) of the yaw.
-        dx, dy, dz: (...) unit vector along the ray.
-        inverse_dz: (...) 1 / dz.
-
-    Returns:
-        (...) m.
-    """
+    """Distance to an upright box of half extents h, from outside; cosine and sine are those of its yaw."""
     iu, iv = inverse(cosine * dx + sine * dy), inverse(cosine * dy - sine * dx)
     at_u, at_v, at_z = (cosine * qx + sine * qy) * iu, (cosine * qy - sine * qx) * iv, qz * inverse_dz
     in_u, in_v, in_z = hx * jnp.abs(iu), hy * jnp.abs(iv), hz * jnp.abs(inverse_dz)
@@ -54,16 +46,7 @@ def box(
 
 
 def sphere(qx: Array, qy: Array, qz: Array, radius: Array | float, dx: Array, dy: Array, dz: Array) -> Array:
-    """Distance to a sphere, from outside.
-
-    Args:
-        qx, qy, qz: (...) m, from the origin of the ray to the middle of the sphere.
-        radius: (...) m.
-        dx, dy, dz: (...) unit vector along the ray.
-
-    Returns:
-        (...) m.
-    """
+    """Distance to a sphere, from outside."""
     middle = qx * dx + qy * dy + qz * dz
     px, py, pz = qx - middle * dx, qy - middle * dy, qz - middle * dz
     return _enter(radius * radius - (px * px + py * py + pz * pz), middle)
@@ -74,14 +57,7 @@ def person_lower_body(
 ) -> Array:
     """Distance to a person up to the shoulders: all that rays from below the shoulders meet if they do not rise.
 
-    Args:
-        qx, qy, qz: (...) m, from the origin of the ray to the person's feet.
-        radius: (...) m, of the person's body.
-        dx, dy, dz: (...) unit vector along the ray.
-        inverse_flat: (...) 1 / (dx² + dy²), 0 for a vertical ray.
-
-    Returns:
-        (...) m.
+    q leads to the feet; ``inverse_flat`` is 1 / (dx² + dy²), 0 for a vertical ray.
     """
     middle = (qx * dx + qy * dy) * inverse_flat
     px, py = qx - middle * dx, qy - middle * dy
@@ -94,17 +70,7 @@ def person_lower_body(
 def person(
     qx: Array, qy: Array, qz: Array, radius: Array, dx: Array, dy: Array, dz: Array, inverse_flat: Array
 ) -> Array:
-    """Distance to a person: ``person_lower_body``, shoulders and head.
-
-    Args:
-        qx, qy, qz: (...) m, from the origin of the ray to the person's feet.
-        radius: (...) m, of the person's body.
-        dx, dy, dz: (...) unit vector along the ray.
-        inverse_flat: (...) 1 / (dx² + dy²), 0 for a vertical ray.
-
-    Returns:
-        (...) m.
-    """
+    """Distance to a person: ``person_lower_body``, shoulders and head; arguments as there."""
     rounded = jnp.minimum(
         sphere(qx, qy, qz + SHOULDER, radius, dx, dy, dz), sphere(qx, qy, qz + HEAD, HEAD_RADIUS, dx, dy, dz)
     )
@@ -124,18 +90,7 @@ def cylinder(
     dy: Array,
     dz: Array,
 ) -> Array:
-    """Distance to a cylinder with flat ends, from outside.
-
-    Args:
-        qx, qy, qz: (...) m, from the origin of the ray to the middle of the cylinder.
-        ax, ay, az: (...) unit vector along its axis.
-        radius: (...) m.
-        half: (...) m, half of its length.
-        dx, dy, dz: (...) unit vector along the ray.
-
-    Returns:
-        (...) m.
-    """
+    """Distance to a cylinder of axis a and half length ``half`` with flat ends, from outside."""
     along_d, along_q = ax * dx + ay * dy + az * dz, ax * qx + ay * qy + az * qz
     fx, fy, fz = dx - along_d * ax, dy - along_d * ay, dz - along_d * az
     gx, gy, gz = qx - along_q * ax, qy - along_q * ay, qz - along_q * az
@@ -155,16 +110,7 @@ def cylinder(
 
 
 def ground(height: Array, dz: Array, inverse_dz: Array) -> Array:
-    """Distance to the floor.
-
-    Args:
-        height: (...) m, of the origin of the ray above the floor.
-        dz: (...) vertical component of the unit vector along the ray.
-        inverse_dz: (...) 1 / dz.
-
-    Returns:
-        (...) m.
-    """
+    """Distance to the floor, ``height`` [m] below the origin of the ray."""
     return jnp.where(dz < 0.0, -height * inverse_dz, MISS)
 
 
@@ -175,26 +121,76 @@ def _enter(square: Array, middle: Array) -> Array:
 
 
 def root(square: Array) -> Array:
-    """Square root by the reciprocal one, which takes a third of the time on a GPU.
-
-    Args:
-        square: (...) positive.
-
-    Returns:
-        (...) positive.
-    """
+    """Square root of a positive number by the reciprocal one, which takes a third of the time on a GPU."""
     return square * jax.lax.rsqrt(square)
 
 
 def inverse(value: Array) -> Array:
-    """Reciprocal of a number, as fast as ``root``.
-
-    Args:
-        value: (...) of any sign; 1e-9 stands for values nearer to zero.
-
-    Returns:
-        (...) 1 / value.
-    """
+    """Reciprocal, as fast as ``root``; 1e-9 stands for values nearer to zero."""
     value = jnp.where(jnp.abs(value) < STEEP, STEEP, value)
     size = jax.lax.rsqrt(value * value)
     return jnp.where(value < 0.0, -size, size)
+
+
+AWAY = 1e6  # m, where absent people stand
+
+
+@struct.dataclass
+class View:
+    """Bodies around a sensor, in the robot's axes and from the sensor: x ahead, y to the left, z up.
+
+    Bodies have numbers: first boxes, then cylinders, spheres and people, then the floor, then the sky.
+    """
+
+    boxes: Float[Array, "boxes 8"]  # middle x, y, z, half extent x, y, z [m], cosine and sine of the yaw
+    cylinders: Float[Array, "cylinders 8"]  # middle x, y, z [m], axis x, y, z, radius, half length [m]
+    spheres: Float[Array, "spheres 4"]  # middle x, y, z, radius [m]
+    people: Float[Array, "N 2"]  # m
+    radius: Float[Array, ""]  # m, of a person's body
+    height: Float[Array, ""]  # m, of the sensor above the floor
+
+    @property
+    def counts(self) -> tuple[int, int, int, int]:
+        """Numbers of boxes, cylinders, spheres and people."""
+        return self.boxes.shape[0], self.cylinders.shape[0], self.spheres.shape[0], self.people.shape[0]
+
+
+def make_view(
+    solids: Solids,
+    people: Float[Array, "N 2"],
+    present: Bool[Array, "N"],
+    radius: Float[Array, ""],
+    position: Float[Array, "2"],
+    heading: Float[Array, "2"],
+    origin: Float[np.ndarray, "3"],
+) -> View:
+    """Transform the bodies of the world to the frame of a sensor.
+
+    Args:
+        people: m, in the world; absent people are not seen.
+        radius: m, of a person's body.
+        position, heading: m and unit vector, of the robot.
+        origin: m, of the sensor in the robot's frame.
+    """
+    cosine, sine = heading[0], heading[1]
+    place = jnp.asarray(origin, float)
+
+    def transform(x: Array, y: Array) -> tuple[Array, Array]:
+        x, y = x - position[0], y - position[1]
+        return cosine * x + sine * y - place[0], cosine * y - sine * x - place[1]
+
+    boxes, cylinders, spheres = solids.boxes, solids.cylinders, solids.spheres
+    bx, by = transform(boxes[:, 0], boxes[:, 1])
+    cx, cy = transform(cylinders[:, 0], cylinders[:, 1])
+    sx, sy = transform(spheres[:, 0], spheres[:, 1])
+    px, py = transform(people[:, 0], people[:, 1])
+    yaw = cosine * boxes[:, 6] + sine * boxes[:, 7], cosine * boxes[:, 7] - sine * boxes[:, 6]
+    ax, ay = cosine * cylinders[:, 3] + sine * cylinders[:, 4], cosine * cylinders[:, 4] - sine * cylinders[:, 3]
+    return View(
+        boxes=jnp.stack([bx, by, boxes[:, 2] - place[2], *boxes[:, 3:6].T, *yaw], -1),
+        cylinders=jnp.stack([cx, cy, cylinders[:, 2] - place[2], ax, ay, *cylinders[:, 5:].T], -1),
+        spheres=jnp.stack([sx, sy, spheres[:, 2] - place[2], spheres[:, 3]], -1),
+        people=jnp.where(present[:, None], jnp.stack([px, py], -1), AWAY),
+        radius=radius,
+        height=place[2],
+    )
