@@ -13,7 +13,7 @@ from sean_jax import obstacle_grid
 from sean_jax.base import Array, PathsToGoal, Scenario, State
 from sean_jax.geometry import from_rectangle, length
 from sean_jax.navigation import segment_is_free
-from sean_jax.navigation.corner_arcs import ANGLE, CornerArcs, tangents
+from sean_jax.navigation.arcs import ANGLE, CornerArcs, tangents
 from sean_jax.navigation.shortest_paths import last_arcs
 
 NEAR_CORNERS = 6  # chosen because they are near

@@ -20,6 +20,7 @@ STEEP = 1e-9  # smaller components of a direction count as this one
 SHOULDER = 1.26  # m above the floor, the middle of the capsule's upper end
 HEAD = 1.60  # m, the middle of the head
 HEAD_RADIUS = 0.13  # m
+AWAY = 1e6  # m, where absent people stand
 
 
 def box(
@@ -130,9 +131,6 @@ def inverse(value: Array) -> Array:
     value = jnp.where(jnp.abs(value) < STEEP, STEEP, value)
     size = jax.lax.rsqrt(value * value)
     return jnp.where(value < 0.0, -size, size)
-
-
-AWAY = 1e6  # m, where absent people stand
 
 
 @struct.dataclass

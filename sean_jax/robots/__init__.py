@@ -28,17 +28,13 @@ def load(robot: str | Path, dynamics: str = "mjx") -> RobotModel:
             differential-drive base with all of its limits.
     """
     path = find(robot, dynamics)
-    model, figures, mass = description.read(path)
-    data = mjx_dynamics.put(model, jnp.asarray(mass, figures["mass"].dtype)) if dynamics == "mjx" else ()
-    return RobotModel(**figures, data=data, name=path.stem, place=place, drive=DYNAMICS[dynamics])
+    model, fields, mass = description.read(path)
+    data = mjx_dynamics.put(model, jnp.asarray(mass, fields["mass"].dtype)) if dynamics == "mjx" else ()
+    return RobotModel(**fields, data=data, name=path.stem, place=place, drive=DYNAMICS[dynamics])
 
 
 def find(robot: str | Path, dynamics: str = "mjx") -> Path:
-    """Find the file of a robot.
-
-    Args:
-        robot: a name in ``ROBOTS``, or the path of an MJCF file.
-        dynamics: a name in ``DYNAMICS``, which is checked as well.
+    """The file of a robot; name and dynamics are those of ``load``.
 
     Raises:
         InputError: the name, the dynamics or the file does not exist.
@@ -53,13 +49,10 @@ def find(robot: str | Path, dynamics: str = "mjx") -> Path:
 
 
 def check_step(model: RobotModel, time_step: float) -> None:
-    """Check that a step of control is a multiple of the robot's step of physics.
-
-    Args:
-        time_step: s, of control.
+    """Refuse a control step [s] that is no multiple of the robot's physics step.
 
     Raises:
-        InputError: it is not.
+        InputError: it is no multiple.
     """
     if abs(round(time_step / model.time_step) * model.time_step - time_step) > 1e-6:
         raise InputError(f"time_step: {time_step:g} s is no multiple of {model.name}'s step of {model.time_step:g} s.")

@@ -132,6 +132,9 @@ def focal_length(view: Camera) -> float:
     return view.height / 2 / float(np.tan(np.deg2rad(view.fovy) / 2))
 
 
+# --- depth images and visible people ---
+
+
 @jax.named_scope("depth")
 def depth(scenario: Scenario, state: State, camera: Camera) -> Float[Array, "H W"]:
     """Depth image [m]: distances along the direction of view, as depth cameras measure them, not along each ray.

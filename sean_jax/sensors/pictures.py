@@ -18,6 +18,15 @@ from sean_jax.sensors.cameras import Camera, rays, sensor_view
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)
 CLASSES = ("sky", "floor", "obstacle", "person", "robot")
 """The meaning of the numbers in ``Picture.semantic``."""
+AMBIENT, SUN = 0.55, 0.5  # shares of the light
+SKIN, HAIR, LEGS = (0.87, 0.70, 0.58), (0.24, 0.18, 0.15), (0.22, 0.25, 0.32)
+NECK, WAIST = 1.47, 0.85  # m above the floor
+FACE = 0.22  # m, height of a face
+LEG, APART = 0.08, 0.1  # m, radius of a leg, and from the middle of the body to that of a leg
+STRIDE, SPREAD = 1.4, 0.3  # m, of two steps, and by how much a foot is ahead of the body at most, from 1 m/s on
+BETWEEN = 0.35  # share of the light between the legs
+SHADOW, SHADOW_REACH = 0.45, 0.22  # share of the light that is lost beside a body, and m over which the loss fades
+Color = tuple[Array, Array, Array]  # red, green and blue, of one shape
 
 
 @struct.dataclass
@@ -87,16 +96,7 @@ def _body_colors(scenario: Scenario, view: View, with_robot: bool) -> Array:
     return jnp.concatenate([*parts, jnp.zeros((view.counts[3] + 2, 3), float)]).T
 
 
-AMBIENT, SUN = 0.55, 0.5  # shares of the light
-SKIN, HAIR, LEGS = (0.87, 0.70, 0.58), (0.24, 0.18, 0.15), (0.22, 0.25, 0.32)
-NECK, WAIST = 1.47, 0.85  # m above the floor
-FACE = 0.22  # m, height of a face
-LEG, APART = 0.08, 0.1  # m, radius of a leg, and from the middle of the body to that of a leg
-STRIDE, SPREAD = 1.4, 0.3  # m, of two steps, and by how much a foot is ahead of the body at most, from 1 m/s on
-BETWEEN = 0.35  # share of the light between the legs
-SHADOW, SHADOW_REACH = 0.45, 0.22  # share of the light that is lost beside a body, and m over which the loss fades
-
-Color = tuple[Array, Array, Array]  # red, green and blue, of one shape
+# --- paint ---
 
 
 def colors(

@@ -257,6 +257,9 @@ def _from_settings(settings: Settings, robot: RobotModel) -> Sensor:
     return color_sensor(device, settings.name)
 
 
+# --- errors of real sensors ---
+
+
 def noise(
     key: Array,
     distance: Float[Array, "*shape"],
