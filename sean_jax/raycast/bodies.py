@@ -1,8 +1,8 @@
 """The bodies around a sensor, in its frame, and the distance along a ray to one of them (section IV-F).
 
 Each law is for one ray and one body, in components; arrays broadcast. The ray leaves its origin along the unit vector
-(dx, dy, dz). The vector q leads from the origin of the ray to the middle of the body. Distances are in metres, ``MISS``
-where the ray meets nothing ahead. All laws have finite gradients, also on grazing rays.
+d. The vector q leads from the origin of the ray to the middle of the body. Distances are in metres, ``MISS`` where the
+ray meets nothing ahead. All laws have finite gradients, also on grazing rays.
 """
 
 import jax
@@ -22,22 +22,12 @@ HEAD = 1.60  # m, the middle of the head
 HEAD_RADIUS = 0.13  # m
 AWAY = 1e6  # m, where absent people stand
 
+Vector = tuple[Array, Array, Array]  # x, y and z
 
-def box(
-    qx: Array,
-    qy: Array,
-    qz: Array,
-    hx: Array,
-    hy: Array,
-    hz: Array,
-    cosine: Array,
-    sine: Array,
-    dx: Array,
-    dy: Array,
-    dz: Array,
-    inverse_dz: Array,
-) -> Array:
-    """Distance to an upright box of half extents h, from outside; cosine and sine are those of its yaw."""
+
+def box(q: Vector, half: Vector, cosine: Array, sine: Array, d: Vector, inverse_dz: Array) -> Array:
+    """Distance to an upright box of half extents ``half``, from outside; cosine and sine are those of its yaw."""
+    (qx, qy, qz), (hx, hy, hz), (dx, dy, _) = q, half, d
     iu, iv = inverse(cosine * dx + sine * dy), inverse(cosine * dy - sine * dx)
     at_u, at_v, at_z = (cosine * qx + sine * qy) * iu, (cosine * qy - sine * qx) * iv, qz * inverse_dz
     in_u, in_v, in_z = hx * jnp.abs(iu), hy * jnp.abs(iv), hz * jnp.abs(inverse_dz)
@@ -46,20 +36,20 @@ def box(
     return jnp.where((near <= far) & (near > 0.0), near, MISS)
 
 
-def sphere(qx: Array, qy: Array, qz: Array, radius: Array | float, dx: Array, dy: Array, dz: Array) -> Array:
+def sphere(q: Vector, radius: Array | float, d: Vector) -> Array:
     """Distance to a sphere, from outside."""
+    (qx, qy, qz), (dx, dy, dz) = q, d
     middle = qx * dx + qy * dy + qz * dz
     px, py, pz = qx - middle * dx, qy - middle * dy, qz - middle * dz
     return _enter(radius * radius - (px * px + py * py + pz * pz), middle)
 
 
-def person_lower_body(
-    qx: Array, qy: Array, qz: Array, radius: Array, dx: Array, dy: Array, dz: Array, inverse_flat: Array
-) -> Array:
+def person_lower_body(q: Vector, radius: Array, d: Vector, inverse_flat: Array) -> Array:
     """Distance to a person up to the shoulders: all that rays from below the shoulders meet if they do not rise.
 
     q leads to the feet; ``inverse_flat`` is 1 / (dx² + dy²), 0 for a vertical ray.
     """
+    (qx, qy, qz), (dx, dy, dz) = q, d
     middle = (qx * dx + qy * dy) * inverse_flat
     px, py = qx - middle * dx, qy - middle * dy
     square = radius * radius - (px * px + py * py)
@@ -68,30 +58,16 @@ def person_lower_body(
     return jnp.where(touches & (side > 0.0) & (side * dz - qz <= SHOULDER), side, MISS)
 
 
-def person(
-    qx: Array, qy: Array, qz: Array, radius: Array, dx: Array, dy: Array, dz: Array, inverse_flat: Array
-) -> Array:
+def person(q: Vector, radius: Array, d: Vector, inverse_flat: Array) -> Array:
     """Distance to a person: ``person_lower_body``, shoulders and head; arguments as there."""
-    rounded = jnp.minimum(
-        sphere(qx, qy, qz + SHOULDER, radius, dx, dy, dz), sphere(qx, qy, qz + HEAD, HEAD_RADIUS, dx, dy, dz)
-    )
-    return jnp.minimum(person_lower_body(qx, qy, qz, radius, dx, dy, dz, inverse_flat), rounded)
+    x, y, z = q
+    rounded = jnp.minimum(sphere((x, y, z + SHOULDER), radius, d), sphere((x, y, z + HEAD), HEAD_RADIUS, d))
+    return jnp.minimum(person_lower_body(q, radius, d, inverse_flat), rounded)
 
 
-def cylinder(
-    qx: Array,
-    qy: Array,
-    qz: Array,
-    ax: Array,
-    ay: Array,
-    az: Array,
-    radius: Array,
-    half: Array,
-    dx: Array,
-    dy: Array,
-    dz: Array,
-) -> Array:
-    """Distance to a cylinder of axis a and half length ``half`` with flat ends, from outside."""
+def cylinder(q: Vector, axis: Vector, radius: Array, half: Array, d: Vector) -> Array:
+    """Distance to a cylinder along a unit vector with flat ends and half a length ``half``, from outside."""
+    (qx, qy, qz), (ax, ay, az), (dx, dy, dz) = q, axis, d
     along_d, along_q = ax * dx + ay * dy + az * dz, ax * qx + ay * qy + az * qz
     fx, fy, fz = dx - along_d * ax, dy - along_d * ay, dz - along_d * az
     gx, gy, gz = qx - along_q * ax, qy - along_q * ay, qz - along_q * az

@@ -17,7 +17,7 @@ from sean_jax.base import Array
 from sean_jax.geometry import length
 from sean_jax.platforms import by_platform
 from sean_jax.raycast import bodies, kernel
-from sean_jax.raycast.bodies import View
+from sean_jax.raycast.bodies import Vector, View
 from sean_jax.raycast.kernel import Family
 from sean_jax.raycast.rays import Beams, Rays
 
@@ -261,7 +261,7 @@ def along(
     return x + rays.offset[0], y + rays.offset[1], z + rays.offset[2]
 
 
-def _from_ray(beams: Beams, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+def _from_ray(beams: Beams, x: Array, y: Array, z: Array) -> Vector:
     """A vector (x, y, z) from the sensor as one from the start of each ray."""
     if beams.offset is None:
         return x, y, z
@@ -269,28 +269,28 @@ def _from_ray(beams: Beams, x: Array, y: Array, z: Array) -> tuple[Array, Array,
 
 
 def _box(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    x, y, z = _from_ray(beams, row[0], row[1], row[2])
-    return bodies.box(x, y, z, row[3], row[4], row[5], row[6], row[7], *beams.direction, beams.inverse_rise)
+    q = _from_ray(beams, row[0], row[1], row[2])
+    return bodies.box(q, (row[3], row[4], row[5]), row[6], row[7], beams.direction, beams.inverse_rise)
 
 
 def _cylinder(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    x, y, z = _from_ray(beams, row[0], row[1], row[2])
-    return bodies.cylinder(x, y, z, row[3], row[4], row[5], row[6], row[7], *beams.direction)
+    q = _from_ray(beams, row[0], row[1], row[2])
+    return bodies.cylinder(q, (row[3], row[4], row[5]), row[6], row[7], beams.direction)
 
 
 def _sphere(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    x, y, z = _from_ray(beams, row[0], row[1], row[2])
-    return bodies.sphere(x, y, z, row[3], *beams.direction)
+    q = _from_ray(beams, row[0], row[1], row[2])
+    return bodies.sphere(q, row[3], beams.direction)
 
 
 def _person(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    x, y, z = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-height, row[0].shape))
-    return bodies.person(x, y, z, radius, *beams.direction, beams.inverse_run)
+    q = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-height, row[0].shape))
+    return bodies.person(q, radius, beams.direction, beams.inverse_run)
 
 
 def _person_low(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    x, y, z = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-height, row[0].shape))
-    return bodies.person_lower_body(x, y, z, radius, *beams.direction, beams.inverse_run)
+    q = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-height, row[0].shape))
+    return bodies.person_lower_body(q, radius, beams.direction, beams.inverse_run)
 
 
 def _normal_of_box(row, x, y, z):

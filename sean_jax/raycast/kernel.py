@@ -41,7 +41,7 @@ class _Shape(NamedTuple):
     rays: Rays
     laws: tuple[tuple[int, int, Callable], ...]  # (number of the first body, columns of its table, law) of each family
     floor: int  # number of the floor
-    numbers: bool  # whether the numbers of bodies are wanted as well
+    numbers: bool  # whether it also gives the numbers of bodies
     parts: int  # programs of a tile
 
 
@@ -120,8 +120,8 @@ def _launch(shape: _Shape) -> Callable:
             operand = operand if one else operand[None]
             all_of_batch = jnp.broadcast_to(operand, (size, inner, operand.shape[-1]))
             merged.append(all_of_batch.reshape(size * inner, -1))
-        found = tuple(out.reshape(size, inner, -1) for out in launch(*merged))
-        return found, tuple(True for _ in found)
+        outputs = tuple(out.reshape(size, inner, -1) for out in launch(*merged))
+        return outputs, tuple(True for _ in outputs)
 
     return launch
 

@@ -10,7 +10,7 @@ from sean_jax.base import RobotModel
 from sean_jax.environment import ENVS
 from sean_jax.errors import InputError
 from sean_jax.robots import description, mjx_dynamics
-from sean_jax.robots.drive import drive_kinematic, drive_mjx, drive_twin, place
+from sean_jax.robots.drive import drive_kinematic, drive_mjx, drive_twin, physics_steps, place
 
 ROBOTS: dict[str, Path] = {path.stem: path for path in sorted((ENVS / "robots").glob("*.xml"))}
 DYNAMICS = {"mjx": drive_mjx, "twin": drive_twin, "kinematic": drive_kinematic}
@@ -48,16 +48,9 @@ def find(robot: str | Path, dynamics: str = "mjx") -> Path:
     return path
 
 
-def check_step(model: RobotModel, time_step: float) -> None:
-    """Refuse a control step [s] that is no multiple of the robot's physics step.
-
-    Raises:
-        InputError: it is no multiple.
-    """
-    if abs(round(time_step / model.time_step) * model.time_step - time_step) > 1e-6:
-        raise InputError(f"time_step: {time_step:g} s is no multiple of {model.name}'s step of {model.time_step:g} s.")
-
-
 def _hint(name: str, choices: Iterable[str]) -> str:
     """The end of a message about an unknown name: the choice most like it, or all choices."""
     return files.suggest(name, choices) or f"; there are: {', '.join(choices)}."
+
+
+__all__ = ["DYNAMICS", "ROBOTS", "find", "load", "physics_steps"]

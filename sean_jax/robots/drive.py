@@ -92,9 +92,8 @@ def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "2"])
     command, age = active_command(model, robot.drive_state, action, step)
     speed, turn_rate = limit_command(model, robot.speed, robot.turn_rate, (command[0], command[1]), step)
     heading = _direction(robot.heading)
-    way = kinematic_move(
-        _steps(scenario), model, _surroundings(scenario, state), robot.position, heading, speed, turn_rate
-    )
+    steps, surroundings = physics_steps(model, step), _surroundings(scenario, state)
+    way = kinematic_move(steps, model, surroundings, robot.position, heading, speed, turn_rate)
     still = jnp.zeros_like(robot.position)
     drive_state = DriveState(still, still, way.sideways, command, age)
     return Robot(way.position, _turned(heading, step * turn_rate), way.speed, turn_rate, drive_state)
@@ -131,7 +130,8 @@ def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -
     command, age = active_command(model, robot.drive_state, action, scenario.time_step)
     targets = wheel_speeds(model, robot, command, scenario.time_step)
     before = coordinates(model, robot)
-    position, velocity = physics(_steps(scenario), model, _surroundings(scenario, state), before, targets)
+    steps, surroundings = physics_steps(model, scenario.time_step), _surroundings(scenario, state)
+    position, velocity = physics(steps, model, surroundings, before, targets)
     cosine, sine = _turned(_direction(robot.heading), position[2] - before[0][2])
     # Whole turns of the wheels are removed, so that they stay exact in single precision after many.
     wheels = position[3:] - 2.0 * jnp.pi * jnp.round(position[3:] / (2.0 * jnp.pi))
@@ -152,12 +152,15 @@ def _surroundings(scenario: Scenario, state: State) -> Surroundings:
     )
 
 
-def _steps(scenario: Scenario) -> int:
-    """How many steps of physics a step of control has."""
-    model = scenario.robot
-    steps = round(scenario.time_step / model.time_step)
-    if abs(steps * model.time_step - scenario.time_step) > 1e-6:
-        raise InputError(f"the step {scenario.time_step} s is no multiple of {model.name}'s step {model.time_step} s")
+def physics_steps(model: RobotModel, time_step: float) -> int:
+    """Number of physics steps in a control step of ``time_step`` [s].
+
+    Raises:
+        InputError: the control step is no multiple of the physics step.
+    """
+    steps = round(time_step / model.time_step)
+    if abs(steps * model.time_step - time_step) > 1e-6:
+        raise InputError(f"time_step: {time_step:g} s is no multiple of {model.name}'s step of {model.time_step:g} s.")
     return steps
 
 
