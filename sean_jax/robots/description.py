@@ -97,7 +97,7 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
 
 
 def mounts(model: Any, data: Any) -> tuple[Mount, ...]:
-    """The cameras and sites of a robot in an ``mujoco.MjModel``, whose ``MjData`` has their poses."""
+    """The cameras and sites of a robot in a ``mujoco.MjModel``, whose ``MjData`` has their poses."""
     result, frame = [], base_rotation(model, data)
     places = [
         *((model.camera(k).name, data.cam_xpos[k], data.cam_xmat[k], model.cam_fovy[k]) for k in range(model.ncam)),

@@ -27,7 +27,7 @@ def mjx() -> ModuleType:
 
 
 def put(model: Any, mass: Float[Array, "5"]) -> tuple:
-    """``RobotModel.data`` of the MJX robot of an ``mujoco.MjModel``."""
+    """``RobotModel.data`` of the MJX robot of a ``mujoco.MjModel``."""
     return mjx().put_model(model, impl="jax"), mass
 
 
