@@ -1,4 +1,4 @@
-"""How large the package is, and how often it uses words that have to be read twice: python benchmarks/size.py [PATH ...]."""
+"""How large the package is, and how often it uses words that are hard to read: python benchmarks/size.py [PATH ...]."""
 
 import ast
 import io
