@@ -228,7 +228,7 @@ def test_tables_depend_on_the_code_that_makes_them(made, hall, monkeypatch):
     place = environment.load(hall)
     way = navigation.build(place, 0.25)
     random_behavior.build(Place(hall, place, way), 2)
-    monkeypatch.setattr(starts, "_reached", lambda _, spots: np.zeros(len(spots), bool))
+    monkeypatch.setattr(starts, "_reachable", lambda _, spots: np.zeros(len(spots), bool))
     starts.anywhere(place, way, 2, dense=True)
     assert "behaviors/random_behavior" in codes["goals"] and "behaviors/starts" in codes["reached"]
 

@@ -268,7 +268,7 @@ def test_who_leaves_the_picture_is_remembered_for_two_seconds(room, sensing):
             assert np.array_equal(apply(state)[0], nobody) == (ticks > 20)
     back = know(staged(start, [(*left, 0.0, 0.0)]), known)
     np.testing.assert_array_equal(back.position[0], np.asarray(left, np.float32))
-    assert back.known[0] and back.hidden_ticks[0] == 0
+    assert back.known[0] and back.unseen_ticks[0] == 0
 
 
 def test_a_group_is_known_by_its_members(sensing):

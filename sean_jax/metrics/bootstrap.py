@@ -1,9 +1,8 @@
-"""Bootstrap confidence intervals of figures over episodes (section V): means, ratios of sums, or any figure.
+"""Bootstrap intervals over many episodes (section V): of means, of ratios of sums, of any figure.
 
-Episodes are drawn with replacement and the figure is computed again for each resample (Efron 1979); the interval holds
-the middle 95 % of the results. It estimates how much the figure would change with other seeds. Table I draws blocks of
-a minute instead of episodes, with the same ``resamples`` and ``interval``. All of this runs on the host in double
-precision.
+Episodes are drawn with replacement and the figure is computed again for each resample (Efron 1979). The interval holds
+the middle 95 % of the results: how much the figure would change with other seeds. Table I draws blocks of a minute
+instead of episodes, and figures of its own. All of this runs at the end, on the host and in double precision.
 """
 
 import math
@@ -17,17 +16,17 @@ from numpy.typing import ArrayLike
 from sean_jax.errors import InputError
 
 RESAMPLES = 2000
-MIN_RESAMPLES = 200  # with so many episodes that more would not fit in memory
+MIN_RESAMPLES = 200  # where there are so many episodes that more of them would not fit in memory
 ENTRIES = 20_000_000  # of the table of resamples, 80 MB
 
 
 class Estimate(NamedTuple):
-    """A figure over episodes and its interval, never NaN: if ``episodes`` is 0 the others are 0 without meaning."""
+    """A figure over episodes. No number is NaN: where ``episodes`` is 0, the others are 0 and mean nothing."""
 
     mean: np.ndarray  # () or (1 + S,)
-    low: np.ndarray  # likewise, lower end of the interval
-    high: np.ndarray  # likewise, upper end
-    episodes: np.ndarray  # likewise, int, number of episodes
+    low: np.ndarray  # same shape, lower end of the interval
+    high: np.ndarray  # same shape, upper end
+    episodes: np.ndarray  # same shape, int, number of episodes
 
 
 def aggregate(
@@ -38,17 +37,17 @@ def aggregate(
     level: float = 0.95,
     weights: np.ndarray | None = None,
 ) -> Estimate:
-    """The mean over episodes and its bootstrap interval, for each column: an ``Estimate``.
+    """The mean over episodes and its bootstrap interval, for each column.
 
     ``jax.tree.map(aggregate, measured)`` does all metrics of a dict.
 
     Args:
-        values: (E,) or (E, 1 + S), a metric of ``results`` for each of E episodes.
-        applies: of the same shape, bool: which values count; None: those that are finite, since a mean or an extreme
-            over a situation that never occurred is NaN. Other values may be anything.
+        values: (E,) or (E, 1 + S), a metric as ``results`` gives it for each of E episodes.
+        applies: of the same shape, bool: which values count; by default the finite ones, for a mean or an extreme over
+            a situation that never occurred is NaN. The other values may be anything.
         seed: of the resamples; equal seeds draw the same episodes, so that figures can be compared.
-        level: confidence level of the interval.
-        weights: (R, E) from ``resamples``, in place of the seed; one draw can serve many metrics.
+        level: share of the resamples that the interval holds.
+        weights: (R, E) from ``resamples``, instead of drawing them from the seed; one draw can serve many metrics.
 
     Raises:
         InputError: there is no episode, shapes differ, or a value that applies is not finite.
@@ -74,15 +73,15 @@ def aggregate_ratio(
 ) -> Estimate:
     """``sum(numerator) / sum(denominator)`` over episodes and its bootstrap interval, for each column.
 
-    Shares of time are such ratios. Resamples with a denominator of zero are left out. Other arguments as in
-    ``aggregate``.
+    Shares of time are such ratios. Resamples whose denominator is zero have no ratio and are left out.
 
     Args:
         numerator: (E,) or (E, 1 + S).
-        denominator: of the same shape, not negative; ``episodes`` counts values above 0.
+        denominator: of the same shape, not negative; ``episodes`` counts where it is above 0.
+        seed, level, weights: as in ``aggregate``.
 
     Raises:
-        InputError: there is no episode, shapes differ, or a number is not finite or below 0 in the denominator.
+        InputError: there is no episode, shapes differ, a number is not finite, or a denominator is negative.
     """
     above, below = np.asarray(numerator, np.float64), np.asarray(denominator, np.float64)
     if above.shape != below.shape or above.ndim not in (1, 2) or not above.size:
@@ -97,15 +96,14 @@ def aggregate_ratio(
     tops, bottoms = above.reshape(len(above), -1), below.reshape(len(above), -1)
     columns = [_column(top, bottom, weights, level) for top, bottom in zip(tops.T, bottoms.T, strict=True)]
     shape = above.shape[1:]
-    mean, low, high = (np.array(values).reshape(shape) for values in zip(*columns, strict=True))
+    mean, low, high = (np.array(part).reshape(shape) for part in zip(*columns, strict=True))
     return Estimate(mean, low, high, np.count_nonzero(below, axis=0) * np.ones(shape, np.int64))
 
 
 def resamples(episodes: int, seed: int = 0, count: int | None = None) -> np.ndarray:
-    """The (R, E) float32 counts of each episode, or block, in each resample.
+    """(R, E) float32, how often each of E episodes (or blocks) is in each of R resamples.
 
-    Args:
-        count: R; 2000 if None, or fewer for more than 10,000 episodes.
+    R is 2000 if ``count`` is None, and less with more than 10,000 episodes.
     """
     if count is None:
         count = int(np.clip(ENTRIES // episodes, MIN_RESAMPLES, RESAMPLES))
@@ -114,21 +112,19 @@ def resamples(episodes: int, seed: int = 0, count: int | None = None) -> np.ndar
 
 
 def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | None = None) -> np.ndarray:
-    """Weights of episodes in resamples, if episodes belong to groups that are random themselves.
+    """(R, E) float32 weights of episodes in resamples, where groups of episodes are random themselves.
 
-    An example are episodes of networks that were trained with several seeds on several datasets. Only the outermost
-    groups with more than one member are independent, and the spread of their means has that of lower levels; resampling
-    these as well would count it twice. There are few groups, so their weights are not counts but such that the interval
-    of a mean is that of Student's distribution; a weight may be negative.
+    Networks that were trained with several seeds on several datasets are such groups. Only the outermost level with
+    several groups is independent; the spread of their means contains the levels below, which would otherwise count
+    twice. There are few of them, so the weights are no counts but such that the interval of a mean is that of Student's
+    distribution; a weight may be negative.
 
     Args:
         sizes: number of groups at each level, and last the number of episodes of each innermost group: (10, 3, 410).
+            E is their product; the episodes of the first dataset's first seed come first.
         count: R, as in ``resamples``.
 
-    Returns:
-        (R, E) float32 weights that add up to E, of the episodes in order, those of the first dataset's first seed
-        before those of its second; E is the product of the sizes.
-    Source: D. Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981), for weights that are not counts.
+    Source: D. Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981), for weights that are no counts.
     """
     number = math.prod(sizes)
     if count is None:
@@ -143,12 +139,11 @@ def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | Non
 
 
 def of_share(estimate: Estimate, level: float = 0.95) -> Estimate:
-    """The estimate of a share of episodes (values 0 or 1), with Wilson's interval if it is that of none or of all.
-
-    Resamples of equal values are all equal, so their interval would have no width.
+    """The estimate of a share, with Wilson's interval where it is 0 or 1: equal values have no spread in resamples.
 
     Raises:
-        InputError: the level is not between 0 and 1.
+        InputError: the level does not lie between 0 and 1.
+
     Source: E. Wilson, "Probable inference", Journal of the American Statistical Association 22 (1927).
     """
     _check_level(level)
@@ -160,19 +155,16 @@ def of_share(estimate: Estimate, level: float = 0.95) -> Estimate:
 
 
 def with_estimate(weights: np.ndarray) -> np.ndarray:
-    """(1 + R, E) weights of means: first of all episodes, once each, then of the (R, E) resamples; rows add up to one.
-
-    ``with_estimate(weights) @ values`` is a mean over episodes and its resamples.
-    """
+    """(1 + R, E) weights, each row of sum one, for the mean over all episodes and over resamples (R, E)."""
     episodes = weights.shape[1]
     return np.concatenate([np.ones((1, episodes)), weights]) / episodes
 
 
 def interval(samples: ArrayLike, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-    """The percentile interval, lower and upper end, of a figure (R, ...) of each resample.
+    """Lower and upper end (...) of the percentile interval of a figure (R, ...) of each resample.
 
     Raises:
-        InputError: the level is not between 0 and 1.
+        InputError: the level does not lie between 0 and 1.
     """
     _check_level(level)
     low, high = np.quantile(np.asarray(samples), [(1 - level) / 2, (1 + level) / 2], axis=0)

@@ -1,6 +1,6 @@
-"""Metrics as values (section IV-H), updated step by step over a robot's task in constant memory.
+"""What a metric is (section IV-H): a value that is updated step by step over a robot's task, in constant memory.
 
-Most metrics are one line: a constructor of this module with a function of a moment:
+Most metrics are one line, a constructor of this module around a function of a moment:
 
     def close(moment):
         x, y = (moment.people.position - moment.position[None, :]).T
@@ -9,11 +9,11 @@ Most metrics are one line: a constructor of this module with a function of a mom
     time_close = duration(close, title="time close to people")
     times_close = count_onsets(close)
 
-``as_metric`` makes a metric of a bare function. A metric that needs more memory is a ``Metric`` with its own ``init``,
-``update`` and ``compute``.
+A metric that has to remember more gives ``Metric`` its own ``init``, ``update`` and ``compute``.
 
-Figures split by situation have one axis, "columns": overall first, then each situation, 1 + S in all. An amount counts
-overall and in every situation that occurs at the end of the step.
+Figures that are split by situation have one axis, "columns": overall first, then each situation, 1 + S in all. An
+amount counts overall and in every situation that occurs at the end of the step. The keywords of all constructors are
+fields of ``Metric``; without a definition, the first line of the function's docstring is taken.
 """
 
 import functools
@@ -30,34 +30,34 @@ from sean_jax import calls, clock
 from sean_jax.base import Array, Moment
 from sean_jax.errors import InputError
 
-MEAN = "Mean over episodes."  # definition of a metric without one
+MEAN = "Mean over episodes."  # the definition of a metric that has none
 CURE = "give a Metric, a condition moment -> bool, or an amount (before, after) -> number."
-RESERVED = ("episode", "task", "completed", "timed_out", "seconds", "share")  # columns of results
-UNSET = float(np.finfo(np.float32).max)  # no amount yet; finite, as everything in a state is
+RESERVED = ("episode", "task", "completed", "timed_out", "seconds", "share")  # columns of every episodes.csv
+UNSET = float(np.finfo(np.float32).max)  # stands for no amount; finite, as everything in a state is
 
 Condition = Callable[[Moment], Array]  # moment -> () bool
 Quantity = Callable[[Moment], Array]  # moment -> () number
 Amount = Callable[[Moment, Moment], Array]  # (before, after) -> () number
 
 
-# Equal by identity: metrics are hashed at each call of a compiled function, so this must be quick.
+# Equal by identity: metrics are hashed at each call of a compiled function, so that has to be quick.
 @dataclass(frozen=True, eq=False)
 class Metric:
     """A streaming metric, and how the table and the report show it.
 
-    ``compute`` gives () or, if the metric can be split by situation, (1 + S,) with the overall figure first. A mean or
-    an extreme over a situation that never occurred is NaN, since no number would be true; sums are zero.
+    ``compute`` gives () or, where the metric can be split by situation, (1 + S,) with the overall figure first. A mean
+    or an extreme over a situation that never occurred is NaN there, since no number would be true; sums are zero.
 
     Args:
         init: ``moment -> value``, the running value, any pytree, before the first step.
-        update: ``(value, before, after) -> value`` one step later, with the same shapes and types.
+        update: ``(value, before, after) -> value``, the running value one step later. It keeps shapes and types.
         compute: ``value -> array``, the figure so far.
-        unit: of the figure; "1" for pure numbers.
+        unit: "1" for pure numbers.
         title: of the row in the table; the metric's name if empty.
-        definition: one sentence with the meaning of the figure.
+        definition: one sentence.
         digits: after the decimal point.
-        kind: "count" of events, "share" of 1, which is shown in percent, else "number".
-        completed_only: the figure is meaningful for completed episodes only, so means leave out the others.
+        kind: "count" of events, "share" from 0 to 1, shown in percent, else "number".
+        completed_only: means leave out episodes that were not completed.
         headline: the table in the terminal has it; the report and episodes.csv have every metric.
     """
 
@@ -74,14 +74,13 @@ class Metric:
 
 
 def as_metric(value: Metric | Callable, name: str = "") -> Metric:
-    """A metric from a user's value: a ``Metric``, ``moment -> () bool`` or ``(before, after) -> () number``.
+    """A ``Metric`` as it is, or a metric of a function; equal arguments give the same one, so nothing compiles again.
 
     A function of one moment is a condition: the metric is the time [s] during which it holds. A function of two
-    moments, before and after a step, is an amount: the metric is its sum over the steps. Equal arguments give the same
-    metric, so nothing is compiled again.
+    moments, before and after a step, is an amount: the metric is its sum over the steps.
 
     Raises:
-        InputError: it is none of these, or results have a column of that name.
+        InputError: it is none of these, or results have another column of that name.
     """
     if name in RESERVED:
         raise InputError(f"metrics: '{name}' is a column of episodes.csv already; choose another name.")
@@ -116,11 +115,7 @@ def _from_function(function: Callable, name: str) -> Metric:
 def duration(
     condition: Condition, *, title: str = "", definition: str = "", digits: int = 1, headline: bool = True
 ) -> Metric:
-    """Time [s] during which a condition holds, overall and in each situation: the steps at whose end it does.
-
-    ``title``, ``definition``, ``digits`` and ``headline`` of this and the other constructors are those of ``Metric``;
-    an empty definition is the first line of the function's docstring.
-    """
+    """Time [s] during which a condition holds, overall and in each situation: the steps at whose end it does."""
 
     def update(value: Duration, before: Moment, after: Moment) -> Duration:
         weights = situation_weights(after)
@@ -133,7 +128,7 @@ def duration(
 def share_of_time(
     condition: Condition, *, title: str = "", definition: str = "", digits: int = 1, headline: bool = True
 ) -> Metric:
-    """Share of the time during which a condition holds, overall and in each situation."""
+    """Share of the time, from 0 to 1, during which a condition holds, overall and in each situation."""
 
     def update(value: Ratio, before: Moment, after: Moment) -> Ratio:
         weights = situation_weights(after)
@@ -152,11 +147,11 @@ def count_onsets(
     digits: int = 2,
     headline: bool = True,
 ) -> Metric:
-    """Number of times that a condition begins to hold, overall and in each situation: after a step and not before it.
+    """How often a condition begins to hold, overall and in each situation: it holds after a step and not before it.
 
     Args:
         condition: ``moment -> () bool``, or (N,) bool if each of N people counts by themselves.
-        among: of the same shape: the events that count, at the moment after the step; all if None.
+        among: of the same shape: the events that count, as of the moment after the step; all if None.
     """
 
     def update(value: Array, before: Moment, after: Moment) -> Array:
@@ -178,7 +173,7 @@ def total(
     digits: int = 2,
     headline: bool = True,
 ) -> Metric:
-    """Sum over the steps of an amount, overall and in each situation."""
+    """Sum over the steps of an amount ``(before, after) -> () number``, overall and in each situation."""
 
     def update(value: Array, before: Moment, after: Moment) -> Array:
         return value + _number(amount, before, after) * situation_weights(after)
@@ -196,7 +191,7 @@ def mean(
     digits: int = 2,
     headline: bool = True,
 ) -> Metric:
-    """Mean over the steps of an amount, overall and in each situation; NaN for situations that did not occur."""
+    """Mean over the steps of an amount ``(before, after) -> () number``, overall and in each situation."""
 
     def update(value: Ratio, before: Moment, after: Moment) -> Ratio:
         weights = situation_weights(after)
@@ -216,10 +211,7 @@ def minimum(
     digits: int = 2,
     headline: bool = True,
 ) -> Metric:
-    """Least value of a quantity over all moments, including the first.
-
-    By situation it is NaN for situations that did not occur; else it is a () number.
-    """
+    """Minimum of a quantity ``moment -> () number`` of all moments, the first included; () unless ``by_situation``."""
     return _extreme(quantity, jnp.minimum, UNSET, by_situation, unit, title, definition, digits, headline)
 
 
@@ -233,7 +225,7 @@ def maximum(
     digits: int = 2,
     headline: bool = True,
 ) -> Metric:
-    """Greatest value of a quantity over all moments, including the first; shape and NaN as in ``minimum``."""
+    """Maximum of a quantity ``moment -> () number`` of all moments, the first included; () unless ``by_situation``."""
     return _extreme(quantity, jnp.maximum, -UNSET, by_situation, unit, title, definition, digits, headline)
 
 
@@ -247,7 +239,7 @@ def final(
     kind: Literal["number", "count", "share"] = "number",
     headline: bool = True,
 ) -> Metric:
-    """Value of a quantity at the last moment, a () number."""
+    """Value () of a quantity ``moment -> () number`` at the last moment."""
 
     def init(moment: Moment) -> Array:
         return _number(quantity, moment)
@@ -295,9 +287,9 @@ def _truth(condition: Condition, moment: Moment, ndim: int | None = 0) -> Array:
     calls.check_array("metrics", condition, value, None, None, "compare numbers")
     value = jnp.asarray(value)
     if value.dtype != bool or value.ndim > (1 if ndim is None else ndim):
-        shape = "() bool or (N,) bool" if ndim is None else "() bool"
+        expected = "() bool or (N,) bool" if ndim is None else "() bool"
         raise InputError(
-            f"metrics: {_name(condition)}(moment) gives {value.dtype} {value.shape}, not {shape}; for numbers take "
+            f"metrics: {_name(condition)}(moment) gives {value.dtype} {value.shape}, not {expected}; for numbers take "
             "metrics.total, mean, minimum, maximum or final."
         )
     return value
@@ -332,19 +324,19 @@ class Duration(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """A sum, and the sum of the weights, its divisor."""
+    """A sum and the sum of its weights."""
 
     amount: Float[Array, " columns"]
     weight: Float[Array, " columns"]
 
 
 def situation_weights(moment: Moment) -> Float[Array, " columns"]:
-    """Weights of an amount: 1 overall, then 1 for each situation that occurs at that moment, else 0."""
+    """(1 + S,) 1 overall, then 1 for each situation that occurs at that moment, else 0."""
     return jnp.concatenate([jnp.ones(1, float), moment.situations.astype(float)])
 
 
 def zeros(moment: Moment) -> Float[Array, " columns"]:
-    """The initial value of a sum."""
+    """(1 + S,) zeros, the initial value of a sum."""
     return jnp.zeros_like(situation_weights(moment))
 
 
@@ -364,14 +356,14 @@ def in_seconds(value: Duration) -> Float[Array, " columns"]:
 
 
 def ratio(value: Ratio) -> Float[Array, " columns"]:
-    """A sum divided by its weight: overall 0 without any weight, NaN for situations that did not occur."""
+    """A sum divided by its weight: 0 overall while there is nothing, NaN for situations that did not occur."""
     none = value.weight == 0.0
     quotient = jnp.where(none, 0.0, value.amount / jnp.where(none, 1.0, value.weight))
     return jnp.concatenate([quotient[:1], jnp.where(none[1:], jnp.nan, quotient[1:])])
 
 
 def identity(value: Array) -> Array:
-    """The running value, for metrics whose value is the figure."""
+    """``compute`` of metrics whose running value is the figure."""
     return value
 
 
@@ -387,7 +379,7 @@ def second_has_passed(moment: Moment) -> Bool[Array, ""]:
 
 
 def time_since_sample(moment: Moment) -> Float[Array, ""]:
-    """Time [s] since the last sample before this tick: 1 if seconds are whole steps, else about that."""
+    """Time [s] since the last sample before this tick: 1 where seconds are whole steps, else about that."""
     over, under = clock.events_per_tick(moment.time_step)
     sampled = -((-_whole_seconds(moment, moment.tick - 1) * under) // over)  # the first tick at or after that second
     return (moment.tick - sampled).astype(float) * moment.time_step

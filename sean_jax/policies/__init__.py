@@ -1,4 +1,4 @@
-"""Policies of the robot: functions (scenario, state, key) -> (2,) [m/s, rad/s], or ``base.Policy`` values."""
+"""Policies, which drive the robot: functions (scenario, state, key) -> (2,) [m/s, rad/s], or ``base.Policy``."""
 
 from sean_jax.base import PolicyLike
 from sean_jax.policies.expert import expert
@@ -15,6 +15,5 @@ POLICIES: dict[str, PolicyLike] = {
     "expert": expert,
     "sensing_expert": sensing_expert,
 }
-"""name -> a function or a ``base.Policy``"""
 
 __all__ = ["POLICIES", "expert", "go_to_goal", "move_base", "orca", "sensing_expert", "social_costmap"]

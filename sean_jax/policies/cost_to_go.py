@@ -1,7 +1,7 @@
-"""The distance to the goal from many places near the robot, for sampling planners (section IV-E).
+"""Distance to the goal from many places near the robot, for planners that try many paths (section IV-E).
 
-``navigation.geodesic`` checks all corners of an environment from one place. Here a few corners are chosen once in a
-control step, and only these are checked from each place, by the table of cells from which they are visible.
+``navigation.geodesic`` looks at all corners of an environment from one place. Here a few corners are chosen once in a
+control step. Only these are then looked at from each place, through the table of cells from which they are seen.
 """
 
 import jax
@@ -13,19 +13,19 @@ from sean_jax import obstacle_grid
 from sean_jax.base import Array, PathsToGoal, Scenario, State
 from sean_jax.geometry import from_rectangle, length
 from sean_jax.navigation import segment_is_free
-from sean_jax.navigation.corner_arcs import ANGLE, CornerArcs, tangents
+from sean_jax.navigation.arcs import ANGLE, CornerArcs, tangents
 from sean_jax.navigation.shortest_paths import last_arcs
 
-NEAR_CORNERS = 6  # corners of the shortest paths from the places
-CHAIN_CORNERS = 3  # corners that follow the best one
-MAX_OVERSHOOT = 0.35  # rad, by which a path may turn too far around a corner: cells and places are not points
+NEAR_CORNERS = 6  # chosen because they are near
+CHAIN_CORNERS = 3  # chosen because they follow one another
+MAX_OVERSHOOT = 0.35  # rad, by which a path may go round a corner too far: cells and places are not points
 SPARE = 1e-3  # m
 NARROW = 0.7  # of the radius: how near the straight way to the goal may pass obstacles, as in geodesic_approx
 
 
 @struct.dataclass
 class CostToGo:
-    """The K corners of the shortest paths from places near the robot."""
+    """The K corners by which the shortest paths lead from places near the robot."""
 
     corners: CornerArcs  # K of them
     index: Int[Array, "K"]  # in the tables
@@ -33,21 +33,21 @@ class CostToGo:
 
 
 def corner_successors(scenario: Scenario, state: State) -> Int[Array, "V"]:
-    """The corner that follows each corner on the shortest path to the goal; itself if it is the last one.
+    """(V,) int32, the corner that follows each corner on the shortest path to the goal; the last corner follows itself.
 
     Costly, for it needs paths between all corners: call it once in an episode.
     """
     last = last_arcs(scenario.navigation, state.task.goal)[1]
-    corner = jnp.arange(last.shape[0], dtype=jnp.int32)
-    return scenario.navigation.next_arc[corner, last].astype(jnp.int32)
+    own = jnp.arange(last.shape[0], dtype=jnp.int32)
+    return scenario.navigation.next_arc[own, last].astype(jnp.int32)
 
 
 def build_cost_to_go(
     scenario: Scenario, state: State, successors: Int[Array, "V"], x: Float[Array, "P"], y: Float[Array, "P"]
 ) -> CostToGo:
-    """The corners on (nearly) shortest paths from some places (x, y) [m], and those that follow the first place's best.
+    """Choose the corners that are best, or nearly, from one of P places (x, y) [m].
 
-    ``successors`` are those of ``corner_successors``.
+    The corners that follow the first place's best one are added.
     """
     navigation, paths_to_goal = scenario.navigation, state.task.paths_to_goal
     every = jnp.arange(paths_to_goal.distance.shape[0], dtype=jnp.int32)
@@ -59,17 +59,17 @@ def build_cost_to_go(
     for _ in range(CHAIN_CORNERS):
         chain.append(successors[chain[-1]])
     index = jnp.concatenate([index.astype(jnp.int32), jnp.stack(chain[1:])])
-    corners, paths_to_goal = jax.tree.map(lambda leaf: leaf[index], (navigation.arcs, paths_to_goal))
-    return CostToGo(corners, index, paths_to_goal)
+    corners, chosen = jax.tree.map(lambda part: part[index], (navigation.arcs, paths_to_goal))
+    return CostToGo(corners, index, chosen)
 
 
 def distance_to_goal(
     scenario: Scenario, state: State, table: CostToGo, x: Float[Array, "P"], y: Float[Array, "P"]
 ) -> Float[Array, "P"]:
-    """Lengths [m] of the shortest paths from places (x, y) [m] by the chosen corners; inf if none is visible.
+    """Length [m] of the shortest path from places (x, y) [m] to the goal by the chosen corners; inf if none is visible.
 
-    It equals ``navigation.geodesic`` if the shortest path passes one of these corners, which holds for 95 of 100 places
-    within 1.5 m and in sight of where they were chosen. Elsewhere it is longer.
+    It equals ``navigation.geodesic`` where the shortest path passes one of these corners, which holds for 95 of 100
+    places within 1.5 m and in sight of where they were chosen. Elsewhere it is longer.
     """
     navigation, goal = scenario.navigation, state.task.goal
     paths = _path_lengths(scenario, table.corners, table.index, table.paths_to_goal, x, y)
@@ -81,7 +81,7 @@ def distance_to_goal(
 def _path_lengths(
     scenario: Scenario, corners: CornerArcs, index: Array, paths_to_goal: PathsToGoal, x: Array, y: Array
 ) -> Array:
-    """(P, K) m from each place by each of the corners to the goal; inf by corners that are not visible."""
+    """(P, K) m from places by each of the corners to the goal; inf by corners that are not in sight."""
     navigation = scenario.navigation
     x, y = _push_out(scenario, x, y)
     max_x, max_y = navigation.visible.shape[0] - 1, navigation.visible.shape[1] - 1
@@ -100,12 +100,15 @@ def _path_lengths(
 
 
 def _push_out(scenario: Scenario, x: Array, y: Array) -> tuple[Array, Array]:
-    """Places [m] moved out of inflated obstacles, in which tables have no path; gradients are those of the places."""
+    """The places (P,), (P,) [m] moved out of the inflated obstacles, in which tables know no path.
+
+    Gradients are those of the places themselves.
+    """
     stop = jax.lax.stop_gradient
     rows = obstacle_grid.lookup(scenario.environment.obstacle_grid, stop(x), stop(y))
-    columns = (rows[..., column] for column in range(6))
-    distance, nx, ny = from_rectangle(stop(x)[:, None], stop(y)[:, None], *columns)
+    parts = (rows[..., part] for part in range(6))
+    distance, nx, ny = from_rectangle(stop(x)[:, None], stop(y)[:, None], *parts)
     nearest = jnp.argmin(distance, axis=1, keepdims=True)
-    distance, nx, ny = (jnp.take_along_axis(values, nearest, 1)[:, 0] for values in (distance, nx, ny))
+    distance, nx, ny = (jnp.take_along_axis(part, nearest, 1)[:, 0] for part in (distance, nx, ny))
     out = jnp.maximum(scenario.navigation.radius + SPARE - distance, 0.0)
     return x + out * nx, y + out * ny

@@ -1,12 +1,12 @@
-"""expert: a polite model-predictive controller, in place of the human demonstrator of section V.
+"""expert: a model-predictive controller that drives politely; it stands in for the human of section V.
 
 The paper's learned policies imitate a human who steers through SEAN. Here every control step searches a plan of the
-next seconds: robot and people are predicted (``prediction``), social costs are summed along the way, and the remaining
-path is a shortest path (``cost_to_go``). The search samples in two rounds: widely around the last plan and over
-constant arcs, then narrowly around the best of these. The robot drives the weighted mean of the second round (MPPI:
-G. Williams et al., "Information theoretic MPC for model-based reinforcement learning", ICRA 2017, with two rounds).
-Unlike ``sensing_expert``, the expert knows all people and their desired velocities. A control step takes some three
-million operations.
+next seconds: robot and people are predicted (``prediction``), social costs are summed along the way, and the rest of
+the path is a shortest path (``cost_to_go``). The search samples in two rounds: widely around the last plan and over
+constant arcs, then narrowly around the best of these. The robot drives the weighted mean of the second round (G.
+Williams et al., "Information theoretic MPC for model-based reinforcement learning", ICRA 2017, with two rounds). The
+expert knows more than a robot's sensors: all people and their goals; ``sensing_expert`` does not. A control step takes
+some three million operations.
 """
 
 from dataclasses import replace
@@ -41,28 +41,25 @@ DEVIATION = (0.5, 0.15)  # of the limits: standard deviations in the two rounds
 MAX_PEOPLE = 8  # the nearest, which are predicted
 MAX_TURN_RATE = 2.0  # rad/s, of a plan
 MAX_SPEED = 1.5  # m/s, of a plan among people
-UNKNOWN_DISTANCE = 40.0  # m, for places without a known path
-MIN_PROGRESS = 0.3  # m, minimum that counts as progress
+UNKNOWN_DISTANCE = 40.0  # m, for places from which no path is known
+MIN_PROGRESS = 0.3  # m nearer to the goal
 INITIAL_DISTANCE = 1e6  # m, more than any path
 ARC_SPEEDS = (-0.4, 0.0, 0.35, 0.7, 1.0)  # of the limits: constant arcs
 ARC_TURN_RATES = (-1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 1.0)
 OBSTACLE_MARGIN = 0.03  # m, kept from obstacles at high cost
 OBSTACLE_REACH = 0.15  # m, beyond it: the cost falls to 0
-PERSON_MARGIN = 0.07  # m, for errors of predictions: added to the intimate distance and to contact
+PERSON_MARGIN = 0.07  # m, by which predictions may be wrong: added to the intimate distance and to contact
 STRETCH_TIME = 0.7  # s, by which the speed of people stretches their personal space ahead
 
 
 @struct.dataclass
 class SocialCosts:
-    """Weights of the social costs (sections IV-G, IV-H), in rates per second; all leaves are () floats.
-
-    One unit is worth one metre of way.
-    """
+    """Weights of the social costs (sections IV-G, IV-H); one unit of cost is worth one metre of path."""
 
     contact: Float[Array, ""]  # 1/s, with an obstacle or inside the intimate distance
     obstacle: Float[Array, ""]  # 1/s, at contact
     personal_space: Float[Array, ""]  # 1/s, in its middle
-    o_space: Float[Array, ""]  # 1/s, in the middle of a group that is not the task's
+    o_space: Float[Array, ""]  # 1/s, in the middle of a group that the task has nothing to do with
     reverse: Float[Array, ""]  # 1/m, of driving backward
     turn_rate: Float[Array, ""]  # s/rad2, of its square
     acceleration: Float[Array, ""]  # s3/m2, of its square
@@ -74,7 +71,7 @@ class ExpertParams:
     """Parameters of the expert; all leaves are () floats."""
 
     weights: SocialCosts
-    halfway: Float[Array, ""]  # 1, weight of the remaining path in the middle of a plan; at its end it is 1
+    halfway: Float[Array, ""]  # 1, weight of the path that is left in the middle of a plan; at its end it is 1
     goal_tolerance: Float[Array, ""]  # m from the goal, where it is reached
     temperature: Float[Array, ""]  # of the weighted mean
     patience: Float[Array, ""]  # s without progress, after which the weight of personal space is halved
@@ -89,11 +86,11 @@ class PlanLimits(NamedTuple):
 
 
 class ExpertMemory(NamedTuple):
-    """The memory of the expert."""
+    """The expert's memory."""
 
     knots: Float[Array, "knots 2"]  # of the last plan, shares of the limits
     successors: Int[Array, "V"]  # of ``cost_to_go.corner_successors``
-    distance_min: Float[Array, ""]  # m, remaining path at the last progress
+    distance_min: Float[Array, ""]  # m, the path that was left at the last progress
     waiting_ticks: Int[Array, ""]  # since then
 
 
@@ -122,7 +119,7 @@ def init(scenario: Scenario, params: ExpertParams, state: State) -> ExpertMemory
 
 
 def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) -> tuple[Float[Array, "2"], ExpertMemory]:
-    """The first command [m/s, rad/s] of the best plan, and the new memory."""
+    """The command (2,) [m/s, rad/s] of the best plan, and the new memory."""
     people = predict_people(scenario, nearest_people(state, MAX_PEOPLE), state.groups, STEPS, TIME_STEP)
     return plan(scenario, params, state, people, key)
 
@@ -130,11 +127,11 @@ def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) ->
 def plan(
     scenario: Scenario, params: ExpertParams, state: State, people: PeopleMotion, key: Array
 ) -> tuple[Float[Array, "2"], ExpertMemory]:
-    """The search for any prediction of people: the command [m/s, rad/s] and the new memory.
+    """The command (2,) [m/s, rad/s] and the new memory, by a search with any prediction of people.
 
     Args:
-        state: with the known groups and an ``ExpertMemory``; its people are not read.
-        people: predicted for ``STEPS`` steps of ``TIME_STEP``.
+        state: now, with an ``ExpertMemory``; its groups are used, its people are not.
+        people: ``STEPS`` steps of ``TIME_STEP``.
     """
     memory: ExpertMemory = state.policy_state
     limits = plan_limits(scenario)
@@ -164,7 +161,7 @@ def plan(
 
 
 def plan_limits(scenario: Scenario) -> PlanLimits:
-    """Limits of plans: the minimum of the robot's limits and those among people."""
+    """The robot's limits, or those of driving among people where they are lower."""
     model = scenario.robot
     ahead = jnp.minimum(model.max_speed, MAX_SPEED)
     return PlanLimits(
@@ -173,7 +170,7 @@ def plan_limits(scenario: Scenario) -> PlanLimits:
 
 
 def _progress(scenario: Scenario, params: ExpertParams, state: State, table: CostToGo) -> tuple[Array, Array]:
-    """Remaining path [m] at the last progress, of ``MIN_PROGRESS`` at least, and ticks since then, 0 at the goal.
+    """() m, the remaining path at the last progress of ``MIN_PROGRESS``; and () int32 ticks since then, 0 at the goal.
 
     Without it two polite agents would wait for each other forever.
     """
@@ -185,7 +182,7 @@ def _progress(scenario: Scenario, params: ExpertParams, state: State, table: Cos
 
 
 def _arcs() -> np.ndarray:
-    """(A, KNOTS, 2) constant arcs, and turns on the spot followed by driving straight ahead."""
+    """(A, KNOTS, 2) constant arcs, and turns on the spot after which the robot drives straight ahead."""
     arcs = [np.tile([ahead, turn], (KNOTS, 1)) for ahead in ARC_SPEEDS for turn in ARC_TURN_RATES]
     for turn in ARC_TURN_RATES:
         turn_first = np.tile([1.0, 0.0], (KNOTS, 1))
@@ -200,13 +197,13 @@ INTERPOLATION = np.stack([np.interp(np.arange(STEPS) * TIME_STEP, np.linspace(0,
 
 
 def _shift(knots: Array, seconds: float) -> Array:
-    """The plan without its first seconds; its last command continues."""
+    """The plan with that much of its beginning removed; its last command continues."""
     share = seconds * (KNOTS - 1) / (STEPS * TIME_STEP)
     return knots + share * jnp.diff(knots, axis=0, append=knots[-1:])
 
 
 def _commands(shares: Array, limits: PlanLimits) -> Array:
-    """(..., 2) m/s and rad/s of shares (..., 2) of the limits."""
+    """(..., 2) m/s and rad/s of the shares (..., 2) of the limits."""
     ahead, back, turn = limits
     speed = jnp.where(shares[..., 0] > 0.0, ahead, back) * shares[..., 0]
     return jnp.stack([speed, turn * shares[..., 1]], -1)
@@ -231,7 +228,7 @@ def _cost(
     people: PeopleMotion,
     motion: RobotMotion,
 ) -> Float[Array, "P"]:
-    """(P,) costs of trajectories (T, P): the remaining path, and the social costs along the way."""
+    """(P,) cost of trajectories (T, P): the remaining path, and the social costs along the way."""
     x, y, yaw, speed, turn = motion
     weights, robot = params.weights, state.robot
     rate = obstacle_rate(scenario, weights, x, y) + people_rate(scenario, weights, x, y, people)
@@ -253,15 +250,15 @@ def _cost(
 def obstacle_distance(
     grid: ObstacleGrid, x: Float[Array, "*shape"], y: Float[Array, "*shape"]
 ) -> Float[Array, "*shape"]:
-    """Distances [m] of places [m] to the nearest obstacle within reach of the grid."""
+    """Distance [m] from places (x, y) [m] to the nearest obstacle within reach of the grid."""
     rows = obstacle_grid.lookup(grid, x, y)
-    return jnp.min(from_rectangle(x[..., None], y[..., None], *(rows[..., column] for column in range(6)))[0], -1)
+    return jnp.min(from_rectangle(x[..., None], y[..., None], *(rows[..., part] for part in range(6)))[0], -1)
 
 
 def obstacle_rate(
     scenario: Scenario, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
-    """Cost [1/s] of being near obstacles or the edge of the floor, at places [m]."""
+    """Cost [1/s] of being near obstacles or the edge of the floor, at (x, y) [m]."""
     edge = to_border(scenario.environment, x, y)
     gap = jnp.minimum(obstacle_distance(scenario.environment.obstacle_grid, x, y), edge)
     gap = gap - scenario.robot.radius - OBSTACLE_MARGIN
@@ -273,9 +270,9 @@ def obstacle_rate(
 def people_rate(
     scenario: Scenario, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"], people: PeopleMotion
 ) -> Float[Array, "T P"]:
-    """Cost [1/s] of being near people at places [m]: of contact, of less than 0.45 m, and of personal space.
+    """Cost [1/s] of being near people, at (x, y) [m]: contact, less than 0.45 m, and personal space.
 
-    Personal space reaches 1.2 m, and farther ahead of walking people.
+    Personal space reaches 1.2 m, and farther ahead of people who walk.
     """
     px, py, vx, vy = (part[:, None, :] for part in people)
     dx, dy = x[..., None] - px, y[..., None] - py
@@ -295,13 +292,13 @@ def people_rate(
 def group_rate(
     state: State, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
-    """Cost [1/s] of being in o-spaces at places [m]; those of the task's groups are smaller."""
+    """Cost [1/s] of being in o-spaces, at (x, y) [m]; less far in those of groups that the task joins or leaves."""
     groups, task = state.groups, state.task
     index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
-    of_task = (index == task.goal_group) | (index == task.start_group)
+    own = (index == task.goal_group) | (index == task.start_group)
     cx, cy = groups.center[None, None, :, 0], groups.center[None, None, :, 1]
     away = length(x[..., None] - cx, y[..., None] - cy)
-    size = jnp.where(of_task, 0.5, 1.2) * jnp.maximum(groups.radius, 1e-3)
+    size = jnp.where(own, 0.5, 1.2) * jnp.maximum(groups.radius, 1e-3)
     depth = jnp.clip(1.0 - away / size[None, None, :], 0.0, 1.0)
     return weights.o_space * jnp.where(groups.present[None, None, :], depth, 0.0).sum(-1)
 
@@ -316,9 +313,8 @@ def comfort_rate(
     """Cost [1/s] of driving backward, of turning and of acceleration.
 
     Args:
-        speed: m/s.
-        turn: rad/s.
-        before: speed [m/s] and turn rate [rad/s] now.
+        speed, turn: m/s and rad/s.
+        before: speed [m/s] and turn rate [rad/s] of now.
         time_step: s, between two rows.
     """
     acceleration = jnp.diff(speed, axis=0, prepend=jnp.full_like(speed[:1], before[0])) / time_step
@@ -329,4 +325,4 @@ def comfort_rate(
 
 
 expert = Policy(params=default_params(), name="expert", init=init, apply=apply)
-"""The expert with default parameters; others by ``replace(expert, params=...)``."""
+"""The expert with its usual parameters; others by ``replace(expert, params=...)``."""

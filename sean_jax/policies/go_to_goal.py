@@ -1,4 +1,4 @@
-"""go_to_goal: pure pursuit of the shortest path around obstacles, yielding to people."""
+"""go_to_goal: pure pursuit of the shortest path around obstacles, giving way to people."""
 
 import jax.numpy as jnp
 from jaxtyping import Float
@@ -10,8 +10,8 @@ from sean_jax.scenario import observe
 
 TURN_GAIN = 2.0  # 1/s
 STOP_DISTANCE = 0.55  # m between centers, at which the robot stands behind people
-SLOW_DISTANCE = 1.2  # m, within which it slows down
-PASSING_DISTANCE = 0.7  # m, from a person whom it passes
+SLOW_DISTANCE = 1.2  # m, from where it slows down
+PASSING_DISTANCE = 0.7  # m, by which it passes beside a person in its way
 GOAL_TOLERANCE = 0.1  # m from the goal, where it turns to the goal's heading
 
 
@@ -19,8 +19,8 @@ def go_to_goal(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"
     """Drives along the shortest path around obstacles, giving way to people.
 
     The robot aims at the next corner of the path or, if a person is near in that direction, beside the person on the
-    nearer side. It drives as fast as the free distance ahead allows, and turns on the spot if there is none. The result
-    is a command [m/s, rad/s].
+    nearer side. It drives as fast as the free distance ahead allows, and turns on the spot where there is none. The
+    command is (2,) [m/s, rad/s]; the key is not used.
     """
     observation = observe(scenario, state)
     to_path = length(observation.path[0], observation.path[1])
@@ -39,7 +39,7 @@ def go_to_goal(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"
         aim = _wrap(jnp.where(in_way.any(), aside, bearing))
 
     ahead = observation.people_present & (jnp.abs(direction) < jnp.pi / 3)
-    closing = jnp.maximum(-observation.people_velocity[:, 0], 0.0)  # oncoming people need more distance
+    closing = jnp.maximum(-observation.people_velocity[:, 0], 0.0)  # people who come closer need more distance
     free = jnp.min(jnp.where(ahead, distance - STOP_DISTANCE - 0.3 * closing, SLOW_DISTANCE), initial=SLOW_DISTANCE)
     share = jnp.clip(free / (SLOW_DISTANCE - STOP_DISTANCE), 0.0, 1.0) * jnp.clip(jnp.cos(aim), 0.0, 1.0)
     speed = (

@@ -1,8 +1,9 @@
 """orca: optimal reciprocal collision avoidance for a robot on two wheels (van den Berg et al., 2011).
 
-The half-planes are those of ``pedestrian_models``. The middle of the axle cannot move in any direction, but a point
-ahead of it can: J. Snape, J. van den Berg, S. J. Guy & D. Manocha, "Smooth and collision-free navigation for multiple
-robots under differential-drive constraints" (IROS 2010) steer that point, with a disc around it and the robot.
+The half-planes are those of ``pedestrian_models``. The middle of the axle cannot move in any direction, but a
+point ahead of it can: J. Snape, J. van den Berg, S. J. Guy & D. Manocha, "Smooth and collision-free navigation for
+multiple robots under differential-drive constraints" (IROS 2010) steer that point, with a disc around it that contains
+the robot.
 """
 
 import jax
@@ -17,16 +18,16 @@ from sean_jax.policies.prediction import nearest_people
 from sean_jax.robots.limits import clip_speeds, clip_turn_rate
 from sean_jax.scenario import observe
 
-POINT = 0.6  # of the radius: distance of the point ahead of the axle
+POINT = 0.6  # of the radius: how far ahead of the axle the point lies
 PEOPLE_HORIZON = 4.0  # s, without a collision with people
 OBSTACLE_HORIZON = 0.5  # s, without a collision with obstacles
-MAX_PEOPLE = 8  # the nearest, which are avoided
-MAX_OBSTACLES = 4  # likewise
-MAX_DISTANCE = 6.0  # m, of people who are avoided
+MAX_PEOPLE = 8  # the nearest that are avoided
+MAX_OBSTACLES = 4  # the nearest that are avoided
+MAX_DISTANCE = 6.0  # m, of people that are avoided
 PEOPLE_MARGIN = 0.1  # m, kept from bodies
 OBSTACLE_MARGIN = 0.03  # m, kept from obstacles
 TURN_GAIN = 2.0  # 1/s
-DEVIATION = 0.3  # rad, noise of a standing robot's direction: two robots that meet head-on would stand forever
+DEVIATION = 0.3  # rad, of the direction that a standing robot wishes: two that meet head-on would stand forever
 GOAL_TOLERANCE = 0.1  # m from the goal, where it turns to the goal's heading
 
 
@@ -34,27 +35,27 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"]:
     """Drives along the shortest path, at the nearest velocity without a collision with people within 4 s (ORCA).
 
     The robot takes all of the avoidance, for people need not reciprocate, as far as its speed allows; otherwise it
-    takes the velocity that violates the half-planes least. Obstacles bound its speed, ahead and backward. The result is
-    a command [m/s, rad/s].
+    takes the velocity that violates the half-planes least. Obstacles bound its speed, ahead and backward. The command
+    is (2,) [m/s, rad/s].
     """
     robot, model = state.robot, scenario.robot
     hx, hy = robot.heading[0], robot.heading[1]
     lever = jnp.asarray(POINT * model.radius, float)
     observation = observe(scenario, state)
     stuck = 1.0 - jnp.clip(jnp.abs(robot.speed) / model.max_speed, 0.0, 1.0)
-    desired = _desired_velocity(scenario, observation, lever, DEVIATION * stuck * jax.random.normal(key, (), float))
+    wish = _wish(scenario, observation, lever, DEVIATION * stuck * jax.random.normal(key, (), float))
 
     people = nearest_people(state, MAX_PEOPLE)
     gap, motion = people.position - robot.position[None, :], people.velocity
     dx, dy = gap[:, 0] * hx + gap[:, 1] * hy - lever, gap[:, 1] * hx - gap[:, 0] * hy
     vx, vy = motion[:, 0] * hx + motion[:, 1] * hy, motion[:, 1] * hx - motion[:, 0] * hy
-    point_x, point_y = robot.speed, lever * robot.turn_rate
+    own_x, own_y = robot.speed, lever * robot.turn_rate
     reach = model.radius + lever + scenario.forces.walking.radius + PEOPLE_MARGIN
     each = jax.vmap(half_plane, in_axes=(0, 0, 0, 0, None, None, None, None))
     first = jnp.ones((), bool)
-    nx, ny, out = each(dx, dy, point_x - vx, point_y - vy, reach, PEOPLE_HORIZON, scenario.time_step, first)
+    nx, ny, out = each(dx, dy, own_x - vx, own_y - vy, reach, PEOPLE_HORIZON, scenario.time_step, first)
     near = people.present & (gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1] < MAX_DISTANCE * MAX_DISTANCE)
-    c = jnp.where(near, nx * point_x + ny * point_y + out, UNBOUNDED)
+    c = jnp.where(near, nx * own_x + ny * own_y + out, UNBOUNDED)
 
     wall_x, wall = _obstacle_half_planes(scenario, state)
     x, y = best_velocity(
@@ -62,7 +63,7 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"]:
         jnp.concatenate([ny, jnp.zeros_like(wall_x)]),
         jnp.concatenate([c, wall]),
         jnp.arange(c.shape[0] + wall.shape[0]) >= c.shape[0],
-        *desired,
+        *wish,
         model.max_speed,
     )
     speed, turn = clip_speeds(model, x, y / lever)
@@ -71,8 +72,8 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"]:
     return jnp.stack([jnp.where(arrived, 0.0, speed), jnp.where(arrived, final, turn)])
 
 
-def _desired_velocity(scenario: Scenario, observation: Observation, lever: Array, aside: Array) -> tuple[Array, Array]:
-    """The velocity [m/s], in the robot's frame, of the point ahead to the goal or ``aside`` [rad] of it."""
+def _wish(scenario: Scenario, observation: Observation, lever: Array, aside: Array) -> tuple[Array, Array]:
+    """The velocity [m/s] of the point ahead that leads to the goal or ``aside`` [rad] of it, in the robot's frame."""
     model = scenario.robot
     bearing = angle_between(_ahead(), observation.path) + aside
     turn = clip_turn_rate(model, TURN_GAIN * bearing)
@@ -83,11 +84,11 @@ def _desired_velocity(scenario: Scenario, observation: Observation, lever: Array
 def _obstacle_half_planes(scenario: Scenario, state: State) -> tuple[Array, Array]:
     """(W,) 1 or -1 and (W,) m/s: half-planes that bound the speed along the heading, so that obstacles stay clear.
 
-    Only speed, not turning, moves a disc: n . h v >= -gap / horizon for the normal n away from an obstacle.
+    Only the speed moves a disc, not how it turns: n . h v >= -gap / horizon for the normal n away from an obstacle.
     """
     (x, y), heading = state.robot.position, state.robot.heading
     rows = obstacle_grid.lookup(scenario.environment.obstacle_grid, x, y)
-    distance, nx, ny = from_rectangle(x, y, *(rows[:, column] for column in range(6)))
+    distance, nx, ny = from_rectangle(x, y, *(rows[:, part] for part in range(6)))
     _, index = jax.lax.top_k(-jax.lax.stop_gradient(distance), min(MAX_OBSTACLES, distance.shape[0]))
     gap = jnp.maximum(distance[index] - scenario.robot.radius - OBSTACLE_MARGIN, 0.0)
     toward = nx[index] * heading[0] + ny[index] * heading[1]

@@ -1,6 +1,6 @@
-"""Predictions of planners: the robot by its limits (Fig. 3), people by the social forces (section IV-D).
+"""Predictions for planners: the robot by its limits (Fig. 3), people by the social forces (section IV-D).
 
-The robot is its closed-form twin without contact and slipping wheels, which planners avoid.
+The robot is its closed-form twin without contact and without slip, which planners avoid.
 """
 
 from dataclasses import replace
@@ -15,8 +15,8 @@ from sean_jax.geometry import rotate
 from sean_jax.robots.limits import limit_command
 from sean_jax.social_forces import integrate
 
-ABSENT_DISTANCE = 1e3  # m, coordinates of absent people
-COINCIDENT_DISTANCE = 0.1  # m, a third of a body's radius: only people who were placed so are nearer to each other
+ABSENT_DISTANCE = 1e3  # m, how far away absent people are placed
+COINCIDENT_DISTANCE = 0.1  # m, a third of a body's radius: only people who were placed there are nearer to each other
 
 
 class RobotMotion(NamedTuple):
@@ -45,11 +45,12 @@ def predict_robot(
     commands: tuple[Float[Array, "T P"], Float[Array, "T P"]],
     time_step: float,
 ) -> RobotMotion:
-    """The motion of P plans from a speed [m/s] and a turn rate [rad/s], in the robot's present frame.
+    """The motion of a robot, in its frame of now, after each of T commands of P plans.
 
     Each step is the chord of an arc: its heading is that of its middle.
 
     Args:
+        speed, turn_rate: m/s and rad/s, now.
         commands: speeds [m/s] and turn rates [rad/s].
         time_step: s, between two commands.
     """
@@ -71,31 +72,31 @@ def predict_robot(
 def to_world(
     position: Float[Array, "2"], heading: Float[Array, "2"], x: Float[Array, "*shape"], y: Float[Array, "*shape"]
 ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
-    """Places [m] on the floor of places (x ahead, y to the left) [m] in a robot's frame."""
+    """Places (x ahead, y left) [m] in the frame of a robot at a position [m] as places (x, y) [m] on the floor."""
     world_x, world_y = rotate(x, y, heading[0], heading[1])
     return position[0] + world_x, position[1] + world_y
 
 
 def nearest_people(state: State, count: int) -> Pedestrians:
-    """The people nearest to the robot, ``count`` at most. Absent people come last."""
+    """The ``count`` people who are nearest to the robot, or all; absent people come last, with ``present`` False."""
     people = state.pedestrians
     gap = people.position - state.robot.position[None, :]
     square = jnp.where(people.present, gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1], jnp.inf)
     _, index = jax.lax.top_k(-jax.lax.stop_gradient(square), min(count, square.shape[0]))
-    return jax.tree.map(lambda leaf: leaf[index], people)
+    return jax.tree.map(lambda part: part[index], people)
 
 
 def predict_people(
     scenario: Scenario, people: Pedestrians, groups: Groups, steps: int, time_step: float
 ) -> PeopleMotion:
-    """The motion of people by the social forces, for steps of ``time_step`` [s]. Absent people are far away.
+    """The motion of people after each of several steps of ``time_step`` [s], by the social forces.
 
     They keep their desired velocity and react to one another, obstacles and groups, but not to the robot: a planner
-    that relies on people to give way pushes them.
+    that counts on people to give way pushes them. Absent people are far away.
 
-    Derivatives are exact except for people within 0.1 m of one another: at coincident centers the force changes its
-    direction and has no derivative. Over all these steps it would grow by a factor of thousands in each, beyond single
-    precision.
+    Derivatives are exact but for people within 0.1 m of one another, whose centers nearly coincide: where a force would
+    change its direction, it has no derivative. Over all these steps it would grow by a factor of thousands in each,
+    beyond what single precision holds.
     """
     forces, grid = scenario.forces, scenario.environment.obstacle_grid
 
@@ -106,21 +107,18 @@ def predict_people(
         return after, (*after.position.T, *after.velocity.T)
 
     _, (px, py, vx, vy) = jax.lax.scan(step, people, length=steps)
-    present = people.present[None, :]
-    return PeopleMotion(jnp.where(present, px, ABSENT_DISTANCE), jnp.where(present, py, ABSENT_DISTANCE), vx, vy)
+    here = people.present[None, :]
+    return PeopleMotion(jnp.where(here, px, ABSENT_DISTANCE), jnp.where(here, py, ABSENT_DISTANCE), vx, vy)
 
 
 def predict_straight(people: Pedestrians, steps: int, time_step: float) -> PeopleMotion:
-    """The motion of people at constant velocity, for steps of ``time_step`` [s], if their goals are unknown.
-
-    Absent people are far away.
-    """
+    """The motion of people at constant velocity, for people with unknown goals; steps of ``time_step`` [s]."""
     seconds = time_step * (jnp.arange(steps, dtype=people.position.dtype) + 1.0)
     (x, y), (vx, vy) = people.position.T, people.velocity.T
-    present = people.present[None, :]
+    here = people.present[None, :]
     px, py = (now[None, :] + seconds[:, None] * speed[None, :] for now, speed in ((x, vx), (y, vy)))
-    velocity = (jnp.broadcast_to(values[None, :], px.shape) for values in (vx, vy))
-    return PeopleMotion(jnp.where(present, px, ABSENT_DISTANCE), jnp.where(present, py, ABSENT_DISTANCE), *velocity)
+    velocity = (jnp.broadcast_to(part[None, :], px.shape) for part in (vx, vy))
+    return PeopleMotion(jnp.where(here, px, ABSENT_DISTANCE), jnp.where(here, py, ABSENT_DISTANCE), *velocity)
 
 
 def _coincident(people: Pedestrians) -> Bool[Array, "K"]:

@@ -1,9 +1,9 @@
-"""sensing_expert: the expert's search with the robot's sensors as the only knowledge of people.
+"""sensing_expert: the expert's search with a robot's knowledge of people.
 
-``expert`` knows all people, also behind walls and behind its back, and their desired velocities. Students with a depth
-image (section V) cannot imitate that. This one knows the people in its depth image, remembers them for seconds, and
-predicts constant velocities. It knows the map, its pose and the goal, as a navigation stack does. Search and costs are
-those of ``expert``.
+``expert`` knows all people, also behind walls and behind its back, and their goals. Networks that see a depth image
+(section V) cannot imitate what follows from that. This expert knows the people in its depth image, remembers them for a
+while after, and expects everybody to walk on at constant velocity. It knows the map, its pose and the goal, as a
+navigation stack does. Search and costs are those of ``expert``.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ from sean_jax.platforms import scalar
 from sean_jax.policies.expert import MAX_PEOPLE, STEPS, TIME_STEP, ExpertMemory, ExpertParams, expert, plan
 from sean_jax.policies.prediction import nearest_people, predict_straight
 
-WIDTH, HEIGHT = 64, 48  # pixels of the depth image, a bit more than a degree each
+WIDTH, HEIGHT = 64, 48  # pixels of the depth image that shows people, each a bit more than a degree
 
 
 @struct.dataclass
@@ -29,29 +29,29 @@ class SensingParams:
     """Parameters of the sensing expert; all leaves are () floats."""
 
     expert: ExpertParams
-    min_pixels: Float[Array, ""]  # of 64 x 48, in which a visible person is shown; 0: everybody is visible
-    memory_time: Float[Array, ""]  # s, for which invisible people are remembered
+    min_pixels: Float[Array, ""]  # of the 64 x 48 of the depth camera, that show a visible person; 0: all are visible
+    memory_time: Float[Array, ""]  # s, for which people out of sight are remembered
 
 
 class KnownPeople(NamedTuple):
     """The robot's knowledge of people."""
 
-    position: Float[Array, "N 2"]  # m, observed, or extrapolated
-    velocity: Float[Array, "N 2"]  # m/s, at the last observation
-    group: Int[Array, "N"]  # at the last observation, -1 none
-    hidden_ticks: Int[Array, "N"]  # since then
+    position: Float[Array, "N 2"]  # m, where they are, or would be if they had walked on
+    velocity: Float[Array, "N 2"]  # m/s, when they were last visible
+    group: Int[Array, "N"]  # of then, -1 none
+    unseen_ticks: Int[Array, "N"]  # since then
     known: Bool[Array, "N"]  # visible or remembered
 
 
 class SensingMemory(NamedTuple):
-    """The memory of the sensing expert."""
+    """The sensing expert's memory."""
 
     search: ExpertMemory
     people: KnownPeople
 
 
 def default_params() -> SensingParams:
-    """The sensing expert's parameters."""
+    """Parameters of the sensing expert."""
     return SensingParams(expert.params, min_pixels=scalar(1.0), memory_time=scalar(2.0))
 
 
@@ -66,7 +66,7 @@ def init(scenario: Scenario, params: SensingParams, state: State) -> SensingMemo
 def apply(
     scenario: Scenario, params: SensingParams, state: State, key: Array
 ) -> tuple[Float[Array, "2"], SensingMemory]:
-    """The first command [m/s, rad/s] of the best plan among the known people, and the new memory."""
+    """The command (2,) [m/s, rad/s] of the best plan among the known people, and the new memory."""
     memory: SensingMemory = state.policy_state
     people = known_people(scenario, params, state, memory.people)
     state = replace(_as_known(state, people), policy_state=memory.search)
@@ -77,30 +77,30 @@ def apply(
 
 @jax.named_scope("known_people")
 def known_people(scenario: Scenario, params: SensingParams, state: State, before: KnownPeople) -> KnownPeople:
-    """People in the depth image, with exact positions and velocities, and remembered people.
+    """The known people: those in the depth image as they are, others from memory.
 
-    Nobody is mistaken for somebody else.
+    Positions and velocities of visible people are exact, and identities are never confused.
     """
     people, time_step = state.pedestrians, scenario.time_step
     eye = sensors.camera(scenario, "depth", width=WIDTH, height=HEIGHT)
     pixels = sensors.pixels_of_people(scenario, state, eye)
     visible = people.present & (pixels.astype(people.position.dtype) >= params.min_pixels)
-    hidden_ticks = jnp.where(visible, 0, before.hidden_ticks + 1)
-    fresh = hidden_ticks.astype(people.position.dtype) <= to_ticks(params.memory_time, time_step)
+    unseen_ticks = jnp.where(visible, 0, before.unseen_ticks + 1)
+    fresh = unseen_ticks.astype(people.position.dtype) <= to_ticks(params.memory_time, time_step)
     return KnownPeople(
         position=jnp.where(visible[:, None], people.position, before.position + time_step * before.velocity),
         velocity=jnp.where(visible[:, None], people.velocity, before.velocity),
         group=jnp.where(visible, people.group, before.group),
-        hidden_ticks=hidden_ticks,
+        unseen_ticks=unseen_ticks,
         known=visible | (before.known & fresh),
     )
 
 
 def _as_known(state: State, people: KnownPeople) -> State:
-    """The state with the known people and their groups; all others are absent."""
+    """The state with the known people and the groups that have a known member; all others are absent."""
     groups = state.groups
     index = jnp.arange(groups.present.shape[0], dtype=people.group.dtype)
-    has_member = (people.known[:, None] & (people.group[:, None] == index[None, :])).any(0)
+    has_known = (people.known[:, None] & (people.group[:, None] == index[None, :])).any(0)
     crowd = replace(
         state.pedestrians,
         position=people.position,
@@ -109,8 +109,8 @@ def _as_known(state: State, people: KnownPeople) -> State:
         group=people.group,
         present=people.known,
     )
-    return replace(state, pedestrians=crowd, groups=replace(groups, present=groups.present & has_member))
+    return replace(state, pedestrians=crowd, groups=replace(groups, present=groups.present & has_known))
 
 
 sensing_expert = Policy(params=default_params(), name="sensing_expert", init=init, apply=apply)
-"""The sensing expert with default parameters; others by ``replace(sensing_expert, params=...)``."""
+"""The sensing expert with its usual parameters; others by ``replace(sensing_expert, params=...)``."""

@@ -1,26 +1,28 @@
 """social_costmap and move_base: a planner after ROS's navigation stack, with social cost layers [49] or without.
 
-1. A cost map in layers: obstacles with their inflation, people's bodies likewise, as in a lidar scan, and the proxemic
-   layer (D. V. Lu, D. Hershberger & W. D. Smart, "Layered costmaps for context-sensitive navigation", IROS 2014; the
-   formula of navigation_layers, the numbers of SEAN 2.0's configuration). Costs are those of ROS: 0 is free, 252 is
-   the highest beside an obstacle, 253 is contact. A cell has the maximum of all layers. Here no command may touch;
-   ROS's local planner may enter 253 at its cost, and only 254, the obstacle itself, stops it.
-2. A global plan on it, as of global_planner, by a wave from the goal. ROS plans over the whole map. Here the map is a
-   window around the robot, with the tables of shortest paths beyond: the wave starts at the window's border with the
-   remaining distance from there, and at the goal if that is inside. So people change the plan only in the window.
-3. A local planner, the dynamic window approach of ROS's TrajectoryPlanner (D. Fox, W. Burgard & S. Thrun, 1997): 20
-   speeds by 40 turn rates that are reachable in one control step, each driven for two seconds on the cost map; weights
-   are .75 for path distance and 1 for goal distance in cells of 0.05 m, and .1 for a cost.
-4. Recovery: the robot turns on the spot if these fail for 5 seconds.
+Four parts follow one another in this file:
 
-According to the paper the stack has social cost layers. SEAN 2.0's public files for Kuri have their numbers, but the
+1. a cost map in layers: obstacles with their inflation, people's bodies likewise, as a lidar sees them, and the
+   proxemic layer (D. V. Lu, D. Hershberger & W. D. Smart, "Layered costmaps for context-sensitive navigation", IROS
+   2014; the formula as in navigation_layers, the numbers as in SEAN 2.0's configuration). Costs are those of ROS: 0
+   is free, 252 is the highest beside an obstacle, 253 touches. A cell has the highest cost of all layers. Here no
+   command may touch; ROS's local planner may enter 253 at its price, and only 254, the obstacle itself, stops it;
+2. a global plan on it, as of global_planner, by a wave that starts at the goal. ROS plans over the whole map. Here the
+   map is a window around the robot, and the tables of shortest paths give the rest: the wave starts at the window's
+   border with the remaining distance from there, and at a goal inside. People change the plan only in the window;
+3. a local planner, the dynamic window approach after ROS's TrajectoryPlanner (D. Fox, W. Burgard & S. Thrun, 1997):
+   20 speeds by 40 turn rates that can be reached in one control step, each driven for two seconds on the cost map;
+   path distance counts .75 and goal distance 1 for each 0.05 m, a cost .1;
+4. recovery: the robot turns on the spot where these fail for 5 seconds.
+
+The paper says that the stack has social cost layers. SEAN 2.0's public files for Kuri have their numbers, but the
 proxemic layer is commented out, the local map's obstacle layer is disabled, and the global map's has no sensor: no
 person is on any map. ``social_costmap`` has people on its maps, ``move_base`` nobody.
 
-Neither stands still as ROS's move_base does with the same files: docs/policies.md lists the differences. The global
-plan is renewed every half second, on 32 x 32 cells of 0.2 m around the robot. The local map has 32 x 32 cells of 0.05 m
-or, for a faster robot, the size of two seconds of driving. Maps have the exact positions of people. A control step
-takes some three million operations, most of them for the two maps.
+Neither stands still as ROS's move_base does with the same files: docs/policies.md lists the differences. Here the
+global plan is renewed every half second, on 32 x 32 cells of 0.2 m around the robot, and the local map has 32 x 32
+cells of 0.05 m or, for a faster robot, as much as two seconds of it need. Maps hold the current places of people,
+without the errors of a lidar. A control step takes some three million operations, most of them for the two maps.
 """
 
 from dataclasses import replace
@@ -40,24 +42,24 @@ from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_succ
 from sean_jax.policies.prediction import nearest_people, to_world
 from sean_jax.robots.limits import clip_turn_rate, reachable
 
-MAX_PEOPLE = 10  # the nearest, which are on the maps
+MAX_PEOPLE = 10  # the nearest, on the maps
 CONTACT_COST = 253.0  # the disc of the robot touches something there
-MAX_COST = 252.0  # of a free cell
+MAX_COST = 252.0  # of a cell that can be driven over
 NEUTRAL_COST, COST_FACTOR = 50.0, 3.0  # of global_planner: cost of a free cell, and weight of the map
 STRAIGHT_STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 DIAGONAL_STEPS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
-UNREACHED = 1e6  # m, of cells before the wave
+UNREACHED = 1e6  # m, of cells that the wave has not reached
 GLOBAL_CELLS, GLOBAL_CELL = 32, 0.2  # of the global map, and m
-PLAN_PERIOD, SWEEPS = 5, 12  # control steps for a plan; cells of the wave in each of them
+PLAN_PERIOD, SWEEPS = 5, 12  # control steps that a plan takes; cells that the wave moves in each
 PATH_POINTS = 20  # of a plan
 LOCAL_CELLS, LOCAL_CELL = 32, 0.05  # of the local map, and m at least
 LOCAL_PATH_POINTS = 8  # of the plan, for the local planner
 SPEED_SAMPLES, TURN_RATE_SAMPLES = 20, 40
 HORIZON = 2.0  # s, of a trajectory
 TRAJECTORY_POINTS = 10  # at which costs are looked up
-SCORE_CELL = 0.05  # m, in which distances are counted
+SCORE_CELL = 0.05  # m, unit of distances in scores
 ESCAPE_SPEED = -0.1  # m/s, out of a contact
-LOOKAHEAD = 0.325  # m, for the comparison of turns on the spot
+LOOKAHEAD = 0.325  # m, by which turns on the spot are compared
 
 Tree = TypeVar("Tree")
 
@@ -68,9 +70,9 @@ class CostmapParams:
 
     amplitude: Float[Array, ""]  # A, cost in the middle of a person (77)
     cutoff: Float[Array, ""]  # lower costs become 0 (10)
-    covariance: Float[Array, ""]  # m2, C of a standing person (SEAN 0.1; the package's default is 0.25)
-    factor: Float[Array, ""]  # s/m, increase of the Gaussian's size ahead for each m/s (5)
-    inflation: Float[Array, ""]  # m, beyond contact, of the inflation (inflation_radius, 0.3)
+    covariance: Float[Array, ""]  # m2, C of a person who stands (SEAN 0.1; the package's default is 0.25)
+    factor: Float[Array, ""]  # s/m, by how much longer the Gaussian is ahead for each m/s (5)
+    inflation: Float[Array, ""]  # m, beyond contact, within which inflation costs something (inflation_radius, 0.3)
     decay: Float[Array, ""]  # 1/m, of the inflation's cost (cost_scaling_factor, 10)
     bodies: Float[Array, ""]  # 1 if people's bodies are on the map, 0 if not
 
@@ -82,20 +84,20 @@ class LocalPlannerParams:
     top_speed: Float[Array, ""]  # 1, of the robot's own: 0.3 of 0.5 m/s
     spin_min: Float[Array, ""]  # rad/s, of a turn on the spot
     path: Float[Array, ""]  # per cell of 0.05 m from the plan (pdist_scale)
-    goal: Float[Array, ""]  # per cell of 0.05 m from the plan's end on the map (gdist_scale)
+    goal: Float[Array, ""]  # per cell of 0.05 m from where the plan leaves the map (gdist_scale)
     obstacle: Float[Array, ""]  # per cost (occdist_scale)
 
 
 @struct.dataclass
 class SocialCostmapParams:
-    """The navigation stack's numbers; leaves are () floats."""
+    """Parameters of the navigation stack; leaves are () floats."""
 
     global_costmap: CostmapParams
     local_costmap: CostmapParams
     local_planner: LocalPlannerParams
-    goal_tolerance: Float[Array, ""]  # m from the goal, within which it stops (xy_goal_tolerance)
+    goal_tolerance: Float[Array, ""]  # m from the goal, where it stops (xy_goal_tolerance)
     patience: Float[Array, ""]  # s without a path, after which it turns on the spot
-    spin: Float[Array, ""]  # rad/s, of that full turn
+    spin: Float[Array, ""]  # rad/s, of that turn, once around
 
 
 @struct.dataclass
@@ -107,11 +109,11 @@ class Window:
 
 
 class SocialCostmapMemory(NamedTuple):
-    """The memory of the policy."""
+    """The policy's memory."""
 
     successors: Int[Array, "V"]  # of ``cost_to_go.corner_successors``
-    window: Window  # of the next plan
-    resistance: Float[Array, "C C"]  # of ``traversal_resistance``
+    window: Window  # of the plan in the making
+    resistance: Float[Array, "C C"]  # metres of free way that a metre there is worth
     wave: Float[Array, "C C"]  # m
     path: Float[Array, "2 points"]  # m, x and y of the current plan
     path_complete: Bool[Array, ""]  # whether it leads to the goal
@@ -121,11 +123,11 @@ class SocialCostmapMemory(NamedTuple):
 def default_params(top_speed: float = 0.6, covariance: float = 0.1) -> SocialCostmapParams:
     """The paper's stack: the proxemic layer and people's bodies on both maps.
 
-    The numbers are those of SEAN's files, except for the inflation, which is 0.3 m and 10 on both maps (in the files
-    0.3 m on the global and 0.1 m on the local map, and 3).
+    The numbers are those of SEAN's files, but for the inflation, which is 0.3 m and 10 on both maps (in the files 0.3
+    m on the global and 0.1 m on the local map, and 3).
 
     Args:
-        top_speed: 1, share of the robot's top speed.
+        top_speed: 1, share of the robot's own top speed.
         covariance: m2, of personal space.
     """
     layers = CostmapParams(
@@ -156,8 +158,9 @@ def default_params(top_speed: float = 0.6, covariance: float = 0.1) -> SocialCos
 def sean2_params() -> SocialCostmapParams:
     """The maps of SEAN 2.0's public files: no people, and an inflation that falls slower and ends sooner.
 
-    The weights of the local planner are theirs, without ``meter_scoring``: in ROS Noetic it multiplies the weights of
-    path and goal by a cell's side, and not that of cost.
+    The weights of the local planner are theirs, but ``meter_scoring``, which they set, is left out. In ROS Noetic it
+    multiplies the weights of path and goal by a cell's side, and not that of cost.
+
     Source: yale-sean/social_sim_ros, ``params/kuri``: ``costmap_common_params.yaml`` and ``map_nav_params/*.yaml``.
     """
     params = default_params()
@@ -175,7 +178,7 @@ def rolling_window(middle: Float[Array, "2"], cell: Float[Array, ""], count: int
 
 
 def cell_centers(window: Window, count: int) -> tuple[Float[Array, "C C"], Float[Array, "C C"]]:
-    """x and y [m] of the middles of a window's cells, x along the first axis."""
+    """x and y [m] of the middles of a window's cells; x varies along the first axis."""
     steps = jnp.arange(count, dtype=float) * window.cell
     x, y = window.origin[0] + steps, window.origin[1] + steps
     return jnp.broadcast_to(x[:, None], (count, count)), jnp.broadcast_to(y[None, :], (count, count))
@@ -184,7 +187,7 @@ def cell_centers(window: Window, count: int) -> tuple[Float[Array, "C C"], Float
 def cell_index(
     window: Window, count: int, x: Float[Array, "*shape"], y: Float[Array, "*shape"]
 ) -> tuple[Int[Array, "*shape"], Int[Array, "*shape"]]:
-    """Indices of the cells of places [m], or of the nearest cells."""
+    """Indices along both axes of the cells at places (x, y) [m], or of the nearest cells."""
     i = jnp.round((x - window.origin[0]) / window.cell).astype(jnp.int32)
     j = jnp.round((y - window.origin[1]) / window.cell).astype(jnp.int32)
     return jnp.clip(i, 0, count - 1), jnp.clip(j, 0, count - 1)
@@ -197,10 +200,10 @@ def proxemic_cost(
     vx: Float[Array, "..."],
     vy: Float[Array, "..."],
 ) -> Float[Array, "..."]:
-    """Cost of a place at (dx, dy) [m] from a person with a velocity [m/s]: a Gaussian, longer ahead of walkers.
+    """Cost of a place at (dx, dy) [m] from a person at velocity (vx, vy) [m/s]: a Gaussian, longer ahead of walkers.
 
     A exp(-(mx^2 / (2 sx) + my^2 / (2 sy))) with m along and across the heading, sy = C, and sx = C (1 + 5 |v|) ahead
-    and C behind; 0 below the cutoff. Costs are whole numbers, as in the map, with the gradient of the Gaussian.
+    and C behind; 0 below the cutoff. The costs are whole numbers, as in the map, with the gradient of the Gaussian.
     """
     speed = length(vx, vy)
     standing = speed < 1e-6
@@ -213,7 +216,7 @@ def proxemic_cost(
 
 
 def inflation_cost(params: CostmapParams, gap: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Cost of a gap [m] between the robot's disc and an obstacle, by the formula of costmap_2d."""
+    """Cost of a gap [m] between the robot's disc and another body, by the formula of costmap_2d."""
     near = MAX_COST * jnp.exp(-params.decay * jnp.maximum(gap, 0.0))
     return jnp.where(gap <= 0.0, CONTACT_COST, jnp.where(gap <= params.inflation, near, 0.0))
 
@@ -225,11 +228,11 @@ def cell_costs(
     x: Float[Array, "*shape"],
     y: Float[Array, "*shape"],
 ) -> Float[Array, "*shape"]:
-    """Costs of places [m]: the maximum of all layers."""
+    """Costs of places (x, y) [m], by all layers."""
     shape, radius = x.shape, scenario.robot.radius
     x, y = x.ravel(), y.ravel()
     rows = obstacle_grid.lookup(scenario.environment.obstacle_grid, x, y)
-    walls = from_rectangle(x[:, None], y[:, None], *(rows[..., column] for column in range(6)))[0]
+    walls = from_rectangle(x[:, None], y[:, None], *(rows[..., part] for part in range(6)))[0]
     edge = to_border(scenario.environment, x, y)
     gap = jnp.minimum(jnp.min(walls, 1), edge) - radius
 
@@ -249,10 +252,7 @@ def cell_costs(
 
 
 def traversal_resistance(costs: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Length of free way [m] of the same cost as a metre through a cell.
-
-    At most 252 / 50; ``UNREACHED`` for cells in contact.
-    """
+    """Metres of free way that a metre through a cell is worth: at most 252 / 50; ``UNREACHED`` for cells in contact."""
     free = jnp.minimum(NEUTRAL_COST + COST_FACTOR * costs, MAX_COST) / NEUTRAL_COST
     return jnp.where(costs >= CONTACT_COST, UNREACHED, free)
 
@@ -260,10 +260,7 @@ def traversal_resistance(costs: Float[Array, "*shape"]) -> Float[Array, "*shape"
 def initial_wave(
     scenario: Scenario, state: State, table: CostToGo, window: Window, costs: Float[Array, "C C"]
 ) -> Float[Array, "C C"]:
-    """The wave [m] before the first sweep: remaining distances at the border and around the goal.
-
-    It is ``UNREACHED`` elsewhere.
-    """
+    """The wave [m] before the first sweep: remaining distances on the border and near the goal, else ``UNREACHED``."""
     count = costs.shape[0]
     x, y = cell_centers(window, count)
     edge = jnp.concatenate([jnp.arange(count, dtype=jnp.int32)] * 2)
@@ -280,7 +277,10 @@ def initial_wave(
 def sweep_wave(
     wave: Float[Array, "C C"], resistance: Float[Array, "C C"], cell: Float[Array, ""]
 ) -> Float[Array, "C C"]:
-    """The wave [m] one cell further: each cell's minimum of its own distance and those by its eight neighbors."""
+    """Move the wave [m], the distance to the goal so far, on by one cell of side ``cell`` [m] everywhere.
+
+    A cell gets the minimum of its own distance, and of those of its eight neighbors with the step there.
+    """
     padded = jnp.pad(wave, 1, constant_values=UNREACHED)
     count = wave.shape[0]
 
@@ -296,7 +296,7 @@ def sweep_wave(
 def descend_wave(
     wave: Float[Array, "C C"], window: Window, x: Float[Array, ""], y: Float[Array, ""], points: int
 ) -> tuple[Float[Array, "points"], Float[Array, "points"]]:
-    """The plan (x, y) [m] from a place [m]: from cell to cell down the wave [m]."""
+    """The plan (x, y) [m] from a place (x, y) [m]: from cell to cell down the wave [m]."""
     count = wave.shape[0]
     padded = jnp.pad(wave, 1, constant_values=2.0 * UNREACHED)
     steps = jnp.asarray(((0, 0), *STRAIGHT_STEPS, *DIAGONAL_STEPS), jnp.int32)
@@ -321,9 +321,13 @@ def sample_commands(
     turn_rate: Float[Array, ""],
     time_step: float,
 ) -> tuple[Float[Array, "P"], Float[Array, "P"]]:
-    """Speeds [m/s] and turn rates [rad/s] of the dynamic window: 20 x 40, and as the last one backing out of a contact.
+    """Speeds [m/s] and turn rates [rad/s] of the 20 x 40 commands of the dynamic window, straight ahead among them.
 
-    They are reachable in ``time_step`` [s], straight ahead among them.
+    One more command, the last, backs out of a contact.
+
+    Args:
+        speed, turn_rate: m/s and rad/s, now.
+        time_step: s, in which the commands can be reached.
     """
     reach = reachable(model, speed, turn_rate, time_step)
     top = params.top_speed * model.max_speed
@@ -343,7 +347,7 @@ def sample_commands(
 def arc_trajectories(
     speed: Float[Array, "P"], turn_rate: Float[Array, "P"]
 ) -> tuple[Float[Array, "points P"], Float[Array, "points P"], Float[Array, "points P"]]:
-    """x, y [m] and yaw [rad] along constant commands [m/s, rad/s], in the robot's frame."""
+    """x, y [m] and yaw [rad], in the robot's frame, along constant speeds [m/s] and turn rates [rad/s]."""
     time = jnp.linspace(HORIZON / TRAJECTORY_POINTS, HORIZON, TRAJECTORY_POINTS, dtype=float)[:, None]
     yaw = time * turn_rate[None, :]
     half = 0.5 * yaw
@@ -361,12 +365,12 @@ def best_command(
     path: tuple[Float[Array, "L"], Float[Array, "L"]],
     time_step: float,
 ) -> tuple[Float[Array, "2"], Bool[Array, ""]]:
-    """The command [m/s, rad/s] of the dynamic window with the best score, and whether any command is without contact.
+    """The command (2,) [m/s, rad/s] of the dynamic window with the best score; and whether any command touches nothing.
 
-    If all commands touch something, the best is one that ends without contact, or to stand.
+    If all commands touch something, the best is the one that ends where nothing is touched, or to stand.
 
     Args:
-        robot: position [m], heading, speed [m/s] and turn rate [rad/s].
+        robot: its position (2,) [m], heading (2,), speed () [m/s] and turn rate () [rad/s].
         path: x and y [m] of the plan inside the window.
         time_step: s, of control.
     """
@@ -398,7 +402,7 @@ def best_command(
 def distance_to_path(
     x: Float[Array, "P"], y: Float[Array, "P"], path_x: Float[Array, "L"], path_y: Float[Array, "L"]
 ) -> Float[Array, "P"]:
-    """Distances [m] of places [m] to the nearest segment of a path [m]."""
+    """Distance [m] from places (x, y) [m] to the nearest segment of a path [m]."""
 
     def segment(ax: Array, ay: Array, bx: Array, by: Array) -> Array:
         dx, dy = bx - ax, by - ay
@@ -425,7 +429,7 @@ def init(scenario: Scenario, params: SocialCostmapParams, state: State) -> Socia
 def apply(
     scenario: Scenario, params: SocialCostmapParams, state: State, key: Array
 ) -> tuple[Float[Array, "2"], SocialCostmapMemory]:
-    """The command [m/s, rad/s] along the plan, and the memory with some more cells of the next plan."""
+    """The command (2,) [m/s, rad/s] along the plan, and the memory with a few cells more of the next plan."""
     memory: SocialCostmapMemory = state.policy_state
     first, last = state.tick % PLAN_PERIOD == 0, state.tick % PLAN_PERIOD == PLAN_PERIOD - 1
     start = _start_plan(scenario, params, state, memory.successors)
@@ -452,7 +456,7 @@ def apply(
 def _start_plan(
     scenario: Scenario, params: SocialCostmapParams, state: State, successors: Array
 ) -> tuple[Window, Array, Array]:
-    """The window around the robot, its resistance, and the wave before the first sweep."""
+    """The window around the robot now, its resistance, and the wave before the first sweep."""
     cell = jnp.full((), max(GLOBAL_CELL, 0.5 * scenario.robot.radius), float)
     here = state.robot.position
     window = rolling_window(here, cell, GLOBAL_CELLS)
@@ -468,22 +472,22 @@ def _start_plan(
 BORDER_PLACES = np.asarray([(0, 1, 1, 0, -1, -1, -1, 0, 1), (0, 0, 1, 1, 1, 0, -1, -1, -1)], float)
 
 
-def _select(condition: Array, one: Tree, other: Tree) -> Tree:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
+def _select(condition: Array, chosen: Tree, other: Tree) -> Tree:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), chosen, other)
 
 
 def _global_path(state: State, window: Window, wave: Array) -> tuple[Array, Array]:
-    """The plan [m] from the robot, and whether the wave has reached the robot."""
+    """(2, PATH_POINTS) m the plan from the robot on, and () bool whether the wave has reached the robot."""
     x, y = descend_wave(wave, window, state.robot.position[0], state.robot.position[1], PATH_POINTS)
     end = wave[cell_index(window, GLOBAL_CELLS, x[0], y[0])]
-    path = jnp.stack([jnp.append(state.robot.position[axis], xy)[:PATH_POINTS] for axis, xy in enumerate((x, y))])
+    path = jnp.stack([jnp.append(state.robot.position[axis], part)[:PATH_POINTS] for axis, part in enumerate((x, y))])
     for _ in range(2):  # grid paths have corners
         path = path.at[:, 1:-1].set(0.25 * (path[:, :-2] + path[:, 2:]) + 0.5 * path[:, 1:-1])
     return path, end < 0.5 * UNREACHED
 
 
 def _local_map(scenario: Scenario, params: SocialCostmapParams, state: State) -> tuple[Window, Array]:
-    """The local planner's window and its costs."""
+    """The window in which the local planner drives, and its costs."""
     reach = HORIZON * params.local_planner.top_speed * scenario.robot.max_speed + 0.1
     cell = jnp.maximum(2.0 * reach / LOCAL_CELLS, LOCAL_CELL)
     window = rolling_window(state.robot.position, cell, LOCAL_CELLS)
@@ -492,7 +496,7 @@ def _local_map(scenario: Scenario, params: SocialCostmapParams, state: State) ->
 
 
 def _local_path(path: Array, here: Array) -> tuple[Array, Array]:
-    """x and y [m] of the plan from its point nearest to a place on."""
+    """x and y (LOCAL_PATH_POINTS,) [m]: the plan (2, PATH_POINTS) from its point nearest to a place (2,) on."""
     nearest = jnp.argmin(length(path[0] - here[0], path[1] - here[1])).astype(jnp.int32)
     index = jnp.minimum(nearest + jnp.arange(LOCAL_PATH_POINTS, dtype=jnp.int32), PATH_POINTS - 1)
     return path[0][index], path[1][index]
@@ -501,20 +505,20 @@ def _local_path(path: Array, here: Array) -> tuple[Array, Array]:
 def _recover(
     scenario: Scenario, params: SocialCostmapParams, waiting_ticks: Array, command: Array, free: Array
 ) -> tuple[Array, Array]:
-    """The command, or a turn on the spot after too long without a path; and the ticks without one."""
+    """The command, or a turn on the spot if there has been no path for too long; and the ticks without one."""
     turning, longer = waiting_ticks < 0, jnp.where(free, 0, waiting_ticks + 1)
     patience, full_turn = (
         clock.to_ticks(time, scenario.time_step) for time in (params.patience, 2.0 * jnp.pi / params.spin)
     )
-    no_path = longer.astype(patience.dtype) > patience
-    after = jnp.where(no_path, -jnp.ceil(full_turn).astype(jnp.int32), longer)
+    lost = longer.astype(patience.dtype) > patience
+    after = jnp.where(lost, -jnp.ceil(full_turn).astype(jnp.int32), longer)
     after = jnp.where(turning, waiting_ticks + 1, after)
     spin = jnp.stack([jnp.zeros((), float), jnp.minimum(params.spin, scenario.robot.max_turn_rate)])
     return jnp.where(turning, spin, command), after
 
 
 social_costmap = Policy(params=default_params(), name="social_costmap", init=init, apply=apply)
-"""The stack of the paper's text; others by ``replace(social_costmap, params=default_params(top_speed=1.0))``."""
+"""The stack of the paper's text; otherwise by ``replace(social_costmap, params=default_params(top_speed=1.0))``."""
 
 move_base = Policy(params=sean2_params(), name="move_base", init=init, apply=apply)
-"""The same planner with the maps of SEAN 2.0's public files, without people."""
+"""The same planner with the maps of SEAN 2.0's public files, on which nobody is."""
