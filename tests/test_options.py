@@ -220,7 +220,8 @@ run --members permanent | --members: there is no such option; it is called '--gr
 run --places mesh | --places: there is no such option; it is called '--goal-sampling' now
 experiment table1 --baselines ppo | --baselines; sean experiment --help
 experiment learning_curve --rates 5 3 | rate: 3 examples a second do not divide its 10 steps of control
-experiment table3 | table3; sean experiment --help
+experiment table3 | 'table3' is not one of table1; did you mean 'table1'
+experiment zebra | 'zebra' is not one of table1; sean experiment --help
 bench --only stepp | --only: 'stepp' is not one of step
 bench --batches 0 | --batches: 0 must be
 bench --seconds inf | --seconds: inf must be
@@ -262,7 +263,7 @@ train ppo --action-delay 3 1 | --action-delay: 3 is more than 1; give the least 
 train ppo --action-delay -1 1 | --action-delay: -1 must be from 0 to 1,000 steps
 train ppo --sweep clip=0.1,0.1 | --sweep: clip=0.1,0.1 has a number twice
 train ppo --sweep clip=0.1 clip=0.2 | --sweep: 'clip' is listed twice; with all of its numbers
-train ppo --seed 4294967295 --seeds 2 | --seeds: 2 that follow seed 4294967295
+train ppo --seed 4294967295 --seeds 2 | --seeds: 2 consecutive seeds from 4294967295
 train ppo --num-envs 8 | --num-envs: there is no such option; did you mean '--scenarios'
 train apg --total_timesteps=100 | --total_timesteps: there is no such option; did you mean '--steps'
 run --num-episodes 8 | --num-episodes: there is no such option; did you mean '--episodes'

@@ -29,7 +29,8 @@ from sean_jax.config import (
 from sean_jax.presets import PRESETS
 
 OTHER = {  # a value of each option that is neither the preset's nor the default
-    "routing": "whole", "group_membership": "turnover", "forces": "johansson2007", "situations": "more", "goal_sampling": "uniform",
+    "routing": "whole", "group_membership": "turnover", "forces": "johansson2007", "situations": "more",
+    "goal_sampling": "uniform",
     "task_distance": (1.0, 5.5), "dynamics": "twin", "goal_radius": 0.7, "hold_time": 2.5, "time_limit": 33.0,
     "warm_up": 1.5,
 }  # fmt: skip
