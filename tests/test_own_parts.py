@@ -465,7 +465,7 @@ def test_only_what_is_typed_is_yours(named, field, capsys):
 def test_no_file_holds_a_value():
     described = RunConfig(policy=lambda scenario, state, key: None).identity()
     assert described["policy"] == {"kind": "value", "name": "<lambda>"}
-    with pytest.raises(InputError, match="policy: was a value of a Python program"):
+    with pytest.raises(InputError, match="policy: was a Python value"):
         config.validate(RunConfig, described)
 
 
