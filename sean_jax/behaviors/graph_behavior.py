@@ -3,7 +3,7 @@
 People are first assigned to free seats of group nodes; the others go to random waypoint nodes, along the cheapest path
 over waypoints. A person at a seat stays for a random duration, and a successor is sent to arrive when it ends
 (``graph_choices``). So groups last while their members change. With ``routing="edge"`` people choose at every node, as
-in SEAN 2.0's code, and with ``members="permanent"`` people who start in a group stay there.
+in SEAN 2.0's code, and with ``group_membership="permanent"`` people who start in a group stay there.
 """
 
 from collections.abc import Callable
@@ -71,7 +71,7 @@ def build(
     people: int | None = None,
     *,
     routing: str = "whole",
-    members: str = "turnover",
+    group_membership: str = "turnover",
     congestion_cost: float = 0.0,
     temperature: float = 0.0,
     walking_groups: tuple[float, float] = (0.0, 0.0),
@@ -83,8 +83,8 @@ def build(
     Args:
         people: the environment's number if None.
         routing: a key of ``ROUTINGS``.
-        members: "turnover": all members of groups come and go; "permanent": people start at all seats of a group but
-            one and never leave, and others visit the free seat.
+        group_membership: "turnover": all members of groups come and go; "permanent": people start at all seats of a
+            group but one and never leave, and others visit the free seat.
         congestion_cost: m2, increase of the cost of an edge, as a share, for each person per m2 on it.
         temperature: m, softmax temperature over costs of routes; 0: the cheapest one.
         walking_groups: shares of the people who walk in pairs and in triples. They walk from waypoint to waypoint and
@@ -103,7 +103,7 @@ def build(
     avoid = [(position[node], reach(int(capacity[node])) + 0.6) for node in np.asarray(graph.groups)]
     start, node = in_discs(environment, navigation, graph.position, graph.radius, graph.spawn, avoid)
     number = count_walking_groups(people, walking_groups)
-    permanent = members == "permanent"
+    permanent = group_membership == "permanent"
     first_seats = _first_seats(np.asarray(graph.seat_group), permanent)
     max_people = len(start) + min(len(first_seats), people - number.members)
     if people > max_people:
