@@ -21,7 +21,7 @@ import sean_jax
 from sean_jax import cli, components, config, flags, learning
 from sean_jax.config import BenchmarkConfig, CollectConfig, ExperimentConfig, RunConfig, ValidateConfig
 from sean_jax.errors import InputError
-from sean_jax.evaluation.output import read_config
+from sean_jax.evaluation.saved import read_config
 from sean_jax.learning import dataset
 from sean_jax.learning.agents import AGENTS
 from sean_jax.studies import validation

@@ -1,4 +1,4 @@
-"""The table of a run: which rows it has, what they mean, and how it looks in a terminal."""
+"""The table of a run: its rows with their definitions, and how a terminal shows them."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from sean_jax.metrics.metric import MEAN
 
 
 class Figure(NamedTuple):
-    """How a figure is shown."""
+    """The presentation of a figure."""
 
     title: str
     unit: str  # "%" shows a share in percent
@@ -23,7 +23,7 @@ class Figure(NamedTuple):
     definition: str
 
 
-EPISODE_FIGURES = {  # those of an episode itself, which no metric measures; first in the table
+EPISODE_FIGURES = {  # of the episode itself, which no metric measures; first in the table
     "share": Figure(
         "share of robot time",
         "%",
@@ -56,35 +56,26 @@ class Row:
 
 
 def rows(summary: dict[str, Any], definitions: Mapping[str, Metric], complete: bool = False) -> list[Row]:
-    """The rows of the table: those of the episodes first, then the metrics in the scenario's order.
+    """The rows of a summary (``results.aggregate_episodes``): episode figures, then metrics in the scenario's order.
 
-    Args:
-        summary: as ``statistics.aggregate`` gives it.
-        complete: every metric, not only the headlines.
-
-    Returns:
-        The rows; a metric that the summary lacks has none, and neither has the time in situations, which the share of
-        robot time shows.
+    They are the headlines, or every metric if ``complete``, except the time in situations, which the share of robot
+    time shows.
     """
     figures = summary["metrics"]
     shares = {"overall": {"mean": 1.0, "interval": [1.0, 1.0]}, **summary["situations"]}
     columns = list(shares)
-    found = [_row("share", EPISODE_FIGURES["share"], shares, columns)]
+    lines = [_row("share", EPISODE_FIGURES["share"], shares, columns)]
     for name in ("completed", "seconds") if complete else ("completed",):
         if name in figures:
-            found.append(_row(name, EPISODE_FIGURES[name], figures[name], columns))
+            lines.append(_row(name, EPISODE_FIGURES[name], figures[name], columns))
     for name, metric in definitions.items():
         if name in figures and name != "time_in_situation" and (complete or metric.headline):
-            found.append(_row(name, figure(name, metric), figures[name], columns))
-    return found
+            lines.append(_row(name, figure(name, metric), figures[name], columns))
+    return lines
 
 
 def figure(name: str, metric: Metric) -> Figure:
-    """How a metric is shown.
-
-    Returns:
-        Its title, unit, digits and definition.
-    """
+    """The title, unit, digits and definition of a metric."""
     unit = "%" if metric.kind == "share" else _UNITS.get(metric.unit, metric.unit)
     title, definition = metric.title or name.replace("_", " "), metric.definition or MEAN
     return Figure(title, unit, metric.digits, definition)
@@ -104,12 +95,7 @@ def _row(name: str, figure: Figure, values: dict[str, Any], columns: list[str]) 
 def print_table(
     console: Console, summary: dict[str, Any], definitions: Mapping[str, Metric], title: str, none: float
 ) -> None:
-    """Prints the table; where the terminal is too narrow for all situations, the others follow below.
-
-    Args:
-        summary: as ``statistics.aggregate`` gives it.
-        none: share of the robot's time in no situation.
-    """
+    """Print the table of a summary in blocks as wide as the terminal; ``none`` is the share of time in no situation."""
     names = list(summary["situations"])
     shades = situation_colors(tuple(names))
     table_rows = rows(summary, definitions)
@@ -140,9 +126,9 @@ def print_table(
 
 
 def _blocks(widths: list[int], width: int) -> list[tuple[int, int]]:
-    """(first, last) of the situations that stand beside each other in ``width`` characters, at least one each.
+    """(first, last) situation of each block of ``width`` characters.
 
-    ``widths`` are those of the columns, the overall figures first, which stand in the first block.
+    ``widths`` are those of the columns: overall, in the first block, and the situations.
     """
     overall, *situations = widths
     blocks, first, left = [], 0, width - overall - GAP

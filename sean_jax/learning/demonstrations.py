@@ -17,7 +17,7 @@ import numpy as np
 from sean_jax import navigation, sensors
 from sean_jax.base import Array, Scenario, State
 from sean_jax.learning.examples import Row, row
-from sean_jax.runner import Record, Runner, Watch, not_finite
+from sean_jax.runner import Callbacks, Record, Runner, not_finite
 
 
 @dataclasses.dataclass
@@ -63,9 +63,9 @@ def simulate(runner: Runner, seed: int, shard: int, stream: int, watch: Callable
     Raises:
         FloatingPointError: a number is not finite; the message names the episodes.
     """
-    told = Watch(advanced=lambda seconds, simulated: watch(round(seconds)) if watch is not None else None)
+    told = Callbacks(advanced=lambda seconds, simulated: watch(round(seconds)) if watch is not None else None)
     first = shard * runner.size
-    batch = runner.run(seed, first, index=np.full(runner.size, stream), watch=told)
+    batch = runner.run(seed, first, index=np.full(runner.size, stream), callbacks=told)
     scenario = runner.scenarios[0]
     rate = round(1.0 / scenario.time_step) // runner.record.every
     most = rate * math.ceil(scenario.time_limit - 1e-6)
