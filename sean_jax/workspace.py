@@ -13,6 +13,7 @@ from sean_jax.errors import FileError, InputError
 from sean_jax.flags import flag, number
 from sean_jax.versions import versions
 
+IDENTITY = "experiment.json"  # of an experiment
 CURE = "ask for the same or choose another --out."
 REMAKE = "remove it, and the same command makes it anew"
 VERSION, CONTENT = "the version of ", "the content of "
@@ -30,7 +31,7 @@ class Workspace:
 
     folder: Path
     identity: dict[str, Any]
-    file: str = "experiment.json"  # of the identity, in the folder
+    file: str = IDENTITY  # in the folder
 
     def begun(self) -> bool:
         """Whether the folder holds the beginning of this command; False if it is new or empty.

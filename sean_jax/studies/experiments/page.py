@@ -12,21 +12,19 @@ import sean_jax.report as reports
 from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import BenchmarkConfig, ExperimentConfig
 from sean_jax.flags import command, number
-from sean_jax.studies.experiments import parts, pictures, shares
+from sean_jax.studies.experiments import pictures, shares
+from sean_jax.studies.experiments.measures import CURVE_MEASURES, comparisons
 from sean_jax.studies.experiments.shares import BEHAVIORS
-from sean_jax.studies.experiments.variants import MEASURES, comparisons
 from sean_jax.versions import versions
+from sean_jax.workspace import IDENTITY, read_identity
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from sean_jax.metrics import Estimate
-    from sean_jax.studies.experiments.benchmark import Scores
-    from sean_jax.studies.experiments.claims import Claim, Results, Training
-    from sean_jax.studies.experiments.recorded import Recorded
-    from sean_jax.studies.experiments.shares import Ordering
-    from sean_jax.studies.experiments.table1 import Cell
-    from sean_jax.studies.experiments.variants import Curve, Verdict
+    from sean_jax.studies.experiments.measures import Claim, Curve, Results, Training, Verdict
+    from sean_jax.studies.experiments.shares import Cell, Ordering, Recorded
+    from sean_jax.studies.experiments.tracks import Scores
 
 STYLE = "td:nth-child(2){font-weight:400}td.ours{font-weight:650}td.text,th.text{text-align:left;white-space:normal}"
 
@@ -39,7 +37,7 @@ def document(
     Returns:
         HTML without references to other files.
     """
-    origin = (parts.load(options.folder / parts.OPTIONS) or {}).get("versions") or versions()  # of the run
+    origin = (read_identity(options.folder / IDENTITY) or {}).get("versions") or versions()  # of the run
     word = "benchmark" if isinstance(options, BenchmarkConfig) else "experiment"
     again = f"<pre>{markup.escape(command(word, options))}</pre>"
     facts = "".join(f"<dt>{markup.escape(k)}</dt><dd>{markup.escape(str(v))}</dd>" for k, v in origin.items())
@@ -436,7 +434,7 @@ def learning_curve(options: ExperimentConfig, curve: Curve, figure: Figure) -> s
     first = curve.variants[0].name
     places = list(curve.cells[first])
     numbers = []
-    for name, words in MEASURES.items():
+    for name, words in CURVE_MEASURES.items():
         rows = [
             f"<tr><td>{each.title}</td>"
             f"{''.join(_between(curve.cells[each.name][place][name]) for place in places)}</tr>"
@@ -448,11 +446,11 @@ def learning_curve(options: ExperimentConfig, curve: Curve, figure: Figure) -> s
         found = curve.differences(one, other)
         rows = [
             f"<tr><td>{words}</td>{''.join(_between(found[place][name], '+.2f') for place in places)}</tr>"
-            for name, words in MEASURES.items()
+            for name, words in CURVE_MEASURES.items()
         ]
         apart.append(_table([f"{one.title} less {other.title}", *places], rows))
     rows = [
-        f"<tr><td class=text>{row['variant']} better than {row['other']}: {MEASURES[row['measure']]}</td>"
+        f"<tr><td class=text>{row['variant']} better than {row['other']}: {CURVE_MEASURES[row['measure']]}</td>"
         f"{_between(row['difference'], '+.2f')}{_cell(*_verdict(row))}</tr>"
         for row in curve.verdicts
     ]

@@ -19,6 +19,7 @@ from sean_jax.studies.validation.check import Check, Curve, Finding, Laboratory,
 from sean_jax.studies.validation.crossings import crossing_times, flow, trajectory_data, vanishing_times
 from sean_jax.studies.validation.results import Row
 from sean_jax.studies.validation.suite import CHECKS, GATES, chosen
+from sean_jax.workspace import refuse_others
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -62,7 +63,7 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
     if options.data is not None and not options.data.is_dir():
         raise InputError(f"--data: {options.data} is no folder; give the one that holds the recordings.")
     folder = options.folder
-    results.check_folder(folder)
+    refuse_others(folder, results.OURS)
     rows: list[Row] = []
     done: dict[Any, Row] = {}  # guidelines share tests
     with writing.folder_lock(folder), progress(console) as bar:
