@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sean_jax import components, files, writing
-from sean_jax.config import Config
+from sean_jax.config import Config, present_names
 from sean_jax.errors import FileError, InputError
 from sean_jax.flags import flag, number
 from sean_jax.versions import versions
@@ -103,7 +103,7 @@ class Workspace:
 
 def identity(options: Config) -> dict[str, Any]:
     """The identity of a command that its options, the versions and the user's own files decide."""
-    return {"options": options.decisive(), "versions": versions(), "parts": components.digests(options)}
+    return {"options": options.identity(), "versions": versions(), "parts": components.digests(options)}
 
 
 def read_identity(file: Path) -> dict[str, Any] | None:
@@ -120,6 +120,8 @@ def read_identity(file: Path) -> dict[str, Any] | None:
         raise InputError(f"{file} is damaged ({str(error).rstrip('.')}); choose another folder with --out.") from None
     if not isinstance(content, dict) or any(not isinstance(content.get(name, {}), dict) for name in LABELS):
         raise InputError(f"{file} is damaged; choose another folder with --out.")
+    if "options" in content:
+        content["options"] = present_names(content["options"])
     return content
 
 

@@ -76,7 +76,7 @@ def test_the_page_names_both_and_refers_to_nothing_outside(tmp_path, capsys, mon
     text = Path("compare-a<b>-other.html").read_text(encoding="utf-8")
     assert "a&lt;b&gt;" in text and "<b>" not in text.split("<body>")[1] and "://" not in text
     said = capsys.readouterr().out
-    assert "40 episodes that both have" in said and "duration" in said
+    assert "40 common episodes" in said and "duration" in said
     assert cli.main(["compare", "a<b>", "missing"]) == 2
     assert "holds no config.yaml" in capsys.readouterr().err
     Path("other/episodes.csv").write_text("episode,task,completed,timed_out,seconds\n0,join_group,True,False,abc\n")

@@ -95,7 +95,7 @@ def read(folder: Path) -> SavedRun:
             raise InputError(f"{folder}: holds no {name}; give a folder that `sean run` has finished.")
     content = saved.read_config(folder / "config.yaml", check=False)
     config = validate(RunConfig, content.description)
-    description = components.relocate(saved.rename(config.decisive(), content.identities), content.identities)
+    description = components.relocate(saved.rename(config.identity(), content.identities), content.identities)
     tasks, columns = saved.read_episodes(folder / "episodes.csv")
     if len(tasks) > config.episodes:
         what = f"has {len(tasks):,} episodes and config.yaml {config.episodes:,}"

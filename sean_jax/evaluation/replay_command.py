@@ -220,14 +220,14 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
             f"episodes: they take turns in {len(envs)} environments, and those are in {names}; ask for one's."
         )
     place = turns.pop()
-    scenario, env = scenarios[place], envs[place]
+    scenario, mdp_env = scenarios[place], envs[place]
     record = accumulate.record(scenario, 1)
     return Source(
         scenarios=[scenario],
         policy=choice.load(folder, scenario),
         use="evaluation",  # whose i-th key of a split is that of a number
         seed=options.seed,
-        record=_until_terminated(record, env.ends) if env.terminations else record,
+        record=_until_terminated(record, mdp_env.ends) if mdp_env.terminations else record,
         number=lambda number: number // len(envs),
         turn=lambda number: 0,
         title=lambda number: _title(number, scenario.task_name),

@@ -202,7 +202,7 @@ def _count_episodes(place: Path) -> int:
 
 
 def _identity(config: RunConfig) -> dict[str, Any]:
-    options = config.decisive() | {"batch": min(config.batch, config.episodes)}
+    options = config.identity() | {"batch": min(config.batch, config.episodes)}
     return {"options": options, "parts": components.digests(config)}
 
 

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sean_jax import writing
-from sean_jax.config import CollectConfig, ExperimentConfig, fill
-from sean_jax.errors import InputError
+from sean_jax.config import AblationConfig, CollectConfig, with_defaults
 from sean_jax.learning import protocol
 from sean_jax.learning.protocol import streams
 from sean_jax.presets import PRESETS
@@ -36,7 +35,7 @@ WORLDS = (DEFAULT, *SWITCHES, ALL)
 """The conditions: the defaults, the defaults with one switch each, and SEAN 2.0's with all switches."""
 
 
-def run(options: ExperimentConfig, console: Console | None = None) -> Path:
+def run(options: AblationConfig, console: Console | None = None) -> Path:
     """Simulate what the folder lacks, and write the report.
 
     Raises:
@@ -47,9 +46,6 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
 
     Source: section V-B, Table I.
     """
-    options = options.complete()
-    if options.preset is not None:
-        raise InputError(f"preset: {options.preset} besides ablation, which goes through its options; leave it out.")
     policies = table1.policies(options)
     for world in WORLDS:
         for behavior in BEHAVIORS:
@@ -69,24 +65,24 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     return options.folder
 
 
-def description(options: ExperimentConfig, world: str, behavior: str) -> CollectConfig:
+def description(options: AblationConfig, world: str, behavior: str) -> CollectConfig:
     """The scenario of one of ``WORLDS`` with people of a behavior, which may not have its switch."""
     chosen = SWITCHES if world == ALL else {name: value for name, value in SWITCHES.items() if name == world}
-    return CollectConfig(**fill(CollectConfig, table1.fields(options, behavior, options.people), chosen))
+    return CollectConfig(**with_defaults(CollectConfig, table1.fields(options, behavior, options.people), chosen))
 
 
-def simulated(options: ExperimentConfig, world: str, behavior: str) -> str:
+def simulated(options: AblationConfig, world: str, behavior: str) -> str:
     """The world that is simulated for a world: the default if the switch changes nothing for people of the behavior."""
-    own, default = (description(options, each, behavior).decisive() for each in (world, DEFAULT))
+    own, default = (description(options, each, behavior).identity() for each in (world, DEFAULT))
     return DEFAULT if own == default else world
 
 
-def _places(options: ExperimentConfig, world: str, behavior: str) -> Streams:
+def _places(options: AblationConfig, world: str, behavior: str) -> Streams:
     return table1.with_starts(options, list(streams(description(options, world, behavior)).values()))
 
 
 def _cell(
-    options: ExperimentConfig,
+    options: AblationConfig,
     work: Workspace,
     world: str,
     policy: str,
@@ -98,7 +94,7 @@ def _cell(
     return table1.cell(options, work, file, behavior, policy, functools.partial(places, world, behavior), tell)
 
 
-def write(options: ExperimentConfig, by_world: dict[str, list[Cell]]) -> None:
+def write(options: AblationConfig, by_world: dict[str, list[Cell]]) -> None:
     """Write ablation.csv, orderings.csv, the figure and report.html.
 
     Raises:

@@ -19,7 +19,15 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from sean_jax import learning, writing
-from sean_jax.config import CollectConfig, ExperimentConfig, Named, ScenarioConfig, TrainConfig, validate
+from sean_jax.config import (
+    CollectConfig,
+    Figure4Config,
+    ImitationConfig,
+    LearnedConfig,
+    Named,
+    ScenarioConfig,
+    validate,
+)
 from sean_jax.errors import InputError
 from sean_jax.files import listed
 from sean_jax.learning import choice, protocol
@@ -55,7 +63,7 @@ if TYPE_CHECKING:
     from sean_jax.metrics import Estimate
 
 
-def run(options: ExperimentConfig, console: Console | None = None) -> Path:
+def run(options: Figure4Config, console: Console | None = None) -> Path:
     """Collect, train and evaluate what the folder lacks, and write the report.
 
     Raises:
@@ -66,31 +74,30 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
 
     Source: section V-C, Figure 4.
     """
-    options = options.complete()
     for behavior in BEHAVIORS:
-        protocol.check(collection(options, behavior))
-    for name in others(options):
-        choice.check(name, ScenarioConfig(), "--others")
+        protocol.check(collection(options, behavior, options.hours))
+    for name in baselines(options):
+        choice.check(name, ScenarioConfig(), "--baselines")
     with Workspace(options.folder, identity(options)).open() as work:
         _run(options, work, console)
     return options.folder
 
 
-def others(options: ExperimentConfig) -> list[str]:
+def baselines(options: Figure4Config) -> list[str]:
     """Other policies than those of the paper, N and E: names, folders or FILE.py:NAME, each once.
 
     Raises:
         InputError: one has the name of a column.
     """
-    names = [name for name in dict.fromkeys(listed(options.others)) if name != "none"]
+    names = [name for name in dict.fromkeys(listed(options.baselines)) if name != "none"]
     for name in names:
         if name in (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR):
-            raise InputError(f"--others: '{name}' is a column of the figure already; give another driver's name.")
+            raise InputError(f"--baselines: '{name}' is a column of the figure already; give another driver's name.")
     return names
 
 
-def _run(options: ExperimentConfig, work: Workspace, console: Console | None) -> None:
-    policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR, *others(options))
+def _run(options: Figure4Config, work: Workspace, console: Console | None) -> None:
+    policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR, *baselines(options))
     places = {
         behavior: list(streams(CollectConfig(**description(options, behavior))).values()) for behavior in BEHAVIORS
     }
@@ -109,14 +116,14 @@ def _part_name(policy: str, behavior: str) -> str:
     return f"{'learned' if policy in LEARNED or policy == BALANCED else policy} in {behavior}"
 
 
-def _parts(options: ExperimentConfig, work: Workspace, places: dict[str, list[Scenario]]) -> list[Part]:
+def _parts(options: Figure4Config, work: Workspace, places: dict[str, list[Scenario]]) -> list[Part]:
     """The parts of the experiment, in an order in which they could run one by one."""
     taught = {policy: learner(options, work, policy) for policy in (*LEARNED, BALANCED)}
     data = {behavior: f"demonstrations in {behavior}" for behavior in reversed(BEHAVIORS)}  # two policies need graph
     jobs: list[Part] = []
     for behavior, name in data.items():
-        work = functools.partial(demonstrate, collection(options, behavior), tuple(taught.values()))
-        jobs.append(Part(name, work))
+        task = functools.partial(demonstrate, collection(options, behavior, options.hours), tuple(taught.values()))
+        jobs.append(Part(name, task))
 
     def driving(several: tuple[Driver, ...], behavior: str, needs: tuple[str, ...] = ()) -> Part:
         whole = math.prod(sizes(options))
@@ -124,7 +131,7 @@ def _parts(options: ExperimentConfig, work: Workspace, places: dict[str, list[Sc
         return Part(_part_name(several[0].name, behavior), functools.partial(drive, *job), needs)
 
     names = {NAVIGATION: "social_costmap", DEMONSTRATOR: options.demonstrator}
-    for policy in (DEMONSTRATOR, NAVIGATION, *others(options)):
+    for policy in (DEMONSTRATOR, NAVIGATION, *baselines(options)):
         alike = functools.partial(choice.policy, names.get(policy, policy))  # the same driver in all episodes
         jobs += [driving((Driver(policy, (alike,)),), behavior) for behavior in BEHAVIORS]
     before: tuple[str, ...] = ()
@@ -137,18 +144,20 @@ def _parts(options: ExperimentConfig, work: Workspace, places: dict[str, list[Sc
     return jobs
 
 
-def sizes(options: ExperimentConfig) -> tuple[int, int, int]:
+def sizes(options: LearnedConfig) -> tuple[int, int, int]:
     """Numbers of datasets, of trainings on each, and of episodes of each network, rounded up."""
-    datasets, trainings = options.datasets or 1, options.trainings or 1
-    return datasets, trainings, math.ceil((options.episodes or 1) / (datasets * trainings))
+    datasets, trainings = options.datasets, options.trainings
+    return datasets, trainings, math.ceil(options.episodes / (datasets * trainings))
 
 
-def description(options: ExperimentConfig, behavior: str) -> dict[str, Any]:
+def description(options: LearnedConfig, behavior: str) -> dict[str, Any]:
     """The scenario with people of a behavior: random, handcrafted or graph."""
     return {"preset": options.preset, **table1.fields(options, behavior, options.people)}
 
 
-def collection(options: ExperimentConfig, behavior: str, name: str | None = None, **others: Any) -> CollectConfig:
+def collection(
+    options: LearnedConfig, behavior: str, hours: float, name: str | None = None, rate: int = 1
+) -> CollectConfig:
     """The demonstrations of all datasets together, since many episodes at once fill a GPU.
 
     ``name`` is that of their folder, the behavior's by default.
@@ -157,28 +166,27 @@ def collection(options: ExperimentConfig, behavior: str, name: str | None = None
         InputError: a value is out of range.
     """
     image: dict[str, Any] = dict(width=32, height=24) if options.quick else {}
-    chosen: dict[str, Any] = dict(hours=options.hours or 1.0) | image | others
-    chosen |= dict(hours=chosen["hours"] * (options.datasets or 1), seed=options.seed)
+    chosen: dict[str, Any] = dict(hours=hours * options.datasets, rate=rate, seed=options.seed) | image
     chosen |= dict(policy=Named(kind=options.demonstrator), out=options.folder / f"demonstrations-{name or behavior}")
     return validate(CollectConfig, description(options, behavior) | chosen)
 
 
-def learner(options: ExperimentConfig, work: Workspace, policy: str) -> Learner:
+def learner(options: Figure4Config, work: Workspace, policy: str) -> Learner:
     """The networks of a learned policy: G, R, H or B."""
     behavior = LEARNED.get(policy, "graph")
     name = "graph-balanced" if policy == BALANCED else behavior
     chosen = training(options) | {"balance": policy == BALANCED}
-    return Learner(name, work, collection(options, behavior), options.datasets or 1, seeds(options), chosen)
+    return Learner(name, work, collection(options, behavior, options.hours), options.datasets, seeds(options), chosen)
 
 
-def seeds(options: ExperimentConfig) -> tuple[int, ...]:
+def seeds(options: LearnedConfig) -> tuple[int, ...]:
     """The seeds of the trainings on each dataset."""
-    return tuple(options.seed + more for more in range(options.trainings or 1))
+    return tuple(options.seed + more for more in range(options.trainings))
 
 
-def training(options: ExperimentConfig) -> dict[str, Any]:
+def training(options: LearnedConfig) -> dict[str, Any]:
     """The options of all trainings."""
-    return {"epochs": options.epochs or 1000, "batch": 256 if options.quick else 1024}
+    return {"epochs": options.epochs, "batch": 256 if options.quick else 1024}
 
 
 # ------------------------------------------------------------------ networks
@@ -204,10 +212,10 @@ class Learner:
         """The name of the file that is written when a network is trained."""
         return f"trained-{self.name}-{network[0]}-{network[1]}.json"
 
-    def training(self, network: tuple[int, int]) -> TrainConfig:
+    def training(self, network: tuple[int, int]) -> ImitationConfig:
         """How a network is trained."""
         dataset, seed = network
-        return TrainConfig(
+        return ImitationConfig(
             method="imitation", dataset=self.data.folder, part=(dataset + 1, self.datasets), seed=self.seeds[seed],
             out=self.work.folder / f"policy-{self.name}-{dataset}-{seed}", **self.options,
         )  # fmt: skip
@@ -243,7 +251,7 @@ def mean_training(summaries: Sequence[Training]) -> Training:
     return cast(Training, {name: float(np.mean([each[name] for each in summaries])) for name in summaries[0]})
 
 
-def _summary(trained: TrainConfig, state: TrainState) -> dict[str, Any]:
+def _summary(trained: ImitationConfig, state: TrainState) -> dict[str, Any]:
     data = learning.open_dataset(trained.dataset, trained.part)
     flags = data.read(data.episodes, ("situations",))["situations"]
     odds = balanced_probabilities(flags) if trained.balance else np.full(len(flags), 1 / len(flags))
@@ -344,7 +352,7 @@ def file_name(driver: str) -> str:
 
 
 def _results(
-    options: ExperimentConfig,
+    options: Figure4Config,
     policies: tuple[str, ...],
     measured: dict[str, dict[str, Columns]],
     trained: dict[str, Training],
@@ -366,7 +374,7 @@ def _by_situation(policy: str, behavior: str, cells: Estimate) -> list[str]:
     ]
 
 
-def write(options: ExperimentConfig, results: Results) -> None:
+def write(options: Figure4Config, results: Results) -> None:
     """Write figure4.csv, claims.csv, the figure and report.html.
 
     Raises:

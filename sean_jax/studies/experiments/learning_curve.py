@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sean_jax import writing
-from sean_jax.config import CollectConfig, ExperimentConfig
+from sean_jax.config import CollectConfig, LearningCurveConfig
 from sean_jax.flags import number
 from sean_jax.learning import protocol
 from sean_jax.learning.protocol import streams
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 TEACHER = "graph"  # the people's behavior in all demonstrations
 
 
-def run(options: ExperimentConfig, console: Console | None = None) -> Path:
+def run(options: LearningCurveConfig, console: Console | None = None) -> Path:
     """Collect, train and evaluate what the folder lacks, and write the report.
 
     Raises:
@@ -46,7 +46,6 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
 
     Source: section V-C.
     """
-    options = options.complete()
     compared = variants(options)
     for variant in compared:
         protocol.check(collection(options, variant))
@@ -61,38 +60,36 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     return options.folder
 
 
-def variants(options: ExperimentConfig) -> tuple[Variant, ...]:
+def variants(options: LearningCurveConfig) -> tuple[Variant, ...]:
     """The variants: each amount by itself, the first amount at other rates, and the first with flags."""
-    amounts = sorted(set(options.amounts or (1.0,)))
-    first = (options.amounts or (1.0,))[0]
-    rates = (Variant(first, rate) for rate in options.rates or ())
-    return tuple(dict.fromkeys([*map(Variant, amounts), *rates, Variant(first, flags=True)]))
+    hours, first = sorted(set(options.demonstration_hours)), options.demonstration_hours[0]
+    rates = (Variant(first, rate) for rate in options.rates)
+    return tuple(dict.fromkeys([*map(Variant, hours), *rates, Variant(first, flags=True)]))
 
 
-def collection(options: ExperimentConfig, variant: Variant) -> CollectConfig:
+def collection(options: LearningCurveConfig, variant: Variant) -> CollectConfig:
     """The demonstrations of a variant.
 
     Raises:
         InputError: a value is out of range.
     """
-    told = {"hours": variant.hours, "rate": variant.rate}
-    return figure4.collection(options, TEACHER, variant.data, **told)
+    return figure4.collection(options, TEACHER, variant.hours, variant.data, variant.rate)
 
 
-def learner(options: ExperimentConfig, work: Workspace, variant: Variant) -> Learner:
+def learner(options: LearningCurveConfig, work: Workspace, variant: Variant) -> Learner:
     """The networks of a variant, with so few epochs that the optimizer makes no more steps than ``--updates``."""
     chosen = figure4.training(options)
     chosen |= {"flags": variant.flags}
-    data, datasets = collection(options, variant), options.datasets or 1
+    data, datasets = collection(options, variant), options.datasets
     learner = Learner(variant.name, work, data, datasets, figure4.seeds(options), chosen)
     own = learner.training((0, 0))
     steps = math.ceil((1.0 - own.validation) * variant.examples / own.batch)  # of an epoch
-    most = max(1, (options.updates or 1) // steps)
+    most = max(1, options.updates // steps)
     return dataclasses.replace(learner, options=learner.options | {"epochs": min(own.epochs, most)})
 
 
 def _parts(
-    options: ExperimentConfig, work: Workspace, compared: tuple[Variant, ...], places: dict[str, list[Scenario]]
+    options: LearningCurveConfig, work: Workspace, compared: tuple[Variant, ...], places: dict[str, list[Scenario]]
 ) -> list[Part]:
     """The parts of the experiment, in an order in which they could run one by one."""
     taught = {variant: learner(options, work, variant) for variant in sorted(compared, key=lambda each: each.examples)}
@@ -103,8 +100,8 @@ def _parts(
     ]
     before: tuple[str, ...] = ()
     for variant, learned in taught.items():  # one after the other: orbax mixes up what several threads save
-        work = functools.partial(figure4.train, learned)
-        jobs.append(Part(f"training {variant.title}", work, (learned.data.folder.name, *before)))
+        task = functools.partial(figure4.train, learned)
+        jobs.append(Part(f"training {variant.title}", task, (learned.data.folder.name, *before)))
         before = (jobs[-1].name,)
     for flags, behavior in itertools.product((False, True), BEHAVIORS):  # equal networks share programs
         several = [taught[variant].driver(variant.name) for variant in compared if variant.flags == flags]
@@ -117,7 +114,7 @@ def _part_name(flags: bool, behavior: str) -> str:
     return f"driving {'with flags ' if flags else ''}in {behavior}"
 
 
-def _curve(options: ExperimentConfig, compared: tuple[Variant, ...], outcomes: dict) -> Curve:
+def _curve(options: LearningCurveConfig, compared: tuple[Variant, ...], outcomes: dict) -> Curve:
     values: dict = {}
     for variant in compared:
         measured = {b: episode_measures(outcomes[_part_name(variant.flags, b)][variant.name])[0] for b in BEHAVIORS}
@@ -126,7 +123,7 @@ def _curve(options: ExperimentConfig, compared: tuple[Variant, ...], outcomes: d
     return Curve(compared, figure4.sizes(options), values, training)
 
 
-def write(options: ExperimentConfig, curve: Curve) -> None:
+def write(options: LearningCurveConfig, curve: Curve) -> None:
     """Write learning_curve.csv, differences.csv, verdicts.csv, the figure and report.html.
 
     Raises:

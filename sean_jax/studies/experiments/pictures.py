@@ -19,7 +19,7 @@ from sean_jax.studies.experiments.shares import BEHAVIORS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from sean_jax.config import ExperimentConfig
+    from sean_jax.config import Table1Config
     from sean_jax.studies.experiments.measures import Curve, Results, Variant
     from sean_jax.studies.experiments.shares import Cell
 
@@ -57,7 +57,7 @@ def save(folder: Path, figures: dict[str, Figure]) -> None:
             figure.savefig(stream, dpi=110, format="png", metadata={"Software": None})
 
 
-def table1(options: ExperimentConfig, cells: list[Cell], swept: list[Cell]) -> dict[str, Figure]:
+def table1(options: Table1Config, cells: list[Cell], swept: list[Cell]) -> dict[str, Figure]:
     """The figures of Table I, by name of the file without its ending; sweeps are drawn if the options have them."""
     if not cells:
         return {}
@@ -95,7 +95,7 @@ def bars(cells: list[Cell]) -> Figure:
     return figure
 
 
-def speeds(options: ExperimentConfig, cells: list[Cell]) -> Figure:
+def speeds(options: Table1Config, cells: list[Cell]) -> Figure:
     """Entropy and share of cross path by the walking speed V; one line for each behavior and policy."""
     policies = list(dict.fromkeys(cell.policy for cell in cells))
     figure, axes = _figure(10.8, 2.8, 1, 2)

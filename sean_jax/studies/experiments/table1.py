@@ -19,7 +19,7 @@ import numpy as np
 
 from sean_jax import files, writing
 from sean_jax.classifiers import MORE_SITUATIONS
-from sean_jax.config import CollectConfig, ExperimentConfig, ScenarioConfig
+from sean_jax.config import CollectConfig, ExperimentConfig, ScenarioConfig, SituationConfig, Table1Config
 from sean_jax.errors import InputError
 from sean_jax.files import listed
 from sean_jax.flags import number
@@ -44,7 +44,7 @@ MORE = tuple(MORE_SITUATIONS.items())
 STARTS = 64  # of each stream and seed, from which its chains restart
 
 
-def run(options: ExperimentConfig, console: Console | None = None) -> Path:
+def run(options: Table1Config, console: Console | None = None) -> Path:
     """Simulate what the folder lacks, and write the report.
 
     Raises:
@@ -55,10 +55,9 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
 
     Source: section V-B, Table I.
     """
-    options = options.complete()
-    names = policies(options)
+    names = [] if listed(options.policies) == ["none"] and listed(options.recordings) else policies(options)
     jobs = [(behavior, policy, options.people) for policy in names for behavior in BEHAVIORS]
-    sweep = [(behavior, policy, crowd) for policy in names[:1] for crowd in options.crowds or () for behavior in SWEPT]
+    sweep = [(behavior, policy, crowd) for policy in names[:1] for crowd in options.crowds for behavior in SWEPT]
     for behavior, _, people in [*jobs, *sweep]:
         protocol.check(description(options, behavior, people))
     kind = description(options, "random", None).situations[0].kind
@@ -87,15 +86,13 @@ def _part_name(behavior: str, policy: str, people: int | None) -> str:
     return f"{behavior}, {policy}" + ("" if people is None else f", {people} people")
 
 
-def policies(options: ExperimentConfig) -> list[str]:
-    """The policies, names or folders, each once; ``none`` gives none if there are recordings.
+def policies(options: SituationConfig) -> list[str]:
+    """The policies, names or folders, each once.
 
     Raises:
         InputError: there is none, or no policy of that name.
     """
     names = list(dict.fromkeys(listed(options.policies)))
-    if names == ["none"] and listed(options.recordings):
-        return []
     if not names:
         raise InputError("--policies names no policy; try --policies go_to_goal.")
     for name in names:
@@ -103,7 +100,7 @@ def policies(options: ExperimentConfig) -> list[str]:
     return names
 
 
-def description(options: ExperimentConfig, behavior: str, people: int | None) -> CollectConfig:
+def description(options: Table1Config, behavior: str, people: int | None) -> CollectConfig:
     """The scenario with so many people of a behavior: random, handcrafted or graph."""
     return CollectConfig(preset=options.preset, **fields(options, behavior, people))
 
@@ -117,20 +114,20 @@ def fields(options: ExperimentConfig, behavior: str, people: int | None) -> dict
     return chosen | {"behavior": behavior, "people": None if behavior == "handcrafted" else people}
 
 
-def _places(options: ExperimentConfig, behavior: str, people: int | None) -> Streams:
+def _places(options: Table1Config, behavior: str, people: int | None) -> Streams:
     """The streams of the protocol, with situations for each walking speed."""
     kinds = list(streams(description(options, behavior, people)).values())
     situations = _at_speeds(kinds[0], options.speeds)
     return with_starts(options, [dataclasses.replace(kind, situations=situations) for kind in kinds])
 
 
-def with_starts(options: ExperimentConfig, kinds: list[Scenario]) -> Streams:
+def with_starts(options: SituationConfig, kinds: list[Scenario]) -> Streams:
     """The streams of the protocol with their starts."""
-    return Streams(kinds, options.seed, STARTS * (options.seeds or 1))
+    return Streams(kinds, options.seed, STARTS * options.seeds)
 
 
 def _cell(
-    options: ExperimentConfig,
+    options: Table1Config,
     work: Workspace,
     behavior: str,
     policy: str,
@@ -143,7 +140,7 @@ def _cell(
 
 
 def cell(
-    options: ExperimentConfig,
+    options: SituationConfig,
     work: Workspace,
     file: str,
     behavior: str,
@@ -172,9 +169,9 @@ def cell(
                 others = np.unpackbits(arrays["more"], axis=-1, count=len(names)).astype(bool)
                 number = int(arrays["streams"]) if "streams" in arrays else len(places().scenarios)
                 return Cell(behavior, policy, int(arrays["people"]), flags, others, arrays["ended"], number)
-    pool, seeds = places(), options.seeds or 1
+    pool, seeds = places(), options.seeds
     kinds = pool.scenarios
-    minutes = max(1, math.ceil(60.0 * (options.hours or 1.0) / len(kinds) - 1e-6))
+    minutes = max(1, math.ceil(60.0 * options.hours / len(kinds) - 1e-6))
     each = min(CHAIN, minutes)
     chains = seeds * math.ceil(minutes / each)
     flags, ended = Chains(choice.policy(policy, kinds[0]), more).minutes(pool, chains, each, tell)
@@ -198,7 +195,7 @@ def _at(holds: Callable, speed: float, moment: Moment, thresholds: Thresholds) -
     return holds(moment, dataclasses.replace(thresholds, walking=jnp.asarray(speed, float)))
 
 
-def write(options: ExperimentConfig, cells: list[Cell], swept: list[Cell], real: list[Recorded]) -> None:
+def write(options: Table1Config, cells: list[Cell], swept: list[Cell], real: list[Recorded]) -> None:
     """Write shares.csv, more.csv, entropies.csv, orderings.csv, recordings.csv, the figures and report.html.
 
     ``cells`` have the experiment's number of people, ``swept`` other numbers.
@@ -250,7 +247,7 @@ def _rows(head: str, names: Sequence[str], samples: np.ndarray, known: Collectio
     ]
 
 
-def _recorded(options: ExperimentConfig, real: list[Recorded]) -> list[str]:
+def _recorded(options: Table1Config, real: list[Recorded]) -> list[str]:
     lines = ["recording,people,V,counting,situation,share,low,high"]  # no V where a situation does not depend on it
     for each in real:
         for index, speed in enumerate(options.speeds):
