@@ -16,12 +16,12 @@ import jax
 import numpy as np
 import pytest
 import yaml
-from sean_jax.evaluation.saved import read_config
 
 import sean_jax
 from sean_jax import cli, components, config, flags, learning
 from sean_jax.config import BenchmarkConfig, CollectConfig, Figure4Config, RunConfig, Table1Config, ValidateConfig
 from sean_jax.errors import InputError
+from sean_jax.evaluation.saved import read_config
 from sean_jax.learning import dataset
 from sean_jax.learning.agents import AGENTS
 from sean_jax.studies import validation
