@@ -11,7 +11,7 @@ from rich.console import Console
 from test_drawing import Graph, environment, frames
 
 from sean_jax import replay, report
-from sean_jax.evaluation import Evaluation, results, table
+from sean_jax.evaluation import Evaluation, results
 from sean_jax.metrics import METRICS
 
 NAMES = ("cross_path", "down_path", "join_group", "leave_group", "empty")
@@ -87,7 +87,7 @@ def test_terminal_table_holds_every_situation_at_any_width(width):
     names = [*NAMES, "frontal_approach", "a_situation_of_mine", *(f"situation_{k}" for k in range(7))]
     for k, name in enumerate(names):
         found["situations"][name] = {"mean": 0.01 * (k + 30) + 1e-4, "interval": [0.0, 1.0]}
-    table.print_table(console, found, evaluation().definitions, "runs", 0.25)
+    results.print_table(console, found, evaluation().definitions, "runs", 0.25)
     said = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
     assert max(len(line) for line in said.splitlines()[:-1]) <= width and "…" not in said
     shares = [cell for line in said.splitlines() if "share of robot time" in line for cell in line.split()[5:]]
@@ -144,7 +144,7 @@ def page(given: Evaluation) -> str:
             environment=environment(),
             graph=Graph,
             situations=given.situations,
-            rows=[dataclasses.asdict(row) for row in table.rows(found, given.definitions, complete=True)],
+            rows=[dataclasses.asdict(row) for row in results.table_rows(found, given.definitions, complete=True)],
             shares=given.exclusive_shares(),
             heat=given.heat,
             walks=given.walks,
@@ -169,7 +169,7 @@ def page(given: Evaluation) -> str:
 
 def test_report_is_whole_and_refers_to_nothing_outside():
     given = evaluation()
-    rows = table.rows(results.aggregate_episodes(given), given.definitions, complete=True)
+    rows = results.table_rows(results.aggregate_episodes(given), given.definitions, complete=True)
     text = page(given)
     reader = Reader()
     reader.feed(text)
