@@ -836,8 +836,6 @@ class ReinforcementConfig(EnvConfig):
     """Give the network a memory, a gated recurrent unit."""
     bfloat16: bool = False
     """Keep and encode images in half precision: quicker on a GPU, slower on a CPU."""
-    careful: bool = False
-    """Let the noise of actions depend on what is seen, so that an agent can be exact where that matters."""
     noise: Noise | None = None
     """Standard deviation of actions at the beginning, 0.5 or that of the pretrained agent by default; they are from -1
     to 1."""

@@ -1,7 +1,7 @@
-"""A dataset of demonstrations (section V-B): a manifest, and arrays in a store.
+"""The JSON files of learning: the manifest of a dataset and the configuration of a trained network (section V).
 
-The manifest ``dataset.json`` says what was recorded and how. It is replaced as a whole after each shard, and what it
-does not name does not exist. Each stream uses as many seconds of its episodes as were asked for.
+Datasets and policies may come from other people. A file that this version would not write is refused when it is opened,
+with the key that is wrong, before memory of the sizes in the file is allocated.
 """
 
 from __future__ import annotations
@@ -10,24 +10,217 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import math
 import os
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pydantic
 
 from sean_jax import components, files, prng, writing
-from sean_jax.config import CollectConfig, validate
+from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, CollectConfig, validate
 from sean_jax.errors import FileError, IncompleteError, InputError
-from sean_jax.learning import store
 from sean_jax.learning.examples import POINTS, Recording, Row
-from sean_jax.learning.manifests import check_manifest
-from sean_jax.learning.protocol import seconds_of_each
+from sean_jax.quantities import MAX_DURATION
 
-if TYPE_CHECKING:
-    from sean_jax.learning.demonstrations import Batch
+LOOSE = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
+Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
+Positive = Annotated[int, pydantic.Field(ge=1, le=MAX_SHARD)]
+Side = Annotated[int, pydantic.Field(ge=1, le=MAX_SIDE)]  # pixels
+Names = Annotated[list[str], pydantic.Field(max_length=1_000)]
+
+
+class Camera(pydantic.BaseModel):
+    """Size of the depth images."""
+
+    model_config = LOOSE
+
+    width: Side
+    height: Side
+
+
+class Shard(pydantic.BaseModel):
+    """A batch of episodes."""
+
+    model_config = LOOSE
+
+    stream: Count
+    lengths: list[Count]  # rows
+    completed: list[bool]
+    bytes: dict[str, Annotated[int, pydantic.Field(ge=0, lt=2**62)]]  # of the file of each field
+
+
+class Robot(pydantic.BaseModel):
+    """The robot that was driven."""
+
+    model_config = LOOSE
+
+    name: str
+
+
+class Manifest(pydantic.BaseModel):
+    """The keys of dataset.json that are read; other keys are for people."""
+
+    model_config = LOOSE
+
+    command: str
+    options: dict[str, Any]
+    hours: Annotated[float, pydantic.Field(gt=0, le=MAX_HOURS)]
+    batch: Positive
+    seconds: Annotated[int, pydantic.Field(ge=1, le=MAX_DURATION)]  # of an episode, at most
+    rate: Annotated[float, pydantic.Field(ge=1, le=MAX_RATE)] = 1.0  # rows a second, a whole number
+    streams: Annotated[Names, pydantic.Field(min_length=1)]
+    situations: Names
+    camera: Camera
+    robot: Robot
+    shards: list[Shard]
+
+
+def check_manifest(path: Path, data: Any, fields: tuple[str, ...]) -> None:
+    """Check the content of a dataset.json.
+
+    Raises:
+        FileError: a value cannot be that of a dataset with these fields.
+    """
+    files.check_json(path, data, Manifest, lambda manifest: _check_relations(manifest, fields))
+
+
+def _check_relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[files.Problem]:
+    if manifest.camera.width * manifest.camera.height > MAX_PIXELS:
+        yield ("camera",), f"has more than {MAX_PIXELS:,} pixels"
+    if manifest.rate != int(manifest.rate):
+        yield ("rate",), f"{manifest.rate:g} is not a whole number"
+    for number, shard in enumerate(manifest.shards):
+        here = ("shards", number)
+        if shard.stream >= len(manifest.streams):
+            yield (*here, "stream"), f"{shard.stream} is none of the {len(manifest.streams)} streams"
+        for name, values in (("lengths", shard.lengths), ("completed", shard.completed)):
+            if len(values) != manifest.batch:
+                yield (*here, name), f"has {len(values)} values, and a batch has {manifest.batch} episodes"
+        longest = max(shard.lengths, default=0)
+        if longest > manifest.rate * manifest.seconds:
+            seconds = f"{longest / manifest.rate:g} s long, and {manifest.seconds} s are the most"
+            yield (*here, "lengths"), f"an episode is {seconds}"
+        if missing := [name for name in fields if name not in shard.bytes]:
+            yield (*here, "bytes"), f"lacks {', '.join(missing)}"
+        if unknown := [name for name in shard.bytes if name not in fields]:
+            yield (*here, "bytes"), f"has '{unknown[0][:40]}', which is no field of a row"
+
+
+COMPRESSION = 3  # of the zstd compression
+CURE = "remove the damaged file, and `sean collect` with the same options makes it anew."
+
+
+def create_arrays(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], batch: int, rows: int) -> None:
+    """Create arrays without episodes, in a group that other readers of zarr recognize.
+
+    Args:
+        fields: name -> (shape, type) of each field of a row.
+
+    Raises:
+        OSError: the folder cannot be written.
+        ValueError: tensorstore refuses the arrays.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, (shape, kind) in fields.items():
+        shard = [batch, rows, *shape]
+        chunk = [1, *shard[1:]] if len(shape) > 1 and kind == "uint16" else shard
+        little = {"name": "bytes"} if kind == "bool" else {"name": "bytes", "configuration": {"endian": "little"}}
+        index = {"name": "bytes", "configuration": {"endian": "little"}}
+        sharding = {
+            "chunk_shape": chunk,
+            "codecs": [little, {"name": "zstd", "configuration": {"level": COMPRESSION}}, {"name": "crc32c"}],
+            "index_codecs": [index, {"name": "crc32c"}],
+        }
+        metadata = {
+            "shape": [0, *shard[1:]],
+            "data_type": kind,
+            "fill_value": False if kind == "bool" else 0,
+            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": shard}},
+            "codecs": [{"name": "sharding_indexed", "configuration": sharding}],
+        }
+        _open_array(folder / name, {"metadata": metadata, "create": True, "open": True})
+    group = {"zarr_format": 3, "node_type": "group", "attributes": {}}
+    writing.write(folder / "zarr.json", json.dumps(group, indent=2) + "\n")
+
+
+def write_shard(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict[str, int]:
+    """Write a shard durably.
+
+    Args:
+        fields: name -> (B, T, ...) values.
+
+    Returns:
+        Name -> size of its file [bytes].
+
+    Raises:
+        IncompleteError: it cannot be written, for example because the disk is full.
+    """
+    writes = []
+    try:
+        for name, values in fields.items():
+            array = _open_array(folder / name)
+            first, last = shard * len(values), (shard + 1) * len(values)
+            if array.shape[0] < last:
+                array = array.resize(exclusive_max=[last, *array.shape[1:]]).result()
+            writes.append(array[first:last].write(values))
+        for each in writes:
+            each.result()
+        return {name: shard_file(folder, name, shard, values.ndim).stat().st_size for name, values in fields.items()}
+    except (OSError, ValueError) as error:
+        raise IncompleteError(f"{folder}: {_store_reason(error)}; what was committed before is as it was.") from error
+
+
+def read_array(folder: Path, name: str, first: int, last: int) -> np.ndarray:
+    """Read one field of consecutive episodes.
+
+    Returns:
+        (E, T, ...) values.
+
+    Raises:
+        IncompleteError: a file is damaged.
+    """
+    try:
+        return np.asarray(_open_array(folder / name)[first:last].read().result())
+    except (OSError, ValueError) as error:
+        raise IncompleteError(f"{folder / name}: {_store_reason(error)}; {CURE}") from error
+
+
+def shard_file(folder: Path, name: str, shard: int, dimensions: int) -> Path:
+    """Find the file of a shard.
+
+    Args:
+        dimensions: number of dimensions of the array (episodes, T, ...).
+    """
+    return folder / name / "c" / str(shard) / "/".join("0" * (dimensions - 1))
+
+
+def _open_array(folder: Path, more: dict[str, Any] | None = None) -> Any:
+    import tensorstore
+
+    files = {"driver": "file", "path": os.path.abspath(folder)}  # tensorstore takes no path with ".."
+    # Shards of zeros are written as well, so that a missing file is always a lost one.
+    spec = {"driver": "zarr3", "kvstore": files, "open": True, "store_data_equal_to_fill_value": True, **(more or {})}
+    return tensorstore.open(spec).result()
+
+
+def _store_reason(error: Exception) -> str:
+    """The cause in a few words that name the file."""
+    text = str(error)
+    if writing.reason(error) == writing.DISK_FULL:
+        return writing.DISK_FULL
+    if isinstance(error, OSError) and error.strerror:
+        return writing.broken(error)
+    cause = text.split("[")[0].strip().rstrip(".")
+    file = next((part for part in text.split('"') if "/c/" in part), "")
+    if "Digest mismatch" in text or "DATA_LOSS" in text or "corrupt" in text.lower():
+        return f"the file {file} is damaged" if file else f"a file is damaged ({cause})"
+    return cause
+
 
 MANIFEST = "dataset.json"
 FORMAT = 1
@@ -41,6 +234,15 @@ class Episode:
     stream: int
     length: int  # rows
     completed: bool
+
+
+@dataclasses.dataclass
+class EpisodeBatch:
+    """B episodes of at most T rows."""
+
+    rows: dict[str, np.ndarray]  # field of Row -> (B, T, ...)
+    lengths: np.ndarray  # (B,) rows of each episode
+    completed: np.ndarray  # (B,) bool
 
 
 @dataclasses.dataclass
@@ -96,7 +298,7 @@ class Dataset:
 
         Parts take turns by episode, so that each has as much of every stream.
         """
-        rows = self.rate * seconds_of_each(self.manifest["hours"], len(self.manifest["streams"]))
+        rows = self.rate * stream_seconds(self.manifest["hours"], len(self.manifest["streams"]))
         left, episodes = [rows] * len(self.manifest["streams"]), []
         for index, shard in enumerate(self.manifest["shards"]):
             for place, length in enumerate(shard["lengths"]):
@@ -159,7 +361,7 @@ class Dataset:
             for group in self._read_groups(episodes, sparse=name == "depth"):
                 first, last = min(one.number for one in group), max(one.number for one in group)
                 self._check_file(name, first // self.batch, len(shape) + 2)
-                values = store.read(self.folder, name, first, last + 1)
+                values = read_array(self.folder, name, first, last + 1)
                 expected = (last + 1 - first, self.most_rows, *shape)
                 if values.shape != expected or values.dtype != kind:
                     sizes = f"{values.shape} {values.dtype}, but by {MANIFEST} they are {expected} {kind}"
@@ -181,7 +383,7 @@ class Dataset:
         """
         return recording_of(self.read(episodes), [episode.length for episode in episodes], self.rate)
 
-    def commit(self, stream: int, batch: Batch, shard: int | None = None) -> None:
+    def commit(self, stream: int, batch: EpisodeBatch, shard: int | None = None) -> None:
         """Write a batch of episodes as a shard, then name it in the manifest.
 
         Args:
@@ -191,7 +393,7 @@ class Dataset:
             IncompleteError: it cannot be written. What was committed before stays.
         """
         index = len(self.manifest["shards"]) if shard is None else shard
-        sizes = store.write(self.folder, index, batch.rows)
+        sizes = write_shard(self.folder, index, batch.rows)
         lengths, completed = batch.lengths.tolist(), batch.completed.tolist()
         entry = {"stream": stream, "lengths": lengths, "completed": completed, "bytes": sizes}
         shards = list(self.manifest["shards"])
@@ -234,14 +436,14 @@ class Dataset:
         return [part for group, far in pairs for part in ([[one] for one in group] if far else [group])]
 
     def _size(self, name: str, shard: int, dimensions: int) -> int:
-        file = store.path(self.folder, name, shard, dimensions)
+        file = shard_file(self.folder, name, shard, dimensions)
         return file.stat().st_size if file.is_file() else -1
 
     def _check_file(self, name: str, shard: int, dimensions: int) -> None:
         """Raise for a missing file, which tensorstore would read as zeros."""
         if self._size(name, shard, dimensions) != self.manifest["shards"][shard]["bytes"][name]:
-            file = store.path(self.folder, name, shard, dimensions)
-            raise IncompleteError(f"the file {file} is missing or damaged; {store.CURE}")
+            file = shard_file(self.folder, name, shard, dimensions)
+            raise IncompleteError(f"the file {file} is missing or damaged; {CURE}")
 
 
 def recording_of(fields: dict[str, np.ndarray], lengths: list[int], rate: int = 1) -> Recording:
@@ -291,7 +493,7 @@ def create_dataset(folder: Path, manifest: dict[str, Any]) -> Dataset:
     """
     data = Dataset(folder, {"format": FORMAT, **manifest, "shards": []})
     try:
-        store.create(folder, data.fields, data.batch, data.most_rows)
+        create_arrays(folder, data.fields, data.batch, data.most_rows)
     except (OSError, ValueError) as error:
         raise InputError(f"cannot write {folder}: {error}; choose another folder with --out.") from error
     data.save(data.manifest)
@@ -353,3 +555,140 @@ def on_device(recording: Recording) -> Recording:
         The same on the default device.
     """
     return jax.tree.map(jnp.asarray, recording)
+
+
+def stream_seconds(hours: float, number: int) -> int:
+    """How long each of some streams is recorded."""
+    return math.ceil(3600.0 * hours / number - 1e-6)
+
+
+@dataclasses.dataclass(frozen=True)
+class Member:
+    """An episode of one of the datasets."""
+
+    part: int  # index of the dataset
+    episode: Episode
+
+    @property
+    def length(self) -> int:
+        """Number of rows."""
+        return self.episode.length
+
+
+@dataclasses.dataclass
+class ConcatDataset:
+    """Datasets of the same cameras, situations and rate. It has what training asks of a ``Dataset``."""
+
+    parts: list[Dataset]
+
+    @property
+    def folder(self) -> Path:
+        """That of the first."""
+        return self.parts[0].folder
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """That of the first."""
+        return self.parts[0].manifest
+
+    @property
+    def image_shape(self) -> tuple[int, int]:
+        """Height and width of the depth images [pixels]."""
+        return self.parts[0].image_shape
+
+    @property
+    def rate(self) -> int:
+        """Rows a second."""
+        return self.parts[0].rate
+
+    @property
+    def fields(self) -> dict[str, tuple[tuple[int, ...], str]]:
+        """Shape and type of each field of a row."""
+        return self.parts[0].fields
+
+    @property
+    def row_bytes(self) -> int:
+        """Size of a row in memory [bytes]."""
+        return self.parts[0].row_bytes
+
+    @property
+    def example_count(self) -> int:
+        """Number of examples of all."""
+        return sum(part.example_count for part in self.parts)
+
+    def fingerprint(self) -> str:
+        """Hash of everything that decides what the examples are.
+
+        Returns:
+            16 hexadecimal digits; those of the dataset, if there is one alone.
+        """
+        prints = [part.fingerprint() for part in self.parts]
+        return prints[0] if len(prints) == 1 else hashlib.sha256(" ".join(prints).encode()).hexdigest()[:16]
+
+    def read(self, episodes: Sequence[Member], names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+        """Read fields of rows.
+
+        Args:
+            names: of the fields; all if None.
+
+        Returns:
+            Name -> (R, ...) the rows of one episode after the other.
+
+        Raises:
+            IncompleteError: a file is missing or damaged.
+        """
+        found = []
+        for part, members in itertools.groupby(episodes, lambda member: member.part):
+            found.append(self.parts[part].read([member.episode for member in members], names))
+        if len(found) == 1:
+            return found[0]
+        if not found:
+            return self.parts[0].read([], names)
+        return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+
+    def recording(self, episodes: Sequence[Member]) -> Recording:
+        """Read whole episodes.
+
+        Raises:
+            IncompleteError: a file is missing or damaged.
+        """
+        return recording_of(self.read(episodes), [episode.length for episode in episodes], self.rate)
+
+
+def open_datasets(folders: Sequence[Path], part: tuple[int, int] = (1, 1)) -> ConcatDataset:
+    """Open datasets to learn from them together.
+
+    Args:
+        folders: that ``sean collect`` or a ``Recorder`` has written.
+        part: which of how many equal parts of the first one's episodes; of the others all are read.
+
+    Raises:
+        InputError: one is none, or has other images, situations or another rate than the first.
+    """
+    first, *others = (open_dataset(folder, (1, 1) if more else part) for more, folder in enumerate(folders))
+    for other in others:
+        for name in ("camera", "situations"):
+            had, wanted = other.manifest[name], first.manifest[name]
+            if had != wanted:
+                raise InputError(f"{other.folder} has {name} {had}, and {first.folder} {wanted}; collect the same.")
+        if other.rate != first.rate:
+            rates = f"{other.folder} has {other.rate} examples a second, and {first.folder} {first.rate}"
+            raise InputError(f"{rates}; collect with the same --rate.")
+    return ConcatDataset([first, *others])
+
+
+def split_each(several: ConcatDataset, share: float, seed: int) -> tuple[list[Member], list[Member]]:
+    """Split the episodes of each dataset: what validates one training also validates the next, with more datasets.
+
+    Args:
+        share: of the episodes that validate; at least one of each dataset does.
+
+    Raises:
+        InputError: a dataset has fewer than two episodes.
+    """
+    training: list[Member] = []
+    validation: list[Member] = []
+    for number, part in enumerate(several.parts):
+        for members, episodes in zip((training, validation), split(part, share, seed), strict=True):
+            members += [Member(number, episode) for episode in episodes]
+    return training, validation

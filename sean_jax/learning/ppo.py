@@ -13,9 +13,17 @@ from jaxtyping import Float
 from sean_jax import mdp
 from sean_jax.base import Array
 from sean_jax.config import PPOConfig
-from sean_jax.learning.actor_critic import ActorCritic, Agent, Answer, entropy, log_density, update_statistics
-from sean_jax.learning.descent import Descent, learn
-from sean_jax.learning.rollouts import Rows, Seen, advantages, collect, of_episodes, say
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, entropy, log_density, update_statistics
+from sean_jax.learning.rollouts import (
+    EnvBatch,
+    Optimization,
+    Transition,
+    advantages,
+    episode_means,
+    forward,
+    optimize,
+    rollout,
+)
 
 VALUE_WEIGHT = 0.5  # of the critic's loss
 MAX_GRADIENT_NORM = 0.5
@@ -36,9 +44,9 @@ def update(
     network: ActorCritic,
     agent: Agent,
     optimizer: optax.OptState,
-    rows: Rows,
+    rows: EnvBatch,
     key: Array,
-) -> tuple[Agent, optax.OptState, Rows, Seen, dict[str, Any]]:
+) -> tuple[Agent, optax.OptState, EnvBatch, Transition, dict[str, Any]]:
     """Let the agent drive, and learn from that.
 
     Args:
@@ -51,8 +59,8 @@ def update(
         The agent, the state of the optimizer, the scenarios, what was seen, and numbers for the log.
     """
     memory = rows.memory
-    rows, seen = collect(envs, network, agent, rows, options.horizon, key)
-    last = say(network, agent, envs[0].observations, rows)
+    rows, seen = rollout(envs, network, agent, rows, options.horizon, key)
+    last = forward(network, agent, envs[0].observations, rows)
     advantage = advantages(seen, last.value, numbers["discount"], numbers["advantage_decay"])
     agent, optimizer, losses = _learn(options, numbers, network, agent, optimizer, seen, memory, advantage, key)
     statistics = update_statistics(agent.statistics, seen.vector.reshape(-1, seen.vector.shape[-1]))
@@ -60,7 +68,7 @@ def update(
     explained = 1.0 - (wanted - seen.value).var() / jnp.maximum(wanted.var(), FEW)
     told = {
         "train": losses | {"explained_variance": explained},
-        "episodes": of_episodes(seen),
+        "episodes": episode_means(seen),
         "rewards": {name: part.mean() for name, part in seen.told["rewards"].items()},
     }
     return replace(agent, statistics=statistics), optimizer, rows, seen, told
@@ -72,14 +80,14 @@ def _learn(
     network: ActorCritic,
     agent: Agent,
     optimizer: optax.OptState,
-    seen: Seen,
+    seen: Transition,
     memory: Float[Array, "B M"],
     advantage: Float[Array, "T B"],
     key: Array,
 ) -> tuple[Agent, optax.OptState, dict[str, Array]]:
     """The agent, the state of the optimizer, and numbers for the log, after the epochs of an update."""
 
-    def loss(said: Answer, steps: Seen, gain: Array, wanted: Array) -> tuple[Array, dict[str, Array]]:
+    def loss(said: NetworkOutput, steps: Transition, gain: Array, wanted: Array) -> tuple[Array, dict[str, Array]]:
         change = log_density(said, steps.action) - steps.log_density
         ratio, clip = jnp.exp(change), numbers["clip"]
         gain = (gain - gain.mean()) / (gain.std() + FEW)
@@ -98,6 +106,6 @@ def _learn(
         }
         return total, told
 
-    descent = Descent(OPTIMIZER, numbers["learning_rate"], options.epochs, options.minibatches)
+    descent = Optimization(OPTIMIZER, numbers["learning_rate"], options.epochs, options.minibatches)
     data = seen._replace(told={}), advantage, advantage + seen.value
-    return learn(descent, loss, network, agent, optimizer, data, memory, key)
+    return optimize(descent, loss, network, agent, optimizer, data, memory, key)

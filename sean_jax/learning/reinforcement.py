@@ -30,15 +30,24 @@ from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 from sean_jax.flags import command
-from sean_jax.learning import agents, choice, cloning, driving, ppo, processes, rollouts, shac
 from sean_jax.learning import curriculum as curricula
-from sean_jax.learning.actor_critic import ActorCritic, Agent, init_agents, with_noise
-from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
+from sean_jax.learning import dagger, ppo, rollouts, shac, trainer
 from sean_jax.learning.curriculum import Curriculum
-from sean_jax.learning.curves import draw_curve, sparkline
-from sean_jax.learning.logs import Log
-from sean_jax.learning.rollouts import Rows
-from sean_jax.learning.trained import Best, load
+from sean_jax.learning.networks import ActorCritic, Agent, init_agents, with_noise
+from sean_jax.learning.policy import (
+    Best,
+    agent_network,
+    agent_policy,
+    agent_terms,
+    check_policy,
+    is_packed,
+    load_packed,
+    load_policy,
+    load_trained,
+    read_options,
+)
+from sean_jax.learning.rollouts import EnvBatch
+from sean_jax.learning.trainer import Checkpoints, Log, check_config, draw_curve, write_config
 from sean_jax.mdp import rewards
 from sean_jax.progress import progress
 from sean_jax.scenario import reset, results
@@ -56,7 +65,7 @@ class TrainState:
 
     agent: Agent  # (A, ...)
     optimizer: PyTree  # (A, ...)
-    rows: Rows  # (A, B, ...)
+    rows: EnvBatch  # (A, B, ...)
     best: Best
     curriculum: Curriculum | None  # (A, ...); None: all starts of the pool are alike
     update: Int[Array, ""]  # updates done
@@ -88,10 +97,10 @@ def train(options: ReinforcementConfig, console: Console | Callable[[float], Non
     """
     with contextlib.ExitStack() as stack:
         stack.enter_context(components.read_once())
-        config = processes.together(lambda: _config(options))
-        processes.by_first(lambda: check_config(options.folder, config))  # refuses before anything is written
-        scenarios, envs, network = processes.together(lambda: build(options))
-        processes.by_first(lambda: stack.enter_context(writing.folder_lock(options.folder)))
+        config = trainer.on_all_processes(lambda: _config(options))
+        trainer.on_first_process(lambda: check_config(options.folder, config))  # refuses before anything is written
+        scenarios, envs, network = trainer.on_all_processes(lambda: build(options))
+        trainer.on_first_process(lambda: stack.enter_context(writing.folder_lock(options.folder)))
         return _train(options, console, scenarios, envs, network, config)
 
 
@@ -106,17 +115,17 @@ def build(options: ReinforcementConfig) -> tuple[tuple[Scenario, ...], tuple[mdp
         InputError: one sentence that names the value and the cure.
     """
     if options.imitate is not None:
-        choice.check(options.imitate, options, "imitate")
+        check_policy(options.imitate, options, "imitate")
     if options.pretrained is not None:
         _check_pretrained(options, options.pretrained)
     for each in options.of_each:
         registry.check(each)
-    terms = sum(agents.terms(options), ())
+    terms = sum(agent_terms(options), ())
     built = [curricula.prepare(registry.build(each), options.curriculum) for each in options.of_each]
     envs = [replace(env, observations=terms) for env in built]
     rewards.reweighted(envs[0].rewards, _weights(options.agents[0]))  # refuses what is none of its terms
     _check_alike(envs)
-    network = agents.network(options, envs[0].observation_space)
+    network = agent_network(options, envs[0].observation_space)
     measured = tuple(env.scenario for env in envs)
     return measured, tuple(replace(env, scenario=replace(env.scenario, metrics=())) for env in envs), network
 
@@ -144,21 +153,21 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
     Returns:
         Functions, of which ``update`` reuses (donates) the memory of the state that it receives.
     """
-    trainer: Any = TRAINERS[options.method]
+    method: Any = TRAINERS[options.method]
     keys = jnp.stack([prng.key("training", int(agent["seed"])) for agent in options.agents])
     numbers = {
         name: jnp.asarray([agent[name] for agent in options.agents], jnp.float32)
         for name in options.agents[0]
         if name != "seed"
     }
-    number, plan, (seen, _) = updates(options), curricula.plan(options.curriculum), agents.terms(options)
+    number, plan, (seen, _) = updates(options), curricula.plan(options.curriculum), agent_terms(options)
     starts = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
 
     def begin(envs: tuple[mdp.Env, ...], first: Agent) -> TrainState:
-        def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, Rows, Curriculum | None]:
-            rows = rollouts.begin(envs, network, jax.random.fold_in(key, 0), options.scenarios)
-            driver, start = driving.policy(network, agent, seen), jax.random.fold_in(start, 0)
-            return trainer.init(agent), rows, plan and curricula.init(envs[0], plan, start, options.pool, driver)
+        def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, EnvBatch, Curriculum | None]:
+            rows = rollouts.reset_envs(envs, network, jax.random.fold_in(key, 0), options.scenarios)
+            driver, start = agent_policy(network, agent, seen), jax.random.fold_in(start, 0)
+            return method.init(agent), rows, plan and curricula.init(envs[0], plan, start, options.pool, driver)
 
         optimizer, rows, curriculum = jax.vmap(one)(first, keys, starts)
         count = keys.shape[0]
@@ -169,12 +178,12 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
         done = state.update + 1
         left = 1.0 - state.update.astype(jnp.float32) / number
 
-        def one(agent: Agent, optimizer: PyTree, rows: Rows, curriculum: Curriculum | None, key: Array, own: dict):
+        def one(agent: Agent, optimizer: PyTree, rows: EnvBatch, curriculum: Curriculum | None, key: Array, own: dict):
             own = own | {"learning_rate": own["learning_rate"] * left}
             where = envs if curriculum is None else (replace(envs[0], pool=curriculum.pool),)
             where = tuple(replace(env, rewards=rewards.reweighted(env.rewards, _weights(own))) for env in where)
             key = jax.random.fold_in(key, done)
-            *changed, rows, seen, told = trainer.update(options, own, where, network, agent, optimizer, rows, key)
+            *changed, rows, seen, told = method.update(options, own, where, network, agent, optimizer, rows, key)
             curriculum, more = curricula.follow(envs[0], plan, curriculum, seen.told, seen.over)
             return *changed, rows, curriculum, told | more
 
@@ -185,7 +194,7 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
 
     def refill(envs: tuple[mdp.Env, ...], state: TrainState) -> TrainState:
         def one(agent: Agent, curriculum: Curriculum | None, start: Array) -> Curriculum:
-            driver, key = driving.policy(network, agent, seen), jax.random.fold_in(start, state.update)
+            driver, key = agent_policy(network, agent, seen), jax.random.fold_in(start, state.update)
             assert plan is not None and curriculum is not None
             return curricula.refill(envs[0], plan, curriculum, key, driver)
 
@@ -195,7 +204,7 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
         chosen = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
 
         def one(agent: Agent) -> list[dict[str, Any]]:
-            policy = driving.policy(network, agent, seen)
+            policy = agent_policy(network, agent, seen)
             return [_evaluate(scenario, env, policy, chosen) for scenario, env in zip(scenarios, envs, strict=True)]
 
         each = jax.vmap(one)(several)
@@ -262,8 +271,8 @@ def _train(
     config: dict[str, Any],
 ) -> TrainState:
     """Train in a folder that this process has locked, or the first of those that train together."""
-    resumes = processes.by_first(lambda: check_config(options.folder, config))
-    over, number, first = devices.mesh(), updates(options), processes.is_first()
+    resumes = trainer.on_first_process(lambda: check_config(options.folder, config))
+    over, number, first = devices.mesh(), updates(options), trainer.is_first_process()
     if options.scenarios // len(envs) % over.size:
         text = f"scenarios: {options.scenarios} do not spread evenly over {over.size} devices"
         text += f" in {len(envs)} environments" if len(envs) > 1 else ""
@@ -271,7 +280,7 @@ def _train(
     run = programs(options, network, over)
     several, teachers = _agents(options, network, envs[0], scenarios[0]), ()
     if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
-        teachers = tuple(choice.policy(options.imitate, scenario, "imitate") for scenario in scenarios)
+        teachers = tuple(load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
     with progress(console if first else None) as tell:
         tell.stage("drawing starts")
         key, draw = prng.key("training", options.seed), jax.jit(mdp.Env.with_pool, static_argnums=2)
@@ -286,13 +295,12 @@ def _train(
             several = with_noise(several, options.noise)
         state = run.begin(envs, several)
         if not resumes:
-            processes.by_first(lambda: write_config(options.folder, config))
+            trainer.on_first_process(lambda: write_config(options.folder, config))
         checkpoints = Checkpoints(options.folder, writes=True)
         saved = checkpoints.latest(_plain(state)) if resumes else None
         state = state if saved is None else _typed(saved, state)
         (scenarios, envs), state = devices.replicate(over, (scenarios, envs)), _spread(over, state)
         log = Log(options.folder, int(state.update)) if first else None
-        curve = [float(line["evaluation"]["return"]) for line in (log.lines if log else []) if "evaluation" in line]
         tell.start("training", number)
         try:
             while int(state.update) < number:
@@ -311,7 +319,6 @@ def _train(
                 if due:
                     state, evaluation = _judge(run, scenarios, envs, state)
                     line |= evaluation
-                    curve.append(evaluation["evaluation"]["return"])
                 if log is not None:  # before the checkpoint: what follows it is dropped at a restart
                     log.add(line | {"time": time.time()})
                 if due:
@@ -320,9 +327,9 @@ def _train(
                         draw_curve(options.folder)
                 episodes = line["episodes"]
                 note = f"return {episodes.get('return', math.nan):.1f}, completed {episodes.get('completed', 0.0):.0%}"
-                if processes.must_stop(done):
+                if trainer.must_stop(done):
                     raise KeyboardInterrupt
-                tell.update(done, f"update {done} · {note} · {sparkline(curve)} · {rate:,.0f} steps/s")
+                tell.update(done, f"update {done} · {note} · {rate:,.0f} steps/s")
         finally:
             checkpoints.wait()
     return state
@@ -334,7 +341,7 @@ def _agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.Env, sc
     if options.pretrained is None:
         return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
     folder = options.pretrained
-    other = (agents.load if agents.is_packed(folder) else load)(folder, scenario)[1]
+    other = (load_packed if is_packed(folder) else load_trained)(folder, scenario)[1]
     return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), other)
 
 
@@ -350,7 +357,7 @@ def _imitating(
     keys = jnp.stack([prng.key("imitation", int(agent["seed"])) for agent in options.agents])
 
     def one(envs: tuple, teachers: tuple, agent: Agent, key: Array) -> tuple[Agent, Array]:
-        return cloning.clone(options, envs, network, agent, teachers, key)
+        return dagger.clone(options, envs, network, agent, teachers, key)
 
     taught, errors = jax.jit(jax.vmap(one, (None, None, 0, 0)))(envs, teachers, several, keys)
     if not np.isfinite(np.asarray(errors)).all():
@@ -429,7 +436,7 @@ def _config(options: ReinforcementConfig) -> dict[str, Any]:
 
 def _check_pretrained(options: ReinforcementConfig, folder: Path) -> None:
     """Refuse an agent that sees something else or is of another size."""
-    had, asked = components.by_content(agents.read_options(folder)), components.by_content(options)
-    for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16", "careful"):
+    had, asked = components.by_content(read_options(folder)), components.by_content(options)
+    for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16"):
         if had[name] != asked[name]:
             raise InputError(f"pretrained: {folder} has {name} {had[name]}, not {asked[name]}; ask for the same.")

@@ -4,24 +4,26 @@ Source: J. Schulman et al., "High-dimensional continuous control using generaliz
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import optax
 from flax import struct
 from jaxtyping import Bool, Float, PyTree
 
 from sean_jax import mdp
 from sean_jax.base import Array
-from sean_jax.learning.actor_critic import ActorCritic, Agent, Answer, answer, draw_action, log_density
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, apply, draw_action, log_density
 from sean_jax.mdp import observations
 
-TOLD = ("rewards", "completed", "episode_return", "episode_length", "start", "situations")  # of a step's info
+INFO_KEYS = ("rewards", "completed", "episode_return", "episode_length", "start", "situations")  # of a step's info
 
 
 @struct.dataclass
-class Rows:
+class EnvBatch:
     """Scenarios that step together, between two updates, in one environment or several, of which they take turns."""
 
     envs: tuple[mdp.EnvState, ...]  # (B / E, ...) of the scenarios of each environment
@@ -30,7 +32,7 @@ class Rows:
     start: Bool[Array, "B"]  # whether the observation is the first of an episode
 
 
-class Seen(NamedTuple):
+class Transition(NamedTuple):
     """What a step of a scenario gives, or stacked (T, B, ...)."""
 
     vector: Float[Array, "F"]
@@ -45,7 +47,7 @@ class Seen(NamedTuple):
     told: dict[str, Any]  # for the log and the curriculum
 
 
-def deal(tree: PyTree, number: int) -> tuple[PyTree, ...]:
+def split_by_env(tree: PyTree, number: int) -> tuple[PyTree, ...]:
     """What belongs to the scenarios of each environment.
 
     Args:
@@ -62,7 +64,7 @@ def deal(tree: PyTree, number: int) -> tuple[PyTree, ...]:
     return tuple(map(of, range(number)))
 
 
-def gather(parts: Sequence[PyTree]) -> PyTree:
+def merge_envs(parts: Sequence[PyTree]) -> PyTree:
     """The inverse of ``deal``.
 
     Args:
@@ -74,19 +76,19 @@ def gather(parts: Sequence[PyTree]) -> PyTree:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves, 1).reshape(-1, *leaves[0].shape[1:]), *parts)
 
 
-def begin(envs: tuple[mdp.Env, ...], network: ActorCritic, key: Array, number: int) -> Rows:
+def reset_envs(envs: tuple[mdp.Env, ...], network: ActorCritic, key: Array, number: int) -> EnvBatch:
     """Scenarios at the start of their first episodes.
 
     Args:
         key: () typed PRNG key.
     """
-    keys = deal(jax.random.split(key, number), len(envs))
+    keys = split_by_env(jax.random.split(key, number), len(envs))
     begun = [jax.vmap(env.reset)(own) for env, own in zip(envs, keys, strict=True)]
-    shown, states = gather([shown for shown, _ in begun]), tuple(states for _, states in begun)
-    return Rows(states, shown, jnp.zeros((number, network.memory_size), jnp.float32), jnp.ones(number, bool))
+    shown, states = merge_envs([shown for shown, _ in begun]), tuple(states for _, states in begun)
+    return EnvBatch(states, shown, jnp.zeros((number, network.memory_size), jnp.float32), jnp.ones(number, bool))
 
 
-def vectors(terms: observations.Terms, observation: dict[str, Array]) -> Float[Array, "B F"]:
+def flat_observations(terms: observations.Terms, observation: dict[str, Array]) -> Float[Array, "B F"]:
     """The numbers of observations, without images.
 
     Args:
@@ -95,17 +97,17 @@ def vectors(terms: observations.Terms, observation: dict[str, Array]) -> Float[A
     return jax.vmap(functools.partial(observations.flatten, terms))(observation).astype(jnp.float32)
 
 
-def say(network: ActorCritic, agent: Agent, terms: observations.Terms, rows: Rows) -> Answer:
+def forward(network: ActorCritic, agent: Agent, terms: observations.Terms, rows: EnvBatch) -> NetworkOutput:
     """The answer to what many scenarios show.
 
     Returns:
         The answer, (B, ...).
     """
-    vector, images = vectors(terms, rows.observation), _images(network, rows)
-    return answer(network, agent, vector, images, rows.memory, rows.start)
+    vector, images = flat_observations(terms, rows.observation), _images(network, rows)
+    return apply(network, agent, vector, images, rows.memory, rows.start)
 
 
-def _images(network: ActorCritic, rows: Rows) -> dict[str, Array]:
+def _images(network: ActorCritic, rows: EnvBatch) -> dict[str, Array]:
     return {name: rows.observation[name].astype(network.image_dtype) for name in network.images}
 
 
@@ -113,11 +115,11 @@ def step(
     envs: tuple[mdp.Env, ...],
     network: ActorCritic,
     judge: Agent,
-    rows: Rows,
-    said: Answer,
+    rows: EnvBatch,
+    said: NetworkOutput,
     action: Float[Array, "B 2"],
     key: Array,
-) -> tuple[Rows, Seen]:
+) -> tuple[EnvBatch, Transition]:
     """A step of all scenarios.
 
     Args:
@@ -128,13 +130,13 @@ def step(
         The scenarios afterwards, and what was seen, (B, ...); its value is that of ``said``.
     """
     terms, keys = envs[0].observations, jax.random.split(key, rows.start.shape[0])
-    dealt = zip(envs, deal(keys, len(envs)), rows.envs, deal(action, len(envs)), strict=True)
+    dealt = zip(envs, split_by_env(keys, len(envs)), rows.envs, split_by_env(action, len(envs)), strict=True)
     stepped = [jax.vmap(env.step)(own, before, done) for env, own, before, done in dealt]
-    following, reward, terminated, truncated, info = gather([(shown, *rest) for shown, _, *rest in stepped])
+    following, reward, terminated, truncated, info = merge_envs([(shown, *rest) for shown, _, *rest in stepped])
     states, over = tuple(each[1] for each in stepped), terminated | truncated
-    ended = Rows(states, info["final_observation"], said.memory, jnp.zeros_like(over))
-    seen = Seen(
-        vector=vectors(terms, rows.observation),
+    ended = EnvBatch(states, info["final_observation"], said.memory, jnp.zeros_like(over))
+    seen = Transition(
+        vector=flat_observations(terms, rows.observation),
         images=_images(network, rows),
         start=rows.start,
         action=action,
@@ -142,15 +144,15 @@ def step(
         value=said.value,
         reward=reward.astype(jnp.float32),
         over=over,
-        final_value=jnp.where(truncated, say(network, judge, terms, ended).value, 0.0),
-        told={name: info[name] for name in TOLD},
+        final_value=jnp.where(truncated, forward(network, judge, terms, ended).value, 0.0),
+        told={name: info[name] for name in INFO_KEYS},
     )
-    return Rows(states, following, said.memory, over), seen
+    return EnvBatch(states, following, said.memory, over), seen
 
 
-def collect(
-    envs: tuple[mdp.Env, ...], network: ActorCritic, agent: Agent, rows: Rows, steps: int, key: Array
-) -> tuple[Rows, Seen]:
+def rollout(
+    envs: tuple[mdp.Env, ...], network: ActorCritic, agent: Agent, rows: EnvBatch, steps: int, key: Array
+) -> tuple[EnvBatch, Transition]:
     """Let the agent drive, with the noise of its actions.
 
     Args:
@@ -161,22 +163,22 @@ def collect(
         The scenarios afterwards, and (T, B) of what was seen.
     """
 
-    def one(rows: Rows, tick: Array) -> tuple[Rows, Seen]:
+    def one(rows: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
         action_key, next_key = jax.random.split(jax.random.fold_in(key, tick))
-        said = say(network, agent, envs[0].observations, rows)
+        said = forward(network, agent, envs[0].observations, rows)
         return step(envs, network, agent, rows, said, draw_action(said, action_key), next_key)
 
     return jax.lax.scan(one, rows, jnp.arange(steps, dtype=jnp.int32))
 
 
-def advantages(seen: Seen, last_value: Float[Array, "B"], discount: Array, decay: Array) -> Float[Array, "T B"]:
+def advantages(seen: Transition, last_value: Float[Array, "B"], discount: Array, decay: Array) -> Float[Array, "T B"]:
     """Generalized advantage estimates; an episode that was truncated is worth what followed.
 
     Args:
         seen: (T, B) of the scenarios.
     """
 
-    def back(carry: tuple[Array, Array], step: Seen) -> tuple[tuple[Array, Array], Array]:
+    def back(carry: tuple[Array, Array], step: Transition) -> tuple[tuple[Array, Array], Array]:
         advantage, following = carry
         following = jnp.where(step.over, step.final_value, following)
         error = step.reward + discount * following - step.value
@@ -188,7 +190,7 @@ def advantages(seen: Seen, last_value: Float[Array, "B"], discount: Array, decay
     return found
 
 
-def unroll(network: ActorCritic, agent: Agent, seen: Seen, memory: Float[Array, "B M"]) -> Answer:
+def unroll(network: ActorCritic, agent: Agent, seen: Transition, memory: Float[Array, "B M"]) -> NetworkOutput:
     """Answers to observations in a row.
 
     Args:
@@ -199,16 +201,16 @@ def unroll(network: ActorCritic, agent: Agent, seen: Seen, memory: Float[Array, 
     """
     if not network.recurrent:
         empty = jnp.zeros((*seen.start.shape, 0), jnp.float32)
-        return answer(network, agent, seen.vector, seen.images, empty, seen.start)
+        return apply(network, agent, seen.vector, seen.images, empty, seen.start)
 
-    def one(memory: Array, step: Seen) -> tuple[Array, Answer]:
-        said = answer(network, agent, step.vector, step.images, memory, step.start)
+    def one(memory: Array, step: Transition) -> tuple[Array, NetworkOutput]:
+        said = apply(network, agent, step.vector, step.images, memory, step.start)
         return said.memory, said
 
     return jax.lax.scan(one, memory, seen)[1]
 
 
-def of_episodes(seen: Seen) -> dict[str, Array]:
+def episode_means(seen: Transition) -> dict[str, Array]:
     """Of the episodes that ended in an update: how many, and means, which are NaN if none did.
 
     Args:
@@ -226,3 +228,65 @@ def of_episodes(seen: Seen) -> dict[str, Array]:
         "steps": mean(seen.told["episode_length"]),
         "completed": mean(seen.told["completed"]),
     }
+
+
+class Optimization(NamedTuple):
+    """How an update learns."""
+
+    rule: optax.GradientTransformation  # the optimizer, with a learning rate of -1
+    rate: Float[Array, ""]  # learning rate
+    epochs: int  # how often it goes through what was seen
+    minibatches: int  # parts of it, each of which makes a step of the optimizer
+
+
+def optimize(
+    descent: Optimization,
+    loss: Callable[..., tuple[Array, PyTree]],
+    network: ActorCritic,
+    agent: Agent,
+    state: optax.OptState,
+    data: tuple[Transition, *tuple[Array, ...]],
+    memory: Float[Array, "B M"],
+    key: Array,
+) -> tuple[Agent, optax.OptState, PyTree]:
+    """Go some times through what was seen, in another order each time, with a step of the optimizer for each minibatch.
+
+    Args:
+        loss: of a minibatch: (what the agent says now, ``*part``) -> (loss, numbers for the log).
+        data: (T, B, ...) what was seen, and what else a loss needs of it; its parts are those of a minibatch.
+        key: () typed PRNG key of the update.
+
+    Returns:
+        The agent, the state of the optimizer, and means of the numbers for the log.
+    """
+
+    def loss_of(parameters: PyTree, part: tuple, memory: Array) -> tuple[Array, PyTree]:
+        return loss(unroll(network, replace(agent, parameters=parameters), part[0], memory), *part)
+
+    def step(carry: tuple, rows: Array) -> tuple[tuple, PyTree]:
+        parameters, state = carry
+        part = jax.tree.map(lambda leaf: leaf[:, rows], data)
+        gradient, told = jax.grad(loss_of, has_aux=True)(parameters, part, memory[rows])
+        return apply_gradient(descent.rule, descent.rate, parameters, state, gradient), told
+
+    def epoch(carry: tuple, key: Array) -> tuple[tuple, PyTree]:
+        order = jax.random.permutation(key, memory.shape[0]).reshape(descent.minibatches, -1)
+        return jax.lax.scan(step, carry, order)
+
+    keys = jax.random.split(jax.random.fold_in(key, 2**31 - 1), descent.epochs)
+    (parameters, state), told = jax.lax.scan(epoch, (agent.parameters, state), keys)
+    return replace(agent, parameters=parameters), state, jax.tree.map(jnp.mean, told)
+
+
+def apply_gradient(
+    rule: optax.GradientTransformation, rate: Array, parameters: PyTree, state: optax.OptState, gradient: PyTree
+) -> tuple[PyTree, optax.OptState]:
+    """A step of an optimizer whose learning rate is a number of the program.
+
+    Args:
+        rule: the optimizer, with a learning rate of -1.
+        rate: () learning rate.
+    """
+    with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
+        change, state = rule.update(gradient, state, parameters)
+    return optax.apply_updates(parameters, jax.tree.map(lambda part: -rate * part, change)), state

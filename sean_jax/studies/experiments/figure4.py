@@ -16,8 +16,8 @@ from sean_jax import writing
 from sean_jax.config import CollectConfig, ExperimentConfig, Named, ScenarioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.files import listed
-from sean_jax.learning import choice, protocol
-from sean_jax.learning.protocol import streams
+from sean_jax.learning.collection import check_collection, streams
+from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.studies.experiments import drivers, learners, page, parts, pictures, shares, table1
 from sean_jax.studies.experiments.claims import (
     BALANCED,
@@ -57,9 +57,9 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     """
     options = options.complete()
     for behavior in BEHAVIORS:
-        protocol.check(collection(options, behavior))
+        check_collection(collection(options, behavior))
     for name in others(options):
-        choice.check(name, ScenarioConfig(), "--others")
+        check_policy(name, ScenarioConfig(), "--others")
     folder = options.folder
     parts.has_started(options)
     with writing.folder_lock(folder):
@@ -119,7 +119,7 @@ def _parts(options: ExperimentConfig, folder: Path, places: dict[str, list[Scena
 
     names = {NAVIGATION: "social_costmap", DEMONSTRATOR: options.demonstrator}
     for policy in (DEMONSTRATOR, NAVIGATION, *others(options)):
-        alike = functools.partial(choice.policy, names.get(policy, policy))  # the same driver in all episodes
+        alike = functools.partial(load_policy, names.get(policy, policy))  # the same driver in all episodes
         jobs += [drive((Driver(policy, (alike,)),), behavior) for behavior in BEHAVIORS]
     before: tuple[str, ...] = ()
     for policy, learned in taught.items():  # one after the other: orbax mixes up what several threads save

@@ -1,8 +1,7 @@
-"""The folder of a training: its configuration, and checkpoints through orbax.
+"""Several processes that train together, such as one on each host: who writes, and that none goes on alone.
 
-The latest and the best checkpoint are kept, and a half-written one is never read. Where only the best ones are asked
-for, orbax deletes the latest, and a training would start anew; so the policy below keeps both. The SHA-256 of each
-field of the state stands beside the loss, since orbax restores arrays whose bytes were changed on disk.
+Every process computes the same numbers, each on its own devices; process 0 alone has the lock and the log. Where one
+refuses, all must hear of it: the others would wait for it forever.
 """
 
 import contextlib
@@ -21,12 +20,178 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 import orbax.checkpoint as ocp
+from jax.experimental import multihost_utils
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
 from sean_jax import files, writing
-from sean_jax.errors import FileError, IncompleteError, InputError
-from sean_jax.learning import processes
-from sean_jax.learning.manifests import CONFIG
+from sean_jax.errors import FileError, IncompleteError, InputError, SeanError
+from sean_jax.learning.networks import CONFIG, check_supported
+
+Result = TypeVar("Result")
+
+
+def is_first_process() -> bool:
+    """Whether this process is the one that writes; it is, where there are no others.
+
+    Returns:
+        True or False.
+    """
+    return jax.process_index() == 0
+
+
+def must_stop(step: int) -> bool:
+    """Whether a process was sent SIGTERM, as by a scheduler that ends the job; all are told so at the same step.
+
+    ``jax.distributed`` takes that signal for itself, unless its option ``jax_enable_preemption_service`` is off.
+
+    Args:
+        step: a number that is greater at each call, and the same in all processes.
+
+    Returns:
+        True or False.
+    """
+    listens = jax.config.jax_enable_preemption_service  # pyright: ignore[reportAttributeAccessIssue]
+    return listens and multihost_utils.reached_preemption_sync_point(step)
+
+
+def on_all_processes(work: Callable[[], Result]) -> Result:
+    """Work that every process does, after which each knows that all have done it.
+
+    Raises:
+        InputError: the work of another process was refused; which one is said.
+        SeanError: that of the work of this process.
+    """
+    if jax.process_count() == 1:
+        return work()
+    result, refusal = None, None
+    try:
+        result = work()
+    except SeanError as error:
+        refusal = error
+    refused = np.asarray(multihost_utils.process_allgather(np.asarray(refusal is not None)))
+    if refusal is not None:
+        raise refusal
+    if refused.any():
+        raise InputError(f"process {int(refused.argmax())} of {refused.size} has refused; see its message.")
+    return result  # pyright: ignore[reportReturnType]
+
+
+def on_first_process(work: Callable[[], bool | None]) -> bool:
+    """Work that process 0 does alone, while the others wait for its answer.
+
+    Raises:
+        InputError: process 0 refused.
+        SeanError: that of the work, in process 0.
+    """
+    answer = bool(on_all_processes(work if is_first_process() else lambda: False))
+    return answer if jax.process_count() == 1 else bool(multihost_utils.broadcast_one_to_all(np.asarray(answer)))
+
+
+LINES = "metrics.jsonl"
+
+
+class Log:
+    """The metrics of a training, in its folder."""
+
+    def __init__(self, folder: Path, epochs: int):
+        """Open a log, and drop the lines of epochs after the last checkpoint, which an interruption left."""
+        self.folder = folder
+        lines = [line for line in read_metrics(folder) if line["epoch"] <= epochs]
+        writing.write(folder / LINES, "".join(json.dumps(line) + "\n" for line in lines))
+        self.events = _event_writer(folder, epochs)
+
+    def add(self, line: dict[str, Any]) -> None:
+        """Append the metrics of an epoch.
+
+        Args:
+            line: ``epoch``, ``time`` [s since 1970], and numbers, which may lie in dicts.
+
+        Raises:
+            IncompleteError: the log cannot be written. The checkpoints stay.
+        """
+        try:
+            with (self.folder / LINES).open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(line) + "\n")
+            if self.events is not None:
+                for name, value in _scalars(line):
+                    self.events.add_scalar(name, value, line["epoch"], line["time"])
+                self.events.flush()
+        except OSError as error:
+            raise IncompleteError(
+                f"{self.folder}: {writing.reason(error)}; the checkpoints until then are as they were."
+            ) from error
+
+
+def _event_writer(folder: Path, epochs: int) -> Any:
+    """A writer of TensorBoard events after so many epochs; None without the extra "tensorboard"."""
+    try:
+        from tensorboardX import SummaryWriter  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        return None
+    return SummaryWriter(str(folder), purge_step=epochs + 1)
+
+
+def _scalars(line: dict[str, Any]) -> Iterator[tuple[str, float]]:
+    for name, value in line.items():
+        if isinstance(value, dict):
+            yield from ((f"{name}/{key}", each) for key, each in value.items())
+        elif name not in ("epoch", "time"):
+            yield name, value
+
+
+def read_metrics(folder: Path) -> list[dict[str, Any]]:
+    """The metrics of a training until now.
+
+    Returns:
+        The complete lines of its log; a kill may have cut the last one.
+    """
+    file, lines = folder / LINES, []
+    for text in files.read_text(file, files.MAX_RECORD).splitlines() if file.exists() else []:
+        try:
+            line = json.loads(text)
+            lines.append({"epoch": int(line["epoch"]), "time": float(line["time"]), **line})
+        except (ValueError, TypeError, KeyError, RecursionError):
+            break
+    return lines
+
+
+CURVE = "curve.png"
+
+
+def draw_curve(folder: Path) -> None:
+    """Write the picture of a training: return, completed tasks and violations in evaluations, by steps and by time."""
+    import io
+
+    from matplotlib.figure import Figure
+
+    lines = read_metrics(folder)
+    seconds = np.cumsum([line["seconds"] for line in lines])
+    judged = [line for line in lines if "evaluation" in line]
+    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+    for axes, (name, what) in zip(figure.subplots(1, 3), SHOWN, strict=True):
+        for part in sorted({key for key in judged[-1] if key.startswith("agent ")}):
+            axes.plot(*_points(judged, part, name), color="#1a6faf", alpha=0.3, linewidth=1.0)
+        axes.plot(*_points(judged, "evaluation", name), color="#1a6faf")
+        axes.set(xlabel="million scenario-steps of an agent", title=what)
+        axes.grid(alpha=0.3)
+    figure.suptitle(f"{len(judged)} evaluations, {seconds[-1]:,.0f} s of training", fontsize="medium")
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=110, format="png")
+    writing.write(folder / CURVE, picture.getvalue())
+
+
+SHOWN = (
+    ("return", "return of an episode"),
+    ("completed", "share of tasks completed"),
+    ("intimate_robot_on_person", "intimate, robot on person"),
+)
+"""Name in an evaluation, and what it is."""
+
+
+def _points(judged: list[dict], part: str, name: str) -> tuple[list[float], list[float]]:
+    found = [(line["steps"] / 1e6, line[part][name]) for line in judged if name in line.get(part, {})]
+    return [x for x, _ in found], [y for _, y in found]
+
 
 STATE, DIGESTS = "state", "sha256"
 RESERVE = 4_000_000  # bytes that must be free in addition to the size of a checkpoint
@@ -99,7 +264,7 @@ class Checkpoints:
             IncompleteError: this checkpoint or the one before could not be written.
         """
         size = 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(state)) + RESERVE
-        processes.by_first(lambda: self._check_space(size))
+        on_first_process(lambda: self._check_space(size))
         try:
             content = ocp.args.Composite(**{STATE: ocp.args.PyTreeSave(state)})  # pyright: ignore
             metrics = {"loss": loss, DIGESTS: _digests(state)}
@@ -266,6 +431,7 @@ def check_config(folder: Path, config: dict[str, Any]) -> bool:
         raise InputError(f"{str(error).rstrip('.')}; choose another folder with --out.") from None
     if not isinstance(saved, dict):
         raise InputError(f"{file} is no configuration of a network; choose another folder with --out.")
+    check_supported(folder, saved)
     for name, value in json.loads(json.dumps(config)).items():
         if name == "parts":
             _check_parts(file, value, saved.get(name))
