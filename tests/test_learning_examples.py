@@ -56,7 +56,7 @@ def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
             np.testing.assert_allclose(found[name], expected, atol=2e-2, err_msg=name)
     drawn = jax.random.fold_in(prng.key("record", learning_data.SEED), recorder.number)
     own = jax.jit(reset)(scenario, drawn)
-    state, see = recorder.begin(), jax.jit(lambda state: sensors.depth(scenario, state, recorder.eye))
+    state, see = recorder.begin(), jax.jit(lambda state: sensors.depth(scenario, state, recorder.camera))
     np.testing.assert_allclose(state.robot.position, own.robot.position, atol=1e-5)
     image = 1000.0 * np.asarray(see(state))
     recorder.step((0.1, 0.2))

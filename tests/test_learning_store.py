@@ -283,7 +283,7 @@ def test_rates_are_not_mixed(fine, made, data):
     with pytest.raises(InputError, match="10 examples a second, and .* 1; collect with the same --rate"):
         open_datasets([made.folder, fine.folder])
     pair = [TrainConfig(method="imitation", dataset=one.folder, out=one.folder / "no") for one in (made, fine)]
-    with pytest.raises(InputError, match="other rates of examples beside one another"):
+    with pytest.raises(InputError, match="the datasets have different rates"):
         imitation.train_ensemble(pair)
     with pytest.raises(InputError, match="was begun with --rate 1, not 2"):
         learning_data.begin(learning_data.options(data.folder, rate=2))

@@ -222,7 +222,7 @@ def test_a_stopped_training_goes_on_to_the_same_curve(learned, tmp_path, monkeyp
     """Stopped before and after checkpoints, it ends with the same numbers and the same agent."""
     folder = tmp_path / "run"
     for last in (1, 5):
-        monkeypatch.setattr(reinforcement, "_numbers", _until(reinforcement._numbers, last))
+        monkeypatch.setattr(reinforcement, "_finite_means", _until(reinforcement._finite_means, last))
         with pytest.raises(KeyboardInterrupt):
             reinforcement.train(options(folder))
         monkeypatch.undo()
@@ -233,7 +233,7 @@ def test_a_stopped_training_goes_on_to_the_same_curve(learned, tmp_path, monkeyp
 
 
 def _until(numbers, last):
-    """``reinforcement._numbers``, called three times an update, until Ctrl-C in update ``last`` of this process."""
+    """``reinforcement._finite_means``, called three times an update, until Ctrl-C in update ``last``."""
     calls = []
 
     def call(values):
@@ -647,7 +647,7 @@ def test_one_agent_learns_in_several_environments(cell, tmp_path, monkeypatch):
     """Stopped and given again, with two seeds: it sees each place as it is, is judged in each, and drives in each."""
     config = options(tmp_path / "run", environment=f"lab,{cell}", seeds=2, steps=8 * 8 * 4)
     assert config.replace(out=None).folder.name == "ppo-lab-cell-random-0"
-    numbers, told = reinforcement._numbers, []
+    numbers, told = reinforcement._finite_means, []
 
     def until(values):
         told.append(numbers(values))
@@ -655,7 +655,7 @@ def test_one_agent_learns_in_several_environments(cell, tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return told[-1]
 
-    monkeypatch.setattr(reinforcement, "_numbers", until)
+    monkeypatch.setattr(reinforcement, "_finite_means", until)
     with pytest.raises(KeyboardInterrupt):
         reinforcement.train(config)
     monkeypatch.undo()

@@ -1,7 +1,10 @@
-"""The paper's protocol of data collection (section V-B): which demonstrations get how much of the time.
+"""``sean collect`` and the ``Recorder``: demonstrations of so many hours, shard by shard (section V-B).
 
-Random people: one task for all the time. Handcrafted people: each of the five situations for a fifth of it. The
-Behavior Graph: half of it joining groups, half of it leaving them. A part of the time is a stream of episodes.
+The paper's schedule: random people have one task for all the time; handcrafted people each of the five situations for
+a fifth of it; the Behavior Graph half of it joining groups and half of it leaving them. A part of the time is a stream
+of episodes. Episode ``i`` is drawn from ``fold_in(prng.key("collect", seed), i)`` alone. Committed shards
+are never lost: after a kill, or for more hours, the same command goes on with the next shard, and makes lost ones anew.
+The result is the same, to the byte, as that of one run. A shard is written while the next one is simulated.
 """
 
 from __future__ import annotations
@@ -46,7 +49,7 @@ from sean_jax.scenario import reset, step
 
 
 def check_collection(config: CollectConfig) -> None:
-    """Refuse all that can be told before a scenario is made.
+    """Refuse everything that can be told before a scenario is made.
 
     Raises:
         InputError: one sentence that names the value and the cure.
@@ -65,15 +68,12 @@ def check_collection(config: CollectConfig) -> None:
 
 
 def streams(config: CollectConfig) -> dict[str, Scenario]:
-    """What takes part.
-
-    Returns:
-        Name of a stream -> its scenario. They differ in their leaves and their task alone.
+    """Name of a stream -> its scenario; scenarios differ only in leaves and task.
 
     Raises:
         InputError: one sentence for what does not exist or go together.
     """
-    scenarios = [replace(scenario, metrics=()) for scenario in assembly.build(config)]  # nobody asks for them here
+    scenarios = [replace(scenario, metrics=()) for scenario in assembly.build(config)]  # not needed here
     first = scenarios[0]
     if isinstance(config.behavior, HandcraftedBehavior) and [each.task_name for each in scenarios] == ["handcrafted"]:
         situations = dict.fromkeys(first.behavior.data.situations)
@@ -91,12 +91,9 @@ def _only(scenario: Scenario, situation: str) -> Scenario:
 
 
 def next_stream(recorded: list[int], wanted: int) -> int | None:
-    """The stream of which least is recorded.
+    """The index of the stream with the fewest recorded rows; None when each has ``wanted`` rows.
 
-    It does not depend on how much is wanted, so a dataset that is made longer later equals one made at once.
-
-    Returns:
-        Its index; None when each has what is wanted.
+    It does not depend on ``wanted`` otherwise, so a dataset that is made longer later equals one made at once.
     """
     shortest = min(range(len(recorded)), key=lambda stream: (recorded[stream], stream))
     return None if recorded[shortest] >= wanted else shortest
@@ -105,24 +102,16 @@ def next_stream(recorded: list[int], wanted: int) -> int | None:
 def row_record(
     scenario: Scenario, camera: sensors.Camera, command: Callable[[State], Array] | None = None, rate: int = 1
 ) -> Record:
-    """What a collection keeps of episodes: rows.
+    """The record of a ``Runner`` that keeps rows, ``rate`` a second.
 
     Args:
-        command: tells the command that is recorded, from the state after a step; the one that was given if None.
-        rate: rows a second.
-
-    Returns:
-        The record for a ``Runner``.
+        command: the command that is recorded, from the state after a step; that of the policy if None.
     """
     return Record(_init_rows, functools.partial(_update_rows, camera), steps_per_row(scenario, rate), command)
 
 
 def steps_per_row(scenario: Scenario, rate: int) -> int:
-    """How many steps of control there are from one row to the next.
-
-    Args:
-        rate: rows a second, a divisor of the steps in a second.
-    """
+    """Steps of control from one row to the next; ``rate`` rows a second divide the steps in a second."""
     return round(1.0 / scenario.time_step) // rate
 
 
@@ -132,15 +121,15 @@ def simulate_shard(
     """A shard: the episodes from number ``shard * runner.size`` on, all of one stream.
 
     Args:
-        runner: whose record is that of ``record``.
-        watch: is told the seconds that are simulated.
+        runner: with the record of ``row_record``.
+        watch: is called with the seconds that are simulated.
 
     Raises:
         FloatingPointError: a number is not finite; the message names the episodes.
     """
-    told = Watch(advanced=lambda seconds, simulated: watch(round(seconds)) if watch is not None else None)
+    callbacks = Watch(advanced=lambda seconds, simulated: watch(round(seconds)) if watch is not None else None)
     first = shard * runner.size
-    batch = runner.run(seed, first, index=np.full(runner.size, stream), watch=told)
+    batch = runner.run(seed, first, index=np.full(runner.size, stream), watch=callbacks)
     scenario = runner.scenarios[0]
     rate = round(1.0 / scenario.time_step) // runner.record.every
     most = rate * math.ceil(scenario.time_limit - 1e-6)
@@ -157,16 +146,16 @@ def simulate_shard(
     return EpisodeBatch(rows, lengths, np.asarray(batch.states.completed))
 
 
-def _put_rows(made: dict[str, np.ndarray], rows: Row, active: np.ndarray, begin: int, most: int) -> np.ndarray:
+def _put_rows(arrays: dict[str, np.ndarray], rows: Row, active: np.ndarray, begin: int, most: int) -> np.ndarray:
     """Put rows (C, B, ...) from row ``begin`` on into arrays (B, most, ...); how many each episode has, (B,)."""
     end = min(begin + len(active), most)
     active = active[: end - begin].T
     for field in dataclasses.fields(Row):  # pyright: ignore[reportArgumentType]
         values = np.swapaxes(np.asarray(getattr(rows, field.name)), 0, 1)
-        if field.name not in made:
-            made[field.name] = np.zeros((len(values), most, *values.shape[2:]), values.dtype)
+        if field.name not in arrays:
+            arrays[field.name] = np.zeros((len(values), most, *values.shape[2:]), values.dtype)
         where = active.reshape(*active.shape, *(1,) * (values.ndim - 2))
-        np.copyto(made[field.name][:, begin:end], values[:, : end - begin], where=where)
+        np.copyto(arrays[field.name][:, begin:end], values[:, : end - begin], where=where)
     return active.sum(1)
 
 
@@ -182,9 +171,9 @@ def _update_rows(
     """The rows before the latest steps, with whether the episodes had not ended by then."""
 
     def one(before: State, actions: Array, last: Array, latest: Array) -> tuple[Array, Row]:
-        given = jnp.isfinite(actions).all(-1)
-        command = jnp.where(given[0], actions[0], latest)  # a command that is not finite is no new one
-        newest = jnp.max(jnp.where(given, jnp.arange(len(actions), dtype=jnp.int32), -1))
+        finite = jnp.isfinite(actions).all(-1)
+        command = jnp.where(finite[0], actions[0], latest)  # a command that is not finite is no new one
+        newest = jnp.max(jnp.where(finite, jnp.arange(len(actions), dtype=jnp.int32), -1))
         latest = jnp.where(newest >= 0, actions[newest], latest)
         return latest, row(scenario, before, command, camera, last)
 
@@ -193,20 +182,20 @@ def _update_rows(
     return (last, latest), (rows, active)
 
 
-TYPICAL = 30.0  # s, of an episode: so many are simulated at once that no stream gets much more than it needs
+TYPICAL = 30.0  # s, of an episode: batches are sized so that no stream gets much more than it needs
 MAX_BATCH = {"cpu": 32}  # episodes at once, by kind of device
 MAX_BATCH_ELSEWHERE = 1024
-MIN_BATCH = 32  # at a high rate, at which so many as otherwise would fill the memory with their images
+MIN_BATCH = 32  # at a high rate, where larger batches would fill the memory with their images
 
 
 def collect(config: CollectConfig, console: Console | Callable[[float], None] | None = None) -> Dataset:
     """Record until every stream has its time. What was committed stays, whatever is raised.
 
     Args:
-        console: shows the progress; a function is told the share that is done.
+        console: shows the progress; a function receives the share that is done.
 
     Raises:
-        InputError: what is asked for cannot be.
+        InputError: the options are impossible, or the folder holds something else.
         WriteError: another process records in the folder.
         IncompleteError: something broke midway.
         FloatingPointError: a number is not finite.
@@ -282,9 +271,9 @@ def _due(data: Dataset, recorded: list[int], wanted: int) -> Iterator[tuple[int,
 
 @contextlib.contextmanager
 def _behind(data: Dataset) -> Iterator[Callable[..., None]]:
-    """``data.commit``, one after the other in a thread; what one of them raises is raised at the next, or at the end.
+    """``data.commit`` in a thread, one after the other; an error is raised at the next commit, or at the end.
 
-    Whatever ends the block, it waits until what was begun is committed.
+    However the block ends, it waits until the last commit is written.
     """
     with ThreadPoolExecutor(1, thread_name_prefix="sean-commit") as pool:
         last: list[Future] = []
@@ -340,9 +329,9 @@ def _check_same(config: CollectConfig, data: Dataset) -> None:
 
 
 def _check_content(data: Dataset, now: dict[str, Any]) -> None:
-    """Refuse to go on where the description is the same, but not what it stands for: it would be two datasets in one.
+    """Refuse to resume an equal description with other content: it would be two datasets in one.
 
-    What a dataset of an earlier version does not tell is not asked.
+    Content that the manifest of an earlier version does not have is not compared.
     """
     had = data.manifest
     if (other := version_mismatch(had.get("versions"))) is not None:
@@ -387,11 +376,7 @@ def _command(config: CollectConfig, batch: int) -> str:
 
 
 def scenario_facts(scenario: Scenario, camera: sensors.Camera, policy: str, rate: int = 1) -> dict[str, Any]:
-    """What a manifest says of a scenario and of who drives there.
-
-    Args:
-        rate: rows a second.
-    """
+    """A manifest's entries about a scenario and its policy; ``rate`` in rows a second."""
     image = {"width": camera.width, "height": camera.height, "fovy": camera.fovy, "far": camera.far}
     limits = {"max_speed": float(scenario.robot.max_speed), "max_turn_rate": float(scenario.robot.max_turn_rate)}
     return {
@@ -420,9 +405,10 @@ def _batch_size(config: CollectConfig, parts: int) -> int:
 
 
 class Recorder:
-    """Episodes of one scenario, one after the other, into a dataset that is begun or continued.
+    """Demonstrations from any source of commands, outside ``jit``: a joystick, a web page, a planner, a list.
 
-    ``state = recorder.begin()``, then ``state = recorder.step(command)`` for each step of control, then
+    Episodes of one scenario go one after the other into a dataset like those of ``sean collect``, new or resumed; each
+    is a shard. ``state = recorder.begin()``, then ``state = recorder.step(command)`` for each step of control, then
     ``recorder.commit()`` or ``recorder.discard()``.
     """
 
@@ -437,25 +423,25 @@ class Recorder:
         height: int = 48,
         rate: int = 1,
     ):
-        """Args:
-            driver: who gives the commands: a word for the manifest.
-            seed: episode ``i`` begins as ``fold_in(prng.key("record", seed), i)`` says.
-            width: of the depth images [pixels].
-            height: likewise.
+        """Open or create the dataset; depth images have width x height pixels.
+
+        Args:
+            driver: a word for the manifest about the source of the commands.
+            seed: episode ``i`` is drawn from ``fold_in(prng.key("record", seed), i)``.
             rate: rows a second, a divisor of the steps of control in a second.
 
         Raises:
             InputError: the folder holds something else, the images are too large, or the rate is no divisor.
-        """  # noqa: D205
+        """
         if width * height > MAX_PIXELS:
             raise InputError(f"width: {width} times {height} are more than {MAX_PIXELS:,} pixels; ask for fewer.")
         if (steps := round(1.0 / scenario.time_step)) % rate:
             raise InputError(f"rate: {rate} rows a second do not divide its {steps} steps; choose a divisor.")
         folder = Path(folder)
         self.scenario, self.seed, self.rate = scenario, seed, rate
-        self.eye = sensors.camera(scenario, "depth", width=width, height=height)
+        self.camera = sensors.camera(scenario, "depth", width=width, height=height)
         self.data = self._opened(folder, driver)
-        self._begin, self._step, self._row = (jax.jit(part) for part in (_begin_episode, step, self._look))
+        self._begin, self._step, self._row = (jax.jit(part) for part in (_begin_episode, step, self._read_row))
         self.discard()
 
     @property
@@ -467,8 +453,8 @@ class Recorder:
         """A new episode; one that was not committed is forgotten.
 
         Args:
-            key: () typed PRNG key that the episode is drawn from, such as one of another program's episodes that shall
-                be driven as well; by default of the recorder's own stream, which has no episode of any other.
+            key: () typed PRNG key of the episode, such as that of another program's episode; by default of the
+                recorder's own stream, which no other episodes have.
         """
         self.discard()
         if key is None:
@@ -477,7 +463,7 @@ class Recorder:
         return self.state
 
     def step(self, command: Any) -> State:
-        """One step of control later.
+        """The state one step of control later.
 
         Args:
             command: (2,) m/s and rad/s; None, or one that is not finite, is no new one.
@@ -489,18 +475,20 @@ class Recorder:
             raise InputError("recorder: no episode has begun; call begin first.")
         given = np.full(2, np.nan) if command is None else np.asarray(command, np.float64).reshape(2)
         new = bool(np.isfinite(given).all())
-        self._held = np.where(new, given, self._held)
+        self._command = np.where(new, given, self._command)
         if int(self.state.tick) % steps_per_row(self.scenario, self.rate) == 0 and len(self._rows) < self._max_rows:
-            held = jnp.asarray(self._held, float)
-            self._rows.append(jax.tree.map(np.asarray, self._row(self.scenario, self.state, held, self._last)))
+            latest = jnp.asarray(self._command, float)
+            self._rows.append(jax.tree.map(np.asarray, self._row(self.scenario, self.state, latest, self._last)))
         self.state = self._step(self.scenario, self.state, jnp.asarray(given, float))
         return self.state
 
     def commit(self) -> None:
         """Keep the episode.
 
-        Raises IncompleteError if it cannot be written, and then it can be tried again; InputError or WriteError if
-        somebody else records in the folder.
+        Raises:
+            IncompleteError: it cannot be written; it can be tried again.
+            InputError: there is nothing to commit, or another program has recorded in the folder.
+            WriteError: another process records in the folder.
         """
         if self.state is None or not self._rows:
             raise InputError("recorder: there is nothing to commit; call begin and step first.")
@@ -511,7 +499,7 @@ class Recorder:
         completed = np.array([bool(self.state.completed)])
         with writing.folder_lock(self.data.folder):
             if dataset.open_dataset(self.data.folder).manifest != self.data.manifest:
-                raise InputError(f"{self.data.folder} was continued by somebody else; record in another folder.")
+                raise InputError(f"{self.data.folder} was continued by another program; record in another folder.")
             self.data.commit(0, EpisodeBatch(rows, np.array([len(self._rows)]), completed))
         self.discard()
 
@@ -519,26 +507,31 @@ class Recorder:
         """Forget the episode."""
         self.state: Any = None
         self._rows: list[Any] = []
-        self._held = np.zeros(2)
+        self._command = np.zeros(2)
 
     @property
     def _max_rows(self) -> int:
         return self.data.most_rows
 
-    def _look(self, scenario: Scenario, state: State, command: Array, last: Array) -> Any:
-        return row(scenario, state, command, self.eye, last)
+    def _read_row(self, scenario: Scenario, state: State, command: Array, last: Array) -> Any:
+        return row(scenario, state, command, self.camera, last)
 
     def _opened(self, folder: Path, driver: str) -> Dataset:
-        kept = {"seed": self.seed, "driver": driver, "task": self.scenario.task_name, "people": self.scenario.people}
+        identity = {
+            "seed": self.seed,
+            "driver": driver,
+            "task": self.scenario.task_name,
+            "people": self.scenario.people,
+        }
         manifest = {
             "command": "",
             "options": {
-                **kept,
+                **identity,
                 "rate": self.rate,
                 "environment": self.scenario.environment.name,
-                "size": [self.eye.width, self.eye.height],
+                "size": [self.camera.width, self.camera.height],
             },
-            **scenario_facts(self.scenario, self.eye, driver, self.rate),
+            **scenario_facts(self.scenario, self.camera, driver, self.rate),
             "hours": 1e6,  # all that is recorded takes part
             "batch": 1,
             "streams": [self.scenario.task_name],
@@ -557,8 +550,8 @@ def record(recorder: Recorder, commands: Callable[[State], Any] | Iterable[Any],
     """Record so many episodes, each until it is completed or timed out, and commit them.
 
     Args:
-        commands: a function of the state, or one command (2,) for each step. If they end midway, what was driven until
-            then is committed as the last episode.
+        commands: a function of the state, or one command (2,) for each step. If they end midway, the last episode is
+            committed as it is then.
     """
     source = commands if callable(commands) else functools.partial(_next_command, iter(commands))
     for _ in range(episodes):

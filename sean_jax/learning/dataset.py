@@ -1,7 +1,13 @@
-"""The JSON files of learning: the manifest of a dataset and the configuration of a trained network (section V).
+"""A dataset of demonstrations (section V-B): a manifest, and arrays in sharded zarr (version 3) through tensorstore.
 
-Datasets and policies may come from other people. A file that this version would not write is refused when it is opened,
-with the key that is wrong, before memory of the sizes in the file is allocated.
+The manifest ``dataset.json`` says what was recorded and how. It is replaced as a whole after each shard, and what it
+does not name does not exist. Each stream uses as many seconds of its episodes as were asked for. Datasets may come from
+other people: a manifest that this version would not write is refused, with the key that is wrong, before memory of the
+sizes in it is allocated.
+
+Each field of a row is an array (episodes, T, ...). A batch of episodes is one shard, which is one file for each field.
+A committed file is never written again, so a kill cannot damage it. In the shards of the depth images each episode is
+a chunk of its own. Every chunk has a checksum (crc32c).
 """
 
 from __future__ import annotations
@@ -81,10 +87,10 @@ class Manifest(pydantic.BaseModel):
 
 
 def check_manifest(path: Path, data: Any, fields: tuple[str, ...]) -> None:
-    """Check the content of a dataset.json.
+    """Refuse the content of a dataset.json that cannot be that of a dataset with these fields.
 
     Raises:
-        FileError: a value cannot be that of a dataset with these fields.
+        FileError: names the key.
     """
     files.check_json(path, data, Manifest, lambda manifest: _check_relations(manifest, fields))
 
@@ -116,10 +122,8 @@ CURE = "remove the damaged file, and `sean collect` with the same options makes 
 
 
 def create_arrays(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], batch: int, rows: int) -> None:
-    """Create arrays without episodes, in a group that other readers of zarr recognize.
-
-    Args:
-        fields: name -> (shape, type) of each field of a row.
+    """Create arrays of fields, name -> (shape, type), without episodes, in a group that other readers of zarr
+    recognize.
 
     Raises:
         OSError: the folder cannot be written.
@@ -149,13 +153,7 @@ def create_arrays(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], 
 
 
 def write_shard(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict[str, int]:
-    """Write a shard durably.
-
-    Args:
-        fields: name -> (B, T, ...) values.
-
-    Returns:
-        Name -> size of its file [bytes].
+    """Write a shard of fields, name -> (B, T, ...), durably; name -> size of its file [bytes].
 
     Raises:
         IncompleteError: it cannot be written, for example because the disk is full.
@@ -176,10 +174,7 @@ def write_shard(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict
 
 
 def read_array(folder: Path, name: str, first: int, last: int) -> np.ndarray:
-    """Read one field of consecutive episodes.
-
-    Returns:
-        (E, T, ...) values.
+    """One field (E, T, ...) of consecutive episodes.
 
     Raises:
         IncompleteError: a file is damaged.
@@ -191,11 +186,7 @@ def read_array(folder: Path, name: str, first: int, last: int) -> np.ndarray:
 
 
 def shard_file(folder: Path, name: str, shard: int, dimensions: int) -> Path:
-    """Find the file of a shard.
-
-    Args:
-        dimensions: number of dimensions of the array (episodes, T, ...).
-    """
+    """The file of a shard of an array (episodes, T, ...) with so many dimensions."""
     return folder / name / "c" / str(shard) / "/".join("0" * (dimensions - 1))
 
 
@@ -234,6 +225,7 @@ class Episode:
     stream: int
     length: int  # rows
     completed: bool
+    source: int = 0  # index of its dataset in a ``ConcatDataset``
 
 
 @dataclasses.dataclass
@@ -254,7 +246,7 @@ class Dataset:
     part: tuple[int, int] = (1, 1)  # which of how many equal parts of the episodes is read; (3, 10) is the third of ten
 
     def description(self) -> CollectConfig:
-        """What ``sean collect`` recorded, with the files of own parts as they are found from here.
+        """The options of ``sean collect`` that recorded it, with the files of own parts as they lie from here.
 
         Raises:
             InputError: something else made the dataset, or a file is not what it was.
@@ -331,24 +323,14 @@ class Dataset:
         return fields(*self.image_shape, len(self.manifest["situations"]))
 
     def fingerprint(self) -> str:
-        """Hash of everything that decides what the examples are.
-
-        Returns:
-            16 hexadecimal digits of options, length and file sizes.
-        """
+        """16 hexadecimal digits of everything that decides the examples: options, length and file sizes."""
         names = ("format", "options", "hours", "batch", "streams", "shards")
-        told = {name: self.manifest[name] for name in names} | ({"part": self.part} if self.part != (1, 1) else {})
-        text = json.dumps(told, sort_keys=True)
+        content = {name: self.manifest[name] for name in names} | ({"part": self.part} if self.part != (1, 1) else {})
+        text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
-    def read(self, episodes: list[Episode], names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
-        """Read fields of rows.
-
-        Args:
-            names: of the fields; all if None.
-
-        Returns:
-            Name -> (R, ...) the rows of one episode after the other.
+    def read(self, episodes: Sequence[Episode], names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+        """Fields of the rows of one episode after the other, name -> (R, ...); all fields if ``names`` is None.
 
         Raises:
             IncompleteError: a file is missing or damaged.
@@ -375,8 +357,8 @@ class Dataset:
             arrays[name] = array
         return arrays
 
-    def recording(self, episodes: list[Episode]) -> Recording:
-        """Read whole episodes.
+    def recording(self, episodes: Sequence[Episode]) -> Recording:
+        """Whole episodes, one after the other.
 
         Raises:
             IncompleteError: a file is missing or damaged.
@@ -422,7 +404,7 @@ class Dataset:
             if any(self._size(name, index, dimensions[name]) != size for name, size in shard["bytes"].items())
         ]
 
-    def _read_groups(self, episodes: list[Episode], sparse: bool) -> list[list[Episode]]:
+    def _read_groups(self, episodes: Sequence[Episode], sparse: bool) -> list[list[Episode]]:
         """Cut the list into neighbors of one shard, which are read in one piece.
 
         If ``sparse``, episodes that lie far apart in a shard are read one by one.
@@ -447,12 +429,7 @@ class Dataset:
 
 
 def recording_of(fields: dict[str, np.ndarray], lengths: list[int], rate: int = 1) -> Recording:
-    """Put the fields of whole episodes together.
-
-    Args:
-        fields: name -> (R, ...) the rows of one episode after the other.
-        rate: rows a second.
-    """
+    """A recording of fields, name -> (R, ...), of whole episodes one after the other; ``rate`` in rows a second."""
     each = np.array(lengths, np.int64)
     ends = np.cumsum(each)
     first, end = np.repeat(ends - each, each), np.repeat(ends, each)
@@ -461,15 +438,7 @@ def recording_of(fields: dict[str, np.ndarray], lengths: list[int], rate: int = 
 
 
 def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Describe the fields of ``examples.Row``.
-
-    Args:
-        height: of a depth image [pixels].
-        width: of a depth image [pixels].
-
-    Returns:
-        Name -> (shape, type).
-    """
+    """Name -> (shape, type) of the fields of ``examples.Row``, for depth images of height x width pixels."""
     return {
         "depth": ((height, width), "uint16"),
         "plan": ((POINTS, 2), "float32"),
@@ -481,7 +450,7 @@ def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[in
 
 
 def create_dataset(folder: Path, manifest: dict[str, Any]) -> Dataset:
-    """Create a dataset without episodes. The manifest is written last.
+    """A dataset without episodes. The manifest is written last.
 
     Args:
         folder: does not exist, or is empty.
@@ -501,10 +470,10 @@ def create_dataset(folder: Path, manifest: dict[str, Any]) -> Dataset:
 
 
 def open_dataset(folder: Path | str, part: tuple[int, int] = (1, 1)) -> Dataset:
-    """Open a dataset for reading.
+    """The dataset that ``sean collect`` or a ``Recorder`` has written, for reading.
 
     Args:
-        folder: the folder that ``sean collect`` or a ``Recorder`` has written.
+        part: (3, 10) reads the third of ten equal parts of its episodes.
 
     Raises:
         InputError: there is none, or this version cannot read it.
@@ -528,10 +497,7 @@ def open_dataset(folder: Path | str, part: tuple[int, int] = (1, 1)) -> Dataset:
 
 
 def split(dataset: Dataset, share: float, seed: int) -> tuple[list[Episode], list[Episode]]:
-    """Split the episodes into those to train and those to validate with. No episode is in both.
-
-    Args:
-        share: of the episodes that validate; at least one does.
+    """The episodes to train with and those to validate with: a ``share`` of all, at least one.
 
     Raises:
         InputError: there are fewer than two episodes.
@@ -549,11 +515,7 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[list[Episode], lis
 
 
 def on_device(recording: Recording) -> Recording:
-    """Convert a recording to arrays of jax.
-
-    Returns:
-        The same on the default device.
-    """
+    """The recording as arrays of jax, on the default device."""
     return jax.tree.map(jnp.asarray, recording)
 
 
@@ -562,105 +524,36 @@ def stream_seconds(hours: float, number: int) -> int:
     return math.ceil(3600.0 * hours / number - 1e-6)
 
 
-@dataclasses.dataclass(frozen=True)
-class Member:
-    """An episode of one of the datasets."""
+class ConcatDataset(Dataset):
+    """Datasets of equal cameras, situations and rate, read as one; folder and manifest are those of the first."""
 
-    part: int  # index of the dataset
-    episode: Episode
-
-    @property
-    def length(self) -> int:
-        """Number of rows."""
-        return self.episode.length
-
-
-@dataclasses.dataclass
-class ConcatDataset:
-    """Datasets of the same cameras, situations and rate. It has what training asks of a ``Dataset``."""
-
-    parts: list[Dataset]
+    def __init__(self, parts: list[Dataset]):
+        super().__init__(parts[0].folder, parts[0].manifest)
+        self.parts = parts
 
     @property
-    def folder(self) -> Path:
-        """That of the first."""
-        return self.parts[0].folder
-
-    @property
-    def manifest(self) -> dict[str, Any]:
-        """That of the first."""
-        return self.parts[0].manifest
-
-    @property
-    def image_shape(self) -> tuple[int, int]:
-        """Height and width of the depth images [pixels]."""
-        return self.parts[0].image_shape
-
-    @property
-    def rate(self) -> int:
-        """Rows a second."""
-        return self.parts[0].rate
-
-    @property
-    def fields(self) -> dict[str, tuple[tuple[int, ...], str]]:
-        """Shape and type of each field of a row."""
-        return self.parts[0].fields
-
-    @property
-    def row_bytes(self) -> int:
-        """Size of a row in memory [bytes]."""
-        return self.parts[0].row_bytes
-
-    @property
-    def example_count(self) -> int:
-        """Number of examples of all."""
-        return sum(part.example_count for part in self.parts)
+    def episodes(self) -> list[Episode]:
+        """The episodes of all."""
+        return [dataclasses.replace(each, source=n) for n, part in enumerate(self.parts) for each in part.episodes]
 
     def fingerprint(self) -> str:
-        """Hash of everything that decides what the examples are.
-
-        Returns:
-            16 hexadecimal digits; those of the dataset, if there is one alone.
-        """
+        """16 hexadecimal digits of everything that decides the examples; those of the dataset if it is the only one."""
         prints = [part.fingerprint() for part in self.parts]
         return prints[0] if len(prints) == 1 else hashlib.sha256(" ".join(prints).encode()).hexdigest()[:16]
 
-    def read(self, episodes: Sequence[Member], names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
-        """Read fields of rows.
-
-        Args:
-            names: of the fields; all if None.
-
-        Returns:
-            Name -> (R, ...) the rows of one episode after the other.
-
-        Raises:
-            IncompleteError: a file is missing or damaged.
-        """
-        found = []
-        for part, members in itertools.groupby(episodes, lambda member: member.part):
-            found.append(self.parts[part].read([member.episode for member in members], names))
-        if len(found) == 1:
-            return found[0]
-        if not found:
+    def read(self, episodes: Sequence[Episode], names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+        """As ``Dataset.read``."""
+        groups = itertools.groupby(episodes, lambda episode: episode.source)
+        arrays = [self.parts[source].read(list(group), names) for source, group in groups]
+        if len(arrays) == 1:
+            return arrays[0]
+        if not arrays:
             return self.parts[0].read([], names)
-        return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
-
-    def recording(self, episodes: Sequence[Member]) -> Recording:
-        """Read whole episodes.
-
-        Raises:
-            IncompleteError: a file is missing or damaged.
-        """
-        return recording_of(self.read(episodes), [episode.length for episode in episodes], self.rate)
+        return {name: np.concatenate([array[name] for array in arrays]) for name in arrays[0]}
 
 
 def open_datasets(folders: Sequence[Path], part: tuple[int, int] = (1, 1)) -> ConcatDataset:
-    """Open datasets to learn from them together.
-
-    Args:
-        folders: that ``sean collect`` or a ``Recorder`` has written.
-        part: which of how many equal parts of the first one's episodes; of the others all are read.
+    """Datasets to learn from together; ``part`` is of the first, as in ``open_dataset``; the others are read whole.
 
     Raises:
         InputError: one is none, or has other images, situations or another rate than the first.
@@ -668,27 +561,24 @@ def open_datasets(folders: Sequence[Path], part: tuple[int, int] = (1, 1)) -> Co
     first, *others = (open_dataset(folder, (1, 1) if more else part) for more, folder in enumerate(folders))
     for other in others:
         for name in ("camera", "situations"):
-            had, wanted = other.manifest[name], first.manifest[name]
-            if had != wanted:
-                raise InputError(f"{other.folder} has {name} {had}, and {first.folder} {wanted}; collect the same.")
+            theirs, ours = other.manifest[name], first.manifest[name]
+            if theirs != ours:
+                raise InputError(f"{other.folder} has {name} {theirs}, and {first.folder} {ours}; collect the same.")
         if other.rate != first.rate:
             rates = f"{other.folder} has {other.rate} examples a second, and {first.folder} {first.rate}"
             raise InputError(f"{rates}; collect with the same --rate.")
     return ConcatDataset([first, *others])
 
 
-def split_each(several: ConcatDataset, share: float, seed: int) -> tuple[list[Member], list[Member]]:
-    """Split the episodes of each dataset: what validates one training also validates the next, with more datasets.
-
-    Args:
-        share: of the episodes that validate; at least one of each dataset does.
+def split_each(data: ConcatDataset, share: float, seed: int) -> tuple[list[Episode], list[Episode]]:
+    """``split`` of each dataset: what validates one training also validates the next, with more datasets.
 
     Raises:
         InputError: a dataset has fewer than two episodes.
     """
-    training: list[Member] = []
-    validation: list[Member] = []
-    for number, part in enumerate(several.parts):
-        for members, episodes in zip((training, validation), split(part, share, seed), strict=True):
-            members += [Member(number, episode) for episode in episodes]
+    training: list[Episode] = []
+    validation: list[Episode] = []
+    for number, part in enumerate(data.parts):
+        for episodes, chosen in zip((training, validation), split(part, share, seed), strict=True):
+            episodes += [dataclasses.replace(episode, source=number) for episode in chosen]
     return training, validation

@@ -1,4 +1,4 @@
-"""Rows and examples: what is recorded of a demonstration, and what the network learns from it (section V-B).
+"""Rows and examples of demonstrations (section V-B), and the order in which examples are learned.
 
 A **row** is recorded once a second, or at a higher rate. An **example** is made of several rows a second apart, so that
 the store holds a depth image once and not five times.
@@ -73,10 +73,10 @@ def row(
     camera: sensors.Camera,
     last_arc: Int[Array, "V"],
 ) -> Row:
-    """Make the row of a state.
+    """The row of a state.
 
     Args:
-        command: (2,) m/s, rad/s, what the policy commands in that state.
+        command: (2,) m/s, rad/s, of the policy in that state.
         last_arc: (V,) ``navigation.last_arc_to_goal`` of the goal of the task.
     """
     robot = state.robot
@@ -91,23 +91,16 @@ def row(
 
 
 def depth_image(scenario: Scenario, state: State, camera: sensors.Camera) -> UInt16[Array, "H W"]:
-    """Take a depth image.
-
-    Returns:
-        (H, W) uint16 mm.
-    """
+    """A depth image (H, W) uint16 mm."""
     metres = sensors.depth(scenario, state, camera)
     return jnp.clip(jnp.round(MILLIMETRES * metres), 0.0, 65535.0).astype(jnp.uint16)
 
 
 def plan_ahead(scenario: Scenario, state: State, last_arc: Int[Array, "V"]) -> Float[Array, "10 2"]:
-    """Find the next points of the shortest path to the goal.
+    """The next points (10, 2) m of the shortest path to the goal, in the robot's frame.
 
     Args:
         last_arc: (V,) ``navigation.last_arc_to_goal`` of the goal of the task.
-
-    Returns:
-        (10, 2) m, in the robot's frame.
     """
     robot, task = state.robot, state.task
     where = robot.position, task.goal, task.paths_to_goal, last_arc
@@ -116,15 +109,7 @@ def plan_ahead(scenario: Scenario, state: State, last_arc: Int[Array, "V"]) -> F
 
 
 def example(recording: Recording, index: Int[Array, "*batch"], xp: ModuleType = jnp) -> Example:
-    """Make examples of a recording.
-
-    Args:
-        index: () or (B,) the rows at which the examples are.
-        xp: ``numpy`` if the recording consists of numpy arrays.
-
-    Returns:
-        The example, with a leading axis B if the index has one.
-    """
+    """Examples of a recording at rows () or (B,); ``xp`` is ``numpy`` if the recording consists of numpy arrays."""
     rows, first, last = recording.rows, recording.first[index][..., None], recording.end[index][..., None] - 1
     ages = xp.arange(SECONDS, dtype=xp.int32).reshape((1,) * (first.ndim - 1) + (SECONDS,))
     present = index[..., None]
@@ -147,15 +132,11 @@ def example(recording: Recording, index: Int[Array, "*batch"], xp: ModuleType = 
 def in_frame(
     pose: Float[Array, "*batch 4"], places: Float[Array, "*batch K 2"], xp: ModuleType = jnp
 ) -> Float[Array, "*batch K 2"]:
-    """Transform places on the floor to the frame of a robot.
+    """Places (..., K, 2) m on the floor in the frame of a robot: x ahead and y to the left.
 
     Args:
         pose: (..., 4) m, m, and the unit vector of the heading.
-        places: (..., K, 2) m.
         xp: ``numpy`` for numpy arrays.
-
-    Returns:
-        (..., K, 2) m, x ahead and y to the left.
     """
     dx, dy = places[..., 0] - pose[..., 0:1], places[..., 1] - pose[..., 1:2]
     return xp.stack(rotate(dx, dy, pose[..., 2:3], -pose[..., 3:4]), -1)
@@ -173,10 +154,14 @@ class Token(NamedTuple):
 
 @dataclasses.dataclass
 class Loader:
-    """Batches of the examples of some episodes."""
+    """Shuffled batches of examples of a dataset that does not fit in the memory of the device.
 
-    dataset: Any  # Dataset or Several
-    episodes: Sequence[Any]  # of it: Episode or Member
+    It shuffles the episodes, and the examples within a window of some episodes, so that few episodes are in memory at a
+    time. The order depends on (seed, epoch) alone, so a token of two numbers says where to resume.
+    """
+
+    dataset: Any  # Dataset
+    episodes: Sequence[Any]  # of it
     batch: int = 1024  # examples
     seed: int = 0
     window: int = 64  # episodes that are shuffled together
@@ -188,11 +173,10 @@ class Loader:
         return -(-sum(episode.length for episode in self.episodes) // self.batch)
 
     def epoch(self, token: Token = Token()) -> Iterator[tuple[Token, Example, np.ndarray]]:  # noqa: B008
-        """Iterate over the batches that remain of an epoch.
+        """The remaining batches of an epoch: the token that resumes after it, examples (B, ...) as numpy arrays, and
+        weights (B,).
 
-        Returns:
-            For each batch: the token that continues after it, examples (B, ...) as numpy arrays, and weights (B,).
-            Examples of weight zero fill the last batch.
+        Examples of weight zero fill the last batch.
 
         Raises:
             IncompleteError: a file is missing or damaged.
@@ -251,19 +235,15 @@ class Loader:
 
 
 def balanced_probabilities(situations: Bool[np.ndarray, "R S"]) -> Float[np.ndarray, "R"]:
-    """Find probabilities under which all social situations are equally frequent.
+    """Probabilities (R,) float32 under which all social situations (R, S) of examples are equally frequent.
 
-    An example in several situations counts for each of them in equal parts. Examples in no situation keep the share
-    that they have, and situations that never occur are left out.
+    The paper suggests to train more on situations in which a policy does badly. Situations overlap, so an example
+    cannot be drawn for one of them alone: each turn scales the probability of an example by how much its situations are
+    short of an equal share. An example in several situations counts for each of them in equal parts. Examples in no
+    situation keep their share, and situations that never occur are left out.
 
-    Args:
-        situations: (R, S) which situations occur in each example.
-
-    Returns:
-        (R,) float32 that sum to one.
-    Source:
-        W. E. Deming and F. F. Stephan, "On a least squares adjustment of a sampled frequency table when the expected
-        marginal totals are known", 1940.
+    Source: W. E. Deming and F. F. Stephan, "On a least squares adjustment of a sampled frequency table when the
+    expected marginal totals are known", 1940.
     """
     flags = np.asarray(situations, np.float64)
     number = flags.sum(1)

@@ -10,7 +10,7 @@ import contextlib
 import math
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -30,10 +30,10 @@ from sean_jax.base import Array
 from sean_jax.config import TrainConfig
 from sean_jax.errors import InputError
 from sean_jax.flags import command
-from sean_jax.learning.dataset import ConcatDataset, Member, on_device, open_datasets, split_each
+from sean_jax.learning.dataset import ConcatDataset, Episode, on_device, open_datasets, split_each
 from sean_jax.learning.examples import Example, Loader, Recording, Token, balanced_probabilities, example
 from sean_jax.learning.networks import Decision, Network, Weights, init_weights, read_network
-from sean_jax.learning.trainer import Checkpoints, Log, check_config, write_config
+from sean_jax.learning.trainer import Checkpoints, Log, Loop, Report, check_config, fit, write_config
 from sean_jax.progress import progress
 from sean_jax.versions import versions
 
@@ -75,13 +75,10 @@ class TrainPrograms(NamedTuple):
 
 
 def train(options: TrainConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
-    """Train a network, or continue its training, in the folder of the options.
+    """Train a network, or resume its training; the state then. ``learning.load`` reads the best weights.
 
     Args:
-        console: shows the progress; a function receives the fraction done instead, and None shows nothing.
-
-    Returns:
-        The state after the last epoch. ``learned.load`` reads the best weights from the folder.
+        console: shows the progress; a function receives the share that is done.
 
     Raises:
         InputError: the options are impossible, or the folder holds something else.
@@ -98,7 +95,7 @@ def train(options: TrainConfig, console: Console | Callable[[float], None] | Non
 
 
 def prepare(options: TrainConfig) -> tuple[ConcatDataset, Network]:
-    """What is learned from, and what learns.
+    """The data and the network of a training.
 
     Raises:
         InputError: there is no such dataset, or the pretrained network is missing or another one.
@@ -116,37 +113,18 @@ def prepare(options: TrainConfig) -> tuple[ConcatDataset, Network]:
 def init_state(
     network: Network, situations: int, options: TrainConfig, commands: Float[np.ndarray | Array, "R 2"]
 ) -> TrainState:
-    """The state before the first epoch.
-
-    Args:
-        commands: (R, 2) m/s, rad/s, the commands of the training examples. Their standard deviation is the scale of
-            the network's command.
-
-    Returns:
-        The initial state; its best loss is infinite.
-    """
+    """The state before the first epoch, from the commands (R, 2) [m/s, rad/s] of the training examples."""
     weights = init_weights(network, situations, prng.key("weights", options.seed))
     return state_of_weights(replace(weights, scale=command_scale(commands)), options)
 
 
 def command_scale(commands: Float[np.ndarray | Array, "R 2"]) -> Float[Array, "2"]:
-    """What a command of 1 from the network means.
-
-    Args:
-        commands: (R, 2) m/s, rad/s, of the training examples.
-
-    Returns:
-        (2,) m/s, rad/s, their standard deviation.
-    """
+    """The standard deviation (2,) of commands (R, 2) [m/s, rad/s]: what a command of 1 from the network means."""
     return jnp.maximum(jnp.std(jnp.asarray(commands), 0), MIN_COMMAND_SCALE)
 
 
 def state_of_weights(weights: Weights, options: TrainConfig) -> TrainState:
-    """The state before the first epoch, from weights.
-
-    Returns:
-        The initial state; its best loss is infinite.
-    """
+    """The state before the first epoch, from weights; its best loss is infinite."""
     return TrainState(
         weights=weights,
         optimizer=_optimizer(options).init(weights.parameters),
@@ -157,11 +135,7 @@ def state_of_weights(weights: Weights, options: TrainConfig) -> TrainState:
 
 
 def programs(network: Network, options: TrainConfig, mesh: Mesh) -> TrainPrograms:
-    """The compiled functions of a training.
-
-    Returns:
-        Functions that reuse (donate) the memory of the state that they receive.
-    """
+    """The compiled functions of a training, which donate the memory of the state."""
     optimizer = _optimizer(options)
     sharding = NamedSharding(mesh, PartitionSpec(devices.AXIS))
 
@@ -225,15 +199,9 @@ def programs(network: Network, options: TrainConfig, mesh: Mesh) -> TrainProgram
 
 
 def in_batches(rows: Int[Array, "R"], size: int, devices: int) -> Int[Array, "batches B"]:
-    """Cut rows into batches of equal size.
+    """Rows (R,) int32 in batches of equal size; -1 fills the last one.
 
-    Args:
-        rows: (R,) int32.
-        size: of a batch. B is the smaller of it and R, rounded up to a multiple of the devices.
-        devices: number of devices that share a batch.
-
-    Returns:
-        (batches, B) int32; -1 fills the last batch.
+    B is the smaller of ``size`` and R, rounded up to a multiple of the devices.
     """
     number = rows.shape[0]
     size = -(-max(1, min(size, number)) // devices) * devices
@@ -266,48 +234,44 @@ def _train(
     options: TrainConfig,
     console: Console | Callable[[float], None] | None,
     data: ConcatDataset,
-    training: list[Member],
-    validation: list[Member],
+    training: list[Episode],
+    validation: list[Episode],
     network: Network,
     config: dict[str, Any],
 ) -> TrainState:
     """Train in a folder that this process has locked."""
-    resumes, mesh = check_config(options.folder, config), devices.mesh()
+    mesh = devices.mesh()
     commands = jnp.asarray(data.read(training, ("command",))["command"])
     state = jax.jit(init_state, static_argnums=(0, 1, 2))(network, len(data.manifest["situations"]), options, commands)
     if options.pretrained is not None:
         state = replace(state, weights=Checkpoints(options.pretrained).best("weights", state.weights))
     epoch = _epoch(data, training, validation, network, options, mesh)
-    if not resumes:
-        write_config(options.folder, config)
-    checkpoints = Checkpoints(options.folder, writes=True)
-    state = (checkpoints.latest(state) if resumes else None) or state
-    state = devices.replicate(mesh, state)
-    log = Log(options.folder, int(state.epoch))
+
+    def advance(state: TrainState) -> tuple[TrainState, Report]:
+        start = time.time()
+        state, training_losses, validation_losses = epoch(state)
+        _check_finite(state, training_losses, validation_losses, options.folder)
+        number, best_number, loss = int(state.epoch), int(state.best_epoch), float(validation_losses.loss)
+        line = {"epoch": number, "train": _as_dict(training_losses), "validation": _as_dict(validation_losses)}
+        due = best_number == number or number % CHECKPOINT_INTERVAL == 0 or _is_over(state, options)
+        best = f"best {float(state.best):.4f} after {best_number}"
+        note = f"epoch {number} · loss {loss:.4f}, {best}, {time.time() - start:.2f} s an epoch"
+        return state, Report(number, line, loss if due else None, note)
+
+    loop = Loop(
+        advance=advance,
+        is_over=lambda state: _is_over(state, options),
+        done=lambda state: int(state.epoch),
+        place=lambda state: devices.replicate(mesh, state),
+    )
     with progress(console) as tell:
-        tell.start("training", options.epochs)
-        try:
-            while not _is_over(state, options):
-                start = time.time()
-                state, training_losses, validation_losses = epoch(state)
-                _check_finite(state, training_losses, validation_losses, options.folder)
-                number, better = int(state.epoch), int(state.best_epoch) == int(state.epoch)
-                losses = {"train": _as_dict(training_losses), "validation": _as_dict(validation_losses)}
-                log.add({"epoch": number, **losses, "time": time.time()})
-                if better or number % CHECKPOINT_INTERVAL == 0 or _is_over(state, options):
-                    checkpoints.save(state, number, float(validation_losses.loss))
-                best = f"best {float(state.best):.4f} after {int(state.best_epoch)}"
-                note = f"loss {float(validation_losses.loss):.4f}, {best}, {time.time() - start:.2f} s an epoch"
-                tell.update(number, f"epoch {number} · {note}")
-        finally:
-            checkpoints.wait()
-    return state
+        return fit(options.folder, config, state, loop, options.epochs, tell)
 
 
 def _epoch(
     data: ConcatDataset,
-    training: list[Member],
-    validation: list[Member],
+    training: list[Episode],
+    validation: list[Episode],
     network: Network,
     options: TrainConfig,
     mesh: Mesh,
@@ -380,24 +344,26 @@ def _config(options: TrainConfig, data: ConcatDataset, network: Network) -> dict
     }
 
 
-OWN = "dataset", "further", "part", "seed", "out", "quiet"  # options in which the networks may differ
-AT_ONCE = 32  # networks in one program, or fewer where their datasets fill the memory
+# ------------------------------------------------------------------ several networks
+
+OWN_OPTIONS = "dataset", "further", "part", "seed", "out", "quiet"  # in which the networks may differ
+MAX_NETWORKS = 32  # in one program; fewer if their datasets fill the memory
 
 
 def train_ensemble(
     several: Sequence[TrainConfig], console: Console | Callable[[float], None] | None = None
 ) -> list[TrainState]:
-    """Train networks, each in the folder of its options.
+    """Train networks of one kind side by side; the state of each after its last epoch.
+
+    One program makes an epoch of all of them, so a GPU that one small network leaves idle is filled. Each stops by its
+    own validation loss. A folder is that of ``train`` afterwards; what is killed midway begins anew.
 
     Args:
-        several: what to train; they may differ in dataset, seed and folder.
-        console: shows the progress; a function receives the fraction done instead, and None shows nothing.
-
-    Returns:
-        The state of each after its last epoch. ``learned.load`` reads the best weights from a folder.
+        several: they may differ in dataset, seed and folder.
+        console: shows the progress; a function receives the share that is done.
 
     Raises:
-        InputError: options differ in something else, a dataset is too large, or a folder holds something else.
+        InputError: other options differ, a dataset is too large, or a folder holds something else.
         WriteError: another process trains in a folder.
         IncompleteError: a file is damaged or cannot be written.
         FloatingPointError: a loss is not finite; nothing of the networks that were trained together is written.
@@ -406,19 +372,28 @@ def train_ensemble(
     data = [open_datasets([options.dataset, *options.further], options.part) for options in several]
     networks = [Network(o.width, o.flags, each.image_shape) for o, each in zip(several, data, strict=True)]
     _check_alike(several, data, networks)
-    size = min(AT_ONCE, _networks_at_once(several[0], data))
+    size = min(MAX_NETWORKS, _networks_at_once(several[0], data))
     states: list[TrainState] = []
-    with progress(console) as tell, _lock_folders(several):
+    with progress(console) as tell, contextlib.ExitStack() as stack:
+        for options in several:
+            stack.enter_context(writing.folder_lock(options.folder))
         tell.start("training", len(several))
         for first in range(0, len(several), size):
             part = slice(first, first + size)
-            show = _EnsembleProgress(tell, first, len(several[part]), several[0].epochs)
+
+            def show(epoch: int, over: np.ndarray, loss: float, first: int = first) -> None:
+                share = max(float(over.mean()), epoch / several[0].epochs)
+                note = f"epoch {epoch} · {int(over.sum())} of {len(over)} stopped, loss {loss:.4f} on average"
+                tell.update(first + share * len(over), note)
+
             states += _train_ensemble(several[part], data[part], networks[0], show)
     return states
 
 
 def _check_alike(several: list[TrainConfig], data: list[ConcatDataset], networks: list[Network]) -> None:
-    alike = [{name: value for name, value in options.decisive().items() if name not in OWN} for options in several]
+    alike = [
+        {name: value for name, value in options.decisive().items() if name not in OWN_OPTIONS} for options in several
+    ]
     for one in alike[1:]:
         for name in one:
             if one[name] != alike[0][name]:
@@ -426,9 +401,9 @@ def _check_alike(several: list[TrainConfig], data: list[ConcatDataset], networks
     if several[0].pretrained is not None:
         raise InputError("pretrained: networks side by side begin from nothing; train this one by itself.")
     if any(each.rate != data[0].rate for each in data):
-        raise InputError("dataset: other rates of examples beside one another; collect all with the same --rate.")
+        raise InputError("dataset: the datasets have different rates; collect all with the same --rate.")
     if any(network != networks[0] for network in networks):
-        raise InputError("dataset: images of other sizes beside one another; collect all with the same --width.")
+        raise InputError("dataset: the datasets have images of different sizes; collect all with the same --width.")
 
 
 def _networks_at_once(options: TrainConfig, data: list[ConcatDataset]) -> int:
@@ -438,26 +413,6 @@ def _networks_at_once(options: TrainConfig, data: list[ConcatDataset]) -> int:
     if number < 1:
         raise InputError("dataset: it does not fit on the device; train each network by itself.")
     return number
-
-
-@contextlib.contextmanager
-def _lock_folders(several: list[TrainConfig]) -> Iterator[None]:
-    with contextlib.ExitStack() as stack:
-        for options in several:
-            stack.enter_context(writing.folder_lock(options.folder))
-        yield
-
-
-class _EnsembleProgress:
-    """The progress of networks that are trained together."""
-
-    def __init__(self, tell: Any, done: int, number: int, epochs: int):
-        self.tell, self.done, self.number, self.epochs = tell, done, number, epochs
-
-    def __call__(self, epoch: int, over: np.ndarray, loss: float) -> None:
-        share = max(float(over.mean()), epoch / self.epochs)
-        note = f"{int(over.sum())} of {self.number} stopped, loss {loss:.4f} on average"
-        self.tell.update(self.done + share * self.number, f"epoch {epoch} · {note}")
 
 
 def _train_ensemble(
@@ -478,25 +433,25 @@ def _train_ensemble(
     states, best = jax.jit(_init_states, static_argnums=(0, 1, 2))(
         network, len(data[0].manifest["situations"]), options, seeds, scales
     )
-    recordings, rows, held, odds = _stack_data(data, splits, options.balance)
+    recordings, rows, validation, odds = _stack_data(data, splits, options.balance)
     epoch = _ensemble_epoch(network, options)
-    over, lines = np.zeros(len(several), bool), []
+    over, epochs = np.zeros(len(several), bool), []
     while not over.all():
-        begun = time.time()
-        states, best, told = epoch(states, best, jnp.asarray(over), recordings, rows, held, odds, seeds)
-        losses, validated = (jax.tree.map(np.asarray, each) for each in told)
-        if not np.isfinite([losses.loss[~over], validated.loss[~over]]).all():
+        start = time.time()
+        states, best, losses = epoch(states, best, jnp.asarray(over), recordings, rows, validation, odds, seeds)
+        trained, validated = (jax.tree.map(np.asarray, each) for each in losses)
+        if not np.isfinite([trained.loss[~over], validated.loss[~over]]).all():
             raise FloatingPointError(
                 "a loss is not finite; nothing of these networks is written; lower the learning rate."
             )
-        lines.append((losses, validated, ~over, begun))
+        epochs.append((trained, validated, ~over, start))
         number, last = np.asarray(states.epoch), np.asarray(states.best_epoch)
         over |= (number >= options.epochs) | (number - last >= options.patience)
         show(int(number.max()), over, float(validated.loss.mean()))
     result = []
     for index, (own, config) in enumerate(zip(several, configs, strict=True)):
         one, top = (jax.tree.map(lambda leaf: leaf[index], tree) for tree in (states, best))  # noqa: B023
-        _write_folder(own.folder, config, one, top, [line for line in lines if line[2][index]], index)
+        _write_folder(own.folder, config, one, top, [epoch for epoch in epochs if epoch[2][index]], index)
         result.append(one)
     return result
 
@@ -516,28 +471,35 @@ def _init_states(
 
 
 def _stack_data(data: list[ConcatDataset], splits: list, balance: bool) -> tuple[Recording, Array, Array, Array]:
-    """(A, R, ...) rows of all datasets, filled up to the longest, and of each the rows that train and that validate, -1
-    for none; and the chances of the former."""
-    each = [on_device(one.recording([*training, *held])) for one, (training, held) in zip(data, splits, strict=True)]
+    """Recordings (A, R, ...) filled up to the longest; rows (A, R) that train and (A, V) that validate, -1 for none;
+    and the probabilities (A, R) of the former.
+    """
+    each = [
+        on_device(one.recording([*training, *validation]))
+        for one, (training, validation) in zip(data, splits, strict=True)
+    ]
     most = max(len(one.first) for one in each)
 
     def longer(leaf: Array) -> Array:
         return jnp.concatenate([leaf, jnp.zeros((most - len(leaf), *leaf.shape[1:]), leaf.dtype)])
 
     recordings = jax.tree.map(lambda *leaves: jnp.stack([longer(leaf) for leaf in leaves]), *each)
-    index, training, held, odds = np.arange(most), [], [], []
+    index, training, validation, odds = np.arange(most), [], [], []
     for one, (learned, _) in zip(data, splits, strict=True):
         number, count = sum(episode.length for episode in learned), one.example_count
         training.append(np.where(index < number, index, -1))
-        held.append(np.where((index >= number) & (index < count), index, -1))
+        validation.append(np.where((index >= number) & (index < count), index, -1))
         chances = np.ones(number) / number
         if balance:
             chances = balanced_probabilities(one.read(learned, ("situations",))["situations"])
         odds.append(np.concatenate([chances, np.zeros(most - number)]))
-    held = [np.concatenate([row[row >= 0], row[row < 0]]) for row in held]
-    width = max(int((row >= 0).sum()) for row in held)
-    rows = jnp.asarray(np.stack(training), jnp.int32)
-    return recordings, rows, jnp.asarray(np.stack(held)[:, :width], jnp.int32), jnp.asarray(np.stack(odds), jnp.float32)
+    validation = [np.concatenate([row[row >= 0], row[row < 0]]) for row in validation]
+    width = max(int((row >= 0).sum()) for row in validation)
+    rows, validation = (
+        jnp.asarray(np.stack(training), jnp.int32),
+        jnp.asarray(np.stack(validation)[:, :width], jnp.int32),
+    )
+    return recordings, rows, validation, jnp.asarray(np.stack(odds), jnp.float32)
 
 
 def _ensemble_epoch(network: Network, options: TrainConfig) -> Callable:
@@ -545,8 +507,8 @@ def _ensemble_epoch(network: Network, options: TrainConfig) -> Callable:
     compiled = programs(network, options, devices.mesh())
 
     def one(
-        state: TrainState, best: TrainState, over: Array, recording: Recording, rows: Array, held: Array, odds: Array,
-        seed: Array,
+        state: TrainState, best: TrainState, over: Array, recording: Recording, rows: Array, validation: Array,
+        odds: Array, seed: Array,
     ) -> tuple[TrainState, TrainState, tuple]:  # fmt: skip
         key = jax.random.fold_in(prng.key("order", seed), state.epoch)
         if options.balance:
@@ -563,7 +525,7 @@ def _ensemble_epoch(network: Network, options: TrainConfig) -> Callable:
             return jax.tree.map(lambda old, new: jnp.where(some, new, old), state, after), sums
 
         after, trained = jax.lax.scan(step, state, in_batches(order, options.batch, 1))
-        batches = in_batches(held, options.batch, 1)
+        batches = in_batches(validation, options.batch, 1)
         _, validated = jax.lax.scan(lambda _, index: (_, compiled.measure(after, *gather(index))), 0, batches)
         after, *losses = compiled.finish(after, trained.sum(0), validated.sum(0))
         better = after.best_epoch == after.epoch
@@ -574,16 +536,16 @@ def _ensemble_epoch(network: Network, options: TrainConfig) -> Callable:
     return jax.jit(jax.vmap(one), donate_argnums=(0, 1))
 
 
-def _write_folder(folder: Path, config: dict, state: TrainState, best: TrainState, lines: list, index: int) -> None:
+def _write_folder(folder: Path, config: dict, state: TrainState, best: TrainState, epochs: list, index: int) -> None:
     """The folder of a training that has ended."""
     shutil.rmtree(folder / "checkpoints", ignore_errors=True)  # of one that was trained otherwise and killed
     write_config(folder, config)
     checkpoints = Checkpoints(folder, writes=True)
     for one in (best, state) if int(best.epoch) < int(state.epoch) else (state,):
-        loss = lines[int(one.epoch) - 1][1].loss[index]
+        loss = epochs[int(one.epoch) - 1][1].loss[index]
         checkpoints.save(one, int(one.epoch), float(loss))
         checkpoints.wait()
     log = Log(folder, 0)
-    for number, (losses, validated, _, begun) in enumerate(lines, 1):
-        told = [{name: float(value[index]) for name, value in each._asdict().items()} for each in (losses, validated)]
-        log.add({"epoch": number, "train": told[0], "validation": told[1], "time": begun})
+    for number, (*losses, _, start) in enumerate(epochs, 1):
+        train, validation = (_as_dict(jax.tree.map(lambda value: value[index], each)) for each in losses)
+        log.add({"epoch": number, "train": train, "validation": validation, "time": start})

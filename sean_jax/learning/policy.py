@@ -1,4 +1,10 @@
-"""Who drives, by a name, the folder of a training, a file of one's own, or as a value."""
+"""Policies by a name, a folder, FILE.py:NAME, or as a value; trained networks and agents that drive.
+
+Packed agents are small folders, ``config.json`` and ``weights.npz``, read with flax and numpy alone: ``sean export
+agent`` writes them, and those of the package lie in ``agents/``, with names that stand wherever that of a policy can.
+Weights are kept in 16 bits, which changes a command by about a thousandth; the statistics of the observation, whose
+range is wider, in 32. All policies run under ``jit`` and ``vmap``.
+"""
 
 import functools
 import io
@@ -42,18 +48,18 @@ from sean_jax.versions import versions
 from sean_jax.writing import check_new_folder
 
 
-def load_policy(given: PolicyLike | Component | str, scenario: Scenario, option: str = "policy") -> Policy:
-    """The policy that something stands for.
+def load_policy(value: PolicyLike | Component | str, scenario: Scenario, option: str = "policy") -> Policy:
+    """The policy of a value.
 
     Args:
-        given: a policy, a function, a name of ``POLICIES`` or ``AGENTS``, the folder of a training or a packed agent,
+        value: a policy, a function, a name of ``POLICIES`` or ``AGENTS``, the folder of a training or a packed agent,
             FILE.py:NAME, or a description of these.
 
     Raises:
-        InputError: there is none of that name, or it does not fit to the scenario.
+        InputError: there is none of that name, or it does not fit the scenario.
         PartError: a policy of the user's own fails, as ``episodes.check_policy`` finds.
     """
-    description = _description(given)
+    description = _description(value)
     if isinstance(description, Named) and description.kind not in POLICIES:
         return load_folder(_agent_folder(description.kind, option), scenario)
     part = components.resolve(description, POLICIES, option)
@@ -67,14 +73,14 @@ def load_policy(given: PolicyLike | Component | str, scenario: Scenario, option:
 
 
 def load_folder(folder: Path | str, scenario: Scenario) -> Policy:
-    """The best policy that a training has found so far, a packed agent, or one that comes with the package.
+    """The best policy of a training so far, a packed agent, or one that comes with the package.
 
     Args:
-        folder: that ``sean train`` has written, or is writing, or that ``sean export agent`` has; as text also a name
-            of ``AGENTS``, unless an agent's folder of that name is here, too.
+        folder: that ``sean train`` or ``sean export agent`` has written, or is writing; as text also a name of
+            ``AGENTS``, unless an agent's folder of that name is here, too.
 
     Raises:
-        InputError: the folder has no trained network, or one that does not fit to the scenario.
+        InputError: the folder has no trained network, or one that does not fit the scenario.
         IncompleteError: the checkpoint cannot be read.
     """
     if isinstance(folder, str) and folder in AGENTS:
@@ -87,16 +93,13 @@ def load_folder(folder: Path | str, scenario: Scenario) -> Policy:
     return agent_policy(*load_trained(folder, scenario), name=folder.name)
 
 
-def check_policy(given: PolicyLike | Component | str, config: ScenarioConfig, option: str = "policy") -> None:
-    """Refuse what ``policy`` would refuse, as far as it can be told before a scenario is made.
-
-    Args:
-        given: as of ``policy``.
+def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, option: str = "policy") -> None:
+    """Refuse what ``load_policy`` would refuse, as far as it can be told before a scenario is made.
 
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    description = _description(given)
+    description = _description(value)
     if not isinstance(description, Named):
         part = components.resolve(description, {}, option)
         if not (isinstance(part, Policy) or callable(part)):
@@ -113,23 +116,23 @@ def check_policy(given: PolicyLike | Component | str, config: ScenarioConfig, op
             read_network(folder, list(SITUATION_SETS[sets[0]]))
 
 
-def _description(given: Any) -> Component:
-    return given if isinstance(given, Component) else validate(RunConfig, {"policy": given}).policy
+def _description(value: Any) -> Component:
+    return value if isinstance(value, Component) else validate(RunConfig, {"policy": value}).policy
 
 
 def _agent_folder(name: str, option: str) -> Path:
     """The folder of an agent of the package, or of one's own; a name that may mean both is refused."""
-    own = Path(name)
+    path = Path(name)
     if name in AGENTS:
-        if (own / CONFIG).is_file():
+        if (path / CONFIG).is_file():
             both = f"'{name}' is an agent of the package and a folder here"
             raise InputError(f"{option}: {both}; write ./{name} for the folder, {AGENTS[name]} for the other.")
         return AGENTS[name]
-    if not own.is_dir():
+    if not path.is_dir():
         known = [*POLICIES, *AGENTS]
         cure = files.suggest(name, known) or ", nor is it a folder that `sean train` has written."
         raise InputError(f"{option}: '{name}' is not one of {', '.join(known)}{cure}")
-    return own
+    return path
 
 
 WEIGHTS = "weights.npz"
@@ -143,19 +146,12 @@ AGENTS: dict[str, Path] = {
 
 
 def is_packed(folder: Path) -> bool:
-    """Whether a folder holds a packed agent, and no training.
-
-    Returns:
-        True or False.
-    """
+    """Whether a folder holds a packed agent, and no training."""
     return (folder / WEIGHTS).is_file()
 
 
 def read_options(folder: Path) -> ReinforcementConfig:
-    """What the agent in a folder was trained as.
-
-    Args:
-        folder: of a training, or of a packed agent.
+    """The options with which the agent in a folder was trained, of a training or packed.
 
     Raises:
         InputError: there is none, or this version does not know it.
@@ -166,19 +162,16 @@ def read_options(folder: Path) -> ReinforcementConfig:
     if not issubclass(model, ReinforcementConfig):
         raise InputError(f"{folder} has a network that imitates, and no agent; train one with `sean train ppo`.")
     check_supported(folder, saved)
-    told = {name: saved[name] for name in saved if name in model.model_fields}
-    told = components.recorded(folder / CONFIG, told, saved.get("parts"), "parts")
+    options = {name: saved[name] for name in saved if name in model.model_fields}
+    options = components.recorded(folder / CONFIG, options, saved.get("parts"), "parts")
     try:
-        return validate(model, told, source=folder / CONFIG)
+        return validate(model, options, source=folder / CONFIG)
     except InputError as error:
         raise InputError(f"{folder / CONFIG}: {error}") from None
 
 
 def agent_terms(options: ReinforcementConfig) -> tuple[observations.Terms, observations.Terms]:
-    """What an agent sees.
-
-    Returns:
-        The terms that the actor sees, and those that the critic sees besides.
+    """The observation terms of the actor, and the critic's further ones.
 
     Raises:
         InputError: there is no term of a name, or the critic's are images or the actor's.
@@ -201,10 +194,7 @@ def agent_network(options: ReinforcementConfig, space: Dict) -> ActorCritic:
 
 
 def agent_outline(options: ReinforcementConfig, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
-    """The agent of a description, without its numbers.
-
-    Returns:
-        The network, shapes and types of the agent, and the terms that the actor sees.
+    """The network, shapes and types of the agent, and the actor's observation terms.
 
     Raises:
         InputError: the scenario lacks something that the agent sees.
@@ -218,11 +208,10 @@ def agent_outline(options: ReinforcementConfig, scenario: Scenario) -> tuple[Act
 
 
 def check_sizes(folder: Path, options: ReinforcementConfig, saved: PyTree, expected: Agent) -> None:
-    """Refuse an agent that sees something else than a scenario shows.
+    """Refuse an agent with arrays of other sizes than a scenario's observations need.
 
     Args:
-        saved: name -> shape of each of its arrays, as of ``shapes``.
-        expected: as of ``outline``.
+        saved: name -> shape, as of ``agent_shapes``.
 
     Raises:
         InputError: the shapes differ.
@@ -242,22 +231,12 @@ def check_sizes(folder: Path, options: ReinforcementConfig, saved: PyTree, expec
 
 
 def agent_shapes(agent: PyTree) -> dict[str, tuple[int, ...]]:
-    """The shapes of an agent.
-
-    Args:
-        agent: its arrays, or what stands for them.
-
-    Returns:
-        Name of an array, such as statistics/mean, to its shape.
-    """
+    """Name, such as statistics/mean, and shape of each array of an agent, or of its outline."""
     return {name: tuple(leaf.shape) for name, leaf in _leaves_by_path(agent).items()}
 
 
 def save_agent(folder: Path, agent: Agent, config: dict[str, Any]) -> None:
-    """Write an agent into a folder that is there.
-
-    Args:
-        config: of its training, and whatever else shall be known of it, as JSON can hold.
+    """Write an agent into a folder that exists, with the ``config`` of its training and anything else JSON can hold.
 
     Raises:
         InputError: a number is not finite, or too large for 16 bits.
@@ -275,13 +254,7 @@ def save_agent(folder: Path, agent: Agent, config: dict[str, Any]) -> None:
 
 
 def load_packed(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
-    """A packed agent.
-
-    Args:
-        folder: as ``save`` wrote it.
-
-    Returns:
-        The network, the agent, and the terms of its observation.
+    """A packed agent: the network, the agent, and the terms of its observation.
 
     Raises:
         InputError: its observations are not of the sizes of the scenario's, or a file cannot be read.
@@ -295,14 +268,7 @@ def load_packed(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, o
 
 
 def restore_agent(folder: Path, options: ReinforcementConfig, expected: Agent) -> Agent:
-    """The numbers of a packed agent.
-
-    Args:
-        folder: as ``save`` wrote it.
-        expected: an agent of the shapes that it must have.
-
-    Returns:
-        The agent, in 32 bits.
+    """The numbers of a packed agent, in 32 bits, with the shapes that are ``expected``.
 
     Raises:
         InputError: it has other shapes, or cannot be read.
@@ -317,14 +283,7 @@ def restore_agent(folder: Path, options: ReinforcementConfig, expected: Agent) -
 
 
 def describe_agent(folder: Path) -> str:
-    """A packed agent in a sentence.
-
-    Args:
-        folder: as ``save`` wrote it.
-
-    Returns:
-        What it sees, and where and how long it was trained.
-    """
+    """What a packed agent sees, and where and how long it was trained, in a sentence."""
     options, saved = read_options(folder), files.read_json(folder / CONFIG)
     sees, steps = ", ".join(part.kind for part in options.observations), saved.get("agent", {}).get("steps")
     trained = f" on {steps:,} steps" if isinstance(steps, int) else ""
@@ -347,10 +306,7 @@ class Best:
 
 
 def load_trained(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
-    """The best agent of a training.
-
-    Returns:
-        The network, the agent, and the terms of its observation.
+    """The best agent of a training: the network, the agent, and the terms of its observation.
 
     Raises:
         InputError: there is no checkpoint, or the agent learned from observations of another size.
@@ -371,13 +327,9 @@ def load_trained(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, 
 
 
 def pack(folder: Path | str, out: Path | str) -> Path:
-    """Write the best agent of a training into a small folder, which drives as the training's does.
+    """Write the best agent of a training into a new or empty folder ``out``.
 
     Files of one's own that the training names, and what they import beside them, are copied into its ``parts``.
-
-    Args:
-        folder: that ``sean train ppo`` has written, or is writing.
-        out: folder to write, new or empty.
 
     Raises:
         InputError: there is no agent.
@@ -391,11 +343,11 @@ def pack(folder: Path | str, out: Path | str) -> Path:
         raise InputError(f"{folder} is packed already; copy it.")
     components.check_trust(options)
     _, agent, _ = load_trained(folder, registry.build(options.of_each[0]).scenario)
-    told = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
-    with writing.atomic_folder(out) as made:
-        copies, hashes = components.copy(made, options)
+    facts = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
+    with writing.atomic_folder(out) as target:
+        copies, hashes = components.copy(target, options)
         own = components.relocate(options.decisive(), copies) | {"parts": hashes} if copies else {}
-        save_agent(made, agent, {**files.read_json(folder / CONFIG), **own, "agent": told})
+        save_agent(target, agent, {**files.read_json(folder / CONFIG), **own, "agent": facts})
     return out
 
 
@@ -435,10 +387,11 @@ class PolicyState:
 
 
 def network_policy(network: Network, weights: Weights, scenario: Scenario, name: str = "learned") -> Policy:
-    """Make a policy of a network, for the robot of a scenario.
+    """A policy of a network that imitates, for the robot of a scenario.
 
-    Returns:
-        A policy for ``rollout``.
+    The policy state holds the encodings of the depth images of the last four seconds. The network receives those that
+    are 4, 3, 2, 1 and 0 s old, as in an example. After each step ``state.policy_state.decision`` has the local plan and
+    the attention, which SEAN displays too.
 
     Raises:
         InputError: the robot has no depth camera.
@@ -449,10 +402,7 @@ def network_policy(network: Network, weights: Weights, scenario: Scenario, name:
 
 
 def load_imitation(folder: Path | str, scenario: Scenario) -> Policy:
-    """Load the policy with the lowest validation loss so far; of a training in rounds, that of the last round.
-
-    Args:
-        folder: the folder that ``sean train`` has written, or is writing.
+    """The policy with the lowest validation loss so far; of a training in rounds, that of the last round.
 
     Raises:
         InputError: the folder has no trained network, or one that receives the flags of other social situations.
@@ -498,14 +448,7 @@ def _init_network(scenario: Scenario, params: PolicyParams, state: State) -> Pol
 def _apply_network(
     scenario: Scenario, params: PolicyParams, state: State, key: Array
 ) -> tuple[Float[Array, "2"], PolicyState]:
-    """Drive one control step.
-
-    Args:
-        state: the state, with the policy state of the step before.
-
-    Returns:
-        (2,) m/s, rad/s, the command, and the new policy state.
-    """
+    """The command (2,) [m/s, rad/s] of a control step, and the new policy state."""
     before: PolicyState = state.policy_state
     encodings = jnp.concatenate([_encode_image(scenario, params, state)[None], before.encodings[:-1]])
     each_second = encodings[:: round(1.0 / scenario.time_step)][::-1]
@@ -542,10 +485,9 @@ class AgentState:
 
 
 def agent_policy(network: ActorCritic, agent: Agent, terms: observations.Terms, name: str = "agent") -> Policy:
-    """Make a policy of an agent.
+    """A policy of an agent of reinforcement learning: the mean of its actions.
 
-    Returns:
-        A policy for ``rollout``.
+    Its state holds the memory of the observation, so that delays and stacks are as in training, and the network's.
     """
     return Policy(params=AgentParams(agent, network, terms), name=name, init=_init_agent, apply=_apply_agent)
 
@@ -560,14 +502,7 @@ def _init_agent(scenario: Scenario, params: AgentParams, state: State) -> AgentS
 def _apply_agent(
     scenario: Scenario, params: AgentParams, state: State, key: Array
 ) -> tuple[Float[Array, "2"], AgentState]:
-    """Drive one control step.
-
-    Args:
-        key: unused; the mean of the actions is not drawn.
-
-    Returns:
-        (2,) m/s, rad/s, the command, and the new memory.
-    """
+    """The command (2,) [m/s, rad/s] of a control step, and the new policy state; the key is not used."""
     before: AgentState = state.policy_state
     seen, observed = observations.observe(params.terms, scenario, state, before.observed)
     vector = observations.flatten(params.terms, seen).astype(jnp.float32)
@@ -588,20 +523,17 @@ class LabelledState:
 
 
 def labelled(driver: PolicyLike, labeller: PolicyLike) -> Policy:
-    """A policy that drives, with another one that labels."""
+    """A policy that drives, with another one that labels: its command is recorded instead.
+
+    Source: S. Ross et al., "A reduction of imitation learning and structured prediction to no-regret online learning",
+    AISTATS 2011.
+    """
     both = as_policy(driver), as_policy(labeller)
     return Policy(params=both, name=both[0].name, init=_init_labelled, apply=_apply_labelled)
 
 
 def label(state: State) -> Float[Array, "2"]:
-    """What should have been done in the step that led to a state.
-
-    Args:
-        state: after a step of a ``labelled`` or ``disturbed`` policy.
-
-    Returns:
-        (2,) m/s, rad/s.
-    """
+    """The label (2,) [m/s, rad/s] of the step that led to a state, of a ``labelled`` or ``disturbed`` policy."""
     return state.policy_state.label
 
 
@@ -634,10 +566,12 @@ class DisturbedState:
 
 
 def disturbed(driver: PolicyLike, deviation: float) -> Policy:
-    """A policy whose commands reach the robot with noise.
+    """A policy whose commands reach the robot with noise; the commands without it are the labels.
 
     Args:
         deviation: of the noise, as a share of the top speed and of the greatest turn rate.
+
+    Source: M. Laskey et al., "DART: Noise injection for robust imitation learning", CoRL 2017.
     """
     one = as_policy(driver)
     params = one, jnp.asarray(deviation, float)
