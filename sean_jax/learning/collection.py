@@ -90,13 +90,13 @@ def _only(scenario: Scenario, situation: str) -> Scenario:
     return replace(scenario, behavior=replace(scenario.behavior, data=replace(sets, odds=odds)))
 
 
-def next_stream(recorded: list[int], wanted: int) -> int | None:
+def next_stream(recorded: list[int], target_rows: int) -> int | None:
     """The index of the stream with the fewest recorded rows; None when each has ``wanted`` rows.
 
     It does not depend on ``wanted`` otherwise, so a dataset that is made longer later equals one made at once.
     """
     shortest = min(range(len(recorded)), key=lambda stream: (recorded[stream], stream))
-    return None if recorded[shortest] >= wanted else shortest
+    return None if recorded[shortest] >= target_rows else shortest
 
 
 def row_record(
@@ -233,18 +233,18 @@ def _collect(config: CollectConfig, console: Console | Callable[[float], None] |
         raise InputError(f"{text}; choose another --out.")
     record = row_record(scenarios[0], camera, command_of, config.rate)
     runner = Runner(scenarios, policy, data.batch, "collect", record, mesh)
-    wanted = config.rate * stream_seconds(config.hours, len(parts))
-    total = wanted * len(parts) // config.rate
+    target_rows = config.rate * stream_seconds(config.hours, len(parts))
+    total = target_rows * len(parts) // config.rate
     recorded, first_new = data.stream_rows, len(data.manifest["shards"])
     with progress(console) as tell, _behind(data) as commit:
         tell.start("recording", total)
 
         def show(note: str) -> None:
-            done = sum(min(each, wanted) for each in recorded) // config.rate
+            done = sum(min(each, target_rows) for each in recorded) // config.rate
             tell.update(done, f"{done:,} of {total:,} s · {note}")
 
         show("compiling")
-        for stream, shard in _due(data, recorded, wanted):
+        for stream, shard in _due(data, recorded, target_rows):
             began = time.perf_counter()
 
             def watch(seconds: int, shard: int = shard) -> None:
@@ -258,13 +258,13 @@ def _collect(config: CollectConfig, console: Console | Callable[[float], None] |
     return data
 
 
-def _due(data: Dataset, recorded: list[int], wanted: int) -> Iterator[tuple[int, int]]:
+def _due(data: Dataset, recorded: list[int], target_rows: int) -> Iterator[tuple[int, int]]:
     """(stream, shard) of what is to be recorded: first what was lost, then what is missing of ``recorded`` rows."""
     shards = data.manifest["shards"]
     for shard in data.damaged_shards():
         yield shards[shard]["stream"], shard
     number = len(shards)
-    while (stream := next_stream(recorded, wanted)) is not None:
+    while (stream := next_stream(recorded, target_rows)) is not None:
         yield stream, number
         number += 1
 
@@ -279,13 +279,13 @@ def _behind(data: Dataset) -> Iterator[Callable[..., None]]:
         last: list[Future] = []
 
         def commit(*arguments: Any) -> None:
-            for begun in last:
-                begun.result()
+            for future in last:
+                future.result()
             last[:] = [pool.submit(data.commit, *arguments)]
 
         yield commit
-        for begun in last:
-            begun.result()
+        for future in last:
+            future.result()
 
 
 def _open(config: CollectConfig, parts: dict[str, Scenario], policy: Policy, camera: sensors.Camera) -> Dataset:
@@ -314,10 +314,10 @@ def check_folder(folder: Path) -> None:
 
 
 def _check_same(config: CollectConfig, data: Dataset) -> None:
-    asked, had = config.decisive(), {"rate": 1, **data.manifest["options"]}  # those of earlier versions have one rate
-    for name in asked:
-        if asked[name] != had.get(name):
-            text = f"{flag(name)} {_short(had.get(name))}, not {_short(asked[name])}"
+    options, had = config.decisive(), {"rate": 1, **data.manifest["options"]}  # those of earlier versions have one rate
+    for name in options:
+        if options[name] != had.get(name):
+            text = f"{flag(name)} {_short(had.get(name))}, not {_short(options[name])}"
             raise InputError(f"{data.folder} was begun with {text}; ask for the same or choose another --out.")
     if config.batch not in (None, data.batch):
         raise InputError(f"{data.folder} was begun with --batch {data.batch}, not {config.batch}; ask for the same.")
@@ -473,13 +473,13 @@ class Recorder:
         """
         if self.state is None:
             raise InputError("recorder: no episode has begun; call begin first.")
-        given = np.full(2, np.nan) if command is None else np.asarray(command, np.float64).reshape(2)
-        new = bool(np.isfinite(given).all())
-        self._command = np.where(new, given, self._command)
+        action = np.full(2, np.nan) if command is None else np.asarray(command, np.float64).reshape(2)
+        new = bool(np.isfinite(action).all())
+        self._command = np.where(new, action, self._command)
         if int(self.state.tick) % steps_per_row(self.scenario, self.rate) == 0 and len(self._rows) < self._max_rows:
             latest = jnp.asarray(self._command, float)
             self._rows.append(jax.tree.map(np.asarray, self._row(self.scenario, self.state, latest, self._last)))
-        self.state = self._step(self.scenario, self.state, jnp.asarray(given, float))
+        self.state = self._step(self.scenario, self.state, jnp.asarray(action, float))
         return self.state
 
     def commit(self) -> None:
@@ -555,15 +555,15 @@ def record(recorder: Recorder, commands: Callable[[State], Any] | Iterable[Any],
     """
     source = commands if callable(commands) else functools.partial(_next_command, iter(commands))
     for _ in range(episodes):
-        state, over = recorder.begin(), False
-        while not (over or bool(state.completed | state.timed_out)):
+        state, ended = recorder.begin(), False
+        while not (ended or bool(state.completed | state.timed_out)):
             try:
                 state = recorder.step(source(state))
             except StopIteration:
-                over = True
+                ended = True
         if recorder._rows:
             recorder.commit()
-        if over:
+        if ended:
             break
     return recorder.data
 

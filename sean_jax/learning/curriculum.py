@@ -83,7 +83,7 @@ class Curriculum:
     """A pool, and the record of its starts and of situations, whose sums fade by ``Plan.memory``."""
 
     pool: mdp.Pool
-    keys: Array  # (K,) typed PRNG keys, of which the starts were made
+    keys: Array  # (K,) typed PRNG keys of the starts
     occurs: Float[Array, "K S"]  # s spent in each situation, from each start
     seconds: Float[Array, "K"]  # s of it, all together
     cost: Float[Array, "S"]  # of people, in each situation
@@ -107,7 +107,7 @@ class Record(NamedTuple):
     cost: Float[Array, "T B"]  # of ``social_cost``
     done: Bool[Array, "T B"]  # the episode ended with this step
     episode_return: Float[Array, "T B"]  # ``info["episode_return"]``
-    advantage: Float[Array, "T B"] | None = None  # regret is its positive part if it is given, else best less mean
+    advantage: Float[Array, "T B"] | None = None  # for regret, its positive part; None: best return less mean
 
 
 def social_cost(parts: Mapping[str, Float[Array, "*batch"]]) -> Float[Array, "*batch"]:

@@ -136,7 +136,7 @@ def _agent_folder(name: str, option: str) -> Path:
 
 
 WEIGHTS = "weights.npz"
-STATISTICS = "statistics/"  # names of arrays that are kept in 32 bits begin so
+STATISTICS = "statistics/"  # prefix of names of arrays in 32 bits
 MAX_WEIGHTS_BYTES = 100_000_000  # of the weights
 
 AGENTS: dict[str, Path] = {
@@ -176,19 +176,19 @@ def agent_terms(options: ReinforcementConfig) -> tuple[observations.Terms, obser
     Raises:
         InputError: there is no term of a name, or the critic's are images or the actor's.
     """
-    seen = registry.observation_terms(options.observations)
+    actor_terms = registry.observation_terms(options.observations)
     private = registry.observation_terms(options.critic, "critic")
     for name, term in private:
-        if term.image or name in dict(seen):
+        if term.image or name in dict(actor_terms):
             why = "is an image" if term.image else "is what the actor sees already"
             raise InputError(f"critic: {name} {why}; choose another term.")
-    return seen, private
+    return actor_terms, private
 
 
 def agent_network(options: ReinforcementConfig, space: Dict) -> ActorCritic:
     """The network of a description."""
-    seen, private = agent_terms(options)
-    images = tuple(name for name, term in seen if term.image)
+    actor_terms, private = agent_terms(options)
+    images = tuple(name for name, term in actor_terms if term.image)
     hidden = sum(math.prod(dict(space.items())[name].shape) for name, _ in private)
     return ActorCritic(options.width, options.layers, images, options.recurrent, hidden, options.bfloat16)
 
@@ -199,12 +199,16 @@ def agent_outline(options: ReinforcementConfig, scenario: Scenario) -> tuple[Act
     Raises:
         InputError: the scenario lacks something that the agent sees.
     """
-    seen, private = agent_terms(options)
-    everything = (*seen, *private)
+    actor_terms, private = agent_terms(options)
+    everything = (*actor_terms, *private)
     shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), scenario)
     space = observations.space(everything, scenario, shapes)
     actor_critic = agent_network(options, space)
-    return actor_critic, jax.eval_shape(lambda: init_agent(actor_critic, everything, space, jax.random.key(0))), seen
+    return (
+        actor_critic,
+        jax.eval_shape(lambda: init_agent(actor_critic, everything, space, jax.random.key(0))),
+        actor_terms,
+    )
 
 
 def check_sizes(folder: Path, options: ReinforcementConfig, saved: PyTree, expected: Agent) -> None:
@@ -216,13 +220,13 @@ def check_sizes(folder: Path, options: ReinforcementConfig, saved: PyTree, expec
     Raises:
         InputError: the shapes differ.
     """
-    wanted = agent_shapes(expected)
-    if saved == wanted:
+    shapes = agent_shapes(expected)
+    if saved == shapes:
         return
     mean = f"{STATISTICS}mean"
-    seen, shown = (name.get(mean, (0,))[0] for name in (saved, wanted))
-    what = f"{seen} numbers, and this scenario shows {shown}"
-    if seen == shown:
+    learned, shown = (name.get(mean, (0,))[0] for name in (saved, shapes))
+    what = f"{learned} numbers, and this scenario shows {shown}"
+    if learned == shown:
         what = "images of another size than this scenario's"
     named = ", ".join(part.kind for part in options.observations)
     raise InputError(
@@ -261,10 +265,10 @@ def load_packed(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, o
     """
     options = read_options(folder)
     try:
-        actor_critic, expected, seen = agent_outline(options, scenario)
+        actor_critic, expected, terms = agent_outline(options, scenario)
     except InputError as error:
         raise InputError(f"{folder / CONFIG}: {error}") from None
-    return actor_critic, restore_agent(folder, options, expected), seen
+    return actor_critic, restore_agent(folder, options, expected), terms
 
 
 def restore_agent(folder: Path, options: ReinforcementConfig, expected: Agent) -> Agent:
@@ -273,12 +277,12 @@ def restore_agent(folder: Path, options: ReinforcementConfig, expected: Agent) -
     Raises:
         InputError: it has other shapes, or cannot be read.
     """
-    found = files.read_arrays(folder / WEIGHTS, MAX_WEIGHTS_BYTES, "get the file anew")
-    for name, value in found.items():
+    arrays = files.read_arrays(folder / WEIGHTS, MAX_WEIGHTS_BYTES, "get the file anew")
+    for name, value in arrays.items():
         if value.dtype.kind != "f" or not np.isfinite(value).all():
             raise InputError(f"{folder / WEIGHTS}: {name[:60]} has what is no finite number; pack the agent anew.")
-    check_sizes(folder, options, {name: value.shape for name, value in found.items()}, expected)
-    leaves = [jnp.asarray(found[name], jnp.float32) for name in _leaves_by_path(expected)]
+    check_sizes(folder, options, {name: value.shape for name, value in arrays.items()}, expected)
+    leaves = [jnp.asarray(arrays[name], jnp.float32) for name in _leaves_by_path(expected)]
     return jax.tree.unflatten(jax.tree.structure(expected), leaves)
 
 
@@ -315,7 +319,7 @@ def load_trained(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, 
     from sean_jax.learning.trainer import Checkpoints  # which needs the extra "learning"
 
     options, checkpoints = read_options(folder), Checkpoints(folder)
-    network, one, seen = agent_outline(options, scenario)
+    network, one, terms = agent_outline(options, scenario)
     count = len(options.agents)
     saved = {name: shape for name, shape in checkpoints.shapes("best").items() if name.startswith("agent/")}
     check_sizes(folder, options, {name[6:]: shape[1:] for name, shape in saved.items()}, one)
@@ -323,7 +327,7 @@ def load_trained(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, 
     several = jax.tree.map(lambda leaf: shape((count, *leaf.shape), leaf.dtype), one)
     best = checkpoints.best("best", Best(several, shape((count,), jnp.float32), shape((count,), jnp.int32)))  # pyright: ignore
     chosen = int(np.argmax(best.value))
-    return network, jax.tree.map(lambda part: part[chosen], best.agent), seen
+    return network, jax.tree.map(lambda part: part[chosen], best.agent), terms
 
 
 def pack(folder: Path | str, out: Path | str) -> Path:
@@ -355,15 +359,15 @@ def _best_evaluation(folder: Path) -> dict[str, Any]:
     """When the training found its best agent, and what the evaluation then said of all situations together."""
     from sean_jax.learning.trainer import read_metrics
 
-    judged = [
+    evaluations = [
         (part["return"], line, part)
         for line in read_metrics(folder)
         for name, part in line.items()
         if name == "evaluation" or name.startswith("agent ")  # one of several may be better than all on average
     ]
-    if not judged:
+    if not evaluations:
         return {}
-    _, best, part = max(judged, key=lambda each: (each[0], each[1]["epoch"]))
+    _, best, part = max(evaluations, key=lambda each: (each[0], each[1]["epoch"]))
     figures = {name: value for name, value in part.items() if " in " not in name}
     return {"updates": best["epoch"], "steps": best["steps"], "evaluation": figures}
 
@@ -504,13 +508,13 @@ def _apply_agent(
 ) -> tuple[Float[Array, "2"], AgentState]:
     """The command (2,) [m/s, rad/s] of a control step, and the new policy state; the key is not used."""
     before: AgentState = state.policy_state
-    seen, observed = observations.observe(params.terms, scenario, state, before.observed)
-    vector = observations.flatten(params.terms, seen).astype(jnp.float32)
-    vector = jnp.pad(vector, (0, params.network.private))  # of what the critic alone sees; it is not asked
-    images = {name: seen[name].astype(params.network.image_dtype) for name in params.network.images}
-    said = apply(params.network, params.agent, vector, images, before.memory, before.start)
-    after = AgentState(observed, said.memory, jnp.zeros((), bool))
-    return to_command(scenario.robot, said.mean.astype(state.robot.position.dtype)), after
+    shown, observed = observations.observe(params.terms, scenario, state, before.observed)
+    vector = observations.flatten(params.terms, shown).astype(jnp.float32)
+    vector = jnp.pad(vector, (0, params.network.private))  # the critic's, which is not used
+    images = {name: shown[name].astype(params.network.image_dtype) for name in params.network.images}
+    output = apply(params.network, params.agent, vector, images, before.memory, before.start)
+    after = AgentState(observed, output.memory, jnp.zeros((), bool))
+    return to_command(scenario.robot, output.mean.astype(state.robot.position.dtype)), after
 
 
 @struct.dataclass
@@ -549,8 +553,8 @@ def _apply_labelled(
     of_driver, of_labeller = replace(state, policy_state=memory.driver), replace(state, policy_state=memory.labeller)
     label_key = jax.random.fold_in(key, 1)
     command, driving = episodes.command(scenario, driver, of_driver, key)
-    wanted, labelling = episodes.command(scenario, labeller, of_labeller, label_key)
-    return command, LabelledState(driving, labelling, wanted)
+    label, labelling = episodes.command(scenario, labeller, of_labeller, label_key)
+    return command, LabelledState(driving, labelling, label)
 
 
 NOISE_TIME = 0.5  # s, for which the noise of commands stays about the same: shorter ones hardly move the robot

@@ -426,7 +426,7 @@ def _config(options: ReinforcementConfig) -> dict[str, Any]:
 
 def _check_pretrained(options: ReinforcementConfig, folder: Path) -> None:
     """Refuse an agent with other observations or of another size."""
-    saved, wanted = components.by_content(read_options(folder)), components.by_content(options)
+    saved, current = components.by_content(read_options(folder)), components.by_content(options)
     for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16"):
-        if saved[name] != wanted[name]:
-            raise InputError(f"pretrained: {folder} has {name} {saved[name]}, not {wanted[name]}; ask for the same.")
+        if saved[name] != current[name]:
+            raise InputError(f"pretrained: {folder} has {name} {saved[name]}, not {current[name]}; ask for the same.")

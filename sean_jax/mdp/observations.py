@@ -120,8 +120,8 @@ def _speeds(scenario: Scenario, state: State, prepared: tuple) -> Array:
 def _time(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """Share of the time limit that has passed, and of the hold at the goal: (2,)."""
     passed = state.tick.astype(float) * scenario.time_step / scenario.time_limit
-    held = state.ticks_at_goal.astype(float) * scenario.time_step / jnp.maximum(scenario.hold_time, scenario.time_step)
-    return jnp.stack([passed, held])
+    hold = state.ticks_at_goal.astype(float) * scenario.time_step / jnp.maximum(scenario.hold_time, scenario.time_step)
+    return jnp.stack([passed, hold])
 
 
 def _situations(scenario: Scenario, state: State, prepared: tuple) -> Array:
