@@ -47,6 +47,8 @@ from sean_jax.learning.dataset import Dataset, stream_seconds
 from sean_jax.learning.policy import disturbed, label, labelled, load_policy
 from sean_jax.scenario import reset, step
 
+# ------------------------------------------------------------------ schedule of streams
+
 
 def check_collection(config: CollectConfig) -> None:
     """Refuse everything that can be told before a scenario is made.
@@ -97,6 +99,9 @@ def next_stream(recorded: list[int], target_rows: int) -> int | None:
     """
     shortest = min(range(len(recorded)), key=lambda stream: (recorded[stream], stream))
     return None if recorded[shortest] >= target_rows else shortest
+
+
+# ------------------------------------------------------------------ rows of simulated episodes
 
 
 def row_record(
@@ -188,6 +193,9 @@ MAX_BATCH_ELSEWHERE = 1024
 MIN_BATCH = 32  # at a high rate, where larger batches would fill the memory with their images
 
 
+# ------------------------------------------------------------------ sean collect
+
+
 def collect(config: CollectConfig, console: Console | Callable[[float], None] | None = None) -> Dataset:
     """Record until every stream has its time. What was committed stays, whatever is raised.
 
@@ -208,7 +216,7 @@ def collect(config: CollectConfig, console: Console | Callable[[float], None] | 
 
 
 def _collect(config: CollectConfig, console: Console | Callable[[float], None] | None) -> Dataset:
-    """In a folder that nobody else writes."""
+    """Record in a folder that this process has locked."""
     parts = streams(config)
     scenarios = list(parts.values())
     policy, command_of = load_policy(config.policy, scenarios[0]), None
@@ -259,7 +267,7 @@ def _collect(config: CollectConfig, console: Console | Callable[[float], None] |
 
 
 def _due(data: Dataset, recorded: list[int], target_rows: int) -> Iterator[tuple[int, int]]:
-    """(stream, shard) of what is to be recorded: first what was lost, then what is missing of ``recorded`` rows."""
+    """(stream, shard) of the shards to record: first lost shards, then new ones of the stream with the fewest rows."""
     shards = data.manifest["shards"]
     for shard in data.damaged_shards():
         yield shards[shard]["stream"], shard
@@ -343,15 +351,12 @@ def _check_content(data: Dataset, now: dict[str, Any]) -> None:
 
 
 def _short(value: Any) -> str:
-    """A value of a description as messages give it."""
+    """An option's value in a message."""
     if isinstance(value, dict):
         rest = " ".join(f"{flag(name)} {_short(each)}" for name, each in value.items() if name != "kind")
         return f"{value.get('kind')} {rest}".strip()
-    return " ".join(number(each) if not isinstance(each, dict) else _short(each) for each in _listed(value))
-
-
-def _listed(value: Any) -> list:
-    return value if isinstance(value, list) else [value]
+    values = value if isinstance(value, list) else [value]
+    return " ".join(_short(each) if isinstance(each, dict) else number(each) for each in values)
 
 
 def _manifest(
@@ -371,7 +376,7 @@ def _manifest(
 
 
 def _command(config: CollectConfig, batch: int) -> str:
-    """That records this dataset again, in full."""
+    """The command that records this dataset again, in full."""
     return f"{command('collect', config)} --hours {number(config.hours)} --batch {batch}"
 
 
@@ -402,6 +407,9 @@ def _batch_size(config: CollectConfig, parts: int) -> int:
     largest = min(largest, max(MIN_BATCH, largest // config.rate))
     needed = math.ceil(stream_seconds(config.hours, parts) / TYPICAL)
     return math.ceil(min(largest, max(4, needed)) / count) * count
+
+
+# ------------------------------------------------------------------ commands from outside
 
 
 class Recorder:

@@ -40,6 +40,9 @@ Side = Annotated[int, pydantic.Field(ge=1, le=MAX_SIDE)]  # pixels
 Names = Annotated[list[str], pydantic.Field(max_length=1_000)]
 
 
+# ------------------------------------------------------------------ manifest
+
+
 class Camera(pydantic.BaseModel):
     """Size of the depth images."""
 
@@ -119,6 +122,9 @@ def _check_relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[fi
 
 COMPRESSION = 3  # of the zstd compression
 CURE = "remove the damaged file, and `sean collect` with the same options makes it anew."
+
+
+# ------------------------------------------------------------------ arrays in the store
 
 
 def create_arrays(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], batch: int, rows: int) -> None:
@@ -215,6 +221,9 @@ def _store_reason(error: Exception) -> str:
 
 MANIFEST = "dataset.json"
 FORMAT = 1
+
+
+# ------------------------------------------------------------------ dataset
 
 
 @dataclasses.dataclass(frozen=True)
@@ -522,6 +531,9 @@ def on_device(recording: Recording) -> Recording:
 def stream_seconds(hours: float, number: int) -> int:
     """How long each of some streams is recorded."""
     return math.ceil(3600.0 * hours / number - 1e-6)
+
+
+# ------------------------------------------------------------------ several datasets
 
 
 class ConcatDataset(Dataset):

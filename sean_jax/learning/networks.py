@@ -89,6 +89,9 @@ def read_method(folder: Path) -> str:
 PATCHES = ((4, 32), (2, 64), (2, 64))  # side of the squares that each layer merges, and its features
 
 
+# ------------------------------------------------------------------ imitation
+
+
 @struct.dataclass
 class Decision:
     """The network's output and the attention behind it."""
@@ -251,6 +254,9 @@ def read_network(folder: Path, situations: list[str]) -> tuple[Network, int]:
 
 CLIP = 10.0  # deviations, at which normalized numbers are clipped
 INITIAL_LOG_STD = -0.7  # of actions from -1 to 1
+
+
+# ------------------------------------------------------------------ reinforcement learning
 
 
 class NetworkOutput(NamedTuple):

@@ -135,6 +135,8 @@ def _agent_folder(name: str, option: str) -> Path:
     return path
 
 
+# ------------------------------------------------------------------ agents, packed and in trainings
+
 WEIGHTS = "weights.npz"
 STATISTICS = "statistics/"  # prefix of names of arrays in 32 bits
 MAX_WEIGHTS_BYTES = 100_000_000  # of the weights
@@ -372,6 +374,9 @@ def _best_evaluation(folder: Path) -> dict[str, Any]:
     return {"updates": best["epoch"], "steps": best["steps"], "evaluation": figures}
 
 
+# ------------------------------------------------------------------ networks that imitate
+
+
 @struct.dataclass
 class PolicyParams:
     """Parameters of the policy: the weights are leaves, so ``grad`` and ``vmap`` reach them."""
@@ -470,6 +475,9 @@ def _encode_image(scenario: Scenario, params: PolicyParams, state: State) -> Arr
     return cast(Array, params.network.apply(params.weights.parameters, image, method="encode"))
 
 
+# ------------------------------------------------------------------ agents of reinforcement learning
+
+
 @struct.dataclass
 class AgentParams:
     """Parameters of the policy: the agent's are leaves, so ``grad`` and ``vmap`` reach them."""
@@ -515,6 +523,9 @@ def _apply_agent(
     output = apply(params.network, params.agent, vector, images, before.memory, before.start)
     after = AgentState(observed, output.memory, jnp.zeros((), bool))
     return to_command(scenario.robot, output.mean.astype(state.robot.position.dtype)), after
+
+
+# ------------------------------------------------------------------ labels
 
 
 @struct.dataclass
