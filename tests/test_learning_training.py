@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sean_jax import cli, devices, episodes, prng, writing
-from sean_jax.config import TrainConfig
+from sean_jax.config import ImitationConfig
 from sean_jax.errors import IncompleteError, InputError
 from sean_jax.learning import imitation
 from sean_jax.learning.collection import row_record, simulate_shard
@@ -30,14 +30,14 @@ def data(tmp_path_factory):
     return learning_data.write(tmp_path_factory.mktemp("data") / "made")
 
 
-def options(data, out, **others) -> TrainConfig:
+def options(data, out, **others) -> ImitationConfig:
     small = {"width": 16, "batch": 32, "validation": 0.2, "epochs": 12}
-    return TrainConfig(method="imitation", dataset=data.folder, out=out, **{**small, **others})
+    return ImitationConfig(method="imitation", dataset=data.folder, out=out, **{**small, **others})
 
 
-def unread(**others) -> TrainConfig:
+def unread(**others) -> ImitationConfig:
     """Options of a training whose dataset nobody opens."""
-    return TrainConfig(method="imitation", dataset=Path("none"), **others)
+    return ImitationConfig(method="imitation", dataset=Path("none"), **others)
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +184,7 @@ def test_events_for_tensorboard_need_an_optional_package(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_training_from_disk_learns_as_well(data, tmp_path):
-    state = imitation.train(options(data, tmp_path / "disk", on_device=0.0, epochs=3))
+    state = imitation.train(options(data, tmp_path / "disk", device_memory_fraction=0.0, epochs=3))
     losses = [line["train"]["loss"] for line in lines(tmp_path / "disk")]
     assert int(state.epoch) == 3 and losses[-1] < losses[0]
     validation = split(data, 0.2, 0)[1]
@@ -317,7 +317,7 @@ def test_a_policy_is_opened_while_its_training_replaces_the_best(trained, tmp_pa
 
 def test_a_refused_training_leaves_no_folder(data, tmp_path):
     with pytest.raises(InputError, match="--balance needs the dataset to fit"):
-        imitation.train(options(data, tmp_path / "deep" / "run", balance=True, on_device=0.0))
+        imitation.train(options(data, tmp_path / "deep" / "run", balance=True, device_memory_fraction=0.0))
     assert not any(tmp_path.iterdir())
 
 

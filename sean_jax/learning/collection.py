@@ -14,7 +14,7 @@ import dataclasses
 import functools
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -24,27 +24,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import assembly, components, devices, navigation, robots, sensors, writing
+from sean_jax import assembly, components, devices, navigation, prng, robots, sensors, writing
 from sean_jax.base import Array, Policy, Scenario, State
-from sean_jax.config import CollectConfig, HandcraftedBehavior, OwnPart, Value
+from sean_jax.config import MAX_PIXELS, CollectConfig, HandcraftedBehavior, OwnPart, Value, present_names
 from sean_jax.errors import InputError
 from sean_jax.flags import command, flag, number
-from sean_jax.learning.dataset import EpisodeBatch
+from sean_jax.learning.dataset import Dataset, EpisodeBatch, stream_seconds
 from sean_jax.learning.examples import Row, row
-from sean_jax.learning.policy import check_policy
+from sean_jax.learning.policy import check_policy, disturbed, label, labelled, load_policy
 from sean_jax.progress import progress
 from sean_jax.runner import Record, Runner, Watch, not_finite
 from sean_jax.versions import fingerprint, version_mismatch, versions
 
 if TYPE_CHECKING:
     from rich.console import Console
-from collections.abc import Iterable
 
-from sean_jax import prng
-from sean_jax.config import MAX_PIXELS
 from sean_jax.learning import dataset
-from sean_jax.learning.dataset import Dataset, stream_seconds
-from sean_jax.learning.policy import disturbed, label, labelled, load_policy
 from sean_jax.scenario import reset, step
 
 # ------------------------------------------------------------------ schedule of streams
@@ -322,7 +317,7 @@ def check_folder(folder: Path) -> None:
 
 
 def _check_same(config: CollectConfig, data: Dataset) -> None:
-    options, had = config.decisive(), {"rate": 1, **data.manifest["options"]}  # those of earlier versions have one rate
+    options, had = config.identity(), {"rate": 1, **present_names(data.manifest["options"])}
     for name in options:
         if options[name] != had.get(name):
             text = f"{flag(name)} {_short(had.get(name))}, not {_short(options[name])}"
@@ -365,7 +360,7 @@ def _manifest(
     scenarios, size = list(parts.values()), _batch_size(config, len(parts))
     return {
         "command": _command(config, size),
-        "options": config.decisive(),
+        "options": config.identity(),
         **scenario_facts(scenarios[0], camera, config.policy.kind, config.rate),
         "content": fingerprint(scenarios[0], [scenario.behavior for scenario in scenarios], policy.params),
         "parts": components.digests(config),
@@ -549,7 +544,7 @@ class Recorder:
             with writing.folder_lock(folder):
                 return dataset.create_dataset(folder, manifest)
         data = dataset.open_dataset(folder)
-        if {"rate": 1, **data.manifest["options"]} != manifest["options"]:
+        if {"rate": 1, **present_names(data.manifest["options"])} != manifest["options"]:
             raise InputError(f"{folder} was begun with another scenario, driver, seed or rate; choose another folder.")
         return data
 

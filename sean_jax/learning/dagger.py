@@ -21,7 +21,7 @@ from rich.console import Console
 
 from sean_jax import components, episodes, mdp, writing
 from sean_jax.base import Array, Policy
-from sean_jax.config import CollectConfig, DaggerConfig, ReinforcementConfig, TrainConfig
+from sean_jax.config import CollectConfig, DaggerConfig, ImitationConfig, ReinforcementConfig
 from sean_jax.flags import command
 from sean_jax.learning import collection, imitation, ppo
 from sean_jax.learning.dataset import Dataset, open_dataset
@@ -60,13 +60,13 @@ def train(options: DaggerConfig, console: Console | Callable[[float], None] | No
     first = open_dataset(options.dataset)
     components.check_trust(_collect_options(options, first, 1))
     config = _config(options, first)
-    imitation.prepare(_train_options(options, [options.dataset, *options.further], options.pretrained, options.folder))
+    imitation.prepare(_train_options(options, [options.dataset, *options.datasets], options.pretrained, options.folder))
     check_policy(options.expert, _collect_options(options, first, 1), "expert")
     resumes = check_config(options.folder, config)
     with writing.folder_lock(options.folder):
         if not resumes:
             write_config(options.folder, config)
-        data, before, state = [options.dataset, *options.further], options.pretrained, None
+        data, before, state = [options.dataset, *options.datasets], options.pretrained, None
         for number in range(options.rounds + 1):
             if number > 0:
                 data.append(options.folder / f"data-{number}")
@@ -91,10 +91,10 @@ def _collect_options(options: DaggerConfig, first: Dataset, number: int) -> Coll
     return described.replace(**changed, out=options.folder / f"data-{number}", quiet=options.quiet)
 
 
-def _train_options(options: DaggerConfig, data: list[Path], before: Path | None, out: Path) -> TrainConfig:
-    shared = {name: getattr(options, name) for name in TrainConfig.model_fields}
-    changed = {"method": "imitation", "dataset": data[0], "further": tuple(data[1:]), "pretrained": before, "out": out}
-    return TrainConfig(**(shared | changed))
+def _train_options(options: DaggerConfig, data: list[Path], before: Path | None, out: Path) -> ImitationConfig:
+    shared = {name: getattr(options, name) for name in ImitationConfig.model_fields}
+    changed = {"method": "imitation", "dataset": data[0], "datasets": tuple(data[1:]), "pretrained": before, "out": out}
+    return ImitationConfig(**(shared | changed))
 
 
 def _part_of_progress(console: Any, part: int, rounds: int) -> Any:
@@ -108,7 +108,7 @@ def _config(options: DaggerConfig, first: Dataset) -> dict[str, Any]:
     return {
         "command": command("train", options),
         "method": options.method,
-        **options.decisive(),
+        **options.identity(),
         "parts": components.digests(options),
         "dataset": {"fingerprint": first.fingerprint(), "command": first.manifest["command"]},
         "versions": versions(),

@@ -27,7 +27,7 @@ from rich.console import Console
 
 from sean_jax import devices, prng, writing
 from sean_jax.base import Array
-from sean_jax.config import TrainConfig
+from sean_jax.config import ImitationConfig
 from sean_jax.errors import InputError
 from sean_jax.flags import command
 from sean_jax.learning.dataset import ConcatDataset, Episode, on_device, open_datasets, split_each
@@ -74,7 +74,7 @@ class TrainPrograms(NamedTuple):
     finish: Callable  # (state, training sums, validation sums) -> (state, Losses, Losses): the end of an epoch
 
 
-def train(options: TrainConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
+def train(options: ImitationConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
     """Train a network, or resume its training; the state then. ``learning.load`` reads the best weights.
 
     Args:
@@ -94,13 +94,13 @@ def train(options: TrainConfig, console: Console | Callable[[float], None] | Non
         return _train(options, console, data, training, validation, network, config)
 
 
-def prepare(options: TrainConfig) -> tuple[ConcatDataset, Network]:
+def prepare(options: ImitationConfig) -> tuple[ConcatDataset, Network]:
     """The data and the network of a training.
 
     Raises:
         InputError: there is no such dataset, or the pretrained network is missing or another one.
     """
-    data = open_datasets([options.dataset, *options.further], options.part)
+    data = open_datasets([options.dataset, *options.datasets], options.part)
     network = Network(options.width, options.flags, data.image_shape)
     if options.pretrained is not None:
         had, _ = read_network(options.pretrained, data.manifest["situations"])
@@ -111,7 +111,7 @@ def prepare(options: TrainConfig) -> tuple[ConcatDataset, Network]:
 
 
 def init_state(
-    network: Network, situations: int, options: TrainConfig, commands: Float[np.ndarray | Array, "R 2"]
+    network: Network, situations: int, options: ImitationConfig, commands: Float[np.ndarray | Array, "R 2"]
 ) -> TrainState:
     """The state before the first epoch, from the commands (R, 2) [m/s, rad/s] of the training examples."""
     weights = init_weights(network, situations, prng.key("weights", options.seed))
@@ -123,7 +123,7 @@ def command_scale(commands: Float[np.ndarray | Array, "R 2"]) -> Float[Array, "2
     return jnp.maximum(jnp.std(jnp.asarray(commands), 0), MIN_COMMAND_SCALE)
 
 
-def state_of_weights(weights: Weights, options: TrainConfig) -> TrainState:
+def state_of_weights(weights: Weights, options: ImitationConfig) -> TrainState:
     """The state before the first epoch, from weights; its best loss is infinite."""
     return TrainState(
         weights=weights,
@@ -134,7 +134,7 @@ def state_of_weights(weights: Weights, options: TrainConfig) -> TrainState:
     )
 
 
-def programs(network: Network, options: TrainConfig, mesh: Mesh) -> TrainPrograms:
+def programs(network: Network, options: ImitationConfig, mesh: Mesh) -> TrainPrograms:
     """The compiled functions of a training, which donate the memory of the state."""
     optimizer = _optimizer(options)
     sharding = NamedSharding(mesh, PartitionSpec(devices.AXIS))
@@ -226,12 +226,12 @@ def _losses(sums: Array) -> Losses:
     return Losses(local_plan + command, local_plan, command)
 
 
-def _optimizer(options: TrainConfig) -> optax.GradientTransformation:
+def _optimizer(options: ImitationConfig) -> optax.GradientTransformation:
     return optax.adamw(options.learning_rate, weight_decay=options.weight_decay)
 
 
 def _train(
-    options: TrainConfig,
+    options: ImitationConfig,
     console: Console | Callable[[float], None] | None,
     data: ConcatDataset,
     training: list[Episode],
@@ -273,12 +273,12 @@ def _epoch(
     training: list[Episode],
     validation: list[Episode],
     network: Network,
-    options: TrainConfig,
+    options: ImitationConfig,
     mesh: Mesh,
 ) -> Callable[[TrainState], tuple[TrainState, Losses, Losses]]:
     """state -> (state, Losses, Losses), with the dataset on the devices if it fits there, else from disk."""
     compiled = programs(network, options, mesh)
-    if data.example_count * data.row_bytes <= options.on_device * _memory():
+    if data.example_count * data.row_bytes <= options.device_memory_fraction * _memory():
         recording = devices.replicate(mesh, on_device(data.recording([*training, *validation])))
         number = sum(episode.length for episode in training)
         rows = jnp.arange(data.example_count, dtype=jnp.int32)
@@ -287,7 +287,9 @@ def _epoch(
             probabilities = jnp.asarray(balanced_probabilities(data.read(training, ("situations",))["situations"]))
         return lambda state: compiled.epoch(state, recording, rows[:number], rows[number:], probabilities)
     if options.balance:
-        raise InputError("--balance needs the dataset to fit on the device; collect less, or raise --on-device.")
+        raise InputError(
+            "--balance needs the dataset to fit on the device; collect less, or raise --device-memory-fraction."
+        )
     size = -(-options.batch // mesh.size) * mesh.size
     loader = Loader(data, training, size, options.seed)
     validation_loader = Loader(data, validation, size, options.seed, shuffle=False)
@@ -312,7 +314,7 @@ def _memory() -> float:
         return DEFAULT_MEMORY
 
 
-def _is_over(state: TrainState, options: TrainConfig) -> bool:
+def _is_over(state: TrainState, options: ImitationConfig) -> bool:
     done = int(state.epoch)
     return done >= options.epochs or done - int(state.best_epoch) >= options.patience
 
@@ -327,7 +329,7 @@ def _as_dict(losses: Losses) -> dict[str, float]:
     return {name: float(value) for name, value in losses._asdict().items()}
 
 
-def _config(options: TrainConfig, data: ConcatDataset, network: Network) -> dict[str, Any]:
+def _config(options: ImitationConfig, data: ConcatDataset, network: Network) -> dict[str, Any]:
     if data.example_count < 2:
         raise InputError(f"{data.folder} has {data.example_count} examples, too few to learn from; collect more.")
     return {
@@ -337,7 +339,7 @@ def _config(options: TrainConfig, data: ConcatDataset, network: Network) -> dict
         "image": list(network.image),
         "situations": data.manifest["situations"],
         "sources": {"planner": network.planner_sources, "controller": network.controller_sources},
-        **{name: value for name, value in options.decisive().items() if name not in ("width", "flags")},
+        **{name: value for name, value in options.identity().items() if name not in ("width", "flags")},
         "devices": len(jax.devices()),
         "dataset": {"fingerprint": data.fingerprint(), "command": data.manifest["command"]},
         "versions": versions(),
@@ -346,12 +348,12 @@ def _config(options: TrainConfig, data: ConcatDataset, network: Network) -> dict
 
 # ------------------------------------------------------------------ several networks
 
-OWN_OPTIONS = "dataset", "further", "part", "seed", "out", "quiet"  # in which the networks may differ
+OWN_OPTIONS = "dataset", "datasets", "part", "seed", "out", "quiet"  # in which the networks may differ
 MAX_NETWORKS = 32  # in one program; fewer if their datasets fill the memory
 
 
 def train_ensemble(
-    several: Sequence[TrainConfig], console: Console | Callable[[float], None] | None = None
+    several: Sequence[ImitationConfig], console: Console | Callable[[float], None] | None = None
 ) -> list[TrainState]:
     """Train networks of one kind side by side; the state of each after its last epoch.
 
@@ -369,7 +371,7 @@ def train_ensemble(
         FloatingPointError: a loss is not finite; nothing of the networks that were trained together is written.
     """
     several = list(several)
-    data = [open_datasets([options.dataset, *options.further], options.part) for options in several]
+    data = [open_datasets([options.dataset, *options.datasets], options.part) for options in several]
     networks = [Network(o.width, o.flags, each.image_shape) for o, each in zip(several, data, strict=True)]
     _check_alike(several, data, networks)
     size = min(MAX_NETWORKS, _networks_at_once(several[0], data))
@@ -390,9 +392,9 @@ def train_ensemble(
     return states
 
 
-def _check_alike(several: list[TrainConfig], data: list[ConcatDataset], networks: list[Network]) -> None:
+def _check_alike(several: list[ImitationConfig], data: list[ConcatDataset], networks: list[Network]) -> None:
     alike = [
-        {name: value for name, value in options.decisive().items() if name not in OWN_OPTIONS} for options in several
+        {name: value for name, value in options.identity().items() if name not in OWN_OPTIONS} for options in several
     ]
     for one in alike[1:]:
         for name in one:
@@ -406,17 +408,17 @@ def _check_alike(several: list[TrainConfig], data: list[ConcatDataset], networks
         raise InputError("dataset: the datasets have images of different sizes; collect all with the same --width.")
 
 
-def _networks_at_once(options: TrainConfig, data: list[ConcatDataset]) -> int:
+def _networks_at_once(options: ImitationConfig, data: list[ConcatDataset]) -> int:
     """How many of the datasets fit on a device."""
     largest = max(each.example_count * each.row_bytes for each in data)
-    number = int(options.on_device * _memory() // max(largest, 1))
+    number = int(options.device_memory_fraction * _memory() // max(largest, 1))
     if number < 1:
         raise InputError("dataset: it does not fit on the device; train each network by itself.")
     return number
 
 
 def _train_ensemble(
-    several: list[TrainConfig],
+    several: list[ImitationConfig],
     data: list[ConcatDataset],
     network: Network,
     show: Callable[[int, np.ndarray, float], None],
@@ -457,7 +459,7 @@ def _train_ensemble(
 
 
 def _init_states(
-    network: Network, situations: int, options: TrainConfig, seeds: Array, scales: Array
+    network: Network, situations: int, options: ImitationConfig, seeds: Array, scales: Array
 ) -> tuple[TrainState, TrainState]:
     """The states before the first epoch, twice: now, and the best so far."""
 
@@ -502,7 +504,7 @@ def _stack_data(data: list[ConcatDataset], splits: list, balance: bool) -> tuple
     return recordings, rows, validation, jnp.asarray(np.stack(odds), jnp.float32)
 
 
-def _ensemble_epoch(network: Network, options: TrainConfig) -> Callable:
+def _ensemble_epoch(network: Network, options: ImitationConfig) -> Callable:
     """(states, best, over, recordings, training rows, validation rows, chances, seeds) -> (states, best, losses)."""
     compiled = programs(network, options, devices.mesh())
 

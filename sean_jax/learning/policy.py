@@ -23,7 +23,16 @@ from jaxtyping import Float, Int, PyTree
 from sean_jax import components, episodes, files, navigation, registry, sensors, writing
 from sean_jax.base import Array, Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.classifiers import SITUATION_SETS
-from sean_jax.config import METHODS, Component, Named, ReinforcementConfig, RunConfig, ScenarioConfig, validate
+from sean_jax.config import (
+    METHODS,
+    Component,
+    Named,
+    ReinforcementConfig,
+    RunConfig,
+    ScenarioConfig,
+    present_names,
+    validate,
+)
 from sean_jax.errors import InputError
 from sean_jax.learning.examples import SECONDS, depth_image, plan_ahead
 from sean_jax.learning.networks import (
@@ -164,7 +173,7 @@ def read_options(folder: Path) -> ReinforcementConfig:
     if not issubclass(model, ReinforcementConfig):
         raise InputError(f"{folder} has a network that imitates, and no agent; train one with `sean train ppo`.")
     check_supported(folder, saved)
-    options = {name: saved[name] for name in saved if name in model.model_fields}
+    options = {name: value for name, value in present_names(saved).items() if name in model.model_fields}
     options = components.recorded(folder / CONFIG, options, saved.get("parts"), "parts")
     try:
         return validate(model, options, source=folder / CONFIG)
@@ -348,11 +357,11 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     if is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
     components.check_trust(options)
-    _, agent, _ = load_trained(folder, registry.build(options.of_each[0]).scenario)
+    _, agent, _ = load_trained(folder, registry.build(options.per_environment[0]).scenario)
     facts = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
     with writing.atomic_folder(out) as target:
         copies, hashes = components.copy(target, options)
-        own = components.relocate(options.decisive(), copies) | {"parts": hashes} if copies else {}
+        own = components.relocate(options.identity(), copies) | {"parts": hashes} if copies else {}
         save_agent(target, agent, {**files.read_json(folder / CONFIG), **own, "agent": facts})
     return out
 

@@ -111,10 +111,10 @@ def build(options: ReinforcementConfig) -> tuple[tuple[Scenario, ...], tuple[mdp
         check_policy(options.imitate, options, "imitate")
     if options.pretrained is not None:
         _check_pretrained(options, options.pretrained)
-    for config in options.of_each:
+    for config in options.per_environment:
         registry.check(config)
     terms = sum(agent_terms(options), ())
-    envs = [curricula.prepare(registry.build(config), options.curriculum) for config in options.of_each]
+    envs = [curricula.prepare(registry.build(config), options.curriculum) for config in options.per_environment]
     envs = [replace(env, observations=terms) for env in envs]
     rewards.reweighted(envs[0].rewards, _weights(options.agents[0]))  # refuses what is none of its terms
     _check_alike(envs)
@@ -417,7 +417,7 @@ def _config(options: ReinforcementConfig) -> dict[str, Any]:
     return {
         "command": command("train", options),
         "method": options.method,
-        **options.decisive(),
+        **options.identity(),
         "parts": components.digests(options),
         "devices": len(jax.devices()),
         "versions": versions(),

@@ -27,6 +27,7 @@ from jax.experimental import multihost_utils
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
 from sean_jax import files, writing
+from sean_jax.config import present_names
 from sean_jax.errors import FileError, IncompleteError, InputError, SeanError
 from sean_jax.learning.networks import CONFIG, check_supported
 
@@ -462,6 +463,7 @@ def check_config(folder: Path, config: dict[str, Any]) -> bool:
     if not isinstance(saved, dict):
         raise InputError(f"{file} is no configuration of a network; choose another folder with --out.")
     check_supported(folder, saved)
+    saved = present_names(saved)
     for name, value in json.loads(json.dumps(config)).items():
         if name == "parts":
             _check_parts(file, value, saved.get(name))
