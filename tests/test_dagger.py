@@ -59,9 +59,9 @@ def test_a_disturbed_driver_is_led_astray_and_its_own_command_is_the_label():
 
         return jax.lax.scan(one, state, length=40)[1]
 
-    given, label, wanted = jax.vmap(commands)(jax.random.split(jax.random.key(1), 64))
-    np.testing.assert_allclose(label, wanted, atol=1e-5)
-    noise = np.asarray(given - label)[:, 20:] / np.array([scenario.robot.max_speed, scenario.robot.max_turn_rate])
+    given, labels, wanted = jax.vmap(commands)(jax.random.split(jax.random.key(1), 64))
+    np.testing.assert_allclose(labels, wanted, atol=1e-5)
+    noise = np.asarray(given - labels)[:, 20:] / np.array([scenario.robot.max_speed, scenario.robot.max_turn_rate])
     np.testing.assert_allclose(noise.std((0, 1)), 0.2, rtol=0.15)
     alike = (noise[:, 1:] * noise[:, :-1]).mean((0, 1)) / noise.var((0, 1))
     np.testing.assert_allclose(alike, np.exp(-0.1 / NOISE_TIME), atol=0.06)

@@ -357,7 +357,7 @@ def _by_regret(plan: Plan, curriculum: Curriculum) -> Float[Array, "K"]:
 
 
 def _values(env: mdp.Env, plan: Plan, curriculum: Curriculum, fresh: Curriculum) -> tuple[Array, Array]:
-    """(K,) and (R,) what starts and those that are offered weigh, all in one pool."""
+    """Weights (K,) of the starts and (R,) of the offered ones, all in one pool."""
     occurs = jnp.concatenate([curriculum.occurs, fresh.occurs])
     share = _shares(occurs, jnp.concatenate([curriculum.seconds, fresh.seconds]))
     values = _by_situations(share, share.sum(0), situation_weights(env, plan, curriculum))

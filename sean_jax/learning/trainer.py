@@ -477,7 +477,7 @@ def _check_parts(file: Path, now: dict[str, str], saved: Any) -> None:
     """Refuse to resume with another content of own files; a training of an earlier version does not have theirs."""
     for name, digest in now.items():
         if not isinstance(saved, dict) or saved.get(name) != digest:
-            what = f"{file.parent} was trained with another {name}, or with one whose content it does not tell"
+            what = f"{file.parent} was trained with another {name}, or does not record its content"
             raise InputError(f"{what}; restore the file, or choose another --out.")
 
 
