@@ -24,7 +24,7 @@ from sean_jax.evaluation.accumulate import FinishedBatch
 from sean_jax.evaluation.results import Evaluation
 from sean_jax.evaluation.resume import RunFolder, check_run_folder, unfinished_runs
 from sean_jax.flags import number
-from sean_jax.learning import choice
+from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.progress import Progress, progress
 from sean_jax.replay.live import Live, serve
 from sean_jax.runner import Callbacks, Runner
@@ -62,7 +62,7 @@ def evaluate(
     """
     scenarios = [scenario] if isinstance(scenario, Scenario) else list(scenario)
     config = RunConfig(episodes=episodes, seed=seed, batch=batch)
-    loaded = choice.policy(policy, scenarios[0])
+    loaded = load_policy(policy, scenarios[0])
     if out is not None:
         check_new_folder(Path(out), "out")
     with progress(console) as bar:
@@ -95,7 +95,7 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
             _check(config)
             inputs = saved.read_inputs(config)
             scenarios = assembly.build(config)
-            policy = choice.policy(config.policy, scenarios[0])
+            policy = load_policy(config.policy, scenarios[0])
         folder.check_content(scenarios[0], policy)
         inputs = inputs._replace(fingerprint=fingerprint(scenarios[0], policy.params))
         _print_title(console, scenarios, policy, config)
@@ -271,7 +271,7 @@ def _check(config: RunConfig) -> None:
     if config.camera is not None:
         drawing.check_renderer(config.renderer or "rays")
     assembly.check(config)
-    choice.check(config.policy, config)
+    check_policy(config.policy, config)
     if config.camera is not None and not isinstance(config.robot, OwnPart | Value):
         try:
             sensors.camera(robots.load(config.robot.kind, "twin"), config.camera)

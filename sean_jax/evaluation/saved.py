@@ -21,7 +21,7 @@ from sean_jax.config import Named, PlaybackBehavior, RunConfig
 from sean_jax.errors import FileError, InputError
 from sean_jax.files import mjcf
 from sean_jax.flags import command
-from sean_jax.learning.agents import AGENTS
+from sean_jax.learning.policy import AGENTS
 from sean_jax.metrics import METRICS
 from sean_jax.policies import POLICIES
 from sean_jax.quantities import MAX_DURATION, MAX_MAGNITUDE

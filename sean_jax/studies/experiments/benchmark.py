@@ -18,8 +18,7 @@ import numpy as np
 from sean_jax import assembly, components, files, writing
 from sean_jax.config import BenchmarkConfig, Config, Number, OwnPart, RunConfig, Text, validate
 from sean_jax.errors import FileError, IncompleteError, InputError
-from sean_jax.learning import choice
-from sean_jax.learning.agents import AGENTS
+from sean_jax.learning.policy import AGENTS, check_policy, load_policy
 from sean_jax.metrics import Estimate
 from sean_jax.policies import POLICIES
 from sean_jax.runner import Runner, even_batch
@@ -70,7 +69,7 @@ def run(options: BenchmarkConfig, console: Console | None = None) -> Path:
         text = f"{options.episodes} are more than the {tracks.EPISODES} of a track of protocol {tracks.VERSION}"
         raise InputError(f"--episodes: {text}; ask for fewer.")
     for track in tracks.TRACKS:
-        choice.check(options.policy, tracks.description(track))
+        check_policy(options.policy, tracks.description(track))
     with Workspace(options.folder, identity(options)).open() as work:
         parts = work.identity["parts"] | {options.policy: policy_digest(options.policy)}  # a training may have gone on
         work = dataclasses.replace(work, identity=work.identity | {"parts": parts})
@@ -90,7 +89,7 @@ def _drive(work: Workspace, options: BenchmarkConfig, track: str, tell: Callable
     scenario = assembly.build(tracks.description(track))[0]
     scenario = dataclasses.replace(scenario, metrics=tuple((name, ALL[name]) for name in METRICS))
     number = options.episodes or 1
-    runner = Runner(scenario, choice.policy(options.policy, scenario), even_batch(number), "benchmark")
+    runner = Runner(scenario, load_policy(options.policy, scenario), even_batch(number), "benchmark")
     measured = runner.measure(tracks.SEED, 0, number, tell)
     ended = {name: measured.pop(name) for name in ("completed", "seconds")}
     columns = ended | {name: values.astype(np.float32) for name, values in measured.items()}
@@ -197,7 +196,7 @@ def policy_digest(policy: str) -> str:
     if isinstance(described, OwnPart):
         return _digest(components.content(described.file).digest, described.name)
     scenario = assembly.build(tracks.description(next(iter(tracks.TRACKS))))[0]
-    numbers = fingerprint(choice.policy(described, scenario).params)
+    numbers = fingerprint(load_policy(described, scenario).params)
     return _digest(numbers, described.kind) if described.kind in POLICIES else numbers
 
 

@@ -30,9 +30,9 @@ from sean_jax.config import (
 )
 from sean_jax.errors import InputError
 from sean_jax.files import listed
-from sean_jax.learning import choice, protocol
-from sean_jax.learning.loader import balanced_probabilities
-from sean_jax.learning.protocol import streams
+from sean_jax.learning.collection import check_collection, streams
+from sean_jax.learning.examples import balanced_probabilities
+from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.runner import Runner, even_batch, max_batch
 from sean_jax.studies.experiments import page, pictures, shares, table1
 from sean_jax.studies.experiments.measures import (
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from sean_jax.base import Policy, Scenario
-    from sean_jax.learning.training import TrainState
+    from sean_jax.learning.imitation import TrainState
     from sean_jax.metrics import Estimate
 
 
@@ -75,9 +75,9 @@ def run(options: Figure4Config, console: Console | None = None) -> Path:
     Source: section V-C, Figure 4.
     """
     for behavior in BEHAVIORS:
-        protocol.check(collection(options, behavior, options.hours))
+        check_collection(collection(options, behavior, options.hours))
     for name in baselines(options):
-        choice.check(name, ScenarioConfig(), "--baselines")
+        check_policy(name, ScenarioConfig(), "--baselines")
     with Workspace(options.folder, identity(options)).open() as work:
         _run(options, work, console)
     return options.folder
@@ -132,7 +132,7 @@ def _parts(options: Figure4Config, work: Workspace, places: dict[str, list[Scena
 
     names = {NAVIGATION: "social_costmap", DEMONSTRATOR: options.demonstrator}
     for policy in (DEMONSTRATOR, NAVIGATION, *baselines(options)):
-        alike = functools.partial(choice.policy, names.get(policy, policy))  # the same driver in all episodes
+        alike = functools.partial(load_policy, names.get(policy, policy))  # the same driver in all episodes
         jobs += [driving((Driver(policy, (alike,)),), behavior) for behavior in BEHAVIORS]
     before: tuple[str, ...] = ()
     for policy, learned in taught.items():  # one after the other: orbax mixes up what several threads save
@@ -239,7 +239,7 @@ def train(learner: Learner, tell: Callable[[float], None]) -> list[Training]:
     if missing:
         configs = [learner.training(network) for network in missing]
         began = time.perf_counter()
-        states = learning.ensemble.train(configs, tell)
+        states = learning.train_ensemble(configs, tell)
         seconds = (time.perf_counter() - began) / len(missing)
         for network, own, state in zip(missing, configs, states, strict=True):
             learner.work.save(learner.summary(network), _summary(own, state) | {"seconds": seconds})

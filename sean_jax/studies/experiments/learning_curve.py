@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING
 from sean_jax import writing
 from sean_jax.config import CollectConfig, LearningCurveConfig
 from sean_jax.flags import number
-from sean_jax.learning import protocol
-from sean_jax.learning.protocol import streams
+from sean_jax.learning.collection import check_collection, streams
 from sean_jax.studies.experiments import figure4, page, pictures
 from sean_jax.studies.experiments.figure4 import Learner
 from sean_jax.studies.experiments.measures import Curve, Variant, comparisons, episode_measures
@@ -48,7 +47,7 @@ def run(options: LearningCurveConfig, console: Console | None = None) -> Path:
     """
     compared = variants(options)
     for variant in compared:
-        protocol.check(collection(options, variant))
+        check_collection(collection(options, variant))
     with Workspace(options.folder, identity(options)).open() as work:
         places = {
             behavior: list(streams(CollectConfig(**figure4.description(options, behavior))).values())
