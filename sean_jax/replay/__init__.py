@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import drawing, files, navigation, writing
+from sean_jax import drawing, files, navigation, pages, writing
 from sean_jax.base import Environment, Scenario, Trajectory
 from sean_jax.drawing import colors
 from sean_jax.drawing.parts import one_episode, situation_names
@@ -26,7 +26,7 @@ from sean_jax.metrics.proximity import INTIMATE, PERSONAL
 from sean_jax.replay.encoding import encode
 
 VERSION = 1
-HERE = Path(__file__).parent
+TEMPLATE = "replay/page.html"
 PLAN_POINTS, PLAN_SPACING = 24, 0.5  # of the planned path; m
 NOBODY = 20.0  # m, drawn as the distance of the nearest person where there is none
 KINDS = {
@@ -287,40 +287,29 @@ def element(content: dict[str, Any], name: str = "replay", linked: bool = True, 
         content: of ``recording``.
         program: whether the script follows; a page of several players has it once, after the last of them.
     """
-    text = embedded(content)
-    name, link = markup.escape(name), "" if linked else ' data-linked="no"'
-    held = f'<div data-replay="{name}"{link}></div>\n<script type="application/json" id="{name}">{text}</script>'
-    return f"{held}\n<script>{script()}</script>" if program else held
+    return pages.macro("replay/player.html", "player", name, embedded(content), linked, script() if program else "")
 
 
 def embedded(content: Any) -> str:
-    """JSON for a page's script element, whatever its texts are: it has no "<", and so neither an end nor a comment.
-
-    Args:
-        content: a value for ``json.dumps``.
-    """
+    """JSON for a page's script element: it has no "<", so it can neither end the element nor begin a comment."""
     return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def script() -> str:
     """The page's program."""
-    return files.read_text(HERE / "page.js")
-
-
-def style() -> str:
-    """The rules of the player's looks, light and dark."""
-    return files.read_text(HERE / "page.css")
+    return files.read_text(Path(__file__).with_name("page.js"))
 
 
 def html(content: dict[str, Any], picture: str = "", linked: bool = True) -> str:
-    """A page of its own.
+    """A page with one player.
 
     Args:
         content: of ``recording``.
         picture: HTML that stands for it where there is no JavaScript.
     """
     instead = f"<noscript>{picture or 'This page needs JavaScript.'}</noscript>"
-    return _page(content["title"], f"{element(content, linked=linked)}\n{instead}")
+    players = [("", element(content, linked=linked))]
+    return pages.render(TEMPLATE, title=content["title"], kicker="", players=players, instead=instead, script="")
 
 
 def html_of_several(players: Sequence[tuple[str, dict[str, Any]]], title: str = "") -> str:
@@ -329,23 +318,11 @@ def html_of_several(players: Sequence[tuple[str, dict[str, Any]]], title: str = 
     Args:
         players: caption and content of each, as of ``recording``.
     """
-    parts = [
-        f"<h2>{markup.escape(caption)}</h2>{element(content, f'replay-{k}', linked=False, program=False)}"
+    elements = [
+        (caption, element(content, f"replay-{k}", linked=False, program=False))
         for k, (caption, content) in enumerate(players)
     ]
-    return _page(title, "\n".join([*parts, f"<script>{script()}</script>"]))
-
-
-def _page(title: str, body: str) -> str:
-    title = markup.escape(title)
-    head = f"<h1>{title}</h1>" if title else ""
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><link rel="icon" href="data:,">'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title or "Replay"}</title>'
-        f"<style>\n{style()}body{{margin:0 auto;max-width:1180px;padding:14px;background:var(--page);color:var(--ink);"
-        "font:15px/1.5 system-ui,sans-serif}h1{font-size:20px;margin:0 0 10px}h2{font-size:16px;margin:20px 0 6px}"
-        f"</style></head>\n<body>{head}{body}</body></html>\n"
-    )
+    return pages.render(TEMPLATE, title=title, kicker="", players=elements, instead="", script=script())
 
 
 class Replay:

@@ -1,10 +1,9 @@
 """What ``sean validate`` shows: a line for each row, the gates, and a page with set-up, paths, curves and verdicts."""
 
 import dataclasses
-import html as markup
 from collections.abc import Sequence
 
-from sean_jax import report
+from sean_jax import pages
 from sean_jax.config import ValidateConfig
 from sean_jax.flags import command
 from sean_jax.studies.scenes import Model
@@ -13,11 +12,6 @@ from sean_jax.studies.validation.check import Check
 from sean_jax.studies.validation.results import FAILS, PASSES, SKIPPED, Row
 from sean_jax.studies.validation.suite import GATES, matches
 from sean_jax.versions import versions
-
-STYLE = (
-    "td,th{white-space:normal;text-align:left}td:nth-child(2){font-weight:400}"
-    "b.passes{color:#228833}b.fails{color:#cc3344}b.skipped{color:var(--muted)}b.partly{color:#aa7700}"
-)
 
 
 def line(row: Row, checks: Sequence[Check], models: Sequence[Model]) -> str:
@@ -96,77 +90,41 @@ def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Ro
 
 def html(options: ValidateConfig, checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Row]) -> str:
     """The report."""
-    found = {(row.check, row.model): row for row in rows}
-    sections = [
-        _section("Verdicts", _verdicts(checks, models, found)),
-        _section(f"Gates of {markup.escape(models[0].name)}", _gates(rows, models[0].name)),
-        *(_section(markup.escape(f"{check.name} · {check.title}"), _check(check, models, found)) for check in checks),
-        _section(
-            "How to get this again", f"<pre>{markup.escape(command('validate', options))}</pre>" + _facts(versions())
-        ),
-    ]
-    return report.page("Validation of the people", "sean_jax · sean validate", sections, STYLE)
-
-
-def _section(title: str, body: str) -> str:
-    return f"<section><h2>{title}</h2>\n{body}</section>"
-
-
-def _facts(facts: dict[str, str]) -> str:
-    rows = (f"<dt>{markup.escape(name)}</dt><dd>{markup.escape(text)}</dd>" for name, text in facts.items())
-    return f"<dl>{''.join(rows)}</dl>"
-
-
-def _verdict(word: str) -> str:
-    return f"<b class={word}>{word}</b>"
-
-
-def _verdicts(checks: Sequence[Check], models: Sequence[Model], found: dict) -> str:
-    head = "".join(f"<th>{markup.escape(model.name)}</th>" for model in models)
-    body = []
+    by_name = {(row.check, row.model): row for row in rows}
+    verdicts = []
     for check in checks:
-        cells = ""
-        for model in models:
-            row = found[check.name, model.name]
-            cells += f"<td>{_verdict(row.verdict)}<small>{markup.escape(row.reason or row.measured)}</small></td>"
-        criterion = f"<td>{markup.escape(check.criterion)}</td>"
-        body.append(f"<tr><th>{check.name}<br><small>{markup.escape(check.title)}</small></th>{criterion}{cells}</tr>")
-    table = f"<table><thead><tr><th></th><th>criterion</th>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
-    return f"<div class=wide>{table}</div><p class=note>Nothing is tuned for a check.</p>"
-
-
-def _gates(rows: Sequence[Row], model: str) -> str:
-    body = "".join(
-        f"<tr><th>{markup.escape(title)}</th><td>{markup.escape(promise)}</td><td>{_verdict(verdict)}"
-        f"<small>{markup.escape(why)}</small></td></tr>"
-        for title, promise, verdict, why in gates(rows, model)
-    )
-    return f"<div class=wide><table><tbody>{body}</tbody></table></div>"
-
-
-def _check(check: Check, models: Sequence[Model], found: dict) -> str:
-    facts = {
-        "set-up": check.setup,
-        "measured": check.measure,
-        "passes if": check.criterion,
-        "source": check.source,
-    }
-    for model in models:
-        row = found[check.name, model.name]
-        facts[model.name] = f"{row.verdict}: {row.reason or row.measured}"
-    rows = [found[check.name, model.name] for model in models]
-    pictures = [
-        f"<figure>{picture}<figcaption>{markup.escape(f'{row.model}: {caption}')}</figcaption></figure>"
-        for row in rows
-        for caption, picture in row.pictures
+        cells = [
+            _verdict(row.verdict, row.reason or row.measured) for row in (by_name[check.name, m.name] for m in models)
+        ]
+        verdicts.append([pages.Cell(check.name, check.title), check.criterion, *cells])
+    kept = [[title, promise, _verdict(verdict, why)] for title, promise, verdict, why in gates(rows, models[0].name)]
+    head = ["", "criterion", *(model.name for model in models)]
+    sections = [
+        pages.section("Verdicts", pages.table(head, verdicts, "words"), pages.note("Nothing is tuned for a check.")),
+        pages.section(f"Gates of {models[0].name}", pages.table([], kept, "words")),
+        *(_check(check, [by_name[check.name, model.name] for model in models]) for check in checks),
+        pages.origin(command("validate", options), versions()),
     ]
+    return pages.page("Validation of the people", "sean_jax · sean validate", sections)
+
+
+def _verdict(verdict: str, reason: str) -> pages.Cell:
+    return pages.Cell(verdict, reason, verdict)
+
+
+def _check(check: Check, rows: Sequence[Row]) -> str:
+    """The section of a check, with a row for each model."""
+    facts = {"set-up": check.setup, "measured": check.measure, "passes if": check.criterion, "source": check.source}
+    facts |= {row.model: f"{row.verdict}: {row.reason or row.measured}" for row in rows}
+    pictures = [pages.figure(picture, f"{row.model}: {caption}") for row in rows for caption, picture in row.pictures]
     curves = {}
     for row in rows:
+        several = len({one.name for one in row.curves if not one.reference}) > 1
         for curve in row.curves:
-            several = len({one.name for one in row.curves if not one.reference}) > 1
             name = curve.name if curve.reference else f"{row.model}: {curve.name}" if several else row.model
             curves[name, curve.reference] = dataclasses.replace(curve, name=name)
     if curves:
-        drawn = figures.svg(figures.plot(list(curves.values()), rows[0].axes), f"{check.name}-curves")
-        pictures.append(f"<figure>{drawn}</figure>")
-    return _facts(facts) + (f"<p></p><div class=grid>{''.join(pictures)}</div>" if pictures else "")
+        plot = figures.svg(figures.plot(list(curves.values()), rows[0].axes), f"{check.name}-curves")
+        pictures.append(pages.figure(plot))
+    parts = [pages.facts(facts), pages.grid(pictures)] if pictures else [pages.facts(facts)]
+    return pages.section(f"{check.name} · {check.title}", *parts)
