@@ -38,7 +38,7 @@ def answers(seed: int, count: int, folder: Path) -> dict[int, dict]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_two_thousand_mutants_are_refused_in_sentences_or_are_finite(tmp_path):
     found = answers(SEED, MUTANTS, tmp_path)
     assert sorted(found) == list(range(MUTANTS))

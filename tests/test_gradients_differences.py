@@ -21,7 +21,7 @@ from sean_jax.scenario import move_robot
 from sean_jax.social_forces import PRESETS
 from sean_jax.social_forces.terms import Forces, term_name
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.night
 LINES, PLACES = 64, 48
 LENGTH = 0.5  # m, m/s, rad/s: of a line
 STEPS = (1e-5, 1e-4, 1e-3, 1e-2)

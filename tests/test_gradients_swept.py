@@ -201,11 +201,11 @@ def limits(scenario):
     return values, lambda values: scenario.replace(robot=scenario.robot.replace(**values))
 
 
-slow = pytest.mark.slow
+night = pytest.mark.night
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name == "go_to_goal" else [slow]) for name in POLICIES]
+    "name", [pytest.param(name, marks=[] if name == "go_to_goal" else [night]) for name in POLICIES]
 )
 def test_policies(room, name):
     scenario, state = room
@@ -227,7 +227,7 @@ def test_policies(room, name):
     check(command, states(), (constants, settings), smooth=0.0 if plans else 0.8, parts=8 if plans else 1)
 
 
-@slow
+@night
 def test_predictions_of_people_in_one_place(room):
     """Who stands in another, or all but, does not make each step's derivative thousands of times the last one's."""
     random = np.random.default_rng(8)
@@ -247,7 +247,7 @@ def test_predictions_of_people_in_one_place(room):
     assert max(float(jnp.abs(slopes[name]).max()) for name in ("people", "desired")) < 1e8
 
 
-@slow
+@night
 @pytest.mark.parametrize("name", PRESETS)
 def test_social_forces(room, name):
     """Of a step among walls, a group and the robot, two people in a walking group; by everything, constants too."""
@@ -275,7 +275,7 @@ def _seen(people: Pedestrians):
     return people.position, people.velocity, people.heading
 
 
-@pytest.mark.parametrize("name", ["constant_velocity", pytest.param("orca", marks=slow)])
+@pytest.mark.parametrize("name", ["constant_velocity", pytest.param("orca", marks=night)])
 def test_pedestrian_models(room, name):
     constants, put = floats(room[0].forces)
 
@@ -285,7 +285,7 @@ def test_pedestrian_models(room, name):
     check(after, states(), constants, smooth=0.8)
 
 
-@pytest.mark.parametrize("name", ["scan", *(pytest.param(name, marks=slow) for name in ("depth", "render"))])
+@pytest.mark.parametrize("name", ["scan", *(pytest.param(name, marks=night) for name in ("depth", "render"))])
 def test_sensors(room, name):
     scenario = room[0]
     if name == "scan":
@@ -300,7 +300,7 @@ def test_sensors(room, name):
     check(lambda at, _: sense(state_of(room, at)), states())
 
 
-@slow
+@night
 def test_ways_to_the_goal(room):
     """Lengths and turning of shortest paths and the points ahead on them."""
     scenario, state = room
@@ -317,7 +317,7 @@ def test_ways_to_the_goal(room):
     check(ways, {name: part for name, part in states().items() if name in ("robot", "ahead")}, smooth=0.6)
 
 
-@pytest.mark.parametrize("kind", ["situations", pytest.param("metrics", marks=slow)])
+@pytest.mark.parametrize("kind", ["situations", pytest.param("metrics", marks=night)])
 def test_distances_that_classifiers_and_metrics_read(room, kind):
     scenario = room[0]
     limit = classifiers.thresholds()
@@ -438,7 +438,7 @@ def test_best_velocity_among_half_planes():
     check(taken, at, jnp.float32(0.5))
 
 
-@slow
+@night
 @pytest.mark.parametrize("dynamics", ["twin", "kinematic", "mjx"])
 def test_the_whole_step(room, dynamics):
     """By the state, the action, and constants of robot and forces."""

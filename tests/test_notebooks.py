@@ -72,7 +72,7 @@ def test_every_page_is_in_the_readme():
     assert re.findall(r"\(notebooks/(\w+)\.ipynb\)", readme) == [path.stem for path in SOURCES]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
 def test_notebook_runs(source, tmp_path):
     from nbclient import NotebookClient

@@ -139,7 +139,7 @@ def test_no_float_is_asked_for_by_size():
     assert {path.relative_to(package).parts[0] for path in sized} == {"adapters", "learning"}
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_gradients_are_double(small):
     """Of a depth image and of a step of the robot, by both of its dynamics."""
     eye, start = sensors.camera(small, "depth", width=8, height=6), jax.random.key(0)
@@ -200,7 +200,7 @@ def _without_key(scenario, key):
     return dataclasses.replace(sean_jax.reset(scenario, key), streams=())
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_scenarios_run(make, name):
     """A second of each, compiled and run; finite, and the robot gets somewhere."""
@@ -211,7 +211,7 @@ def test_scenarios_run(make, name):
     assert np.linalg.norm(frames.position[-1] - frames.position[0]) + np.abs(np.diff(frames.heading, axis=0)).sum() > 0
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize(("name", "dynamics"), [*((name, "twin") for name in robots.ROBOTS), ("kuri", "mjx")])
 def test_robots_run(make, name, dynamics):
     """One step of each robot, and its gradient, where its task begins: nothing touches a robot of its size there."""
