@@ -16,10 +16,9 @@ from sean_jax.files import listed
 from sean_jax.progress import progress
 from sean_jax.recordings import Tracks
 from sean_jax.studies.scenes import Scene
-from sean_jax.studies.validation import models_of
-from sean_jax.studies.validation.check import Laboratory, Skipped
+from sean_jax.studies.validation.check import CheckContext, Skipped, models_of
+from sean_jax.studies.validation.checks import CHECKS
 from sean_jax.studies.validation.results import RESULTS
-from sean_jax.studies.validation.suite import CHECKS
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,16 +57,16 @@ def write(options: ReplayConfig, console: "Console") -> Path:
     with progress(console) as bar:
         for number, name in enumerate(names):
             bar.start(name, len(names))
-            laboratory = Laboratory(moved_by, made.data, made.quick)
+            context = CheckContext(moved_by, made.data, made.quick)
             try:
-                CHECKS[name].function(laboratory)
+                CHECKS[name].function(context)
             except Skipped as error:
                 raise InputError(f"{name}: {error}") from None
-            bar.update(number + 1, laboratory.model.name)
-            if not laboratory.shown:
+            bar.update(number + 1, context.model.name)
+            if not context.pictures:
                 raise InputError(f"{name}: shows no scene, only figures; they are in {folder / 'report.html'}.")
             players += [
-                (f"{name} · {caption}", recording(scene, tracks)) for caption, scene, tracks in laboratory.shown
+                (f"{name} · {caption}", recording(scene, tracks)) for caption, scene, tracks in context.pictures
             ]
     writing.write(path, replay.html_of_several(players, folder.resolve().name))
     return path

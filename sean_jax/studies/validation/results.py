@@ -15,48 +15,32 @@ from sean_jax import files, writing
 from sean_jax.config import ValidateConfig
 from sean_jax.errors import InputError
 from sean_jax.flags import command
+from sean_jax.report.figures import svg
 from sean_jax.studies.scenes import Model
-from sean_jax.studies.validation import figures
-from sean_jax.studies.validation.check import Check, Curve, Laboratory, Skipped
+from sean_jax.studies.validation import page
+from sean_jax.studies.validation.check import FAILS, PASSES, SKIPPED, Check, CheckContext, Curve, Row, Skipped
 from sean_jax.versions import fingerprint, versions
 
 RESULTS, PARTS = "results.json", "parts"
 OURS = {RESULTS, PARTS, "report.html", "table.md"}
-PASSES, FAILS, SKIPPED = "passes", "fails", "skipped"
 
 
-@dataclasses.dataclass(frozen=True)
-class Row:
-    """A check done for a model."""
-
-    check: str
-    model: str
-    verdict: str  # passes, fails or skipped
-    measured: str
-    reason: str
-    numbers: dict[str, float]
-    curves: tuple[Curve, ...]
-    axes: tuple[str, str]
-    pictures: tuple[tuple[str, str], ...]  # captions and SVG
-    seconds: float  # s that it took
-
-
-def find(check: Check, laboratory: Laboratory) -> Row:
+def do(check: Check, context: CheckContext) -> Row:
     """Do a check."""
     begin = time.monotonic()
     measured, reason, numbers, curves, axes = "", "", {}, (), ("", "")
     try:
-        finding = check.function(laboratory)
-        verdict, measured, reason = PASSES if finding.passed else FAILS, finding.measured, finding.reason
-        numbers, curves, axes = finding.numbers, finding.curves, finding.axes
+        result = check.function(context)
+        verdict, measured, reason = PASSES if result.passed else FAILS, result.measured, result.reason
+        numbers, curves, axes = result.numbers, result.curves, result.axes
     except Skipped as error:
         verdict, reason = SKIPPED, str(error)
     pictures = tuple(
-        (caption, figures.svg(figures.trajectories(scene, tracks), f"{check.name}-{laboratory.model.name}-{k}"))
-        for k, (caption, scene, tracks) in enumerate(laboratory.shown)
+        (caption, svg(page.trajectories(scene, tracks), f"{check.name}-{context.model.name}-{k}"))
+        for k, (caption, scene, tracks) in enumerate(context.pictures)
     )
     seconds = time.monotonic() - begin
-    return Row(check.name, laboratory.model.name, verdict, measured, reason, numbers, curves, axes, pictures, seconds)
+    return Row(check.name, context.model.name, verdict, measured, reason, numbers, curves, axes, pictures, seconds)
 
 
 def check_folder(folder: Path) -> None:
@@ -125,7 +109,7 @@ def _made_with(moved_by: Model, options: ValidateConfig) -> dict[str, Any]:
 def _code() -> str:
     """A digest of the package's own modules."""
     digest = hashlib.sha256()
-    for file in sorted(Path(__file__).parent.parent.rglob("*.py")):
+    for file in sorted(Path(__file__).parents[2].rglob("*.py")):
         digest.update(files.read_bytes(file))
     return digest.hexdigest()[:16]
 
