@@ -51,16 +51,15 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
         _check_folder(folder, options)
         bar.stage("reading the recordings")
         from sean_jax.social_forces import build
-        from sean_jax.studies.calibration import page, recorded
-        from sean_jax.studies.calibration.fitting import Fit
-        from sean_jax.studies.calibration.parameters import names_of
+        from sean_jax.studies.calibration import page, windows
+        from sean_jax.studies.calibration.fitting import Fit, names_of
 
         forces = build(options.forces)
         names = names_of(forces, listed(options.fit))
-        prediction, corridors = recorded.find(options.data)
+        prediction, corridors = windows.find(options.data)
         left_out = _left_out(options, list(prediction))
-        kinds = [recorded.prediction_scenes(prediction)] if prediction else []
-        kinds += [recorded.corridor_scenes(corridors)] if corridors else []
+        kinds = [windows.prediction_scenes(prediction)] if prediction else []
+        kinds += [windows.corridor_scenes(corridors)] if corridors else []
         _write_json(folder / OPTIONS, {"options": options.decisive(), "versions": versions()})
         fit = Fit(forces, names, kinds, options.steps, options.batch)
         descent, history = _descend(fit, options, left_out, bar)
@@ -113,8 +112,7 @@ def _judge(fit: Fit, descent: Descent, left_out: list, history: np.ndarray, file
     """The best start of each fit, and how good its constants are in all scenes."""
     import numpy as np
 
-    from sean_jax.studies.calibration.fitting import COLLISIONS, parts_of
-    from sean_jax.studies.calibration.parameters import BOUNDS, values_of
+    from sean_jax.studies.calibration.fitting import BOUNDS, COLLISIONS, parts_of, values_of
     from sean_jax.studies.prediction import evaluate, read_windows
 
     error, near = fit.errors(descent.mean)  # (F, K, E), (F, K)

@@ -12,8 +12,7 @@ The people are those of the ordinary simulator, moved by any forces or pedestria
 """
 
 from sean_jax.studies.scenes.floor_plan import box, corridor, environment, room, wall
-from sean_jax.studies.scenes.periodic import Periodic
-from sean_jax.studies.scenes.scene import Model, Scene, model, scenario_of, stage
+from sean_jax.studies.scenes.scene import Model, Periodic, Scene, model, scenario_of, stage
 from sean_jax.studies.scenes.simulation import Moving, simulate
 from sean_jax.studies.scenes.walkers import Gate, Walkers, join, source, spread, walkers, walkers_behavior
 
