@@ -67,17 +67,13 @@ def recording(
     time_step: float = 0.1,
     robot: bool = True,
 ) -> dict[str, Any]:
-    """What the page is given: JSON that ``web/src/recording.ts`` describes.
+    """The content of the page as JSON values, which ``web/src/recording.ts`` describes.
 
     Args:
         episodes: one or more, with as many situations each.
         scenario: for the robot's size and sensors; without it, they are not drawn.
         situations: their names; the paper's five, or numbers, if None.
-        time_step: s, between two frames.
         robot: whether there is one; else only people are drawn.
-
-    Returns:
-        A value for ``json.dumps``.
 
     Raises:
         InputError: there is no episode, or one has a batch axis or other situations.
@@ -90,11 +86,7 @@ def recording(
 
 
 def awaited(scenario: Scenario, title: str = "") -> dict[str, Any]:
-    """A recording without episodes, of which the page asks for the frames.
-
-    Returns:
-        A value for ``json.dumps``.
-    """
+    """A recording without episodes, for a page that asks for the frames."""
     names = [name for name, _ in scenario.situations]
     graph = graph_of(scenario)
     told = _content(scenario.environment, title, graph, scenario, names, scenario.time_step, True)
@@ -126,13 +118,7 @@ def _content(
 
 
 def of_scenario(scenario: Scenario, episodes: Sequence[Episode], title: str = "") -> dict[str, Any]:
-    """A recording of episodes of a scenario, with planned paths.
-
-    Args:
-        episodes: one or more.
-
-    Returns:
-        A value for ``json.dumps``.
+    """A recording of one or more episodes of a scenario, with planned paths.
 
     Raises:
         InputError: there is no episode, or one has a batch axis.
@@ -146,14 +132,7 @@ def of_scenario(scenario: Scenario, episodes: Sequence[Episode], title: str = ""
 
 
 def plans(scenario: Scenario, frames: Trajectory) -> np.ndarray:
-    """The shortest path that is left, once a second.
-
-    Args:
-        frames: (T, ...) of one episode.
-
-    Returns:
-        (T, K, 2) m, points from the robot on; from the goal on, the goal.
-    """
+    """(T, K, 2) m, the remaining shortest path of an episode's frames (T, ...), once a second; beyond it, the goal."""
     every = max(1, round(1.0 / scenario.time_step))
     some = np.arange(0, len(frames.active), every)
     table = scenario.navigation
@@ -212,13 +191,7 @@ def _robot(scenario: Scenario | None) -> dict[str, Any]:
 
 
 def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[str, Any]:
-    """An episode as the page reads it.
-
-    Args:
-        episode: or a part of one.
-
-    Returns:
-        A value for ``json.dumps``.
+    """An episode, or a part of one, as JSON values for the page.
 
     Raises:
         InputError: it has a batch axis or other situations.
@@ -281,10 +254,9 @@ def _held(values: np.ndarray, present: np.ndarray) -> np.ndarray:
 
 
 def element(content: dict[str, Any], name: str = "replay", linked: bool = True, program: bool = True) -> str:
-    """A player inside a page.
+    """A player of a recording inside a page.
 
     Args:
-        content: of ``recording``.
         program: whether the script follows; a page of several players has it once, after the last of them.
     """
     return pages.macro("replay/player.html", "player", name, embedded(content), linked, script() if program else "")
@@ -301,10 +273,9 @@ def script() -> str:
 
 
 def html(content: dict[str, Any], picture: str = "", linked: bool = True) -> str:
-    """A page with one player.
+    """A page with one player of a recording.
 
     Args:
-        content: of ``recording``.
         picture: HTML that stands for it where there is no JavaScript.
     """
     instead = f"<noscript>{picture or 'This page needs JavaScript.'}</noscript>"
@@ -313,11 +284,7 @@ def html(content: dict[str, Any], picture: str = "", linked: bool = True) -> str
 
 
 def html_of_several(players: Sequence[tuple[str, dict[str, Any]]], title: str = "") -> str:
-    """A page of several players, one below the other.
-
-    Args:
-        players: caption and content of each, as of ``recording``.
-    """
+    """A page of several players, captions and recordings, one below the other."""
     elements = [
         (caption, element(content, f"replay-{k}", linked=False, program=False))
         for k, (caption, content) in enumerate(players)
@@ -359,13 +326,10 @@ class Replay:
 
 
 def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool = False) -> Any:
-    """Show a trajectory in a notebook, with a timeline to play it by.
+    """Show a trajectory (T, ...) in a notebook, with a timeline to play it; of a batch (B, T, ...) the first episode.
 
     The behavior graph, the robot's camera and its planned path are drawn if the scenario is given. Without a scenario,
     people and robot are drawn on an empty floor.
-
-    Args:
-        trajectory: (T, ...) frames; of a batch (B, T, ...) the first episode.
 
     Returns:
         A ``Replay``, whose ``figure`` is the picture from above and whose ``save`` writes the page; with ``animate`` a

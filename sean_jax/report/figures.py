@@ -11,14 +11,7 @@ from sean_jax.drawing import colors
 
 
 def svg(figure: Any, name: str) -> str:
-    """A figure as inline SVG in the colors of the page, light or dark.
-
-    Args:
-        name: of the figure on the page, which makes its ids unique.
-
-    Returns:
-        An ``svg`` element.
-    """
+    """A figure as inline SVG in the colors of the page, light or dark; its name makes ids unique."""
     import matplotlib
 
     stream = io.StringIO()
@@ -45,16 +38,7 @@ def svg(figure: Any, name: str) -> str:
 
 
 def durations(completed: np.ndarray, seconds: np.ndarray, time_limit: float) -> str:
-    """Histogram of the episodes' durations as SVG, completed ones below and the others on top.
-
-    Args:
-        completed: (E,) bool.
-        seconds: (E,) s, durations.
-        time_limit: s, end of the axis.
-
-    Returns:
-        An ``svg`` element.
-    """
+    """Histogram of the episodes' durations (E,) s as SVG, up to the time limit; completed ones stand below."""
     edges = np.linspace(0.0, time_limit, 25)
     counts = [np.histogram(np.minimum(seconds[mask], time_limit), edges)[0]
               for mask in (completed, ~completed)]  # fmt: skip

@@ -36,10 +36,7 @@ EVERY = 10.0  # s between two savings of an unfinished fit
 def run(options: CalibrateConfig, console: Console | None = None) -> Path:
     """Fit, and write forces.yaml, one such file for each scene left out, results.json and report.html.
 
-    An unfinished fit is kept every 10 s, and the same command goes on with it.
-
-    Args:
-        options: what is fitted to what, and where the results go.
+    An unfinished fit is saved every 10 s, and the same command resumes it.
 
     Raises:
         InputError: there are no recordings, a name does not exist, or the folder holds something else.

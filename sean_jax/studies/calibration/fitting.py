@@ -52,10 +52,7 @@ EDGE = 1e-3  # share of the scale, next to a bound, in which no fit starts
 
 
 def names_of(forces: Forces, chosen: Sequence[str] = ()) -> list[str]:
-    """The parameters to be fitted.
-
-    Args:
-        chosen: names of ``BOUNDS``; all that the forces have and read if empty.
+    """The parameters to be fitted: names of ``BOUNDS``; all that the forces have and read if ``chosen`` is empty.
 
     Raises:
         InputError: a name is not in the table, or the forces have no such term.
@@ -72,29 +69,17 @@ def names_of(forces: Forces, chosen: Sequence[str] = ()) -> list[str]:
 
 
 def values_of(forces: Forces, names: Sequence[str]) -> Float[Array, "P"]:
-    """The parameters of forces.
-
-    Returns:
-        (P,) each in its unit.
-    """
+    """(P,) parameters of forces, each in its unit."""
     return jnp.stack([jnp.asarray(getattr(getattr(forces, a), b), float) for a, b in _split(names)])
 
 
 def with_values(forces: Forces, names: Sequence[str], values: Float[Array, "P"]) -> Forces:
-    """Forces with other parameters, which may be traced.
-
-    Args:
-        values: (P,) each in its unit.
-    """
+    """Forces with other parameters (P,), which may be traced."""
     return forces.tree_replace({name: values[index] for index, name in enumerate(names)})
 
 
 def to_free(names: Sequence[str], values: Float[Array, "*batch P"]) -> Float[Array, "*batch P"]:
-    """Parameters as numbers that may be anything; those outside of their bounds are moved to them first.
-
-    Args:
-        values: (..., P) each in its unit.
-    """
+    """Parameters (..., P) as unbounded numbers; values outside their bounds are moved to them first."""
     low, high, logarithmic = _scales(names, values.ndim)
     safe = jnp.where(logarithmic, low, 1.0)
     by_logarithm = jnp.log(jnp.maximum(values, 1e-9) / safe) / jnp.log(jnp.where(logarithmic, high / safe, 2.0))
@@ -104,11 +89,7 @@ def to_free(names: Sequence[str], values: Float[Array, "*batch P"]) -> Float[Arr
 
 
 def from_free(names: Sequence[str], free: Float[Array, "*batch P"]) -> Float[Array, "*batch P"]:
-    """The inverse of ``to_free``.
-
-    Returns:
-        (..., P) each in its unit, within its bounds.
-    """
+    """The inverse of ``to_free``: (..., P) parameters within their bounds."""
     low, high, logarithmic = _scales(names, free.ndim)
     share = jax.nn.sigmoid(free)
     ratio = jnp.where(logarithmic, high / jnp.where(logarithmic, low, 1.0), 1.0)
@@ -165,11 +146,7 @@ class Descent:
 
 
 def losses(forces: Forces, scenes: Scenes, rows: Int[Array, "W"], grid: ObstacleGrid | None, habits: Habits) -> Losses:
-    """How far predictions are from what was recorded.
-
-    Args:
-        rows: (W,) which windows, ``EMPTY`` for none.
-    """
+    """The errors of predictions of the windows ``rows`` (W,), ``EMPTY`` for none."""
     there = rows != EMPTY
     pick = lambda leaf: jnp.asarray(leaf)[jnp.maximum(rows, 0)]  # noqa: E731
     seen, known, after, counted = map(pick, (scenes.seen, scenes.known, scenes.after, scenes.counted))
@@ -205,15 +182,11 @@ def objective(
     forces: Forces,
     names: Sequence[str],
 ) -> tuple[Float[Array, ""], Float[Array, "E"]]:
-    """The loss of one fit.
+    """The loss of one fit, by its parameters (P,), the three habits at the end.
 
     Args:
-        free: (P,) the parameters, as ``to_free`` has them, and at the end the habits.
-        weights: (E,) of all scenes, zero for those left out.
-        parts: what gives the losses of the scenes of each kind.
-
-    Returns:
-        The loss, and the error of each scene (E,) in shares of that of constant velocity.
+        kinds: scenes of different shapes, their windows (rows), and their walls.
+        weights: (E,) of all scenes, 0 for the scene that is left out.
     """
     mine, habits = parts_of(forces, names, free)
     found = [part(mine, habits) for part in parts]
@@ -225,15 +198,7 @@ def objective(
 
 
 def parts_of(forces: Forces, names: Sequence[str], free: Float[Array, "*batch P"]) -> tuple[Forces, Habits]:
-    """The forces and habits that free numbers stand for.
-
-    Args:
-        forces: all constants that are not fitted.
-        free: (..., P) as ``to_free`` has them, the habits at the end.
-
-    Returns:
-        Forces, and habits (...).
-    """
+    """Forces and habits of unbounded parameters (P,), the three habits at the end."""
     number = len(HABITS)
     values = from_free(names, free[..., :-number])
     shares = jax.nn.sigmoid(free[..., -number:])
@@ -253,11 +218,7 @@ class Fit:
         self._losses = jax.jit(self._losses_of, static_argnums=2)
 
     def start(self, fits: int, starts: int, seed: int) -> Descent:
-        """Where the descent begins.
-
-        Args:
-            starts: K; the first of each fit has the constants of the forces.
-        """
+        """The start of F fits with K starts each: the first from the constants, the others drawn within the bounds."""
         random = prng.generator("calibrate", seed)
         given = np.append(np.asarray(to_free(self.names, values_of(self.forces, self.names))), np.zeros(len(HABITS)))
         free = np.where(

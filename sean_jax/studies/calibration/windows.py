@@ -49,10 +49,10 @@ class Scenes:
 
 
 def find(folder: str | Path) -> tuple[dict[str, Path], dict[str, Path]]:
-    """The recordings in a folder that forces can be fitted to.
+    """The recordings of pedestrians in the open, and of corridors, in a folder.
 
     Raises:
-        InputError: there is no such folder, or not one recording in it.
+        InputError: there is no such folder, or no such recording in it.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -70,11 +70,7 @@ def find(folder: str | Path) -> tuple[dict[str, Path], dict[str, Path]]:
 
 
 def prediction_scenes(files: dict[str, Path]) -> Scenes:
-    """The windows of ETH and UCY, 0.4 s apart in real time.
-
-    Returns:
-        Windows of 8 moments given and 12 compared.
-    """
+    """The windows of ETH and UCY, 8 observed moments and 12 to compare, 0.4 s apart in real time."""
     windows = [read_windows(file, "recorded") for file in files.values()]
     people = max(each.present.shape[1] for each in windows)
     position = np.concatenate([_pad(each.position, 2, people) for each in windows])
@@ -89,11 +85,7 @@ def prediction_scenes(files: dict[str, Path]) -> Scenes:
 
 
 def corridor_scenes(files: dict[str, Path]) -> Scenes:
-    """Windows of Juelich's runs; each run lies at a place of its own on one floor, between its own walls.
-
-    Returns:
-        Windows of 3 s.
-    """
+    """Windows of 3 s of Juelich's runs; each run lies at its own place on one floor, between its own walls."""
     parts, boxes = [], []
     for number, (name, file) in enumerate(files.items()):
         match = RUN.match(name)

@@ -214,10 +214,10 @@ def _summary(options: FitGraphConfig, graph: BehaviorGraph, fit: GraphFit, error
 def picture(
     environment: Environment, graph: BehaviorGraph, panels: dict[str, np.ndarray], title: str, width: float = 5.0
 ) -> "Figure":
-    """Draw flows as arrows along the edges, each measure in a panel of its own, and compare them in a last one.
+    """Draw flows as arrows along the edges, a panel for each measure, and compare the others with the first one.
 
     Args:
-        panels: title -> (M, M) people per minute; the first is what the others are compared with.
+        panels: title -> (M, M) people per minute.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -275,11 +275,7 @@ def _compare(axes: "Axes", panels: dict[str, np.ndarray], greatest: float) -> No
 
 
 def _table(graph: BehaviorGraph, panels: dict[str, np.ndarray]) -> str:
-    """The flow along each directed edge, as CSV.
-
-    Args:
-        panels: title -> (M, M) people per minute.
-    """
+    """The flow [people per minute] along each directed edge in each panel (M, M), as CSV."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["from", "to", *(f"{name} [1/min]" for name in panels)])

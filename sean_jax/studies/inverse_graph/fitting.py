@@ -130,8 +130,8 @@ def fit_flows(
 def _groups(measured: FlowMeasure) -> tuple[np.ndarray, np.ndarray]:
     """(G, 2) s stays, and (G,) capacities.
 
-    Stays are uniform between two times: those are the median and the distance of the quartiles to either side. Stays
-    that were broken off, or that ended late, change them less than they would change the shortest or the longest stay.
+    Stays are uniform between two times, by the median and the interquartile range: stays that were broken off, or that
+    ended late, bias these less than the extremes.
     """
     stays = [_limits(each) if len(each) >= FEWEST_STAYS else (np.nan, np.nan) for each in measured.stays]
     capacity = [
@@ -147,14 +147,9 @@ def _limits(stays: np.ndarray) -> tuple[float, float]:
 
 
 def flow_error(expected: np.ndarray, measured: np.ndarray) -> float:
-    """By how much flows differ: the sum of all differences over the sum of what was measured, both as shares.
+    """The total variation of flows (M, M) in any units: sum of absolute differences of their shares, from 0 to 2.
 
-    Args:
-        expected: (M, M) walks along each edge, in any unit.
-        measured: (M, M) likewise, in any other.
-
-    Returns:
-        0 if they are in the same proportions, 2 if no edge has walks in both; NaN if one has none at all.
+    NaN if one has no walks at all.
     """
     totals = float(np.sum(expected)), float(np.sum(measured))
     if not min(totals) > 0.0:
@@ -170,7 +165,7 @@ MEDIUM = 0.02  # by which both factors of an edge may differ from 1 and still be
 def annotate(annotation: Annotation, fit: GraphFit, closed: bool, source: str) -> Annotation:
     """An annotation with the weights, stays and capacities of a fit.
 
-    Factors are given relative to the middle one of all edges, because only their ratios matter.
+    Factors are relative to the median edge, because only their ratios matter.
 
     Args:
         closed: whether people were in a closed population; otherwise where they enter becomes ``spawn``.
@@ -207,11 +202,7 @@ def annotate(annotation: Annotation, fit: GraphFit, closed: bool, source: str) -
 
 
 def graph_yaml(annotation: Annotation) -> str:
-    """The annotation as graph.yaml, a node and an edge a line.
-
-    Args:
-        annotation: without mistakes.
-    """
+    """An annotation without mistakes as graph.yaml, a node and an edge a line."""
     lines = [f"version: {annotation.version}", f"source: {json.dumps(annotation.source)}"]
     lines += [f"c_min: {annotation.c_min:g}", f"c_max: {annotation.c_max:g}", "", "nodes:"]
     for name, node in annotation.nodes.items():

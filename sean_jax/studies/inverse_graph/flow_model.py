@@ -82,16 +82,13 @@ def expected_flows(
     closed: bool = True,
     replaced: Float[Array, "M G"] | None = None,
 ) -> Flows:
-    """The flows that people have in the long run.
+    """The stationary flows of walks along each edge and of turns.
 
     Args:
         temperature: m, of ``route_choice``.
         closed: whether people go on from goal to goal, or enter and leave.
-        replaced: (M, G) with what chance somebody who comes to a node on the way to a group is not wanted there any
-            more, in a closed population; never if None.
-
-    Returns:
-        Expected numbers of walks along each edge and of turns.
+        replaced: (M, G) the probability that somebody who comes to a node on the way to a group is replaced by another,
+            in a closed population; never if None.
     """
     joined = jnp.isfinite(place.length)
     edge_cost = jnp.where(joined, jnp.where(joined, place.length, 1.0) * jnp.exp(weights.factor), jnp.inf)
@@ -177,23 +174,16 @@ def _sent_chances(place: Layout, log_odds: Float[Array, "M G"]) -> Float[Array, 
 
 
 def log_odds(chances: Float[Array, "M G"]) -> Float[Array, "M G"]:
-    """The logarithms of odds, against being sent nowhere, of which ``FlowWeights.sent`` consists.
-
-    Returns:
-        (M, G) odds; of chances of 0 they are as small as can be.
-    """
+    """(M, G) logarithms of odds against being sent nowhere, as in ``FlowWeights.sent``; tiny odds for chances of 0."""
     rest = jnp.maximum(1.0 - jnp.sum(chances, axis=1, keepdims=True), RARE)
     return jnp.log(jnp.maximum(chances, RARE) / rest)
 
 
 def log_likelihood(flows: Flows, edges: Float[Array, "M M"], turns: Float[Array, "U M U"]) -> Float[Array, ""]:
-    """How likely measured turns and walks are, a mean of each: of a multinomial draw from the expected ones.
+    """The multinomial log-likelihood of measured turns plus that of walks, each a mean over its counts.
 
     Args:
-        turns: (M + 1, M, M + 1) turns that were measured. In a closed population leave out who enters or leaves.
-
-    Returns:
-        () natural logarithm, for one turn and one walk.
+        turns: (M + 1, M, M + 1) measured turns; in a closed population without entering and leaving.
     """
 
     def mean_log(expected: Array, counted: Array) -> Array:

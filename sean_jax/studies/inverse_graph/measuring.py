@@ -64,12 +64,10 @@ def measure_flows(
     present: Bool[np.ndarray, "T N"],
     time_step: float,
 ) -> FlowMeasure:
-    """Ways, stays and speeds of people on a graph.
+    """Ways, stays and speeds of people on a graph, from positions (T, N, 2) m, ``time_step`` s apart.
 
     Args:
-        position: (T, N, 2) m, of a simulation's frames or of a recording.
-        present: (T, N) who is there; whoever is absent for a row is somebody else afterwards.
-        time_step: s, between rows.
+        present: (T, N); whoever is absent for a row is somebody else afterwards.
     """
     last, walked = (np.asarray(part) for part in _nodes(graph, jnp.asarray(position, float), jnp.asarray(present)))
     edges, turns = _ways(last, walked, present, len(graph.names))
@@ -211,14 +209,7 @@ class Calls:
 def people_alone(
     scenario: Scenario, key: Array, steps: int, every: int = 1
 ) -> tuple[Float[Array, "T N 2"], Bool[Array, "T N"]]:
-    """Where people are, in an episode in which nobody but people moves.
-
-    Args:
-        every: how many of them pass from one row to the next.
-
-    Returns:
-        Positions (T, N, 2) m, and who is present (T, N), in ``steps / every`` rows.
-    """
+    """Positions (T, N, 2) m and presence (T, N) of people without a robot, a row each ``every`` steps."""
 
     position, present, _ = _simulate(scenario, key, steps, every, lambda before, after: None)
     return position, present
@@ -227,14 +218,7 @@ def people_alone(
 def people_called(
     scenario: Scenario, graph: BehaviorGraph, key: Array, steps: int, every: int = 1
 ) -> tuple[Float[Array, "T N 2"], Bool[Array, "T N"], Calls]:
-    """As ``people_alone``, and how people were called to groups.
-
-    Args:
-        every: how many of them pass from one row to the next.
-
-    Returns:
-        Positions (T, N, 2) m, who is present (T, N), in ``steps / every`` rows, and the calls in all steps.
-    """
+    """As ``people_alone``, and how people were called to groups in all steps."""
     count, groups = graph.radius.shape[0], graph.groups.shape[0]
     group_of = jnp.full(count, groups).at[graph.groups].set(jnp.arange(groups))  # of a node; G is none
 

@@ -39,10 +39,7 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     """A graph of waypoints for an environment.
 
     Args:
-        ends: (K, 2) m, where people come from and go to, if that is known: where many are, there is a node.
-
-    Returns:
-        The annotation, which ``annotation.build`` makes a graph of.
+        ends: (K, 2) m, where people come from and go to, if known: where many are, there is a node.
 
     Raises:
         InputError: there is no room for a person, or the floor is too winding.

@@ -43,13 +43,11 @@ class Scores(NamedTuple):
 
 
 def read_windows(path: str | Path, clock: str = "social_gan", seen: int = SEEN, predicted: int = PREDICTED) -> Windows:
-    """The windows of a recording in the format of ETH and UCY.
+    """The windows of a recording in the format of ETH and UCY: CSV with frame, ped_id, x_m and y_m.
 
     Args:
-        path: of a CSV file with frame, ped_id, x_m and y_m.
         clock: ``social_gan``: moments are ten frames apart and count as 0.4 s, as in [G18]. That holds for UCY and
-            hotel; in eth ten frames are 0.67 s, so that people there seem to be fast. ``recorded``: moments are 0.4 s
-            apart in all.
+            hotel; in eth ten frames are 0.67 s, so that people there seem fast. ``recorded``: moments are 0.4 s apart.
 
     Raises:
         FileError: the file cannot be read.
@@ -72,13 +70,10 @@ def read_windows(path: str | Path, clock: str = "social_gan", seen: int = SEEN, 
 
 
 def cut_windows(tracks: Tracks, length: int, stride: int = 1) -> Windows:
-    """The windows of any recording.
+    """The windows of any recording in which two people or more are present throughout.
 
     Args:
-        stride: moments from the beginning of one window to that of the next.
-
-    Returns:
-        Windows in which two people or more are there throughout.
+        stride: moments from the beginning of one window to the beginning of the next.
     """
     there = np.asarray(tracks.present)
     places = np.where(there[..., None], np.asarray(tracks.position, float), np.nan)
@@ -86,11 +81,10 @@ def cut_windows(tracks: Tracks, length: int, stride: int = 1) -> Windows:
 
 
 def evaluate(model: Model, windows: Windows, seen: int = SEEN, chunk: int = 256, **options) -> Scores:
-    """Predict what windows hold and compare.
+    """Predict the later moments of windows and compare.
 
     Args:
-        model: whatever ``predict`` takes.
-        seen: moments that are shown to the model; the others are predicted.
+        seen: observed moments; the others are predicted.
         **options: of ``predict``.
     """
     steps = windows.position.shape[1] - seen
@@ -112,13 +106,7 @@ def evaluate(model: Model, windows: Windows, seen: int = SEEN, chunk: int = 256,
 def score(
     predicted: Float[np.ndarray, "B S N 2"], recorded: Float[np.ndarray, "B S N 2"], present: Bool[np.ndarray, "B N"]
 ) -> Scores:
-    """Errors and collisions of predictions, at the predicted moments themselves.
-
-    Args:
-        predicted: (B, S, N, 2) m.
-        recorded: (B, S, N, 2) m.
-        present: (B, N) whose tracks count.
-    """
+    """Errors and collisions of predictions (B, S, N, 2) m, at the predicted moments, of the tracks (B, N) present."""
     predicted, recorded, present = np.asarray(predicted, float), np.asarray(recorded, float), np.asarray(present)
     away = np.linalg.norm(predicted - recorded, axis=-1)  # (B, S, N)
     number = present.shape[1]

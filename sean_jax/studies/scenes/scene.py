@@ -53,11 +53,8 @@ def model(what: Any = None, name: str | None = None) -> Model:
 
     Args:
         what: a key of ``PRESETS`` or of ``MODELS``, a YAML file of constants, terms, or a function (scenario, state) ->
-            Pedestrians; the default forces if None.
-        name: of the column in tables; that of what is given if None.
-
-    Returns:
-        The model. A function has the default forces, which say how large bodies are.
+            Pedestrians; the default forces if None. A function has the radii of the default forces.
+        name: of the column in tables; by default that of the model.
 
     Raises:
         InputError: there is none of that name, or the terms do not make forces.
@@ -83,25 +80,17 @@ def model(what: Any = None, name: str | None = None) -> Model:
 
 @dataclass(frozen=True)
 class Periodic:
-    """A pedestrian model in a world that repeats along x; equal for equal models, so that programs are shared.
+    """A pedestrian model in a world that is periodic along x; equal for equal models, so that programs are shared.
 
-    Each person has an image one period away, on the side of the seam that is nearer. So of two people each sees the
-    other over the shorter way, if that is less than half a period; farther, forces do not reach across the seam.
-    People are at x from 0 to the period, and walls must go on for half a period at both ends.
+    Each person has an image one period away, across the nearer seam: two people see each other over the shorter way if
+    that is less than half a period. People are at x from 0 to the period; walls must go on for half a period at both
+    ends.
     """
 
     move: Callable[[Scenario, State], Pedestrians]
 
     def __call__(self, scenario: Scenario, state: State) -> Pedestrians:
-        """Everybody one control step later.
-
-        Args:
-            scenario: of ``walkers_behavior`` with a period.
-            state: with N people, at x from 0 to the period, none of whom walks in company.
-
-        Returns:
-            N people, at x from 0 to the period.
-        """
+        """N people one control step later, none of whom walks in company."""
         people, period = state.pedestrians, scenario.behavior.data.period
         number = people.group.shape[0]
         side = jnp.where(people.position[:, 0] < 0.5 * period, period, -period)
@@ -119,16 +108,11 @@ def _robot(x64: bool) -> RobotModel:
 
 
 def scenario_of(scene: Scene, moved_by: Model | None = None, people: int | None = None) -> Scenario:
-    """The scenario of a scene: of its people alone, without task, situations and metrics.
-
-    Its arrays are padded to sizes that many scenes have in common.
+    """The scenario of a scene: people alone, without task, situations and metrics, padded to shared sizes.
 
     Args:
-        moved_by: who moves people; the default forces if None.
+        moved_by: the default forces if None.
         people: N, to which the crowd is padded with absent people; the next of ``PEOPLE`` if None.
-
-    Returns:
-        A scenario for ``stage`` and for the stages of people.
 
     Raises:
         InputError: a route names a gate that does not exist, or there are too many walls, gates or people.
@@ -174,12 +158,7 @@ def scenario_of(scene: Scene, moved_by: Model | None = None, people: int | None 
 
 
 def stage(scenario: Scenario, scene: Scene) -> State:
-    """The first state of a scene. Nothing of a robot's task is in it.
-
-    Args:
-        scenario: of ``scenario_of``.
-        scene: the same one.
-    """
+    """The first state of a scene in its scenario, without a robot task."""
     place, velocity = scene.robot or ((AWAY, AWAY), (0.0, 0.0))
     return _first_state(
         scenario, prng.key("scene", scene.seed), jnp.asarray(place, float), jnp.asarray(velocity, float)

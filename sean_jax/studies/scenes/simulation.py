@@ -33,14 +33,7 @@ class Moving:
     velocity: tuple[float, float]  # m/s
 
     def at(self, time: np.ndarray) -> np.ndarray:
-        """Where it is.
-
-        Args:
-            time: (T,) s.
-
-        Returns:
-            (T, 2) m.
-        """
+        """(T, 2) m at times (T,) s."""
         return np.asarray(self.place) + np.asarray(time)[:, None] * np.asarray(self.velocity)
 
 
@@ -49,16 +42,15 @@ def simulate(
     moved_by: Model | str | None = None,
     tell: Callable[[float], None] | None = None,
 ) -> list[Tracks]:
-    """Simulate scenes until everybody has vanished or their time is over.
+    """Simulate scenes until everybody has vanished or their time is over; scenes of one size run side by side.
 
     Args:
-        scenes: one or several; those of one size run side by side.
-        moved_by: who moves people; the default forces if None.
-        tell: is told the share that is done.
+        moved_by: the default forces if None.
+        report: called with the finished share.
 
     Returns:
-        For each scene T moments 0.1 s apart, from the start on, of its N people, as numpy arrays. The group of a person
-        is -1, and a person's number the column. In a periodic scene x is from 0 to the period.
+        For each scene T moments 0.1 s apart, from the start on, of its N people, as numpy arrays. Groups are -1, a
+        person's number is the column. In a periodic scene x is from 0 to the period.
     """
     chosen = moved_by if isinstance(moved_by, Model) else model(moved_by)
     listed = [scenes] if isinstance(scenes, Scene) else list(scenes)
@@ -78,14 +70,7 @@ def _tell_part(tell: Callable[[float], None], before: int, number: int, total: i
 
 
 def advance(scenario: Scenario, state: State) -> State:
-    """One control step of people alone; a robot goes on as it goes.
-
-    Args:
-        scenario: of ``scenario_of``.
-
-    Returns:
-        The state 0.1 s later.
-    """
+    """The state one control step (0.1 s) later: people move, a robot goes straight on."""
     key = jax.random.fold_in(state.streams.people, state.tick)
     state = steps.direct_pedestrians(scenario, state, key)
     state = steps.move_pedestrians(scenario, state)

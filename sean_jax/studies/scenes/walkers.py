@@ -86,17 +86,15 @@ def walkers(
     reaction_time: float | Float[np.ndarray, "N"] = 0.0,
     together: bool = False,
 ) -> Walkers:
-    """People of one route.
+    """People of one route, who start at (N, 2) m, such as ``spread`` draws.
 
     Args:
-        start: (N, 2) m, such as ``spread`` gives.
         route: indices of gates, in their order; people vanish at the last one. Without a route they stand.
         speed: preferred speed [m/s], one for all or (N,); drawn from N(1.34, 0.26) if None.
         velocity: at the start [m/s].
-        entry_time: s, one for all or (N,).
-        reaction_time: s, likewise.
-        together: whether they are a walking group: each keeps to those before and after, and all prefer the speed of
-            the slowest.
+        entry_time: s, one for all or (N,); likewise ``reaction_time``.
+        together: whether they are a walking group: each walks beside the one before and the one after, and all prefer
+            the speed of the slowest.
     """
     start = np.asarray(start, float).reshape(-1, 2)
     number = len(start)
@@ -119,11 +117,7 @@ def walkers(
 
 
 def join(*parts: Walkers) -> Walkers:
-    """People of several routes.
-
-    Args:
-        *parts: of ``walkers``.
-    """
+    """People of several routes, as one crowd."""
     legs = max(part.route.shape[1] for part in parts)
     found: list[Walkers] = []
     before = 0
@@ -138,10 +132,9 @@ def join(*parts: Walkers) -> Walkers:
 def source(
     gate: Gate, number: int, rate: float, *, route: Sequence[int], speed: float | None = None, seed: int = 0
 ) -> Walkers:
-    """People who enter through a gate, one after the other.
+    """People who enter through a gate one after the other, ``rate`` a second, at first straight across it.
 
     Args:
-        gate: through which they enter; their first velocity is across it.
         speed: preferred speed [m/s]; drawn if None.
     """
     generator = np.random.default_rng([seed, 11])
@@ -155,18 +148,9 @@ def source(
 
 
 def spread(lower: Point, upper: Point, number: int, seed: int = 0, apart: float = 0.42) -> Float[np.ndarray, "N 2"]:
-    """Random places in a rectangle, no two of them too near to each other.
+    """(N, 2) m: random places in a rectangle from ``lower`` to ``upper`` [m], at least ``apart`` m from each other.
 
-    If the rectangle is too full for a random draw, they lie on a grid, moved at random.
-
-    Args:
-        lower: corner with the smallest x and y [m].
-        upper: corner with the largest ones [m].
-        seed: the same one gives the same places.
-        apart: m, least distance of two places; smaller if they do not fit otherwise.
-
-    Returns:
-        (N, 2) m.
+    If the rectangle is too full for a random draw, places are a grid with random displacements, nearer if need be.
     """
     generator = np.random.default_rng([seed, 3])
     low, high = np.asarray(lower, float), np.asarray(upper, float)
@@ -197,14 +181,11 @@ def walkers_behavior(
     period: float = 0.0,
     sources: bool | None = None,
 ) -> Behavior:
-    """The behavior of walkers.
+    """The behavior of walkers; its companions are None if nobody walks in company.
 
     Args:
         exits: indices of gates between which people choose.
-        sources: whether somebody enters later than at the start; found out if None.
-
-    Returns:
-        The behavior; its companions are None if nobody walks in company.
+        sources: whether somebody enters later than at the start; by default from the entry times.
 
     Raises:
         InputError: a route names a gate that does not exist.
@@ -230,14 +211,7 @@ def walkers_behavior(
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
-    """Everybody at the start; those are present who enter at once.
-
-    Args:
-        key: of the draw of how far people keep from a moving robot.
-
-    Returns:
-        N people, no groups, and how far each is on the route.
-    """
+    """N people at the start, present if they enter at once, no groups, and the memory of their routes."""
     people: Walkers = scenario.behavior.data.walkers
     present = people.entry_time <= 0.0
     pedestrians = pedestrians_at(
@@ -261,14 +235,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
-    """Who has passed a gate walks to the next; who has passed the last one vanishes; who is due enters.
-
-    Args:
-        key: not used.
-
-    Returns:
-        The state with new desired velocities, present people and memory.
-    """
+    """Send people from gate to gate: they vanish at their last one, and enter when they are due."""
     plan: Plan = scenario.behavior.data
     people, memory, table = state.pedestrians, state.memory, plan.walkers
     time = state.tick.astype(float) * scenario.time_step
@@ -299,29 +266,13 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
 
 
 def passed(gate: Float[Array, "N 2 2"], position: Float[Array, "N 2"]) -> Bool[Array, "N"]:
-    """Whether people are behind the line of a gate.
-
-    Args:
-        gate: (N, 2, 2) m, of each person.
-        position: (N, 2) m.
-
-    Returns:
-        (N,) true a little beside the ends as well, where a crowd may have pushed somebody.
-    """
+    """(N,) whether people are behind the line of their gate (N, 2, 2) m, by its width and ``MARGIN`` to both sides."""
     along, across, wide = _in_frame_of(gate, position)
     return (across > 0.0) & (across < DEPTH) & (along > -MARGIN) & (along < wide + MARGIN)
 
 
 def aim_at(gate: Float[Array, "N 2 2"], position: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
-    """Where people aim: at the nearest point of their gate, a little behind its line.
-
-    Args:
-        gate: (N, 2, 2) m, of each person.
-        position: (N, 2) m.
-
-    Returns:
-        (N, 2) m; not nearer than ``MARGIN`` to the ends, in the middle of a gate that is too narrow for that.
-    """
+    """(N, 2) m: the nearest point of each gate (N, 2, 2) m, ``AHEAD`` behind its line and ``MARGIN`` from its ends."""
     along, _, wide = _in_frame_of(gate, position)
     margin = jnp.minimum(MARGIN, 0.5 * wide)
     along = jnp.clip(along, margin, wide - margin)
@@ -332,13 +283,10 @@ def aim_at(gate: Float[Array, "N 2 2"], position: Float[Array, "N 2"]) -> Float[
 
 
 def choose_exit(plan: Plan, people: Pedestrians, gate: Int[Array, "N"], tick: Int[Array, ""]) -> Int[Array, "N"]:
-    """The exit through which each expects to be out first: after the walk there, or after those who are nearer to it.
+    """(N,) the exit through which each expects to be out first: by the walk, or by the queue of people nearer to it.
 
-    Everybody looks once in ``TURNS`` ticks, and turns only for a clear gain, so that crowds do not swing to and fro.
-
-    Args:
-        gate: (N,) to which they walk now; only those who walk to an exit choose.
-        tick: () of the episode.
+    Everybody looks once in ``TURNS`` ticks, and changes only for a clear gain, so that crowds do not oscillate. Only
+    people on their way to an exit choose.
     """
     number, gates = gate.shape[0], plan.gates.shape[0]
     own = jnp.arange(number, dtype=jnp.int32)

@@ -58,24 +58,13 @@ ENVELOPE = {  # 1/m, middle of a bin of 0.25 -> m/s, 10th percentile, mean and 9
 
 
 def hermes_speeds(number: int, seed: int) -> np.ndarray:
-    """Free speeds of people as those of project Hermes.
-
-    Returns:
-        (N,) m/s.
-    """
+    """(N,) m/s, free speeds of people as in project Hermes."""
     draw = np.random.default_rng([seed, 19]).standard_normal(number)
     return HERMES[0] + HERMES[1] * np.clip(draw, -2.5, 2.5)
 
 
 def weidmann(density: np.ndarray | float) -> np.ndarray:
-    """The speed at a density [W93].
-
-    Args:
-        density: 1/m2, above 0.
-
-    Returns:
-        m/s.
-    """
+    """The speed [m/s] at a density above 0 [1/m2] [W93]."""
     return 1.34 * (1.0 - np.exp(-1.913 * (1.0 / np.asarray(density, float) - 1.0 / 5.4)))
 
 
@@ -86,11 +75,10 @@ def in_corridor(
     seconds: float,
     draws: int,
 ) -> list[list[AreaMeans]]:
-    """Density and speed in the middle of a periodic corridor, over the second half of the time.
+    """Density and speed in the middle of a periodic corridor, over the second half of the time, by density and draw.
 
     Args:
-        densities: 1/m2.
-        speeds: of (number, seed), the preferred speeds [m/s]; None for those that are usual.
+        speeds: preferred speeds [m/s] by (number, seed); None for the usual ones.
 
     Raises:
         Skipped: PedPy is not installed.
@@ -238,16 +226,13 @@ ASIDE = 0.0, 0.3, -0.3  # m, from the middle of the door, where somebody starts 
 
 
 def before_door(width: float, start: np.ndarray, speed: np.ndarray | float, seconds: float, **more) -> Scene:
-    """A room of 8 by 8 m with a door in the middle of its right wall, at x = 0, behind which all is open.
+    """A room of 8 by 8 m with a door in the middle of its right wall, at x = 0; people vanish 3 m behind it.
 
     Args:
         width: of the door [m].
-        start: (N, 2) places of people [m].
+        start: (N, 2) m.
         speed: preferred speed [m/s], one for all or (N,).
         **more: of ``walkers``.
-
-    Returns:
-        The scene; people vanish 3 m behind the door.
     """
     door, behind = Gate((0.0, width / 2), (0.0, -width / 2)), Gate((3.0, 6.0), (3.0, -6.0))
     walls = room((-8.0, -4.0), (0.0, 4.0), [(door.left, door.right)])
@@ -351,14 +336,7 @@ LANE_SHARE = 0.4  # of the time, at its end, that counts
 
 
 def mixed_corridor(density: float, seed: int, seconds: float = LANE_SECONDS) -> Scene:
-    """A periodic corridor in which half of the people, drawn at random, walk the other way.
-
-    Args:
-        density: 1/m2.
-
-    Returns:
-        The scene; the first half of the people walk along x.
-    """
+    """A periodic corridor with people at random places; the first half walks along x, the others against it."""
     number = round(density * LANE_PERIOD * LANE_WIDTH)
     there = number // 2
     start = spread((0.0, 0.3), (LANE_PERIOD, LANE_WIDTH - 0.3), number, seed)
@@ -413,11 +391,7 @@ def _order(tracks: Tracks) -> np.ndarray:
 
 
 def recorded_order(tracks: Tracks) -> float:
-    """The order in a recording along y: in the middle 4 m, from 30 to 80 % of its time.
-
-    Args:
-        tracks: of people who walk along y, either way.
-    """
+    """The order in a recording of people who walk along y: in the middle 4 m, from 30 to 80 % of its time."""
     position, present = np.asarray(tracks.position), np.asarray(tracks.present)
     own, last = np.arange(present.shape[1]), len(present) - 1 - present[::-1].argmax(0)
     direction = np.sign(position[last, own, 1] - position[present.argmax(0), own, 1])

@@ -23,13 +23,7 @@ OCCUPIED = 4.0  # m2, of the squares in which density is measured
 
 
 def walk_time(context: CheckContext, speed: float, shortest: float, longest: float) -> CheckResult:
-    """The time in which one person walks 40 m.
-
-    Args:
-        speed: preferred [m/s].
-        shortest: s, allowed.
-        longest: s, allowed.
-    """
+    """The time in which one person of a preferred speed [m/s] walks 40 m, with bounds [s]."""
     (tracks,) = context.simulate(plans.one_walker(speed), f"one person at {speed:g} m/s")
     time = float(vanishing_times(tracks)[0])
     passed = shortest <= time <= longest
@@ -69,14 +63,7 @@ def _weidmann() -> Curve:
 
 
 def speed_in_squares(tracks: Tracks, period: float, first: float = 10.0) -> float:
-    """The mean speed along x of the people in three squares of 2 by 2 m, spread over a periodic corridor.
-
-    Args:
-        period: m.
-
-    Returns:
-        m/s.
-    """
+    """The mean speed [m/s] along x in three squares of 2 by 2 m, spread over a periodic corridor, after ``first`` s."""
     begin = int(first / tracks.time_step)
     x, present = np.asarray(tracks.position, float)[begin:, :, 0], np.asarray(tracks.present)[begin:]
     step = np.diff(x, axis=0)
@@ -115,14 +102,7 @@ def around_a_corner(context: CheckContext) -> CheckResult:
 
 
 def penetration(scene: Scene, tracks: Tracks, radius: float) -> float:
-    """How deep a body has been inside a wall.
-
-    Args:
-        radius: of the bodies [m].
-
-    Returns:
-        m; negative if nobody touched a wall.
-    """
+    """How deep a body of a radius [m] was inside a wall [m]; negative if nobody touched one."""
     places = np.asarray(tracks.position)[np.asarray(tracks.present)]
     distance = np.asarray(signed_distances_on_host(environment(scene.walls), places)[0])
     return float(radius - distance.min(initial=np.inf))
@@ -205,12 +185,7 @@ def assigned_exits(context: CheckContext) -> CheckResult:
 
 
 def exit_choice(context: CheckContext, numbers: Sequence[int], fewest: float, most: float) -> CheckResult:
-    """The share of people who take the nearer of two exits.
-
-    Args:
-        fewest: share, allowed.
-        most: share, allowed.
-    """
+    """The share of people who take the nearer of two exits, with bounds."""
     exits = ((17.0, 18.0), (26.0, 27.0))
     scenes = [plans.two_exits(number, exits) for number in numbers]
     shares = []
@@ -276,16 +251,7 @@ def one_after_another(context: CheckContext) -> CheckResult:
 
 
 def density(tracks: Tracks, lower: tuple[float, float], upper: tuple[float, float], span: tuple[float, float]) -> float:
-    """The mean density in a rectangle.
-
-    Args:
-        lower: corner with the smallest x and y [m].
-        upper: corner with the largest ones [m].
-        span: s, first and last.
-
-    Returns:
-        people/m2.
-    """
+    """The mean density [1/m2] in a rectangle from ``lower`` to ``upper`` [m], over a span of time [s]."""
     position, present = np.asarray(tracks.position), np.asarray(tracks.present)
     inside = present & (position >= np.asarray(lower)).all(-1) & (position <= np.asarray(upper)).all(-1)
     time = np.arange(len(present)) * tracks.time_step
@@ -381,14 +347,7 @@ def slower_in_crowds(context: CheckContext) -> CheckResult:
 
 
 def speed_in_zone(tracks: Tracks, period: float, first: float = 10.0) -> float:
-    """The mean speed along x in the middle third of a periodic corridor.
-
-    Args:
-        period: m.
-
-    Returns:
-        m/s.
-    """
+    """The mean speed [m/s] along x in the middle third of a periodic corridor, after ``first`` s."""
     begin = int(first / tracks.time_step)
     x = np.asarray(tracks.position, float)[begin:, :, 0]
     step = np.diff(x, axis=0)

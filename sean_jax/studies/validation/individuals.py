@@ -44,15 +44,9 @@ FAR = 1e4  # m
 
 
 def two(angle: float, offset: float, speeds: tuple[float, float]) -> Scene:
-    """Two who would pass each other at an offset.
+    """Two people who would pass each other at an offset [m], positive on the right; the angle [rad] of their ways.
 
-    Args:
-        angle: between their ways [rad]; pi if they meet head-on.
-        offset: m; positive if each would pass on the right of the other.
-        speeds: of both [m/s].
-
-    Returns:
-        The scene, without walls, twice as long as it takes them to meet.
+    Speeds are in m/s. The scene has no walls, and lasts twice as long as it takes them to meet.
     """
     ways = np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)]])
     drift = speeds[0] * ways[0] - speeds[1] * ways[1]
@@ -69,11 +63,7 @@ def _far(way: np.ndarray) -> Gate:
 
 
 def pairs(context: CheckContext, angles: tuple[float, ...], name: str) -> CheckResult:
-    """Whether the bodies of two people ever overlap.
-
-    Args:
-        angles: between their ways [degrees].
-    """
+    """Whether the bodies of two people ever overlap, at some angles between their ways [degrees]."""
     cases = list(itertools.product(angles, OFFSETS, SPEEDS))
     scenes = [two(np.deg2rad(angle), offset, speeds) for angle, offset, speeds in cases]
     shown = {(angle, OFFSETS[1], SPEEDS[0]): f"{name}, {angle:g} degrees" for angle in angles}
@@ -118,13 +108,9 @@ def crossing(context: CheckContext) -> CheckResult:
 
 
 def passing_scenes(number: int, seed: int = 0) -> list[Scene]:
-    """Encounters of a person with a robot that crosses their way at a right angle, from the right.
+    """Encounters of a person with a robot that crosses their way at a right angle, from the right, and does not react.
 
-    Args:
-        seed: of the draws: speed of the person from N(1.34, 0.26) m/s, and by how much the two would miss each other.
-
-    Returns:
-        The scenes; the robot's place and velocity are its own, whatever people do.
+    Drawn: the speed of the person from N(1.34, 0.26) m/s, and by how much the two would miss each other.
     """
     random = np.random.default_rng([seed, 29])
     scenes = []
@@ -163,7 +149,7 @@ def stream_scenes(number: int, seed: int = 0) -> list[Scene]:
 def passing_in_a_stream(context: CheckContext) -> CheckResult:
     """How far people in a stream keep from a robot that crosses it, and how often it touches them.
 
-    Those count whom it would miss by less than ``MISS`` if all went straight on.
+    People count if the robot would miss them by less than ``MISS`` with everybody going straight on.
     """
     scenes = stream_scenes(16 if context.quick else 64)
     recorded = context.simulate(scenes, ["a stream"])
@@ -238,11 +224,7 @@ def occupancy(context: CheckContext) -> CheckResult:
 def in_environment(
     context: CheckContext, name: str, seconds: float, episodes: int
 ) -> tuple[GroupOccupancy, np.ndarray]:
-    """The occupancy of groups in episodes of an environment.
-
-    Returns:
-        The occupancy, after 20 s, and (G, 2) s, shortest and longest stay that are drawn in each group.
-    """
+    """The occupancy of groups in episodes after 20 s, and (G, 2) s, shortest and longest stay that are drawn."""
     moved_by = context.model
     scenario = assembly.make(name, behavior="graph", task="random_ab_nav", robot="kuri", dynamics="twin")
     substeps = social_forces.substeps(moved_by.forces, scenario.time_step)
@@ -268,11 +250,7 @@ def _groups(steps: int, scenario: Scenario, key: Array) -> Array:
 
 
 def compare_occupancy(found: dict[str, tuple[GroupOccupancy, np.ndarray]]) -> CheckResult:
-    """The finding of occupancies.
-
-    Args:
-        found: by environment, of ``in_environment``.
-    """
+    """The result of occupancies by environment, of ``in_environment``."""
     members = np.concatenate([each.mean for each, _ in found.values()])
     full = np.concatenate([each.full for each, _ in found.values()])
     stays = np.array([stays.mean() if len(stays) else np.inf for each, _ in found.values() for stays in each.stays])
@@ -330,11 +308,11 @@ def prediction(context: CheckContext) -> CheckResult:
 
 
 def compare_scores(own: dict[str, Scores], mark: dict[str, Scores], slower: dict[str, Scores]) -> CheckResult:
-    """The finding of the errors of a model.
+    """The result of the errors of a model in several scenes.
 
     Args:
         mark: of constant velocity in the same scenes.
-        slower: likewise, of people who get slower by the habit that social forces are given.
+        slower: likewise, of constant velocity times the habit of slowing down.
     """
     worse = [
         name
@@ -382,13 +360,9 @@ _HABITS = {"eth": (0.972, 0.724), "hotel": (0.964, 0.560), "zara01": (0.965, 0.3
 
 
 def fitted_without(scene: str, forces: Forces) -> tuple[Forces, dict[str, Any]] | None:
-    """Constants that have not seen a scene.
+    """Constants of ``calibrated`` fitted without a scene such as eth, and arguments of ``predict``.
 
-    Args:
-        scene: its name, such as eth.
-
-    Returns:
-        Forces and arguments of ``predict``; None unless the forces are ``calibrated`` and the scene was fitted to.
+    None for other forces and for scenes that were not fitted to. docs/calibration.md has the command.
     """
     if scene not in _WITHOUT or fingerprint(forces) != fingerprint(preset("calibrated")):
         return None

@@ -21,10 +21,9 @@ Bounds = tuple[float, float, float, float]  # m: x_min, y_min, x_max, y_max
 
 
 def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
-    """When each person first crosses a gate in its direction.
+    """(N,) s when each person first crosses a gate in its direction, interpolated between moments; inf if never.
 
-    Returns:
-        (N,) s, interpolated between moments; of who vanishes there, the moment of vanishing; inf of who never does.
+    People who vanish there cross at that moment.
     """
     position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
     left, right = np.asarray(gate.left, float), np.asarray(gate.right, float)
@@ -45,25 +44,18 @@ def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
 
 
 def vanishing_times(tracks: Tracks) -> Float[np.ndarray, "N"]:
-    """When each person vanishes for good.
-
-    Returns:
-        (N,) s; inf of who is still there at the end, or never was.
-    """
+    """(N,) s when each person vanishes for good; inf if present at the end, or never."""
     present = np.asarray(tracks.present)
     last = len(present) - 1 - present[::-1].argmax(0)
     return np.where(present.any(0) & ~present[-1], (last + 1) * tracks.time_step, np.inf)
 
 
 def flow(times: Float[np.ndarray, "N"], shares: tuple[float, float] = (0.2, 0.8)) -> float:
-    """The mean flow between two of the crossings.
+    """The mean flow [people/s] between two of the crossing times (N,) s; NaN with fewer than 3 crossings.
 
     Args:
-        times: (N,) s, when each person crosses; inf of who never does.
+        times: inf of people who never cross.
         shares: of all crossings, between which it is measured.
-
-    Returns:
-        people/s; NaN with fewer than 3 crossings.
     """
     crossed = np.sort(times[np.isfinite(times)])
     if len(crossed) < 3:
@@ -86,14 +78,10 @@ def pedpy() -> Any:
 
 
 def trajectory_data(tracks: Tracks, period: float | None = None) -> Any:
-    """A recording as PedPy takes it.
+    """``pedpy.TrajectoryData`` of tracks, with the columns id, frame, x and y [m].
 
     Args:
-        tracks: T moments of N people, simulated or recorded.
-        period: m along x, of a periodic scene: who comes around is another person from then on.
-
-    Returns:
-        ``pedpy.TrajectoryData`` with the columns id, frame, x and y [m].
+        period: m along x, of a periodic scene: whoever comes around is another person from then on.
 
     Raises:
         Skipped: PedPy is not installed.
@@ -119,14 +107,7 @@ def trajectory_data(tracks: Tracks, period: float | None = None) -> Any:
 
 
 def speeds(tracks: Tracks) -> np.ndarray:
-    """Speeds between moments.
-
-    Args:
-        tracks: T moments of N people, not of a periodic scene.
-
-    Returns:
-        (T - 1, N) m/s, NaN where a person is absent at one of both moments.
-    """
+    """(T - 1, N) m/s between moments, NaN where a person is absent at one of both; not of a periodic scene."""
     position, present = np.asarray(tracks.position), np.asarray(tracks.present)
     step = np.linalg.norm(np.diff(position, axis=0), axis=-1) / tracks.time_step
     return np.where(present[1:] & present[:-1], step, np.nan)
@@ -142,13 +123,10 @@ class AreaMeans(NamedTuple):
 def area_means(
     tracks: Tracks, floor: Bounds, area: Bounds, rows: slice = slice(None), period: float | None = None
 ) -> AreaMeans:
-    """Voronoi density and speed in an area.
+    """Voronoi density and speed in an area, means over moments; the speed over moments with somebody in the area.
 
     Args:
-        floor: to which cells are cut; who is off it is left out.
-
-    Returns:
-        Means over the moments; the speed over those with somebody in the area.
+        floor: to which cells are cut; people off it are left out.
 
     Raises:
         Skipped: PedPy is not installed.
@@ -186,19 +164,15 @@ def lane_order(
     present: Bool[np.ndarray, "T N"],
     width: float = LANE,
 ) -> Float[np.ndarray, "T"]:
-    """How well people who walk in two directions are sorted into lanes.
+    """(T,) from 0 to 1: how well people who walk in two directions are sorted into lanes; NaN where nobody is.
 
-    The mean over people of ((s - o) / n)^2, where of the n people within ``width`` across the corridor, themselves
+    The mean over people of ((s - o) / n)^2, where of the n people within ``width`` m across the corridor, themselves
     included, s walk in their direction and o in the other. It is 1 in lanes, and about 1 / n in a random mix.
 
     Args:
         across: (T, N) m, position across the corridor.
         direction: (N,) +1 or -1.
-        present: (T, N) who is there.
-        width: m.
 
-    Returns:
-        (T,) from 0 to 1; NaN where nobody is.
     Source:
         S. Nowak & A. Schadschneider, Phys. Rev. E 85, 066128 (2012), who count in the lanes of a lattice.
     """
@@ -214,16 +188,12 @@ def lane_order(
 def single_file(
     along: Float[np.ndarray, "T N"], velocity: Float[np.ndarray, "T N"], length: float
 ) -> tuple[Float[np.ndarray, "T N"], Float[np.ndarray, "T N"]]:
-    """Density and speed of everybody in a single file around a loop: Voronoi cells in one dimension.
+    """Density (T, N) 1/m and speed (T, N) m/s in a single file around a loop, in the order along it.
+
+    The density is that of Voronoi cells in one dimension: one over half the distance between both neighbors.
 
     Args:
-        along: (T, N) m, position along the loop.
-        velocity: (T, N) m/s along the loop.
-        length: m, of the loop.
-
-    Returns:
-        (T, N) 1/m, one over half the distance from who walks ahead to who walks behind; and (T, N) m/s; both in the
-        order along the loop.
+        along: (T, N) m, position along the loop, whose length is in m.
     """
     along = np.asarray(along, float) % length
     order = np.argsort(along, axis=1)
@@ -236,15 +206,7 @@ def single_file(
 def separation(
     one: Float[np.ndarray, "T *shape 2"], other: Float[np.ndarray, "T *shape 2"]
 ) -> Float[np.ndarray, "*shape"]:
-    """How near two bodies come to each other; between moments both move straight on.
-
-    Args:
-        one: (T, ..., 2) m.
-        other: (T, ..., 2) m.
-
-    Returns:
-        (...) m, the least distance of their middles.
-    """
+    """(...) m: the least distance of two bodies (T, ..., 2) m; between moments both move straight on."""
     gap = np.asarray(one, float) - np.asarray(other, float)
     step = np.diff(gap, axis=0)
     squared = (step**2).sum(-1)
@@ -275,12 +237,11 @@ def group_occupancy(
     time_step: float,
     warm_up: float = 20.0,
 ) -> GroupOccupancy:
-    """Measure how full groups are, and how long their members stay.
+    """How full groups are, and how long their members stay.
 
     Args:
         group: (..., T, N) the group in which each person is at each step, -1 none; of one or more episodes.
         capacity: (G,) people that each group is for.
-        time_step: s, between two steps.
         warm_up: s, at the beginning of each episode, that do not count.
     """
     group = np.asarray(group)

@@ -29,22 +29,14 @@ WIDTH, TALLEST = 6.4, 6.4  # inches
 
 
 def line(row: Row, checks: Sequence[Check], models: Sequence[Model]) -> str:
-    """A row for the terminal.
-
-    Args:
-        models: likewise; a single one is not named.
-    """
+    """A row for the terminal; a single model is not named."""
     wide = max(len(check.name) for check in checks)
     who = f"{row.model:<{max(len(each.name) for each in models)}}  " if len(models) > 1 else ""
     return f"{row.check:<{wide}}  {who}{row.verdict:<7}  {row.reason or row.measured}"
 
 
 def gate_lines(rows: Sequence[Row], model: Model) -> list[str]:
-    """The gates for the terminal.
-
-    Returns:
-        A heading and a line for each gate of which something was checked; empty if there is none.
-    """
+    """A heading and a line for each gate of which something was checked, for the terminal; or nothing."""
     found = [(title, verdict, why) for title, _, verdict, why in gates(rows, model.name) if verdict != SKIPPED or why]
     if not found:
         return []
@@ -53,11 +45,9 @@ def gate_lines(rows: Sequence[Row], model: Model) -> list[str]:
 
 
 def gates(rows: Sequence[Row], model: str) -> list[tuple[str, str, str, str]]:
-    """What has become of each gate.
+    """Each gate's title, promise, verdict, and what was measured or which checks fail.
 
-    Returns:
-        For each gate its title, its promise, the verdict (passes, fails, partly if a part was skipped or left out, or
-        skipped), and what was measured or which checks fail.
+    The verdict is passes, fails, partly if a part was skipped or left out, or skipped.
     """
     of_model = {row.check: row for row in rows if row.model == model}
     table = []
@@ -84,11 +74,7 @@ def gates(rows: Sequence[Row], model: str) -> list[tuple[str, str, str, str]]:
 
 
 def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Row]) -> str:
-    """The table as docs/validation.md has it.
-
-    Returns:
-        A table of Markdown, and one of the gates of the first model.
-    """
+    """The table as docs/validation.md has it, and one of the gates of the first model."""
     found = {(row.check, row.model): row for row in rows}
     names = [model.name for model in models]
     lines = ["| check | " + " | ".join(names) + " |", "|---" * (1 + len(names)) + "|"]
@@ -199,12 +185,7 @@ def trajectories(scene: Scene, tracks: Tracks) -> "Figure":
 
 
 def plot(curves: Sequence[Curve], axes: tuple[str, str]) -> "Figure":
-    """Curves of all models, and grey those that others have measured.
-
-    Args:
-        curves: one or more.
-        axes: quantity and unit along x and y.
-    """
+    """Curves of all models, and in grey reference curves, with the quantities and units of both axes."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDTH, 3.6), layout="constrained", facecolor=colors.PAPER)

@@ -73,11 +73,7 @@ def write(options: ReplayConfig, console: "Console") -> Path:
 
 
 def recording(scene: Scene, tracks: Tracks) -> dict[str, Any]:
-    """What the page is given of a scene.
-
-    Returns:
-        As of ``replay.recording``; without a robot, unless the scene has one.
-    """
+    """A scene as ``replay.recording``; without a robot, unless the scene has one."""
     frames = trajectory(scene, tracks)
     episode = replay.Episode(frames, "scene")
     where = place(scene, frames)
@@ -85,11 +81,7 @@ def recording(scene: Scene, tracks: Tracks) -> dict[str, Any]:
 
 
 def trajectory(scene: Scene, tracks: Tracks) -> Trajectory:
-    """People of a scene as frames.
-
-    Returns:
-        (T, ...) frames. Whoever goes around a periodic scene is absent for a moment, as nobody walks back through it.
-    """
+    """People of a scene as frames (T, ...); whoever goes around a periodic scene is absent for a moment."""
     people, present = np.asarray(tracks.position, float), np.array(tracks.present)
     if scene.period is not None:
         around = np.abs(np.diff(people[..., 0], axis=0)) > scene.period / 2.0
@@ -118,11 +110,7 @@ def trajectory(scene: Scene, tracks: Tracks) -> Trajectory:
 
 
 def place(scene: Scene, frames: Trajectory) -> Environment:
-    """The floor around a scene's people, with the walls near them.
-
-    Args:
-        frames: (T, ...) of it.
-    """
+    """The floor around a scene's people, with the walls near them."""
     seen = np.asarray(frames.people)[np.asarray(frames.present)]
     if scene.robot is not None:
         seen = np.concatenate([seen, np.asarray(frames.position)])

@@ -55,11 +55,7 @@ def check_folder(folder: Path) -> None:
 
 
 def load(folder: Path, check: Check, moved_by: Model, options: ValidateConfig) -> Row | None:
-    """The row of an earlier run with the same code, versions and model.
-
-    Returns:
-        The row; None if there is none, if it was skipped, or if something has changed since.
-    """
+    """The row of an earlier run with the same code, versions and model; None without one, or if it was skipped."""
     try:
         content = files.read_json(_part(folder, check, moved_by))
         if content.pop("made_with") != _made_with(moved_by, options) or content["verdict"] == SKIPPED:
