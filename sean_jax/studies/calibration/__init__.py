@@ -61,7 +61,7 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
         fit = Fit(forces, names, kinds, options.steps, options.batch)
         descent, history = _descend(fit, options, left_out, bar)
         bar.stage("judging by all windows")
-        results = _judge(fit, descent, left_out, history, prediction)
+        results = _evaluate(fit, descent, left_out, history, prediction)
         for what, values in results["parameters"].items():
             if what != "before":
                 file = FORCES if what == "all" else f"forces-without-{what}.yaml"
@@ -105,7 +105,9 @@ def _descend(fit: Fit, options: CalibrateConfig, left_out: list, bar: Any) -> tu
     return descent, np.stack(history)
 
 
-def _judge(fit: Fit, descent: Descent, left_out: list, history: np.ndarray, files: dict[str, Path]) -> dict[str, Any]:
+def _evaluate(
+    fit: Fit, descent: Descent, left_out: list, history: np.ndarray, files: dict[str, Path]
+) -> dict[str, Any]:
     """The best start of each fit, and how good its constants are in all scenes."""
     import numpy as np
 
@@ -119,9 +121,9 @@ def _judge(fit: Fit, descent: Descent, left_out: list, history: np.ndarray, file
     chosen = np.asarray(descent.mean)[np.arange(len(best)), best]
     before, _ = fit.errors(fit.start(1, 1, 0).free[0])
     labels = ["all" if name is None else name for name in left_out]
-    found = {"before": np.asarray(values_of(fit.forces, fit.names))}
+    parameters = {"before": np.asarray(values_of(fit.forces, fit.names))}
     fits = {label: parts_of(fit.forces, fit.names, each) for label, each in zip(labels, chosen, strict=True)}
-    found |= {label: np.asarray(values_of(forces, fit.names)) for label, (forces, _) in fits.items()}
+    parameters |= {label: np.asarray(values_of(forces, fit.names)) for label, (forces, _) in fits.items()}
     errors = {"before": before[0]} | {label: error[k, best[k]] for k, label in enumerate(labels)}
     scores: dict[str, Any] = {}
     for scene, file in files.items():
@@ -139,7 +141,7 @@ def _judge(fit: Fit, descent: Descent, left_out: list, history: np.ndarray, file
     return {
         "names": list(fit.names),
         "bounds": {name: BOUNDS[name] for name in fit.names},
-        "parameters": {what: _floats(fit.names, values) for what, values in found.items()},
+        "parameters": {what: _floats(fit.names, values) for what, values in parameters.items()},
         "habits": {label: _floats(habits._fields, habits) for label, (_, habits) in fits.items()},
         "errors": {what: _floats(fit.scenes, values) for what, values in errors.items()},
         "scores": scores,
@@ -207,15 +209,15 @@ def _resume(descent: Descent, file: Path) -> tuple[Descent, list]:
         return descent, []
     leaves, structure = jax.tree.flatten(descent)
     try:
-        kept = files.read_arrays(file)
-        found = [kept[f"leaf{index}"] for index in range(len(leaves))]
-        history = list(kept["history"])
-        if [each.shape for each in found] != [leaf.shape for leaf in leaves]:
+        arrays = files.read_arrays(file)
+        restored = [arrays[f"leaf{index}"] for index in range(len(leaves))]
+        history = list(arrays["history"])
+        if [each.shape for each in restored] != [leaf.shape for leaf in leaves]:
             raise ValueError
     except (ValueError, KeyError, TypeError):
         raise InputError(f"{file} is damaged; remove it to begin anew.") from None
     return structure.unflatten(
-        [jnp.asarray(each, leaf.dtype) for each, leaf in zip(found, leaves, strict=True)]
+        [jnp.asarray(each, leaf.dtype) for each, leaf in zip(restored, leaves, strict=True)]
     ), history
 
 

@@ -152,12 +152,12 @@ def losses(forces: Forces, scenes: Scenes, rows: Int[Array, "W"], grid: Obstacle
     seen, known, after, counted = map(pick, (scenes.seen, scenes.known, scenes.after, scenes.counted))
     counted = counted & there[:, None, None]
     wish = None if scenes.direction is None else pick(scenes.direction) * habits.speed
-    found = predict(
+    predicted = predict(
         forces, seen, scenes.time_step, after.shape[1], present=known, walls=grid, desired_velocity=wish,
         others=None if scenes.others is None else pick(scenes.others), weights=habits.persistence[None],
         settled=habits.settled,
     )  # fmt: skip
-    dx, dy = found[..., 0] - after[..., 0], found[..., 1] - after[..., 1]
+    dx, dy = predicted[..., 0] - after[..., 0], predicted[..., 1] - after[..., 1]
     away = jnp.sqrt(dx * dx + dy * dy + SMOOTH) - SMOOTH**0.5
     away, ends = jnp.where(counted, away, 0.0), counted[:, -1].astype(float)
     scene, number = pick(scenes.scene), len(scenes.names)
@@ -167,7 +167,10 @@ def losses(forces: Forces, scenes: Scenes, rows: Int[Array, "W"], grid: Obstacle
     mean_error = total(away.sum((1, 2))) / reference[:, 0]
     last_error = total(away[:, -1].sum(1)) / reference[:, 1]
     share = jnp.where(last > 0.0, count / jnp.where(last > 0.0, last, 1.0), 0.0)
-    gap = length(found[:, :, :, None, 0] - found[:, :, None, :, 0], found[:, :, :, None, 1] - found[:, :, None, :, 1])
+    gap = length(
+        predicted[:, :, :, None, 0] - predicted[:, :, None, :, 0],
+        predicted[:, :, :, None, 1] - predicted[:, :, None, :, 1],
+    )
     both = known[:, -1][:, :, None] & known[:, -1][:, None, :] & there[:, None, None]
     both = (both & ~jnp.eye(known.shape[2], dtype=bool)[None])[:, None]
     near = jnp.where(both, jnp.maximum(1.0 - gap / MARGIN, 0.0), 0.0) ** 2
@@ -189,11 +192,11 @@ def objective(
         weights: (E,) of all scenes, 0 for the scene that is left out.
     """
     mine, habits = parts_of(forces, names, free)
-    found = [part(mine, habits) for part in parts]
-    error = jnp.concatenate([each.error / jnp.maximum(each.weight, 1.0) for each in found])
-    seen = jnp.concatenate([(each.weight > 0.0).astype(float) for each in found]) * weights
-    collisions = sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in found)
-    loss = (seen * error).sum() / jnp.maximum(seen.sum(), 1e-9) + COLLISIONS * collisions
+    losses_of = [part(mine, habits) for part in parts]
+    error = jnp.concatenate([each.error / jnp.maximum(each.weight, 1.0) for each in losses_of])
+    counted = jnp.concatenate([(each.weight > 0.0).astype(float) for each in losses_of]) * weights
+    collisions = sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in losses_of)
+    loss = (counted * error).sum() / jnp.maximum(counted.sum(), 1e-9) + COLLISIONS * collisions
     return loss, error
 
 
@@ -220,9 +223,9 @@ class Fit:
     def start(self, fits: int, starts: int, seed: int) -> Descent:
         """The start of F fits with K starts each: the first from the constants, the others drawn within the bounds."""
         random = prng.generator("calibrate", seed)
-        given = np.append(np.asarray(to_free(self.names, values_of(self.forces, self.names))), np.zeros(len(HABITS)))
+        first = np.append(np.asarray(to_free(self.names, values_of(self.forces, self.names))), np.zeros(len(HABITS)))
         free = np.where(
-            np.arange(starts)[None, :, None] == 0, given, random.normal(0.0, 1.2, (fits, starts, len(given)))
+            np.arange(starts)[None, :, None] == 0, first, random.normal(0.0, 1.2, (fits, starts, len(first)))
         )
         free = jnp.asarray(free, float)
         with jax.numpy_dtype_promotion("standard"):
@@ -232,12 +235,12 @@ class Fit:
     def rows(self, seed: int, step: int) -> list[np.ndarray]:
         """The windows of a step: as many of each scene, drawn anew."""
         random = prng.generator("calibrate windows", seed, step)
-        found = []
+        batches = []
         for kind in self.kinds:
             each = max(1, self.batch // (1 if kind.walls is None else 16))
             own = [np.flatnonzero(kind.scene == index) for index in range(len(kind.names))]
-            found.append(np.concatenate([random.choice(rows, each, len(rows) < each) for rows in own]))
-        return found
+            batches.append(np.concatenate([random.choice(rows, each, len(rows) < each) for rows in own]))
+        return batches
 
     def descend(self, descent: Descent, weights: np.ndarray, rows: list[np.ndarray]) -> tuple[Descent, np.ndarray]:
         """One step of all fits.
@@ -260,7 +263,7 @@ class Fit:
         Returns:
             (..., E) errors in shares of those of constant velocity, and (...) cost of near pairs.
         """
-        found: list[Losses] = []
+        totals: list[Losses] = []
         for index, kind in enumerate(self.kinds):
             crowded = kind.walls is not None
             each, size = max(1, most // (4 if crowded else 1)), max(1, chunk // (8 if crowded else 1))
@@ -270,9 +273,9 @@ class Fit:
             )
             order = np.pad(order, (0, -len(order) % size), constant_values=EMPTY)
             parts = [self._losses(free, jnp.asarray(rows, jnp.int32), index) for rows in order.reshape(-1, size)]
-            found.append(jax.tree.map(lambda *leaves: sum(leaves), *parts))
-        error = np.concatenate([np.asarray(each.error / jnp.maximum(each.weight, 1.0)) for each in found], -1)
-        return error, np.asarray(sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in found))
+            totals.append(jax.tree.map(lambda *leaves: sum(leaves), *parts))
+        error = np.concatenate([np.asarray(each.error / jnp.maximum(each.weight, 1.0)) for each in totals], -1)
+        return error, np.asarray(sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in totals))
 
     def _parts(self, rows: Sequence[Array]) -> list[Callable[[Forces, Habits], Losses]]:
         return [partial(_part, kind, own, grid) for kind, own, grid in zip(self.kinds, rows, self.grids, strict=True)]

@@ -144,7 +144,7 @@ def _figures(estimate: shares.Shares, known: Collection[str] = shares.NAMES) -> 
              "ours") if name in known else ""
         for k, name in enumerate(shares.NAMES)
     ]  # fmt: skip
-    return [*columns, f"{100 * estimate.none[0]:.1f}", _interval(entropy[0], *ends, ".3f")]
+    return [*columns, f"{100 * estimate.none[0]:.1f}", _interval(entropy[0], float(ends[0]), float(ends[1]), ".3f")]
 
 
 def _recorded(options: ExperimentConfig, real: list[Recorded]) -> str:

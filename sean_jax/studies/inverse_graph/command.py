@@ -65,8 +65,8 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
     """
     source = environments.find(options.environment)
     environment = environments.load(source)
-    with progress(console) as told, writing.atomic_folder(options.folder) as folder:
-        words = _words(options, source, environment, told)
+    with progress(console) as bar, writing.atomic_folder(options.folder) as folder:
+        words = _words(options, source, environment, bar)
         for name in (environments.SETTINGS, environments.SCENE):
             writing.write(folder / name, files.read_bytes(source / name, MAX_TEXT))
         graph = annotation.build(words, environment)
@@ -75,23 +75,23 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
             _write(folder / GRAPH, words)
             return lines
         closed = options.recording is None
-        evidence = _simulated(options, told) if closed else _recorded(options, graph, told)
+        evidence = _simulated(options, bar) if closed else _recorded(options, graph, bar)
         walks = float(evidence.seen.edges.sum())
         if walks < FEWEST:
             what = f"people walk {walks:.0f} times along edges of the graph, and {FEWEST} are the fewest to fit it to"
             raise InputError(f"{options.recording or options.environment}: {what}; look at --graph and at the units.")
         what = f"recording {options.recording.name}" if options.recording else "people simulated on its own graph"
         source = f"fitted by sean fit-graph to {what}"
-        fit = fit_flows(graph, evidence.seen, closed, options.temperature, progress=told)
+        fit = fit_flows(graph, evidence.seen, closed, options.temperature, progress=bar)
         _write(folder / GRAPH, annotate(words, fit, closed, source))
         for turn in range(ROUNDS if closed and graph.groups.shape[0] else 0):
             title = "simulating how groups call people"
-            _, calls = _episodes(_scenario(options, folder), options, CALLED + turn, told, title)
-            fit = fit_flows(graph, evidence.seen, closed, options.temperature, calls, progress=told)
+            _, calls = _episodes(_scenario(options, folder), options, CALLED + turn, bar, title)
+            fit = fit_flows(graph, evidence.seen, closed, options.temperature, calls, progress=bar)
             _write(folder / GRAPH, annotate(words, fit, closed, source))
         panels = _panels(evidence, fit)
         if closed:
-            again, _ = _episodes(_scenario(options, folder), options, ANEW, told, "simulating the fit")
+            again, _ = _episodes(_scenario(options, folder), options, ANEW, bar, "simulating the fit")
             panels["simulated anew"] = again.flow
         errors = {name: flow_error(flow, panels[HELD_OUT]) for name, flow in panels.items() if name != HELD_OUT}
         lines += [f"{name}, against people held out: flows differ by {100 * e:.1f} %" for name, e in errors.items()]
@@ -104,7 +104,7 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
         return lines
 
 
-def _words(options: FitGraphConfig, source: Path, environment: Environment, told: Progress) -> annotation.Annotation:
+def _words(options: FitGraphConfig, source: Path, environment: Environment, bar: Progress) -> annotation.Annotation:
     """The annotation whose nodes and edges are taken."""
     file = options.graph or source / GRAPH
     people = options.recording is not None or options.simulate
@@ -112,7 +112,7 @@ def _words(options: FitGraphConfig, source: Path, environment: Environment, told
         return files.load(
             file, annotation.Annotation, annotation.check, lambda graph: annotation.check_against(graph, environment)
         )
-    told.stage("proposing a graph")
+    bar.stage("proposing a graph")
     ends = None
     if options.recording is not None:
         tracks = read(options.recording, options.recording_format, options.frame_rate, ROW)
@@ -123,9 +123,9 @@ def _words(options: FitGraphConfig, source: Path, environment: Environment, told
     return propose(environment, ends)
 
 
-def _recorded(options: FitGraphConfig, graph: BehaviorGraph, told: Progress) -> Evidence:
+def _recorded(options: FitGraphConfig, graph: BehaviorGraph, bar: Progress) -> Evidence:
     """Every other person of a recording, and those between."""
-    told.stage("reading the recording")
+    bar.stage("reading the recording")
     tracks = read(options.recording or "", options.recording_format, options.frame_rate, ROW)
     position, present, person = (np.asarray(part) for part in (tracks.position, tracks.present, tracks.person))
     _, order = np.unique(person, return_inverse=True)
@@ -133,11 +133,11 @@ def _recorded(options: FitGraphConfig, graph: BehaviorGraph, told: Progress) -> 
     return Evidence(*(measure_flows(graph, position, present & part, ROW) for part in (even, ~even)))
 
 
-def _simulated(options: FitGraphConfig, told: Progress) -> Evidence:
+def _simulated(options: FitGraphConfig, bar: Progress) -> Evidence:
     """Episodes on the environment's own graph, and as many others."""
     scenario = _scenario(options, environments.find(options.environment))
-    seen, _ = _episodes(scenario, options, SEEN, told, "simulating people")
-    held_out, _ = _episodes(scenario, options, OTHERS, told, "simulating people to check it by")
+    seen, _ = _episodes(scenario, options, SEEN, bar, "simulating people")
+    held_out, _ = _episodes(scenario, options, OTHERS, bar, "simulating people to check it by")
     return Evidence(seen, held_out)
 
 
@@ -160,7 +160,7 @@ def _number(options: FitGraphConfig) -> int:
 
 
 def _episodes(
-    scenario: Scenario, options: FitGraphConfig, part: int, told: Progress, words: str
+    scenario: Scenario, options: FitGraphConfig, part: int, bar: Progress, words: str
 ) -> tuple[FlowMeasure, Calls]:
     """What people do in the episodes of one part, and how they are called to groups."""
     graph = graph_of(scenario)
@@ -168,14 +168,14 @@ def _episodes(
     number, steps = _number(options), round(min(EPISODE, options.minutes * 60.0) / scenario.time_step)
     simulate: Callable = jax.jit(lambda key: people_called(scenario, graph, key, steps, EVERY))
     key = jax.random.fold_in(prng.key("fit-graph", options.seed), part)
-    found: list[tuple[FlowMeasure, Calls]] = []
-    told.start(words, number)
+    measures: list[tuple[FlowMeasure, Calls]] = []
+    bar.start(words, number)
     for episode in range(number):
         position, present, calls = simulate(jax.random.fold_in(key, episode))
         measured = measure_flows(graph, np.asarray(position), np.asarray(present), scenario.time_step * EVERY)
-        found.append((measured, calls))
-        told.update(episode + 1)
-    flows, called = zip(*found, strict=True)
+        measures.append((measured, calls))
+        bar.update(episode + 1)
+    flows, called = zip(*measures, strict=True)
     return functools.reduce(operator.add, flows), functools.reduce(operator.add, called)
 
 

@@ -151,25 +151,25 @@ def _joined(here: np.ndarray, within: np.ndarray, longest: int) -> np.ndarray:
 
 def _stays(here: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
     """(K,) s, for how long people stood; without stays that had begun before, or ended after, what was measured."""
-    found = []
+    stays = []
     for column in range(here.shape[1]):
         for begin, end in _runs(here[:, column]):
-            whole = begin > 0 and end < len(here) and present[begin - 1, column] and present[end, column]
-            if whole and (end - begin) * time_step >= SHORTEST_STAY:
-                found.append((end - begin) * time_step)
-    return np.array(found)
+            complete = begin > 0 and end < len(here) and present[begin - 1, column] and present[end, column]
+            if complete and (end - begin) * time_step >= SHORTEST_STAY:
+                stays.append((end - begin) * time_step)
+    return np.array(stays)
 
 
 def _preferred(speed: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
     """(P,) m/s, of each person at whose walking speeds most of the time is spent."""
-    found = []
+    speeds = []
     for column in range(speed.shape[1]):
         for begin, end in _runs(present[:, column]):
             walking = speed[begin:end, column]
             walking = walking[walking > WALKING]
             if len(walking) * time_step >= MIN_WALK:
-                found.append(np.quantile(walking, UNHINDERED))
-    return np.array(found)
+                speeds.append(np.quantile(walking, UNHINDERED))
+    return np.array(speeds)
 
 
 def _added(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -187,9 +187,9 @@ FAR = 1e3  # m, at which the robot stands
 class Calls:
     """How often people at each of M nodes were called to each of G groups. Two of them add up to that of both."""
 
-    asked: Float[Array, "M"]  # people who went on from there and were not on the way to a group
+    candidates: Float[Array, "M"]  # people who went on from there and were not on the way to a group
     sent: Float[Array, "M G"]  # those of them who were sent to a group
-    kept: Float[Array, "M G"]  # people who went on from there to the group to which they were on the way
+    continued: Float[Array, "M G"]  # people who went on from there to the group to which they were on the way
     replaced: Float[Array, "M G"]  # people on the way there in whose place somebody else is sent
 
     def __add__(self, other: "Calls") -> "Calls":
@@ -198,12 +198,12 @@ class Calls:
     @property
     def chance_sent(self) -> Float[Array, "M G"]:
         """(M, G) with what chance somebody at a node is sent to a group."""
-        return self.sent / jnp.maximum(self.asked, 1.0)[:, None]
+        return self.sent / jnp.maximum(self.candidates, 1.0)[:, None]
 
     @property
     def chance_replaced(self) -> Float[Array, "M G"]:
         """(M, G) with what chance somebody who comes to a node on the way to a group is not wanted there any more."""
-        return self.replaced / jnp.maximum(self.kept + self.replaced, 1.0)
+        return self.replaced / jnp.maximum(self.continued + self.replaced, 1.0)
 
 
 def people_alone(
@@ -231,9 +231,9 @@ def people_called(
             return jnp.zeros((count, groups + 1)).at[before.hop, group].add(who.astype(float))
 
         return Calls(
-            asked=counted(onward & ~heads, target)[:, groups],
+            candidates=counted(onward & ~heads, target)[:, groups],
             sent=counted(onward & ~heads, group_of[after.goal])[:, :groups],
-            kept=counted(onward & heads & same, target)[:, :groups],
+            continued=counted(onward & heads & same, target)[:, :groups],
             replaced=counted(heads & ~same, target)[:, :groups],
         )
 

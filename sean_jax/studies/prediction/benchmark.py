@@ -96,10 +96,10 @@ def evaluate(model: Model, windows: Windows, seen: int = SEEN, chunk: int = 256,
         some = np.pad(some, ((0, missing), (0, 0), (0, 0), (0, 0)))
         there = np.pad(there, ((0, missing), (0, 0)))
         shown = np.broadcast_to(there[:, None], (len(some), seen, there.shape[1]))
-        found = predict(
+        predicted = predict(
             model, jnp.asarray(some[:, :seen]), windows.time_step, steps, present=jnp.asarray(shown), **options
         )
-        parts.append(np.asarray(found)[: chunk - missing])
+        parts.append(np.asarray(predicted)[: chunk - missing])
     return score(np.concatenate(parts), np.asarray(windows.position)[:, seen:], np.asarray(windows.present))
 
 
@@ -149,13 +149,13 @@ def _every_ten_frames(path: Path) -> np.ndarray:
 def _cut(places: np.ndarray, length: int, time_step: float, stride: int = 1) -> Windows:
     """Windows of (T, N, 2) m, NaN of who is absent."""
     there = np.asarray(np.isfinite(places).all(-1))
-    found = []
+    windows = []
     for begin in range(0, len(places) - length + 1, stride):
         columns = np.flatnonzero(there[begin : begin + length].all(0))
         if len(columns) >= 2:
-            found.append(places[begin : begin + length, columns])
-    people = max((each.shape[1] for each in found), default=0)
-    position, present = np.zeros((len(found), length, people, 2)), np.zeros((len(found), people), bool)
-    for row, each in enumerate(found):
+            windows.append(places[begin : begin + length, columns])
+    people = max((each.shape[1] for each in windows), default=0)
+    position, present = np.zeros((len(windows), length, people, 2)), np.zeros((len(windows), people), bool)
+    for row, each in enumerate(windows):
         position[row, :, : each.shape[1]], present[row, : each.shape[1]] = each, True
     return Windows(position=position, present=present, time_step=time_step)

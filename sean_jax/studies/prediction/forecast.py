@@ -233,8 +233,8 @@ def _walk(
     label, companions = walking_companions(seen, present, time_step)
     people = replace(people, walking_group=label)
     if forces.get(Cohesion) is not None:  # what draws companions together in simulations is in their tracks already
-        kept = {f"cohesion.{name}": 0.0 for name in ("gaze", "attraction", "repulsion")}
-        forces = forces.tree_replace(kept)
+        off = {f"cohesion.{name}": 0.0 for name in ("gaze", "attraction", "repulsion")}
+        forces = forces.tree_replace(off)
     tracks = None
     if others is not None:
         there = jnp.isfinite(others).all(-1)

@@ -104,7 +104,7 @@ def walkers(
     if together:
         speed = float(np.min(speed))
         companion[1:, 0], companion[:-1, 1] = np.arange(number - 1), np.arange(1, number)
-    made: Any = dict(
+    fields: Any = dict(
         start=start,
         velocity=np.broadcast_to(np.asarray(velocity, float), (number, 2)),
         preferred_speed=np.broadcast_to(np.asarray(speed, float), (number,)),
@@ -113,20 +113,20 @@ def walkers(
         route=np.broadcast_to(np.asarray(route, np.int32), (number, len(route))),
         companion=companion,
     )
-    return Walkers(**made)
+    return Walkers(**fields)
 
 
 def join(*parts: Walkers) -> Walkers:
     """People of several routes, as one crowd."""
     legs = max(part.route.shape[1] for part in parts)
-    found: list[Walkers] = []
+    crowds: list[Walkers] = []
     before = 0
     for part in parts:
         route = np.pad(np.asarray(part.route), ((0, 0), (0, legs - part.route.shape[1])), constant_values=-1)
         companion = np.where(np.asarray(part.companion) >= 0, np.asarray(part.companion) + before, -1)
-        found.append(replace(part, route=route, companion=companion))
+        crowds.append(replace(part, route=route, companion=companion))
         before += len(part.start)
-    return jax.tree.map(lambda *rows: np.concatenate(rows), *found)
+    return jax.tree.map(lambda *rows: np.concatenate(rows), *crowds)
 
 
 def source(

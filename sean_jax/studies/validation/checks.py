@@ -55,7 +55,7 @@ POPULATION = Check(
     measure="free speed over 20 m",
     criterion="within .05 m/s of what each prefers",
     source=f"{RIMEA} 7",
-    function=guidelines.kept_speeds,
+    function=guidelines.free_speeds,
 )
 HALF_THE_DOORS = Check(
     name="rimea-9",

@@ -92,51 +92,51 @@ def in_corridor(
         far = Gate((1e4, WIDTH), (1e4, 0.0))
         scenes.append(Scene(corridor(PERIOD, WIDTH, PERIOD / 2), people, (far,), seconds, PERIOD))
     captions = [f"{density:g} people/m²" if draw == 0 else "" for density in densities for draw in range(draws)]
-    recorded = context.simulate(scenes, captions)
+    tracks_of = context.simulate(scenes, captions)
     floor, area = (0.0, 0.0, PERIOD, WIDTH), (PERIOD / 2 - 2.0, 0.0, PERIOD / 2 + 2.0, WIDTH)
     rows = slice(round(seconds * 5), None, 10)  # the second half, every second
-    found = [area_means(tracks, floor, area, rows, PERIOD) for tracks in recorded]
-    return [found[first : first + draws] for first in range(0, len(found), draws)]
+    means = [area_means(tracks, floor, area, rows, PERIOD) for tracks in tracks_of]
+    return [means[first : first + draws] for first in range(0, len(means), draws)]
 
 
 def corridor_diagram(context: CheckContext) -> CheckResult:
     """Speeds in a corridor against those measured in Juelich."""
     densities = DENSITIES if context.quick else (*DENSITIES, 3.0)
     seconds, draws = (40.0, 2) if context.quick else (60.0, DRAWS)
-    found = in_corridor(context, densities, hermes_speeds, seconds, draws)
+    measured = in_corridor(context, densities, hermes_speeds, seconds, draws)
     curves = tuple(
         Curve(f"Juelich{part}", tuple(JUELICH), tuple(row[k] for row in JUELICH.values()), reference=True)
         for k, part in enumerate(("", ", 10 %", ", 90 %"))
     )
-    known = np.array([JUELICH[density][0] for density in densities])
-    return _compared(found, densities, known, TOLERANCE, (*curves, *_recorded_corridors(context)))
+    expected = np.array([JUELICH[density][0] for density in densities])
+    return _compared(measured, densities, expected, TOLERANCE, (*curves, *_recorded_corridors(context)))
 
 
 def weidmann_diagram(context: CheckContext) -> CheckResult:
     """Speeds in a corridor against Weidmann's formula."""
-    found = in_corridor(context, DENSITIES, lambda number, seed: None, 60.0, DRAWS)
+    measured = in_corridor(context, DENSITIES, lambda number, seed: None, 60.0, DRAWS)
     dense = np.linspace(0.25, 3.5, 27)
     curve = Curve("Weidmann 1993", tuple(dense), tuple(weidmann(dense)), reference=True)
-    finding = _compared(found, DENSITIES, weidmann(np.array(DENSITIES)), WIDE_TOLERANCE, (curve,))
-    if finding.passed:
-        return finding
-    known = f"people in Juelich, whose free speed is 1.55 m/s, have {JUELICH[2.5][0]:.2f} m/s at 2.5 /m²"
-    return replace(finding, reason=f"{finding.reason}; {known}")
+    comparison = _compared(measured, DENSITIES, weidmann(np.array(DENSITIES)), WIDE_TOLERANCE, (curve,))
+    if comparison.passed:
+        return comparison
+    expected = f"people in Juelich, whose free speed is 1.55 m/s, have {JUELICH[2.5][0]:.2f} m/s at 2.5 /m²"
+    return replace(comparison, reason=f"{comparison.reason}; {expected}")
 
 
 def _compared(
-    found: list[list[AreaMeans]],
+    measured: list[list[AreaMeans]],
     densities: tuple[float, ...],
-    known: np.ndarray,
+    expected: np.ndarray,
     tolerance: float,
     curves: tuple[Curve, ...],
 ) -> CheckResult:
-    """The finding of speeds at densities, the means over draws; those of up to 2.5 people/m2 have to be right."""
-    each, gated = np.array([[means.speed for means in draws] for draws in found]), len(DENSITIES)
+    """The comparison of speeds at densities, the means over draws; those of up to 2.5 people/m2 have to be right."""
+    each, counted = np.array([[means.speed for means in draws] for draws in measured]), len(DENSITIES)
     speed, deviation = each.mean(1), each.std(1, ddof=1)
-    far = np.abs(each[:gated] / known[:gated, None] - 1.0).max()
-    off = np.abs(speed[:gated] / known[:gated] - 1.0)
-    falling = bool((np.diff(speed[:gated]) < 0.0).all())
+    far = np.abs(each[:counted] / expected[:counted, None] - 1.0).max()
+    off = np.abs(speed[:counted] / expected[:counted] - 1.0)
+    falling = bool((np.diff(speed[:counted]) < 0.0).all())
     words = (
         ", ".join(f"{v:.2f} ± {d:.2f}" for v, d in zip(speed, deviation, strict=True))
         + " m/s at "
@@ -146,12 +146,12 @@ def _compared(
         bool((off <= tolerance).all()) and falling,
         f"{words} /m² (off by {100 * off.max():.0f} % at most, one draw by {100 * far:.0f} %"
         f"{'' if falling else ', not falling'})",
-        f"within {100 * tolerance:.0f} % of {', '.join(f'{value:.2f}' for value in known[:gated])} m/s, falling",
+        f"within {100 * tolerance:.0f} % of {', '.join(f'{value:.2f}' for value in expected[:counted])} m/s, falling",
         numbers={f"speed_{rho:g}": float(value) for rho, value in zip(densities, speed, strict=True)}
         | {f"deviation_{rho:g}": float(value) for rho, value in zip(densities, deviation, strict=True)}
         | {
             f"density_{rho:g}": float(np.mean([means.density for means in draws]))
-            for rho, draws in zip(densities, found, strict=True)
+            for rho, draws in zip(densities, measured, strict=True)
         },
         curves=(Curve("model", densities, tuple(speed)), *curves),
         axes=("density [1/m²]", "speed [m/s]"),
@@ -162,15 +162,15 @@ def _recorded_corridors(context: CheckContext) -> tuple[Curve, ...]:
     """The recordings at hand, measured by the same function."""
     if context.data is None:
         return ()
-    found = []
+    means_of = []
     for run, (first, last) in STEADY.items():
         for path in sorted((context.data / "juelich").glob(f"{run}*.csv"))[:1]:
             tracks = read_juelich(path)
             begin, end = np.searchsorted(np.asarray(tracks.frame), (first, last))
             rows = slice(int(begin), int(end), 4)
-            found.append(area_means(tracks, (0.0, -4.0, 1.8, 4.0), (0.0, -2.0, 1.8, 0.0), rows))
-    density, speed = (tuple(means[k] for means in found) for k in (0, 1))
-    return (Curve("recordings", density, speed, reference=True, points=True),) if found else ()
+            means_of.append(area_means(tracks, (0.0, -4.0, 1.8, 4.0), (0.0, -2.0, 1.8, 0.0), rows))
+    density, speed = (tuple(means[k] for means in means_of) for k in (0, 1))
+    return (Curve("recordings", density, speed, reference=True, points=True),) if means_of else ()
 
 
 def single_file_diagram(context: CheckContext) -> CheckResult:
@@ -282,15 +282,15 @@ def _recorded_bottlenecks(context: CheckContext) -> tuple[Curve, ...]:
     """The recordings at hand, measured by the same function."""
     if context.data is None:
         return ()
-    found = []
+    runs = []
     for path in sorted((context.data / "juelich").glob("uo-*-180-*_4of16fps.csv")):
         width = int(path.name.split("_")[0].split("-")[3]) / 100
         if width < 1.8:  # else the corridor ends without a door
             times = crossing_times(read_juelich(path), Gate((1.8 + 0.5, -4.0), (-0.5, -4.0)))
-            found.append((width, flow(times)))
-    if not found:
+            runs.append((width, flow(times)))
+    if not runs:
         return ()
-    widths, flows = zip(*found, strict=True)
+    widths, flows = zip(*runs, strict=True)
     return (Curve("recordings", widths, flows, reference=True, points=True),)
 
 

@@ -43,15 +43,15 @@ def falling_speed(context: CheckContext) -> CheckResult:
     densities = (0.5, 1.0, 2.0, 4.0) if context.quick else (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     scenes = [plans.ring(26.0, 2.0, round(52 * density), 70.0) for density in densities]
     captions = [f"{density:g} people/m²" for density in densities[:3]]
-    found = [speed_in_squares(tracks, 26.0) for tracks in context.simulate(scenes, captions)]
-    rises = max(after - before for before, after in zip(found, found[1:], strict=False))
-    measured = ", ".join(f"{speed:.2f} at {density:g}" for density, speed in zip(densities, found, strict=True))
+    means = [speed_in_squares(tracks, 26.0) for tracks in context.simulate(scenes, captions)]
+    rises = max(after - before for before, after in zip(means, means[1:], strict=False))
+    measured = ", ".join(f"{speed:.2f} at {density:g}" for density, speed in zip(densities, means, strict=True))
     return result(
-        rises <= SLACK and found[-1] <= JAM * found[0] and min(found) >= -SLACK,
+        rises <= SLACK and means[-1] <= JAM * means[0] and min(means) >= -SLACK,
         f"{measured} /m²",
         "falling, to half or less, and nobody pushed backwards",
-        numbers={f"speed at {density:g}": speed for density, speed in zip(densities, found, strict=True)},
-        curves=(Curve("speed", densities, tuple(found)), _weidmann()),
+        numbers={f"speed at {density:g}": speed for density, speed in zip(densities, means, strict=True)},
+        curves=(Curve("speed", densities, tuple(means)), _weidmann()),
         axes=("density [1/m²]", "mean speed [m/s]"),
     )
 
@@ -108,28 +108,28 @@ def penetration(scene: Scene, tracks: Tracks, radius: float) -> float:
     return float(radius - distance.min(initial=np.inf))
 
 
-def kept_speeds(context: CheckContext) -> CheckResult:
+def free_speeds(context: CheckContext) -> CheckResult:
     """Free speeds of fifty people of four ages, beside those that they prefer."""
     generator = np.random.default_rng(7)
     groups = list(AGES.values()) * 13
-    wanted = np.array([generator.uniform(low, high) for low, high in groups[:50]])
-    walked = _walked(context, wanted, "fifty people of four ages")
-    worst = float(np.abs(walked - wanted).max())
+    preferred = np.array([generator.uniform(low, high) for low, high in groups[:50]])
+    walked = _walked(context, preferred, "fifty people of four ages")
+    worst = float(np.abs(walked - preferred).max())
     measured = ", ".join(f"{age} {walked[k::4].min():.2f} to {walked[k::4].max():.2f}" for k, age in enumerate(AGES))
     return result(
         worst <= KEPT,
         f"{measured} m/s, {worst:.3f} from their own at most",
         "within 0.05 m/s of their own",
         numbers={"largest difference": worst},
-        curves=(Curve("people", tuple(wanted.tolist()), tuple(walked.tolist()), points=True),),
+        curves=(Curve("people", tuple(preferred.tolist()), tuple(walked.tolist()), points=True),),
         axes=("preferred speed [m/s]", "walked [m/s]"),
     )
 
 
 def normal_speeds(context: CheckContext) -> CheckResult:
     """Free speeds of a hundred people whose preferred ones are normal, with mean 1.2 and deviation 0.2 m/s."""
-    wanted = np.random.default_rng(7).permutation(stats.norm(1.2, 0.2).ppf((np.arange(100) + 0.5) / 100))
-    walked = _walked(context, wanted, "a hundred people")
+    preferred = np.random.default_rng(7).permutation(stats.norm(1.2, 0.2).ppf((np.arange(100) + 0.5) / 100))
+    walked = _walked(context, preferred, "a hundred people")
     mean, deviation = float(walked.mean()), float(walked.std())
     likely = float(stats.kstest(walked, stats.norm(1.2, 0.2).cdf).pvalue)
     return result(
@@ -140,9 +140,9 @@ def normal_speeds(context: CheckContext) -> CheckResult:
     )
 
 
-def _walked(context: CheckContext, wanted: np.ndarray, caption: str) -> np.ndarray:
+def _walked(context: CheckContext, preferred: np.ndarray, caption: str) -> np.ndarray:
     """(N,) m/s between x = 10 and 30 m; 0 of who did not get there."""
-    (tracks,) = context.simulate(plans.population(wanted), caption)
+    (tracks,) = context.simulate(plans.population(preferred), caption)
     ends = (1e3, -1e3)
     begin, end = (crossing_times(tracks, Gate((x, ends[0]), (x, ends[1]))) for x in (10.0, 30.0))
     return np.where(np.isfinite(end), 20.0 / np.where(np.isfinite(end), end - begin, 1.0), 0.0)
@@ -200,9 +200,9 @@ def exit_choice(context: CheckContext, numbers: Sequence[int], fewest: float, mo
             return CheckResult(False, what, what)
     parts = zip(shares, numbers, strict=True)
     measured = ", ".join(f"{100 * share:.0f} % of {number} took the nearer exit" for share, number in parts)
-    wanted = f"{100 * fewest:.0f} to {100 * most:.0f} % of {numbers[-1]}"
+    criterion = f"{100 * fewest:.0f} to {100 * most:.0f} % of {numbers[-1]}"
     named = {f"share of {number}": share for share, number in zip(shares, numbers, strict=True)}
-    return result(fewest <= shares[-1] <= most, measured, wanted, numbers=named)
+    return result(fewest <= shares[-1] <= most, measured, criterion, numbers=named)
 
 
 def equal_exits(context: CheckContext) -> CheckResult:
@@ -220,9 +220,9 @@ def one_after_another(context: CheckContext) -> CheckResult:
     """Flow into a passage and out of the room behind it, and where people queue."""
     widths = (0.8, 1.0, 1.2)
     scenes = [plans.two_rooms(width) for width in widths]
-    found = context.simulate(scenes, [f"passage of {width:g} m" for width in widths])
+    recorded = context.simulate(scenes, [f"passage of {width:g} m" for width in widths])
     into, out, first, second = [], [], [], []
-    for scene, tracks in zip(scenes, found, strict=True):
+    for scene, tracks in zip(scenes, recorded, strict=True):
         times = crossing_times(tracks, scene.gates[0])
         into.append(flow(times))
         out.append(flow(vanishing_times(tracks)))
@@ -235,10 +235,10 @@ def one_after_another(context: CheckContext) -> CheckResult:
     flows = ", ".join(f"{a:.2f} in and {b:.2f} out at {w:g} m" for w, a, b in zip(widths, into, out, strict=True))
     queues = f"{max(first):.1f} people/m² before the passage, {max(second):.1f} before the exit"
     rises = all(after > before for before, after in zip(into, into[1:], strict=False))
-    held = all(b <= a + 0.05 for a, b in zip(into, out, strict=True))
+    steady = all(b <= a + 0.05 for a, b in zip(into, out, strict=True))
     calm = all(b < a for a, b in zip(first, second, strict=True))
     return result(
-        rises and held and calm,
+        rises and steady and calm,
         f"flow {flows} people/s; {queues}",
         "flow rises with the width, at most .05 more comes out than goes in, and people queue in the first room alone",
         numbers={f"flow at {width:g}": value for width, value in zip(widths, into, strict=True)},
@@ -264,8 +264,8 @@ def ways(context: CheckContext) -> CheckResult:
     """How long 500 people take along a short way, around a corner and along a long way."""
     scenes = plans.wide_ways()
     names = ("short", "corner", "long")
-    found = context.simulate([scenes[name] for name in names], names)
-    times = [float(vanishing_times(tracks).max()) for tracks in found]
+    recorded = context.simulate([scenes[name] for name in names], names)
+    times = [float(vanishing_times(tracks).max()) for tracks in recorded]
     measured = ", ".join(f"{name} {time:.1f} s" for name, time in zip(names, times, strict=True))
     passed = times[0] < times[1] < times[2] < np.inf
     return result(passed, measured, "short before corner before long", numbers=dict(zip(names, times, strict=True)))
@@ -275,9 +275,10 @@ def against(context: CheckContext) -> CheckResult:
     """How long 100 people take through a corridor against 0, 10, 50 and 100 others."""
     others = (0, 10, 50, 100)
     scenes = [plans.counterflow(number) for number in others]
-    found = context.simulate(scenes, [f"against {number}" for number in others])
+    recorded = context.simulate(scenes, [f"against {number}" for number in others])
     times = [
-        float(crossing_times(tracks, scene.gates[1])[:100].max()) for scene, tracks in zip(scenes, found, strict=True)
+        float(crossing_times(tracks, scene.gates[1])[:100].max())
+        for scene, tracks in zip(scenes, recorded, strict=True)
     ]
     words = [f"{time:.0f} s" if np.isfinite(time) else "stuck" for time in times]
     measured = ", ".join(f"{word} against {number}" for word, number in zip(words, others, strict=True))
@@ -303,16 +304,16 @@ def most_flow(context: CheckContext) -> CheckResult:
             False, f"{left} of 100 are still inside", f"{left} of 100 people are still inside after 300 s"
         )
     reason = "" if rate <= 1.33 else "; recordings of people have 1.9 per second and metre (Seyfried 2009)"
-    wanted = f"1.33 people/s at most{reason}"
-    return result(rate <= 1.33, f"{rate:.2f} people/s", wanted, numbers={"flow": rate})
+    criterion = f"1.33 people/s at most{reason}"
+    return result(rate <= 1.33, f"{rate:.2f} people/s", criterion, numbers={"flow": rate})
 
 
 def rising_flow(context: CheckContext) -> CheckResult:
     """Flow through doors of 1.0 to 1.8 m."""
     widths = (1.0, 1.2, 1.4, 1.6, 1.8)
     scenes = [plans.full_room(width) for width in widths]
-    found = context.simulate(scenes, [f"door of {widths[0]:g} m"])
-    rates = [flow(crossing_times(tracks, scene.gates[0])) for scene, tracks in zip(scenes, found, strict=True)]
+    recorded = context.simulate(scenes, [f"door of {widths[0]:g} m"])
+    rates = [flow(crossing_times(tracks, scene.gates[0])) for scene, tracks in zip(scenes, recorded, strict=True)]
     slope = float(np.polyfit(widths, np.nan_to_num(rates), 1)[0])
     measured = ", ".join(f"{rate:.2f} at {width:g} m" for rate, width in zip(rates, widths, strict=True))
     return result(
@@ -333,15 +334,15 @@ def slower_in_crowds(context: CheckContext) -> CheckResult:
     free = 1.2
     numbers = (60, 120, 240) if context.quick else (60, 120, 240, 360, 480)
     scenes = [plans.ring(60.0, 2.0, number, 60.0, speed=free) for number in numbers]
-    found = [speed_in_zone(tracks, 60.0) for tracks in context.simulate(scenes, [f"{numbers[0]} people"])]
+    means = [speed_in_zone(tracks, 60.0) for tracks in context.simulate(scenes, [f"{numbers[0]} people"])]
     densities = tuple(number / 120.0 for number in numbers)
-    measured = ", ".join(f"{speed:.2f} at {density:g}" for speed, density in zip(found, densities, strict=True))
+    measured = ", ".join(f"{speed:.2f} at {density:g}" for speed, density in zip(means, densities, strict=True))
     return result(
-        max(found) <= free + KEPT,
+        max(means) <= free + KEPT,
         f"{measured} /m²",
         "never above 1.25 m/s",
-        numbers={f"speed at {density:g}": speed for density, speed in zip(densities, found, strict=True)},
-        curves=(Curve("speed", densities, tuple(found)), _weidmann()),
+        numbers={f"speed at {density:g}": speed for density, speed in zip(densities, means, strict=True)},
+        curves=(Curve("speed", densities, tuple(means)), _weidmann()),
         axes=("density [1/m²]", "mean speed [m/s]"),
     )
 

@@ -153,12 +153,12 @@ def passing_in_a_stream(context: CheckContext) -> CheckResult:
     """
     scenes = stream_scenes(16 if context.quick else 64)
     recorded = context.simulate(scenes, ["a stream"])
-    found = []
+    nearest = []
     for scene, tracks in zip(scenes, recorded, strict=True):
         start, velocity = np.asarray(scene.walkers.start), np.asarray(scene.walkers.velocity)
         straight = replace(tracks, position=start + _times(tracks)[:, None, None] * velocity)
-        found.append(_nearest(scene, tracks)[_nearest(scene, straight) < MISS])
-    return _clearance(context, np.concatenate(found))
+        nearest.append(_nearest(scene, tracks)[_nearest(scene, straight) < MISS])
+    return _clearance(context, np.concatenate(nearest))
 
 
 def _nearest(scene: Scene, tracks: Tracks) -> np.ndarray:
@@ -211,24 +211,24 @@ AWAY = 1e3  # m, where the robot stands
 def occupancy(context: CheckContext) -> CheckResult:
     """How full the groups of the Behavior Graph are in each environment."""
     names = ["warehouse"] if context.quick else environment.available()
-    found: dict[str, tuple[GroupOccupancy, np.ndarray]] = {}
+    by_name: dict[str, tuple[GroupOccupancy, np.ndarray]] = {}
     for done, name in enumerate(names):
-        found[name] = in_environment(
+        by_name[name] = in_environment(
             context, name, *(GROUP_QUICK if context.quick else (GROUP_SECONDS, GROUP_EPISODES))
         )
         if context.report is not None:
             context.report((done + 1) / len(names))
-    return compare_occupancy(found)
+    return compare_occupancy(by_name)
 
 
 def in_environment(
     context: CheckContext, name: str, seconds: float, episodes: int
 ) -> tuple[GroupOccupancy, np.ndarray]:
     """The occupancy of groups in episodes after 20 s, and (G, 2) s, shortest and longest stay that are drawn."""
-    moved_by = context.model
+    model = context.model
     scenario = assembly.make(name, behavior="graph", task="random_ab_nav", robot="kuri", dynamics="twin")
-    substeps = social_forces.substeps(moved_by.forces, scenario.time_step)
-    scenario = replace(scenario, forces=moved_by.forces, move=moved_by.move, substeps=substeps)
+    substeps = social_forces.substeps(model.forces, scenario.time_step)
+    scenario = replace(scenario, forces=model.forces, move=model.move, substeps=substeps)
     keys = jax.random.split(prng.key("groups", 0), episodes)
     group = np.asarray(_groups(round(seconds / scenario.time_step), scenario, keys))
     graph = jax.tree.map(np.asarray, scenario.behavior.data.graph)
@@ -249,14 +249,14 @@ def _groups(steps: int, scenario: Scenario, key: Array) -> Array:
     return jax.lax.scan(step, replace(state, robot=away), length=steps)[1]
 
 
-def compare_occupancy(found: dict[str, tuple[GroupOccupancy, np.ndarray]]) -> CheckResult:
+def compare_occupancy(by_name: dict[str, tuple[GroupOccupancy, np.ndarray]]) -> CheckResult:
     """The result of occupancies by environment, of ``in_environment``."""
-    members = np.concatenate([each.mean for each, _ in found.values()])
-    full = np.concatenate([each.full for each, _ in found.values()])
-    stays = np.array([stays.mean() if len(stays) else np.inf for each, _ in found.values() for stays in each.stays])
-    shortest, longest = np.concatenate([drawn for _, drawn in found.values()]).T
+    members = np.concatenate([each.mean for each, _ in by_name.values()])
+    full = np.concatenate([each.full for each, _ in by_name.values()])
+    stays = np.array([stays.mean() if len(stays) else np.inf for each, _ in by_name.values() for stays in each.stays])
+    shortest, longest = np.concatenate([drawn for _, drawn in by_name.values()]).T
     changes = bool(((stays >= shortest) & (stays <= (shortest + longest) / 2 + MAX_WAIT)).all())
-    names = [f"{name} {k + 1}" for name, (each, _) in found.items() for k in range(len(each.mean))]
+    names = [f"{name} {k + 1}" for name, (each, _) in by_name.items() for k in range(len(each.mean))]
     number = tuple(np.arange(1.0, len(names) + 1.0))
     measured = {"members": members, "full": full, "stay": stays}
     return result(

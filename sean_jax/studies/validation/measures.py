@@ -263,5 +263,5 @@ def _stays(inside: np.ndarray) -> np.ndarray:
     padded = np.concatenate([outside, inside, outside], axis=1).swapaxes(1, 2)  # (B, N, T + 2)
     change = np.diff(padded.astype(np.int8), axis=-1)
     began, ended = np.nonzero(change == 1)[-1], np.nonzero(change == -1)[-1]  # in pairs, as people come in their order
-    whole = (began > 0) & (ended < inside.shape[1])
-    return (ended - began)[whole]
+    complete = (began > 0) & (ended < inside.shape[1])
+    return (ended - began)[complete]

@@ -37,11 +37,11 @@ def line(row: Row, checks: Sequence[Check], models: Sequence[Model]) -> str:
 
 def gate_lines(rows: Sequence[Row], model: Model) -> list[str]:
     """A heading and a line for each gate of which something was checked, for the terminal; or nothing."""
-    found = [(title, verdict, why) for title, _, verdict, why in gates(rows, model.name) if verdict != SKIPPED or why]
-    if not found:
+    table = [(title, verdict, why) for title, _, verdict, why in gates(rows, model.name) if verdict != SKIPPED or why]
+    if not table:
         return []
-    wide = max(len(title) for title, *_ in found)
-    return [f"gates of {model.name}:"] + [f"  {title:<{wide}}  {verdict:<7}  {why}" for title, verdict, why in found]
+    wide = max(len(title) for title, *_ in table)
+    return [f"gates of {model.name}:"] + [f"  {title:<{wide}}  {verdict:<7}  {why}" for title, verdict, why in table]
 
 
 def gates(rows: Sequence[Row], model: str) -> list[tuple[str, str, str, str]]:
@@ -75,11 +75,11 @@ def gates(rows: Sequence[Row], model: str) -> list[tuple[str, str, str, str]]:
 
 def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Row]) -> str:
     """The table as docs/validation.md has it, and one of the gates of the first model."""
-    found = {(row.check, row.model): row for row in rows}
+    by_name = {(row.check, row.model): row for row in rows}
     names = [model.name for model in models]
     lines = ["| check | " + " | ".join(names) + " |", "|---" * (1 + len(names)) + "|"]
     for check in checks:
-        cells = (found[check.name, name] for name in names)
+        cells = (by_name[check.name, name] for name in names)
         texts = (f"{row.verdict}: {row.reason or row.measured}".replace("|", "/") for row in cells)
         lines.append(f"| {check.name} | " + " | ".join(texts) + " |")
     lines += ["", f"| gate | promise | {names[0]} |", "|---|---|---|"]
@@ -97,11 +97,13 @@ def html(options: ValidateConfig, checks: Sequence[Check], models: Sequence[Mode
             _verdict(row.verdict, row.reason or row.measured) for row in (by_name[check.name, m.name] for m in models)
         ]
         verdicts.append([pages.Cell(check.name, check.title), check.criterion, *cells])
-    kept = [[title, promise, _verdict(verdict, why)] for title, promise, verdict, why in gates(rows, models[0].name)]
+    gate_rows = [
+        [title, promise, _verdict(verdict, why)] for title, promise, verdict, why in gates(rows, models[0].name)
+    ]
     head = ["", "criterion", *(model.name for model in models)]
     sections = [
         pages.section("Verdicts", pages.table(head, verdicts, "words"), pages.note("Nothing is tuned for a check.")),
-        pages.section(f"Gates of {models[0].name}", pages.table([], kept, "words")),
+        pages.section(f"Gates of {models[0].name}", pages.table([], gate_rows, "words")),
         *(_check(check, [by_name[check.name, model.name] for model in models]) for check in checks),
         pages.origin(command("validate", options), versions()),
     ]

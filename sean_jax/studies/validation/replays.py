@@ -51,13 +51,13 @@ def write(options: ReplayConfig, console: "Console") -> Path:
     for name in names:
         if name not in known:
             raise InputError(f"only: '{name}' is none of the tests in {folder}: {', '.join(known)}.")
-    made = flags.read(ValidateConfig, flags.parse("validate", ValidateConfig, words[2:]))
-    moved_by = models_of(made.models, folder / RESULTS)[0]
+    command_options = flags.read(ValidateConfig, flags.parse("validate", ValidateConfig, words[2:]))
+    model = models_of(command_options.models, folder / RESULTS)[0]
     players: list[tuple[str, dict[str, Any]]] = []
     with progress(console) as bar:
         for number, name in enumerate(names):
             bar.start(name, len(names))
-            context = CheckContext(moved_by, made.data, made.quick)
+            context = CheckContext(model, command_options.data, command_options.quick)
             try:
                 CHECKS[name].function(context)
             except Skipped as error:

@@ -49,16 +49,16 @@ def check_folder(folder: Path) -> None:
     Raises:
         InputError: it is not empty and holds no results of this command.
     """
-    found = set(writing.contents(folder)) if folder.is_dir() else set()
-    if found and not found <= OURS:
+    names = set(writing.contents(folder)) if folder.is_dir() else set()
+    if names and not names <= OURS:
         raise InputError(f"the folder {folder} holds something else already, choose another with --out.")
 
 
-def load(folder: Path, check: Check, moved_by: Model, options: ValidateConfig) -> Row | None:
+def load(folder: Path, check: Check, model: Model, options: ValidateConfig) -> Row | None:
     """The row of an earlier run with the same code, versions and model; None without one, or if it was skipped."""
     try:
-        content = files.read_json(_part(folder, check, moved_by))
-        if content.pop("made_with") != _made_with(moved_by, options) or content["verdict"] == SKIPPED:
+        content = files.read_json(_part(folder, check, model))
+        if content.pop("made_with") != _made_with(model, options) or content["verdict"] == SKIPPED:
             return None
         content["curves"] = tuple(Curve(**curve) for curve in content["curves"])
         for name in ("axes", "pictures"):
@@ -68,11 +68,11 @@ def load(folder: Path, check: Check, moved_by: Model, options: ValidateConfig) -
         return None
 
 
-def save(folder: Path, check: Check, moved_by: Model, options: ValidateConfig, row: Row) -> None:
+def save(folder: Path, check: Check, model: Model, options: ValidateConfig, row: Row) -> None:
     """Keep a row."""
     (folder / PARTS).mkdir(exist_ok=True)
-    content = {"made_with": _made_with(moved_by, options), **_finite(dataclasses.asdict(row))}
-    writing.write(_part(folder, check, moved_by), json.dumps(content, indent=1, allow_nan=False) + "\n")
+    content = {"made_with": _made_with(model, options), **_finite(dataclasses.asdict(row))}
+    writing.write(_part(folder, check, model), json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def write(folder: Path, options: ValidateConfig, rows: Sequence[Row]) -> None:
@@ -83,17 +83,17 @@ def write(folder: Path, options: ValidateConfig, rows: Sequence[Row]) -> None:
     writing.write(folder / RESULTS, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
-def _part(folder: Path, check: Check, moved_by: Model) -> Path:
-    model = re.sub(r"[^\w.-]", "-", moved_by.name)  # a path, where a file of constants or of one's own moves people
+def _part(folder: Path, check: Check, model: Model) -> Path:
+    model = re.sub(r"[^\w.-]", "-", model.name)  # a path, where a file of constants or of one's own moves people
     return folder / PARTS / f"{check.name}--{model}.json"
 
 
-def _made_with(moved_by: Model, options: ValidateConfig) -> dict[str, Any]:
+def _made_with(model: Model, options: ValidateConfig) -> dict[str, Any]:
     """All that decides a row."""
-    who = f"{getattr(moved_by.move, '__module__', '')}.{getattr(moved_by.move, '__qualname__', '')}"
-    terms = [f"{type(term).__module__}.{type(term).__name__}" for term in moved_by.forces]  # own ones have their digest
+    who = f"{getattr(model.move, '__module__', '')}.{getattr(model.move, '__qualname__', '')}"
+    terms = [f"{type(term).__module__}.{type(term).__name__}" for term in model.forces]  # own ones have their digest
     return {
-        "model": [who, *terms, fingerprint(moved_by.forces)],
+        "model": [who, *terms, fingerprint(model.forces)],
         "quick": options.quick,
         "data": None if options.data is None else str(options.data),
         "code": _code(),
