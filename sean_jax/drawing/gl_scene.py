@@ -14,8 +14,8 @@ import numpy as np
 
 from sean_jax.base import Scenario, Scenery, Solids, Trajectory
 from sean_jax.errors import InputError
-from sean_jax.raycast import laws
-from sean_jax.sensors import Camera, paint
+from sean_jax.raycast import bodies
+from sean_jax.sensors import Camera, pictures
 
 ROBOT_GROUP = 3  # of the robot's geoms, which its own cameras may leave out
 ABSENT_HEIGHT = -50.0  # m, at which absent people are placed
@@ -97,7 +97,7 @@ def _model(mujoco: Any, scenario: Scenario, eye: Camera, people: int) -> Any:
     looks = scenario.environment.scenery
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = eye.width, eye.height
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [paint.AMBIENT - 0.15] * 3, [0.1] * 3
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [pictures.AMBIENT - 0.15] * 3, [0.1] * 3
     spec.visual.headlight.specular = [0.0] * 3
     x_min, y_min, x_max, y_max = np.asarray(scenario.environment.floor, float)
     spec.stat.extent = 1.0  # m, the unit of what follows
@@ -108,7 +108,7 @@ def _model(mujoco: Any, scenario: Scenario, eye: Camera, people: int) -> Any:
     robot = spec.worldbody.add_body(mocap=True)
     sun = np.asarray(looks.sun, float)
     light = robot.add_light(
-        pos=SUN_DISTANCE * sun, dir=-sun, castshadow=True, diffuse=[paint.SUN] * 3, specular=[0.0] * 3
+        pos=SUN_DISTANCE * sun, dir=-sun, castshadow=True, diffuse=[pictures.SUN] * 3, specular=[0.0] * 3
     )
     light.type, light.mode = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, mujoco.mjtCamLight.mjCAMLIGHT_TRACK
     _solids(mujoco, robot, scenario.robot.solids, ROBOT_GROUP)
@@ -120,7 +120,7 @@ def _model(mujoco: Any, scenario: Scenario, eye: Camera, people: int) -> Any:
             place.proj = mujoco.mjtProjection.mjPROJ_ORTHOGRAPHIC
         else:
             place.orthographic = True
-    shirts = np.stack([np.asarray(part) for part in paint.shirts(people)], -1)
+    shirts = np.stack([np.asarray(part) for part in pictures.shirts(people)], -1)
     for color in shirts:
         _person(mujoco, spec.worldbody.add_body(mocap=True), float(scenario.forces.walking.radius), color)
     return spec.compile()
@@ -156,13 +156,13 @@ def _solids(mujoco: Any, body: Any, solids: Solids, group: int) -> None:
 
 def _person(mujoco: Any, body: Any, radius: float, color: np.ndarray) -> None:
     """A person with the outline that rays meet: legs, trunk and head, with the face ahead."""
-    kind, sink = mujoco.mjtGeom, laws.HEAD_RADIUS - FACE_RADIUS + 0.01
-    _add(body, kind.mjGEOM_CYLINDER, [radius, paint.WAIST / 2, 0], [0, 0, paint.WAIST / 2], paint.LEGS, 0)
-    half = (laws.SHOULDER - paint.WAIST) / 2
-    _add(body, kind.mjGEOM_CYLINDER, [radius, half, 0], [0, 0, paint.WAIST + half], color, 0)
-    _add(body, kind.mjGEOM_SPHERE, [radius, 0, 0], [0, 0, laws.SHOULDER], color, 0)
-    _add(body, kind.mjGEOM_SPHERE, [laws.HEAD_RADIUS, 0, 0], [0, 0, laws.HEAD], paint.HAIR, 0)
-    _add(body, kind.mjGEOM_SPHERE, [FACE_RADIUS, 0, 0], [sink, 0, laws.HEAD - 0.01], paint.SKIN, 0)
+    kind, sink = mujoco.mjtGeom, bodies.HEAD_RADIUS - FACE_RADIUS + 0.01
+    _add(body, kind.mjGEOM_CYLINDER, [radius, pictures.WAIST / 2, 0], [0, 0, pictures.WAIST / 2], pictures.LEGS, 0)
+    half = (bodies.SHOULDER - pictures.WAIST) / 2
+    _add(body, kind.mjGEOM_CYLINDER, [radius, half, 0], [0, 0, pictures.WAIST + half], color, 0)
+    _add(body, kind.mjGEOM_SPHERE, [radius, 0, 0], [0, 0, bodies.SHOULDER], color, 0)
+    _add(body, kind.mjGEOM_SPHERE, [bodies.HEAD_RADIUS, 0, 0], [0, 0, bodies.HEAD], pictures.HAIR, 0)
+    _add(body, kind.mjGEOM_SPHERE, [FACE_RADIUS, 0, 0], [sink, 0, bodies.HEAD - 0.01], pictures.SKIN, 0)
 
 
 def _add(body: Any, kind: Any, size: Any, place: Any, color: Any, group: int, turn: Any = (1.0, 0.0, 0.0, 0.0)) -> None:
