@@ -290,7 +290,7 @@ def test_calls_to_groups_are_those_that_people_follow():
     assert (calls.chance_sent.sum(1) <= 1.0).all() and (calls.chance_replaced <= 1.0).all()
     begun = calls.sent.sum() - calls.replaced.sum()
     assert begun > 30 and begun == pytest.approx(len(measured.stays[0]), abs=4)
-    left = (calls.asked + calls.kept.sum(1)).sum()
+    left = (calls.candidates + calls.continued.sum(1)).sum()
     assert left == pytest.approx(measured.edges.sum(), rel=0.2)  # who turns round at once walks no edge
     both = calls + calls
     np.testing.assert_array_equal(both.sent, 2 * calls.sent)

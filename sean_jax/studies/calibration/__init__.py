@@ -106,7 +106,7 @@ def _descend(fit: Fit, options: CalibrateConfig, left_out: list, bar: Any) -> tu
 
 
 def _evaluate(
-    fit: Fit, descent: Descent, left_out: list, history: np.ndarray, files: dict[str, Path]
+    fit: Fit, descent: Descent, left_out: list, history: np.ndarray, recordings: dict[str, Path]
 ) -> dict[str, Any]:
     """The best start of each fit, and how good its constants are in all scenes."""
     import numpy as np
@@ -126,7 +126,7 @@ def _evaluate(
     parameters |= {label: np.asarray(values_of(forces, fit.names)) for label, (forces, _) in fits.items()}
     errors = {"before": before[0]} | {label: error[k, best[k]] for k, label in enumerate(labels)}
     scores: dict[str, Any] = {}
-    for scene, file in files.items():
+    for scene, file in recordings.items():
         for clock in ("social_gan", "recorded"):
             windows = read_windows(file, clock)
             own = {

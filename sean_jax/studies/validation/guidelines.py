@@ -276,10 +276,8 @@ def against(context: CheckContext) -> CheckResult:
     others = (0, 10, 50, 100)
     scenes = [plans.counterflow(number) for number in others]
     recorded = context.simulate(scenes, [f"against {number}" for number in others])
-    times = [
-        float(crossing_times(tracks, scene.gates[1])[:100].max())
-        for scene, tracks in zip(scenes, recorded, strict=True)
-    ]
+    crossings = [crossing_times(tracks, scene.gates[1])[:100] for scene, tracks in zip(scenes, recorded, strict=True)]
+    times = [float(times.max()) for times in crossings]
     words = [f"{time:.0f} s" if np.isfinite(time) else "stuck" for time in times]
     measured = ", ".join(f"{word} against {number}" for word, number in zip(words, others, strict=True))
     passed = all(before < after for before, after in zip(times, times[1:], strict=False)) and times[-1] < np.inf

@@ -97,13 +97,13 @@ def html(options: ValidateConfig, checks: Sequence[Check], models: Sequence[Mode
             _verdict(row.verdict, row.reason or row.measured) for row in (by_name[check.name, m.name] for m in models)
         ]
         verdicts.append([pages.Cell(check.name, check.title), check.criterion, *cells])
-    gate_rows = [
+    promises = [
         [title, promise, _verdict(verdict, why)] for title, promise, verdict, why in gates(rows, models[0].name)
     ]
     head = ["", "criterion", *(model.name for model in models)]
     sections = [
         pages.section("Verdicts", pages.table(head, verdicts, "words"), pages.note("Nothing is tuned for a check.")),
-        pages.section(f"Gates of {models[0].name}", pages.table([], gate_rows, "words")),
+        pages.section(f"Gates of {models[0].name}", pages.table([], promises, "words")),
         *(_check(check, [by_name[check.name, model.name] for model in models]) for check in checks),
         pages.origin(command("validate", options), versions()),
     ]
