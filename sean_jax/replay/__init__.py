@@ -48,7 +48,7 @@ OF_PEOPLE = (
 
 @dataclasses.dataclass(frozen=True)
 class Episode:
-    """An episode and what is said of it."""
+    """An episode, its title and its outcome."""
 
     frames: Trajectory  # (T, ...)
     title: str
@@ -81,16 +81,16 @@ def recording(
     if not episodes:
         raise InputError("replay: there is no episode; give one or more.")
     names = situation_names(episodes[0].frames, situations)
-    told = _content(environment, title, graph, scenario, names, time_step, robot)
-    return told | {"episodes": [encoded(each, names, robot) for each in episodes]}
+    content = _content(environment, title, graph, scenario, names, time_step, robot)
+    return content | {"episodes": [encoded(each, names, robot) for each in episodes]}
 
 
 def awaited(scenario: Scenario, title: str = "") -> dict[str, Any]:
     """A recording without episodes, for a page that asks for the frames."""
     names = [name for name, _ in scenario.situations]
     graph = graph_of(scenario)
-    told = _content(scenario.environment, title, graph, scenario, names, scenario.time_step, True)
-    return told | {"episodes": []}
+    content = _content(scenario.environment, title, graph, scenario, names, scenario.time_step, True)
+    return content | {"episodes": []}
 
 
 def _content(
@@ -199,8 +199,8 @@ def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[
     frames: Any = one_episode(episode.frames)  # numpy arrays
     situation_names(frames, names)  # refuses another number
     columns = {
-        "person x": _held(frames.people[..., 0], frames.present),
-        "person y": _held(frames.people[..., 1], frames.present),
+        "person x": _filled(frames.people[..., 0], frames.present),
+        "person y": _filled(frames.people[..., 1], frames.present),
         "person heading": _coarse(_angle(frames.people_heading)),
         "person group": frames.group,
         "person present": frames.present,
@@ -244,13 +244,13 @@ def _coarse(angle: np.ndarray) -> np.ndarray:
     return np.round(angle / level) * level
 
 
-def _held(values: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Places of those who are absent: the last one where they were, or where they will appear."""
+def _filled(values: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """Positions, for absent people their last one, or the one where they will appear."""
     frames = np.arange(len(values))[:, None]
     last = np.maximum.accumulate(np.where(present, frames, -1), 0)
     first = np.where(present.any(0), present.argmax(0), 0)
-    held = np.take_along_axis(values, np.where(last < 0, first[None], last), 0)
-    return np.where(present.any(0), held, 0.0)
+    filled = np.take_along_axis(values, np.where(last < 0, first[None], last), 0)
+    return np.where(present.any(0), filled, 0.0)
 
 
 def element(content: dict[str, Any], name: str = "replay", linked: bool = True, program: bool = True) -> str:

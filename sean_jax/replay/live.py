@@ -54,8 +54,8 @@ class Live:
     def since(self, first: int) -> str:
         """The chunks from an index on as JSON, whose layout is in ``web/src/stream.ts``."""
         with self._lock:
-            told = f'"over":{json.dumps(self._over)},"outcome":{json.dumps(self._outcome)}'
-            return f'{{"chunks":[{",".join(self._chunks[first:])}],{told}}}'
+            end = f'"over":{json.dumps(self._over)},"outcome":{json.dumps(self._outcome)}'
+            return f'{{"chunks":[{",".join(self._chunks[first:])}],{end}}}'
 
 
 class _Server(ThreadingHTTPServer):

@@ -1,7 +1,7 @@
 """The report of a run: one self-contained HTML page for light and dark screens and for paper.
 
 It holds the figures of Table I and Fig. 4 for this run, the pictures of Fig. 1, and the command that makes them again.
-Situations and metrics are those of the scenario, the user's own included.
+It shows the scenario's situations and metrics, the user's own included.
 """
 
 import dataclasses

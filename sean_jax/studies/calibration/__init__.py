@@ -1,8 +1,7 @@
 """``sean calibrate``: the constants of the social forces, fitted by gradient to recorded people.
 
-One fit sees all scenes. Each other one leaves out a scene of prediction, and is judged by it. What is measured of
-crowds (fundamental diagrams, flows, lanes) is not fitted: ``sean validate`` judges by it. Importing this imports no
-JAX.
+One fit is to all scenes. Each other one leaves out a scene of prediction, which tests it. Measurements of crowds
+(fundamental diagrams, flows, lanes) are not fitted: ``sean validate`` tests them. Importing this imports no JAX.
 """
 
 from __future__ import annotations
@@ -171,7 +170,7 @@ def _floats(names: Any, values: Any) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
-# ------------------------------------------------------------------ what is kept
+# ------------------------------------------------------------------ the folder
 
 
 def _check_folder(folder: Path, options: CalibrateConfig) -> None:
@@ -201,7 +200,7 @@ def _save(descent: Descent, history: list, file: Path) -> None:
 
 
 def _resume(descent: Descent, file: Path) -> tuple[Descent, list]:
-    """The descent that a file holds; the given one if there is none."""
+    """The saved descent and its history; the start without a file."""
     import jax
     import jax.numpy as jnp
 

@@ -1,7 +1,7 @@
 """The fit: errors of predicted people as a loss, and its descent from many starts side by side.
 
 Each of F fits leaves other scenes out; each has K starts. All descend together, by one program, on the same windows:
-the first start of each from the constants given, the others from anywhere within the bounds.
+the first start from the preset's constants, the others drawn within the bounds.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,7 +43,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "walls.strength": (0.1, 20.0),  # m/s2
     "walls.range": (0.03, 0.5),  # m
 }
-"""term.parameter -> the least and the greatest value; those whose term a model lacks are left out"""
+"""term.parameter -> the least and the greatest value; terms that a model lacks are left out"""
 
 INERT = {"circular": {"repulsion.anticipation", "repulsion.own_motion"}}
 """name of a law of repulsion -> parameters that it does not read"""
@@ -97,7 +97,7 @@ def from_free(names: Sequence[str], free: Float[Array, "*batch P"]) -> Float[Arr
 
 
 def _scales(names: Sequence[str], ndim: int) -> tuple[Array, Array, Array]:
-    """Bounds (1, ..., P), and whether the scale is that of the logarithm."""
+    """Bounds (1, ..., P), and whether the scale is logarithmic."""
     bounds = np.array([BOUNDS[name] for name in names]).T.reshape((2,) + (1,) * (ndim - 1) + (-1,))
     return jnp.asarray(bounds[0], float), jnp.asarray(bounds[1], float), jnp.asarray(bounds[0] > 0.0)
 
@@ -116,7 +116,7 @@ EMPTY = -1  # in place of a window
 
 
 class Habits(NamedTuple):
-    """What people desire, as far as recordings do not tell; fitted along."""
+    """Desired velocities, which recordings do not have; fitted along."""
 
     speed: Float[Array, ""]  # m/s, in corridors, where the direction is known
     persistence: Float[Array, ""]  # share of the velocity last seen that people desire elsewhere
@@ -233,7 +233,7 @@ class Fit:
         return Descent(free=free, mean=free, optimizer=state, step=jnp.zeros((), jnp.int32))
 
     def rows(self, seed: int, step: int) -> list[np.ndarray]:
-        """The windows of a step: as many of each scene, drawn anew."""
+        """Newly drawn windows of a step, as many of each scene."""
         random = prng.generator("calibrate windows", seed, step)
         batches = []
         for kind in self.kinds:

@@ -1,4 +1,4 @@
-"""What ``sean fit-graph`` does: read or simulate people, fit a graph to them, and check it on others."""
+"""``sean fit-graph``: read or simulate people, fit a graph to them, and check it on other people."""
 
 import csv
 import functools
@@ -46,7 +46,7 @@ WIDEST = 7.0  # points, of the arrow of the greatest flow
 
 
 class Evidence(NamedTuple):
-    """What people did: the part to which weights are fitted, and another by which they are judged."""
+    """What people did: the part to which weights are fitted, and another that tests them."""
 
     seen: FlowMeasure
     held_out: FlowMeasure
@@ -95,7 +95,7 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
             panels["simulated anew"] = again.flow
         errors = {name: flow_error(flow, panels[HELD_OUT]) for name, flow in panels.items() if name != HELD_OUT}
         lines += [f"{name}, against people held out: flows differ by {100 * e:.1f} %" for name, e in errors.items()]
-        lines += _findings(graph, fit)
+        lines += _report(graph, fit)
         title = f"{environment.name}: {what}"
         with writing.atomic_file(folder / "flows.png") as stream:
             picture(environment, graph, panels, title).savefig(stream, dpi=130, format="png")
@@ -124,7 +124,7 @@ def _words(options: FitGraphConfig, source: Path, environment: Environment, bar:
 
 
 def _recorded(options: FitGraphConfig, graph: BehaviorGraph, bar: Progress) -> Evidence:
-    """Every other person of a recording, and those between."""
+    """The even and the odd people of a recording."""
     bar.stage("reading the recording")
     tracks = read(options.recording or "", options.recording_format, options.frame_rate, ROW)
     position, present, person = (np.asarray(part) for part in (tracks.position, tracks.present, tracks.person))
@@ -259,7 +259,7 @@ def _arrows(axes: "Axes", graph: BehaviorGraph, flow: np.ndarray, greatest: floa
 
 
 def _compare(axes: "Axes", panels: dict[str, np.ndarray], greatest: float) -> None:
-    """Plot the flows of all panels against those of the first one."""
+    """Plot the flows of all panels against the first one."""
     names = list(panels)
     first = panels[names[0]]
     shades = [*colors.SITUATION_COLORS.values()]
@@ -284,8 +284,8 @@ def _table(graph: BehaviorGraph, panels: dict[str, np.ndarray]) -> str:
     return stream.getvalue()
 
 
-def _findings(graph: BehaviorGraph, fit: GraphFit) -> list[str]:
-    """What was found, for people."""
+def _report(graph: BehaviorGraph, fit: GraphFit) -> list[str]:
+    """The fit in words."""
     mean, deviation = fit.speed
     lines = [f"preferred speed: {mean:.2f} m/s, standard deviation {deviation:.2f} m/s"] if np.isfinite(mean) else []
     for number, node in enumerate(np.asarray(graph.groups)):

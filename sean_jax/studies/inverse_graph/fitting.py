@@ -1,8 +1,8 @@
 """Weights, stays and preferred speeds of a graph, fitted to what people did on it.
 
 Weights follow the gradient of the likelihood of what was measured (``flow_model``), with a temperature that falls from
-several metres to a fraction of one: at first all ways say what they would change, and in the end people walk as the
-behavior has them walk. Stays and speeds need no gradient: their distributions are told by a few numbers.
+several metres to a fraction of one: at first all ways contribute gradients, and in the end people choose ways as
+in the behavior. Stays and speeds need no gradient: a few numbers describe their distributions.
 """
 
 import json
@@ -33,10 +33,10 @@ WARM = 4.0  # m, temperature at the beginning
 TEMPERATURE = 0.25  # m, in the end
 LEARNING_RATE = 0.05
 STEPS = 600
-PARTS = 12  # after each of which progress is told
-PLAIN = 2e-3  # by which factors are drawn to 1, and weights to one another: of what no walk tells anything
+PARTS = 12  # progress is shown after each
+PLAIN = 2e-3  # by which factors are drawn to 1, and weights to one another, where there are no walks
 HELD = 0.5  # share of the time for which a group holds as many members as its capacity
-FEWEST_STAYS = 5  # from which a distribution is told
+FEWEST_STAYS = 5  # for a distribution
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class GraphFit:
     weights: FlowWeights
     flows: Flows  # that these weights make, for one walk from a start to a goal
     stay: Float[np.ndarray, "G 2"]  # s, minimum and maximum; NaN of a group where hardly any stay was seen
-    capacity: np.ndarray  # (G,) people who stand there at once; 0 where none were seen
+    capacity: np.ndarray  # (G,) people at once; 0 where nobody stood
     speed: tuple[float, float]  # m/s, mean and standard deviation of the preferred speeds; NaN without walkers
     loss: Float[np.ndarray, "K"]  # minus the log likelihood, in the course of the fit
 
@@ -75,7 +75,7 @@ def fit_flows(
     replaced = None if calls is None else calls.chance_replaced
     edges, turns = (jnp.asarray(part, float) for part in (measured.edges, measured.turns))
     count = edges.shape[0]
-    if closed:  # who enters or leaves does so because the measurement begins or ends
+    if closed:  # people enter and leave only because the measurement begins and ends
         turns = turns.at[count].set(0.0).at[:, :, count].set(0.0)
     joined = np.isfinite(np.asarray(place.length))
     part = max(1, steps // PARTS)
@@ -226,7 +226,7 @@ def _list(values: tuple[float, ...]) -> str:
 
 
 def _relative(logarithm: np.ndarray, counted: np.ndarray) -> list[float]:
-    """Weights with a mean of 1 among those that count, to three digits."""
+    """Weights with a mean of 1 over the counted ones, to three digits."""
     value = np.exp(logarithm - logarithm[counted].max())
     return [float(_digits(each)) for each in np.clip(value / value[counted].mean(), 0.0, 1e6)]
 

@@ -1,8 +1,8 @@
-"""What people do on a graph, told from where they are alone: ways, stays at groups, and the speeds that they prefer.
+"""Ways, stays at groups and preferred speeds of people on a graph, measured from their positions alone.
 
 The same is measured of simulated and of recorded people. A person has walked the edge from u to v as ``congestion``
-counts it. What they do next at v, which is a *turn*, tells more than the flow of edges does: who turns round there had
-v as a goal.
+counts it. The next edge from v, a *turn*, has more information than the flow of edges: a person who turns round had v
+as a goal.
 """
 
 from collections.abc import Callable
@@ -27,18 +27,18 @@ SPEED_TIME = 0.5  # s, over which a speed is measured
 SHORTEST_STAY = 1.0  # s; a shorter one is a hesitation
 SHIFT = 1.5  # s, for which somebody in a group may move, to make room for another, and still stay
 UNHINDERED = 0.7  # share of the time walked at less than the preferred speed, for others are in the way at times
-MIN_WALK = 3.0  # s, of walking from which a preferred speed is told
+MIN_WALK = 3.0  # s, of walking for a preferred speed
 
 
 @dataclass(frozen=True)
 class FlowMeasure:
-    """What people did on a graph of M nodes with G groups. Two of them add up to that of both."""
+    """What people did on a graph of M nodes with G groups. Measures add up."""
 
     edges: Float[np.ndarray, "M M"]  # people who walked from the row's node to the column's
     turns: Float[np.ndarray, "U M U"]  # people who came from the first node over the second to the third, U = M + 1:
-    # index M stands for somebody who has just come into being, or who is gone afterwards
-    stays: tuple[np.ndarray, ...]  # (K,) s, of each group: stays that were seen from begin to end
-    members: tuple[np.ndarray, ...]  # (K,) s, of each group: for how long so many stood there, from 0 on
+    # index M stands for entering or leaving
+    stays: tuple[np.ndarray, ...]  # (K,) s, of each group: stays observed from begin to end
+    members: tuple[np.ndarray, ...]  # (K,) s, of each group: the time with 0, 1, 2, ... members
     speeds: Float[np.ndarray, "P"]  # m/s, the preferred speed of each person who walked for long enough
     seconds: float  # measured
 
@@ -140,7 +140,7 @@ def _speeds(position: np.ndarray, present: np.ndarray, time_step: float) -> np.n
 
 
 def _joined(here: np.ndarray, within: np.ndarray, longest: int) -> np.ndarray:
-    """(T, N) who is here, or was and will be and is within reach (T, N) in the meantime, for so many rows at most."""
+    """(T, N) presence with gaps of at most ``longest`` rows closed, if people stay within reach (T, N)."""
     joined = here.copy()
     for column in range(here.shape[1]):
         for begin, end in _runs(~here[:, column]):
@@ -161,7 +161,7 @@ def _stays(here: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarra
 
 
 def _preferred(speed: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
-    """(P,) m/s, of each person at whose walking speeds most of the time is spent."""
+    """(P,) m/s, the preferred speed of each person: a high quantile of walking speeds."""
     speeds = []
     for column in range(speed.shape[1]):
         for begin, end in _runs(present[:, column]):
@@ -185,11 +185,11 @@ FAR = 1e3  # m, at which the robot stands
 
 @struct.dataclass
 class Calls:
-    """How often people at each of M nodes were called to each of G groups. Two of them add up to that of both."""
+    """How often people at each of M nodes were called to each of G groups. Measures add up."""
 
-    candidates: Float[Array, "M"]  # people who went on from there and were not on the way to a group
-    sent: Float[Array, "M G"]  # those of them who were sent to a group
-    continued: Float[Array, "M G"]  # people who went on from there to the group to which they were on the way
+    candidates: Float[Array, "M"]  # departures of people who were not on the way to a group
+    sent: Float[Array, "M G"]  # of these, people sent to a group
+    continued: Float[Array, "M G"]  # departures on the way to the same group
     replaced: Float[Array, "M G"]  # people on the way there in whose place somebody else is sent
 
     def __add__(self, other: "Calls") -> "Calls":
@@ -197,12 +197,12 @@ class Calls:
 
     @property
     def chance_sent(self) -> Float[Array, "M G"]:
-        """(M, G) with what chance somebody at a node is sent to a group."""
+        """(M, G) the probability at a node of being sent to a group."""
         return self.sent / jnp.maximum(self.candidates, 1.0)[:, None]
 
     @property
     def chance_replaced(self) -> Float[Array, "M G"]:
-        """(M, G) with what chance somebody who comes to a node on the way to a group is not wanted there any more."""
+        """(M, G) the probability that somebody who comes to a node on the way to a group is replaced by another."""
         return self.replaced / jnp.maximum(self.continued + self.replaced, 1.0)
 
 
@@ -244,7 +244,7 @@ def people_called(
 def _simulate(
     scenario: Scenario, key: Array, steps: int, every: int, look: Callable
 ) -> tuple[Float[Array, "T N 2"], Bool[Array, "T N"], PyTree]:
-    """Positions and who is present in rows, and ``look(memory before, memory after)`` of all steps, by row."""
+    """Positions and presence in rows, and ``look(memory before, memory after)`` of all steps, by row."""
 
     def one(state: State, _: None) -> tuple[State, PyTree]:
         before = state.memory

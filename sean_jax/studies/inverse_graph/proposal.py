@@ -49,7 +49,7 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     sight = max(SIGHT, SIGHT_SHARE * math.sqrt((x1 - x0) * (y1 - y0)))
     nodes: list[int] = []  # cells
     sights: list[np.ndarray] = []  # of each node, (cells,) whether it sees them
-    near: list[np.ndarray] = []  # likewise, those that are near it too
+    near: list[np.ndarray] = []  # of each node, cells that it sees and is near to
 
     def add(cell: int) -> None:
         if len(nodes) == MAX_NODES:
@@ -146,7 +146,7 @@ def _needed(
     sights: list[np.ndarray],
     near: list[np.ndarray],
 ) -> list[int]:
-    """The nodes without those, the narrowest first, that others make up for: what they see, and what they join."""
+    """The nodes without redundant ones, the narrowest first: others see the same cells and join the same nodes."""
     views = np.sum([near[k] for k in chosen], axis=0)
     spare = UNSEEN * len(clearance) - np.sum(views == 0)
     for k in sorted(chosen, key=lambda k: clearance[nodes[k]]):

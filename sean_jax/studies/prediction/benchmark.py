@@ -1,7 +1,7 @@
-"""The usual benchmark of prediction: 8 moments seen, 12 predicted, 0.4 s apart (ETH and UCY recordings).
+"""The usual benchmark of prediction: 8 observed moments, 12 predicted ones, 0.4 s apart (ETH and UCY recordings).
 
 [G18] A. Gupta, J. Johnson, L. Fei-Fei, S. Savarese & A. Alahi, "Social GAN", CVPR 2018: windows of 20 moments, one
-beginning at each moment, of all who are there throughout, if these are two or more. Errors are means over the tracks
+beginning at each moment, of the people present throughout, if these are two or more. Errors are means over the tracks
 of all windows. [S20] C. Schoeller, V. Aravantinos, F. Lay & A. Knoll, IEEE RA-L 5(2), 2020: constant velocity in the
 same windows, the mark to beat.
 """
@@ -26,7 +26,7 @@ TOUCH = 0.2  # m: a predicted pair nearer than this has collided
 
 @struct.dataclass
 class Windows:
-    """B windows of a recording: T moments of up to N people who are there throughout."""
+    """B windows of a recording: T moments of up to N people who are present throughout."""
 
     position: Float[np.ndarray, "B T N 2"]  # m; of nobody zero
     present: Bool[np.ndarray, "B N"]
@@ -127,7 +127,7 @@ def score(
 
 
 def _every_ten_frames(path: Path) -> np.ndarray:
-    """(T, N, 2) m at frames 0, 10, 20, ..., NaN of who is absent: people begin at the one before their first line."""
+    """(T, N, 2) m at frames 0, 10, 20, ..., NaN of absent people, who begin at the moment before their first line."""
     recorded = lines.read(path, "eth_ucy")
     order = np.lexsort((recorded.values["frame"], recorded.person))
     frame, x, y = (recorded.values[name][order] for name in ("frame", "x", "y"))
@@ -147,7 +147,7 @@ def _every_ten_frames(path: Path) -> np.ndarray:
 
 
 def _cut(places: np.ndarray, length: int, time_step: float, stride: int = 1) -> Windows:
-    """Windows of (T, N, 2) m, NaN of who is absent."""
+    """Windows of (T, N, 2) m, NaN of absent people."""
     there = np.asarray(np.isfinite(places).all(-1))
     windows = []
     for begin in range(0, len(places) - length + 1, stride):

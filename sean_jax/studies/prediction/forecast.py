@@ -1,7 +1,7 @@
-"""Predicted people: seen positions in, the tracks of a pedestrian model out (section IV-D, low level).
+"""Predicted people: observed positions in, the tracks of a pedestrian model out (section IV-D, low level).
 
-What people want is not recorded. A person goes on as they were last seen to go: their velocity, and the one that they
-desire, is that of the last step seen, or a weighted mean of the last few. The model does the rest.
+Desired velocities are not recorded: a person has and desires the velocity of the last observed step, or a weighted mean
+of the last few. The model does the rest.
 """
 
 import dataclasses

@@ -8,7 +8,7 @@
     )
     tracks = simulate(scene)[0]
 
-The people are those of the ordinary simulator, moved by any forces or pedestrian model; there need be no robot.
+People move by the ordinary simulator, with any forces or pedestrian model; a robot is optional.
 """
 
 from sean_jax.studies.scenes.floor_plan import box, corridor, environment, room, wall

@@ -126,5 +126,5 @@ def _grid(plan: np.ndarray, floor: Any) -> ObstacleGrid:
     padded[..., 0], padded[..., 1], padded[..., 4] = FAR, FAR, 1.0
     padded[:, :, : rows.shape[2]] = rows
     missing = [(0, CELLS - count) for count in rows.shape[:2]]
-    padded = np.pad(padded, [*missing, (0, 0), (0, 0)], mode="edge")  # places off the floor have those of its edge
+    padded = np.pad(padded, [*missing, (0, 0), (0, 0)], mode="edge")  # places off the floor have the rows of its edge
     return ObstacleGrid(*to_device((padded, np.asarray(grid.origin), np.asarray(grid.cell))))

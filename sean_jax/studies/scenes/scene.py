@@ -22,7 +22,7 @@ from sean_jax.studies.scenes.walkers import NEVER, Gate, Walkers, walkers_behavi
 TIME_STEP = 0.1  # s
 AWAY = 1e3  # m, where the robot of a scene without one stands
 PEOPLE = 16, 64, 128, 256, 512, 1024, 2048, 4096  # sizes to which crowds are padded
-GATES, LEGS = 32, 8  # likewise gates, and gates of one route
+GATES, LEGS = 32, 8  # sizes to which gates, and gates of one route, are padded
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Scene:
     seconds: float = 60.0  # at most; it ends when everybody has vanished
     period: float | None = None  # m along x, of a periodic scene
     exits: tuple[int, ...] = ()  # gates between which people choose
-    robot: tuple[tuple[float, float], tuple[float, float]] | None = None  # place [m] and velocity [m/s], kept for good
+    robot: tuple[tuple[float, float], tuple[float, float]] | None = None  # place [m] and velocity [m/s], constant
     seed: int = 0  # of what the simulation draws
 
 
@@ -189,7 +189,7 @@ def _first_state(scenario: Scenario, key: Array, place: Array, velocity: Array) 
 
 
 def _padded(people: Walkers, size: int) -> Walkers:
-    """``size`` walkers, of whom those beyond N never enter."""
+    """``size`` walkers; walkers beyond N never enter."""
     number = len(people.start)
     more = size - number
     if more < 0:

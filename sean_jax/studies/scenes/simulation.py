@@ -1,7 +1,7 @@
 """Scenes simulated: the two people stages of the ordinary step, in spans that all scenes of one size share.
 
-Small scenes run side by side. Of a large crowd those who have left are dropped between two spans, so that what is left
-of it costs no more than a small one.
+Small scenes run side by side. People who have left a large crowd are dropped between two spans, so that the rest costs
+no more than a small crowd.
 """
 
 import functools
@@ -166,7 +166,7 @@ def _one(scene: Scene, scenario: Scenario, state: State, report: Callable[[float
 
 
 def _shrunk(scene: Scene, scenario: Scenario, state: State, columns: np.ndarray) -> tuple[Scenario, State, np.ndarray]:
-    """The same without those who have left, if the crowd then fits the next smaller size."""
+    """Without people who have left, if the crowd then fits the next smaller size."""
     number = len(scene.walkers.start)
     late = columns < number
     gone = np.asarray(state.memory.entered) & ~np.asarray(state.pedestrians.present)

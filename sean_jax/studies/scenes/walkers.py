@@ -1,7 +1,7 @@
 """Walkers: people who start somewhere, at some time, and pass one gate after the other, until they vanish.
 
 A pedestrian behavior (section IV-D, high level) of a few arrays. A source is a number of walkers who enter as soon as
-it is their time and there is room; a sink is the last gate of a route. Who can choose between exits takes the one
+it is their time and there is room; a sink is the last gate of a route. People with a choice of exits take the one
 through which they expect to be out first.
 """
 
@@ -32,11 +32,11 @@ PATIENCE = 0.8  # share of the expected time that another exit must promise, for
 TURNS = 10  # ticks in which everybody looks once at the other exits
 SPEED = 1.34, 0.26  # m/s, mean and deviation: Helbing & Molnar, Phys. Rev. E 51, 4282 (1995)
 TRIES = 20_000  # places tried by ``spread`` at a time
-NEVER = 1e9  # s, when who pads the arrays enters
+NEVER = 1e9  # s, entry time of padding
 
 
 class Gate(NamedTuple):
-    """A line to walk through. Whoever walks through it has one end on the left hand and one on the right hand."""
+    """A line to walk through, with the ends on the left and on the right hand."""
 
     left: Point
     right: Point
@@ -44,7 +44,7 @@ class Gate(NamedTuple):
 
 @struct.dataclass
 class Walkers:
-    """N people and what they are to do. Those of a ``Scene`` are numpy arrays."""
+    """N people and their routes; numpy arrays in a ``Scene``."""
 
     start: Float[Array, "N 2"]  # m
     velocity: Float[Array, "N 2"]  # m/s, when they enter
@@ -295,7 +295,7 @@ def choose_exit(plan: Plan, people: Pedestrians, gate: Int[Array, "N"], tick: In
     gap = aim - people.position[:, None]
     far = length(gap[..., 0], gap[..., 1])  # (N, G)
     there = (gate[:, None] == jnp.arange(gates, dtype=jnp.int32)[None]) & people.present[:, None]
-    queue = jnp.sort(jnp.where(there, far, jnp.inf), axis=0)  # distances of those who walk to each gate
+    queue = jnp.sort(jnp.where(there, far, jnp.inf), axis=0)  # distances of the people on their way to each gate
     ahead = jax.vmap(lambda row, mine: jnp.searchsorted(row, mine), in_axes=1, out_axes=1)(queue, far)
     side = plan.gates[:, 1] - plan.gates[:, 0]
     wide = length(side[:, 0], side[:, 1])
@@ -317,7 +317,7 @@ def _in_frame_of(gate: Array, position: Array) -> tuple[Array, Array, Array]:
 
 
 def _heading(plan: Plan) -> Array:
-    """(N, 2) along the velocity at the start; of who stands, towards the first gate."""
+    """(N, 2) along the velocity at the start; of standing people, towards the first gate."""
     people = plan.walkers
     first = people.route[:, 0] if people.route.shape[1] else jnp.full(people.start.shape[0], -1, jnp.int32)
     way = (
@@ -332,7 +332,7 @@ def _heading(plan: Plan) -> Array:
 
 
 def _enters(table: Walkers, people: Pedestrians, entered: Array, time: Array) -> Array:
-    """(N,) who enters now: whose time it is, if nobody is there and nobody before them waits for the same place."""
+    """(N,) whether people enter now: they are due, nobody is there and nobody before them waits for the place."""
     due = ~entered & (table.entry_time <= time)
     gap_x = table.start[:, None, 0] - people.position[None, :, 0]
     gap_y = table.start[:, None, 1] - people.position[None, :, 1]
@@ -345,7 +345,7 @@ def _enters(table: Walkers, people: Pedestrians, entered: Array, time: Array) ->
 
 
 def _leaders(companions: Array) -> Array:
-    """(N,) the lowest index of each chain of companions, -1 of who walks alone."""
+    """(N,) the lowest index of each chain of companions, -1 alone."""
     number = companions.shape[0]
     own = jnp.arange(number, dtype=jnp.int32)
     lowest = jnp.where((companions >= 0).any(1), own, number)

@@ -87,7 +87,7 @@ class CheckContext:
         """Simulate scenes with the model; scenes of one size run side by side.
 
         Args:
-            show: captions of the first scenes; the report shows those with a caption.
+            show: captions of the first scenes; scenes without one are not shown.
 
         Returns:
             For each scene T moments 0.1 s apart of its N people, as numpy arrays.

@@ -100,7 +100,7 @@ def in_corridor(
 
 
 def corridor_diagram(context: CheckContext) -> CheckResult:
-    """Speeds in a corridor against those measured in Juelich."""
+    """Speeds in a corridor against measurements in Juelich."""
     densities = DENSITIES if context.quick else (*DENSITIES, 3.0)
     seconds, draws = (40.0, 2) if context.quick else (60.0, DRAWS)
     measured = in_corridor(context, densities, hermes_speeds, seconds, draws)
@@ -131,7 +131,7 @@ def _compared(
     tolerance: float,
     curves: tuple[Curve, ...],
 ) -> CheckResult:
-    """The comparison of speeds at densities, the means over draws; those of up to 2.5 people/m2 have to be right."""
+    """The result of mean speeds over draws; up to 2.5 people/m2 they have to be right."""
     each, counted = np.array([[means.speed for means in draws] for draws in measured]), len(DENSITIES)
     speed, deviation = each.mean(1), each.std(1, ddof=1)
     far = np.abs(each[:counted] / expected[:counted, None] - 1.0).max()
@@ -159,7 +159,7 @@ def _compared(
 
 
 def _recorded_corridors(context: CheckContext) -> tuple[Curve, ...]:
-    """The recordings at hand, measured by the same function."""
+    """The recordings in the folder, measured by the same function."""
     if context.data is None:
         return ()
     means_of = []
@@ -272,14 +272,14 @@ def bottleneck(context: CheckContext) -> CheckResult:
 
 
 def _flow(scene: Scene, tracks) -> float:
-    """Of the middle 60 % of everybody: people/s; if too few came through, of those who did."""
+    """The flow [people/s] of the middle 60 %; 0 if too few came through."""
     times = crossing_times(tracks, scene.gates[0])
     measured = flow(times)
     return 0.0 if np.isnan(measured) else measured
 
 
 def _recorded_bottlenecks(context: CheckContext) -> tuple[Curve, ...]:
-    """The recordings at hand, measured by the same function."""
+    """The recordings in the folder, measured by the same function."""
     if context.data is None:
         return ()
     runs = []
@@ -401,7 +401,7 @@ def recorded_order(tracks: Tracks) -> float:
 
 
 def _recorded_lanes(context: CheckContext, until: float) -> tuple[Curve, ...]:
-    """The recordings at hand, measured by the same function."""
+    """The recordings in the folder, measured by the same function."""
     if context.data is None:
         return ()
     return tuple(

@@ -1,4 +1,4 @@
-"""What the guidelines RiMEA, IMO, NIST and ISO measure: one function for each kind of test, whoever demands it."""
+"""The tests of the guidelines RiMEA, IMO, NIST and ISO: one function for each kind of test."""
 
 from collections.abc import Sequence
 
@@ -109,7 +109,7 @@ def penetration(scene: Scene, tracks: Tracks, radius: float) -> float:
 
 
 def free_speeds(context: CheckContext) -> CheckResult:
-    """Free speeds of fifty people of four ages, beside those that they prefer."""
+    """Free speeds of fifty people of four ages, and their preferred ones."""
     generator = np.random.default_rng(7)
     groups = list(AGES.values()) * 13
     preferred = np.array([generator.uniform(low, high) for low, high in groups[:50]])
@@ -141,7 +141,7 @@ def normal_speeds(context: CheckContext) -> CheckResult:
 
 
 def _walked(context: CheckContext, preferred: np.ndarray, caption: str) -> np.ndarray:
-    """(N,) m/s between x = 10 and 30 m; 0 of who did not get there."""
+    """(N,) m/s between x = 10 and 30 m; 0 of people who did not get there."""
     (tracks,) = context.simulate(plans.population(preferred), caption)
     ends = (1e3, -1e3)
     begin, end = (crossing_times(tracks, Gate((x, ends[0]), (x, ends[1]))) for x in (10.0, 30.0))

@@ -32,7 +32,7 @@ from sean_jax.versions import fingerprint
 BEFORE = 4.0  # s, after which two would be nearest if they went straight on
 SPEEDS = (1.34, 1.34), (0.9, 1.7), (1.55, 1.2)  # m/s
 OFFSETS = 0.0, 0.02, 0.1, -0.1, 0.2, 0.3, -0.3  # m, at which they would then pass
-ANGLES = 45.0, 60.0, 90.0, 120.0, 135.0  # degrees between the ways of those who cross
+ANGLES = 45.0, 60.0, 90.0, 120.0, 135.0  # degrees between crossing ways
 TOLERANCE = 1e-3  # m, of bodies that touch
 ROBOT_SPEED = 1.0  # m/s
 MISS = 0.6  # m, within which person and robot would pass
@@ -57,7 +57,7 @@ def two(angle: float, offset: float, speeds: tuple[float, float]) -> Scene:
 
 
 def _far(way: np.ndarray) -> Gate:
-    """A gate so far away and so wide that whoever walks to it walks straight on."""
+    """A gate so far away and so wide that people walk straight on to it."""
     middle, left = FAR * way, FAR * np.array([-way[1], way[0]])
     return Gate(tuple(middle + left), tuple(middle - left))
 
@@ -204,7 +204,7 @@ def _times(tracks: Tracks) -> np.ndarray:
 
 GROUP_MEMBERS, GROUP_FULL = 0.8, 0.5  # of the capacity on average; of the time
 GROUP_SECONDS, GROUP_EPISODES = 300.0, 16
-GROUP_QUICK = 120.0, 4  # likewise
+GROUP_QUICK = 120.0, 4  # s, episodes
 AWAY = 1e3  # m, where the robot stands
 
 
@@ -281,7 +281,7 @@ FEWER = 50.0  # times fewer collisions than with constant velocity
 
 
 def prediction(context: CheckContext) -> CheckResult:
-    """Errors and collisions of each recorded scene, beside those of constant velocity.
+    """Errors and collisions in each recorded scene, beside constant velocity.
 
     Raises:
         Skipped: there are no recordings.

@@ -228,7 +228,7 @@ class GroupOccupancy:
     full: Float[np.ndarray, "G"]  # share of the time with all members
     empty: Float[np.ndarray, "G"]  # share of the time without any
     largest: Int[np.ndarray, "G"]  # most members at once
-    stays: tuple[Float[np.ndarray, "K"], ...]  # s, of each group: stays that began and ended in what is measured
+    stays: tuple[Float[np.ndarray, "K"], ...]  # s, of each group: stays that were measured as a whole
 
 
 def group_occupancy(
@@ -258,7 +258,7 @@ def group_occupancy(
 
 
 def _stays(inside: np.ndarray) -> np.ndarray:
-    """(K,) steps of each stay of (B, T, N) who is inside, but for those that are cut by the beginning or the end."""
+    """(K,) steps of each whole stay in (B, T, N); stays cut by the beginning or the end do not count."""
     outside = np.zeros((len(inside), 1, inside.shape[-1]), bool)
     padded = np.concatenate([outside, inside, outside], axis=1).swapaxes(1, 2)  # (B, N, T + 2)
     change = np.diff(padded.astype(np.int8), axis=-1)

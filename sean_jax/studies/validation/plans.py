@@ -1,6 +1,6 @@
-"""The scenes of the guidelines: corridors, a corner, cabins, rooms with doors, and who is in them.
+"""The scenes of the guidelines: corridors, a corner, cabins, rooms with doors, and their people.
 
-RiMEA, IMO, NIST and ISO share most of these. Dimensions are those of the guidelines.
+RiMEA, IMO, NIST and ISO share most of these, with these dimensions.
 """
 
 from collections.abc import Sequence

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 NEAR, BORDER = 3.0, 1.5  # m from people within which walls are shown; of floor around them
-HEIGHT = 2.0  # m, drawn as that of walls, which a plan does not tell
+HEIGHT = 2.0  # m, drawn as that of walls, which a plan does not have
 
 
 def write(options: ReplayConfig, console: "Console") -> Path:

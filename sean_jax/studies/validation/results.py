@@ -1,4 +1,4 @@
-"""Results of checks: done, kept one by one, and read again if nothing that decides them has changed."""
+"""Rows of checks, saved one by one, and loaded again if nothing that affects them has changed."""
 
 import dataclasses
 import functools
@@ -89,7 +89,7 @@ def _part(folder: Path, check: Check, model: Model) -> Path:
 
 
 def _made_with(model: Model, options: ValidateConfig) -> dict[str, Any]:
-    """All that decides a row."""
+    """All that affects a row."""
     who = f"{getattr(model.move, '__module__', '')}.{getattr(model.move, '__qualname__', '')}"
     terms = [f"{type(term).__module__}.{type(term).__name__}" for term in model.forces]  # own ones have their digest
     return {
@@ -111,7 +111,7 @@ def _code() -> str:
 
 
 def _finite(value: Any) -> Any:
-    """The same with plain numbers, and None for those that are not finite, which JSON does not have."""
+    """The same with plain numbers; None for numbers that are not finite, which JSON does not have."""
     if isinstance(value, dict):
         return {name: _finite(part) for name, part in value.items()}
     if isinstance(value, list | tuple):
