@@ -351,7 +351,7 @@ def mixed_corridor(density: float, seed: int, seconds: float = LANE_SECONDS) -> 
 
 
 def lanes(context: CheckContext) -> CheckResult:
-    """The order of lanes that form out of a random mix."""
+    """The order of lanes that form out of a random mix (D. Helbing & P. Molnar, Phys. Rev. E 51, 4282 (1995))."""
     seeds = range(1 if context.quick else 5)
     scenes = [mixed_corridor(density, seed) for density in LANE_DENSITIES for seed in seeds]
     captions = [f"{density:g} people/m²" if seed == 0 else "" for density in LANE_DENSITIES for seed in seeds]

@@ -222,7 +222,7 @@ def _corners(bounds: Bounds) -> list[tuple[float, float]]:
 
 @dataclass(frozen=True)
 class GroupOccupancy:
-    """Occupancy of G groups over time, and the stays that ended."""
+    """Occupancy of G conversational groups (section IV-D) over time, and the stays that ended."""
 
     mean: Float[np.ndarray, "G"]  # members over capacity, from 0 to 1
     full: Float[np.ndarray, "G"]  # share of the time with all members
