@@ -9,7 +9,14 @@ import numpy as np
 
 from sean_jax import pages
 from sean_jax.classifiers import MORE_SITUATIONS
-from sean_jax.config import BenchmarkConfig, ExperimentConfig
+from sean_jax.config import (
+    AblationConfig,
+    BenchmarkConfig,
+    ExperimentConfig,
+    Figure4Config,
+    LearningCurveConfig,
+    Table1Config,
+)
 from sean_jax.flags import command, number
 from sean_jax.pages import Cell, figure, note, section, table
 from sean_jax.report.figures import svg
@@ -63,9 +70,7 @@ def _holds(row: Claim | Ordering | Verdict) -> Cell:
 # ------------------------------------------------------------------ Table I
 
 
-def table1(
-    options: ExperimentConfig, cells: list[tables.Cell], figures: dict[str, Figure], real: list[Recorded]
-) -> str:
+def table1(options: Table1Config, cells: list[tables.Cell], figures: dict[str, Figure], real: list[Recorded]) -> str:
     """The page of Table I.
 
     Args:
@@ -97,7 +102,7 @@ def table1(
         if name in figures:
             picture = figure(svg(figures[name], name))
             sections.append(section(title, picture, note(text)) if text else section(title, picture))
-    minutes = 60.0 * (options.hours or 0) * (options.seeds or 0)
+    minutes = 60.0 * options.hours * options.seeds
     title = f"Table I: social situations in {number(minutes)} minutes of each behavior and policy"
     title = title if cells else "Table I: social situations in recordings"
     return document(title, sections, options)
@@ -147,7 +152,7 @@ def _figures(estimate: shares.Shares, known: Collection[str] = shares.NAMES) -> 
     return [*columns, f"{100 * estimate.none[0]:.1f}", _interval(entropy[0], float(ends[0]), float(ends[1]), ".3f")]
 
 
-def _recorded(options: ExperimentConfig, real: list[Recorded]) -> str:
+def _recorded(options: Table1Config, real: list[Recorded]) -> str:
     rows = [
         [f"{each.name}, V = {number(speed)} m/s", *_figures(each.shares(index), each.known), f"{each.people}"]
         for each in real
@@ -191,7 +196,7 @@ def _orderings(cells: list[tables.Cell], policies: list[str]) -> str:
 # ------------------------------------------------------------------ ablation
 
 
-def ablation(options: ExperimentConfig, by_world: dict[str, list[tables.Cell]], picture: Figure) -> str:
+def ablation(options: AblationConfig, by_world: dict[str, list[tables.Cell]], picture: Figure) -> str:
     """The page of Table I in several worlds.
 
     Args:
@@ -294,7 +299,7 @@ POLITE = (
 # ------------------------------------------------------------------ Figure 4
 
 
-def figure4(options: ExperimentConfig, results: Results, grids: Figure) -> str:
+def figure4(options: Figure4Config, results: Results, grids: Figure) -> str:
     """The page of Figure 4.
 
     Args:
@@ -380,7 +385,7 @@ def _by_situation(results: Results) -> list[str]:
 # ------------------------------------------------------------------ learning curve
 
 
-def learning_curve(options: ExperimentConfig, curve: Curve, picture: Figure) -> str:
+def learning_curve(options: LearningCurveConfig, curve: Curve, picture: Figure) -> str:
     """The page of the learning curve of policy G.
 
     Args:
