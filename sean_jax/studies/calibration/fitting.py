@@ -21,7 +21,7 @@ from sean_jax.errors import InputError
 from sean_jax.files import unknown_name
 from sean_jax.geometry import length
 from sean_jax.social_forces import Forces
-from sean_jax.social_forces.terms import term_name
+from sean_jax.social_forces.forces import term_name
 from sean_jax.studies.calibration.windows import Scenes
 from sean_jax.studies.prediction import predict
 from sean_jax.studies.prediction.forecast import grid_around

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int, PyTree
 from sean_jax import prng
 from sean_jax import scenario as stages
 from sean_jax.base import Array, Scenario, State
-from sean_jax.behaviors.graph_memory import Memory
+from sean_jax.behaviors.graph_choices import Memory
 from sean_jax.crowding import NO_NODE, track_nodes
 from sean_jax.graph import BehaviorGraph
 

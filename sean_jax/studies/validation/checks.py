@@ -7,7 +7,7 @@ stairs, of several storeys and of disabilities are beyond people on one level, a
 from dataclasses import dataclass, replace
 from functools import partial
 
-from sean_jax.behaviors.successors import MAX_WAIT
+from sean_jax.behaviors.graph_choices import MAX_WAIT
 from sean_jax.errors import InputError
 from sean_jax.files import listed, unknown_name
 from sean_jax.studies.validation import crowds, guidelines, individuals

@@ -17,7 +17,7 @@ import numpy as np
 
 from sean_jax import assembly, environment, prng, social_forces
 from sean_jax.base import Array, Scenario
-from sean_jax.behaviors.successors import MAX_WAIT
+from sean_jax.behaviors.graph_choices import MAX_WAIT
 from sean_jax.recordings import Tracks
 from sean_jax.robots import load
 from sean_jax.scenario import reset
