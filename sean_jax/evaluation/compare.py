@@ -5,7 +5,6 @@ compared episode by episode, so the difficulty of an episode cancels. Other runs
 """
 
 import dataclasses
-import html as markup
 import json
 import re
 from pathlib import Path
@@ -17,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from sean_jax import components, files, replay, report, writing
+from sean_jax import components, files, pages, replay, writing
 from sean_jax.config import CompareConfig, RunConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import results, saved
@@ -79,7 +78,7 @@ def compare(options: CompareConfig, console: Console) -> Path:
     runs = read(options.first), read(options.second)
     rows, summary = differences(*runs), summarize(*runs)
     console.print(_table(rows, [each.name for each in runs]))
-    console.print(f"[dim]{markup.escape(summary)}[/]", soft_wrap=True)
+    console.print(Text(summary, "dim"), soft_wrap=True)
     writing.write(path, page(rows, runs, summary))
     return path
 
@@ -199,33 +198,26 @@ def _table(rows: list[Difference], names: list[str]) -> Table:
     return lines
 
 
-def page(rows: list[Difference], runs: tuple[SavedRun, SavedRun], summary: str) -> str:
+def page(differences: list[Difference], runs: tuple[SavedRun, SavedRun], summary: str) -> str:
     """The comparison as a page, with the replays of both."""
-    names = [markup.escape(run.name) for run in runs]
-    head = "".join(f"<th>{name}</th>" for name in (*names, "second minus first", "95 % interval"))
-    body = "".join(
-        f"<tr{' class=decided' if row.significant else ''}><th>{markup.escape(row.title)} "
-        f"<small>{markup.escape(row.unit)}</small></th>" + "".join(f"<td>{cell}</td>" for cell in _cells(row)) + "</tr>"
-        for row in rows
-    )
-    note = f"<p class=note>{markup.escape(summary)} Bold: the interval excludes 0.</p>"
-    sections = [
-        f"<section><h2>Differences</h2><div class=wide><table><thead><tr><th></th>{head}</tr></thead>"
-        f"<tbody>{body}</tbody></table></div>{note}</section>"
-    ]
+    names = [run.name for run in runs]
+    rows = []
+    for row in differences:
+        one, other, *difference = _cells(row)
+        cells = [pages.Cell(cell, kind="ours" if row.significant else "") for cell in difference]
+        rows.append([pages.Cell(row.title, row.unit and f" {row.unit}"), one, other, *cells])
     players = [
-        f"<div><h2>{name}</h2>{replay.element(run.replay, f'replay-{index}', linked=False, program=False)}</div>"
-        for index, (name, run) in enumerate(zip(names, runs, strict=True))
+        (run.name, replay.element(run.replay, f"replay-{index}", linked=False, program=False))
+        for index, run in enumerate(runs)
         if run.replay is not None
     ]
-    if players:
-        sections.append(f"<div class=both>{''.join(players)}</div><script>{replay.script()}</script>")
-    style = (
-        "td:nth-child(2){font-weight:400}tr.decided td:nth-child(n+4){font-weight:650}"
-        ".both{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,480px),1fr));gap:16px}"
+    return pages.render(
+        "evaluation/compare.html",
+        title=" and ".join(names),
+        kicker="sean_jax · two runs",
+        table=pages.table(["", *names, "second minus first", "95 % interval"], rows, "units"),
+        note=f"{summary} Bold: the interval excludes 0.",
+        players=players,
+        script=replay.script(),
+        runs=runs,
     )
-    commands = "".join(
-        f"<pre>{name}: {markup.escape(str(run.folder))}</pre>" for name, run in zip(names, runs, strict=True)
-    )
-    sections.append(f"<section><h2>The runs</h2>{commands}</section>")
-    return report.page(" and ".join(run.name for run in runs), "sean_jax · two runs", sections, style + replay.style())

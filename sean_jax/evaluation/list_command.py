@@ -33,7 +33,7 @@ def print_choices() -> None:
     """Print every option of ``sean run`` and ``sean train`` that takes a name, with each name and one line on it."""
     console = Console()
     for option, names in choices():
-        console.print(Text(f"--{option}", "bold"))
+        console.print(Text(f"--{option.replace('_', '-')}", "bold"))
         width = max(len(name) for name in names)
         for name, line in names.items():
             _print(console, f"  {name:<{width}}  ", line)
