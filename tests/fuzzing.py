@@ -109,14 +109,14 @@ def dataset(folder: Path) -> dict[str, bytes]:
     """Two shards of two episodes of nothing."""
     import numpy as np
 
-    from sean_jax.learning import dataset as datasets
+    from sean_jax.learning import dataset
 
     manifest = {
         "command": "sean collect", "options": {"seed": 0}, "hours": 0.01, "batch": 2, "seconds": 6,
         "streams": ["join_group", "leave_group"], "situations": ["empty", "cross_path"], "rate": 1.0,
         "camera": {"width": 8, "height": 6, "fovy": 60.0, "far": 10.0}, "robot": {"name": "kuri", "max_speed": 0.5},
     }  # fmt: skip
-    made = datasets.create_dataset(folder, manifest)
+    made = dataset.create_dataset(folder, manifest)
     for stream in (0, 1):
         rows = {name: np.zeros((2, 6, *shape), kind) for name, (shape, kind) in made.fields.items()}
         made.commit(stream, SimpleNamespace(rows=rows, lengths=np.array([6, 4]), completed=np.array([True, False])))
@@ -129,9 +129,9 @@ def policy(folder: Path) -> dict[str, bytes]:
     import jax.numpy as jnp
     import optax
 
-    from sean_jax.learning.checkpoints import Checkpoints
-    from sean_jax.learning.network import Network, init_weights
-    from sean_jax.learning.training import TrainState
+    from sean_jax.learning.imitation import TrainState
+    from sean_jax.learning.networks import Network, init_weights
+    from sean_jax.learning.trainer import Checkpoints
 
     config = {"width": 8, "flags": True, "image": [12, 16], "situations": list(names()), "seed": 0, "epochs": 2}
     folder.mkdir(parents=True)
@@ -213,9 +213,9 @@ def load_map(folder: Path) -> Any:
 
 
 def load_dataset(folder: Path) -> Any:
-    from sean_jax.learning import dataset as datasets
+    from sean_jax.learning import dataset
 
-    data = datasets.open_dataset(folder)
+    data = dataset.open_dataset(folder)
     data.fingerprint()
     lost = data.damaged_shards()
     return data.recording(data.episodes) if not lost else (data.example_count, data.stream_rows, data.row_bytes)
@@ -226,12 +226,12 @@ def load_policy(folder: Path) -> Any:
 
     from sean_jax import robots
     from sean_jax.base import Scenario
-    from sean_jax.learning import learned
+    from sean_jax.learning.policy import load_imitation
 
     told = tuple((name, None) for name in names())
     nothing: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Scenario))
     scenario = Scenario(**nothing | {"situations": told, "robot": robots.load("kuri", "twin")})  # all that is looked at
-    return learned.load(folder, scenario).params
+    return load_imitation(folder, scenario).params
 
 
 def walk(folder: Path, name: str) -> dict[str, bytes]:
@@ -305,16 +305,16 @@ def batch(folder: Path) -> dict[str, bytes]:
     import numpy as np
 
     from sean_jax.config import RunConfig
-    from sean_jax.evaluation.tally import Finished, Tally
-    from sean_jax.evaluation.unfinished import Unfinished
+    from sean_jax.evaluation.accumulate import FinishedBatch, Totals
+    from sean_jax.evaluation.resume import RunFolder
 
     counts = np.arange(6, dtype=np.int32).reshape(2, 3)
-    both = Tally(counts, np.eye(2, dtype=np.int32), counts[:, :2], np.arange(4, dtype=np.int32), np.float32(0.1),
+    both = Totals(counts, np.eye(2, dtype=np.int32), counts[:, :2], np.arange(4, dtype=np.int32), np.float32(0.1),
                  np.ones(1, np.int32))  # fmt: skip
     metrics = {"path_length": np.ones(2, np.float32), "time_in_situation": np.ones((2, 3), np.float32)}
     ended = np.array([True, False]), np.array([False, True]), np.array([8, 7], np.int32)
     shown = [jax.tree.map(lambda leaf: leaf[k], frames()) for k in range(2)]  # noqa: B023
-    Unfinished(folder, RunConfig()).save(0, Finished(*ended, metrics, both, shown, 1.5))
+    RunFolder(folder, RunConfig()).save(0, FinishedBatch(*ended, metrics, both, shown, 1.5))
     return {"batch.npz": (folder / "unfinished" / "batch-00000000-2.npz").read_bytes()}
 
 
@@ -322,11 +322,11 @@ def load_batch(folder: Path) -> Any:
     import numpy as np
 
     from sean_jax.config import RunConfig
-    from sean_jax.evaluation.unfinished import PLACE, Unfinished
+    from sean_jax.evaluation.resume import PLACE, RunFolder
 
     (folder / PLACE).mkdir(exist_ok=True)
     shutil.copytree(folder, run := folder / "run", ignore=shutil.ignore_patterns(PLACE, "batch.npz"))
-    kept = Unfinished(run, RunConfig())
+    kept = RunFolder(run, RunConfig())
     kept.place.mkdir()
     if os.path.lexists(folder / "batch.npz"):
         (folder / "batch.npz").rename(kept._file(0, 2))
@@ -335,12 +335,12 @@ def load_batch(folder: Path) -> Any:
         raise Refused("there is none")
     assert found.completed.shape == found.timed_out.shape == found.steps.shape == (2,)
     assert found.completed.dtype == found.timed_out.dtype == bool and (found.steps >= 0).all() and found.seconds >= 0
-    assert all(len(values) == 2 for values in found.metrics.values()) and (found.tally.heat >= 0).all()
+    assert all(len(values) == 2 for values in found.metrics.values()) and (found.totals.heat >= 0).all()
     for each in found.frames:
         steps, people = each.present.shape
         assert each.people.shape == (steps, people, 2) and each.position.shape == (steps, 2) == each.action.shape
         assert each.active.shape == (steps,) and each.active.dtype == bool and each.group.dtype.kind == "i"
-    return [each.replace(action=np.zeros(2)) for each in found.frames], found.tally
+    return [each.replace(action=np.zeros(2)) for each in found.frames], found.totals
 
 
 def table(folder: Path) -> dict[str, bytes]:
@@ -391,15 +391,15 @@ def run(folder: Path) -> dict[str, bytes]:
 def load_run(folder: Path) -> Any:
     import csv
 
-    from sean_jax.evaluation import comparison
+    from sean_jax.evaluation import compare
 
-    found = comparison.read(folder)
+    found = compare.read(folder)
     rows = list(csv.DictReader((folder / "episodes.csv").read_text(encoding="utf-8-sig").splitlines()))
     assert [int(float(row["episode"])) for row in rows] == list(range(len(found.tasks)))
     for row, seconds, done in zip(rows, found.columns["seconds"], found.columns["completed"], strict=True):
         assert 0 <= float(row["seconds"]) == seconds <= 86_400 and done in (0, 1)
     assert (found.shown is None) == bool(found.unseen)
-    comparison.page(comparison.differences(found, found), (found, found), comparison.told(found, found))
+    compare.page(compare.differences(found, found), (found, found), compare.told(found, found))
     if found.unseen:
         raise Refused(found.unseen)
     return None
@@ -469,9 +469,9 @@ def _lab_step() -> Any:
 
 
 def load_agent(folder: Path) -> Any:
-    from sean_jax.learning import agents
+    from sean_jax.learning.policy import load_packed
 
-    return agents.load(folder, _lab())[1]
+    return load_packed(folder, _lab())[1]
 
 
 @functools.cache
@@ -525,7 +525,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
     import numpy as np
 
     from sean_jax.environment import ENVS
-    from sean_jax.learning.agents import AGENTS
+    from sean_jax.learning.policy import AGENTS
 
     NUMBERS.update(ranges=np.arange(40.0).reshape(5, 8), marks=np.array([True, False]))
     constants = "preset: calibrated\nparameters:\n  repulsion.range: 0.1\n  walking.relaxation_time: 0.3\n"
