@@ -174,7 +174,7 @@ def test_optional_packages_stay_in_their_rooms():
     rooms = {
         "optax": {"learning", "studies"},
         "orbax": {"learning"},
-        "mujoco": {"files", "environment", "scenery", "robots", "drawing"},
+        "mujoco": {"files", "environment", "scenery", "robots"},
     }
     rooms |= dict.fromkeys(("gymnasium", "brax", "rclpy", "stable_baselines3", "torch"), {"adapters"})
     for path in MODULES:
@@ -271,7 +271,7 @@ def test_files_of_others_are_opened_in_one_place():
     )
     for path in MODULES:
         module = dotted(path)
-        if room(module) not in {"files", "writing"} and module != "sean_jax.drawing.gl_scene":
+        if room(module) not in {"files", "writing"}:
             found = opens.search(path.read_text(encoding="utf-8"))
             assert not found, f"{module}: {found} belongs to sean_jax.files"
 

@@ -50,15 +50,7 @@ def policy_colors(names: Sequence[str]) -> list[str]:
 
 
 def category_colors(names: Sequence[str], reserved: Mapping[str, str]) -> list[str]:
-    """Colors of any categories, by name.
-
-    Args:
-        reserved: colors of names that always have the same one.
-
-    Returns:
-        One color for each name. Other names than the reserved ones get the spare colors in turn, and then hues between
-        them.
-    """
+    """One color for each name: the reserved one, or the spare colors in turn, then hues between them."""
     others = list(dict.fromkeys(name for name in names if name not in reserved))
     taken = {*reserved.values()}
     spare = [color for color in SPARE_COLORS if color not in taken]

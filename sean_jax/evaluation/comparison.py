@@ -25,7 +25,7 @@ from sean_jax.flags import flag
 from sean_jax.metrics import METRICS, aggregate, resamples
 from sean_jax.metrics.bootstrap import interval
 
-DRIVING = ("policy", "dynamics", "robot", "metrics", "sensors", "situations", "thresholds", "camera", "renderer")
+DRIVING = ("policy", "dynamics", "robot", "metrics", "sensors", "situations", "thresholds", "camera")
 """Options that leave the draw of an episode as it is."""
 
 HELD = re.compile(r'<script type="application/json" id="replay">(.*?)</script>', re.S)

@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 
 from sean_jax.base import Environment
-from sean_jax.drawing import colors, parts
+from sean_jax.drawing import colors, layers
 from sean_jax.graph import BehaviorGraph
 from sean_jax.studies.inverse_graph.fitting import GraphFit
 
@@ -46,8 +46,8 @@ def picture(
         own.set_aspect("equal")
         own.set_axis_off()
         own.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, color=colors.FLOOR, zorder=0))
-        parts.draw_obstacles(own, environment)
-        parts.draw_graph(own, graph, alone=False)
+        layers.draw_obstacles(own, environment)
+        layers.draw_graph(own, graph, alone=False)
         _arrows(own, graph, flow, greatest)
     _compare(axes[-1], panels, greatest)
     return figure
