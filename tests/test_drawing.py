@@ -13,8 +13,8 @@ from PIL import Image
 from sean_jax import drawing
 from sean_jax.base import Environment, Obstacles, Trajectory
 from sean_jax.drawing import colors, layers
+from sean_jax.environment import plain_scenery
 from sean_jax.errors import InputError
-from sean_jax.scenery import plain_scenery
 
 STEPS, PEOPLE = 41, 3
 

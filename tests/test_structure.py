@@ -170,11 +170,11 @@ def test_an_environment_is_the_place(path):
 
 
 def test_optional_packages_stay_in_their_rooms():
-    """orbax belongs to learning, optax to whatever fits, Gymnasium and its like to adapters; mujoco has five rooms."""
+    """orbax belongs to learning, optax to whatever fits, Gymnasium and its like to adapters; mujoco has three rooms."""
     rooms = {
         "optax": {"learning", "studies"},
         "orbax": {"learning"},
-        "mujoco": {"files", "environment", "scenery", "robots"},
+        "mujoco": {"files", "environment", "robots"},
     }
     rooms |= dict.fromkeys(("gymnasium", "brax", "rclpy", "stable_baselines3", "torch"), {"adapters"})
     for path in MODULES:

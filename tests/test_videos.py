@@ -13,8 +13,8 @@ import sean_jax
 from sean_jax import drawing, sensors
 from sean_jax.base import Array
 from sean_jax.drawing import gifs
+from sean_jax.environment import plain_scenery
 from sean_jax.scenario import frame
-from sean_jax.scenery import plain_scenery
 
 
 @pytest.fixture(scope="module")

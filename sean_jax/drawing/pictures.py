@@ -14,13 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import navigation as paths
-from sean_jax import obstacle_grid, prng
+from sean_jax import prng
 from sean_jax.base import Array, Environment, Groups, Obstacles, Scenario, Trajectory
 from sean_jax.drawing import colors, gifs, layers
+from sean_jax.environment import plain_scenery
+from sean_jax.geometry import build_obstacle_grid
 from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
 from sean_jax.graph.formation import formation
 from sean_jax.handcrafted import Sets
-from sean_jax.scenery import plain_scenery
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -150,7 +151,7 @@ def empty_floor(frames: Trajectory) -> Environment:
     return Environment(
         floor=floor,
         obstacles=obstacles,
-        obstacle_grid=obstacle_grid.build(obstacles, floor),
+        obstacle_grid=build_obstacle_grid(obstacles, floor),
         scenery=plain_scenery(obstacles),
         name="empty floor",
     )

@@ -10,12 +10,12 @@ import pydantic
 
 from sean_jax import files
 from sean_jax.base import Environment
+from sean_jax.devices import to_device
 from sean_jax.geometry import signed_distances_on_host
 from sean_jax.graph.behavior_graph import FLOWS, NO_EDGE, BehaviorGraph
 from sean_jax.graph.formation import reach
 from sean_jax.graph.places import PERSON, places
 from sean_jax.graph.routes import routes
-from sean_jax.platforms import to_device
 from sean_jax.quantities import Coordinate, Duration, Radius, RelativeChance
 
 NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge

@@ -12,12 +12,12 @@ from scipy.spatial import KDTree
 
 from sean_jax import cache, files
 from sean_jax.base import Array, Environment
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.geometry import crosses_box, signed_distances_on_host
 from sean_jax.graph.formation import reach
 from sean_jax.graph.places import PERSON
 from sean_jax.handcrafted.annotation import ALL, FILE, Annotation, Set, Situation, Walkers
-from sean_jax.platforms import to_device
 
 ARRIVED = 1.0  # m from a waypoint, where it counts as reached (SEAN 2.0)
 POSE_CLEARANCE = 0.3  # m, from the robot's poses to obstacles and to the floor's edge

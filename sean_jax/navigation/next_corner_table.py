@@ -11,12 +11,12 @@ from jaxtyping import Float, Int
 
 from sean_jax import cache
 from sean_jax.base import Array, PathsToGoal
+from sean_jax.devices import to_device
 from sean_jax.geometry import from_box, length
 from sean_jax.navigation.corner_arcs import ANGLE, Tangent, tangent_to_arc, tangents
 from sean_jax.navigation.segments import map_in_batches, push_out_of_obstacles, segment_is_free, segments_are_free
 from sean_jax.navigation.shortest_paths import last_arcs
 from sean_jax.navigation.tables import CELL, CODE, Navigation, inputs
-from sean_jax.platforms import to_device
 
 CLOSE = 0.8  # of the radius: free radius of people, whose bodies have 0.2 m while their paths are those of 0.25 m
 MIN_AHEAD = 0.5  # m, at least so far ahead do people aim

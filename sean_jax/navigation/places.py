@@ -16,11 +16,11 @@ from scipy.spatial import KDTree
 
 from sean_jax import cache
 from sean_jax.base import Array, Environment
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.geometry import signed_distances_on_host
 from sean_jax.navigation.segments import SLACK, pairs_are_free
 from sean_jax.navigation.tables import CODE, Navigation, inputs
-from sean_jax.platforms import to_device
 
 MESH_RADIUS = 0.5  # m, of SEAN's mesh: so far its edges are from obstacles, and those of a larger robot its radius
 MESH_EDGE = 0.25  # m, from a point to the nearest edge of the mesh, at least (SEAN 2.0)

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from sean_jax import cache
 from sean_jax import environment as environments
 from sean_jax.base import Array, Environment, Obstacles
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.navigation import corner_arcs
 from sean_jax.navigation.corner_arcs import CommonTangents, CornerArcs
@@ -23,7 +24,6 @@ from sean_jax.navigation.segments import (
     push_out_of_obstacles,
     segments_are_free,
 )
-from sean_jax.platforms import to_device
 
 CODE = "navigation", "environment", "geometry"  # on which the tables depend
 FIELDS = "corner", "middle", "side", "first", "last"

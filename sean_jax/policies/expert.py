@@ -18,11 +18,10 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax import obstacle_grid
 from sean_jax.base import Array, ObstacleGrid, Policy, Scenario, State
-from sean_jax.geometry import from_rectangle, length, to_border
+from sean_jax.devices import scalar
+from sean_jax.geometry import from_rectangle, length, nearby_obstacles, to_border
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
-from sean_jax.platforms import scalar
 from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal
 from sean_jax.policies.prediction import (
     PeopleMotion,
@@ -277,7 +276,7 @@ def obstacle_distance(
     Returns:
         (...) m.
     """
-    rows = obstacle_grid.lookup(grid, x, y)
+    rows = nearby_obstacles(grid, x, y)
     return jnp.min(from_rectangle(x[..., None], y[..., None], *(rows[..., part] for part in range(6)))[0], -1)
 
 

@@ -19,8 +19,8 @@ from jaxtyping import Float
 
 from sean_jax import calls, files
 from sean_jax.base import Array, RobotModel, Scenario, Sensor, State
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
-from sean_jax.platforms import to_device
 from sean_jax.sensors.cameras import Camera, camera
 from sean_jax.sensors.depth_images import depth
 from sean_jax.sensors.imperfections import drop_outs, noise

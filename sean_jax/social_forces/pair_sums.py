@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from jaxtyping import Float, PyTree
 
 from sean_jax.base import Array
+from sean_jax.devices import by_platform
 from sean_jax.geometry import sum_in_pairs
-from sean_jax.platforms import by_platform
 from sean_jax.social_forces.linear import linear_call
 from sean_jax.social_forces.neighbors import Neighbors, pull_back_near, sum_near
 

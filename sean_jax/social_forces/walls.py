@@ -12,10 +12,9 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Float
 
-from sean_jax import obstacle_grid
 from sean_jax.base import Array, ObstacleGrid
-from sean_jax.geometry import from_rectangle, sum_vectors
-from sean_jax.platforms import by_platform
+from sean_jax.devices import by_platform
+from sean_jax.geometry import from_rectangle, nearby_obstacles, sum_vectors
 from sean_jax.social_forces.repulsion import MAX_EXPONENT
 from sean_jax.social_forces.terms import Crowd, Force
 
@@ -65,7 +64,7 @@ def distances(
     Returns:
         (N, K) distance [m] from the surface of each obstacle, and x and y parts (N, K) of its unit normal there.
     """
-    rows = obstacle_grid.lookup(grid, px, py)
+    rows = nearby_obstacles(grid, px, py)
     return from_rectangle(px[:, None], py[:, None], *(rows[..., part] for part in range(6)))
 
 
@@ -94,7 +93,7 @@ def wall_forces(
         size = jnp.where(distance < perception, size, 0.0)
         return size * nx, size * ny
 
-    return _sum(push, px, py, obstacle_grid.lookup(grid, px, py), (), (parameters, perception))
+    return _sum(push, px, py, nearby_obstacles(grid, px, py), (), (parameters, perception))
 
 
 def project_velocity(
@@ -130,7 +129,7 @@ def project_velocity(
     Returns:
         (N,) x and y parts of the velocities [m/s].
     """
-    rows = obstacle_grid.lookup(grid, px, py)
+    rows = nearby_obstacles(grid, px, py)
 
     def excess(distance, nx, ny, vx, vy, radius, time_step):
         return jnp.maximum((radius - distance) / time_step - (nx * vx + ny * vy), 0.0)
