@@ -1,4 +1,4 @@
-"""Draws docs/pictures/gradients-horizon.png and prints the tables of docs/gradients.md: python docs/gradients.py.
+"""Draws pictures/gradients-horizon.png and prints the tables of docs/results/gradients.md: python docs/gradients.py.
 
 The derivative of people's positions by constants of the social forces, in forward mode, step by step: as it is, with
 stages held, and with what rollouts offer against chaos. It takes some minutes on two cores, a part of it compiling.

@@ -313,9 +313,12 @@ own = (("time_watched", metrics.duration(watched_now)), ("times_watched", metric
 def measure(moments):
     """Our metrics along a recording."""
     first, before, after = (jax.tree.map(lambda x, part=part: x[part], moments) for part in (0, np.s_[:-1], np.s_[1:]))
-    values = metrics.init(first, own)
-    values, _ = jax.lax.scan(lambda values, pair: (metrics.update(values, *pair, own), None), values, (before, after))
-    return metrics.compute(values, own)
+
+    def update(values, pair):
+        return {name: metric.update(values[name], *pair) for name, metric in own}, None
+
+    values, _ = jax.lax.scan(update, {name: metric.init(first) for name, metric in own}, (before, after))
+    return {name: metric.compute(values[name]) for name, metric in own}
 
 
 found = measure(moments)

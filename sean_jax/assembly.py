@@ -89,7 +89,7 @@ def _build(config: ScenarioConfig) -> list[Scenario]:
     situations, thresholds = _situations(config)
     scene, robot = environments.load(folder), _robot(config)
     forces = _forces(config)
-    robots.check_step(robot, config.time_step)
+    robots.physics_steps(robot, config.time_step)  # refuses a control step that is no multiple
     walking = navigation.build(scene, PERSON_CLEARANCE)
     driving = walking if robot.radius <= PERSON_CLEARANCE else navigation.build(scene, robot.radius)
     draw = navigation.PLACES[config.places]

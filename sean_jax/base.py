@@ -116,7 +116,7 @@ class Environment:
 
 @struct.dataclass
 class PathsToGoal:
-    """The shortest paths to one goal from each of the V corner arcs of a navigation (``navigation.corner_arcs``)."""
+    """The shortest paths to one goal from each of the V corner arcs of a navigation (``navigation.arcs``)."""
 
     distance: Float[Array, "V"]  # m, from the middle of the arc to the goal; inf if no path leads there
     departure_angle: Float[Array, "V"]  # rad, from the middle of the arc to where the path leaves it, along the travel

@@ -313,7 +313,7 @@ def _color(model: Any, index: int) -> np.ndarray:
 
 
 def _texture(model: Any, kind: str) -> np.ndarray | None:
-    """(n, 3) colors of the first texture of a kind: a floor's darkest and lightest, a sky from its top down; or None."""
+    """(n, 3) colors of the first texture of a kind: a floor's darkest and lightest, or a sky from its top down."""
     mujoco: Any = import_module("mujoco")
     wanted = {"2d": mujoco.mjtTexture.mjTEXTURE_2D, "skybox": mujoco.mjtTexture.mjTEXTURE_SKYBOX}[kind]
     for index in range(model.ntex):

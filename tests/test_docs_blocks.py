@@ -14,7 +14,7 @@ import yaml
 from sean_jax import cli
 
 ROOT = Path(__file__).parent.parent
-PAGES = {path.relative_to(ROOT).as_posix(): path for path in [ROOT / "README.md", *sorted(ROOT.glob("docs/*.md"))]}
+PAGES = {path.relative_to(ROOT).as_posix(): path for path in [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]}
 ELSEWHERE = {f"docs/{name}.md" for name in ("environments", "playback", "trajectories", "training", "extending")}
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
 

@@ -1,4 +1,4 @@
-"""An addition to each family, made as CONTRIBUTING.md says: some lines in one place, and it acts and is listed.
+"""An addition to each family, made as docs/adding_parts.md says: some lines in one place; it acts and is listed.
 
 What stands between two rules below would be a file of its own. Counted are its lines, those of the docstrings included.
 """
@@ -24,7 +24,7 @@ from sean_jax.social_forces import draw_traits
 from sean_jax.tasks.places import far_place
 
 MOST = 30  # lines
-CONTRIBUTING = (Path(__file__).resolve().parent.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
+RECIPES = (Path(__file__).resolve().parent.parent / "docs" / "adding_parts.md").read_text(encoding="utf-8")
 
 
 # --- a force ---
@@ -212,17 +212,17 @@ def test_additions_are_short():
     assert len(ROBOT.splitlines()) <= MOST and sum(len(text.splitlines()) for text in ENVIRONMENT.values()) <= MOST
 
 
-def test_contributing_names_what_is_added_here_and_no_other_way():
+def test_recipes_name_what_is_added_here_and_no_other_way():
     """Sections 'Add a ...', signatures and dicts are those used in this file; no call that registers anything."""
-    titles = set(re.findall(r"^## Add an? (.+)$", CONTRIBUTING, re.M))
+    titles = set(re.findall(r"^## Add an? (.+)$", RECIPES, re.M))
     assert {"force", "situation", "task", "metric", "robot", "environment", "behavior or a policy"} <= titles
     calls = ("pair(self, pair)", "person(self, crowd)", "name(moment, thresholds)", "policy(scenario, state, key)",
              "move(scenario, state)", "build(place, people)", "reset(scenario, key)",
              "direct(scenario, state, key)")  # fmt: skip
     families = ("PRESETS", "SITUATIONS", "METRICS", "TASKS", "BEHAVIORS", "POLICIES", "MODELS")
     for said in (*calls, *(f"`{family}`" for family in families)):
-        assert said in CONTRIBUTING, said
-    assert "register(" not in CONTRIBUTING
+        assert said in RECIPES, said
+    assert "register(" not in RECIPES
 
 
 def test_all_are_handed_over_without_touching_the_package(scenario):

@@ -17,7 +17,7 @@ from sean_jax import classifiers, episodes, geometry, metrics, navigation, senso
 from sean_jax.base import Moment, Obstacles, Pedestrians, Policy
 from sean_jax.classifiers import objects, predicates
 from sean_jax.geometry import build_obstacle_grid
-from sean_jax.metrics import comfort, proximity
+from sean_jax.metrics import proximity
 from sean_jax.pedestrian_models import MODELS
 from sean_jax.pedestrian_models.orca import best_velocity, half_plane
 from sean_jax.policies import POLICIES, social_costmap
@@ -347,7 +347,7 @@ def test_distances_that_classifiers_and_metrics_read(room, kind):
         results = {name: metrics.METRICS[name].compute(value) for name, value in values.items()}
         never = jax.tree.map(lambda leaf: jnp.where(jnp.abs(leaf) < 1e3, leaf, 0.0), results)
         relative = now.people.velocity[0] - now.velocity
-        soonest = comfort.collision_time(gap[0], gap[1], relative[0], relative[1], 0.46)
+        soonest = proximity.collision_time(gap[0], gap[1], relative[0], relative[1], 0.46)
         return never, jnp.where(soonest < 100.0, soonest, 0.0), jnp.tanh(proximity._distance_to_people(now))
 
     check(read, states())
@@ -387,7 +387,7 @@ def laws() -> dict[str, Any]:
         "half_plane": lambda d, v: half_plane(*d, *v, 0.6, 3.0, 0.1, True),
         "proxemic": lambda d, v: proxemic_cost(layers, *d, *v),
         "inflated": lambda d, v: inflation_cost(layers, d[0]),
-        "collision_time": lambda d, v: jnp.tanh(comfort.collision_time(*d, *v, 0.6)),
+        "collision_time": lambda d, v: jnp.tanh(proximity.collision_time(*d, *v, 0.6)),
         "from_path": lambda d, v: distance_to_path(d[:1], d[1:], *jnp.array([[0, 0.5, 0.5], [0, 0, 0.0]])),
         "arcs": lambda d, v: arc_trajectories(v[:1], v[1:]),
     }

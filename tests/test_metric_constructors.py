@@ -5,6 +5,7 @@ import io
 
 import jax
 import jax.numpy as jnp
+import metric_values
 import numpy as np
 import pytest
 from rich.console import Console
@@ -78,12 +79,7 @@ def test_vmap_and_scan_equal_a_loop():
     @jax.jit
     @jax.vmap
     def run(sequence):
-        first = jax.tree.map(lambda leaf: leaf[0], sequence)
-        pairs = tuple(jax.tree.map(lambda leaf, part=part: leaf[part], sequence)
-                      for part in (slice(None, -1), slice(1, None)))  # fmt: skip
-        values = metrics.init(first, chosen)
-        values = jax.lax.scan(lambda v, pair: (metrics.update(v, *pair, chosen), None), values, pairs)[0]
-        return metrics.compute(values, chosen)
+        return metric_values.compute(metric_values.along(sequence, chosen), chosen)
 
     for name, value in run(both).items():
         for one, moments in zip(value, (MOMENTS, MOMENTS[::-1]), strict=True):

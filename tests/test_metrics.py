@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
+import metric_values
 import numpy as np
 import pytest
 
@@ -19,12 +20,13 @@ ROBOT_RADIUS, PERSON_RADIUS = 0.16, 0.2
 
 
 def test_every_metric_has_a_topic_and_only_those_of_the_package():
-    assert all(metrics.topic(name) in metrics.TOPICS.values() for name in metrics.METRICS)
+    assert all(metrics.topic(name) in metrics.TOPICS for name in metrics.METRICS)
+    assert set().union(*metrics.TOPICS.values()) == set(metrics.METRICS)
     assert {metrics.topic(name) for name in ("mean", "Metric", "jnp", "mine")} == {"your own"}
 
 
-update = jax.jit(metrics.update)
-compute = jax.jit(metrics.compute)
+update = jax.jit(metric_values.update)
+compute = jax.jit(metric_values.compute)
 EVENTS = [f"{limit}_{who}" for limit in ("intimate", "personal", "collision")
           for who in ("robot_on_person", "person_on_robot")]  # fmt: skip
 
@@ -65,7 +67,7 @@ def at(tick=0, position=(0, 0), velocity=(0, 0), people=(), situations=(), goal=
 
 def measure(moments: list[Moment]) -> dict[str, np.ndarray]:
     """The metrics over a sequence of moments, by the package."""
-    values = metrics.init(moments[0])
+    values = metric_values.init(moments[0])
     for before, after in zip(moments[:-1], moments[1:], strict=True):
         values = update(values, before, after)
     return {name: np.asarray(value) for name, value in compute(values).items()}
@@ -137,14 +139,8 @@ def test_time_not_moving_adds_up_at_any_time_step(step):
 
     @jax.jit
     def whole(sequence):
-        first, before, after = (
-            jax.tree.map(lambda leaf: leaf[part], sequence)  # noqa: B023
-            for part in (0, slice(None, -1), slice(1, None))
-        )
         chosen = tuple((name, metrics.METRICS[name]) for name in ("time_not_moving", "path_length"))
-        values = metrics.init(first, chosen)
-        values = jax.lax.scan(lambda v, pair: (metrics.update(v, *pair, chosen), None), values, (before, after))[0]
-        return metrics.compute(values, chosen)
+        return metric_values.compute(metric_values.along(sequence, chosen), chosen)
 
     found = whole(sequence)
     # The second in which it starts belongs to neither or to one: 0.05 m of it may be standing.
@@ -322,12 +318,8 @@ def test_random_paths_equal_a_plain_loop_and_vmap_equals_a_loop():
     )
 
     def run(sequence):
-        first, before, after = (
-            jax.tree.map(lambda leaf: leaf[part], sequence)  # noqa: B023
-            for part in (0, slice(None, -1), slice(1, None))
-        )
-        values = jax.lax.scan(lambda v, pair: (metrics.update(v, *pair), None), metrics.init(first), (before, after))[0]
-        return metrics.compute(values)
+        values = metric_values.along(sequence)
+        return metric_values.compute(values)
 
     for name, value in jax.jit(jax.vmap(run))(together).items():
         np.testing.assert_allclose(value, np.stack([one[name] for one in found]), rtol=1e-5, atol=1e-6, err_msg=name)
@@ -336,7 +328,7 @@ def test_random_paths_equal_a_plain_loop_and_vmap_equals_a_loop():
 def test_units_shapes_and_types():
     """Values keep their types from step to step, or a rollout would be traced again; each metric names its unit."""
     here = at(0, people=[(1, 0)])
-    values = metrics.init(here)
+    values = metric_values.init(here)
     after = update(values, here, here)
     for one, other in zip(jax.tree.leaves(values), jax.tree.leaves(after), strict=True):
         assert one.dtype == other.dtype == jnp.float32 and one.shape == other.shape and not one.weak_type
@@ -349,8 +341,8 @@ def test_units_shapes_and_types():
 def test_gradients_are_finite_where_the_robot_stands_at_its_goal_on_somebody():
     def loss(position):
         here = [replace(at(k, people=[(0, 0)]), position=position) for k in (0, 10)]
-        values = metrics.update(metrics.init(here[0]), *here)
-        return sum(value.sum() for value in metrics.compute(values).values())
+        values = metric_values.update(metric_values.init(here[0]), *here)
+        return sum(value.sum() for value in metric_values.compute(values).values())
 
     assert np.isfinite(jax.grad(loss)(jnp.zeros(2))).all()
 

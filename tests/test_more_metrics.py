@@ -5,6 +5,7 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import metric_values
 import numpy as np
 import pytest
 import shortest_paths as oracle
@@ -15,8 +16,7 @@ import sean_jax
 from sean_jax import environment, metrics, navigation
 from sean_jax import scenario as scenario_module
 from sean_jax.base import Obstacles
-from sean_jax.metrics.comfort import collision_time
-from sean_jax.metrics.proximity import obstacle_distance
+from sean_jax.metrics.proximity import collision_time, obstacle_distance
 
 REACH = 0.36  # m, of a robot and a person who touch
 
@@ -219,12 +219,8 @@ def test_random_moments_vmap_equals_a_loop_and_nothing_depends_on_the_number_of_
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *[jax.tree.map(lambda *x: jnp.stack(x), *s) for s in sequences])
 
     def run(sequence):
-        first, before, after = (
-            jax.tree.map(lambda leaf: leaf[part], sequence)  # noqa: B023
-            for part in (0, slice(None, -1), slice(1, None))
-        )
-        values = jax.lax.scan(lambda v, pair: (metrics.update(v, *pair), None), metrics.init(first), (before, after))[0]
-        return metrics.compute(values), values
+        values = metric_values.along(sequence)
+        return metric_values.compute(values), values
 
     together, values = jax.jit(jax.vmap(run))(stacked)
     for name, value in together.items():
@@ -292,10 +288,10 @@ def test_example_of_the_documentation_runs():
     moments = [at(k, (0.1 * k, 0.0), people=[(1.5, 0.2)]) for k in range(31)]
     moments = [replace(one, heading=jnp.asarray(ahead, jnp.float32))
                for one, ahead in zip(moments, turned, strict=True)]  # fmt: skip
-    values = metrics.init(moments[0], own)
+    values = metric_values.init(moments[0], own)
     for before, after in zip(moments[:-1], moments[1:], strict=True):
-        values = metrics.update(values, before, after, own)
-    found = metrics.compute(values, own)
+        values = metric_values.update(values, before, after, own)
+    found = metric_values.compute(values, own)
     assert found["rotation"][0] == pytest.approx(3.0, rel=1e-4) and found["times_too_close"][0] == 1.0
     assert found["too_close"][0] == pytest.approx(STEP * sum(abs(0.1 * k - 1.5) < 0.5656 for k in range(31)))
 

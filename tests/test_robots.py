@@ -22,7 +22,7 @@ from sean_jax import environment, robots
 from sean_jax.base import Obstacles
 from sean_jax.errors import FileError
 from sean_jax.robots.drive import coordinates
-from sean_jax.robots.twin import diagonal
+from sean_jax.robots.dynamics import diagonal
 
 mujoco: Any = import_module("mujoco")  # which has no type stubs
 BATCH, STEPS, TIME_STEP = 8, 200, 0.1

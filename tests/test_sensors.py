@@ -18,7 +18,7 @@ from sean_jax import robots, sensors
 from sean_jax.base import Obstacles, Sensor
 from sean_jax.environment import ENVS, plain_scenery
 from sean_jax.errors import InputError
-from sean_jax.sensors import cameras, paint
+from sean_jax.sensors import cameras, pictures
 
 LEVEL = (0.0, 0.0, -1.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # axes of a camera that looks straight ahead
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)
@@ -280,7 +280,7 @@ def test_people_are_where_they_belong_seen_from_above(shots):
 
 
 def test_each_person_has_a_color_and_a_face(shots, scenario):
-    shirts = np.array(jax.jit(lambda: jnp.stack(paint.shirts(scenario.people)))())
+    shirts = np.array(jax.jit(lambda: jnp.stack(pictures.shirts(scenario.people)))())
     assert (
         np.linalg.norm(shirts[:, :, None] - shirts[:, None], axis=0)[~np.eye(scenario.people, dtype=bool)].min() > 0.02
     )
@@ -541,20 +541,20 @@ def test_legs_are_where_a_ray_passes_them_and_stride_as_people_walk():
     look /= np.linalg.norm(look, axis=-1, keepdims=True)
     ahead = chance.uniform(-0.3, 0.3, 500)
     feet = [
-        seen - away + side * (ahead[:, None] * look + paint.APART * np.stack([-look[:, 1], look[:, 0]], -1))
+        seen - away + side * (ahead[:, None] * look + pictures.APART * np.stack([-look[:, 1], look[:, 0]], -1))
         for side in (1.0, -1.0)
     ]
     gaps = [np.abs(seen[:, 0] * foot[:, 1] - seen[:, 1] * foot[:, 0]) / np.linalg.norm(seen, axis=-1) for foot in feet]
-    clear = np.abs(np.stack(gaps) - paint.LEG).min(0) > 1e-4
+    clear = np.abs(np.stack(gaps) - pictures.LEG).min(0) > 1e-4
     given = [jnp.asarray(each, jnp.float32) for each in (ahead, *look.T, *seen.T, *away.T)]
-    found = np.asarray(jax.jit(paint._on_leg)(*given))
-    np.testing.assert_array_equal(found[clear], (np.min(gaps, 0) < paint.LEG)[clear])
+    found = np.asarray(jax.jit(pictures._on_leg)(*given))
+    np.testing.assert_array_equal(found[clear], (np.min(gaps, 0) < pictures.LEG)[clear])
     assert 0.1 < found.mean() < 0.9
 
 
 def test_feet_swing_by_the_way_that_is_walked(scenario):
     state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
-    people, foot = state.pedestrians, jax.jit(paint._foot)
+    people, foot = state.pedestrians, jax.jit(pictures._foot)
 
     def after(way, speed):
         walked = people.replace(position=people.position + way * people.heading, velocity=speed * people.heading)
@@ -562,7 +562,7 @@ def test_feet_swing_by_the_way_that_is_walked(scenario):
 
     assert np.abs(after(0.3, 0.0)).max() < 1e-5
     first = after(0.0, 1.0)
-    np.testing.assert_allclose(after(paint.STRIDE / 2, 1.0), -first, atol=2e-3)  # the other foot is ahead
-    np.testing.assert_allclose(after(paint.STRIDE, 1.0), first, atol=2e-3)
+    np.testing.assert_allclose(after(pictures.STRIDE / 2, 1.0), -first, atol=2e-3)  # the other foot is ahead
+    np.testing.assert_allclose(after(pictures.STRIDE, 1.0), first, atol=2e-3)
     np.testing.assert_allclose(after(0.0, 0.5), 0.5 * first, atol=1e-3)
-    assert np.abs(first).max() <= paint.SPREAD + 1e-6 and np.abs(first).max() > 0.1
+    assert np.abs(first).max() <= pictures.SPREAD + 1e-6 and np.abs(first).max() > 0.1

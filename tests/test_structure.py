@@ -340,7 +340,7 @@ def test_readme_and_ci_run_the_same_test_command():
     ci = [line.strip() for line in (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()]
     assert ci.index(install) + 1 == ci.index(test)
     assert "pip install . -c constraints.txt && sean run" in commands
-    assert len(readme.splitlines()) <= 200
+    assert len(readme.splitlines()) <= 150
 
 
 def test_readme_names_options_that_exist():

@@ -281,16 +281,10 @@ def depth_colors(image: np.ndarray, far: float) -> np.ndarray:
 
 def _state(frame: Trajectory) -> State:
     """The fields of a state that a camera reads; all others are None."""
-    person: dict[str, Any] = dict.fromkeys(Pedestrians.__dataclass_fields__)
-    person["position"], person["velocity"], person["heading"] = (
-        frame.people,
-        frame.people_velocity,
-        frame.people_heading,
-    )
-    person["group"], person["present"] = frame.group, frame.present
     nothing: Any = None
-    state: dict[str, Any] = dict.fromkeys(State.__dataclass_fields__)
-    state["pedestrians"], state["situations"] = Pedestrians(**person), frame.situations
-    state["robot"] = Robot(frame.position, frame.heading, nothing, nothing, nothing)
-    everything: Any = state
-    return State(**everything)
+    body = dict(position=frame.people, velocity=frame.people_velocity, heading=frame.people_heading)
+    person = dict.fromkeys(Pedestrians.__dataclass_fields__, nothing) | body
+    person |= dict(group=frame.group, present=frame.present)
+    robot = Robot(frame.position, frame.heading, nothing, nothing, nothing)
+    state = dict.fromkeys(State.__dataclass_fields__, nothing) | dict(situations=frame.situations, robot=robot)
+    return State(**state | dict(pedestrians=Pedestrians(**person)))  # pyright: ignore[reportArgumentType]

@@ -1,9 +1,6 @@
-"""Metrics (section IV-H): one update per step, constant memory, split by social situation where that has a sense."""
+"""Metrics (section IV-H): one update per step, constant memory, split by social situation where that makes sense."""
 
-from jaxtyping import PyTree
-
-from sean_jax.base import Array, Moment
-from sean_jax.metrics import comfort, motion, path, proximity
+from sean_jax.metrics import path, proximity
 from sean_jax.metrics.bootstrap import Estimate, aggregate, aggregate_ratio, interval, resamples
 from sean_jax.metrics.metric import (
     Metric,
@@ -18,7 +15,7 @@ from sean_jax.metrics.metric import (
     total,
 )
 
-METRICS: dict[str, Metric] = {
+PATH = {
     "time_in_situation": path.time_in_situation,
     "path_length": path.path_length,
     "path_efficiency": path.path_efficiency,
@@ -26,6 +23,8 @@ METRICS: dict[str, Metric] = {
     "time_not_moving": path.time_not_moving,
     "min_distance_to_goal": path.min_distance_to_goal,
     "final_distance_to_goal": path.final_distance_to_goal,
+}
+PROXIMITY = {
     "min_distance_to_people": proximity.min_distance_to_people,
     "intimate_robot_on_person": proximity.intimate_robot_on_person,
     "intimate_person_on_robot": proximity.intimate_person_on_robot,
@@ -35,87 +34,60 @@ METRICS: dict[str, Metric] = {
     "collision_person_on_robot": proximity.collision_person_on_robot,
     "collision_with_obstacle": proximity.collision_with_obstacle,
     "min_distance_to_obstacles": proximity.min_distance_to_obstacles,
+}
+SUCCESS = {
     "reached_goal": path.reached_goal,
     "success_by_path_length": path.success_by_path_length,
     "success_by_time": path.success_by_time,
-    "personal_space_compliance": comfort.personal_space_compliance,
-    "min_time_to_collision": comfort.min_time_to_collision,
-    "social_work": comfort.social_work,
-    "time_looked_at": comfort.time_looked_at,
-    "mean_speed": motion.mean_speed,
-    "mean_acceleration": motion.mean_acceleration,
-    "mean_jerk": motion.mean_jerk,
-    "max_speed": motion.max_speed,
-    "max_acceleration": motion.max_acceleration,
-    "max_jerk": motion.max_jerk,
 }
-TOPICS = {path: "way and goal", proximity: "distances and collisions", comfort: "comfort", motion: "motion"}
-"""Module of metrics -> what they are about."""
+COMFORT = {
+    "personal_space_compliance": proximity.personal_space_compliance,
+    "min_time_to_collision": proximity.min_time_to_collision,
+    "social_work": proximity.social_work,
+    "time_looked_at": proximity.time_looked_at,
+}
+MOTION = {
+    "mean_speed": path.mean_speed,
+    "mean_acceleration": path.mean_acceleration,
+    "mean_jerk": path.mean_jerk,
+    "max_speed": path.max_speed,
+    "max_acceleration": path.max_acceleration,
+    "max_jerk": path.max_jerk,
+}
+METRICS: dict[str, Metric] = PATH | PROXIMITY | SUCCESS | COMFORT | MOTION
+"""All metrics, in the order of the columns of episodes.csv."""
 
-Metrics = tuple[tuple[str, Metric], ...]
-DEFAULT: Metrics = tuple(METRICS.items())
+TOPICS = {
+    "way and goal": PATH | SUCCESS,
+    "distances and collisions": PROXIMITY,
+    "comfort": COMFORT,
+    "motion": MOTION,
+}
+"""What metrics are about -> metrics, for the sections of the report."""
 
 
 def topic(name: str) -> str:
-    """What a metric is about.
-
-    Returns:
-        A few words; "your own" for one that does not come with the package.
-    """
-    known = METRICS.get(name)  # a metric of one's own may have the name of something else in a module
-    found = (words for module, words in TOPICS.items() if known is not None and getattr(module, name, None) is known)
-    return next(found, "your own")
-
-
-def init(moment: Moment, metrics: Metrics = DEFAULT) -> dict[str, PyTree]:
-    """Running values before the first step.
-
-    Args:
-        metrics: names and metrics; the package's own by default.
-    """
-    return {name: metric.init(moment) for name, metric in metrics}
-
-
-def update(values: dict[str, PyTree], before: Moment, after: Moment, metrics: Metrics = DEFAULT) -> dict[str, PyTree]:
-    """Running values one step later.
-
-    Args:
-        values: name -> running value, as ``init`` or ``update`` gives it.
-        metrics: those that ``init`` was given.
-    """
-    return {name: metric.update(values[name], before, after) for name, metric in metrics}
-
-
-def compute(values: dict[str, PyTree], metrics: Metrics = DEFAULT) -> dict[str, Array]:
-    """The metrics so far.
-
-    Args:
-        metrics: those that ``init`` was given.
-
-    Returns:
-        name -> () or (1 + S,) with the overall figure before those by situation.
-    """
-    return {name: metric.compute(values[name]) for name, metric in metrics}
+    """What a metric is about, in a few words; "your own" for one that does not come with the package."""
+    return next((topic for topic, group in TOPICS.items() if name in group), "your own")
 
 
 __all__ = [
     "METRICS",
+    "TOPICS",
     "Estimate",
     "Metric",
     "aggregate",
     "aggregate_ratio",
     "as_metric",
-    "compute",
     "count_onsets",
     "duration",
     "final",
-    "init",
     "interval",
     "maximum",
     "mean",
     "minimum",
     "resamples",
     "share_of_time",
+    "topic",
     "total",
-    "update",
 ]

@@ -1,9 +1,8 @@
-"""Bootstrap intervals of figures over many episodes (section V): of means, of ratios of sums, of any figure.
+"""Bootstrap intervals over many episodes (section V): of means, of ratios of sums, of any figure.
 
-Episodes are drawn with replacement and the figure is computed anew for each such resample (Efron 1979); the interval
-holds the middle 95 % of what comes out. It says how much the figure would change with other seeds. Table I draws blocks
-of a minute instead of episodes, and figures of its own, with the same ``resamples`` and ``interval``. All of this runs
-at the end, on the host and in double precision; nothing here is traced.
+Episodes are drawn with replacement and the figure is computed again for each resample (Efron 1979). The interval holds
+the middle 95 % of the results: how much the figure would change with other seeds. Table I draws blocks of a minute
+instead of episodes, and figures of its own. All of this runs at the end, on the host and in double precision.
 """
 
 import math
@@ -22,7 +21,7 @@ ENTRIES = 20_000_000  # of the table of resamples, 80 MB
 
 
 class Estimate(NamedTuple):
-    """A figure over episodes; no number is NaN: where ``episodes`` is 0 the others are 0 and mean nothing."""
+    """A figure over episodes. No number is NaN: where ``episodes`` is 0, the others are 0 and mean nothing."""
 
     mean: np.ndarray  # () or (1 + S,)
     low: np.ndarray  # likewise, lower end of the interval
@@ -44,14 +43,11 @@ def aggregate(
 
     Args:
         values: (E,) or (E, 1 + S), a metric as ``results`` gives it for each of E episodes.
-        applies: of the same shape, bool: which values count; by default those that are finite, for a mean or an
-            extreme over a situation that never occurred is NaN. What does not apply may hold anything.
-        seed: of the resamples; equal ones draw the same episodes, so that figures can be compared.
+        applies: of the same shape, bool: which values count; by default the finite ones, for a mean or an extreme over
+            a situation that never occurred is NaN.
+        seed: of the resamples; equal seeds draw the same episodes, so that figures can be compared.
         level: share of the resamples that the interval holds.
         weights: (R, E) from ``resamples``, instead of drawing them from the seed; one draw can serve many metrics.
-
-    Returns:
-        An ``Estimate`` of the shape of an episode.
 
     Raises:
         InputError: there is no episode, shapes differ, or a value that applies is not finite.
@@ -77,21 +73,15 @@ def aggregate_ratio(
 ) -> Estimate:
     """``sum(numerator) / sum(denominator)`` over episodes and its bootstrap interval, for each column.
 
-    Such are shares of time: that of all episodes together in a situation, over that of all together. Resamples whose
-    denominator is zero have no ratio and are left out.
+    Shares of time are such ratios. Resamples whose denominator is zero have no ratio and are left out.
 
     Args:
         numerator: (E,) or (E, 1 + S).
         denominator: of the same shape, not negative; ``episodes`` counts where it is above 0.
-        seed: as in ``aggregate``.
-        level: as in ``aggregate``.
-        weights: as in ``aggregate``.
-
-    Returns:
-        An ``Estimate`` of the shape of an episode.
+        seed, level, weights: as in ``aggregate``.
 
     Raises:
-        InputError: there is no episode, shapes differ, or a number is not finite or below 0 in the denominator.
+        InputError: there is no episode, shapes differ, a number is not finite, or a denominator is negative.
     """
     above, below = np.asarray(numerator, np.float64), np.asarray(denominator, np.float64)
     if above.shape != below.shape or above.ndim not in (1, 2) or not above.size:
@@ -111,14 +101,9 @@ def aggregate_ratio(
 
 
 def resamples(episodes: int, seed: int = 0, count: int | None = None) -> np.ndarray:
-    """How often each episode is in each resample.
+    """(R, E) float32, how often each of E episodes (or blocks) is in each of R resamples.
 
-    Args:
-        episodes: E, or the number of blocks if blocks are drawn.
-        count: R, the number of resamples; 2000 if None, or fewer where there are more than 10,000 episodes.
-
-    Returns:
-        (R, E) float32 counts; a figure of resample r is made of ``weights[r]``.
+    R is 2000 if ``count`` is None, and less with more than 10,000 episodes.
     """
     if count is None:
         count = int(np.clip(ENTRIES // episodes, MIN_RESAMPLES, RESAMPLES))
@@ -127,20 +112,18 @@ def resamples(episodes: int, seed: int = 0, count: int | None = None) -> np.ndar
 
 
 def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | None = None) -> np.ndarray:
-    """Weights of episodes in resamples, where episodes are of groups that are chance themselves.
+    """(R, E) float32 weights of episodes in resamples, where groups of episodes are random themselves.
 
-    Such are episodes of networks that were trained with several seeds on several datasets. Only the outermost groups
-    of which there are several are independent, and what lies below is in the spread of their means; to draw that as
-    well would count it twice. There are few of them, so their weights are not counts but such that the interval of a
-    mean is that of Student's distribution; a weight may be negative.
+    Networks that were trained with several seeds on several datasets are such groups. Only the outermost level with
+    several groups is independent; the spread of their means contains the levels below, which would otherwise count
+    twice. There are few of them, so the weights are no counts but such that the interval of a mean is that of Student's
+    distribution; a weight may be negative.
 
     Args:
         sizes: number of groups at each level, and last the number of episodes of each innermost group: (10, 3, 410).
+            E is their product; the episodes of the first dataset's first seed come first.
         count: R, as in ``resamples``.
 
-    Returns:
-        (R, E) float32 weights that add up to E, of the episodes in order, those of the first dataset's first seed
-        before those of its second; E is the product of the sizes.
     Source: D. Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981), for weights that are no counts.
     """
     number = math.prod(sizes)
@@ -156,16 +139,7 @@ def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | Non
 
 
 def of_share(estimate: Estimate, level: float = 0.95) -> Estimate:
-    """The interval of a share of episodes, where it is that of none or of all.
-
-    Resamples of equal values are all equal, which would say that no other seed can differ.
-
-    Args:
-        estimate: of values that are 0 or 1.
-        level: as in ``aggregate``.
-
-    Returns:
-        The estimate, with Wilson's interval where the mean is 0 or 1.
+    """The estimate of a share, with Wilson's interval where it is 0 or 1: equal values have no spread in resamples.
 
     Raises:
         InputError: the level does not lie between 0 and 1.
@@ -181,29 +155,13 @@ def of_share(estimate: Estimate, level: float = 0.95) -> Estimate:
 
 
 def with_estimate(weights: np.ndarray) -> np.ndarray:
-    """Weights of means: of the estimate itself, which takes every episode once, and of its resamples after it.
-
-    ``with_estimate(weights) @ values`` is a mean over episodes and its resamples.
-
-    Args:
-        weights: (R, E) from ``resamples``.
-
-    Returns:
-        (1 + R, E) weights that add up to one in each row.
-    """
+    """(1 + R, E) weights, each row of sum one, for the mean over all episodes and over resamples (R, E)."""
     episodes = weights.shape[1]
     return np.concatenate([np.ones((1, episodes)), weights]) / episodes
 
 
 def interval(samples: ArrayLike, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-    """The percentile interval of a figure that was computed for each resample.
-
-    Args:
-        samples: (R, ...), the figure of each resample.
-        level: share of the resamples that the interval holds.
-
-    Returns:
-        Lower and upper end, (...) each.
+    """Lower and upper end (...) of the percentile interval of a figure (R, ...) of each resample.
 
     Raises:
         InputError: the level does not lie between 0 and 1.

@@ -1,6 +1,6 @@
 """What a metric is (section IV-H): a value that is updated step by step over a robot's task, in constant memory.
 
-A metric is a ``Metric``. Most metrics are one line, by a constructor of this module around a function of a moment:
+Most metrics are one line, a constructor of this module around a function of a moment:
 
     def close(moment):
         x, y = (moment.people.position - moment.position[None, :]).T
@@ -9,11 +9,11 @@ A metric is a ``Metric``. Most metrics are one line, by a constructor of this mo
     time_close = duration(close, title="time close to people")
     times_close = count_onsets(close)
 
-``as_metric`` makes a metric of a bare function. A metric that has to remember more than that gives ``Metric`` its own
-``init``, ``update`` and ``compute``.
+A metric that has to remember more gives ``Metric`` its own ``init``, ``update`` and ``compute``.
 
 Figures that are split by situation have one axis, "columns": overall first, then each situation, 1 + S in all. An
-amount counts overall and in every situation that occurs at the end of the step.
+amount counts overall and in every situation that occurs at the end of the step. The keywords of all constructors are
+fields of ``Metric``; without a definition, the first line of the function's docstring is taken.
 """
 
 import functools
@@ -30,9 +30,9 @@ from sean_jax import calls, clock
 from sean_jax.base import Array, Moment
 from sean_jax.errors import InputError
 
-MEAN = "Mean over episodes."  # of what a metric without a definition is shown
+MEAN = "Mean over episodes."  # the definition of a metric that has none
 CURE = "give a Metric, a condition moment -> bool, or an amount (before, after) -> number."
-RESERVED = ("episode", "task", "completed", "timed_out", "seconds", "share")  # what results tell of every episode
+RESERVED = ("episode", "task", "completed", "timed_out", "seconds", "share")  # columns of every episodes.csv
 UNSET = float(np.finfo(np.float32).max)  # stands for no amount; finite, as everything in a state is
 
 Condition = Callable[[Moment], Array]  # moment -> () bool
@@ -52,12 +52,12 @@ class Metric:
         init: ``moment -> value``, the running value, any pytree, before the first step.
         update: ``(value, before, after) -> value``, the running value one step later. It keeps shapes and types.
         compute: ``value -> array``, the figure so far.
-        unit: of the figure; "1" for pure numbers.
+        unit: "1" for pure numbers.
         title: of the row in the table; the metric's name if empty.
-        definition: one sentence that says what the figure means.
+        definition: one sentence.
         digits: after the decimal point.
-        kind: "count" for a number of events, "share" for a part of 1, which is shown in percent, else "number".
-        completed_only: the figure has a meaning for completed episodes only, so means leave out the others.
+        kind: "count" of events, "share" from 0 to 1, shown in percent, else "number".
+        completed_only: means leave out episodes that were not completed.
         headline: the table in the terminal has it; the report and episodes.csv have every metric.
     """
 
@@ -74,19 +74,13 @@ class Metric:
 
 
 def as_metric(value: Metric | Callable, name: str = "") -> Metric:
-    """A metric of what a user gives as one.
+    """A ``Metric`` as it is, or a metric of a function; equal arguments give the same one, so nothing compiles again.
 
     A function of one moment is a condition: the metric is the time [s] during which it holds. A function of two
-    moments, before and after a step, is an amount: the metric is its sum over the steps. A ``Metric`` stays as it is.
-
-    Args:
-        value: a ``Metric``, ``moment -> () bool`` or ``(before, after) -> () number``.
-
-    Returns:
-        The metric, with a title and a definition. Equal arguments give the same metric, so nothing is compiled again.
+    moments, before and after a step, is an amount: the metric is its sum over the steps.
 
     Raises:
-        InputError: it is none of these, or results have something else of that name.
+        InputError: it is none of these, or results have another column of that name.
     """
     if name in RESERVED:
         raise InputError(f"metrics: '{name}' is a column of episodes.csv already; choose another name.")
@@ -121,16 +115,7 @@ def _from_function(function: Callable, name: str) -> Metric:
 def duration(
     condition: Condition, *, title: str = "", definition: str = "", digits: int = 1, headline: bool = True
 ) -> Metric:
-    """Time [s] during which a condition holds, overall and in each situation: the steps at whose end it does.
-
-    Args:
-        condition: ``moment -> () bool``.
-        title, definition, digits, headline: as of ``Metric``; the definition is that of the function's docstring if
-            empty.
-
-    Returns:
-        A metric of (1 + S,) s.
-    """
+    """Time [s] during which a condition holds, overall and in each situation: the steps at whose end it does."""
 
     def update(value: Duration, before: Moment, after: Moment) -> Duration:
         weights = situation_weights(after)
@@ -143,15 +128,7 @@ def duration(
 def share_of_time(
     condition: Condition, *, title: str = "", definition: str = "", digits: int = 1, headline: bool = True
 ) -> Metric:
-    """Share of the time during which a condition holds, overall and in each situation.
-
-    Args:
-        condition: ``moment -> () bool``.
-        title, definition, digits, headline: as of ``duration``.
-
-    Returns:
-        A metric of (1 + S,) shares from 0 to 1.
-    """
+    """Share of the time, from 0 to 1, during which a condition holds, overall and in each situation."""
 
     def update(value: Ratio, before: Moment, after: Moment) -> Ratio:
         weights = situation_weights(after)
@@ -175,10 +152,6 @@ def count_onsets(
     Args:
         condition: ``moment -> () bool``, or (N,) bool if each of N people counts by themselves.
         among: of the same shape: the events that count, as of the moment after the step; all if None.
-        title, definition, digits, headline: as of ``duration``.
-
-    Returns:
-        A metric of (1 + S,) counts.
     """
 
     def update(value: Array, before: Moment, after: Moment) -> Array:
@@ -200,16 +173,7 @@ def total(
     digits: int = 2,
     headline: bool = True,
 ) -> Metric:
-    """Sum over the steps of an amount, overall and in each situation.
-
-    Args:
-        amount: ``(before, after) -> () number``, of one step.
-        unit: of the amount.
-        title, definition, digits, headline: as of ``duration``.
-
-    Returns:
-        A metric of (1 + S,).
-    """
+    """Sum over the steps of an amount ``(before, after) -> () number``, overall and in each situation."""
 
     def update(value: Array, before: Moment, after: Moment) -> Array:
         return value + _number(amount, before, after) * situation_weights(after)
@@ -227,16 +191,7 @@ def mean(
     digits: int = 2,
     headline: bool = True,
 ) -> Metric:
-    """Mean over the steps of an amount, overall and in each situation.
-
-    Args:
-        amount: ``(before, after) -> () number``, of one step.
-        unit: of the amount.
-        title, definition, digits, headline: as of ``duration``.
-
-    Returns:
-        A metric of (1 + S,), NaN for situations that did not occur.
-    """
+    """Mean over the steps of an amount ``(before, after) -> () number``, overall and in each situation."""
 
     def update(value: Ratio, before: Moment, after: Moment) -> Ratio:
         weights = situation_weights(after)
@@ -256,16 +211,7 @@ def minimum(
     digits: int = 2,
     headline: bool = True,
 ) -> Metric:
-    """Least value of a quantity over all moments, the first included.
-
-    Args:
-        quantity: ``moment -> () number``.
-        unit: of the quantity.
-        title, definition, digits, headline: as of ``duration``.
-
-    Returns:
-        A metric of (1 + S,), NaN for situations that did not occur, or of () if it is not split.
-    """
+    """Minimum of a quantity ``moment -> () number`` of all moments, the first included; () unless ``by_situation``."""
     return _extreme(quantity, jnp.minimum, UNSET, by_situation, unit, title, definition, digits, headline)
 
 
@@ -279,16 +225,7 @@ def maximum(
     digits: int = 2,
     headline: bool = True,
 ) -> Metric:
-    """Greatest value of a quantity over all moments, the first included.
-
-    Args:
-        quantity: ``moment -> () number``.
-        unit: of the quantity.
-        title, definition, digits, headline: as of ``duration``.
-
-    Returns:
-        A metric of (1 + S,), NaN for situations that did not occur, or of () if it is not split.
-    """
+    """Maximum of a quantity ``moment -> () number`` of all moments, the first included; () unless ``by_situation``."""
     return _extreme(quantity, jnp.maximum, -UNSET, by_situation, unit, title, definition, digits, headline)
 
 
@@ -302,16 +239,7 @@ def final(
     kind: Literal["number", "count", "share"] = "number",
     headline: bool = True,
 ) -> Metric:
-    """Value of a quantity at the last moment.
-
-    Args:
-        quantity: ``moment -> () number``.
-        unit: of the quantity.
-        title, definition, digits, kind, headline: as of ``Metric``.
-
-    Returns:
-        A metric of ().
-    """
+    """Value () of a quantity ``moment -> () number`` at the last moment."""
 
     def init(moment: Moment) -> Array:
         return _number(quantity, moment)
@@ -359,9 +287,9 @@ def _truth(condition: Condition, moment: Moment, ndim: int | None = 0) -> Array:
     calls.check_array("metrics", condition, value, None, None, "compare numbers")
     value = jnp.asarray(value)
     if value.dtype != bool or value.ndim > (1 if ndim is None else ndim):
-        wanted = "() bool or (N,) bool" if ndim is None else "() bool"
+        expected = "() bool or (N,) bool" if ndim is None else "() bool"
         raise InputError(
-            f"metrics: {_name(condition)}(moment) gives {value.dtype} {value.shape}, not {wanted}; for numbers take "
+            f"metrics: {_name(condition)}(moment) gives {value.dtype} {value.shape}, not {expected}; for numbers take "
             "metrics.total, mean, minimum, maximum or final."
         )
     return value
@@ -396,66 +324,46 @@ class Duration(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """A sum, and the sum of the weights that it is divided by."""
+    """A sum and the sum of its weights."""
 
     amount: Float[Array, " columns"]
     weight: Float[Array, " columns"]
 
 
 def situation_weights(moment: Moment) -> Float[Array, " columns"]:
-    """Weights by which an amount counts overall and in each situation.
-
-    Returns:
-        (1 + S,): 1 overall, then 1 for each situation that occurs at that moment, else 0.
-    """
+    """(1 + S,) 1 overall, then 1 for each situation that occurs at that moment, else 0."""
     return jnp.concatenate([jnp.ones(1, float), moment.situations.astype(float)])
 
 
 def zeros(moment: Moment) -> Float[Array, " columns"]:
-    """The value of a sum to which nothing was added yet.
-
-    Returns:
-        (1 + S,) zeros.
-    """
+    """(1 + S,) zeros, the initial value of a sum."""
     return jnp.zeros_like(situation_weights(moment))
 
 
 def zero_duration(moment: Moment) -> Duration:
-    """The value of a time of which nothing has passed yet."""
+    """The initial value of a time."""
     return Duration(zeros(moment), jnp.asarray(moment.time_step, float))
 
 
 def zero_ratio(moment: Moment) -> Ratio:
-    """The value of a ratio to which nothing was added yet."""
+    """The initial value of a ratio."""
     return Ratio(zeros(moment), zeros(moment))
 
 
 def in_seconds(value: Duration) -> Float[Array, " columns"]:
-    """A time in seconds.
-
-    Returns:
-        (1 + S,) s.
-    """
+    """A time in seconds."""
     return value.steps * value.step
 
 
 def ratio(value: Ratio) -> Float[Array, " columns"]:
-    """A sum divided by its weight.
-
-    Returns:
-        (1 + S,): 0 overall as long as there is nothing, NaN for situations that did not occur.
-    """
+    """A sum divided by its weight: 0 overall while there is nothing, NaN for situations that did not occur."""
     none = value.weight == 0.0
     quotient = jnp.where(none, 0.0, value.amount / jnp.where(none, 1.0, value.weight))
     return jnp.concatenate([quotient[:1], jnp.where(none[1:], jnp.nan, quotient[1:])])
 
 
 def identity(value: Array) -> Array:
-    """The running value as it stands, for metrics whose value is the figure.
-
-    Returns:
-        The same.
-    """
+    """``compute`` of metrics whose running value is the figure."""
     return value
 
 
@@ -466,19 +374,12 @@ def second_has_passed(moment: Moment) -> Bool[Array, ""]:
     """Whether a whole second has passed within the last step, when SEAN samples its path metrics.
 
     At 0.1 s that is every tenth tick; at 0.15 s the ticks 7, 14, 20, 27, ... of 1.05, 2.1, 3.0, 4.05 s.
-
-    Returns:
-        () bool.
     """
     return _whole_seconds(moment, moment.tick) > _whole_seconds(moment, moment.tick - 1)
 
 
 def time_since_sample(moment: Moment) -> Float[Array, ""]:
-    """Time since the last sample before this tick.
-
-    Returns:
-        () s: 1 where seconds are whole steps, else about that.
-    """
+    """Time [s] since the last sample before this tick: 1 where seconds are whole steps, else about that."""
     over, under = clock.events_per_tick(moment.time_step)
     sampled = -((-_whole_seconds(moment, moment.tick - 1) * under) // over)  # the first tick at or after that second
     return (moment.tick - sampled).astype(float) * moment.time_step

@@ -1,5 +1,6 @@
-"""Metrics of the robot's path and success (section IV-H): length, rotation, standing, goal, SPL, STL."""
+"""Metrics of the robot's path and success (section IV-H): length, rotation, standing, goal, SPL, STL, smoothness."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -10,14 +11,18 @@ from sean_jax.geometry import angle_between, length
 from sean_jax.metrics.metric import (
     Duration,
     Metric,
+    Ratio,
     duration,
     final,
     in_seconds,
+    mean,
     minimum,
+    ratio,
     second_has_passed,
     situation_weights,
     time_since_sample,
     zero_duration,
+    zero_ratio,
     zeros,
 )
 
@@ -107,7 +112,7 @@ time_not_moving = Metric(
 )
 """Time of the seconds in which the robot moved no farther than 0.05 m.
 
-Where seconds are no whole number of steps, those from one sample to the next count with the time they took.
+Where seconds are no whole number of steps, the steps from one sample to the next count with their own time.
 """
 
 
@@ -187,7 +192,7 @@ min_distance_to_goal = minimum(
     definition="Distance from the robot to its goal when it was nearest.",
     headline=False,
 )
-"""Least distance to the goal in a straight line."""
+"""Minimum distance to the goal in a straight line."""
 
 final_distance_to_goal = final(
     _distance_to_goal,
@@ -204,7 +209,7 @@ time_in_situation = duration(
     definition="Duration of the episode, and time spent in each situation.",
     headline=False,
 )
-"""Seconds of the episode, and those spent in each situation. Shares of robot time in the table are of these."""
+"""Seconds of the episode and in each situation, from which the table makes shares of robot time."""
 
 reached_goal = final(
     _at_goal,
@@ -221,7 +226,7 @@ reached_goal = final(
 
 
 class Success(NamedTuple):
-    """Whether the robot is at its goal, its path and time so far, and the shortest possible ones."""
+    """Whether the robot is at its goal, its path and time so far, and the shortest possible path and time."""
 
     reached: Float[Array, ""]  # 1 or 0
     path: SampledPath
@@ -291,3 +296,110 @@ success_by_time = Metric(
 
 The iGibson social navigation challenge takes for T* the time of an ORCA robot that is alone, which is a little more.
 """
+
+
+# --- smoothness, from differences of the velocity ---
+
+
+class MeanJerk(NamedTuple):
+    """The sum of the jerk and its steps, and the acceleration in the last step."""
+
+    jerk: Ratio
+    acceleration: Float[Array, "2"]  # m/s2
+    known: Float[Array, ""]  # 1 once there is an acceleration, else 0
+
+
+class Maximum(NamedTuple):
+    """The maximum so far, and the acceleration in the last step."""
+
+    amount: Float[Array, ""]
+    acceleration: Float[Array, "2"]  # m/s2
+    known: Float[Array, ""]  # 1 once there is an acceleration, else 0
+
+
+def _acceleration(before: Moment, after: Moment) -> Array:
+    return (after.velocity - before.velocity) / after.time_step
+
+
+def _speed(before: Moment, after: Moment) -> Array:
+    return length(after.velocity[0], after.velocity[1])
+
+
+def _acceleration_size(before: Moment, after: Moment) -> Array:
+    now = _acceleration(before, after)
+    return length(now[0], now[1])
+
+
+def _jerk_size(before: Moment, after: Moment, value: MeanJerk | Maximum) -> Array:
+    """0 in the first step, before which no acceleration is known."""
+    change = (_acceleration(before, after) - value.acceleration) / after.time_step
+    return value.known * length(change[0], change[1])
+
+
+def _init_mean_jerk(moment: Moment) -> MeanJerk:
+    return MeanJerk(zero_ratio(moment), jnp.zeros_like(moment.velocity), jnp.zeros_like(moment.geodesic))
+
+
+def _update_mean_jerk(value: MeanJerk, before: Moment, after: Moment) -> MeanJerk:
+    weights = situation_weights(after)
+    return MeanJerk(
+        jerk=Ratio(
+            value.jerk.amount + _jerk_size(before, after, value) * weights, value.jerk.weight + value.known * weights
+        ),
+        acceleration=_acceleration(before, after),
+        known=jnp.ones_like(value.known),
+    )
+
+
+def _maximum(size: Callable, unit: str, title: str, definition: str) -> Metric:
+    """Maximum of ``size(before, after, value)`` over the steps."""
+
+    def init(moment: Moment) -> Maximum:
+        zero = jnp.zeros_like(moment.geodesic)
+        return Maximum(zero, jnp.zeros_like(moment.velocity), zero)
+
+    def update(value: Maximum, before: Moment, after: Moment) -> Maximum:
+        now = size(before, after, value)
+        return Maximum(jnp.maximum(value.amount, now), _acceleration(before, after), jnp.ones_like(value.known))
+
+    return Metric(init, update, lambda value: value.amount, unit, title, definition, headline=False)
+
+
+mean_speed = mean(_speed, unit="m/s", title="mean speed", definition="Mean speed of the robot.", headline=False)
+"""Mean of |v| over the steps."""
+
+mean_acceleration = mean(
+    _acceleration_size,
+    unit="m/s2",
+    title="mean acceleration",
+    definition="Mean acceleration of the robot, of its velocity vector, so that curves count.",
+    headline=False,
+)
+"""Mean of |v_k+1 - v_k| / dt over the steps: of the velocity vector, so that curves count."""
+
+mean_jerk = Metric(
+    _init_mean_jerk,
+    _update_mean_jerk,
+    lambda value: ratio(value.jerk),
+    unit="m/s3",
+    title="mean jerk",
+    definition="Mean rate of change of the robot's acceleration.",
+    headline=False,
+)
+"""Mean of |a_k+1 - a_k| / dt over the steps from the second on, a as in ``mean_acceleration``."""
+
+max_speed = _maximum(
+    lambda before, after, value: _speed(before, after), "m/s", "maximum speed", "Maximum speed of the robot."
+)
+"""Maximum of |v| over the steps."""
+
+max_acceleration = _maximum(
+    lambda before, after, value: _acceleration_size(before, after),
+    "m/s2",
+    "maximum acceleration",
+    "Maximum acceleration of the robot, of its velocity vector.",
+)
+"""Maximum of |v_k+1 - v_k| / dt."""
+
+max_jerk = _maximum(_jerk_size, "m/s3", "maximum jerk", "Maximum rate of change of the robot's acceleration.")
+"""Maximum of |a_k+1 - a_k| / dt."""

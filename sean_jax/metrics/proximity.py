@@ -1,8 +1,8 @@
-"""Metrics of closeness (section IV-H): distance violations and collisions with people, each with its fault; obstacles.
+"""Metrics of people and obstacles near the robot (section IV-H): violations of distance, collisions, comfort.
 
-An event is an entry: somebody's distance to the robot (centre to centre, as the paper words it; SEAN's code
-subtracts a person's radius) falls below the limit, having been above it a step before. The fault rule is SEAN's:
-robot on person if the robot moves and its velocity has a part towards the person, else person on robot.
+An event is an entry: a person's distance to the robot (centre to centre, as in the paper; SEAN's code subtracts a
+person's radius) falls below the limit, having been above it a step before. The fault rule is SEAN's: robot on person if
+the robot moves and its velocity has a part towards the person, else person on robot.
 """
 
 from collections.abc import Callable
@@ -12,31 +12,36 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from sean_jax.base import Array, Moment
-from sean_jax.geometry import TINY, from_box
-from sean_jax.metrics.metric import Metric, count_onsets, minimum
+from sean_jax.geometry import TINY, from_box, length, sum_vectors, unit
+from sean_jax.metrics.metric import Metric, count_onsets, duration, minimum, share_of_time, total
 
 INTIMATE = 0.45  # m [Hall; section IV-H]
 PERSONAL = 1.2  # m [Hall; section IV-G]
 TOUCH = 0.01  # m, SEAN's margin around bodies
 MOVING = 5e-4  # m/s: SEAN rounds the robot's speed to three decimals
 NONE = 1e3  # m, distance to people or obstacles where there are none
+SPACE = 0.5  # m, of the iGibson social navigation challenge
+HORIZON = 30.0  # s: a collision later than that counts as one then
+STRENGTH, RANGE = 7.0, 0.3  # m/s2, m: V0 / sigma and sigma of Helbing & Molnar (1995), circular
+LOOKING = 0.9961947  # cosine of 5 degrees (Arena-Rosnav)
+VISIBLE = 3.6  # m, the end of social distance [Hall]: people farther away do not meet the robot
 
 
 # --- people ---
 
 
 def _intimate_limit(moment: Moment) -> Float[Array, ""]:
-    """Distance [m] of intimacy: () m, the same for all."""
+    """Intimate distance [m]."""
     return jnp.full_like(moment.robot_radius, INTIMATE)
 
 
 def _personal_limit(moment: Moment) -> Float[Array, ""]:
-    """Distance [m] of personal space: () m, the same for all."""
+    """Personal distance [m]."""
     return jnp.full_like(moment.robot_radius, PERSONAL)
 
 
 def _touch_limit(moment: Moment) -> Float[Array, ""]:
-    """Distance [m] at which the bodies of robot and person touch: () m, with SEAN's margin of 1 cm."""
+    """Distance [m] at which the bodies of robot and person touch, with SEAN's margin of 1 cm."""
     return moment.robot_radius + moment.person_radius + TOUCH
 
 
@@ -65,7 +70,7 @@ def _person_at_fault(moment: Moment) -> Array:
 
 
 def _entries(limit: Callable[[Moment], Array], by_robot: bool, name: str, distance: float | None = None) -> Metric:
-    """Entries of people into the circle of that limit about the robot, as far as one of both is at fault."""
+    """Entries of people into the circle of that limit around the robot, by the fault of the robot or of the person."""
 
     def inside(moment: Moment) -> Array:
         return _squares(moment) <= limit(moment) ** 2
@@ -83,22 +88,22 @@ def _entries(limit: Callable[[Moment], Array], by_robot: bool, name: str, distan
 
 
 intimate_robot_on_person = _entries(_intimate_limit, True, "intimate", INTIMATE)
-"""Times that the moving robot came within 0.45 m of somebody."""
+"""Number of times that the moving robot came within 0.45 m of a person."""
 
 intimate_person_on_robot = _entries(_intimate_limit, False, "intimate", INTIMATE)
-"""Times that somebody came within 0.45 m of the robot."""
+"""Number of times that a person came within 0.45 m of the robot."""
 
 personal_robot_on_person = _entries(_personal_limit, True, "personal", PERSONAL)
-"""Times that the moving robot came within 1.2 m of somebody."""
+"""Number of times that the moving robot came within 1.2 m of a person."""
 
 personal_person_on_robot = _entries(_personal_limit, False, "personal", PERSONAL)
-"""Times that somebody came within 1.2 m of the robot."""
+"""Number of times that a person came within 1.2 m of the robot."""
 
 collision_robot_on_person = _entries(_touch_limit, True, "collision")
-"""Times that the moving robot touched somebody."""
+"""Number of times that the moving robot touched a person."""
 
 collision_person_on_robot = _entries(_touch_limit, False, "collision")
-"""Times that somebody touched the robot."""
+"""Number of times that a person touched the robot."""
 
 min_distance_to_people = minimum(
     _distance_to_people,
@@ -108,22 +113,19 @@ min_distance_to_people = minimum(
     definition="Distance from the robot to the nearest person, when it was nearest.",
     headline=False,
 )
-"""Least distance from the robot's centre to anybody's; 1000 where there is nobody."""
+"""Minimum distance from the robot's centre to a person's; 1000 where there is nobody."""
 
 
 # --- obstacles ---
 
 
 def obstacle_distance(moment: Moment) -> Float[Array, ""]:
-    """Distance from the robot's centre to the surface of the nearest obstacle.
-
-    Returns:
-        () m, negative inside; 1000 where there is no obstacle or none is known.
-    """
+    """Distance [m] from the robot's centre to the nearest obstacle, negative inside; 1000 where none is known."""
     if moment.obstacles is None:
         return jnp.full_like(moment.geodesic, NONE)
-    each = jax.vmap(from_box, in_axes=(None, None, 0))(moment.position[0], moment.position[1], moment.obstacles)[0]
-    return jnp.min(each, initial=NONE)
+    x, y = moment.position[0], moment.position[1]
+    distances = jax.vmap(from_box, in_axes=(None, None, 0))(x, y, moment.obstacles)[0]
+    return jnp.min(distances, initial=NONE)
 
 
 def _touches_obstacle(moment: Moment) -> Array:
@@ -148,4 +150,109 @@ min_distance_to_obstacles = minimum(
     definition="Distance from the robot's centre to the surface of the nearest obstacle, when it was nearest.",
     headline=False,
 )
-"""Least distance from the robot's centre to the surface of an obstacle; 1000 where there is none."""
+"""Minimum distance from the robot's centre to the surface of an obstacle; 1000 where there is none."""
+
+
+# --- comfort ---
+
+
+def collision_time(
+    x: Float[Array, "*shape"],
+    y: Float[Array, "*shape"],
+    vx: Float[Array, "*shape"],
+    vy: Float[Array, "*shape"],
+    reach: Float[Array, "#*shape"] | float,
+) -> Float[Array, "*shape"]:
+    """Time [s] until discs of constant velocities touch: the smallest t >= 0 with |d + v t| <= reach, else infinite.
+
+    Args:
+        x, y: (...) m, the relative position d.
+        vx, vy: (...) m/s, the relative velocity v.
+        reach: m, sum of both radii; it broadcasts.
+    """
+    speeds, product = vx * vx + vy * vy, x * vx + y * vy
+    outside = x * x + y * y - reach * reach
+    inner = product * product - speeds * outside
+    meets = (product < 0.0) & (inner > 0.0) & (speeds > TINY)
+    root = jnp.sqrt(jnp.where(meets, inner, 1.0))
+    # c / (-b + root) is (-b - root) / a without the difference of nearly equal numbers.
+    time = outside / jnp.where(meets, root - product, 1.0)
+    return jnp.where(outside <= 0.0, 0.0, jnp.where(meets, time, jnp.inf))
+
+
+def _gap(moment: Moment) -> tuple[Array, Array]:
+    """(N,) x and y [m] from the robot to each person."""
+    gap = moment.people.position - moment.position[None, :]
+    return gap[:, 0], gap[:, 1]
+
+
+def _respects_space(moment: Moment) -> Array:
+    x, y = _gap(moment)
+    return ~((x * x + y * y < SPACE * SPACE) & moment.people.present).any()
+
+
+def _time_to_collision(moment: Moment) -> Array:
+    x, y = _gap(moment)
+    relative = moment.people.velocity - moment.velocity[None, :]
+    time = collision_time(x, y, relative[:, 0], relative[:, 1], moment.robot_radius + moment.person_radius)
+    return jnp.min(jnp.where(moment.people.present, time, HORIZON), initial=HORIZON)
+
+
+def _work(before: Moment, after: Moment) -> Array:
+    x, y = _gap(after)
+    distance = length(x, y)
+    push = jnp.where(after.people.present, STRENGTH * jnp.exp(-distance / RANGE), 0.0)
+    away_x, away_y = unit(x, y)
+    robot = length(*sum_vectors(push * away_x, push * away_y, 0))
+    return after.time_step * (robot + push.sum())
+
+
+def _is_looked_at(moment: Moment) -> Array:
+    x, y = _gap(moment)
+    distance = length(x, y)
+    heading = moment.people.heading
+    toward = -(heading[:, 0] * x + heading[:, 1] * y) >= LOOKING * distance
+    return (toward & (distance <= VISIBLE) & moment.people.present).any()
+
+
+personal_space_compliance = share_of_time(
+    _respects_space,
+    title="personal space compliance",
+    definition="Share of the time in which everybody is 0.5 m or farther away from the robot.",
+    headline=False,
+)
+"""Share of the steps in which all people are 0.5 m or farther away, centre to centre (PSC)."""
+
+min_time_to_collision = minimum(
+    _time_to_collision,
+    unit="s",
+    title="minimum time to collision",
+    definition="Time until the robot would touch a person if both kept their velocities; at most 30 s.",
+    headline=False,
+)
+"""Minimum time until the robot and a person would touch, at most 30 s, if both kept their velocities.
+
+At each step the smallest t >= 0 with |d + v t| <= r_robot + r_person over all people, d and v relative.
+"""
+
+social_work = total(
+    _work,
+    unit="m/s",
+    title="social-force work",
+    definition="Social forces between the robot and people, summed over time.",
+    headline=False,
+)
+"""Social-force work: dt (|sum_i f_i| + sum_i |f_i|) summed over the steps, on the robot and on all people, per mass.
+
+The robot and person i push each other with f = (V0 / sigma) exp(-d / sigma) = 7 m/s2 exp(-d / 0.3 m), d between
+centres: the circular law of Helbing & Molnar (1995), whatever law moves the people, so that pedestrian models can be
+compared. A sum of force over time, which HuNavSim calls work.
+"""
+
+time_looked_at = duration(
+    _is_looked_at,
+    title="time looked at",
+    definition="Time during which a person within 3.6 m faces the robot to within 5 degrees.",
+    headline=False,
+)
+"""Time in which at least one person within 3.6 m faces the robot to within 5 degrees; obstacles hide nobody."""

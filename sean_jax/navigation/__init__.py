@@ -1,5 +1,6 @@
 """Shortest paths around obstacles, exact for discs: tables over the corners of inflated obstacles, looked up in jit."""
 
+from sean_jax.navigation.arcs import SLACK, segment_is_free
 from sean_jax.navigation.next_corner_table import (
     CLOSE,
     NextCornerTable,
@@ -8,7 +9,6 @@ from sean_jax.navigation.next_corner_table import (
     next_point_approx,
 )
 from sean_jax.navigation.places import PLACES, draw_places, mesh_corners
-from sean_jax.navigation.segments import SLACK, segment_is_free
 from sean_jax.navigation.shortest_paths import (
     build_paths_to_goal,
     geodesic,

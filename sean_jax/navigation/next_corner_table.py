@@ -1,6 +1,6 @@
-"""Next corners for many people: the corner arc to walk to from each cell to each of a few points, found on the host.
+"""Next corners for many people: the corner arc to walk to from each cell to each of a few points.
 
-Looking up a table is cheaper than a search over all arcs, which the robot affords (``shortest_paths``).
+Looking up a table is cheaper than the robot's search over all arcs (``shortest_paths``).
 """
 
 import jax
@@ -13,8 +13,16 @@ from sean_jax import cache
 from sean_jax.base import Array, PathsToGoal
 from sean_jax.devices import to_device
 from sean_jax.geometry import from_box, length
-from sean_jax.navigation.corner_arcs import ANGLE, Tangent, tangent_to_arc, tangents
-from sean_jax.navigation.segments import map_in_batches, push_out_of_obstacles, segment_is_free, segments_are_free
+from sean_jax.navigation.arcs import (
+    ANGLE,
+    Tangent,
+    map_in_batches,
+    push_out_of_obstacles,
+    segment_is_free,
+    segments_are_free,
+    tangent_to_arc,
+    tangents,
+)
 from sean_jax.navigation.shortest_paths import last_arcs
 from sean_jax.navigation.tables import CELL, CODE, Navigation, inputs
 
@@ -36,27 +44,15 @@ class NextCornerTable:
 
 
 def build_next_corner_table(navigation: Navigation, points: Float[Array, "M 2"]) -> NextCornerTable:
-    """Build the table on the host, or read it from the user's cache.
-
-    Args:
-        points: (M, 2) m.
-    """
-    made = cache.load_or_build("next_corner", CODE, [*inputs(navigation), points], lambda: _make(navigation, points))
-    return NextCornerTable(**to_device({"point": points, **made}))
+    """Build the table for points [m] on the host, or read it from the user's cache."""
+    fields = cache.load_or_build("next_corner", CODE, [*inputs(navigation), points], lambda: _make(navigation, points))
+    return NextCornerTable(**to_device({"point": points, **fields}))
 
 
 def next_corner(
     navigation: Navigation, table: NextCornerTable, position: Float[Array, "2"], index: Int[Array, ""]
 ) -> Float[Array, "2"]:
-    """A place ahead on the way to a point of the table.
-
-    Args:
-        table: of ``build_next_corner_table``.
-        position: (2,) m, of the start.
-
-    Returns:
-        (2,) m, the point itself, or a place on the tangent to the next arc.
-    """
+    """A place [m] ahead on the way from a position [m] to a point of the table: the point, or on an arc's tangent."""
     index_max = jnp.asarray(table.first_arc.shape[:2], jnp.int32) - 1
     cell = jnp.clip(jnp.floor((position - navigation.origin) / CELL).astype(jnp.int32), 0, index_max)
     arc, tangent = _next_arc(navigation, table, position, index, table.first_arc[cell[0], cell[1], index])
@@ -67,14 +63,9 @@ def next_corner(
 def next_point_approx(
     navigation: Navigation, position: Float[Array, "2"], goal: Float[Array, "2"], paths_to_goal: PathsToGoal
 ) -> Float[Array, "2"]:
-    """``next_point`` for many people: the best arc in sight among those that are visible from the cells around.
+    """``next_point`` [m] for many people: by the best arc in sight among those visible from the cells around.
 
-    Args:
-        position: (2,) m, of the start.
-        goal: (2,) m.
-
-    Returns:
-        (2,) m; the goal if it is in sight or if there is no path.
+    It is the goal if that is in sight or if there is no path.
     """
     boxes, radius = navigation.obstacles, navigation.radius
     index_max = jnp.asarray(navigation.visible.shape[:2], jnp.int32) - 1

@@ -1,4 +1,4 @@
-"""Free places, from which starts and goals are drawn: all alike, or as SEAN 2.0 draws points of its navigation mesh.
+"""Free places, from which starts and goals are drawn: uniformly, or as SEAN 2.0 draws points of its navigation mesh.
 
 SEAN takes a point between two random vertices of the mesh's triangles, which lies the more often in the middle of a
 floor and on lines between corners. Its mesh is Unity's, of which the corners are known and the triangles are not: here
@@ -19,7 +19,7 @@ from sean_jax.base import Array, Environment
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.geometry import signed_distances_on_host
-from sean_jax.navigation.segments import SLACK, pairs_are_free
+from sean_jax.navigation.arcs import SLACK, pairs_are_free
 from sean_jax.navigation.tables import CODE, Navigation, inputs
 
 MESH_RADIUS = 0.5  # m, of SEAN's mesh: so far its edges are from obstacles, and those of a larger robot its radius
@@ -32,11 +32,7 @@ CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
 
 
 def draw_places(navigation: Navigation, key: Array, number: int) -> Int[Array, "{number}"]:
-    """Draw from the free places, with replacement.
-
-    Returns:
-        (number,) indices of ``navigation.places``.
-    """
+    """Draw indices of ``navigation.places``, with replacement."""
     if navigation.mesh_places is None:
         return jax.random.randint(key, (number,), 0, navigation.places.shape[0], jnp.int32)
     index = jax.random.randint(key, (number,), 0, navigation.mesh_places.shape[0], jnp.int32)
@@ -44,11 +40,7 @@ def draw_places(navigation: Navigation, key: Array, number: int) -> Int[Array, "
 
 
 def uniform_places(environment: Environment, navigation: Navigation) -> Navigation:
-    """All free places are equally likely.
-
-    Returns:
-        The tables, for ``draw_places``.
-    """
+    """All free places are equally likely."""
     return replace(navigation, mesh_places=None)
 
 
@@ -58,17 +50,14 @@ def mesh_places(environment: Environment, navigation: Navigation) -> Navigation:
     A point lies between two random corners of the free floor whose whole metres differ in x and in y, at least 0.25 m
     from the nearest edge. The nearest free place in sight stands for it.
 
-    Returns:
-        The tables, for ``draw_places``.
-
     Raises:
         InputError: hardly any such point is free.
 
     Source: SEAN 2.0, Util/Navmesh.cs, and the radius of the mesh in Warehouse.unity.
     """
-    told = [*inputs(navigation), environment.floor]
-    made = cache.load_or_build("mesh_places", CODE, told, lambda: {"place": _nearest_to_draws(environment, navigation)})
-    return replace(navigation, mesh_places=to_device(made["place"]))
+    key = [*inputs(navigation), environment.floor]
+    table = cache.load_or_build("mesh_places", CODE, key, lambda: {"place": _nearest_to_draws(environment, navigation)})
+    return replace(navigation, mesh_places=to_device(table["place"]))
 
 
 PLACES: dict[str, Callable[[Environment, Navigation], Navigation]] = {"uniform": uniform_places, "mesh": mesh_places}
@@ -76,16 +65,10 @@ PLACES: dict[str, Callable[[Environment, Navigation], Navigation]] = {"uniform":
 
 
 def mesh_corners(environment: Environment, radius: float) -> Float[np.ndarray, "K 2"]:
-    """The corners of the floor that is free for a disc, on the host.
+    """The corners (K, 2) [m] of the floor that is free for a disc of a radius [m], in order and without doubles.
 
     They are corners of the room and of obstacles that are grown by the radius, without rounding, and where the sides of
     two of them meet.
-
-    Args:
-        radius: m, of the disc.
-
-    Returns:
-        (K, 2) m, no two alike, in order.
     """
     boxes, floor = environment.obstacles, np.asarray(environment.floor, float)
     center, half, yaw = (np.asarray(part, float) for part in (boxes.center, boxes.half_extent, boxes.yaw))
@@ -96,7 +79,7 @@ def mesh_corners(environment: Environment, radius: float) -> Float[np.ndarray, "
     x, y = np.moveaxis(half[:, None] * CORNERS, -1, 0)
     corner = center[:, None] + np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
     begin, way = corner.reshape(-1, 2), (np.roll(corner, -1, 1) - corner).reshape(-1, 2)
-    found = [begin]
+    crossings = [begin]
     for origin, along in zip(begin, way, strict=True):
         gap = begin - origin
         cross = along[0] * way[:, 1] - along[1] * way[:, 0]
@@ -105,8 +88,8 @@ def mesh_corners(environment: Environment, radius: float) -> Float[np.ndarray, "
         mine = (gap[:, 0] * way[:, 1] - gap[:, 1] * way[:, 0]) * scale
         other = (gap[:, 0] * along[1] - gap[:, 1] * along[0]) * scale
         meets = crosses & (np.minimum(mine, other) >= 0.0) & (np.maximum(mine, other) <= 1.0)
-        found.append(origin + mine[meets, None] * along)
-    spots = np.unique(np.round(np.concatenate(found) / SAME).astype(np.int64), axis=0) * SAME
+        crossings.append(origin + mine[meets, None] * along)
+    spots = np.unique(np.round(np.concatenate(crossings) / SAME).astype(np.int64), axis=0) * SAME
     free = np.empty(len(spots), bool)
     for part in np.array_split(np.arange(len(spots)), max(1, len(spots) // 1024)):
         gap = spots[part][:, None] - center
@@ -123,7 +106,7 @@ def _nearest_to_draws(environment: Environment, navigation: Navigation) -> np.nd
     radius = max(float(navigation.radius), MESH_RADIUS)
     corners, places = mesh_corners(environment, radius), np.asarray(navigation.places, float)
     tree, free_radius = KDTree(places), max(float(navigation.radius) - SLACK, 0.0)
-    found: list[np.ndarray] = []
+    nearest: list[np.ndarray] = []
     number, tried = 0, 0
     while number < MESH_DRAWS:
         tried += MESH_DRAWS
@@ -137,14 +120,14 @@ def _nearest_to_draws(environment: Environment, navigation: Navigation) -> np.nd
             if len(left):
                 clear = pairs_are_free(environment.obstacles, free_radius, points[left], places[column[left]])
                 chosen[left[clear]] = column[left[clear]]
-        found.append(chosen[chosen >= 0])
-        number += len(found[-1])
+        nearest.append(chosen[chosen >= 0])
+        number += len(nearest[-1])
         if number * 2000 < tried:
             apart = f"{radius + MESH_EDGE:g} m from obstacles, as on SEAN's navigation mesh"
             raise InputError(
                 f"places: of points between corners of '{environment.name}', hardly any is {apart}; choose uniform."
             )
-    return np.concatenate(found)[:MESH_DRAWS].astype(np.int32)
+    return np.concatenate(nearest)[:MESH_DRAWS].astype(np.int32)
 
 
 def _points_between(corners: np.ndarray, generator: np.random.Generator) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Shortest paths to a goal, looked up inside jit: length, next point, rotation, and the plan ahead (section V-B).
 
-All functions take the ``PathsToGoal`` of the goal, which ``build_paths_to_goal`` makes once for a task.
+All functions take the ``PathsToGoal`` of the goal, which ``build_paths_to_goal`` makes once for a task. Positions and
+goals are in metres.
 """
 
 from typing import NamedTuple
@@ -11,8 +12,14 @@ from jaxtyping import Bool, Float, Int
 
 from sean_jax.base import Array, PathsToGoal
 from sean_jax.geometry import angle_between, length, rotate, unit
-from sean_jax.navigation.corner_arcs import ANGLE, tangent_to_arc, tangents
-from sean_jax.navigation.segments import push_out_of_obstacles, segment_is_free, segments_are_free
+from sean_jax.navigation.arcs import (
+    ANGLE,
+    push_out_of_obstacles,
+    segment_is_free,
+    segments_are_free,
+    tangent_to_arc,
+    tangents,
+)
 from sean_jax.navigation.tables import Navigation
 
 STRIDE = 10.0  # degrees, of an arc: the next point lies up to that far ahead, which adds 1 % to the arc
@@ -43,11 +50,7 @@ class ArcsToGoal(NamedTuple):
 
 
 def build_paths_to_goal(navigation: Navigation, goal: Float[Array, "2"]) -> PathsToGoal:
-    """The shortest paths to a goal from all arcs.
-
-    Args:
-        goal: (2,) m.
-    """
+    """The shortest paths to a goal from all arcs."""
     distance, _, departure_angle = last_arcs(navigation, goal)
     return PathsToGoal(distance, departure_angle)
 
@@ -55,15 +58,7 @@ def build_paths_to_goal(navigation: Navigation, goal: Float[Array, "2"]) -> Path
 def geodesic(
     navigation: Navigation, position: Float[Array, "2"], goal: Float[Array, "2"], paths_to_goal: PathsToGoal
 ) -> Float[Array, ""]:
-    """Length of the shortest path.
-
-    Args:
-        position: (2,) m, of the start.
-        goal: (2,) m.
-
-    Returns:
-        () m; inf if there is no path.
-    """
+    """Length [m] of the shortest path; inf without one."""
     gap = goal - position
     start = first_arc(navigation, position, goal, paths_to_goal)
     return jnp.where(start.straight, length(gap[0], gap[1]), start.around)
@@ -72,15 +67,7 @@ def geodesic(
 def geodesic_approx(
     navigation: Navigation, position: Float[Array, "2"], goal: Float[Array, "2"], paths_to_goal: PathsToGoal
 ) -> Float[Array, ""]:
-    """Length of the shortest path within about a cell of the visibility grid: cheap for many positions at once.
-
-    Args:
-        position: (2,) m, of the start.
-        goal: (2,) m.
-
-    Returns:
-        () m; inf if there is no path.
-    """
+    """Length [m] of the shortest path within about a cell of the visibility grid: cheap for many positions at once."""
     gap = goal - position
     straight = segment_is_free(navigation.obstacles, position, goal, NARROW * navigation.radius)
     index_max = jnp.asarray(navigation.visible.shape[:2], jnp.int32) - 1
@@ -95,18 +82,11 @@ def geodesic_approx(
 def next_point(
     navigation: Navigation, position: Float[Array, "2"], goal: Float[Array, "2"], paths_to_goal: PathsToGoal
 ) -> Float[Array, "2"]:
-    """The next point of the shortest path.
+    """The next point [m] of the shortest path; the goal if it is in sight or if there is no path.
 
-    It is the goal if that is in sight. Else it lies in the direction of the tangent to the next arc, up to 10 degrees
-    of the arc beyond where the tangent touches. Going there, and from there to the next point, follows a path that is
-    at most 1 % longer than the shortest.
-
-    Args:
-        position: (2,) m, of the start.
-        goal: (2,) m.
-
-    Returns:
-        (2,) m; the goal if there is no path.
+    Otherwise it lies in the direction of the tangent to the next arc, up to 10 degrees of the arc beyond where the
+    tangent touches. Going there, and from there to the next point, follows a path that is at most 1 % longer than the
+    shortest.
     """
     straight, around, first, spot, free_radius = first_arc(navigation, position, goal, paths_to_goal)
     angle, _, touch, direction = tangent_to_arc(navigation.arcs, first, spot, navigation.radius)
@@ -124,14 +104,9 @@ def path_rotation(
     goal: Float[Array, "2"],
     paths_to_goal: PathsToGoal,
 ) -> Float[Array, ""]:
-    """Rotation along the shortest path, left and right added up. Rotation at the goal does not count.
+    """Rotation [rad] along the shortest path, left and right added up, without that at the goal.
 
-    Args:
-        position: (2,) m, of the start.
-        goal: (2,) m.
-
-    Returns:
-        () rad; that of a straight path if there is no other.
+    It is that of a straight path if there is no other.
     """
     arcs, radius = navigation.arcs, navigation.radius
     straight, around, first, spot, _ = first_arc(navigation, position, goal, paths_to_goal)
@@ -147,15 +122,7 @@ def path_rotation(
 def first_arc(
     navigation: Navigation, position: Float[Array, "2"], goal: Float[Array, "2"], paths_to_goal: PathsToGoal
 ) -> PathStart:
-    """The beginning of the shortest path.
-
-    Args:
-        position: (2,) m, of the start.
-        goal: (2,) m.
-
-    Returns:
-        Whether the path is straight, and else its first arc.
-    """
+    """The beginning of the shortest path."""
     arcs, radius = navigation.arcs, navigation.radius
     spot, free_radius = push_out_of_obstacles(navigation.obstacles, position, radius)
     end, end_radius = push_out_of_obstacles(navigation.obstacles, goal, radius)
@@ -173,11 +140,7 @@ def first_arc(
 
 
 def last_arcs(navigation: Navigation, goal: Float[Array, "2"]) -> ArcsToGoal:
-    """The shortest paths to a goal from all arcs, with their last arcs.
-
-    Args:
-        goal: (2,) m.
-    """
+    """The shortest paths to a goal from all arcs, with their last arcs."""
     radius = navigation.radius
     end, free_radius = push_out_of_obstacles(navigation.obstacles, goal, radius)
     far, angle, x, y, on_arc = tangents(navigation.arcs, end, radius, False)
@@ -198,11 +161,7 @@ def last_arcs(navigation: Navigation, goal: Float[Array, "2"]) -> ArcsToGoal:
 
 
 def last_arc_to_goal(navigation: Navigation, goal: Float[Array, "2"]) -> Int[Array, "V"]:
-    """The last arc of the shortest path to a goal from each arc: made once for a task, for ``plan``.
-
-    Args:
-        goal: (2,) m.
-    """
+    """The last arc of the shortest path to a goal from each arc: made once for a task, for ``plan``."""
     return last_arcs(navigation, goal).last_arc
 
 
@@ -215,16 +174,11 @@ def plan(
     points: int = 10,
     apart: float = 0.5,
 ) -> Float[Array, "{points} 2"]:
-    """The next points of the shortest path, as a global planner gives them to a local one.
+    """The next points [m] of the shortest path, as a global planner gives them to a local one; then the goal.
 
     Args:
-        position: (2,) m, of the start.
-        goal: (2,) m.
-        last: (V,) of ``last_arc_to_goal``.
+        last: of ``last_arc_to_goal``.
         apart: m, minimum distance from one point to the next.
-
-    Returns:
-        (points, 2) m; those beyond the end of the path are the goal.
     """
     along = FINE * jnp.arange(1, round(CURVED * points * apart / FINE) + 1, dtype=float)
     x, y = _places_along(navigation, position, goal, paths_to_goal, last, along)

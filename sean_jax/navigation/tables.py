@@ -1,6 +1,7 @@
 """The tables of shortest paths for a disc of one radius, built once on the host."""
 
 import math
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -15,14 +16,15 @@ from sean_jax import environment as environments
 from sean_jax.base import Array, Environment, Obstacles
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
-from sean_jax.navigation import corner_arcs
-from sean_jax.navigation.corner_arcs import CommonTangents, CornerArcs
-from sean_jax.navigation.segments import (
+from sean_jax.navigation.arcs import (
+    ANGLE,
     SLACK,
+    CornerArcs,
     map_in_batches,
     pairs_are_free,
     push_out_of_obstacles,
     segments_are_free,
+    tangents,
 )
 
 CODE = "navigation", "environment", "geometry"  # on which the tables depend
@@ -30,9 +32,10 @@ FIELDS = "corner", "middle", "side", "first", "last"
 CELL = 0.25  # m
 MAX_CELLS = 100_000  # of a visibility grid; larger floors have wider cells
 MAX_ARCS = 2_500  # the tables have all pairs of them
-PLACES = 1024  # free places from which starts and goals are drawn
+FREE_POINTS = 1024  # free places from which starts and goals are drawn
 ROOM = 0.1  # m, by which they are farther from obstacles than the radius
 STRAIGHT = 1e-3  # rad, by which an arc may run backwards because of rounding
+SAMPLES = 91  # sampled places on a quarter of a circle, one each degree
 
 
 @struct.dataclass
@@ -58,6 +61,18 @@ class Navigation:
     mesh_places: Int[Array, "M"] | None = None  # indices of places, as often as they are drawn; None: all alike
 
 
+class CommonTangents(NamedTuple):
+    """K straight segments from arc to arc that touch both circles, in float64."""
+
+    source: np.ndarray  # (K,) int, the arc that they leave
+    target: np.ndarray  # (K,) int, the arc that they enter
+    length: np.ndarray  # (K,) m
+    departure_angle: np.ndarray  # (K,) rad, where they leave
+    arrival_angle: np.ndarray  # (K,) rad, where they enter
+    begin: np.ndarray  # (K, 2) m
+    end: np.ndarray  # (K, 2) m
+
+
 def build(environment: Environment, radius: float, cell: float | None = None) -> Navigation:
     """Build the tables on the host, or read them from the user's cache.
 
@@ -70,18 +85,14 @@ def build(environment: Environment, radius: float, cell: float | None = None) ->
     """
     boxes = environment.obstacles
     inputs = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, radius, 0.0 if cell is None else cell
-    made = to_device(dict(cache.load_or_build("navigation", CODE, inputs, lambda: _make(environment, radius, cell))))
-    arcs = CornerArcs(*(made.pop(name) for name in FIELDS))
+    fields = to_device(dict(cache.load_or_build("navigation", CODE, inputs, lambda: _make(environment, radius, cell))))
+    arcs = CornerArcs(*(fields.pop(name) for name in FIELDS))
     origin, size = to_device((np.asarray(environment.floor)[:2], np.asarray(radius)))
-    return Navigation(**made, arcs=arcs, origin=origin, obstacles=boxes, radius=size)
+    return Navigation(**fields, arcs=arcs, origin=origin, obstacles=boxes, radius=size)
 
 
 def inputs(navigation: Navigation) -> list:
-    """The inputs that identify these tables in the cache, for tables that are computed from them.
-
-    Args:
-        navigation: of ``build``.
-    """
+    """The key of these tables in the cache, for tables that are computed from them."""
     boxes, grid = navigation.obstacles, (navigation.origin, navigation.cell, navigation.visible.shape)
     shape = boxes.center, boxes.half_extent, boxes.yaw, navigation.radius
     return [*shape, *jax.tree.leaves(navigation.arcs), navigation.distance, navigation.places, *grid]
@@ -90,12 +101,12 @@ def inputs(navigation: Navigation) -> list:
 def _make(environment: Environment, radius: float, cell: float | None) -> dict[str, np.ndarray]:
     """The fields of the tables and of their arcs, as numpy arrays."""
     boxes = environment.obstacles
-    drawn = environments.free_points(environment, radius + ROOM, PLACES, seed=1)
-    exact = corner_arcs.find_arcs(environment, radius)
+    drawn = environments.free_points(environment, radius + ROOM, FREE_POINTS, seed=1)
+    exact = find_arcs(environment, radius)
     if len(exact.side) > MAX_ARCS:
         what = f"{len(exact.side):,} arcs around corners, and paths are planned over {MAX_ARCS:,} at most"
         raise InputError(f"environment '{environment.name}' has {what}; describe it by fewer and larger boxes.")
-    links = corner_arcs.common_tangents(exact, radius)
+    links = common_tangents(exact, radius)
     clear = pairs_are_free(boxes, max(radius - SLACK, 0.0), links.begin, links.end)
     links = CommonTangents(*(part[clear] for part in links))
     paths = _shortest_chains(len(exact.side), links, radius)
@@ -111,9 +122,9 @@ def _make(environment: Environment, radius: float, cell: float | None) -> dict[s
     return {
         **{name: getattr(exact, name) for name in FIELDS},
         **paths,
-        "visible": visible[PLACES:].reshape(*count, -1),
+        "visible": visible[FREE_POINTS:].reshape(*count, -1),
         "cell": np.asarray(cell),
-        "places": drawn[_connected(visible[:PLACES], links)],
+        "places": drawn[_connected(visible[:FREE_POINTS], links)],
     }
 
 
@@ -125,7 +136,7 @@ def _visible_arcs(shared: tuple[Obstacles, CornerArcs, Array], spot: Array) -> A
     boxes, arcs, radius = shared
     half = arcs.side.shape[0] // 2
     start, free_radius = push_out_of_obstacles(boxes, spot, radius)
-    _, _, x, y, on_arc = corner_arcs.tangents(arcs, start, radius, True)
+    _, _, x, y, on_arc = tangents(arcs, start, radius, True)
     x, y = (jnp.where(on_arc[half:], part[half:], part[:half]) for part in (x, y))
     clear = segments_are_free(boxes, start, x, y, free_radius)
     return on_arc & jnp.concatenate([clear, clear])
@@ -189,3 +200,91 @@ def _connected(visible: np.ndarray, links: CommonTangents) -> np.ndarray:
     part = connected_components(graph, directed=False)[1]
     count = np.array([(visible[:, part == label]).any(1).sum() for label in range(part.max() + 1)])
     return np.asarray(visible[:, part == count.argmax()].any(1))
+
+
+# --- arcs and their common tangents ---
+
+
+def find_arcs(environment: Environment, radius: float) -> CornerArcs:
+    """The corner arcs of an environment for a disc of a radius [m], as numpy arrays of float64.
+
+    If there are none, one that no path can use.
+    """
+    boxes = environment.obstacles
+    center, half, yaw = (np.asarray(part, float) for part in (boxes.center, boxes.half_extent, boxes.yaw))
+    floor = np.asarray(environment.floor, float)
+    signs = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
+    corner = (center[:, None] + _rotated(half[:, None] * signs, yaw[:, None])).reshape(-1, 2)
+    middle = _rotated(np.broadcast_to(signs / np.sqrt(2), (len(yaw), 4, 2)), yaw[:, None]).reshape(-1, 2)
+
+    def free(index: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        """Whether the disc is clear at these angles, counter-clockwise, of the circles about those corners."""
+        place = corner[index] + radius * _rotated(middle[index], angle)
+        u, v = np.moveaxis(_rotated(place[..., None, :] - center, -yaw), -1, 0)
+        over = np.hypot(np.maximum(np.abs(u) - half[:, 0], 0.0), np.maximum(np.abs(v) - half[:, 1], 0.0))
+        to_edge = np.minimum(place - floor[:2], floor[2:] - place).min(-1)
+        return np.minimum(over.min(-1, initial=np.inf), to_edge) >= radius - 1e-6
+
+    angles = np.linspace(-np.pi / 4, np.pi / 4, SAMPLES)
+    index = np.arange(len(corner))
+    clear = np.stack([free(index, np.full(len(corner), angle)) for angle in angles], 1)
+    change = np.diff(np.pad(clear, [(0, 0), (1, 1)]).astype(int), axis=1)
+    (where, begin), (_, end) = np.nonzero(change == 1), np.nonzero(change == -1)
+    ends = []
+    for inside, outside in ((begin, begin - 1), (end - 1, end)):  # bisection between a free sample and a covered one
+        good, bad = angles[inside], angles[np.clip(outside, 0, SAMPLES - 1)]
+        for _ in range(30):
+            between = (good + bad) / 2
+            is_free = free(where, between)
+            good, bad = np.where(is_free, between, good), np.where(is_free, bad, between)
+        ends.append(good)
+    wide = ends[1] - ends[0] > np.sqrt(SLACK / max(radius, SLACK))  # paths over narrower ones may go straight
+    where, low, high = where[wide], ends[0][wide], ends[1][wide]
+    if len(where) == 0:
+        corner, middle, where = np.zeros((1, 2)), np.array([[1.0, 0.0]]), np.zeros(1, int)
+        low, high = np.full(1, 9.0), np.full(1, -9.0)  # an arc that no path touches: the tables must not be empty
+    parts = {
+        "corner": np.concatenate([corner[where]] * 2),
+        "middle": np.concatenate([middle[where]] * 2),
+        "side": np.repeat([1.0, -1.0], len(where)),
+        "first": np.concatenate([low, -high]),
+        "last": np.concatenate([high, -low]),
+    }
+    return CornerArcs(**cast(dict[str, Any], parts))  # numpy's float64, until the tables are complete
+
+
+def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
+    """The segments from arc to arc that touch both circles of a radius [m], whatever obstacles are in between."""
+    corner, middle, side, first, last = (
+        np.asarray(part) for part in (arcs.corner, arcs.middle, arcs.side, arcs.first, arcs.last)
+    )
+    gap = corner[None] - corner[:, None]
+    far = np.hypot(gap[..., 0], gap[..., 1])
+    from_side, to_side = side[:, None], side[None, :]
+    crossing = from_side != to_side
+    exists = (far > 1e-6) & (~crossing | (far >= 2 * radius - SLACK))
+    tilt = from_side * np.arcsin(np.minimum(np.where(crossing, 2 * radius, 0.0) / np.maximum(far, 1e-6), 1.0))
+    along = _rotated(gap / np.maximum(far, 1e-6)[..., None], tilt)
+    right = np.stack([along[..., 1], -along[..., 0]], -1)
+    departure, arrival = (_touch_angle(middle, side, right, axis) for axis in (0, 1))
+    for angle, axis in ((departure, 0), (arrival, 1)):
+        low, high = (np.expand_dims(limit, 1 - axis) for limit in (first, last))
+        exists = exists & (angle >= low - ANGLE) & (angle <= high + ANGLE)
+    i, j = np.nonzero(exists)
+    begin = corner[i] + radius * side[i, None] * right[i, j]
+    end = corner[j] + radius * side[j, None] * right[i, j]
+    return CommonTangents(i, j, np.hypot(*(end - begin).T), departure[i, j], arrival[i, j], begin, end)
+
+
+def _rotated(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+
+
+def _touch_angle(middle: np.ndarray, side: np.ndarray, right: np.ndarray, axis: int) -> np.ndarray:
+    """(V, V) rad where segments with that right-hand normal touch the first (axis 0) or the second (axis 1) arc."""
+    middle, side = np.expand_dims(middle, 1 - axis), np.expand_dims(side, 1 - axis)
+    normal = side[..., None] * right
+    cross = middle[..., 0] * normal[..., 1] - middle[..., 1] * normal[..., 0]
+    return side * np.arctan2(cross, (middle * normal).sum(-1))

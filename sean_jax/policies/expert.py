@@ -1,12 +1,12 @@
 """expert: a model-predictive controller that drives politely; it stands in for the human of section V.
 
 The paper's learned policies imitate a human who steers through SEAN. Here every control step searches a plan of the
-next seconds: the robot and the people are predicted (``prediction``), social costs are summed along the way, and the
-path that is left is a shortest path (``cost_to_go``). The search samples in two rounds: widely around the last plan and
-over constant arcs, then narrowly around the best of these. The robot drives the weighted mean of the second round
-(G. Williams et al., "Information theoretic MPC for model-based reinforcement learning", ICRA 2017, with two rounds).
-The expert knows more than a robot's sensors tell: all people, and where they want to go. ``sensing_expert`` does not. A
-control step takes some three million operations.
+next seconds: robot and people are predicted (``prediction``), social costs are summed along the way, and the rest of
+the path is a shortest path (``cost_to_go``). The search samples in two rounds: widely around the last plan and over
+constant arcs, then narrowly around the best of these. The robot drives the weighted mean of the second round (G.
+Williams et al., "Information theoretic MPC for model-based reinforcement learning", ICRA 2017, with two rounds). The
+expert knows more than a robot's sensors: all people and their goals; ``sensing_expert`` does not. A control step takes
+some three million operations.
 """
 
 from dataclasses import replace
@@ -53,10 +53,7 @@ STRETCH_TIME = 0.7  # s, by which the speed of people stretches their personal s
 
 @struct.dataclass
 class SocialCosts:
-    """Weights of the social costs (sections IV-G, IV-H); all leaves are () floats.
-
-    Costs are rates per second. One unit is worth one metre of way.
-    """
+    """Weights of the social costs (sections IV-G, IV-H); one unit of cost is worth one metre of path."""
 
     contact: Float[Array, ""]  # 1/s, with an obstacle or inside the intimate distance
     obstacle: Float[Array, ""]  # 1/s, at contact
@@ -88,7 +85,7 @@ class PlanLimits(NamedTuple):
 
 
 class ExpertMemory(NamedTuple):
-    """What the expert remembers from step to step."""
+    """The expert's memory."""
 
     knots: Float[Array, "knots 2"]  # of the last plan, shares of the limits
     successors: Int[Array, "V"]  # of ``cost_to_go.corner_successors``
@@ -121,14 +118,7 @@ def init(scenario: Scenario, params: ExpertParams, state: State) -> ExpertMemory
 
 
 def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) -> tuple[Float[Array, "2"], ExpertMemory]:
-    """The first command of the best plan.
-
-    Args:
-        key: () PRNG key of this step.
-
-    Returns:
-        The command (2,) [m/s, rad/s], and the new memory.
-    """
+    """The command (2,) [m/s, rad/s] of the best plan, and the new memory."""
     people = predict_people(scenario, nearest_people(state, MAX_PEOPLE), state.groups, STEPS, TIME_STEP)
     return plan(scenario, params, state, people, key)
 
@@ -136,15 +126,11 @@ def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) ->
 def plan(
     scenario: Scenario, params: ExpertParams, state: State, people: PeopleMotion, key: Array
 ) -> tuple[Float[Array, "2"], ExpertMemory]:
-    """The search, for whatever is known of people.
+    """The command (2,) [m/s, rad/s] and the new memory, by a search with any prediction of people.
 
     Args:
-        state: now, with the groups that are known and an ``ExpertMemory``; its people are not looked at.
-        people: how people are predicted to move, ``STEPS`` steps of ``TIME_STEP``.
-        key: () PRNG key of this step.
-
-    Returns:
-        The command (2,) [m/s, rad/s], and the new memory.
+        state: now, with an ``ExpertMemory``; its groups are used, its people are not.
+        people: ``STEPS`` steps of ``TIME_STEP``.
     """
     memory: ExpertMemory = state.policy_state
     limits = plan_limits(scenario)
@@ -174,11 +160,7 @@ def plan(
 
 
 def plan_limits(scenario: Scenario) -> PlanLimits:
-    """Limits of all plans.
-
-    Returns:
-        The limits of the robot, and of driving among people.
-    """
+    """The robot's limits, or those of driving among people where they are lower."""
     model = scenario.robot
     ahead = jnp.minimum(model.max_speed, MAX_SPEED)
     return PlanLimits(
@@ -187,7 +169,7 @@ def plan_limits(scenario: Scenario) -> PlanLimits:
 
 
 def _progress(scenario: Scenario, params: ExpertParams, state: State, table: CostToGo) -> tuple[Array, Array]:
-    """() m of path left at the last progress, of MIN_PROGRESS at least, and () int32 ticks since then, 0 at the goal.
+    """() m, the remaining path at the last progress of ``MIN_PROGRESS``; and () int32 ticks since then, 0 at the goal.
 
     Without it two polite agents would wait for each other forever.
     """
@@ -245,7 +227,7 @@ def _cost(
     people: PeopleMotion,
     motion: RobotMotion,
 ) -> Float[Array, "P"]:
-    """(P,) cost of trajectories (T, P): the path that is left, and the social costs along the way."""
+    """(P,) cost of trajectories (T, P): the remaining path, and the social costs along the way."""
     x, y, yaw, speed, turn = motion
     weights, robot = params.weights, state.robot
     rate = obstacle_rate(scenario, weights, x, y) + people_rate(scenario, weights, x, y, people)
@@ -267,15 +249,7 @@ def _cost(
 def obstacle_distance(
     grid: ObstacleGrid, x: Float[Array, "*shape"], y: Float[Array, "*shape"]
 ) -> Float[Array, "*shape"]:
-    """Distance to the nearest obstacle within reach of the grid.
-
-    Args:
-        x: (...) m.
-        y: (...) m.
-
-    Returns:
-        (...) m.
-    """
+    """Distance [m] from places (x, y) [m] to the nearest obstacle within reach of the grid."""
     rows = nearby_obstacles(grid, x, y)
     return jnp.min(from_rectangle(x[..., None], y[..., None], *(rows[..., part] for part in range(6)))[0], -1)
 
@@ -283,15 +257,7 @@ def obstacle_distance(
 def obstacle_rate(
     scenario: Scenario, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
-    """Cost of being near obstacles or the edge of the floor.
-
-    Args:
-        x: (T, P) m.
-        y: (T, P) m.
-
-    Returns:
-        (T, P) 1/s.
-    """
+    """Cost [1/s] of being near obstacles or the edge of the floor, at (x, y) [m]."""
     edge = to_border(scenario.environment, x, y)
     gap = jnp.minimum(obstacle_distance(scenario.environment.obstacle_grid, x, y), edge)
     gap = gap - scenario.robot.radius - OBSTACLE_MARGIN
@@ -303,16 +269,9 @@ def obstacle_rate(
 def people_rate(
     scenario: Scenario, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"], people: PeopleMotion
 ) -> Float[Array, "T P"]:
-    """Cost of being near people: of contact, of less than 0.45 m, and of personal space.
+    """Cost [1/s] of being near people, at (x, y) [m]: contact, less than 0.45 m, and personal space.
 
     Personal space reaches 1.2 m, and farther ahead of people who walk.
-
-    Args:
-        x: (T, P) m.
-        y: (T, P) m.
-
-    Returns:
-        (T, P) 1/s.
     """
     px, py, vx, vy = (part[:, None, :] for part in people)
     dx, dy = x[..., None] - px, y[..., None] - py
@@ -332,15 +291,7 @@ def people_rate(
 def group_rate(
     state: State, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
-    """Cost of being in o-spaces, with less reach in those of groups that the task joins or leaves.
-
-    Args:
-        x: (T, P) m.
-        y: (T, P) m.
-
-    Returns:
-        (T, P) 1/s.
-    """
+    """Cost [1/s] of being in o-spaces, at (x, y) [m]; less far in those of groups that the task joins or leaves."""
     groups, task = state.groups, state.task
     index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
     own = (index == task.goal_group) | (index == task.start_group)
@@ -358,16 +309,12 @@ def comfort_rate(
     before: tuple[Float[Array, ""], Float[Array, ""]],
     time_step: float,
 ) -> Float[Array, "T P"]:
-    """Cost of driving backward, of turning and of acceleration.
+    """Cost [1/s] of driving backward, of turning and of acceleration.
 
     Args:
-        speed: (T, P) m/s.
-        turn: (T, P) rad/s.
-        before: the speed () [m/s] and the turn rate () [rad/s] of now.
+        speed, turn: m/s and rad/s.
+        before: speed [m/s] and turn rate [rad/s] of now.
         time_step: s, between two rows.
-
-    Returns:
-        (T, P) 1/s.
     """
     acceleration = jnp.diff(speed, axis=0, prepend=jnp.full_like(speed[:1], before[0])) / time_step
     turn_acceleration = jnp.diff(turn, axis=0, prepend=jnp.full_like(turn[:1], before[1])) / time_step

@@ -19,13 +19,8 @@ def go_to_goal(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"
     """Drives along the shortest path around obstacles, giving way to people.
 
     The robot aims at the next corner of the path or, if a person is near in that direction, beside the person on the
-    nearer side. It drives as fast as the free distance ahead allows, and turns on the spot where there is none.
-
-    Args:
-        key: not used.
-
-    Returns:
-        The command (2,) [m/s, rad/s].
+    nearer side. It drives as fast as the free distance ahead allows, and turns on the spot where there is none. The
+    command is (2,) [m/s, rad/s]; the key is not used.
     """
     observation = observe(scenario, state)
     to_path = length(observation.path[0], observation.path[1])

@@ -34,13 +34,8 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"]:
     """Drives along the shortest path, at the nearest velocity without a collision with people within 4 s (ORCA).
 
     The robot takes all of the avoidance, for people need not reciprocate, as far as its speed allows; otherwise it
-    takes the velocity that violates the half-planes least. Obstacles bound its speed, ahead and backward.
-
-    Args:
-        key: () PRNG key of this step.
-
-    Returns:
-        The command (2,) [m/s, rad/s].
+    takes the velocity that violates the half-planes least. Obstacles bound its speed, ahead and backward. The command
+    is (2,) [m/s, rad/s].
     """
     robot, model = state.robot, scenario.robot
     hx, hy = robot.heading[0], robot.heading[1]

@@ -1,6 +1,6 @@
-"""The models that planners predict with: the robot by its limits (Fig. 3), people by the social forces (section IV-D).
+"""Predictions for planners: the robot by its limits (Fig. 3), people by the social forces (section IV-D).
 
-The robot is its closed-form twin without what planners avoid: contact, and wheels that slip.
+The robot is its closed-form twin without contact and without slip, which planners avoid.
 """
 
 from dataclasses import replace
@@ -45,18 +45,14 @@ def predict_robot(
     commands: tuple[Float[Array, "T P"], Float[Array, "T P"]],
     time_step: float,
 ) -> RobotMotion:
-    """Where commands lead from a speed and a turn rate.
+    """The motion of a robot, in its frame of now, after each of T commands of P plans.
 
     Each step is the chord of an arc: its heading is that of its middle.
 
     Args:
-        speed: () m/s, now.
-        turn_rate: () rad/s, now.
-        commands: speeds (T, P) [m/s] and turn rates (T, P) [rad/s] of P plans.
+        speed, turn_rate: m/s and rad/s, now.
+        commands: speeds [m/s] and turn rates [rad/s].
         time_step: s, between two commands.
-
-    Returns:
-        The motion after each step, in the robot's frame of now.
     """
     start = jnp.full(commands[0].shape[1:], speed), jnp.full(commands[1].shape[1:], turn_rate)
 
@@ -76,30 +72,13 @@ def predict_robot(
 def to_world(
     position: Float[Array, "2"], heading: Float[Array, "2"], x: Float[Array, "*shape"], y: Float[Array, "*shape"]
 ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
-    """Places in a robot's frame as places on the floor.
-
-    Args:
-        position: (2,) m, of the robot.
-        heading: (2,) unit vector.
-        x: (...) m, ahead of the robot.
-        y: (...) m, to its left.
-
-    Returns:
-        x and y (...) [m] on the floor.
-    """
+    """Places (x ahead, y left) [m] in the frame of a robot at a position [m] as places (x, y) [m] on the floor."""
     world_x, world_y = rotate(x, y, heading[0], heading[1])
     return position[0] + world_x, position[1] + world_y
 
 
 def nearest_people(state: State, count: int) -> Pedestrians:
-    """The people who are nearest to the robot.
-
-    Args:
-        count: of rows; all people if there are fewer.
-
-    Returns:
-        The rows (K, ...) of the nearest. Absent people come last, with ``present`` False.
-    """
+    """The ``count`` people who are nearest to the robot, or all; absent people come last, with ``present`` False."""
     people = state.pedestrians
     gap = people.position - state.robot.position[None, :]
     square = jnp.where(people.present, gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1], jnp.inf)
@@ -110,20 +89,14 @@ def nearest_people(state: State, count: int) -> Pedestrians:
 def predict_people(
     scenario: Scenario, people: Pedestrians, groups: Groups, steps: int, time_step: float
 ) -> PeopleMotion:
-    """Where people will be, by the social forces.
+    """The motion of people after each of several steps of ``time_step`` [s], by the social forces.
 
     They keep their desired velocity and react to one another, obstacles and groups, but not to the robot: a planner
-    that counts on people to give way pushes them.
+    that counts on people to give way pushes them. Absent people are far away.
 
     Derivatives are exact but for people within 0.1 m of one another, whose centers nearly coincide: where a force would
     change its direction, it has no derivative. Over all these steps it would grow by a factor of thousands in each,
     beyond what single precision holds.
-
-    Args:
-        time_step: s, of each.
-
-    Returns:
-        Their motion after each step. Absent people are far away.
     """
     forces, grid = scenario.forces, scenario.environment.obstacle_grid
 
@@ -139,14 +112,7 @@ def predict_people(
 
 
 def predict_straight(people: Pedestrians, steps: int, time_step: float) -> PeopleMotion:
-    """Where people will be if they keep their velocity: all that can be said of people whose aims are unknown.
-
-    Args:
-        time_step: s, of each.
-
-    Returns:
-        Their motion after each step. Absent people are far away.
-    """
+    """The motion of people at constant velocity, for people with unknown goals; steps of ``time_step`` [s]."""
     seconds = time_step * (jnp.arange(steps, dtype=people.position.dtype) + 1.0)
     (x, y), (vx, vy) = people.position.T, people.velocity.T
     here = people.present[None, :]

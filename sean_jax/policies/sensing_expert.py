@@ -1,9 +1,9 @@
-"""sensing_expert: the expert's search with what the robot's sensors tell of people, and no more.
+"""sensing_expert: the expert's search with a robot's knowledge of people.
 
-``expert`` knows all people, also behind walls and behind its back, and where they want to go. Students who see a depth
-image (section V) cannot copy what follows from that. This one knows people whom the depth camera shows, remembers them
-for a while after, and expects everybody to walk on at constant velocity. The map, its own pose and the goal are known
-to it, as to a navigation stack. Search and costs are those of ``expert``.
+``expert`` knows all people, also behind walls and behind its back, and their goals. Networks that see a depth image
+(section V) cannot imitate what follows from that. This expert knows the people in its depth image, remembers them for a
+while after, and expects everybody to walk on at constant velocity. It knows the map, its pose and the goal, as a
+navigation stack does. Search and costs are those of ``expert``.
 """
 
 from dataclasses import replace
@@ -29,38 +29,34 @@ class SensingParams:
     """Parameters of the sensing expert; all leaves are () floats."""
 
     expert: ExpertParams
-    min_pixels: Float[Array, ""]  # of 64 x 48 of the depth camera, that show whoever is seen; 0: it sees everybody
-    memory_time: Float[Array, ""]  # s, for which people are remembered who are out of sight
+    min_pixels: Float[Array, ""]  # of the 64 x 48 of the depth camera, that show a visible person; 0: all are visible
+    memory_time: Float[Array, ""]  # s, for which people out of sight are remembered
 
 
 class KnownPeople(NamedTuple):
-    """What the robot knows of people."""
+    """The robot's knowledge of people."""
 
     position: Float[Array, "N 2"]  # m, where they are, or would be if they had walked on
-    velocity: Float[Array, "N 2"]  # m/s, when they were last seen
+    velocity: Float[Array, "N 2"]  # m/s, when they were last visible
     group: Int[Array, "N"]  # in which they stood then, -1 none
     unseen_ticks: Int[Array, "N"]  # since then
-    known: Bool[Array, "N"]  # they are seen or remembered
+    known: Bool[Array, "N"]  # visible or remembered
 
 
 class SensingMemory(NamedTuple):
-    """What the sensing expert remembers from step to step."""
+    """The sensing expert's memory."""
 
     search: ExpertMemory
     people: KnownPeople
 
 
 def default_params() -> SensingParams:
-    """The sensing expert's parameters."""
+    """Parameters of the sensing expert."""
     return SensingParams(expert.params, min_pixels=scalar(1.0), memory_time=scalar(2.0))
 
 
 def init(scenario: Scenario, params: SensingParams, state: State) -> SensingMemory:
-    """Plans as ``expert`` does, with a robot's knowledge: people whom its depth camera shows or has just shown.
-
-    Returns:
-        The memory of an episode that begins: nobody has been seen yet.
-    """
+    """Plans as ``expert`` does, with a robot's knowledge: people whom its depth camera shows or has just shown."""
     position, group = jnp.zeros_like(state.pedestrians.position), jnp.full_like(state.pedestrians.group, -1)
     known = jnp.zeros(group.shape, bool)
     nobody = KnownPeople(position, jnp.zeros_like(position), group, known.astype(jnp.int32), known)
@@ -70,14 +66,7 @@ def init(scenario: Scenario, params: SensingParams, state: State) -> SensingMemo
 def apply(
     scenario: Scenario, params: SensingParams, state: State, key: Array
 ) -> tuple[Float[Array, "2"], SensingMemory]:
-    """The first command of the best plan among the people who are known.
-
-    Args:
-        key: () PRNG key of this step.
-
-    Returns:
-        The command (2,) [m/s, rad/s], and the new memory.
-    """
+    """The command (2,) [m/s, rad/s] of the best plan among the known people, and the new memory."""
     memory: SensingMemory = state.policy_state
     people = known_people(scenario, params, state, memory.people)
     state = replace(_as_known(state, people), policy_state=memory.search)
@@ -88,30 +77,30 @@ def apply(
 
 @jax.named_scope("known_people")
 def known_people(scenario: Scenario, params: SensingParams, state: State, before: KnownPeople) -> KnownPeople:
-    """Who is known: people in the picture of the depth camera as they are, others from memory.
+    """The known people: those in the depth image as they are, others from memory.
 
-    Positions and velocities of who is seen are exact, and nobody is taken for somebody else.
+    Positions and velocities of visible people are exact, and identities are never confused.
     """
     people, time_step = state.pedestrians, scenario.time_step
     eye = sensors.camera(scenario, "depth", width=WIDTH, height=HEIGHT)
     pixels = sensors.pixels_of_people(scenario, state, eye)
-    seen = people.present & (pixels.astype(people.position.dtype) >= params.min_pixels)
-    unseen_ticks = jnp.where(seen, 0, before.unseen_ticks + 1)
+    visible = people.present & (pixels.astype(people.position.dtype) >= params.min_pixels)
+    unseen_ticks = jnp.where(visible, 0, before.unseen_ticks + 1)
     fresh = unseen_ticks.astype(people.position.dtype) <= to_ticks(params.memory_time, time_step)
     return KnownPeople(
-        position=jnp.where(seen[:, None], people.position, before.position + time_step * before.velocity),
-        velocity=jnp.where(seen[:, None], people.velocity, before.velocity),
-        group=jnp.where(seen, people.group, before.group),
+        position=jnp.where(visible[:, None], people.position, before.position + time_step * before.velocity),
+        velocity=jnp.where(visible[:, None], people.velocity, before.velocity),
+        group=jnp.where(visible, people.group, before.group),
         unseen_ticks=unseen_ticks,
-        known=seen | (before.known & fresh),
+        known=visible | (before.known & fresh),
     )
 
 
 def _as_known(state: State, people: KnownPeople) -> State:
-    """The state with the people who are known, and the groups of which a member is; all others are absent."""
+    """The state with the known people and the groups that have a known member; all others are absent."""
     groups = state.groups
     index = jnp.arange(groups.present.shape[0], dtype=people.group.dtype)
-    met = (people.known[:, None] & (people.group[:, None] == index[None, :])).any(0)
+    has_known = (people.known[:, None] & (people.group[:, None] == index[None, :])).any(0)
     crowd = replace(
         state.pedestrians,
         position=people.position,
@@ -120,7 +109,7 @@ def _as_known(state: State, people: KnownPeople) -> State:
         group=people.group,
         present=people.known,
     )
-    return replace(state, pedestrians=crowd, groups=replace(groups, present=groups.present & met))
+    return replace(state, pedestrians=crowd, groups=replace(groups, present=groups.present & has_known))
 
 
 sensing_expert = Policy(params=default_params(), name="sensing_expert", init=init, apply=apply)

@@ -7,10 +7,9 @@ Four parts follow one another in this file:
    2014; the formula as in navigation_layers, the numbers as in SEAN 2.0's configuration). Costs are those of ROS: 0
    is free, 252 is the highest beside an obstacle, 253 touches. A cell has the highest cost of all layers. Here no
    command may touch; ROS's local planner may enter 253 at its price, and only 254, the obstacle itself, stops it;
-2. a global plan on it, as of global_planner, by a wave that starts at the goal. ROS plans over the whole map. Here
-   the map is a window around the robot, and what lies beyond is taken from the tables of shortest paths: the
-   wave starts at the window's border with the distance that is left from there, and at the goal if that lies inside.
-   So people change the plan only within the window;
+2. a global plan on it, as of global_planner, by a wave that starts at the goal. ROS plans over the whole map. Here the
+   map is a window around the robot, and the tables of shortest paths give the rest: the wave starts at the window's
+   border with the remaining distance from there, and at a goal inside. People change the plan only in the window;
 3. a local planner, the dynamic window approach after ROS's TrajectoryPlanner (D. Fox, W. Burgard & S. Thrun, 1997):
    20 speeds by 40 turn rates that can be reached in one control step, each driven for two seconds on the cost map;
    path distance counts .75 and goal distance 1 for each 0.05 m, a cost .1;
@@ -51,7 +50,7 @@ STRAIGHT_STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 DIAGONAL_STEPS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 UNREACHED = 1e6  # m, of cells that the wave has not reached
 GLOBAL_CELLS, GLOBAL_CELL = 32, 0.2  # of the global map, and m
-PLAN_PERIOD, SWEEPS = 5, 12  # control steps in which a plan is made, the first before it moves; cells in each of them
+PLAN_PERIOD, SWEEPS = 5, 12  # control steps that a plan takes; cells that the wave moves in each
 PATH_POINTS = 20  # of a plan
 LOCAL_CELLS, LOCAL_CELL = 32, 0.05  # of the local map, and m at least
 LOCAL_PATH_POINTS = 8  # of the plan, that the local planner looks at
@@ -91,7 +90,7 @@ class LocalPlannerParams:
 
 @struct.dataclass
 class SocialCostmapParams:
-    """The navigation stack's numbers; leaves are () floats."""
+    """Parameters of the navigation stack; leaves are () floats."""
 
     global_costmap: CostmapParams
     local_costmap: CostmapParams
@@ -110,7 +109,7 @@ class Window:
 
 
 class SocialCostmapMemory(NamedTuple):
-    """What the policy remembers from step to step."""
+    """The policy's memory."""
 
     successors: Int[Array, "V"]  # of ``cost_to_go.corner_successors``
     window: Window  # of the plan in the making
@@ -162,8 +161,6 @@ def sean2_params() -> SocialCostmapParams:
     The weights of the local planner are theirs, but ``meter_scoring``, which they set, is left out. In ROS Noetic it
     multiplies the weights of path and goal by a cell's side, and not that of cost.
 
-    Returns:
-        All parameters of the policy.
     Source: yale-sean/social_sim_ros, ``params/kuri``: ``costmap_common_params.yaml`` and ``map_nav_params/*.yaml``.
     """
     params = default_params()
@@ -175,25 +172,13 @@ def sean2_params() -> SocialCostmapParams:
 
 
 def rolling_window(middle: Float[Array, "2"], cell: Float[Array, ""], count: int) -> Window:
-    """The window around a place, moved by whole cells.
-
-    Args:
-        middle: (2,) m, the place.
-        cell: () m, side of a cell.
-
-    Returns:
-        The window of ``count`` x ``count`` cells.
-    """
+    """The window of ``count`` x ``count`` cells [m] around a place [m], moved by whole cells."""
     first = jnp.round(jax.lax.stop_gradient(middle) / cell) - (count // 2)
     return Window(first * cell, cell)
 
 
 def cell_centers(window: Window, count: int) -> tuple[Float[Array, "C C"], Float[Array, "C C"]]:
-    """Middles of a window's cells.
-
-    Returns:
-        x and y (count, count) [m], x along the first axis.
-    """
+    """x and y [m] of the middles of a window's cells; x varies along the first axis."""
     steps = jnp.arange(count, dtype=float) * window.cell
     x, y = window.origin[0] + steps, window.origin[1] + steps
     return jnp.broadcast_to(x[:, None], (count, count)), jnp.broadcast_to(y[None, :], (count, count))
@@ -202,15 +187,7 @@ def cell_centers(window: Window, count: int) -> tuple[Float[Array, "C C"], Float
 def cell_index(
     window: Window, count: int, x: Float[Array, "*shape"], y: Float[Array, "*shape"]
 ) -> tuple[Int[Array, "*shape"], Int[Array, "*shape"]]:
-    """The cells in which places lie, or the nearest ones.
-
-    Args:
-        x: (...) m.
-        y: (...) m.
-
-    Returns:
-        Indices (...) int32 along both axes.
-    """
+    """Indices along both axes of the cells at places (x, y) [m], or of the nearest cells."""
     i = jnp.round((x - window.origin[0]) / window.cell).astype(jnp.int32)
     j = jnp.round((y - window.origin[1]) / window.cell).astype(jnp.int32)
     return jnp.clip(i, 0, count - 1), jnp.clip(j, 0, count - 1)
@@ -223,16 +200,10 @@ def proxemic_cost(
     vx: Float[Array, "..."],
     vy: Float[Array, "..."],
 ) -> Float[Array, "..."]:
-    """Cost of a place near a person: a Gaussian that is longer ahead of people who walk.
+    """Cost of a place at (dx, dy) [m] from a person at velocity (vx, vy) [m/s]: a Gaussian, longer ahead of walkers.
 
     A exp(-(mx^2 / (2 sx) + my^2 / (2 sy))) with m along and across the heading, sy = C, and sx = C (1 + 5 |v|) ahead
     and C behind; 0 below the cutoff. The costs are whole numbers, as in the map, with the gradient of the Gaussian.
-
-    Args:
-        dx: (...) m, from the person to the place.
-        dy: (...) m.
-        vx: (...) m/s, of the person.
-        vy: (...) m/s.
     """
     speed = length(vx, vy)
     standing = speed < 1e-6
@@ -245,11 +216,7 @@ def proxemic_cost(
 
 
 def inflation_cost(params: CostmapParams, gap: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Cost of being near what must not be touched, by the formula of costmap_2d.
-
-    Args:
-        gap: (...) m, between the robot's disc and what it must not touch.
-    """
+    """Cost of a gap [m] between the robot's disc and another body, by the formula of costmap_2d."""
     near = MAX_COST * jnp.exp(-params.decay * jnp.maximum(gap, 0.0))
     return jnp.where(gap <= 0.0, CONTACT_COST, jnp.where(gap <= params.inflation, near, 0.0))
 
@@ -261,13 +228,7 @@ def cell_costs(
     x: Float[Array, "*shape"],
     y: Float[Array, "*shape"],
 ) -> Float[Array, "*shape"]:
-    """Costs of places, by all layers.
-
-    Args:
-        scenario: with the obstacles and the radii of robot and people.
-        x: (...) m.
-        y: (...) m.
-    """
+    """Costs of places (x, y) [m], by all layers."""
     shape, radius = x.shape, scenario.robot.radius
     x, y = x.ravel(), y.ravel()
     rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
@@ -291,11 +252,7 @@ def cell_costs(
 
 
 def traversal_resistance(costs: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """How many metres of free way a metre through a cell is worth.
-
-    Returns:
-        (...) 1, at most 252 / 50; ``UNREACHED`` for cells that touch something.
-    """
+    """Metres of free way that a metre through a cell is worth: at most 252 / 50; ``UNREACHED`` for cells in contact."""
     free = jnp.minimum(NEUTRAL_COST + COST_FACTOR * costs, MAX_COST) / NEUTRAL_COST
     return jnp.where(costs >= CONTACT_COST, UNREACHED, free)
 
@@ -303,11 +260,7 @@ def traversal_resistance(costs: Float[Array, "*shape"]) -> Float[Array, "*shape"
 def initial_wave(
     scenario: Scenario, state: State, table: CostToGo, window: Window, costs: Float[Array, "C C"]
 ) -> Float[Array, "C C"]:
-    """The wave before the first sweep: the distances that are left from the border and around the goal.
-
-    Returns:
-        (C, C) m, ``UNREACHED`` elsewhere.
-    """
+    """The wave [m] before the first sweep: remaining distances on the border and near the goal, else ``UNREACHED``."""
     count = costs.shape[0]
     x, y = cell_centers(window, count)
     edge = jnp.concatenate([jnp.arange(count, dtype=jnp.int32)] * 2)
@@ -324,14 +277,9 @@ def initial_wave(
 def sweep_wave(
     wave: Float[Array, "C C"], resistance: Float[Array, "C C"], cell: Float[Array, ""]
 ) -> Float[Array, "C C"]:
-    """Move the wave on by one cell everywhere.
+    """Move the wave [m], the distance to the goal so far, on by one cell of side ``cell`` [m] everywhere.
 
-    Args:
-        wave: (C, C) m, the distance to the goal so far.
-        cell: () m, side of a cell.
-
-    Returns:
-        (C, C) m: the minimum of each cell's own distance, and of those of its eight neighbors with the step there.
+    A cell gets the minimum of its own distance, and of those of its eight neighbors with the step there.
     """
     padded = jnp.pad(wave, 1, constant_values=UNREACHED)
     count = wave.shape[0]
@@ -348,16 +296,7 @@ def sweep_wave(
 def descend_wave(
     wave: Float[Array, "C C"], window: Window, x: Float[Array, ""], y: Float[Array, ""], points: int
 ) -> tuple[Float[Array, "points"], Float[Array, "points"]]:
-    """The plan from a place: from cell to cell down the wave.
-
-    Args:
-        wave: (C, C) m.
-        x: () m, of the place.
-        y: () m.
-
-    Returns:
-        x and y (points,) [m].
-    """
+    """The plan (x, y) [m] from a place (x, y) [m]: from cell to cell down the wave [m]."""
     count = wave.shape[0]
     padded = jnp.pad(wave, 1, constant_values=2.0 * UNREACHED)
     steps = jnp.asarray(((0, 0), *STRAIGHT_STEPS, *DIAGONAL_STEPS), jnp.int32)
@@ -382,15 +321,13 @@ def sample_commands(
     turn_rate: Float[Array, ""],
     time_step: float,
 ) -> tuple[Float[Array, "P"], Float[Array, "P"]]:
-    """The 20 x 40 commands of the dynamic window, straight ahead among them, and one that backs out of a contact.
+    """Speeds [m/s] and turn rates [rad/s] of the 20 x 40 commands of the dynamic window, straight ahead among them.
+
+    One more command, the last, backs out of a contact.
 
     Args:
-        speed: () m/s, now.
-        turn_rate: () rad/s, now.
+        speed, turn_rate: m/s and rad/s, now.
         time_step: s, in which the commands can be reached.
-
-    Returns:
-        Speeds (P,) [m/s] and turn rates (P,) [rad/s]; the last one backs out.
     """
     reach = reachable(model, speed, turn_rate, time_step)
     top = params.top_speed * model.max_speed
@@ -410,15 +347,7 @@ def sample_commands(
 def arc_trajectories(
     speed: Float[Array, "P"], turn_rate: Float[Array, "P"]
 ) -> tuple[Float[Array, "points P"], Float[Array, "points P"], Float[Array, "points P"]]:
-    """Where commands lead that are driven at once and held.
-
-    Args:
-        speed: (P,) m/s.
-        turn_rate: (P,) rad/s.
-
-    Returns:
-        x, y [m] and yaw [rad], (TRAJECTORY_POINTS, P), in the robot's frame.
-    """
+    """x, y [m] and yaw [rad], in the robot's frame, along constant speeds [m/s] and turn rates [rad/s]."""
     time = jnp.linspace(HORIZON / TRAJECTORY_POINTS, HORIZON, TRAJECTORY_POINTS, dtype=float)[:, None]
     yaw = time * turn_rate[None, :]
     half = 0.5 * yaw
@@ -436,26 +365,23 @@ def best_command(
     path: tuple[Float[Array, "L"], Float[Array, "L"]],
     time_step: float,
 ) -> tuple[Float[Array, "2"], Bool[Array, ""]]:
-    """The command of the dynamic window with the best score.
+    """The command (2,) [m/s, rad/s] of the dynamic window with the best score; and whether any command touches nothing.
 
     If all commands touch something, the best is the one that ends where nothing is touched, or to stand.
 
     Args:
         robot: its position (2,) [m], heading (2,), speed () [m/s] and turn rate () [rad/s].
-        path: x and y (L,) [m] of the plan inside it.
+        path: x and y [m] of the plan inside the window.
         time_step: s, of control.
-
-    Returns:
-        The command (2,) [m/s, rad/s], and () bool, whether any command touches nothing.
     """
     position, heading, speed, turn_rate = robot
     ahead, turns = sample_commands(model, params, speed, turn_rate, time_step)
     x, y, yaw = arc_trajectories(ahead, turns)
     world_x, world_y = to_world(position, heading, x, y)
-    costs_met = costs[cell_index(window, costs.shape[0], world_x, world_y)]
-    cost_max = jnp.max(costs_met, 0)
+    costs_along = costs[cell_index(window, costs.shape[0], world_x, world_y)]
+    cost_max = jnp.max(costs_along, 0)
     clear = (cost_max < CONTACT_COST) & (ahead >= 0.0)
-    way_out = costs_met[-1] < CONTACT_COST
+    way_out = costs_along[-1] < CONTACT_COST
     still = jnp.abs(ahead) < 1e-3
     angle = yaw[-1] + jnp.arctan2(heading[1], heading[0])
     end_x = world_x[-1] + jnp.where(still, LOOKAHEAD * jnp.cos(angle), 0.0)
@@ -476,17 +402,7 @@ def best_command(
 def distance_to_path(
     x: Float[Array, "P"], y: Float[Array, "P"], path_x: Float[Array, "L"], path_y: Float[Array, "L"]
 ) -> Float[Array, "P"]:
-    """Distance to the nearest segment of a path.
-
-    Args:
-        x: (P,) m, of places.
-        y: (P,) m.
-        path_x: (L,) m, of the path's points.
-        path_y: (L,) m.
-
-    Returns:
-        (P,) m.
-    """
+    """Distance [m] from places (x, y) [m] to the nearest segment of a path [m]."""
 
     def segment(ax: Array, ay: Array, bx: Array, by: Array) -> Array:
         dx, dy = bx - ax, by - ay
@@ -513,14 +429,7 @@ def init(scenario: Scenario, params: SocialCostmapParams, state: State) -> Socia
 def apply(
     scenario: Scenario, params: SocialCostmapParams, state: State, key: Array
 ) -> tuple[Float[Array, "2"], SocialCostmapMemory]:
-    """The command along the plan, and a few cells more of the next plan.
-
-    Args:
-        key: not used.
-
-    Returns:
-        The command (2,) [m/s, rad/s], and the new memory.
-    """
+    """The command (2,) [m/s, rad/s] along the plan, and the memory with a few cells more of the next plan."""
     memory: SocialCostmapMemory = state.policy_state
     first, last = state.tick % PLAN_PERIOD == 0, state.tick % PLAN_PERIOD == PLAN_PERIOD - 1
     start = _start_plan(scenario, params, state, memory.successors)

@@ -2,7 +2,7 @@
 
 For each tile of rays, the bodies within its sector, reach and slopes are candidates. On a CPU one loop goes through the
 candidates of all tiles, so it takes as long as there is work; on a GPU each tile has a loop of its own, in one kernel
-(``raycast.kernel``). The search has no gradient and needs none: ``surface`` computes the distance to the nearest body
+(``raycast.kernel``). The search has no gradient and needs none: ``surface`` computes the distance to the first body
 again.
 """
 
@@ -16,41 +16,50 @@ from jaxtyping import Float, Int
 from sean_jax.base import Array
 from sean_jax.devices import by_platform
 from sean_jax.geometry import length
-from sean_jax.raycast import kernel, laws
+from sean_jax.raycast import bodies, kernel
+from sean_jax.raycast.bodies import Vector, View
 from sean_jax.raycast.kernel import Family
 from sean_jax.raycast.rays import Beams, Rays
-from sean_jax.raycast.view import View
 
 Row = Array | tuple[Array, ...]  # the columns of a table, each of which broadcasts with (tiles, rays)
 Law = Callable[[Row, Beams], Array]  # (tiles, rays) m along the beams to the bodies of these rows
 
 CHUNK = 4  # bodies tested in a task
 SHARE = 2  # tiles per task of one iteration
-PERSON_HEIGHT = laws.HEAD + laws.HEAD_RADIUS  # m
+PERSON_HEIGHT = bodies.HEAD + bodies.HEAD_RADIUS  # m
 
 
 def nearest(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
-    """The distance along each ray to the first body.
-
-    Returns:
-        (tiles, rays) m; ``laws.MISS`` where a ray meets no body.
-    """
+    """The distance [m] along each ray to the first body, ``MISS`` without one."""
     return by_platform(partial(_nearest_of_all, rays), partial(_in_a_kernel, rays, False))(view)[0]
 
 
 def search(view: View, rays: Rays) -> tuple[Float[Array, "tiles rays"], Int[Array, "tiles rays"]]:
-    """The distance along each ray to the first body, and its number.
-
-    Returns:
-        (tiles, rays) m, ``laws.MISS`` where a ray meets no body; and (tiles, rays) the number in the view.
-    """
+    """The distance [m] along each ray to the first body, ``MISS`` without one; and its number in the view."""
     return by_platform(partial(_first_of_all, rays), partial(_in_a_kernel, rays, True))(view)
+
+
+def distance(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
+    """The distance of ``search`` [m], with the gradient of ``surface``: exact within outlines, finite on edges."""
+    return _distance(rays, view)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _distance(rays: Rays, view: View) -> Array:
+    return nearest(view, rays)
+
+
+@_distance.defjvp
+def _move(rays: Rays, primals: tuple[View], tangents: tuple[View]) -> tuple[Array, Array]:
+    here = jax.lax.stop_gradient(primals[0])
+    distances, number = search(here, rays)
+    return distances, jax.jvp(lambda view: surface(view, rays, number)[0], primals, tangents)[1]
 
 
 def _nearest_of_all(rays: Rays, view: View) -> tuple[Array]:
     """``nearest`` in loops of XLA's, for CPUs."""
     beams = Beams.of(rays)
-    distance = laws.ground(view.height, beams.direction[2], beams.inverse_rise)
+    distance = bodies.ground(view.height, beams.direction[2], beams.inverse_rise)
     for family in _families(view, rays):
         distance = _nearest(_law(family, view), family.table, family.in_sight, beams, distance)
     return (distance,)
@@ -59,8 +68,8 @@ def _nearest_of_all(rays: Rays, view: View) -> tuple[Array]:
 def _first_of_all(rays: Rays, view: View) -> tuple[Array, Array]:
     """``search`` in loops of XLA's, for CPUs."""
     beams, floor = Beams.of(rays), _starts(view)[4]
-    distance = laws.ground(view.height, beams.direction[2], beams.inverse_rise)
-    first = distance, jnp.where(distance < laws.MISS, floor, floor + 1).astype(jnp.int32)
+    distance = bodies.ground(view.height, beams.direction[2], beams.inverse_rise)
+    first = distance, jnp.where(distance < bodies.MISS, floor, floor + 1).astype(jnp.int32)
     for family in _families(view, rays):
         first = _first(_law(family, view), family.table, family.in_sight, family.start, beams, first)
     return first
@@ -154,12 +163,12 @@ def _nearest(law: Law, table: Array, in_sight: Array, beams: Beams, distance: Ar
         tile = (last[None, :] <= task[:, None]).sum(1, dtype=jnp.int32)
         there = jnp.minimum(tile, tiles - 1)
         begin = CHUNK * (task - (last - tasks)[there])
-        own, of_tile = ends[there], beams.of_tiles(there)
-        new = jnp.full((width, nearest_bits.shape[1]), laws.MISS, real)
+        tile_ends, tile_beams = ends[there], beams.of_tiles(there)
+        new = jnp.full((width, nearest_bits.shape[1]), bodies.MISS, real)
         for more in range(CHUNK):
-            chosen = (own <= (begin + more).astype(own.dtype)[:, None]).sum(1, dtype=jnp.int32)
-            meets = law(padded[chosen].T[:, :, None], of_tile)
-            new = jnp.minimum(new, jnp.where((chosen < count)[:, None], meets, laws.MISS))
+            chosen = (tile_ends <= (begin + more).astype(ends.dtype)[:, None]).sum(1, dtype=jnp.int32)
+            meets = law(padded[chosen].T[:, :, None], tile_beams)
+            new = jnp.minimum(new, jnp.where((chosen < count)[:, None], meets, bodies.MISS))
         bits = jax.lax.bitcast_convert_type(new, whole)
         return iteration + 1, nearest_bits.at[tile].min(bits, mode="drop")
 
@@ -213,19 +222,14 @@ def surface(
 ) -> tuple[
     Float[Array, "tiles rays"], Float[Array, "tiles rays"], Float[Array, "tiles rays"], Float[Array, "tiles rays"]
 ]:
-    """The distance along each ray to a given body, and the normal there. Differentiable in the view.
+    """The distance [m] along each ray to the body of a number, and x, y, z of the normal. Differentiable in the view.
 
-    Args:
-        number: (tiles, rays) the body that each ray meets, of ``search``.
-
-    Returns:
-        (tiles, rays) m, ``laws.MISS`` for the sky and where rounding lets a ray miss the body; and (tiles, rays) each,
-        x, y and z of the outward normal.
+    The distance is ``MISS`` for the sky and where rounding lets a ray miss the body.
     """
     first_of, beams = _starts(view), Beams.of(rays)
     dx, dy, dz = beams.direction
-    distance = laws.ground(view.height, dz, beams.inverse_rise)
-    distance = jnp.where(number == first_of[4], distance, laws.MISS)
+    distance = bodies.ground(view.height, dz, beams.inverse_rise)
+    distance = jnp.where(number == first_of[4], distance, bodies.MISS)
     nx, ny, nz = jnp.zeros_like(dx * distance), jnp.zeros_like(distance), jnp.ones_like(distance)
     families = (
         (view.boxes, _box, _normal_of_box),
@@ -241,7 +245,7 @@ def surface(
         row = tuple(column[index] for column in table.T)
         there = law(row, beams, view.radius, view.height)
         distance = jnp.where(of_family, there, distance)
-        at = jnp.where(of_family & (there < laws.MISS), there, 1.0)
+        at = jnp.where(of_family & (there < bodies.MISS), there, 1.0)
         facing = normal(row, *along(rays, at))
         nx, ny, nz = (jnp.where(of_family, new, old) for new, old in zip(facing, (nx, ny, nz), strict=True))
     return distance, nx, ny, nz
@@ -250,50 +254,43 @@ def surface(
 def along(
     rays: Rays, distance: Float[Array, "tiles rays"]
 ) -> tuple[Float[Array, "tiles rays"], Float[Array, "tiles rays"], Float[Array, "tiles rays"]]:
-    """Places along rays.
-
-    Args:
-        distance: (tiles, rays) m, along each ray.
-
-    Returns:
-        (tiles, rays) m each, x, y and z from the sensor.
-    """
+    """x, y and z [m] from the sensor of places at a distance [m] along each ray."""
     x, y, z = (distance * jnp.asarray(part) for part in rays.direction)
     if rays.offset is None:
         return x, y, z
     return x + rays.offset[0], y + rays.offset[1], z + rays.offset[2]
 
 
-def _from_ray(beams: Beams, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
-    """A vector (x, y, z) from the sensor, made one from the start of each ray."""
+def _from_ray(beams: Beams, x: Array, y: Array, z: Array) -> Vector:
+    """A vector (x, y, z) from the sensor as one from the start of each ray."""
     if beams.offset is None:
         return x, y, z
     return x - beams.offset[0], y - beams.offset[1], z - beams.offset[2]
 
 
 def _box(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    x, y, z = _from_ray(beams, row[0], row[1], row[2])
-    return laws.box(x, y, z, row[3], row[4], row[5], row[6], row[7], *beams.direction, beams.inverse_rise)
+    q = _from_ray(beams, row[0], row[1], row[2])
+    return bodies.box(q, (row[3], row[4], row[5]), row[6], row[7], beams.direction, beams.inverse_rise)
 
 
 def _cylinder(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    x, y, z = _from_ray(beams, row[0], row[1], row[2])
-    return laws.cylinder(x, y, z, row[3], row[4], row[5], row[6], row[7], *beams.direction)
+    q = _from_ray(beams, row[0], row[1], row[2])
+    return bodies.cylinder(q, (row[3], row[4], row[5]), row[6], row[7], beams.direction)
 
 
 def _sphere(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    x, y, z = _from_ray(beams, row[0], row[1], row[2])
-    return laws.sphere(x, y, z, row[3], *beams.direction)
+    q = _from_ray(beams, row[0], row[1], row[2])
+    return bodies.sphere(q, row[3], beams.direction)
 
 
 def _person(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    x, y, z = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-height, row[0].shape))
-    return laws.person(x, y, z, radius, *beams.direction, beams.inverse_run)
+    q = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-height, row[0].shape))
+    return bodies.person(q, radius, beams.direction, beams.inverse_run)
 
 
 def _person_low(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    x, y, z = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-height, row[0].shape))
-    return laws.person_lower_body(x, y, z, radius, *beams.direction, beams.inverse_run)
+    q = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-height, row[0].shape))
+    return bodies.person_lower_body(q, radius, beams.direction, beams.inverse_run)
 
 
 def _normal_of_box(row, x, y, z):
@@ -322,7 +319,7 @@ def _normal_of_sphere(row, x, y, z):
 
 def _normal_of_person(row, x, y, z, view: View):
     x, y, up = x - row[0], y - row[1], z + view.height
-    in_head = up > 0.5 * (laws.SHOULDER + view.radius + laws.HEAD - laws.HEAD_RADIUS)
-    size = jnp.where(in_head, laws.HEAD_RADIUS, view.radius)
-    z = jnp.where(in_head, up - laws.HEAD, jnp.maximum(up - laws.SHOULDER, 0.0))
+    in_head = up > 0.5 * (bodies.SHOULDER + view.radius + bodies.HEAD - bodies.HEAD_RADIUS)
+    size = jnp.where(in_head, bodies.HEAD_RADIUS, view.radius)
+    z = jnp.where(in_head, up - bodies.HEAD, jnp.maximum(up - bodies.SHOULDER, 0.0))
     return x / size, y / size, z / size

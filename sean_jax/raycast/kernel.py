@@ -18,7 +18,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Bool
 
 from sean_jax.base import Array
-from sean_jax.raycast import laws
+from sean_jax.raycast.bodies import MISS, ground
 from sean_jax.raycast.rays import Beams, Rays
 
 WIDTH = 128  # threads of a program, each of which has one ray
@@ -41,17 +41,13 @@ class _Shape(NamedTuple):
     rays: Rays
     laws: tuple[tuple[int, int, Callable], ...]  # (number of the first body, columns of its table, law) of each family
     floor: int  # number of the floor
-    numbers: bool  # whether the numbers of bodies are wanted as well
+    numbers: bool  # whether it also gives the numbers of bodies
     parts: int  # programs of a tile
 
 
 @cache
 def available() -> bool:
-    """Whether the kernel runs on the GPU of this machine. Without a GPU it is asked for another machine: yes.
-
-    Returns:
-        True or False.
-    """
+    """Whether the kernel runs on the GPU of this machine; without a GPU it is asked for another machine: yes."""
     try:
         import_module("jax.experimental.pallas.mosaic_gpu")
     except ImportError:
@@ -68,16 +64,13 @@ def available() -> bool:
 def first(
     rays: Rays, families: Sequence[Family], radius: Array, height: Array, floor: int, numbers: bool
 ) -> tuple[Array, ...]:
-    """The distance along each ray to the first body; and its number, if that is wanted.
+    """The distance [m] along each ray to the first body, ``MISS`` without one; and with ``numbers`` its number.
 
     Args:
         families: the bodies, none of them empty.
-        radius: () m, of a person's body.
-        height: () m, of the sensor above the floor.
+        radius: m, of a person's body.
+        height: m, of the sensor above the floor.
         floor: the number of the floor; the sky has the next.
-
-    Returns:
-        (tiles, rays) m, ``laws.MISS`` where a ray meets no body; and with ``numbers`` (tiles, rays) int32.
     """
     tiles, count = rays.direction.shape[1:]
     parts = -(-count // WIDTH)
@@ -127,8 +120,8 @@ def _launch(shape: _Shape) -> Callable:
             operand = operand if one else operand[None]
             all_of_batch = jnp.broadcast_to(operand, (size, inner, operand.shape[-1]))
             merged.append(all_of_batch.reshape(size * inner, -1))
-        found = tuple(out.reshape(size, inner, -1) for out in launch(*merged))
-        return found, tuple(True for _ in found)
+        outputs = tuple(out.reshape(size, inner, -1) for out in launch(*merged))
+        return outputs, tuple(True for _ in outputs)
 
     return launch
 
@@ -187,8 +180,8 @@ def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> Non
     columns = 5 if shape.rays.offset is None else 8
     parts = [beams_of[pallas.ds((program * columns + column) * WIDTH, WIDTH)] for column in range(columns)]
     beams = Beams(tuple(parts[:3]), parts[3], parts[4], tuple(parts[5:]) or None)
-    distance = laws.ground(height, beams.direction[2], beams.inverse_rise)
-    number = shape.floor + (distance >= laws.MISS).astype(jnp.int32)
+    distance = ground(height, beams.direction[2], beams.inverse_rise)
+    number = shape.floor + (distance >= MISS).astype(jnp.int32)
     first = (distance, number) if shape.numbers else (distance,)
     for (start, columns, law), table, words_of in zip(shape.laws, bodies[::2], bodies[1::2], strict=True):
         words = words_of.shape[0] // shape.rays.tiles

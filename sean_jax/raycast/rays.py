@@ -14,7 +14,7 @@ from flax import struct
 from jaxtyping import Float, Int, Shaped
 
 from sean_jax.base import Array
-from sean_jax.raycast.laws import SHOULDER, STEEP
+from sean_jax.raycast.bodies import SHOULDER, STEEP
 
 MAX_HALF_SECTOR = np.deg2rad(85.0)  # of a tile; wider ones exclude no body
 
@@ -58,11 +58,7 @@ class Beams:
         return cls(_components(rays.direction), jnp.asarray(rays.inverse_rise), jnp.asarray(rays.inverse_run), offset)
 
     def of_tiles(self, tile: Int[Array, "tasks"]) -> "Beams":
-        """The rays of chosen tiles.
-
-        Args:
-            tile: (tasks,) indices of tiles.
-        """
+        """The rays of chosen tiles (tasks,)."""
         return jax.tree.map(lambda part: part[tile], self)
 
 
@@ -116,14 +112,7 @@ def bundle(
 
 
 def by_rows(rays: Rays, values: Shaped[Array, "tiles rays"]) -> Shaped[Array, "H W"]:
-    """Arrange values of rays as the rows of the sensor.
-
-    Args:
-        values: (tiles, rays) of any type.
-
-    Returns:
-        (H, W) of the same type.
-    """
+    """Values of rays, of any type, as the rows of the sensor."""
     down, across, height, width = rays.grid
     image = values.reshape(rays.grid).swapaxes(1, 2).reshape(down * height, across * width)
     return image[: rays.shape[0], : rays.shape[1]]

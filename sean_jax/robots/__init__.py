@@ -10,7 +10,7 @@ from sean_jax.base import RobotModel
 from sean_jax.environment import ENVS
 from sean_jax.errors import InputError
 from sean_jax.robots import description, mjx_dynamics
-from sean_jax.robots.drive import drive_kinematic, drive_mjx, drive_twin, place
+from sean_jax.robots.drive import drive_kinematic, drive_mjx, drive_twin, physics_steps, place
 
 ROBOTS: dict[str, Path] = {path.stem: path for path in sorted((ENVS / "robots").glob("*.xml"))}
 DYNAMICS = {"mjx": drive_mjx, "twin": drive_twin, "kinematic": drive_kinematic}
@@ -28,17 +28,13 @@ def load(robot: str | Path, dynamics: str = "mjx") -> RobotModel:
             differential-drive base with all of its limits.
     """
     path = find(robot, dynamics)
-    model, figures, mass = description.read(path)
-    data = mjx_dynamics.put(model, jnp.asarray(mass, figures["mass"].dtype)) if dynamics == "mjx" else ()
-    return RobotModel(**figures, data=data, name=path.stem, place=place, drive=DYNAMICS[dynamics])
+    model, fields, mass = description.read(path)
+    data = mjx_dynamics.put(model, jnp.asarray(mass, fields["mass"].dtype)) if dynamics == "mjx" else ()
+    return RobotModel(**fields, data=data, name=path.stem, place=place, drive=DYNAMICS[dynamics])
 
 
 def find(robot: str | Path, dynamics: str = "mjx") -> Path:
-    """Find the file of a robot.
-
-    Args:
-        robot: a name in ``ROBOTS``, or the path of an MJCF file.
-        dynamics: a name in ``DYNAMICS``, which is checked as well.
+    """The file of a robot; name and dynamics are those of ``load``.
 
     Raises:
         InputError: the name, the dynamics or the file does not exist.
@@ -52,19 +48,9 @@ def find(robot: str | Path, dynamics: str = "mjx") -> Path:
     return path
 
 
-def check_step(model: RobotModel, time_step: float) -> None:
-    """Check that a step of control is a multiple of the robot's step of physics.
-
-    Args:
-        time_step: s, of control.
-
-    Raises:
-        InputError: it is not.
-    """
-    if abs(round(time_step / model.time_step) * model.time_step - time_step) > 1e-6:
-        raise InputError(f"time_step: {time_step:g} s is no multiple of {model.name}'s step of {model.time_step:g} s.")
-
-
 def _hint(name: str, choices: Iterable[str]) -> str:
     """The end of a message about an unknown name: the choice most like it, or all choices."""
     return files.suggest(name, choices) or f"; there are: {', '.join(choices)}."
+
+
+__all__ = ["DYNAMICS", "ROBOTS", "find", "load", "physics_steps"]

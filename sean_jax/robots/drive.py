@@ -2,7 +2,7 @@
 
 The MJX robot and its closed-form twin differ only in the physics step. Derivatives through the MJX robot are those of
 its twin, in forward and in reverse mode: they agree to rounding and cost a fraction. The kinematic robot has no
-inertia: it moves as it is told to, within its limits.
+inertia: within its limits it has the speeds of the command.
 
 ``motion`` is a pair: generalised coordinates (5,), x, y [m], yaw, left and right wheel angle [rad], and their rates.
 """
@@ -20,13 +20,13 @@ from sean_jax import clock
 from sean_jax.base import Array, Robot, RobotModel, Scenario, State
 from sean_jax.errors import InputError
 from sean_jax.geometry import rotate, unit_vectors
-from sean_jax.robots import kinematic, mjx_dynamics, twin
-from sean_jax.robots.ground import Motion, Surroundings
+from sean_jax.robots import mjx_dynamics
+from sean_jax.robots.dynamics import Motion, Surroundings, kinematic_move, twin_substep
 from sean_jax.robots.limits import limit_command
 
 
 class DriveState(NamedTuple):
-    """``Robot.drive_state``: everything beside pose, speed and turn rate on which the motion of the robot depends."""
+    """``Robot.drive_state``: everything beside pose, speed and turn rate that decides the motion of the robot."""
 
     wheels: Float[Array, "2"]  # rad, angles of the left and the right wheel
     slip: Float[Array, "2"]  # rad/s, wheel speeds minus those of rolling without slip
@@ -36,26 +36,14 @@ class DriveState(NamedTuple):
 
 
 def place(model: RobotModel, position: Float[Array, "2"], heading: Float[Array, "2"]) -> Robot:
-    """A robot at rest.
-
-    Args:
-        position: (2,) m.
-        heading: (2,) direction of any length; the zero vector counts as the x axis.
-
-    Returns:
-        The robot, without a command.
-    """
+    """A robot at rest at a position [m], without a command; a zero heading counts as the x axis."""
     pair = jnp.zeros((2,), position.dtype)
     drive_state = DriveState(pair, pair, pair[0], pair, jnp.zeros((), jnp.int32))
     return Robot(position, _direction(heading), pair[0], pair[0], drive_state)
 
 
 def coordinates(model: RobotModel, robot: Robot) -> tuple[Float[Array, "5"], Float[Array, "5"]]:
-    """Generalised coordinates of a robot.
-
-    Returns:
-        (5,) x, y [m], yaw, left and right wheel angle [rad]; and (5,) their rates.
-    """
+    """Generalised coordinates (5,), x, y [m], yaw, left and right wheel angle [rad], and their rates."""
     cosine, sine = _direction(robot.heading)
     velocity = jnp.stack([*rotate(robot.speed, robot.drive_state.sideways, cosine, sine), robot.turn_rate])
     position = jnp.append(robot.position, jnp.arctan2(sine, cosine))
@@ -78,8 +66,8 @@ def drive_mjx(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Ro
 
     Args:
         state: people are where it has them at the end of the control step; they came there at their velocities.
-        action: (2,) m/s and rad/s. If it is not finite, the last command holds until ``command_timeout``; then the
-            robot stops.
+        action: m/s and rad/s. If it is not finite, the last command holds until ``command_timeout``; then the robot
+            stops.
 
     Raises:
         InputError: the control step is no multiple of the physics step.
@@ -88,16 +76,7 @@ def drive_mjx(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Ro
 
 
 def drive_twin(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Robot:
-    """The robot one control step later, simulated by the closed-form twin.
-
-    Args:
-        scenario: as in ``drive_mjx``.
-        state: as in ``drive_mjx``.
-        action: as in ``drive_mjx``.
-
-    Raises:
-        InputError: the control step is no multiple of the physics step.
-    """
+    """The robot one control step later, simulated by the closed-form twin; otherwise as ``drive_mjx``."""
     return _drive(_simulate_twin, scenario, state, action)
 
 
@@ -105,14 +84,7 @@ def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "2"])
     """The robot one control step later, which has the speeds of the command at once, as in SEAN 2.0.
 
     Its limits of speed, turn rate and acceleration hold. Obstacles and people in its way stop it. Wheels are not moved.
-
-    Args:
-        scenario: as in ``drive_mjx``.
-        state: as in ``drive_mjx``.
-        action: as in ``drive_mjx``.
-
-    Raises:
-        InputError: the control step is no multiple of the physics step.
+    Arguments and errors are those of ``drive_mjx``.
 
     Source: SEAN 2.0, Control/VelocityController.cs; the limits are those of its ROS controllers.
     """
@@ -120,24 +92,20 @@ def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "2"])
     command, age = active_command(model, robot.drive_state, action, step)
     speed, turn_rate = limit_command(model, robot.speed, robot.turn_rate, (command[0], command[1]), step)
     heading = _direction(robot.heading)
-    way = kinematic.move(
-        _steps(scenario), model, _surroundings(scenario, state), robot.position, heading, speed, turn_rate
-    )
+    steps, surroundings = physics_steps(model, step), _surroundings(scenario, state)
+    way = kinematic_move(steps, model, surroundings, robot.position, heading, speed, turn_rate)
     still = jnp.zeros_like(robot.position)
     drive_state = DriveState(still, still, way.sideways, command, age)
     return Robot(way.position, _turned(heading, step * turn_rate), way.speed, turn_rate, drive_state)
 
 
 def wheel_speeds(model: RobotModel, robot: Robot, action: Float[Array, "2"], time_step: float) -> Float[Array, "2"]:
-    """Target speeds of the wheels for the command nearest to an action within the robot's limits.
+    """Target speeds [rad/s] of the left and the right wheel for the command nearest to an action within the limits.
 
     Args:
         robot: its actual speeds, against which acceleration is limited over one control step.
-        action: (2,) m/s and rad/s.
+        action: m/s and rad/s.
         time_step: s, of control.
-
-    Returns:
-        (2,) rad/s of the left and the right wheel.
     """
     speed, turn_rate = limit_command(model, robot.speed, robot.turn_rate, (action[0], action[1]), time_step)
     return _rolling(model, speed, turn_rate)
@@ -146,15 +114,9 @@ def wheel_speeds(model: RobotModel, robot: Robot, action: Float[Array, "2"], tim
 def active_command(
     model: RobotModel, drive_state: DriveState, action: Float[Array, "2"], time_step: float
 ) -> tuple[Float[Array, "2"], Int[Array, ""]]:
-    """The command that acts now: the action if it is finite, else the last command, else a stop.
+    """The command [m/s, rad/s] that acts now, and its age in control steps of ``time_step`` [s].
 
-    Args:
-        model: with ``command_timeout``, after which the last command becomes (0, 0).
-        action: (2,) m/s and rad/s.
-        time_step: s, of control.
-
-    Returns:
-        (2,) m/s and rad/s; and () the age of the command in control steps.
+    It is the action if that is finite, else the last command, or after ``model.command_timeout`` a stop.
     """
     finite = jnp.isfinite(action).all()
     age = jnp.where(finite, 0, drive_state.age + 1)
@@ -168,7 +130,8 @@ def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -
     command, age = active_command(model, robot.drive_state, action, scenario.time_step)
     targets = wheel_speeds(model, robot, command, scenario.time_step)
     before = coordinates(model, robot)
-    position, velocity = physics(_steps(scenario), model, _surroundings(scenario, state), before, targets)
+    steps, surroundings = physics_steps(model, scenario.time_step), _surroundings(scenario, state)
+    position, velocity = physics(steps, model, surroundings, before, targets)
     cosine, sine = _turned(_direction(robot.heading), position[2] - before[0][2])
     # Whole turns of the wheels are removed, so that they stay exact in single precision after many.
     wheels = position[3:] - 2.0 * jnp.pi * jnp.round(position[3:] / (2.0 * jnp.pi))
@@ -189,12 +152,15 @@ def _surroundings(scenario: Scenario, state: State) -> Surroundings:
     )
 
 
-def _steps(scenario: Scenario) -> int:
-    """How many steps of physics a step of control has."""
-    model = scenario.robot
-    steps = round(scenario.time_step / model.time_step)
-    if abs(steps * model.time_step - scenario.time_step) > 1e-6:
-        raise InputError(f"the step {scenario.time_step} s is no multiple of {model.name}'s step {model.time_step} s")
+def physics_steps(model: RobotModel, time_step: float) -> int:
+    """Number of physics steps in a control step of ``time_step`` [s].
+
+    Raises:
+        InputError: the control step is no multiple of the physics step.
+    """
+    steps = round(time_step / model.time_step)
+    if abs(steps * model.time_step - time_step) > 1e-6:
+        raise InputError(f"time_step: {time_step:g} s is no multiple of {model.name}'s step of {model.time_step:g} s.")
     return steps
 
 
@@ -218,7 +184,7 @@ def _simulate(
 
 def _simulate_twin(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
     """The motion after that many steps of the twin. Reverse mode computes them again rather than store all of them."""
-    simulate = jax.checkpoint(functools.partial(_simulate, twin.substep, steps), prevent_cse=False)
+    simulate = jax.checkpoint(functools.partial(_simulate, twin_substep, steps), prevent_cse=False)
     return simulate(model, surroundings, motion, targets)
 
 

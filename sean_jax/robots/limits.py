@@ -1,6 +1,6 @@
-"""What a robot's limits make of a command (Fig. 3): top speeds, and speeds that it can reach in one step.
+"""A robot's limits (Fig. 3): top speeds, and speeds that it can reach in one step.
 
-As in the controllers of ROS, deceleration is what makes the speed along the heading fall, in braking and in speeding
+As in the controllers of ROS, deceleration limits the fall of the speed along the heading, in braking and in speeding
 up backward.
 """
 
@@ -22,27 +22,14 @@ class Reach(NamedTuple):
 
 
 def max_reverse_speed(model: RobotModel) -> Float[Array, ""]:
-    """Top speed backward.
-
-    Returns:
-        () m/s, positive; the top speed ahead if the robot has no other backward.
-    """
+    """Top speed backward [m/s], positive; the top speed ahead if the robot has no other backward."""
     return model.max_speed if model.max_reverse_speed is None else model.max_reverse_speed
 
 
 def reachable(
     model: RobotModel, speed: Float[Array, "*shape"], turn_rate: Float[Array, "*shape"], time_step: float
 ) -> Reach:
-    """The speeds that the limits of acceleration allow after one step.
-
-    Args:
-        speed: (...) m/s, now.
-        turn_rate: (...) rad/s, now.
-        time_step: s.
-
-    Returns:
-        Ranges of the shapes of ``speed`` and ``turn_rate``.
-    """
+    """The speeds that the limits of acceleration allow one step [s] after a speed [m/s] and a turn rate [rad/s]."""
     fall = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
     change = model.max_turn_acceleration * time_step
     return Reach(
@@ -53,27 +40,12 @@ def reachable(
 def clip_speeds(
     model: RobotModel, speed: Float[Array, "*shape"], turn_rate: Float[Array, "*shape"]
 ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
-    """Clip speeds to the robot's top speeds.
-
-    Args:
-        speed: (...) m/s.
-        turn_rate: (...) rad/s.
-
-    Returns:
-        The speed (...) [m/s] and the turn rate (...) [rad/s].
-    """
+    """Clip speeds [m/s] and turn rates [rad/s] to the robot's maxima."""
     return jnp.clip(speed, -max_reverse_speed(model), model.max_speed), clip_turn_rate(model, turn_rate)
 
 
 def clip_turn_rate(model: RobotModel, turn_rate: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Clip turn rates to the robot's greatest.
-
-    Args:
-        turn_rate: (...) rad/s.
-
-    Returns:
-        (...) rad/s.
-    """
+    """Clip turn rates [rad/s] to the robot's maximum."""
     return jnp.clip(turn_rate, -model.max_turn_rate, model.max_turn_rate)
 
 
@@ -84,17 +56,7 @@ def limit_command(
     command: tuple[Float[Array, "*shape"], Float[Array, "*shape"]],
     time_step: float,
 ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
-    """The speeds within all limits that are nearest to a command, elementwise.
-
-    Args:
-        speed: (...) m/s, now.
-        turn_rate: (...) rad/s, now.
-        command: the speed (...) [m/s] and the turn rate (...) [rad/s] that are wanted.
-        time_step: s, after which they are reached.
-
-    Returns:
-        The speed (...) [m/s] and the turn rate (...) [rad/s] after the step.
-    """
+    """Speed [m/s] and turn rate [rad/s] within all limits that are nearest to a command, after one step [s]."""
     reach = reachable(model, speed, turn_rate, time_step)
     ahead = jnp.clip(command[0], reach.speed_min, reach.speed_max)
     turn = jnp.clip(command[1], reach.turn_rate_min, reach.turn_rate_max)

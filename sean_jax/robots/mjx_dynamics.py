@@ -15,8 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from sean_jax.base import Array, RobotModel
-from sean_jax.robots.ground import Motion, Surroundings, impulse
-from sean_jax.robots.twin import diagonal
+from sean_jax.robots.dynamics import Motion, Surroundings, diagonal, impulse
 
 
 @functools.cache
@@ -28,11 +27,7 @@ def mjx() -> ModuleType:
 
 
 def put(model: Any, mass: Float[Array, "5"]) -> tuple:
-    """``RobotModel.data`` of the MJX robot.
-
-    Args:
-        model: ``mujoco.MjModel``.
-    """
+    """``RobotModel.data`` of the MJX robot of a ``mujoco.MjModel``."""
     return mjx().put_model(model, impl="jax"), mass
 
 
@@ -43,15 +38,7 @@ def substep(
     motion: Motion,
     targets: Float[Array, "2"],
 ) -> Motion:
-    """One physics step by MJX.
-
-    Args:
-        model: as in ``twin.substep``.
-        surroundings: as in ``twin.substep``.
-        time_left: as in ``twin.substep``.
-        motion: as in ``twin.substep``: qpos and qvel.
-        targets: as in ``twin.substep``.
-    """
+    """One physics step by MJX; arguments as of ``dynamics.twin_substep``."""
     # MJX mixes ranks and dtypes on purpose; a caller may have forbidden that for its own code.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         physics = _parametrized(model)

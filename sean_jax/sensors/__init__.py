@@ -1,24 +1,27 @@
 """Sensors (section IV-F): depth, color from three views, and a lidar, on every robot, all from the same rays."""
 
-from sean_jax.sensors.cameras import Camera, camera, focal_length
-from sean_jax.sensors.depth_images import depth
-from sean_jax.sensors.imperfections import Delay, delay, drop_outs, due, noise, push
+from sean_jax.sensors.cameras import Camera, camera, depth, focal_length, pixels_of_people
 from sean_jax.sensors.lidars import Lidar, lidar, scan
 from sean_jax.sensors.pictures import CLASSES, Picture, render
-from sean_jax.sensors.suite import (
+from sean_jax.sensors.readings import (
     SENSORS,
+    Delay,
     DistanceErrors,
     SensorLike,
     as_sensor,
     as_sensors,
     check_sensor,
     color_sensor,
+    delay,
     depth_sensor,
     distance_errors,
+    drop_outs,
+    due,
     lidar_sensor,
+    noise,
+    push,
     sense,
 )
-from sean_jax.sensors.visibility import pixels_of_people
 
 CAMERAS = ("depth", "first_person", "third_person", "overhead")
 """The cameras that every robot has."""

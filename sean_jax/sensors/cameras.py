@@ -1,4 +1,4 @@
-"""Cameras (section IV-F): one depth sensor and three of color on every robot, at the mounts of its file.
+"""Cameras (section IV-F): one depth sensor and three of color on every robot; depth images and visible people.
 
 The defaults are SEAN 2.0's: 640 x 480 pixels, 60 degrees high, from 0.1 to 20 m; the overhead view is orthographic and
 6 m high. A camera is a fixed value. Its rays are made once and shared by all scenarios.
@@ -7,13 +7,15 @@ The defaults are SEAN 2.0's: 640 x 480 pixels, 60 degrees high, from 0.1 to 20 m
 import dataclasses
 import functools
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from sean_jax import files
-from sean_jax.base import RobotModel, Scenario
+from sean_jax.base import Array, RobotModel, Scenario, Solids, State
 from sean_jax.errors import InputError
-from sean_jax.raycast import Rays, bundle
+from sean_jax.raycast import Rays, View, bundle, by_rows, distance, make_view, search
 
 OVERHEAD = "overhead"
 SEES_ROBOT = ("third_person", OVERHEAD)
@@ -30,18 +32,13 @@ class Camera:
     width: int  # pixels
     height: int  # pixels
     fovy: float  # degrees
-    near: float  # m, along the view: bodies nearer than this are not seen
-    far: float  # m, along the view: bodies farther than this are not seen
+    near: float  # m, along the view: nearer bodies are invisible
+    far: float  # m, along the view: farther bodies are invisible
     orthographic: float  # m, height of the picture without perspective; 0: with perspective
     sees_robot: bool  # whether the robot itself is in the picture
 
     def resized(self, width: int, height: int) -> "Camera":
-        """The same camera with another resolution.
-
-        Args:
-            width: pixels.
-            height: pixels.
-        """
+        """The same camera with another resolution in pixels."""
         return dataclasses.replace(self, width=width, height=height)
 
 
@@ -56,16 +53,13 @@ def camera(
     far: float | None = None,
     orthographic: float | None = None,
 ) -> Camera:
-    """A camera of a robot.
+    """A camera of a robot, or of a scenario's robot.
 
     Args:
-        of: the robot, or a scenario that has it.
         name: ``depth``, ``first_person``, ``third_person``, ``overhead``, or another camera of the robot's file.
-        width: pixels.
-        height: pixels.
+        width, height: pixels.
         fovy: degrees, vertical field of view; that of the file if None.
-        near: m, along the view: bodies nearer than this are not seen.
-        far: m, along the view: bodies farther than this are not seen; if None 20 for ``depth``, 200 for the others.
+        near, far: m, along the view: nothing nearer or farther is visible; ``far`` is 20 for ``depth``, 200 for others.
         orthographic: m, height of the part of the floor that a view without perspective shows; 0 for perspective;
             if None 6 for ``overhead`` and 0 for the others.
 
@@ -95,29 +89,14 @@ def camera(
 
 @functools.lru_cache(maxsize=64)
 def rays(view: Camera) -> tuple[Rays, Float[np.ndarray, "H W"]]:
-    """The rays of a camera.
-
-    Args:
-        view: of ``camera``.
-
-    Returns:
-        The rays, and (H, W) the cosine of the angle between each ray and the direction of view; made once for equal
-        cameras.
-    """
+    """The rays of a camera, and the cosine of the angle between each ray and the direction of view."""
     direction, offset, cosine = _directions(view)
     return _bundle(view, direction, offset), cosine
 
 
 @functools.lru_cache(maxsize=64)
 def bands(view: Camera) -> tuple[tuple[Rays, ...], Float[np.ndarray, "H W"]]:
-    """The rays of a camera in two bundles, which are faster to search: rows that rise, and rows that do not.
-
-    Args:
-        view: of ``camera``.
-
-    Returns:
-        One or two bundles from the top down, and the cosines as in ``rays``.
-    """
+    """The rays in one or two bundles, which are faster to search: rows that rise, and others; and the cosines."""
     direction, offset, cosine = _directions(view)
     falls = np.all(direction[..., 2] <= 0.0, axis=1)
     first = int(np.argmax(falls)) if falls.any() else len(falls)
@@ -149,12 +128,65 @@ def _bundle(view: Camera, direction: np.ndarray, offset: np.ndarray | None) -> R
 
 
 def focal_length(view: Camera) -> float:
-    """Focal length fx = fy of a camera with perspective, as in the ROS message CameraInfo.
-
-    Args:
-        view: of ``camera``.
-
-    Returns:
-        pixels.
-    """
+    """Focal length fx = fy [pixels] of a camera with perspective, as in the ROS message CameraInfo."""
     return view.height / 2 / float(np.tan(np.deg2rad(view.fovy) / 2))
+
+
+# --- depth images and visible people ---
+
+
+@jax.named_scope("depth")
+def depth(scenario: Scenario, state: State, camera: Camera) -> Float[Array, "H W"]:
+    """Depth image [m]: distances along the direction of view, as depth cameras measure them, not along each ray.
+
+    It is ``camera.far`` where nothing lies between ``camera.near`` and ``camera.far``. It is differentiable in the
+    robot's pose and in people's positions: exact within the outline of each body, and finite on its edges.
+    """
+    bundles, cosine = bands(camera)
+    view = sensor_view(scenario, state, bundles[0], camera.sees_robot)
+    parts = [by_rows(bundle, distance(view, bundle)) for bundle in bundles]
+    image = jnp.concatenate(parts) * cosine
+    return jnp.where((image >= camera.near) & (image <= camera.far), image, camera.far)
+
+
+def sensor_view(scenario: Scenario, state: State, rays: Rays, with_robot: bool = False) -> View:
+    """The bodies around the origin of a sensor's rays."""
+    people, robot = state.pedestrians, state.robot
+    solids = scenario.environment.scenery.solids
+    radius = scenario.forces.walking.radius
+    view = make_view(solids, people.position, people.present, radius, robot.position, robot.heading, rays.origin)
+    return _add_robot(view, scenario.robot.solids, rays.origin) if with_robot else view
+
+
+def _add_robot(view: View, solids: Solids, origin: np.ndarray) -> View:
+    """Append the bodies of the robot, whose frame differs from that of the view only by the origin (3,) m."""
+    place = jnp.asarray(origin, float)
+
+    def shifted(table: Array) -> Array:
+        return table.at[:, :3].add(-place[None, :])
+
+    return dataclasses.replace(
+        view,
+        boxes=jnp.concatenate([view.boxes, shifted(solids.boxes)]),
+        cylinders=jnp.concatenate([view.cylinders, shifted(solids.cylinders)]),
+        spheres=jnp.concatenate([view.spheres, shifted(solids.spheres)]),
+    )
+
+
+@jax.named_scope("pixels_of_people")
+def pixels_of_people(scenario: Scenario, state: State, camera: Camera) -> Int[Array, "N"]:
+    """How many pixels of a camera's picture show each person, as a perfect detector of people would count them.
+
+    Obstacles, decoration and other people hide people. It is 0 for people who are absent, hidden, outside of the
+    picture, or not between ``camera.near`` and ``camera.far``. Few pixels are enough to know who is visible. No
+    derivatives.
+    """
+    bundles, cosine = bands(camera)
+    view = jax.lax.stop_gradient(sensor_view(scenario, state, bundles[0], camera.sees_robot))
+    parts = [[by_rows(bundle, part) for part in search(view, bundle)] for bundle in bundles]
+    distance, number = (jnp.concatenate(part) for part in zip(*parts, strict=True))
+    image = distance * cosine
+    in_range = (image >= camera.near) & (image <= camera.far)
+    boxes, cylinders, spheres, people = view.counts
+    person = jnp.where(in_range, number - (boxes + cylinders + spheres), -1).reshape(-1)
+    return (person[:, None] == jnp.arange(people, dtype=person.dtype)[None, :]).sum(0, dtype=jnp.int32)

@@ -1,6 +1,6 @@
 """A planar lidar (section IV-F): distances all around the robot, at one height.
 
-The defaults are SEAN 2.0's: 360 rays, from 0.12 to 3.5 m. Bodies above and below the plane of the rays are not seen.
+The defaults are SEAN 2.0's: 360 rays, from 0.12 to 3.5 m. Bodies above and below the plane are invisible.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ from jaxtyping import Float
 from sean_jax.base import Array, RobotModel, Scenario, State
 from sean_jax.errors import InputError
 from sean_jax.raycast import Rays, bundle, by_rows, distance
-from sean_jax.sensors.depth_images import sensor_view
+from sean_jax.sensors.cameras import sensor_view
 
 SECTOR = 15  # rays of a tile, which share the bodies that they may meet
 
@@ -27,8 +27,8 @@ class Lidar:
     count: int  # rays
     first: float  # rad, of the first ray, counter-clockwise from x about z of the site
     span: float  # rad, that the rays cover together, beginning with the first
-    near: float  # m, bodies nearer than this are not seen
-    far: float  # m, bodies farther than this are not seen
+    near: float  # m, nearer bodies are invisible
+    far: float  # m, farther bodies are invisible
     axes: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # (9,) of ``base.Mount``: level, ahead
 
 
@@ -41,15 +41,13 @@ def lidar(
     near: float = 0.12,
     far: float = 3.5,
 ) -> Lidar:
-    """The lidar of a robot.
+    """The lidar of a robot, or of a scenario's robot.
 
     Args:
-        of: the robot, or a scenario that has it.
         count: number of rays, ``span / count`` rad apart.
         first: rad, direction of the first ray, counter-clockwise from straight ahead.
         span: rad, that the rays cover together.
-        near: m, bodies nearer than this are not seen.
-        far: m, bodies farther than this are not seen.
+        near, far: m, nothing nearer or farther is visible.
 
     Raises:
         InputError: the robot's file has no site 'lidar', there is no ray, or the range is empty.
@@ -67,11 +65,7 @@ def lidar(
 
 @functools.lru_cache(maxsize=64)
 def rays(sensor: Lidar) -> Rays:
-    """The rays of a lidar.
-
-    Args:
-        sensor: of ``lidar``.
-    """
+    """The rays of a lidar."""
     angle = sensor.first + sensor.span * np.arange(sensor.count) / sensor.count
     direction = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
     direction = direction @ np.asarray(sensor.axes).reshape(3, 3).T
@@ -80,13 +74,9 @@ def rays(sensor: Lidar) -> Rays:
 
 @jax.named_scope("scan")
 def scan(scenario: Scenario, state: State, sensor: Lidar) -> Float[Array, "rays"]:
-    """Distances along the rays of a lidar. Differentiable in the robot's pose and in people's positions.
+    """Distances [m] along the rays of a lidar; ``sensor.far`` where nothing lies between ``near`` and ``far``.
 
-    Args:
-        sensor: of ``lidar``.
-
-    Returns:
-        (rays,) m, ``sensor.far`` where nothing lies between ``sensor.near`` and ``sensor.far``.
+    Differentiable in the robot's pose and in people's positions.
     """
     fan = rays(sensor)
     distances = by_rows(fan, distance(sensor_view(scenario, state, fan), fan))[0]

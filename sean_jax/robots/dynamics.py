@@ -1,12 +1,13 @@
-"""The impulses on a robot in one physics step: tyres on the floor, contacts with boxes and people (Fig. 3).
+"""The physics of a robot without MuJoCo (Fig. 3): tyres and contacts, the closed-form twin, the kinematic robot.
 
 Generalised coordinates are x, y [m], yaw, left and right wheel angle [rad]. Impulses follow from predicted velocities
 (velocity-implicit). A force from the slip or the approach speed at the start of a step would overshoot and oscillate
 at time steps of practical size.
 """
 
+import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ RECOVERY = 0.2  # share of an overlap that one physics step undoes (Baumgarte 19
 
 Motion = tuple[Float[Array, "5"], Float[Array, "5"]]
 """Generalised coordinates of a robot and their rates."""
+OVERLAP = 1e-4  # m, how deep a robot may press into an obstacle; a step that would go deeper is not made
 
 
 @struct.dataclass
@@ -34,6 +36,9 @@ class Surroundings:
     person_radius: Float[Array, ""]  # m
 
 
+# --- tyres and contacts ---
+
+
 def impulse(
     model: RobotModel,
     surroundings: Surroundings,
@@ -41,16 +46,13 @@ def impulse(
     motion: Motion,
     velocity: Float[Array, "5"],
 ) -> Float[Array, "5"]:
-    """Generalised impulse of the ground and of all contacts.
+    """Generalised impulse (5,) [N s, N m s] of the ground and of all contacts.
 
     The tyres act first, then people, then obstacles, so that no wall is ever passed.
 
     Args:
         time_left: s, from the start of this physics step to the end of the control step.
-        velocity: (5,) rates at the end of the physics step, if there were no impulse.
-
-    Returns:
-        (5,) N s and N m s.
+        velocity: rates at the end of the physics step, if there were no impulse.
     """
     position, _ = motion
     middle = position[2] + 0.5 * model.time_step * velocity[2]  # yaw halfway through the step: else turning would slip
@@ -99,7 +101,7 @@ def touching(
     vx: Float[Array, ""],
     vy: Float[Array, ""],
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """The velocity that the contacts of the robot's disc leave it.
+    """The velocity (x, y) [m/s] that contacts leave the robot's disc, of the velocity (vx, vy) [m/s] without contacts.
 
     A contact limits the approach speed to the one that closes the gap within the physics step, so that the robot comes
     to rest at the surface. It undoes a share of an overlap. There is no friction: the robot slides along.
@@ -107,11 +109,6 @@ def touching(
     Args:
         time_left: s, from the start of this physics step to the end of the control step.
         position: its first two are x and y [m].
-        vx: m/s without contacts.
-        vy: m/s likewise.
-
-    Returns:
-        m/s along x and along y.
     """
     x, y = position[0], position[1]
     px, py, ux, uy = *surroundings.position.T, *surroundings.velocity.T
@@ -159,3 +156,100 @@ def _touch(contact: Callable, things: Any, times: int, x: Array, y: Array, vx: A
         push = jnp.maximum(-(vx * one_nx + vy * one_ny) - one_allowed, 0.0)
         vx, vy = vx + push * one_nx, vy + push * one_ny
     return vx, vy
+
+
+# --- the closed-form twin ---
+
+
+def twin_substep(
+    model: RobotModel,
+    surroundings: Surroundings,
+    time_left: Float[Array, ""],
+    motion: Motion,
+    targets: Float[Array, "2"],
+) -> Motion:
+    """One physics step of the closed-form twin, by semi-implicit Euler.
+
+    The equations of motion are those of the MJX robot: a planar base whose centre of mass lies above the middle of the
+    axle has a diagonal, constant mass matrix and no forces that depend on the velocity.
+
+    Args:
+        time_left: s, from the start of this physics step to the end of the control step.
+        targets: rad/s, the wheel speeds that the servos aim at.
+    """
+    position, velocity = motion
+    torque = jnp.clip(model.servo_gain * (targets - velocity[3:]), -model.servo_torque, model.servo_torque)
+    free = jnp.concatenate([velocity[:3], velocity[3:] + model.time_step * torque / model.wheel_inertia])
+    velocity = free + impulse(model, surroundings, time_left, motion, free) / diagonal(model)
+    return position + model.time_step * velocity, velocity
+
+
+def diagonal(model: RobotModel) -> Float[Array, "5"]:
+    """The diagonal of the mass matrix: kg, kg, kg m2, kg m2, kg m2."""
+    return jnp.stack([model.mass, model.mass, model.inertia, model.wheel_inertia, model.wheel_inertia])
+
+
+# --- the kinematic robot ---
+
+
+class Way(NamedTuple):
+    """The robot's position and velocity after a control step."""
+
+    position: Float[Array, "2"]  # m
+    speed: Float[Array, ""]  # m/s along its heading: less than commanded where something is in the way
+    sideways: Float[Array, ""]  # m/s to the left: what a contact adds
+
+
+def kinematic_move(
+    steps: int,
+    model: RobotModel,
+    surroundings: Surroundings,
+    position: Float[Array, "2"],
+    heading: Float[Array, "2"],
+    speed: Float[Array, ""],
+    turn_rate: Float[Array, ""],
+) -> Way:
+    """The result of a control step at constant speed [m/s] and turn rate [rad/s] from a position [m], without inertia.
+
+    SEAN sets the velocity of the robot's body in each step of physics, and bodies in its way stop it. Here the way is
+    the arc of these speeds in closed form, and contacts are those of the other robots (``touching``).
+    """
+    # Reverse mode computes the way again rather than store it.
+    move = jax.checkpoint(functools.partial(_kinematic_move, steps), prevent_cse=False)
+    return move(model, surroundings, position, heading, speed, turn_rate)
+
+
+def _kinematic_move(
+    steps: int,
+    model: RobotModel,
+    surroundings: Surroundings,
+    position: Array,
+    heading: Array,
+    speed: Array,
+    turn_rate: Array,
+) -> Way:
+    turn = model.time_step * turn_rate  # rad in a step of physics
+    chord = speed * jnp.sinc(turn / (2.0 * jnp.pi))  # m/s, along the straight line between the ends of its arc
+
+    def one(carry: tuple[Way, Array], index: Array) -> tuple[tuple[Way, Array], None]:
+        (place, _, _), gap = carry
+        angle = (index + 0.5) * turn
+        cosine, sine = rotate(heading[0], heading[1], jnp.cos(angle), jnp.sin(angle))
+        vx, vy = chord * cosine, chord * sine
+        ux, uy = touching(model, surroundings, model.time_step * (steps - index), place, vx, vy)
+        there = place + model.time_step * jnp.stack([ux, uy])
+        left = _gap(model, surroundings, there)
+        free = left >= jnp.minimum(gap, -OVERLAP)
+        along, across = rotate(ux - vx, uy - vy, cosine, -sine)
+        along, across = jnp.where(free, speed + along, 0.0), jnp.where(free, across, 0.0)
+        return (Way(jnp.where(free, there, place), along, across), jnp.where(free, left, gap)), None
+
+    begin = Way(position, speed, jnp.zeros_like(speed)), _gap(model, surroundings, position)
+    return jax.lax.scan(one, begin, jnp.arange(steps).astype(position.dtype))[0][0]
+
+
+def _gap(model: RobotModel, surroundings: Surroundings, place: Array) -> Array:
+    """() m to the nearest obstacle, negative inside, without a gradient; infinite if there is none."""
+    x, y = jax.lax.stop_gradient((place[0], place[1]))
+    boxes = jax.lax.stop_gradient(surroundings.obstacles)
+    return from_box(x, y, boxes)[0].min(initial=jnp.inf) - model.radius

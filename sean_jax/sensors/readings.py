@@ -1,7 +1,8 @@
-"""Sensors as values (section IV-F): the sensors of a scenario, and the readings of all of them at once.
+"""Sensors as values (section IV-F), the readings of all of them at once, and the errors of real sensors.
 
 A ``base.Sensor`` is a pure function with its parameters. ``SENSORS`` names those of every robot. ``depth_sensor``,
-``color_sensor`` and ``lidar_sensor`` make others from a camera or a lidar. ``as_sensor`` also reads YAML files.
+``color_sensor`` and ``lidar_sensor`` make others from a camera or a lidar. ``as_sensor`` also reads YAML files. Noise,
+drop-outs, delays and rates are functions of images and scans of any shape.
 """
 
 import dataclasses
@@ -12,18 +13,17 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pydantic
 from flax import struct
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int, Shaped
 
-from sean_jax import calls, files
+from sean_jax import calls, clock, files
 from sean_jax.base import Array, RobotModel, Scenario, Sensor, State
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
-from sean_jax.sensors.cameras import Camera, camera
-from sean_jax.sensors.depth_images import depth
-from sean_jax.sensors.imperfections import drop_outs, noise
+from sean_jax.sensors.cameras import Camera, camera, depth
 from sean_jax.sensors.lidars import Lidar, lidar, scan
 from sean_jax.sensors.pictures import render
 
@@ -44,16 +44,7 @@ class DistanceErrors:
 
 
 def distance_errors(min_deviation: float = 0.0012, growth: float = 0.0019, drop_out: float = 0.0) -> DistanceErrors:
-    """Errors of a depth camera, or with ``growth=0`` of a lidar.
-
-    Args:
-        min_deviation: m, standard deviation of the noise of near distances.
-        growth: 1/m, growth of the deviation with the square of the distance.
-        drop_out: share of the rays that miss, from 0 to 1.
-
-    Returns:
-        The errors, for ``depth_sensor`` and ``lidar_sensor``.
-    """
+    """Errors of a depth camera, or with ``growth=0`` of a lidar; the arguments are the fields of ``DistanceErrors``."""
     return DistanceErrors(*to_device((min_deviation, growth, drop_out)))
 
 
@@ -85,33 +76,17 @@ class _Color:
 
 
 def depth_sensor(device: Camera, errors: DistanceErrors | None = None, name: str | None = None) -> Sensor:
-    """A depth camera, whose reading is (H, W) m.
-
-    Args:
-        device: of ``sensors.camera``.
-        errors: noise and drop-outs; None for exact distances.
-        name: of the reading; that of the camera if None.
-    """
+    """A depth camera, whose reading is (H, W) m, with errors or exact; the reading has the camera's name by default."""
     return Sensor(() if errors is None else errors, name or device.name, _Distances(device, depth))
 
 
 def lidar_sensor(device: Lidar, errors: DistanceErrors | None = None, name: str = "lidar") -> Sensor:
-    """A lidar, whose reading is (rays,) m.
-
-    Args:
-        device: of ``sensors.lidar``.
-        errors: noise and drop-outs; None for exact distances.
-    """
+    """A lidar, whose reading is (rays,) m, with errors or exact."""
     return Sensor(() if errors is None else errors, name, _Distances(device, scan))
 
 
 def color_sensor(device: Camera, name: str | None = None) -> Sensor:
-    """A color camera, whose reading is (H, W, 3) red, green and blue from 0 to 1.
-
-    Args:
-        device: of ``sensors.camera``.
-        name: of the reading; that of the camera if None.
-    """
+    """A color camera, whose reading is (H, W, 3) from 0 to 1; the reading has the camera's name by default."""
     return Sensor((), name or device.name, _Color(device))
 
 
@@ -150,20 +125,17 @@ SENSORS: dict[str, Callable[[RobotModel], Sensor]] = {
 
 
 def sense(scenario: Scenario, state: State) -> dict[str, Any]:
-    """The readings of all sensors of a scenario.
+    """The readings of all sensors of a scenario by name.
 
     Noise depends on the episode, the tick and the name of the sensor alone. So equal states give equal readings, and a
     further sensor does not change those of others.
-
-    Args:
-        scenario: with ``scenario.sensors``.
     """
     key = jax.random.fold_in(state.streams.sensors, state.tick)
     readings = {}
     for sensor in scenario.sensors:
-        own_key = jax.random.fold_in(key, np.uint32(zlib.crc32(sensor.name.encode())))
-        given = scenario, sensor.params, state, own_key
-        reading = calls.call("sensors", sensor.read, "scenario, params, state, key", *given)
+        sensor_key = jax.random.fold_in(key, np.uint32(zlib.crc32(sensor.name.encode())))
+        arguments = scenario, sensor.params, state, sensor_key
+        reading = calls.call("sensors", sensor.read, "scenario, params, state, key", *arguments)
         for part in jax.tree.leaves(reading) or [None]:
             calls.check_array("sensors", sensor.read, part, None, None, "give the reading")
         readings[sensor.name] = reading
@@ -181,7 +153,7 @@ class Errors(pydantic.BaseModel):
 
 
 class Settings(pydantic.BaseModel):
-    """A sensor's file. Keys that are left out have the defaults of ``sensors.camera`` and ``sensors.lidar``."""
+    """A sensor's file. Missing keys have the defaults of ``sensors.camera`` and ``sensors.lidar``."""
 
     model_config = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -206,10 +178,7 @@ MOUNTS = {"depth": "depth", "color": "first_person"}
 
 
 def as_sensor(value: SensorLike, robot: RobotModel) -> Sensor:
-    """The sensor that a value stands for.
-
-    Args:
-        value: a ``Sensor``, a name in ``SENSORS``, or the path of a YAML file with the keys of ``Settings``.
+    """A ``Sensor`` as it is, the one of a name in ``SENSORS``, or that of a YAML file with the keys of ``Settings``.
 
     Raises:
         InputError: there is no sensor of that name, the file cannot be used, or the robot has no such mount.
@@ -224,10 +193,7 @@ def as_sensor(value: SensorLike, robot: RobotModel) -> Sensor:
 
 
 def check_sensor(value: SensorLike) -> None:
-    """Refuse what is no sensor, as far as it can be told without a robot.
-
-    Args:
-        value: as of ``as_sensor``.
+    """Refuse a value that is no sensor, as far as can be decided without a robot.
 
     Raises:
         InputError: there is no sensor of that name, or it is no name, path or ``Sensor``.
@@ -240,13 +206,7 @@ def check_sensor(value: SensorLike) -> None:
 
 
 def as_sensors(values: Iterable[SensorLike], robot: RobotModel) -> tuple[Sensor, ...]:
-    """The sensors that several values stand for, for ``Scenario.sensors``.
-
-    Args:
-        values: see ``as_sensor``.
-
-    Returns:
-        The sensors, in the same order.
+    """The sensors of several values, for ``Scenario.sensors``.
 
     Raises:
         InputError: one of them is refused by ``as_sensor``, or two have one name.
@@ -295,3 +255,80 @@ def _from_settings(settings: Settings, robot: RobotModel) -> Sensor:
     if settings.kind == "depth":
         return depth_sensor(device, errors, settings.name)
     return color_sensor(device, settings.name)
+
+
+# --- errors of real sensors ---
+
+
+def noise(
+    key: Array,
+    distance: Float[Array, "*shape"],
+    *,
+    far: Float[Array, ""] | float,
+    min_deviation: Float[Array, ""] | float = 0.0012,
+    growth: Float[Array, ""] | float = 0.0019,
+    start: Float[Array, ""] | float = 0.4,
+) -> Float[Array, "*shape"]:
+    """Add normal noise whose standard deviation is min_deviation + growth (distance - start)².
+
+    Args:
+        far: m, the range of the sensor. Values at or beyond it are misses and stay as they are.
+        min_deviation: m, standard deviation at ``start``.
+        growth: 1/m; 0 suits a lidar.
+        start: m, where the growth begins.
+
+    Source:
+        C. V. Nguyen, S. Izadi & D. Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction and tracking",
+        3DIMPVT 2012; the defaults are theirs, for a depth camera.
+    """
+    deviation = min_deviation + growth * jnp.square(distance - start)
+    noisy = distance + deviation * jax.random.normal(key, distance.shape, distance.dtype)
+    return jnp.where(distance < far, jnp.clip(noisy, 0.0, far), distance)
+
+
+def drop_outs(
+    key: Array,
+    distance: Float[Array, "*shape"],
+    share: Float[Array, ""] | float,
+    replacement: Float[Array, ""] | float,
+) -> Float[Array, "*shape"]:
+    """Set a random share of the distances to a replacement [m], such as the sensor's ``far``: these rays miss."""
+    return jnp.where(jax.random.uniform(key, distance.shape) < share, replacement, distance)
+
+
+@struct.dataclass
+class Delay:
+    """The last images of a sensor, the newest first. Callers carry it beside the state."""
+
+    images: Shaped[Array, "L *shape"]  # the last one is what the robot has received
+
+
+def delay(image: Shaped[Array, "*shape"], steps: int) -> Delay:
+    """A delay line of some control steps, filled with the first image.
+
+    Raises:
+        InputError: ``steps`` is negative.
+    """
+    if steps < 0:
+        raise InputError(f"delay: {steps} steps would show the future; give 0 or more.")
+    return Delay(jnp.broadcast_to(image[None], (steps + 1, *image.shape)))
+
+
+def push(line: Delay, image: Shaped[Array, "*shape"]) -> tuple[Delay, Shaped[Array, "*shape"]]:
+    """Put the newest image into a delay line; the new line and the image that leaves it."""
+    images = jnp.concatenate([image[None], line.images[:-1]])
+    return Delay(images), images[-1]
+
+
+def due(tick: Int[Array, ""], time_step: float, rate: float) -> Bool[Array, ""]:
+    """Whether a sensor with a rate [1/s] takes an image at a tick of control of ``time_step`` [s].
+
+    The first tick is 0. An image that is due between two ticks is taken at the second. A sensor that is faster than
+    control, such as one of 15 Hz with steps of 0.1 s, takes one image at each tick.
+
+    Raises:
+        InputError: the rate is too low to be counted in ticks.
+    """
+    over, under = clock.events_per_tick(time_step, rate)
+    now = tick % under  # the pattern repeats after that many ticks
+    return (tick == 0) | (now * over // under > (now - 1) * over // under)
