@@ -224,7 +224,7 @@ def read_config(path: Path, check: bool = True) -> Saved:
     Raises:
         InputError: the file cannot be used, or one that it names is not what it was.
     """
-    _, content = files.nodes.read(path)
+    _, content = files.read_yaml(path)
     if not isinstance(content, dict):
         raise InputError(f"{path}: holds no description; give a config.yaml, such as `sean run` writes.")
     if "made by" in content:

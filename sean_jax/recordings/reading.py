@@ -81,8 +81,8 @@ def read(
 ) -> Tracks:
     """The recording in a CSV file.
 
-    With a ``time_step`` [s], positions are interpolated linearly. Nobody is present before the first line, after the last
-    one, or in a gap of more than 2 s. Facing and groups are not sampled. The arrays are numpy's, in 64 bits, and
+    With a ``time_step`` [s], positions are interpolated linearly. Nobody is present before the first line, after the
+    last one, or in a gap of more than 2 s. Facing and groups are not sampled. The arrays are numpy's, in 64 bits, and
     columns serve one person after the other, so there are as few columns as people at once.
 
     Args:
