@@ -163,8 +163,8 @@ def read_rows(path: Path | str, max_bytes: int = MAX_TABLE) -> Iterator[list[str
     """The cells of each row of a CSV file, names of columns first; a first line with # comes before, as one cell.
 
     Raises:
-        FileError: the file cannot be read, is too large, is no CSV, names a column twice, or has a row of another number
-            of cells than columns.
+        FileError: the file cannot be read, is too large, is no CSV, names a column twice, or has another number of
+            cells in a row than columns.
     """
     path = Path(path)
     with open_file(path, max_bytes) as stream:
