@@ -1,7 +1,7 @@
-"""The data types that all rooms share (section IV-B), and the signatures that a user's own functions must have.
+"""The data types that all rooms share (section IV-B), and the signatures of a user's own functions.
 
-Units are SI, angles are radians, the ground plane is (x, y) with z up. Headings are unit vectors. People who are absent
-are masked by ``present``; NaN never marks anything.
+Units are SI, angles are radians, the ground plane is (x, y) with z up. Headings are unit vectors. Absent people are
+masked by ``present``; NaN never marks anything.
 
 Shapes stand in the annotations, with one letter for each dimension: ``N`` people, ``G`` groups, ``W`` obstacles, ``S``
 situations, ``V`` corner arcs of shortest paths, ``M`` nodes of a behavior graph, ``B`` batch, ``T`` time, ``E``
@@ -50,7 +50,7 @@ class Groups:
 
 @struct.dataclass
 class Robot:
-    """A robot's pose and speed, which stand nowhere else: physics continue from values that are replaced here."""
+    """A robot's pose and speed, and their only place: physics continue from values that are replaced here."""
 
     position: Float[Array, "2"]  # m
     heading: Float[Array, "2"]  # unit vector; the next step scales any other to length one
@@ -116,7 +116,7 @@ class Environment:
 
 @struct.dataclass
 class PathsToGoal:
-    """The shortest paths to one goal from each of the V corner arcs of a navigation (``navigation.arcs``)."""
+    """The shortest paths to one goal from each corner arc of a navigation (``navigation.corner_arcs``)."""
 
     distance: Float[Array, "V"]  # m, from the middle of the arc to the goal; inf if no path leads there
     departure_angle: Float[Array, "V"]  # rad, from the middle of the arc to where the path leaves it, along the travel
@@ -139,10 +139,7 @@ class RobotTask:
 
 @struct.dataclass
 class Moment:
-    """A robot among people at one time: everything that situations and metrics read, in arrays alone.
-
-    ``scenario.moment`` makes it from a state; recordings make it as well.
-    """
+    """A robot among people at one time: everything that situations and metrics read, in arrays alone."""
 
     people: Pedestrians
     position: Float[Array, "2"]  # m, of the robot
@@ -329,11 +326,11 @@ class Trajectory:
 
 @struct.dataclass
 class Policy:
-    """Who drives the robot: a pure function with its parameters and what it remembers of an episode.
+    """Commands for the robot: a pure function with its parameters and its memory of an episode.
 
-    ``init(scenario, params, state)`` gives the memory at the beginning of an episode, any pytree;
-    ``apply(scenario, params, state, key)`` gives the command (2,) [m/s, rad/s] and the new memory, where
-    ``state.policy_state`` is the memory so far. ``as_policy`` makes one of a plain function.
+    ``init(scenario, params, state)`` gives the memory at the beginning of an episode, any pytree; ``apply(scenario,
+    params, state, key)`` gives the command (2,) [m/s, rad/s] and the new memory; ``state.policy_state`` is the memory
+    so far. ``as_policy`` makes one of a plain function.
     """
 
     params: PyTree  # leaves, such as the weights of a network: to be an argument of jit, grad and vmap
@@ -348,7 +345,7 @@ PolicyLike = Policy | Callable[[Scenario, State, Array], Array]
 
 @dataclass(frozen=True)
 class _Stateless:
-    """``Policy.apply`` of a plain function; equal for equal functions, so that what was compiled is found again."""
+    """``Policy.apply`` of a plain function; equal for equal functions, so that compiled programs are reused."""
 
     function: Callable[[Scenario, State, Array], Array]
     arguments = "scenario, state, key"
@@ -358,29 +355,12 @@ class _Stateless:
 
 
 def no_memory(scenario: Scenario, params: PyTree, state: State) -> tuple:
-    """``Policy.init`` of a policy that remembers nothing.
-
-    Args:
-        scenario, params, state: as of ``Policy.init``.
-
-    Returns:
-        ().
-    """
+    """``Policy.init`` of a policy without memory."""
     return ()
 
 
 def as_policy(policy: PolicyLike) -> Policy:
-    """The policy, made of a plain function if it is one.
-
-    Args:
-        policy: a ``Policy``, or a function (scenario, state, key) -> (2,) command [m/s, rad/s].
-
-    Returns:
-        A ``Policy``; that of a function has no parameters and remembers nothing.
-
-    Raises:
-        TypeError: it is neither.
-    """
+    """A ``Policy``, without parameters and memory if it is made of a plain function; TypeError if it is neither."""
     if isinstance(policy, Policy):
         return policy
     if not callable(policy):
