@@ -53,10 +53,10 @@ class Robot:
     """A robot's pose and speed, and their only place: physics continue from values that are replaced here."""
 
     position: Float[Array, "2"]  # m
-    heading: Float[Array, "2"]  # unit vector; the next step scales any other to length one
+    heading: Float[Array, "2"]  # unit vector; normalised at the next step
     speed: Float[Array, ""]  # m/s, along the heading
     turn_rate: Float[Array, ""]  # rad/s, counter-clockwise
-    drive_state: PyTree  # what else the robot model needs, such as wheel angles, slip and the last command
+    drive_state: PyTree  # more state of the robot model, such as wheel angles, slip and the last command
 
 
 @struct.dataclass
@@ -203,8 +203,8 @@ class Behavior:
     name: str = struct.field(pytree_node=False)
     reset: Callable = struct.field(pytree_node=False)
     direct: Callable = struct.field(pytree_node=False)
-    companions: Int[Array, "N 2"] | None = None  # with whom each person walks, -1 none; None: all walk alone
-    people: int | None = struct.field(pytree_node=False, default=None)  # N; None: as many as the scenario is made with
+    companions: Int[Array, "N 2"] | None = None  # companions of each person, -1 none; None: all walk alone
+    people: int | None = struct.field(pytree_node=False, default=None)  # N; None: the scenario's number
     move: Callable | None = struct.field(pytree_node=False, default=None)  # None: the scenario's pedestrian model
     offers: tuple[str, ...] = struct.field(pytree_node=False, default=())  # what tasks may need: "groups", ...
 
@@ -274,7 +274,7 @@ class Scenario:
     forces: Any  # social_forces.Forces
     thresholds: Any  # classifiers.Thresholds
     goal_radius: Float[Array, ""]  # m, within which the goal is reached
-    hold_time: Float[Array, ""]  # s, to be spent there to complete the task
+    hold_time: Float[Array, ""]  # s, within goal_radius to complete the task
     task_distance: Float[Array, "2"]  # m, minimum and maximum geodesic distance from start to goal
     robot: RobotModel
     task: Callable = struct.field(pytree_node=False)  # (scenario, pedestrians, groups, memory, key) -> RobotTask
@@ -287,7 +287,7 @@ class Scenario:
     substeps: int = struct.field(pytree_node=False)  # of the social forces in a step of control
     task_name: str = struct.field(pytree_node=False)
     sensors: tuple[Sensor, ...] = ()  # of the robot, read by ``sensors.sense``
-    people_present: Int[Array, ""] | None = None  # the first so many are there, on the graph or anywhere; None: all
+    people_present: Int[Array, ""] | None = None  # how many are present, the first ones; None: all
     warm_up: float = struct.field(pytree_node=False, default=0.0)  # s, for which people walk before there is a robot
 
 

@@ -57,11 +57,11 @@ def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build
     name = f"{kind}-{digest.hexdigest()[:32]}"
     if name not in _recent:
         path = folder() / "tables" / f"{name}.npz"
-        found = _read(path, name)
-        if found is None:
-            found = dict(build())
-            _write(path, name, found)
-        _recent[name] = found
+        tables = _read(path, name)
+        if tables is None:
+            tables = dict(build())
+            _write(path, name, tables)
+        _recent[name] = tables
     _recent.move_to_end(name)
     while len(_recent) > MAX_RECENT:
         _recent.popitem(last=False)
@@ -82,13 +82,13 @@ def _source(code: tuple[str, ...]) -> str:
 def _read(path: Path, name: str) -> Tables | None:
     """The arrays of a file that was written completely, under that name; None without one."""
     try:
-        found = files.read_arrays(path)
-        if str(found.pop("name", "")) != f"{name} {_digest(found)}":
+        tables = files.read_arrays(path)
+        if str(tables.pop("name", "")) != f"{name} {_digest(tables)}":
             return None
         os.utime(path)  # the oldest are removed first
     except (FileError, OSError):
         return None
-    return found
+    return tables
 
 
 def _write(path: Path, name: str, tables: Tables) -> None:

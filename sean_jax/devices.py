@@ -102,8 +102,8 @@ def _put(tree: PyTree, sharding: NamedSharding) -> PyTree:
     def place(leaf: Array) -> Array:
         if sharding.is_fully_addressable or (isinstance(leaf, jax.Array) and not leaf.is_fully_addressable):
             return jax.device_put(leaf, sharding)
-        own = np.asarray(jnp.asarray(leaf))  # device_put would gather it from all processes, and refuse NaN
-        return jax.make_array_from_callback(own.shape, sharding, lambda index: own[index])
+        array = np.asarray(jnp.asarray(leaf))  # device_put would gather it from all processes, and refuse NaN
+        return jax.make_array_from_callback(array.shape, sharding, lambda index: array[index])
 
     return jax.tree.map(put, tree)
 
@@ -128,5 +128,5 @@ def shard_jit(over: Mesh, function: Callable, donate: bool = False) -> Any:
     def on_all(fixed: PyTree, others: tuple) -> PyTree:
         return jax.vmap(function, (None, *(0 for _ in others)))(fixed, *others)
 
-    given = (1,) if donate else ()
-    return jax.jit(on_all, in_shardings=(whole, split), out_shardings=split, donate_argnums=given)
+    donated = (1,) if donate else ()
+    return jax.jit(on_all, in_shardings=(whole, split), out_shardings=split, donate_argnums=donated)

@@ -76,8 +76,8 @@ def find(name_or_path: str | Path) -> Path:
 
 def sources(folder: Path) -> list[Path]:
     """The files that an environment and its scene are read from; FileError if the scene cannot be read."""
-    own = [folder / name for name in (SETTINGS, SCENE, *ANNOTATIONS)]
-    return [path for path in own if path.is_file()] + mjcf.sources(folder / SCENE)
+    paths = [folder / name for name in (SETTINGS, SCENE, *ANNOTATIONS)]
+    return [path for path in paths if path.is_file()] + mjcf.sources(folder / SCENE)
 
 
 def default_people(folder: str | Path) -> int:
@@ -315,9 +315,9 @@ def _color(model: Any, index: int) -> np.ndarray:
 def _texture(model: Any, kind: str) -> np.ndarray | None:
     """(n, 3) colors of the first texture of a kind: a floor's darkest and lightest, or a sky from its top down."""
     mujoco: Any = import_module("mujoco")
-    wanted = {"2d": mujoco.mjtTexture.mjTEXTURE_2D, "skybox": mujoco.mjtTexture.mjTEXTURE_SKYBOX}[kind]
+    texture = {"2d": mujoco.mjtTexture.mjTEXTURE_2D, "skybox": mujoco.mjtTexture.mjTEXTURE_SKYBOX}[kind]
     for index in range(model.ntex):
-        if model.tex_type[index] == wanted:
+        if model.tex_type[index] == texture:
             start, channels = model.tex_adr[index], model.tex_nchannel[index]
             pixels = model.tex_data[start : start + model.tex_height[index] * model.tex_width[index] * channels]
             pixels = pixels.reshape(model.tex_height[index], -1, channels)

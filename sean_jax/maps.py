@@ -211,8 +211,8 @@ def _without_slivers(boxes: list[tuple[int, int, int, int]], covered: np.ndarray
     rest = []
     for left, low, right, high in sorted(boxes, key=lambda box: (box[2] - box[0]) * (box[3] - box[1])):
         part = covered[low:high, left:right]
-        own = part == 1
-        count = int(own.sum())
+        alone = part == 1
+        count = int(alone.sum())
         if count <= spare:
             part -= 1
             around = np.zeros((high - low + 2, right - left + 2), bool)  # no copy of the whole map for each box
@@ -220,7 +220,7 @@ def _without_slivers(boxes: list[tuple[int, int, int, int]], covered: np.ndarray
             y, x = (1 if low == 0 else 0), (1 if left == 0 else 0)
             around[y : y + window.shape[0], x : x + window.shape[1]] = window
             shifts = [around[a : a + high - low, b : b + right - left] for a in range(3) for b in range(3)]
-            if (np.any(shifts, axis=0) | ~own).all():
+            if (np.any(shifts, axis=0) | ~alone).all():
                 spare -= count
                 continue
             part += 1

@@ -226,7 +226,7 @@ def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarra
     """Columns of all rows: for each frame the robot's row, then those of the people present."""
     episodes, steps = arrays["active"].shape
     present = np.concatenate([np.ones((episodes, steps, 1), bool), arrays["present"]], -1)
-    episode, frame, who = np.nonzero(present)
+    episode, frame, column_of = np.nonzero(present)
 
     def both(robot: np.ndarray, people: np.ndarray) -> np.ndarray:
         return np.concatenate([robot[:, :, None], people], 2)[present]
@@ -239,16 +239,16 @@ def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarra
         "episode": episode,
         "frame": frame,
         "time": (frame + 1) * header.time_step,
-        "id": who - 1,
+        "id": column_of - 1,
         **{name: part for name, part in zip(PERSON, (*place.T, *velocity.T, *heading.T), strict=True)},
         "group": group,
     }
-    robots = np.where(who == 0)[0]
-    own = (*np.moveaxis(arrays["goal"], -1, 0), *np.moveaxis(arrays["action"], -1, 0), arrays["active"])
+    robots = np.where(column_of == 0)[0]
+    robot_columns = (*np.moveaxis(arrays["goal"], -1, 0), *np.moveaxis(arrays["action"], -1, 0), arrays["active"])
     flags = np.moveaxis(arrays["situations"], -1, 0)
     labels = [*OF_ROBOT, *(f"{SITUATION}{name}" for name in header.situations)]
-    for name, values in zip(labels, (*own, *flags), strict=True):
-        column = np.full(len(who), np.nan, np.float32)
+    for name, values in zip(labels, (*robot_columns, *flags), strict=True):
+        column = np.full(len(column_of), np.nan, np.float32)
         column[robots] = values.reshape(-1)
         columns[name] = column
     return columns
@@ -301,7 +301,7 @@ def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, firs
 def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Trajectory:
     """The arrays of all columns; FileError if rows are missing or double."""
     batched = "episode" in table
-    frame, who = table["frame"], table["id"]
+    frame, ids = table["frame"], table["id"]
     episode = table["episode"] if batched else np.zeros(len(frame), int)
     episodes, steps, people = int(episode.max()) + 1, int(frame.max()) + 1, header.people
     what = f"{files.short_name(path)}: {len(frame):,} rows"
@@ -309,8 +309,8 @@ def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Traject
         size = f"{episodes:,} episodes of {steps:,} frames with {people:,} people"
         raise FileError(f"{what} are too few for {size}; {CURE}.")
     names = [f"{SITUATION}{name}" for name in header.situations]
-    robot, person = who == ROBOT, who != ROBOT
-    at_robot, at_person = (episode[robot], frame[robot]), (episode[person], frame[person], who[person])
+    robot, person = ids == ROBOT, ids != ROBOT
+    at_robot, at_person = (episode[robot], frame[robot]), (episode[person], frame[person], ids[person])
     driven = np.zeros((episodes, steps), bool)
     driven[at_robot] = True
     if not driven[:, 0].all() or (driven[:, 1:] & ~driven[:, :-1]).any() or not driven[at_person[:2]].all():

@@ -55,8 +55,8 @@ def category_colors(names: Sequence[str], reserved: Mapping[str, str]) -> list[s
     taken = {*reserved.values()}
     spare = [color for color in SPARE_COLORS if color not in taken]
     spare += [_hue(index) for index in range(len(others) - len(spare))]
-    own = dict(zip(others, spare, strict=False))
-    return [reserved[name] if name in reserved else own[name] for name in names]
+    others_colors = dict(zip(others, spare, strict=False))
+    return [reserved[name] if name in reserved else others_colors[name] for name in names]
 
 
 def _hue(index: int) -> str:

@@ -248,8 +248,8 @@ def _starts(scenario: Scenario, key: Array) -> _Starts:
     sets: Sets = scenario.behavior.data
 
     def of_set(row: Array) -> _Starts:
-        own = jnp.arange(sets.odds.shape[0]) == row
-        odds = jnp.where(own[:, None, None], sets.odds, 0.0)
+        chosen = jnp.arange(sets.odds.shape[0]) == row
+        odds = jnp.where(chosen[:, None, None], sets.odds, 0.0)
         one_set = replace(scenario, behavior=replace(scenario.behavior, data=replace(sets, odds=odds)))
         people, groups, _ = scenario.behavior.reset(one_set, key)
         ends = []

@@ -38,9 +38,9 @@ def fit_motion(
     """
     count, first, second, value, product = (jnp.zeros((), position.dtype),) * 5
     for shift in range(-window, window + 1):
-        there = _shifted(present, shift, False).astype(position.dtype)
-        offset = (_shifted(position, shift, 0.0) - position) * there[..., None]
-        count, first, second = count + there, first + there * shift, second + there * shift**2
+        weight = _shifted(present, shift, False).astype(position.dtype)
+        offset = (_shifted(position, shift, 0.0) - position) * weight[..., None]
+        count, first, second = count + weight, first + weight * shift, second + weight * shift**2
         value, product = value + offset, product + offset * shift
     determinant = count * second - first * first
     usable = present & (determinant > 0.5)  # it is a whole number
@@ -80,8 +80,8 @@ def windowed_mean(values: Float[Array, "T N 2"], present: Bool[Array, "T N"], wi
     """The mean of each person's values over the 2 window + 1 times around, without absent ones."""
     total, count = jnp.zeros_like(values), jnp.zeros(present.shape, values.dtype)
     for shift in range(-window, window + 1):
-        there = _shifted(present, shift, False).astype(values.dtype)
-        total, count = total + _shifted(values, shift, 0.0) * there[..., None], count + there
+        weight = _shifted(present, shift, False).astype(values.dtype)
+        total, count = total + _shifted(values, shift, 0.0) * weight[..., None], count + weight
     return total / jnp.maximum(count, 1.0)[..., None]
 
 
@@ -158,11 +158,8 @@ def moments_of(
     people, group = _people(tracks, group, facing, window, still)
     recorded = tracks.present[:, index]
     others = replace(people, present=people.present & (everybody != index)[None, :])
-    own = group[:, index]
-    return _moments(
-        tracks, others, group, own, people.position[:, index], people.velocity[:, index], people.heading[:, index],
-        recorded, obstacles,
-    ), recorded  # fmt: skip
+    robot_motion = people.position[:, index], people.velocity[:, index], people.heading[:, index]
+    return _moments(tracks, others, group, group[:, index], *robot_motion, recorded, obstacles), recorded
 
 
 def moments_along(
@@ -180,11 +177,11 @@ def moments_along(
     Other arguments are those of ``moments_of``.
     """
     people, group = _people(tracks, group, facing, window, still)
-    there = jnp.ones((path.shape[0], 1), bool)
-    _, velocity = fit_motion(path[:, None, :], there, tracks.time_step, window)
-    heading = headings(velocity, there, still)[:, 0]
+    present = jnp.ones((path.shape[0], 1), bool)
+    _, velocity = fit_motion(path[:, None, :], present, tracks.time_step, window)
+    heading = headings(velocity, present, still)[:, 0]
     nobody = jnp.full(path.shape[:1], -1, jnp.int32)
-    return _moments(tracks, people, group, nobody, path, velocity[:, 0], heading, there[:, 0], obstacles)
+    return _moments(tracks, people, group, nobody, path, velocity[:, 0], heading, present[:, 0], obstacles)
 
 
 def _people(
@@ -216,14 +213,14 @@ def _moments(
     tracks: Tracks,
     people: Pedestrians,
     group: Int[Array, "T N"],
-    own: Int[Array, "T"],
+    robot_group: Int[Array, "T"],
     position: Float[Array, "T 2"],
     velocity: Float[Array, "T 2"],
     heading: Float[Array, "T 2"],
     recorded: Bool[Array, "T"],
     obstacles: Obstacles | None,
 ) -> Moment:
-    """Moments of a robot. ``group`` (T, N) and ``own`` (T,) name groups anew in each row; start and goal stay.
+    """Moments of a robot. ``group`` (T, N) and ``robot_group`` (T,) name groups anew in each row; start and goal stay.
 
     People with whom the robot stood at its goal are ``GOAL_GROUP``, those at its start alone ``START_GROUP``, in every
     row in which they stand with anybody; one person cannot be both.
@@ -231,13 +228,13 @@ def _moments(
     times = recorded.shape[0]
     first = jnp.argmax(recorded)
     last = times - 1 - jnp.argmax(recorded[::-1])
-    with_start = (own[first] >= 0) & (group[first] == own[first])
-    with_goal = (own[last] >= 0) & (group[last] == own[last])
+    with_start = (robot_group[first] >= 0) & (group[first] == robot_group[first])
+    with_goal = (robot_group[last] >= 0) & (group[last] == robot_group[last])
     joined = jnp.where(with_goal, GOAL_GROUP, jnp.where(with_start, START_GROUP, -1)).astype(jnp.int32)
     named = jnp.where(group >= 0, joined[None, :], -1)
-    unchanged = (own[first] >= 0) & (own[last] >= 0) & (with_start == with_goal).all()
-    start_group = jnp.where(own[first] >= 0, jnp.where(unchanged, GOAL_GROUP, START_GROUP), -1)
-    goal_group = jnp.where(own[last] >= 0, GOAL_GROUP, -1)
+    unchanged = (robot_group[first] >= 0) & (robot_group[last] >= 0) & (with_start == with_goal).all()
+    start_group = jnp.where(robot_group[first] >= 0, jnp.where(unchanged, GOAL_GROUP, START_GROUP), -1)
+    goal_group = jnp.where(robot_group[last] >= 0, GOAL_GROUP, -1)
     start, goal = position[first], position[last]
     straight = length(goal[0] - start[0], goal[1] - start[1])
 

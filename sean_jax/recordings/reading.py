@@ -24,7 +24,7 @@ from sean_jax.errors import FileError, InputError
 from sean_jax.files import read_text, short_name, unknown_name
 from sean_jax.quantities import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE, check_number
 
-NAMES = {  # what a column may be called; the first that is there counts
+NAMES = {  # the names that a column may have; the first one present counts
     "frame": ("frame",),
     "person": ("ped_id", "id", "person"),
     "x": ("x_m", "x"),
@@ -39,7 +39,7 @@ MAX_BYTES = 60_000_000
 MAX_LINES = 1_000_000
 MAX_FRAME = 2**31 - 1
 ROUNDING = 1e-9  # s, of times that are a frame number times the seconds of a frame
-LONGEST_GAP = 2.0  # s: who is not seen for longer has left and entered again
+LONGEST_GAP = 2.0  # s: a person without lines for longer has left and entered again
 MAX_MEAN_SPEED = 2.0  # m/s: people who walk are slower on average; known recordings have 0.5 to 1.4
 MAX_SPEED = 20.0  # m/s: nobody runs as fast
 CLOCK_TOLERANCE = 0.25  # share by which a clock may differ from the velocities in a file
@@ -64,11 +64,11 @@ class Walk(NamedTuple):
 class Tracks:
     """A recording at T times. A column is one person, or in a sampled recording several people one after the other."""
 
-    position: Float[Array, "T N 2"]  # m; of who is absent (0, 0), or where somebody was or will be
+    position: Float[Array, "T N 2"]  # m; of absent people (0, 0), or their last or next position
     facing: Float[Array, "T N 2"]  # unit vector of the head or body; (1, 0) where it is not known
     group: Int[Array, "T N"]  # column of the first member of the person's group, -1 none or not known
     present: Bool[Array, "T N"]
-    person: Int[Array, "T N"]  # the file's number of each person, -1 of who is absent
+    person: Int[Array, "T N"]  # the file's number of each person, -1 if absent
     frame: Int[Array, "T"]  # the file's number of each frame, or the nearest to it
     time_step: float = struct.field(pytree_node=False)  # s between rows
 
@@ -240,12 +240,12 @@ def _table(path: Path) -> tuple[dict[str, np.ndarray], list[str], np.ndarray]:
             if matches:
                 places[ours] = matches[0]
             elif ours in NEEDED:
-                there = ", ".join(name[:40] for name in header[:12]) or "nothing"
+                columns = ", ".join(name[:40] for name in header[:12]) or "nothing"
                 which = " or ".join(theirs)
                 raise FileError(
-                    f"{short_name(path)}:1: has no column {which} but {there}; the first line names the columns."
+                    f"{short_name(path)}:1: has no column {which} but {columns}; the first line names the columns."
                 )
-        who = places.pop("person")
+        name_place = places.pop("person")
         for row in reader:
             if not any(cell.strip() for cell in row):
                 continue
@@ -254,7 +254,7 @@ def _table(path: Path) -> tuple[dict[str, np.ndarray], list[str], np.ndarray]:
                 raise FileError(f"{short_name(path)}:{reader.line_num}: {what}; cut the file.")
             try:
                 rows.append([float(row[place]) for place in places.values()])
-                names.append(_plain(row[who].strip()))
+                names.append(_plain(row[name_place].strip()))
             except (ValueError, IndexError):
                 content = ",".join(row)
                 content = content if len(content) <= 80 else content[:77] + "..."
@@ -334,16 +334,16 @@ def _check(recorded: Lines) -> None:
         at = recorded.line[np.argmax(np.abs(frame - np.median(frame)))]
         raise FileError(f"{short_name(path)}:{at}: the frame is {span:.3g} s from others; leave the line out.")
     order = np.lexsort((frame, person))
-    own = np.diff(person[order]) == 0
-    time = np.diff(frame[order])[own] * recorded.seconds
+    same_person = np.diff(person[order]) == 0
+    time = np.diff(frame[order])[same_person] * recorded.seconds
     twice = np.flatnonzero(time <= 0)
     if len(twice):
-        at = order[1:][own][twice[0]]
+        at = order[1:][same_person][twice[0]]
         what = f"the person is already there in frame {frame[at]:g}"
         raise FileError(f"{short_name(path)}:{recorded.line[at]}: {what}; keep one of the lines.")
-    way = np.hypot(*(np.diff(recorded.values[name][order])[own] for name in ("x", "y")))
+    way = np.hypot(*(np.diff(recorded.values[name][order])[same_person] for name in ("x", "y")))
     present = time <= LONGEST_GAP + ROUNDING
-    in_file = _speeds_in_file(recorded, order, own)
+    in_file = _speeds_in_file(recorded, order, same_person)
     rate = 1.0 / recorded.seconds
     speed = way[present].sum() / max(time[present].sum(), 1e-9)
     ours = f"{rate:g} frames a second" if rate >= 1 else f"{recorded.seconds:g} s a frame"
@@ -360,17 +360,17 @@ def _check(recorded: Lines) -> None:
         raise FileError(f"{short_name(path)}: with {ours} people walk at {speed:.2f} m/s, and nobody does; {cure}.")
     jumps = np.flatnonzero(present & (way > MAX_SPEED * time))
     if len(jumps):
-        at = order[1:][own][jumps[0]]
+        at = order[1:][same_person][jumps[0]]
         what = f"the person is {way[jumps[0]]:,.1f} m from where they were {time[jumps[0]]:.2g} s before"
         raise FileError(f"{short_name(path)}:{recorded.line[at]}: {what}; leave the line out or look at frame_rate.")
 
 
-def _speeds_in_file(recorded: Lines, order: np.ndarray, own: np.ndarray) -> np.ndarray | None:
+def _speeds_in_file(recorded: Lines, order: np.ndarray, same_person: np.ndarray) -> np.ndarray | None:
     """Speeds [m/s] between a person's lines by the velocities in the file, if it has any."""
     if "vx" not in recorded.values or "vy" not in recorded.values:
         return None
     speed = np.hypot(recorded.values["vx"], recorded.values["vy"])[order]
-    return 0.5 * (speed[1:] + speed[:-1])[own]
+    return 0.5 * (speed[1:] + speed[:-1])[same_person]
 
 
 # ------------------------------------------------------------------ lines as rows
