@@ -39,7 +39,7 @@ def main() -> None:
     arguments.add_argument("--environment", nargs="+", default=["lab", "outdoor", "warehouse"])
     arguments.add_argument("--people", nargs="+", type=int, default=[None])
     arguments.add_argument("--routing", choices=("whole", "edge"), default="whole")
-    arguments.add_argument("--members", choices=("turnover", "permanent"), default="turnover")
+    arguments.add_argument("--group-membership", choices=("turnover", "permanent"), default="turnover")
     arguments.add_argument("--forces", default=None)
     arguments.add_argument("--episodes", type=int, default=16)
     arguments.add_argument("--steps", type=int, default=3000)
@@ -51,7 +51,7 @@ def main() -> None:
         for people in options.people:
             scenario = sean_jax.make(
                 name,
-                behavior=GraphBehavior(routing=options.routing, members=options.members),
+                behavior=GraphBehavior(routing=options.routing, group_membership=options.group_membership),
                 people=people,
                 task="random_ab_nav",
                 dynamics="twin",

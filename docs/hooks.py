@@ -30,11 +30,10 @@ def options() -> str:
     Returns:
         Markdown.
     """
-    from sean_jax.config import COMMANDS, METHODS
+    from sean_jax.config import COMMANDS
 
-    commands = {word: model for word, model in COMMANDS.items() if word != "train"}
     sections = []
-    for word, model in {**commands, **{f"train {method}": model for method, model in METHODS.items()}}.items():
+    for word, model in COMMANDS.items():
         rows = []
         for name, field in model.model_fields.items():
             text = " ".join((field.description or "").split())

@@ -42,7 +42,7 @@ import numpy as np
 
 import sean_jax
 from sean_jax import learning
-from sean_jax.config import CollectConfig, TrainConfig
+from sean_jax.config import CollectConfig, ImitationConfig
 from sean_jax.drawing.colors import situation_colors
 from sean_jax.policies import POLICIES
 from sean_jax.scenario import frame
@@ -92,7 +92,7 @@ print(dict(zip(data.manifest["situations"], one.situations.tolist(), strict=True
 # As `sean train imitation`. The epochs run as one program each; the best network is kept.
 
 # %%
-trained = TrainConfig(
+trained = ImitationConfig(
     method="imitation", dataset=asked.folder, batch=128, epochs=EPOCHS, out=folder / "network"
 )  # fmt: skip
 state = learning.train(trained)

@@ -35,12 +35,12 @@ if TYPE_CHECKING:
         EnvConfig,
         GraphBehavior,
         HandcraftedBehavior,
+        ImitationConfig,
         PlaybackBehavior,
         PPOConfig,
         RandomBehavior,
         RunConfig,
         ScenarioConfig,
-        TrainConfig,
     )
     from sean_jax.crowding import congestion
     from sean_jax.episodes import (
@@ -81,8 +81,8 @@ _PUBLIC = {
     "behaviors": "BEHAVIORS Place",
     "classifiers": "SITUATIONS SITUATION_SETS Thresholds",
     "components": "trust",
-    "config": "APGConfig CollectConfig CustomTask EnvConfig GraphBehavior HandcraftedBehavior PPOConfig "
-    "PlaybackBehavior RandomBehavior RunConfig ScenarioConfig TrainConfig",
+    "config": "APGConfig CollectConfig CustomTask EnvConfig GraphBehavior HandcraftedBehavior ImitationConfig "
+    "PPOConfig PlaybackBehavior RandomBehavior RunConfig ScenarioConfig",
     "crowding": "congestion",
     "episodes": "ResetPool autoreset init_policy policy_step reset_pool rollout rollout_autoreset simulate",
     "errors": "FileError IncompleteError InputError SeanError WriteError",
@@ -103,6 +103,8 @@ _PUBLIC = {
     "trajectories": "load_trajectory save_trajectory",
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names.split()}
+
+_RENAMED = {"TrainConfig": "ImitationConfig"}  # former name -> name
 
 _ROOMS = {  # public as a whole
     **{name: name for name in ("gradients", "mdp", "registry", "sensors")},
@@ -125,6 +127,7 @@ __all__ = [
     "Groups",
     "GraphBehavior",
     "HandcraftedBehavior",
+    "ImitationConfig",
     "IncompleteError",
     "InputError",
     "METRICS",
@@ -158,7 +161,6 @@ __all__ = [
     "State",
     "TASKS",
     "Thresholds",
-    "TrainConfig",
     "Trajectory",
     "WriteError",
     "aggregate",
@@ -220,7 +222,8 @@ def __getattr__(name: str):
         return import_module(f"{__name__}.{_ROOMS[name]}")
     if name in _HOMES:
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    cure = f"; it is called {_RENAMED[name]} now" if name in _RENAMED else ""
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{cure}")
 
 
 def __dir__() -> list[str]:

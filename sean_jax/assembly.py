@@ -92,7 +92,7 @@ def _build(config: ScenarioConfig) -> list[Scenario]:
     robots.physics_steps(robot, config.time_step)  # refuses a control step that is no multiple
     walking = navigation.build(scene, PERSON_CLEARANCE)
     driving = walking if robot.radius <= PERSON_CLEARANCE else navigation.build(scene, robot.radius)
-    draw = navigation.PLACES[config.places]
+    draw = navigation.PLACES[config.goal_sampling]
     walking, driving = draw(scene, walking), draw(scene, driving)
     place = behaviors.Place(folder, scene, walking, config.time_step)
     behavior = _behavior(config, place)

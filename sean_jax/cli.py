@@ -17,18 +17,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sean_jax import config, interrupts
-from sean_jax.config import COMMANDS, METHODS, Config
+from sean_jax.config import COMMANDS, GROUPS, Config
 from sean_jax.errors import IncompleteError, InputError, PartError
 from sean_jax.writing import atomic_file, broken, check_file, check_new_folder, contents
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # of those that matplotlib writes
-LEARNING = ("optax", "orbax", "tensorstore")  # what the extra "learning" brings
-READERS = ("run", "collect", "train", "experiment", "export", "replay", "benchmark")  # run what folders name
+PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # that matplotlib writes
+LEARNING = ("optax", "orbax", "tensorstore")  # packages of the extra "learning"
+READERS = ("run", "collect", "train", "experiment", "export", "replay", "benchmark")  # may run code that a file names
 TRACEBACK = "--traceback"  # of any command
-WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, what broke midway, Ctrl-C, SIGTERM
+WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, broken midway, Ctrl-C, SIGTERM
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,16 +38,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: the words after ``sean``; those of the process if None.
 
     Returns:
-        The exit code: 0, 2 for bad input, 1 for what broke midway, 130 for Ctrl-C and 143 for SIGTERM.
+        The exit code: 0, 2 for bad input, 1 for work that broke midway, 130 for Ctrl-C and 143 for SIGTERM.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if whole := TRACEBACK in words:
+    if traced := TRACEBACK in words:
         words.remove(TRACEBACK)
     code, received = STOPPED, []
     try:
         with interrupts.interruptible() as received:
-            code = _main(words, whole)
-    except KeyboardInterrupt:  # at the very end, while memory is freed, or a second one while the first was answered
+            code = _main(words, traced)
+    except KeyboardInterrupt:  # at the very end, while memory is freed, or a second one during the answer to the first
         pass
     except Exception as error:
         if arguments is not None or not interrupts.is_compiling():
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os._exit(code)  # the compiler cannot be interrupted, and the interpreter would wait for it
     if code in (FAILED, STOPPED, TERMINATED) and _is_joined():
         sys.stdout.flush()
-        os._exit(code)  # the others may wait for numbers of this process, and it at its end for them
+        os._exit(code)  # without jax.distributed's exit barrier: other hosts may be blocked on this one
     return code
 
 
@@ -70,34 +70,35 @@ def _is_joined() -> bool:
     return jax is not None and jax.distributed.is_initialized()
 
 
-def _main(arguments: list[str], whole: bool) -> int:
-    """The exit code; ``whole`` prints the traceback of an error before its sentence."""
-    if arguments in (["--version"], ["-V"]):
+def _main(words: list[str], traced: bool) -> int:
+    """The exit code of a command; ``traced`` prints the traceback of an error before its sentence."""
+    if words in (["--version"], ["-V"]):
         print(f"sean_jax {_version()}")
         return 0
-    if not arguments or arguments[0] in ("--help", "-h"):
+    if not words or words[0] in ("--help", "-h"):
         print(_help())
-        return 0 if arguments else WRONG
+        return 0 if words else WRONG
+    if words[0] in GROUPS and words[1:2] in (["--help"], ["-h"]):
+        print(_group_help(words[0]))
+        return 0
     try:
-        word = arguments[0]
-        if word not in COMMANDS:
-            raise InputError(_unknown(word))
-        _refuse_empty(arguments)
-        model = _method(arguments[1:]) if word == "train" else COMMANDS[word]
+        model = _model(words)
+        _refuse_empty(words)
         from sean_jax import flags
 
-        given = flags.parse(word, model, arguments[1:], configurable=word == "run", trust=word in READERS)
+        word, arguments = words[0], words[1:]
+        parsed = flags.parse(word, model, arguments, configurable=word == "run", trust=word in READERS)
         from sean_jax import compiler, components
 
-        with components.read_once(), components.trust() if getattr(given, "trust", False) else nullcontext():
-            options = _read(model, given)
+        with components.read_once(), components.trust() if getattr(parsed, "trust", False) else nullcontext():
+            options = _read(model, parsed)
             compiler.configure()
             with interrupts.unwrapped():
                 return _DO[word](options)
     except InputError as error:
-        if whole:
+        if traced:
             traceback.print_exception(error)
-        return _fail(_hinted(error, whole), WRONG)
+        return _fail(_hinted(error, traced), WRONG)
     except (IncompleteError, FloatingPointError) as error:
         return _fail(str(error), FAILED)
     except OSError as error:
@@ -110,73 +111,83 @@ def _main(arguments: list[str], whole: bool) -> int:
         return _fail(str(error) or "stopped; nothing was written.", STOPPED)
 
 
-def _hinted(error: InputError, whole: bool) -> str:
-    """The sentence of an error, with the option that shows what is below."""
-    if whole or not isinstance(error, PartError) or error.__cause__ is None:
+def _hinted(error: InputError, traced: bool) -> str:
+    """The sentence of an error; for one in the user's own code, with the option that shows its traceback."""
+    if traced or not isinstance(error, PartError) or error.__cause__ is None:
         return str(error)
     return f"{str(error).rstrip('.')} ({TRACEBACK} shows where it comes from)."
 
 
 def _help() -> str:
     """The commands, a line each."""
-    width = max(map(len, COMMANDS))
-    lines = [f"  {word:<{width}}  {_summary(model)}" for word, model in COMMANDS.items()]
+    summaries = {words.split()[0]: _summary(model.__doc__) for words, model in COMMANDS.items()} | GROUPS
+    width = max(map(len, summaries))
+    lines = [f"  {word:<{width}}  {summary}" for word, summary in summaries.items()]
     head = "usage: sean COMMAND [OPTIONS]\n\nSocial robot navigation in JAX: simulate, measure, report.\n\ncommands:"
-    tail = (
-        f"`sean COMMAND --help` tells its options, `sean --version` this version; {TRACEBACK} shows where an error is."
-    )
+    tail = f"For options: `sean COMMAND --help`; `sean --version` shows this version, {TRACEBACK} where an error is."
     return "\n".join([head, *lines, "", tail])
 
 
-def _summary(model: type[Config]) -> str:
-    """The first sentence of a description."""
-    text = " ".join((model.__doc__ or "").split())
-    return text.partition(". ")[0].rstrip(".") + "."
+def _group_help(word: str) -> str:
+    """The commands of a group, a line each."""
+    name = {"train": "METHOD", "experiment": "EXPERIMENT"}[word]
+    commands = {words: model for words, model in COMMANDS.items() if words.split()[0] == word}
+    width = max(map(len, commands))
+    lines = [f"  sean {words:<{width}}  {_summary(model.__doc__)}" for words, model in commands.items()]
+    head = f"usage: sean {word} {name} [OPTIONS]\n\n{GROUPS[word]}\n"
+    return "\n".join([head, *lines, "", f"For options: `sean {word} {name} --help`."])
 
 
-def _unknown(word: str) -> str:
+def _summary(text: str | None) -> str:
+    """The first sentence of a text."""
+    return " ".join((text or "").split()).partition(". ")[0].rstrip(".") + "."
+
+
+def _model(words: list[str]) -> type[Config]:
+    """The options of a command.
+
+    Raises:
+        InputError: there is no such command.
+    """
     from sean_jax.files.reading import suggest
 
-    known = ", ".join(COMMANDS)
-    return f"'{word}' is not one of {known}{suggest(word, COMMANDS) or '; `sean --help` tells what they do.'}"
+    first = list(dict.fromkeys(name.split()[0] for name in COMMANDS))
+    if words[0] not in first:
+        raise InputError(
+            f"'{words[0]}' is not one of {', '.join(first)}"
+            f"{suggest(words[0], first) or '; `sean --help` describes them.'}"
+        )
+    if words[0] not in GROUPS:
+        return COMMANDS[words[0]]
+    second = [name.split()[1] for name in COMMANDS if name.split()[0] == words[0]]
+    name = words[1] if len(words) > 1 else ""
+    if name in second:
+        return COMMANDS[f"{words[0]} {name}"]
+    cure = suggest(name, second) or f"; `sean {words[0]} --help` describes them."
+    raise InputError(f"{words[0]}: '{name}' is not one of {', '.join(second)}{cure}")
 
 
-def _read(model: type[Config], given: Any) -> Any:
-    """The description that the flags ask for."""
+def _read(model: type[Config], parsed: Any) -> Any:
+    """The options of parsed flags, and of the file of --config."""
     from sean_jax import flags
 
     base = None
-    if getattr(given, "config", None) is not None:
+    if getattr(parsed, "config", None) is not None:
         from sean_jax.evaluation.output import read_config
 
-        saved = read_config(given.config)
+        saved = read_config(parsed.config)
         base = saved.description
         try:
-            config.validate(model, base)
+            config.validate(model, base, source=parsed.config)
         except InputError as error:
-            raise InputError(f"{given.config}: {error}") from None
+            raise InputError(f"{parsed.config}: {error}") from None
         for sentence in saved.changes:
             print(sentence, file=sys.stderr)
-    return flags.read(model, given, base, source=given.config if base is not None else None)
-
-
-def _method(arguments: list[str]) -> type[Config]:
-    """The description of a way to train, by its name, the first word after ``train``."""
-    from sean_jax.files.reading import suggest
-
-    name = arguments[0] if arguments else ""
-    if name in METHODS:
-        return METHODS[name]
-    lines = "\n".join(f"  sean train {word:<10} {_summary(model)}" for word, model in METHODS.items())
-    if name in ("--help", "-h"):
-        print(f"usage: sean train METHOD [OPTIONS]\n\n{lines}\n\n`sean train METHOD --help` tells its options.")
-        raise SystemExit(0)
-    cure = suggest(name, METHODS) or "; `sean train --help` tells what they do."
-    raise InputError(f"train: '{name}' is not one of {', '.join(METHODS)}{cure}")
+    return flags.read(model, parsed, base, source=parsed.config if base is not None else None)
 
 
 def _refuse_empty(arguments: list[str]) -> None:
-    """An empty text is what a shell makes of a variable that is not set; as a path it would be the current folder."""
+    """Refuse an empty text, as from a shell variable that is not set: as a path it would be the current folder."""
     for before, word in zip(["", *arguments], arguments, strict=False):
         option, equals, value = word.partition("=")
         if not word.strip() or (option.startswith("--") and equals and not value.strip()):
@@ -188,10 +199,10 @@ def _run(options: config.RunConfig) -> int:
     console = _console(options.quiet)
     with console.status("importing JAX"):
         from sean_jax import evaluation
-    folder, found = evaluation.run(options, console)
+    folder, results = evaluation.run(options, console)
     _say(console, "report: ", folder / "report.html")
-    if len(found.tasks) < options.episodes:
-        text = f"stopped; the {len(found.tasks)} episodes finished until then are in {folder}"
+    if len(results.tasks) < options.episodes:
+        text = f"stopped; the {len(results.tasks)} finished episodes are in {folder}"
         return _fail(f"{text}, and the same command with --out {folder} goes on.", STOPPED)
     return 0
 
@@ -203,16 +214,16 @@ def _collect(options: config.CollectConfig) -> int:
         data = learning.collect(options, console)
         _say(console, f"{data.example_count} examples in {len(data.episodes)} episodes: ", options.folder)
 
-    return _keeping(options, work)
+    return _resumable(options, work)
 
 
-def _train(options: config.TrainConfig | config.ReinforcementConfig) -> int:
+def _train(options: config.ImitationConfig | config.ReinforcementConfig) -> int:
     def work(console: "Console") -> None:
         if isinstance(options, config.ReinforcementConfig) and options.distributed:
             console.quiet |= _join() > 0
         from sean_jax import learning
 
-        if isinstance(options, config.TrainConfig):
+        if isinstance(options, config.ImitationConfig):
             if isinstance(options, config.DaggerConfig):
                 state = learning.dagger.train(options, console)
             else:
@@ -230,11 +241,11 @@ def _train(options: config.TrainConfig | config.ReinforcementConfig) -> int:
 
         _say(console, "next: ", _drive(options.folder, bool(components.digests(options))))
 
-    return _keeping(options, work)
+    return _resumable(options, work)
 
 
 def _join() -> int:
-    """Wait for the other processes of the training; the number of this one. No device may have been used before."""
+    """Join the other processes of the training, before any device is used; the number of this one."""
     import jax
 
     try:
@@ -247,7 +258,7 @@ def _join() -> int:
 
 
 def _drive(folder: Path, trust: bool = False) -> str:
-    """The command that lets the policy in a folder drive, whose name alone could be that of a policy of the package."""
+    """The command for episodes of the policy in a folder; a name alone could be a policy of the package."""
     policy = str(folder) if folder.name != str(folder) else f"./{folder}"
     return shlex.join(["sean", "run", "--policy", policy, *["--trust"] * trust])
 
@@ -259,7 +270,7 @@ def _experiment(options: config.ExperimentConfig) -> int:
         experiment = import_module(f"sean_jax.studies.experiments.{options.which}")
         _say(console, "report: ", experiment.run(options, console) / "report.html")
 
-    return _keeping(options, work)
+    return _resumable(options, work)
 
 
 def _benchmark(options: config.BenchmarkConfig) -> int:
@@ -270,7 +281,7 @@ def _benchmark(options: config.BenchmarkConfig) -> int:
         console.print(benchmark.table(benchmark.check(folder)), highlight=False, markup=False)
         _say(console, "report: ", folder / benchmark.REPORT)
 
-    return _keeping(options, work)
+    return _resumable(options, work)
 
 
 def _export(options: config.ExportConfig) -> int:
@@ -284,20 +295,20 @@ def _export(options: config.ExportConfig) -> int:
         if options.format == "agent":
             _say(console, "next: ", _drive(options.out, (options.out / components.PARTS).is_dir()))
 
-    return _keeping(options, work)
+    return _resumable(options, work)
 
 
-def _keeping(options: Any, work: Any) -> int:
-    """Work that keeps what is done when something goes wrong, or at Ctrl-C."""
+def _resumable(options: Any, work: Any) -> int:
+    """Run resumable work; its results until an error or Ctrl-C are kept."""
     try:
         with interrupts.unwrapped():
             work(_console(options.quiet))
     except (OSError, KeyboardInterrupt) as error:
-        kept = f"what was finished until then is in {options.folder}, and the same command goes on"
-        kept = f"{kept if contents(options.folder) else 'nothing was written'}."
+        rest = f"finished parts are in {options.folder}, and the same command resumes"
+        rest = f"{rest if contents(options.folder) else 'nothing was written'}."
         if isinstance(error, KeyboardInterrupt):
-            return _fail(f"stopped; {kept}", STOPPED)
-        return _fail(f"{broken(error)}; {kept}", FAILED)
+            return _fail(f"stopped; {rest}", STOPPED)
+        return _fail(f"{broken(error)}; {rest}", FAILED)
     return 0
 
 
@@ -309,7 +320,7 @@ def _calibrate(options: config.CalibrateConfig) -> int:
         _say(console, "report: ", folder / "report.html")
         _say(console, "next: ", shlex.join(["sean", "run", "--forces", str(folder / "forces.yaml")]))
 
-    return _keeping(options, work)
+    return _resumable(options, work)
 
 
 def _fit_graph(options: config.FitGraphConfig) -> int:
@@ -375,10 +386,10 @@ def _doctor(options: config.DoctorConfig) -> int:
 
     table = Table(box=None, pad_edge=False, show_header=False)
     for finding in doctor.examine():
-        told = Text(finding.found)
+        text = Text(finding.found)
         if finding.cure:
-            told.append(f"\n{finding.cure}", "bold yellow")
-        table.add_row(Text(finding.what, "dim"), told)
+            text.append(f"\n{finding.cure}", "bold yellow")
+        table.add_row(Text(finding.what, "dim"), text)
     _console(False).print(table)
     return 0
 
@@ -401,7 +412,7 @@ def _validate(options: config.ValidateConfig) -> int:
         failed.extend(validation.run(options, console))
         _say(console, "report: ", options.folder / "report.html")
 
-    code = _keeping(options, work)
+    code = _resumable(options, work)
     if code == 0 and failed and options.strict:
         return _fail(f"{len(failed)} checks fail: {', '.join(failed)}.", FAILED)
     return code
@@ -412,15 +423,15 @@ def _import_map(options: config.ImportMapConfig) -> int:
     from sean_jax import maps
 
     try:
-        made = maps.import_map(
+        result = maps.import_map(
             options.map, options.out, people=options.people, height=options.height, unknown=options.unknown
         )
     except ValueError as error:
         return _fail(str(error), WRONG)
-    share = math.floor(made.agreement * 1e4) / 1e2  # rounded up, 99.999 % would read as all
-    print(f"{made.folder}: {made.boxes} boxes describe {share:.2f} % of the map's {made.cells} cells.")
-    again = shlex.join(["sean", "run", "--environment", str(made.folder), "--behavior", "random"])
-    print(f"next: {again}, or write a graph.yaml.")
+    share = math.floor(result.agreement * 1e4) / 1e2  # rounded up, 99.999 % would read as all
+    print(f"{result.folder}: {result.boxes} boxes describe {share:.2f} % of the map's {result.cells} cells.")
+    command = shlex.join(["sean", "run", "--environment", str(result.folder), "--behavior", "random"])
+    print(f"next: {command}, or write a graph.yaml.")
     return 0
 
 
@@ -464,7 +475,7 @@ def _console(quiet: bool) -> "Console":
 
 
 def _say(console: Any, what: str, where: Path | str) -> None:
-    """A line whose words rich takes for neither markup nor emoji, as a path may hold both."""
+    """Print a line without markup or emoji, as a path may hold both."""
     from rich.text import Text
 
     console.print(Text.assemble(what, (str(where), "bold")), soft_wrap=True)

@@ -216,12 +216,12 @@ def by_content(config: Config) -> dict[str, Any]:
     """What decides the results, with own files by their content: equal for copies of a file.
 
     Returns:
-        As ``Config.decisive``.
+        As ``Config.identity``.
 
     Raises:
         FileError: a file cannot be read.
     """
-    return relocate(config.decisive(), {part.file: content(part.file).digest[:16] for _, part in _parts(config)})
+    return relocate(config.identity(), {part.file: content(part.file).digest[:16] for _, part in _parts(config)})
 
 
 def copy(folder: Path, config: Config) -> tuple[dict[str, str], dict[str, str]]:

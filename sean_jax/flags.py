@@ -1,7 +1,7 @@
-"""The command line of a description: its flags, how they are read, and the command that repeats them.
+"""Flags of options: parsing, and the command that repeats a run.
 
-A component is one flag (``--behavior graph``), and each of its options another (``--routing edge``). A flag that is not
-given leaves the value to a ``config.yaml`` (``--config``), or else to the default. Nothing here imports JAX or numpy.
+A component is one flag (``--behavior graph``), and each of its options another (``--routing edge``). Without its flag,
+an option has its value from ``--config``, or else its default. Nothing here imports JAX or numpy.
 """
 
 import dataclasses
@@ -17,18 +17,18 @@ import tyro
 from sean_jax import presets
 from sean_jax.config import (
     ALIASES,
+    RENAMED,
     Component,
     Config,
     Described,
     Family,
-    Incidental,
+    Option,
     OwnPart,
-    Positional,
     Value,
+    did_you_mean,
     family_of,
     gather,
     is_own_part,
-    meant,
     validate,
 )
 from sean_jax.errors import InputError
@@ -38,20 +38,12 @@ SETTINGS = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
 
 
 def flag(name: str) -> str:
-    """The flag of a field.
-
-    Args:
-        name: such as time_limit.
-    """
+    """The flag of a field: --time-limit of time_limit."""
     return "--" + name.replace("_", "-")
 
 
 def number(value: object) -> str:
-    """A value as the command line takes it.
-
-    Returns:
-        120.0 is 120, and a float is read back as the same float.
-    """
+    """A value for the command line: 120 for 120.0, and always read back as the same float."""
     return repr(float(value)).removesuffix(".0") if isinstance(value, float) else str(value)
 
 
@@ -59,15 +51,15 @@ TRUST = "Run code, FILE.py:NAME, that a file names; otherwise code runs only if 
 
 
 def parser(model: type[Config], configurable: bool = False, trust: bool = False) -> type:
-    """A dataclass by which tyro reads the flags of a description; what is not given is None.
+    """A dataclass of the flags, for tyro; each is None without its flag.
 
     Args:
-        configurable: whether --config may name a file with values for what is not given.
-        trust: whether --trust may let code run that files name.
+        configurable: adds --config, a file with values of the other options.
+        trust: adds --trust, to run code that files name.
     """
     fields: list[tuple[str, Any, Any]] = []
     if configurable:
-        text = "A config.yaml, such as sean run writes: its values hold where no flag says otherwise."
+        text = "A config.yaml, such as sean run writes; flags override its values."
         fields.append(_field("config", Path | None, text, None))
     for name, field in model.model_fields.items():
         family = family_of(field)
@@ -75,19 +67,19 @@ def parser(model: type[Config], configurable: bool = False, trust: bool = False)
         if family is not None:
             fields.append(_field(name, str | None, text + _default(field.get_default()), None))
             if family.singular is not None:
-                text = f"One of your own, FILE.py:NAME, beside those of {flag(name)}; can be repeated."
+                text = f"One of your own, FILE.py:NAME, besides those of {flag(name)}; can be repeated."
                 fields.append(_field(family.singular, tyro.conf.UseAppendAction[list[str]], text, list))
             for option, variants in family.options().items():
                 kinds = [v.model_fields["kind"].default for v in variants if not v.model_fields["kind"].is_required()]
                 about = variants[0].model_fields[option]
-                text = f"Of {name} {' or '.join(kinds)}: {about.description}" if kinds else str(about.description)
+                text = f"For {name} {' or '.join(kinds)}: {about.description}" if kinds else str(about.description)
                 text += _default(about.default)
                 fields.append(_field(option, _plain(about.annotation) | None, text, None, _choices(about.annotation)))
             continue
         kind = _plain(field.annotation)
         if kind is None:  # no flag can hold it
             continue
-        if any(isinstance(each, Positional) for each in field.metadata):
+        if Option.of(field).positional:
             fields.append(_field(name, tyro.conf.Positional[_literal(field.annotation) or kind], text))
         elif kind is bool:
             fields.append(_field(name, bool, text, False))
@@ -98,9 +90,9 @@ def parser(model: type[Config], configurable: bool = False, trust: bool = False)
             fields.append(_field(name, kind | None, text, None, _choices(field.annotation)))
     if trust:
         fields.append(_field("trust", bool, TRUST, False))
-    made = dataclasses.make_dataclass(model.__name__, fields, kw_only=True)
-    made.__doc__ = model.__doc__
-    return made
+    result = dataclasses.make_dataclass(model.__name__, fields, kw_only=True)
+    result.__doc__ = model.__doc__
+    return result
 
 
 _NOTHING = object()
@@ -119,7 +111,7 @@ def _field(
 
 
 def _metavar(kind: object) -> str | None:
-    """What stands for the value of a flag in the help; None leaves it to tyro."""
+    """The placeholder of a flag's value in the help; None leaves it to tyro."""
     if typing.get_origin(kind) in (typing.Union, types.UnionType):
         kind = typing.get_args(kind)[0]
     if typing.get_origin(kind) is tuple:
@@ -128,13 +120,13 @@ def _metavar(kind: object) -> str | None:
 
 
 def _choices(kind: object) -> str | None:
-    """The values of a Literal, or of one that may be None, as the help shows them."""
+    """The values of a Literal, which may also be None, for the help."""
     literal = next((each for each in (kind, *typing.get_args(kind)) if typing.get_origin(each) is Literal), None)
     return None if literal is None else "|".join(map(str, typing.get_args(literal)))
 
 
 def _default(value: object) -> str:
-    """How a help text ends."""
+    """The end of a help text."""
     if value is None or value == () or value is False:
         return ""
     values = value if isinstance(value, tuple) else (value,)
@@ -142,7 +134,7 @@ def _default(value: object) -> str:
 
 
 def _plain(kind: Any) -> Any:
-    """The type of a flag: an annotation without what only pydantic understands; None if no flag can hold it."""
+    """The type of a flag: an annotation without marks for pydantic; None if no flag can hold it."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if origin is Annotated:
         return _plain(inner[0])
@@ -152,29 +144,29 @@ def _plain(kind: Any) -> Any:
         parts = tuple(each if each is Ellipsis else _plain(each) for each in inner)
         return None if None in parts else tuple[parts]
     if origin is Literal:
-        return str  # pydantic refuses what is none of them, with the one that was meant
+        return str  # pydantic refuses other values, with a suggestion
     return kind if kind in (str, int, float, bool, Path) else None
 
 
 def _literal(kind: Any) -> Any:
-    """The Literal that an annotation is; None if it is something else."""
+    """The annotation, if it is a Literal."""
     return kind if typing.get_origin(kind) is Literal else None
 
 
 def read(
-    model: type[Described], given: object, base: Mapping[str, object] | None = None, source: Path | None = None
+    model: type[Described], parsed: object, base: Mapping[str, object] | None = None, source: Path | None = None
 ) -> Described:
-    """The description that flags ask for.
+    """The options of parsed flags, an instance of ``parser(model)``.
 
     Args:
-        given: an instance of ``parser(model)``.
-        base: values for what is not given, as JSON has words for.
+        base: JSON values of options without a flag.
+        source: file of ``base``, as of ``validate``.
 
     Raises:
-        InputError: a value cannot be, or an option does not belong to the chosen component; it names the flag.
+        InputError: a value is wrong, or an option does not belong to the chosen component; it names the flag.
     """
     words = {
-        name: value for name, value in vars(given).items() if value is not None and name not in ("config", "trust")
+        name: value for name, value in vars(parsed).items() if value is not None and name not in ("config", "trust")
     }
     switches = {name for name, value in words.items() if value is False}  # which are off by default
     data = dict(base or {})
@@ -192,37 +184,37 @@ def read(
 
 
 def _own(value: Any, family: Family) -> Any:
-    """The words of components, of which those in files of one's own are named by nobody else."""
+    """Components of flags; parts in the user's own files are marked as named by the user."""
     if not (family.several or family.singular):
         return OwnPart(kind=value) if is_own_part(value) else value
     words = listed(value) if isinstance(value, str) else value
     return [OwnPart(kind=word) if is_own_part(word) else word for word in words]
 
 
-def _add(data: dict, name: str, default: str, chosen: list | None, further: Sequence[object]) -> None:
-    """Put the parts of a field with several together."""
+def _add(data: dict, name: str, default: str, chosen: list | None, added: Sequence[object]) -> None:
+    """Put the chosen and the added components of a field together in ``data``."""
     if chosen is not None:
         data[name] = chosen
-    if further:
-        had = data.get(name, default)  # of a file, which may hold one as it is
-        data[name] = [*(listed(had) if isinstance(had, str) else had if isinstance(had, list) else [had]), *further]
+    if added:
+        present = data.get(name, default)  # of a file, which may hold a single one
+        several = listed(present) if isinstance(present, str) else present if isinstance(present, list) else [present]
+        data[name] = [*several, *added]
 
 
 def command(word: str, config: Config) -> str:
-    """The command that gives these results again: of a number the shortest text that is read as the same.
+    """The command that gives the same results, without options that do not affect them.
 
     Args:
-        word: the command, such as ``run``.
-        config: its description; what is None, incidental, or has no flag is left out.
+        word: such as ``run``.
     """
     first, words = ["sean", word], []
     for name, field in type(config).model_fields.items():
         value = getattr(config, name)
-        positional = any(isinstance(each, Positional) for each in field.metadata)
-        if positional:
+        mark = Option.of(field)
+        if mark.positional:
             first.append(str(value))
             continue
-        if value is None or any(isinstance(each, Incidental) for each in field.metadata):
+        if value is None or not mark.affects_results:
             continue
         family = family_of(field)
         if family is not None:
@@ -259,39 +251,35 @@ def _words(name: str, value: object) -> list[str]:
 
 
 def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
-    """Refuse a flag of several values that is given twice: the parser would drop the first. Else the last holds."""
-    given = [word.split("=")[0] for word in arguments if word.startswith("--")]
+    """Refuse a flag of several values that is repeated, of which the parser would drop the first."""
+    names = [word.split("=")[0] for word in arguments if word.startswith("--")]
     for name, field in model.model_fields.items():
         family = family_of(field)
         several = family.singular is not None if family else Ellipsis in typing.get_args(_plain(field.annotation))
-        if several and given.count(flag(name)) > 1:
+        if several and names.count(flag(name)) > 1:
             raise InputError(f"{flag(name)} is given more than once; give it once, with all of its values.")
 
 
-def _check_known(made: type, arguments: Sequence[str]) -> None:
-    """Refuse a flag of another project with the one that is meant; what else is unknown is left to the parser."""
-    known = [field.name for field in dataclasses.fields(made)]
-    for each in arguments:
-        name = each.split("=")[0].removeprefix("--").replace("-", "_")
-        if not each.startswith("--") or name in (*known, "help"):
+def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:
+    """Refuse a flag by its former name, or by its name in another project; the parser refuses other unknown flags."""
+    for word in arguments:
+        name = word.split("=")[0].removeprefix("--").replace("-", "_")
+        if not word.startswith("--") or name in (*known, "help"):
             continue
-        if any(name in ALIASES.get(option, "").split() for option in known):
-            raise InputError(f"{each.split('=')[0]}: there is no such option{meant(name, known, flag)}")
+        if RENAMED.get(name) in known or any(name in ALIASES.get(option, "").split() for option in known):
+            raise InputError(f"{word.split('=')[0]}: there is no such option{did_you_mean(name, known, flag)}")
 
 
 def parse(
     word: str, model: type[Config], arguments: Sequence[str], configurable: bool = False, trust: bool = False
 ) -> Any:
-    """An instance of ``parser(model)`` from the words after the command; the parser's own exit if they are wrong.
-
-    Args:
-        configurable: as in ``parser``.
-        trust: as in ``parser``.
+    """An instance of ``parser(model, configurable, trust)`` from the words after the command.
 
     Raises:
-        InputError: a flag of several values is given twice, or a flag is what other projects call an option.
+        InputError: a flag of several values is repeated, or a flag has another name here.
+        SystemExit: the parser refuses the words.
     """
-    made = parser(model, configurable, trust)
+    result = parser(model, configurable, trust)
     _check_once(model, arguments)
-    _check_known(made, arguments)
-    return tyro.cli(made, prog=f"sean {word}", description=model.__doc__, args=list(arguments), config=SETTINGS)
+    _check_known([field.name for field in dataclasses.fields(result)], arguments)
+    return tyro.cli(result, prog=f"sean {word}", description=model.__doc__, args=list(arguments), config=SETTINGS)

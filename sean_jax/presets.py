@@ -21,10 +21,10 @@ PRESETS: dict[str, Preset] = {
         "The world of SEAN 2.0 as its public files have it, in place of this package's defaults.",
         {
             "routing": "edge",  # INavigable.cs: people choose anew at each node
-            "members": "permanent",  # GroupNavNode.cs: who starts in a group stays
+            "group_membership": "permanent",  # GroupNavNode.cs: who starts in a group stays
             "forces": "sean2",  # SFAgent.cs and Parameters.cs
             "situations": "sean2",  # SituationRuleBased.cs, with V = 0.4 m/s as in its prefab
-            "places": "mesh",  # Navmesh.cs
+            "goal_sampling": "mesh",  # Navmesh.cs
             "task_distance": (0.0, math.inf),  # RandomABNav.cs: independent start and goal
             "dynamics": "kinematic",  # VelocityController.cs
             "warm_up": 120.0,  # tasks follow one another in one lasting crowd, which is older than a task

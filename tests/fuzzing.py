@@ -506,7 +506,7 @@ def described() -> bytes:
 
     behavior = GraphBehavior(routing="edge", walking_groups=(0.5, 0.0), congestion_cost=1.0)
     run = RunConfig(environment="lab", behavior=behavior, people=4, time_limit=60.0, thresholds={"walking": 0.5})
-    content = {"command": "sean run", "config": json.loads(json.dumps(run.decisive()))}
+    content = {"command": "sean run", "config": json.loads(json.dumps(run.identity()))}
     content |= {"copies": {"lab": "environment/lab"}, "sha256": {}}
     return yaml.safe_dump(content, sort_keys=False).encode()
 
@@ -517,7 +517,7 @@ def load_config(folder: Path) -> Any:
     from sean_jax.config import RunConfig
 
     words = ["--config", str(folder / "config.yaml")]
-    return cli._read(RunConfig, flags.parse("run", RunConfig, words, configurable=True)).decisive()
+    return cli._read(RunConfig, flags.parse("run", RunConfig, words, configurable=True)).identity()
 
 
 def kinds(folder: Path) -> dict[str, Kind]:

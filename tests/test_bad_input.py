@@ -371,7 +371,7 @@ def test_make_refuses_numbers_that_make_no_world(arguments):
         ("name: 3", "name: 3 is not a text"),
         ("out: [3]", "out: [3] is not a path"),
         ("quiet: 3", "quiet: 3 is not true or false"),
-        ("robot: {kind: value}", "robot: was a value of a Python program, which no file holds"),
+        ("robot: {kind: value}", "robot: was a Python value, which no file holds"),
         (f"{'x' * 900}: 3", "is not a known key; there are environment"),
     ],
 )

@@ -21,7 +21,7 @@ def test_the_protocol_is_frozen():
     for track in tracks.TRACKS:
         asked = tracks.description(track)
         left = set(CollectConfig.model_fields) - set(tracks.TRACKS[track])
-        decisive = {name for name in left if name in asked.decisive()}
+        decisive = {name for name in left if name in asked.identity()}
         # What is left to defaults decides nothing of an episode, or is what the benchmark sets by itself.
         assert decisive <= {"policy", "labels", "width", "height", "seed", "sensors", "thresholds", "substeps", "batch"}
         assert asked.replace(**tracks.TRACKS[track]) == asked

@@ -347,7 +347,7 @@ def test_what_is_kept_of_learning_is_told(raised, kept, capsys, monkeypatch, tmp
     error = capsys.readouterr().err
     assert code == (1 if isinstance(raised, OSError) else 130) and len(error.splitlines()) == 1
     assert ("the disk is full (shard); " if code == 1 else "stopped; ") in error
-    assert (f"finished until then is in {folder}, and the same command goes on" in error) is kept
+    assert (f"finished parts are in {folder}, and the same command resumes" in error) is kept
     assert ("nothing was written" in error) is not kept
 
 

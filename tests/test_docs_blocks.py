@@ -36,9 +36,9 @@ position, present = np.asarray(frames.people), np.ones(frames.people.shape[:2], 
     + """
 import learning_data
 from sean_jax import learning
-from sean_jax.config import TrainConfig
+from sean_jax.config import ImitationConfig
 learning_data.write("runs/graph")
-learning.train(TrainConfig(method="imitation", dataset="runs/graph", epochs=1, batch=16, out="runs/learned"))
+learning.train(ImitationConfig(method="imitation", dataset="runs/graph", epochs=1, batch=16, out="runs/learned"))
 scenario = learning_data.setting()[0]["join_group"]
 joystick = lambda: (0.1, 0.2)
 controller = lambda state: (0.1, 0.2)
@@ -116,9 +116,7 @@ def test_commands_parse(page, words, tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     _, word, *arguments = shlex.split(words, comments=True)
-    model = cli.COMMANDS[word]
-    if word == "train":
-        model = cli.METHODS[arguments[0]]
+    model = cli._model([word, *arguments])
     given = flags.parse(word, model, arguments, configurable=word == "run", trust=word in cli.READERS)
     if word != "run" or given.config is None:
         flags.read(model, given)

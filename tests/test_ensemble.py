@@ -7,7 +7,7 @@ import pytest
 
 import sean_jax
 from sean_jax import learning
-from sean_jax.config import TrainConfig
+from sean_jax.config import ImitationConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import ensemble, training
 from sean_jax.learning.logs import read_lines
@@ -18,9 +18,9 @@ def data(tmp_path_factory):
     return learning_data.write(tmp_path_factory.mktemp("data") / "made")
 
 
-def options(data, out, **others) -> TrainConfig:
+def options(data, out, **others) -> ImitationConfig:
     small = {"width": 8, "batch": 32, "validation": 0.2, "epochs": 6, "patience": 3}
-    return TrainConfig(method="imitation", dataset=data.folder, out=out, **{**small, **others})
+    return ImitationConfig(method="imitation", dataset=data.folder, out=out, **{**small, **others})
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ import pytest
 from sean_jax import cli, episodes, prng, writing
 from sean_jax.base import as_policy
 from sean_jax.classifiers import MORE_SITUATIONS
-from sean_jax.config import CollectConfig, ExperimentConfig, validate
+from sean_jax.config import AblationConfig, CollectConfig, Figure4Config, Table1Config, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.protocol import streams
 from sean_jax.metrics import METRICS
@@ -148,20 +148,20 @@ def test_what_cannot_be_asked_is_refused(given, words, tmp_path):
     from sean_jax.studies.experiments import table1
 
     with pytest.raises(InputError, match=words):
-        table1.run(validate(ExperimentConfig, {"which": "table1", "out": tmp_path / "out", **given}))
+        table1.run(validate(Table1Config, {"out": tmp_path / "out", **given}))
     assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_of_another_experiment_is_refused(tmp_path):
     from sean_jax.studies.experiments import parts
 
-    options = ExperimentConfig(which="table1", quick=True, out=tmp_path / "here").complete()
+    options = Table1Config(quick=True, out=tmp_path / "here")
     assert not parts.has_started(options)
     with writing.folder_lock(options.folder):
         parts.start(options)
     assert parts.has_started(options)
     with pytest.raises(InputError, match="begun with --seed 0, not 1"):
-        parts.has_started(ExperimentConfig(which="table1", quick=True, seed=1, out=tmp_path / "here").complete())
+        parts.has_started(Table1Config(quick=True, seed=1, out=tmp_path / "here"))
     kept = parts.load(tmp_path / "here" / parts.OPTIONS)
     parts.save(tmp_path / "here" / parts.OPTIONS, {**kept, "versions": {**kept["versions"], "jax": "0.1"}})
     with pytest.raises(InputError, match="begun with jax 0.1, not .*; go on with the same"):
@@ -169,7 +169,7 @@ def test_a_folder_of_another_experiment_is_refused(tmp_path):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("dear")
     with pytest.raises(InputError, match="holds something else"):
-        parts.has_started(ExperimentConfig(which="table1", out=tmp_path / "full").complete())
+        parts.has_started(Table1Config(out=tmp_path / "full"))
     for content in ("{", '{"options": []}'):
         (tmp_path / "here" / parts.OPTIONS).write_text(content)
         with pytest.raises(InputError, match="damaged"):
@@ -177,7 +177,7 @@ def test_a_folder_of_another_experiment_is_refused(tmp_path):
 
 
 def test_a_damaged_cell_is_named(tmp_path):
-    options, unasked = ExperimentConfig(which="table1", quick=True, out=tmp_path).complete(), cast(Any, None)
+    options, unasked = Table1Config(quick=True, out=tmp_path), cast(Any, None)
     (tmp_path / "random-expert.npz").write_text("half of it")
     with pytest.raises(FileError, match="random-expert.npz: is damaged; remove it, and the same command"):
         table1._cell(options, tmp_path, "random", "expert", None, unasked, unasked)
@@ -363,7 +363,7 @@ def test_figure4(tmp_path, monkeypatch):
     monkeypatch.setattr(together, "workers", lambda: 4)
     out = tmp_path / "figure4"
     given = [*SMALL, "--hours", "0.0167", "--episodes", "5", "--epochs", "2", "--demonstrator", "go_to_goal"]
-    given += ["--trainings", "2", "--others", "still"]
+    given += ["--trainings", "2", "--baselines", "still"]
     monkeypatch.setitem(POLICIES, "still", as_policy(lambda scenario, state, key: jnp.zeros(2)))
     assert cli.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
     rows = [line.split(",") for line in (out / "figure4.csv").read_text(encoding="utf-8").splitlines()[1:]]
@@ -386,9 +386,9 @@ def test_figure4(tmp_path, monkeypatch):
 
 
 def test_worlds_of_the_ablation_differ_in_one_switch_each():
-    options = ExperimentConfig(which="ablation", environment="lab", quick=True).complete()
+    options = AblationConfig(environment="lab", quick=True)
     described = {
-        world: {behavior: ablation.description(options, world, behavior).decisive() for behavior in BEHAVIORS}
+        world: {behavior: ablation.description(options, world, behavior).identity() for behavior in BEHAVIORS}
         for world in ablation.WORLDS
     }
     default, whole = described["default"], described["sean2"]
@@ -397,40 +397,40 @@ def test_worlds_of_the_ablation_differ_in_one_switch_each():
         for behavior in BEHAVIORS:
             one, usual, all_of_them = described[world][behavior], default[behavior], whole[behavior]
             changed = [name for name in one if one[name] != usual[name]]
-            within_people = world in ("routing", "members")
+            within_people = world in ("routing", "group_membership")
             assert changed == (
                 ["behavior"] if within_people and behavior == "graph" else [] if within_people else [world]
             )
             assert within_people or one[world] == all_of_them[world]
             assert ablation.simulated(options, world, behavior) == (world if changed else "default")
-    assert CollectConfig(preset="sean2", behavior="graph", environment="lab", dynamics="mjx").decisive() == {
+    assert CollectConfig(preset="sean2", behavior="graph", environment="lab", dynamics="mjx").identity() == {
         **whole["graph"], "dynamics": "mjx"
     }  # fmt: skip
     assert ablation.description(options.replace(dynamics="twin"), "sean2", "graph").dynamics == "twin"
 
 
 def test_further_drivers_of_figure_4():
-    asked = ExperimentConfig(which="figure4")
-    assert figure4.others(asked.complete()) == ["move_base", "ppo", "ppo_depth", "sensing_expert"]
-    assert figure4.others(asked.replace(quick=True).complete()) == [] == figure4.others(asked.replace(others="none"))
-    assert figure4.others(asked.replace(others="orca,ppo")) == ["orca", "ppo"]
-    with pytest.raises(InputError, match="--others: 'N' is a column of the figure already"):
-        figure4.others(asked.replace(others="N"))
+    asked = Figure4Config()
+    assert figure4.baselines(asked) == ["move_base", "ppo", "ppo_depth", "sensing_expert"]
+    assert figure4.baselines(asked.replace(quick=True)) == [] == figure4.baselines(asked.replace(baselines="none"))
+    assert figure4.baselines(asked.replace(baselines="orca,ppo")) == ["orca", "ppo"]
+    with pytest.raises(InputError, match="--baselines: 'N' is a column of the figure already"):
+        figure4.baselines(asked.replace(baselines="N"))
 
 
 def test_the_preset_reaches_both_experiments():
-    for which in ("table1", "figure4"):
-        options = ExperimentConfig(which=which, environment="lab", preset="sean2").complete()
-        assert options.speeds[0] == 0.4 and options.replace(speeds=[1.0]).complete().speeds == (1.0,)
-        asked = table1.description(options, "graph", None)
+    table = Table1Config(environment="lab", preset="sean2")
+    assert table.speeds[0] == 0.4 and Table1Config(preset="sean2", speeds=[1.0]).speeds == (1.0,)
+    figure = CollectConfig(**figure4.description(Figure4Config(environment="lab", preset="sean2"), "graph"))
+    for asked in (table1.description(table, "graph", None), figure):
         assert (asked.behavior.routing, asked.dynamics, asked.warm_up) == ("edge", "kinematic", 120.0)
-    with pytest.raises(InputError, match="preset: sean2 besides ablation"):
-        ablation.run(ExperimentConfig(which="ablation", preset="sean2"))
+    with pytest.raises(InputError, match="'preset' is not a known key"):
+        validate(AblationConfig, {"preset": "sean2"})
 
 
 @pytest.mark.slow
 def test_ablation(tmp_path, monkeypatch):
-    monkeypatch.setattr(ablation, "WORLDS", ("default", "places", "sean2"))
+    monkeypatch.setattr(ablation, "WORLDS", ("default", "goal_sampling", "sean2"))
     out = tmp_path / "ablation"
     given = [
         "--environment",
@@ -448,7 +448,9 @@ def test_ablation(tmp_path, monkeypatch):
     given += ["--policies", "go_to_goal", "--quiet", "--out", str(out)]
     assert cli.main(["experiment", "ablation", *given]) == 0
     rows = [line.split(",") for line in (out / "ablation.csv").read_text(encoding="utf-8").splitlines()[1:]]
-    assert {row[0] for row in rows} == {"default", "places", "sean2"} and {row[2] for row in rows} == set(BEHAVIORS)
+    assert {row[0] for row in rows} == {"default", "goal_sampling", "sean2"} and {row[2] for row in rows} == set(
+        BEHAVIORS
+    )
     flags = {}
     for world, _, behavior, counting, _, share, low, high in rows:
         assert float(low) - 1e-6 <= float(share) <= float(high) + 1e-6
@@ -456,7 +458,7 @@ def test_ablation(tmp_path, monkeypatch):
             flags[world, behavior] = flags.get((world, behavior), 0.0) + float(share)
     assert all(total == pytest.approx(1.0, abs=1e-4) for total in flags.values())
     text = (out / "report.html").read_text(encoding="utf-8")
-    assert all(world in text for world in ("places", "sean2")) and (out / "ablation.png").is_file()
+    assert all(world in text for world in ("goal_sampling", "sean2")) and (out / "ablation.png").is_file()
     before = (out / "ablation.csv").read_bytes()
     (out / "sean2-graph-go_to_goal.npz").unlink()
     assert cli.main(["experiment", "ablation", *given]) == 0

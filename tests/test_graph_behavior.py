@@ -132,7 +132,7 @@ def test_few_people_fill_the_groups_first():
 
 def test_permanent_members_never_leave_and_visitors_come_besides(scenario):
     """Whoever starts in a group stays; the last seat of each group is empty at first, and its members change."""
-    lasting = sean_jax.make(people=16, members="permanent", dynamics="twin")
+    lasting = sean_jax.make(people=16, group_membership="permanent", dynamics="twin")
 
     def one(state, _):
         after = stages.direct_pedestrians(lasting, state, jax.random.fold_in(state.streams.people, state.tick))

@@ -9,7 +9,7 @@ import pytest
 
 import sean_jax
 from sean_jax import cli
-from sean_jax.config import ExperimentConfig
+from sean_jax.config import Figure4Config, LearningCurveConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import choice
 from sean_jax.learning.dataset import open_dataset
@@ -17,7 +17,7 @@ from sean_jax.studies.experiments import drivers, figure4, learning_curve, toget
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from sean_jax.studies.experiments.variants import Curve, Variant, comparisons
 
-ASKED = ExperimentConfig(which="learning_curve").complete()
+ASKED = LearningCurveConfig()
 
 
 def test_what_is_compared():
@@ -25,7 +25,7 @@ def test_what_is_compared():
     assert [each.name for each in asked] == ["1h", "10h", "100h", "1h-10hz", "1h-flags"]
     pairs = [(one.name, other.name) for one, other in comparisons(asked)]
     assert pairs == [("10h", "1h"), ("100h", "10h"), ("1h-10hz", "1h"), ("1h-10hz", "10h"), ("1h-flags", "1h")]
-    others = ASKED.replace(amounts=(3.0, 0.5, 3.0), rates=(1, 2, 5))
+    others = ASKED.replace(demonstration_hours=(3.0, 0.5, 3.0), rates=(1, 2, 5))
     names = ["0.5h", "3h", "3h-2hz", "3h-5hz", "3h-flags"]
     assert [each.name for each in learning_curve.variants(others)] == names
     assert [each.title for each in asked][-2:] == ["1 h at 10 Hz", "1 h with flags"]
@@ -33,14 +33,14 @@ def test_what_is_compared():
 
 def test_the_first_variant_is_column_g_of_figure_4():
     """The same demonstrations and the same network, but for names of folders."""
-    paper = figure4.learner(ExperimentConfig(which="figure4", out=ASKED.folder).complete(), "G")
+    paper = figure4.learner(Figure4Config(out=ASKED.folder), "G")
     taught = {each.name: learning_curve.learner(ASKED, each) for each in learning_curve.variants(ASKED)}
     one = taught["1h"]
     assert one.datasets == 3 and len(one.networks) == 3
-    assert one.data.decisive() == paper.data.decisive() and (one.data.hours, paper.data.hours) == (3.0, 10.0)
+    assert one.data.identity() == paper.data.identity() and (one.data.hours, paper.data.hours) == (3.0, 10.0)
     ours, theirs = one.training((1, 0)), paper.training((1, 0))
     assert (ours.part, theirs.part) == ((2, 3), (2, 10)), "an hour each"
-    assert ours.replace(part=(1, 1)).decisive() == theirs.replace(part=(1, 1)).decisive()
+    assert ours.replace(part=(1, 1)).identity() == theirs.replace(part=(1, 1)).identity()
     assert ours.epochs == theirs.epochs and ours.patience == theirs.patience
     assert taught["1h-flags"].data == one.data and taught["1h-flags"].training((0, 0)).flags
     assert taught["1h-10hz"].data.rate == 10
@@ -88,13 +88,16 @@ def test_verdicts_are_those_of_known_episodes():
 
 
 def test_options_of_the_curve_are_its_own(tmp_path):
-    for which in ("table1", "figure4"):
-        options = ExperimentConfig(which=which).complete()
-        assert (options.amounts, options.rates, options.updates) == (None, None, None), "folders of before go on"
-    assert (ASKED.amounts, ASKED.rates, ASKED.datasets, ASKED.trainings) == ((1.0, 10.0, 100.0), (10,), 3, 1)
+    assert not {"demonstration_hours", "rates", "updates"} & set(Figure4Config.model_fields)
+    assert (ASKED.demonstration_hours, ASKED.rates, ASKED.datasets, ASKED.trainings) == (
+        (1.0, 10.0, 100.0),
+        (10,),
+        3,
+        1,
+    )
     with pytest.raises(InputError, match="rate: 3 examples a second do not divide its 10 steps"):
-        learning_curve.run(ExperimentConfig(which="learning_curve", rates=(3,), out=tmp_path / "out"))
-    preset = ExperimentConfig(which="learning_curve", preset="sean2").complete()
+        learning_curve.run(LearningCurveConfig(rates=(3,), out=tmp_path / "out"))
+    preset = LearningCurveConfig(preset="sean2")
     assert learning_curve.collection(preset, Variant(1.0, 10)).dynamics == "kinematic"
     assert not list(tmp_path.iterdir())
 
@@ -107,7 +110,17 @@ def test_learning_curve(tmp_path, monkeypatch):
     """With three parts at once, and what is missing one by one, to the same bytes."""
     monkeypatch.setattr(together, "workers", lambda: 3)
     out = tmp_path / "curve"
-    given = [*SMALL, "--quick", "--time-limit", "20", "--demonstrator", "go_to_goal", "--amounts", "0.0167", "0.04"]
+    given = [
+        *SMALL,
+        "--quick",
+        "--time-limit",
+        "20",
+        "--demonstrator",
+        "go_to_goal",
+        "--demonstration-hours",
+        "0.0167",
+        "0.04",
+    ]
     given += ["--rates", "10", "--trainings", "2", "--episodes", "5", "--epochs", "2", "--out", str(out)]
     assert cli.main(["experiment", "learning_curve", *given]) == 0
     names = ["0.0167h", "0.04h", "0.0167h-10hz", "0.0167h-flags"]
@@ -161,17 +174,16 @@ def test_columns_of_figure_4_are_folders_of_other_trainings(tmp_path, monkeypatc
     ]
     sizes += ["--layers", "1", "--pool", "4", "--evaluation-episodes", "4"]
     assert cli.main(["train", "apg", *small, *sizes, "--out", "runs/apg"]) == 0
-    options = ExperimentConfig(
-        which="figure4", quick=True, environment="lab", people=4, dynamics="twin", time_limit=3.0, episodes=3,
-        others="runs/dagger,runs/apg", out=tmp_path / "figure4",
-    ).complete()  # fmt: skip
-    assert figure4.others(options) == ["runs/dagger", "runs/apg"]
-    description = figure4.collection(options, "graph")
+    options = Figure4Config(quick=True, environment="lab", people=4, dynamics="twin", time_limit=3.0, episodes=3,
+        baselines="runs/dagger,runs/apg", out=tmp_path / "figure4",
+    )  # fmt: skip
+    assert figure4.baselines(options) == ["runs/dagger", "runs/apg"]
+    description = figure4.collection(options, "graph", options.hours)
     places = dict.fromkeys(BEHAVIORS, list(figure4.streams(description).values()))
     jobs = {part.name: part.work for part in figure4._parts(options, options.folder, places)}
     options.folder.mkdir()
-    for name in figure4.others(options):
-        choice.check(name, description, "--others")
+    for name in figure4.baselines(options):
+        choice.check(name, description, "--baselines")
         found = jobs[f"{name} in graph"](lambda share: None)[name]
         assert len(found["completed"]) == 3 and max(found["seconds"]) <= 3.0 + 1e-3
         assert (options.folder / f"episodes-{name.replace('/', '-')}-graph.json").is_file()

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from sean_jax import cli, environment, writing
-from sean_jax.config import CollectConfig, ExperimentConfig, TrainConfig, validate
+from sean_jax.config import CollectConfig, Figure4Config, ImitationConfig, validate
 from sean_jax.errors import IncompleteError, InputError
 from sean_jax.learning import collection, dataset, demonstrations, lerobot, store
 from sean_jax.learning.dataset import open_dataset, split
@@ -280,13 +280,13 @@ def test_ten_rows_a_second(fine, made):
 
 
 def test_rates_are_not_mixed(fine, made, data):
-    from sean_jax.config import TrainConfig
+    from sean_jax.config import ImitationConfig
     from sean_jax.learning import ensemble
     from sean_jax.learning.several import open_datasets
 
     with pytest.raises(InputError, match="10 examples a second, and .* 1; collect with the same --rate"):
         open_datasets([made.folder, fine.folder])
-    pair = [TrainConfig(method="imitation", dataset=one.folder, out=one.folder / "no") for one in (made, fine)]
+    pair = [ImitationConfig(method="imitation", dataset=one.folder, out=one.folder / "no") for one in (made, fine)]
     with pytest.raises(InputError, match="other rates of examples beside one another"):
         ensemble.train(pair)
     with pytest.raises(InputError, match="was begun with --rate 1, not 2"):
@@ -440,15 +440,15 @@ def test_options_allow_no_more_than_datasets_and_networks_may_hold(data, tmp_pat
         name = "width" if beyond == {"height": 977} else name  # of both together
         with pytest.raises(InputError, match=f"^{name}: "):
             validate(CollectConfig, {**dict(most), **beyond})
-    ExperimentConfig(which="figure4", hours=1e6)
+    Figure4Config(hours=1e6)
     with pytest.raises(InputError, match="^hours: "):
-        validate(ExperimentConfig, {"which": "figure4", "hours": 1.1e6})
-    train = TrainConfig(method="imitation", dataset=data.folder, width=4096)
+        validate(Figure4Config, {"hours": 1.1e6})
+    train = ImitationConfig(method="imitation", dataset=data.folder, width=4096)
     config = {"width": train.width, "flags": True, "image": [most.height, most.width], "situations": ["joining"]}
     (tmp_path / "config.json").write_text(json.dumps(config))
     assert read_network_config(tmp_path / "config.json").width == train.width
     with pytest.raises(InputError, match="^width: "):
-        validate(TrainConfig, {**dict(train), "width": 4097})
+        validate(ImitationConfig, {**dict(train), "width": 4097})
 
 
 def test_an_export_into_what_a_killed_process_left(made, tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sean_jax import cli, devices, episodes, prng, writing
-from sean_jax.config import TrainConfig
+from sean_jax.config import ImitationConfig
 from sean_jax.errors import IncompleteError, InputError
 from sean_jax.learning import demonstrations, learned, training
 from sean_jax.learning.checkpoints import Checkpoints
@@ -28,14 +28,14 @@ def data(tmp_path_factory):
     return learning_data.write(tmp_path_factory.mktemp("data") / "made")
 
 
-def options(data, out, **others) -> TrainConfig:
+def options(data, out, **others) -> ImitationConfig:
     small = {"width": 16, "batch": 32, "validation": 0.2, "epochs": 12}
-    return TrainConfig(method="imitation", dataset=data.folder, out=out, **{**small, **others})
+    return ImitationConfig(method="imitation", dataset=data.folder, out=out, **{**small, **others})
 
 
-def unread(**others) -> TrainConfig:
+def unread(**others) -> ImitationConfig:
     """Options of a training whose dataset nobody opens."""
-    return TrainConfig(method="imitation", dataset=Path("none"), **others)
+    return ImitationConfig(method="imitation", dataset=Path("none"), **others)
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +200,7 @@ def test_events_are_what_tensorboard_reads(trained):
 
 @pytest.mark.slow
 def test_training_from_disk_learns_as_well(data, tmp_path):
-    state = training.train(options(data, tmp_path / "disk", on_device=0.0, epochs=3))
+    state = training.train(options(data, tmp_path / "disk", device_memory_fraction=0.0, epochs=3))
     losses = [line["train"]["loss"] for line in lines(tmp_path / "disk")]
     assert int(state.epoch) == 3 and losses[-1] < losses[0]
     validation = split(data, 0.2, 0)[1]
@@ -333,7 +333,7 @@ def test_a_policy_is_opened_while_its_training_replaces_the_best(trained, tmp_pa
 
 def test_a_refused_training_leaves_no_folder(data, tmp_path):
     with pytest.raises(InputError, match="--balance needs the dataset to fit"):
-        training.train(options(data, tmp_path / "deep" / "run", balance=True, on_device=0.0))
+        training.train(options(data, tmp_path / "deep" / "run", balance=True, device_memory_fraction=0.0))
     assert not any(tmp_path.iterdir())
 
 

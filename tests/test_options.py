@@ -88,16 +88,16 @@ FITTING = {"thresholds": None, "task_distance": (1.0, 2.0), "time_step": 0.1, "t
             "collect",
             {**FITTING, "behavior": "random", "task": None, "width": 30, "height": 20, "metrics": (), "rate": 5},
         ),
-        ("train", {"dataset": Path("runs/a b"), "part": (2, 3)}),
-        ("experiment", {"which": "table1"}),
-        ("experiment", {"which": "figure4"}),
-        ("experiment", {"which": "learning_curve"}),
+        ("train imitation", {"dataset": Path("runs/a b"), "part": (2, 3)}),
+        ("experiment table1", {}),
+        ("experiment figure4", {}),
+        ("experiment learning_curve", {}),
         ("bench", {"only": "step,crowd"}),
         ("validate", {"only": "rimea-*", "models": "sean2,my.py:f", "data": Path("a b")}),
     ],
 )
 def test_the_command_gives_the_same_description_to_the_bit(word, fixed):
-    random, model = np.random.default_rng(0), COMMANDS[word]
+    random, model, word = np.random.default_rng(0), COMMANDS[word], word.split()[0]
     for _ in range(60):
         values = {**described(random, model), **fixed}
         asked = model(**values)
@@ -110,7 +110,7 @@ def test_the_command_gives_the_same_description_to_the_bit(word, fixed):
 def decisive(description: Config) -> dict[str, typing.Any]:
     """All that has a place in the command."""
     fields = type(description).model_fields
-    names = {name for name, field in fields.items() if config.Incidental() not in field.metadata}
+    names = {name for name, field in fields.items() if config.Option.of(field).affects_results}
     return description.model_dump(include=names)
 
 
@@ -209,9 +209,17 @@ experiment figure4 --demonstrator nobody | policy: 'nobody' is not one of
 experiment figure4 --people 90000 | people: 90000 do not fit; fewer
 experiment figure4 --out full | full; --out
 experiment learning_curve --demonstrator nobody | policy: 'nobody' is not one of
-experiment learning_curve --amounts 1 0 | --amounts: 0.0 must be
+experiment learning_curve --demonstration-hours 1 0 | --demonstration-hours: 0.0 must be
+experiment learning_curve --amounts 1 | --amounts: there is no such option; it is called '--demonstration-hours' now
+experiment figure4 --others ppo | --others: there is no such option; it is called '--baselines' now
+train imitation full --further full | --further: there is no such option; it is called '--datasets' now
+train imitation full --on-device 0.5 | --on-device: there is no such option; '--device-memory-fraction' now
+run --members permanent | --members: there is no such option; it is called '--group-membership' now
+run --places mesh | --places: there is no such option; it is called '--goal-sampling' now
+experiment table1 --baselines ppo | --baselines; sean experiment --help
 experiment learning_curve --rates 5 3 | rate: 3 examples a second do not divide its 10 steps of control
-experiment table3 | table3; sean experiment --help
+experiment table3 | 'table3' is not one of table1; did you mean 'table1'
+experiment zebra | 'zebra' is not one of table1; sean experiment --help
 bench --only stepp | --only: 'stepp' is not one of step
 bench --batches 0 | --batches: 0 must be
 bench --seconds inf | --seconds: inf must be
@@ -239,12 +247,12 @@ export lerobot nope --out file | --out; file is a file
 export agent nope --out full | --out; the folder full is not empty
 export agent nope --out new | nope has no trained agent; sean train ppo
 train ppo --environment lab,nope | environment 'nope' is not one of; give one of them
-train ppo --environment lab,lab | --environment: 'lab' is there twice; give it once
+train ppo --environment lab,lab | --environment: 'lab' is listed twice; list it once
 train ppo --pretrained nope | nope has no trained agent; sean train ppo
 train ppo --imitate nope | imitate: 'nope' is not one of
 train ppo --observations goal,gaol | observations: 'gaol' is not one of; did you mean 'goal'
 train ppo --critic goall | critic: 'goall' is not one of; did you mean 'goal'
-train ppo --rewards progress,progress | --rewards: 'progress' is there twice; give it once
+train ppo --rewards progress,progress | --rewards: 'progress' is listed twice; list it once
 train ppo --rewards progres | rewards: 'progres' is not one of; did you mean 'progress'
 train ppo --terminations colision | terminations: 'colision' is not one of; did you mean 'collision'
 train ppo --termination nope.py:fall | terminations: ; nope.py: there is no such file
@@ -252,18 +260,18 @@ train ppo --randomization people | randomization: 'people' is not one of behavio
 train ppo --action-delay 3 1 | --action-delay: 3 is more than 1; give the least steps first
 train ppo --action-delay -1 1 | --action-delay: -1 must be from 0 to 1,000 steps
 train ppo --sweep clip=0.1,0.1 | --sweep: clip=0.1,0.1 has a number twice
-train ppo --sweep clip=0.1 clip=0.2 | --sweep: 'clip' is there twice; with all of its numbers
-train ppo --seed 4294967295 --seeds 2 | --seeds: 2 that follow seed 4294967295
+train ppo --sweep clip=0.1 clip=0.2 | --sweep: 'clip' is listed twice; with all of its numbers
+train ppo --seed 4294967295 --seeds 2 | --seeds: 2 consecutive seeds from 4294967295
 train ppo --num-envs 8 | --num-envs: there is no such option; did you mean '--scenarios'
 train apg --total_timesteps=100 | --total_timesteps: there is no such option; did you mean '--steps'
 run --num-episodes 8 | --num-episodes: there is no such option; did you mean '--episodes'
-run --situations paper,paper | --situations: 'paper' is there twice
-run --task join_group,join_group | --task: 'join_group' is there twice
-experiment table1 --policies expert,expert | --policies: 'expert' is there twice
-validate --only rimea-1,rimea-1 | --only: 'rimea-1' is there twice
-bench --only step,step | --only: 'step' is there twice
+run --situations paper,paper | --situations: 'paper' is listed twice
+run --task join_group,join_group | --task: 'join_group' is listed twice
+experiment table1 --policies expert,expert | --policies: 'expert' is listed twice
+validate --only rimea-1,rimea-1 | --only: 'rimea-1' is listed twice
+bench --only step,step | --only: 'step' is listed twice
 run --sensors depht | sensors: 'depht' is no sensor; did you mean 'depth'
-run --sensors depth,depth | --sensors: 'depth' is there twice
+run --sensors depth,depth | --sensors: 'depth' is listed twice
 run --sensor odd.py:sonar | sensors: sonar is no Sensor; give one of
 run --sensor odd.py:number | sensors: 3 is no Sensor; give one of
 rn | 'rn' is not one of run, collect; did you mean 'run'
@@ -371,10 +379,9 @@ def test_a_mistake_in_a_description_is_told_in_a_sentence(values, text):
 
 
 def test_names_of_other_projects_lead_to_an_option():
-    models = {(word, model) for word, model in COMMANDS.items() if word != "train"}
-    models |= {("train", model) for model in config.METHODS.values()}
     used = set()
-    for word, model in models:
+    for words, model in COMMANDS.items():
+        word = words.split()[0]
         known = [field.name for field in dataclasses.fields(flags.parser(model))]
         for option in set(known) & set(config.ALIASES):
             used.add(option)

@@ -19,7 +19,7 @@ import yaml
 
 import sean_jax
 from sean_jax import cli, components, config, flags, learning
-from sean_jax.config import BenchmarkConfig, CollectConfig, ExperimentConfig, RunConfig, ValidateConfig
+from sean_jax.config import BenchmarkConfig, CollectConfig, Figure4Config, RunConfig, Table1Config, ValidateConfig
 from sean_jax.errors import InputError
 from sean_jax.evaluation.output import read_config
 from sean_jax.learning import dataset
@@ -284,7 +284,7 @@ def test_what_was_begun_with_another_file_is_not_gone_on_with(place):
     """Experiments and benchmarks tell by the record; drivers that are added later are recorded then."""
     (place / "my.py").write_text("f = 1\n")
     (place / "more.py").write_text("f = 1\n")
-    for kind, own in [(ExperimentConfig, {"which": "table1", "policies": "expert,my.py:f"}),
+    for kind, own in [(Table1Config, {"policies": "expert,my.py:f"}),
                       (BenchmarkConfig, {"policy": "my.py:f"})]:  # fmt: skip
         options = kind(**own, out=place / kind.__name__)
         options.folder.mkdir()
@@ -296,7 +296,7 @@ def test_what_was_begun_with_another_file_is_not_gone_on_with(place):
         (place / "my.py").write_text("f = 1\n")
     (place / "figure4").mkdir()
     for others in ("none", "none,more.py:f"):
-        options = ExperimentConfig(which="figure4", others=others, out=place / "figure4")
+        options = Figure4Config(baselines=others, out=place / "figure4")
         parts.start(options)
     (place / "more.py").write_text("f = 2\n")
     with pytest.raises(InputError, match="was begun with another more.py"):
@@ -343,7 +343,7 @@ NAMED = {  # command -> the option whose code it would run
     "train ppo --imitate training": "critic",
     "train dagger dataset --expert expert --hours 0.02": "task",
     "experiment table1 --quick --policies agent": "observations",
-    "experiment figure4 --quick --others training": "critic",
+    "experiment figure4 --quick --baselines training": "critic",
     "benchmark agent --quick": "observations",
     "export agent training --out new": "critic",
     "replay training": "critic",
@@ -463,9 +463,9 @@ def test_only_what_is_typed_is_yours(named, field, capsys):
 
 
 def test_no_file_holds_a_value():
-    described = RunConfig(policy=lambda scenario, state, key: None).decisive()
+    described = RunConfig(policy=lambda scenario, state, key: None).identity()
     assert described["policy"] == {"kind": "value", "name": "<lambda>"}
-    with pytest.raises(InputError, match="policy: was a value of a Python program"):
+    with pytest.raises(InputError, match="policy: was a Python value"):
         config.validate(RunConfig, described)
 
 

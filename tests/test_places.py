@@ -112,7 +112,7 @@ def test_uniform_draws_as_ever(hall):
 def test_goals_of_people_and_of_the_robot_are_drawn_on_the_mesh(hall):
     """Half of the places have more than 0.7 of the mesh's draws, and so of goals and starts; of uniform ones a half."""
     common: Any = dict(behavior="random", task="random_ab_nav", people=3, dynamics="twin", task_distance=(0.0, np.inf))
-    mesh = sean_jax.make(hall, places="mesh", **common)
+    mesh = sean_jax.make(hall, goal_sampling="mesh", **common)
     chance = np.bincount(np.asarray(mesh.navigation.mesh_places), minlength=mesh.navigation.places.shape[0])
     often = chance > np.median(chance)
     assert chance[often].sum() > 0.7 * chance.sum()
@@ -134,6 +134,8 @@ def test_a_floor_without_room_for_the_mesh_is_refused(tmp_path):
     (tmp_path / "environment.yaml").write_text("name: alley\nfloor: [0, 0, 9, 1.2]\npeople: 1\n")
     (tmp_path / "scene.xml").write_text("<mujoco><worldbody/></mujoco>")
     with pytest.raises(ValueError, match="hardly any is 0.75 m from obstacles.*choose uniform"):
-        sean_jax.make(tmp_path, behavior="random", task="random_ab_nav", people=1, dynamics="twin", places="mesh")
-    with pytest.raises(ValueError, match="places: 'mash' is not one of uniform, mesh; did you mean 'mesh'?"):
-        sean_jax.make(places="mash")
+        sean_jax.make(
+            tmp_path, behavior="random", task="random_ab_nav", people=1, dynamics="twin", goal_sampling="mesh"
+        )
+    with pytest.raises(ValueError, match="goal_sampling: 'mash' is not one of uniform, mesh; did you mean 'mesh'?"):
+        sean_jax.make(goal_sampling="mash")

@@ -638,7 +638,7 @@ def test_scenarios_of_environments_take_turns():
 
 
 def test_environments_that_do_not_go_together_are_refused(cell, tmp_path):
-    with pytest.raises(InputError, match="environment: 'lab' is there twice"):
+    with pytest.raises(InputError, match="environment: 'lab' is listed twice"):
         reinforcement.build(options(None, environment="lab,lab"))
     file = tmp_path / "mine.py"
     file.write_text("def crowd(scenario, state):\n    return state.pedestrians.position[:, 0]\n")

@@ -29,7 +29,8 @@ from sean_jax.config import (
 from sean_jax.presets import PRESETS
 
 OTHER = {  # a value of each option that is neither the preset's nor the default
-    "routing": "whole", "members": "turnover", "forces": "johansson2007", "situations": "more", "places": "uniform",
+    "routing": "whole", "group_membership": "turnover", "forces": "johansson2007", "situations": "more",
+    "goal_sampling": "uniform",
     "task_distance": (1.0, 5.5), "dynamics": "twin", "goal_radius": 0.7, "hold_time": 2.5, "time_limit": 33.0,
     "warm_up": 1.5,
 }  # fmt: skip
@@ -42,7 +43,7 @@ def read(words: str, model=RunConfig, base=None):
 
 def value(description: ScenarioConfig, option: str):
     """As it stands in a preset."""
-    held = getattr(description.behavior if option in ("routing", "members") else description, option)
+    held = getattr(description.behavior if option in ("routing", "group_membership") else description, option)
     return held[0].kind if isinstance(held, tuple) and isinstance(held[0], Named) else held
 
 
@@ -60,7 +61,7 @@ def test_presets_are_those_that_can_be_named():
 def test_the_command_line_has_all_values_of_the_preset():
     told = read("--preset sean2")
     assert {option: value(told, option) for option in SEAN2} == SEAN2
-    assert told.preset is None and told.behavior == GraphBehavior(routing="edge", members="permanent")
+    assert told.preset is None and told.behavior == GraphBehavior(routing="edge", group_membership="permanent")
     assert {option: value(read(""), option) for option in SEAN2} != SEAN2
     assert "--preset" not in flags.command("run", told)
     for model in (CollectConfig, ScenarioConfig):
@@ -80,16 +81,16 @@ def test_each_switch_is_an_option_and_what_is_given_wins(option):
 
 
 def _as_field(option: str) -> dict:
-    if option in ("routing", "members"):
+    if option in ("routing", "group_membership"):
         return {"behavior": {"kind": "graph", option: OTHER[option]}}
     return {option: OTHER[option]}
 
 
 def test_options_of_another_behavior_are_left_out():
     told = read("--preset sean2 --behavior random")
-    assert told.behavior == RandomBehavior() and told.places == "mesh"
+    assert told.behavior == RandomBehavior() and told.goal_sampling == "mesh"
     again = ScenarioConfig(people=3, behavior=GraphBehavior(congestion_cost=2.0)).replace(preset="sean2")
-    assert again.behavior == GraphBehavior(routing="edge", members="permanent", congestion_cost=2.0)
+    assert again.behavior == GraphBehavior(routing="edge", group_membership="permanent", congestion_cost=2.0)
     assert again.people == 3 and again.replace(people=4, behavior="graph").behavior == GraphBehavior()
     assert read("--preset sean2 --behavior playback --recording walk.csv").warm_up == 0.0  # it has people of its own
     own = read("--preset sean2 --behavior my.py:parade --force my.py:push --situation my.py:near")
@@ -102,11 +103,11 @@ def test_options_of_another_behavior_are_left_out():
 def test_what_was_filled_in_is_repeated(model):
     """By the command, by config.yaml, and by JSON, which knows no infinity."""
     told = read("--preset sean2 --people 3 --time-limit 7", model)
-    written = json.loads(json.dumps(told.decisive(), allow_nan=False))
+    written = json.loads(json.dumps(told.identity(), allow_nan=False))
     assert written["task_distance"] == [0.0, "inf"] and "preset" not in written
     words = shlex.split(flags.command("run", told))[2:]
     for again in (validate(model, yaml.safe_load(yaml.safe_dump(written))), read(shlex.join(words), model)):
-        assert again.decisive() == told.decisive() and again.task_distance == (0.0, math.inf)
+        assert again.identity() == told.identity() and again.task_distance == (0.0, math.inf)
     assert validate(model, written | {"preset": "sean2", "dynamics": "mjx"}).dynamics == "mjx"
 
 
@@ -119,7 +120,11 @@ def test_the_scenario_is_the_one_of_its_parts():
     np.testing.assert_array_equal(scenario.task_distance, [0.0, np.inf])
     times = float(scenario.goal_radius), float(scenario.hold_time), scenario.time_limit
     assert times == (np.float32(1.2), 5.0, 120.0)
-    parts = {"behavior": GraphBehavior(routing="edge", members="permanent"), "places": "mesh", "forces": "sean2"}
+    parts = {
+        "behavior": GraphBehavior(routing="edge", group_membership="permanent"),
+        "goal_sampling": "mesh",
+        "forces": "sean2",
+    }
     same = build(ScenarioConfig(environment="lab", people=3, **parts, situations="sean2", dynamics="kinematic"))[0]
     for one, other in zip(jax.tree.leaves(scenario.behavior), jax.tree.leaves(same.behavior), strict=True):
         np.testing.assert_array_equal(one, other)

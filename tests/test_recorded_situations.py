@@ -8,7 +8,7 @@ import pytest
 
 from sean_jax import cli
 from sean_jax.classifiers import MORE_SITUATIONS, OBJECT_SITUATIONS, SITUATIONS
-from sean_jax.config import ExperimentConfig
+from sean_jax.config import Table1Config
 from sean_jax.errors import FileError
 from sean_jax.metrics import bootstrap
 from sean_jax.studies.experiments import recorded, shares, table1
@@ -186,9 +186,7 @@ def test_recordings_alone(tmp_path):
 
 
 def test_what_cannot_be_read_is_refused_before_anything_is_written(tmp_path):
-    options = ExperimentConfig(
-        which="table1", policies="none", recordings=str(tmp_path / "none.csv"), out=tmp_path / "o"
-    )
+    options = Table1Config(policies="none", recordings=str(tmp_path / "none.csv"), out=tmp_path / "o")
     with pytest.raises(FileError, match=r"none.csv.*no such file"):
         table1.run(options)
     with pytest.raises(ValueError, match="does not tell how many frames a second"):

@@ -349,8 +349,11 @@ def test_readme_names_options_that_exist():
     from sean_jax.config import COMMANDS
 
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    parsers = {word: flags.parser(model, word == "run", word in cli.READERS) for word, model in COMMANDS.items()}
-    known = {word: {each.name.replace("_", "-") for each in dataclasses.fields(made)} for word, made in parsers.items()}
+    known: dict[str, set[str]] = {}
+    for words, model in COMMANDS.items():
+        word = words.split()[0]
+        fields = dataclasses.fields(flags.parser(model, word == "run", word in cli.READERS))
+        known.setdefault(word, set()).update(field.name.replace("_", "-") for field in fields)
     for line in readme.splitlines():
         named = set(re.findall(r"(?<![\w-])--([a-z][a-z-]*)", line)) - {"help"}
         words = {"run", *re.findall(r"\bsean ([a-z-]+)", line)} & set(known)

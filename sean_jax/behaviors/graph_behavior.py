@@ -3,7 +3,7 @@
 People are first assigned to seats of group nodes that need somebody; the rest go to random waypoint nodes, along the
 cheapest path over waypoints. Whoever reaches a seat stays for a drawn duration, and a successor is sent so that he
 arrives when it ends (``successors``). So groups last while their members change. With ``routing="edge"`` people choose
-anew at every node, as in SEAN 2.0's code, and with ``members="permanent"`` who starts in a group stays there.
+anew at every node, as in SEAN 2.0's code, and with ``group_membership="permanent"`` who starts in a group stays there.
 """
 
 from collections.abc import Callable
@@ -70,7 +70,7 @@ def build(
     people: int | None = None,
     *,
     routing: str = "whole",
-    members: str = "turnover",
+    group_membership: str = "turnover",
     congestion_cost: float = 0.0,
     temperature: float = 0.0,
     walking_groups: tuple[float, float] = (0.0, 0.0),
@@ -81,8 +81,8 @@ def build(
         place: its folder holds ``graph.yaml``.
         people: how many; as many as the environment says if None.
         routing: a key of ``ROUTINGS``.
-        members: "turnover", where all members of groups come and go; or "permanent", where people start at all seats of
-            a group but one and never leave, and others visit the one that is left.
+        group_membership: "turnover", where all members of groups come and go; or "permanent", where people start at
+            all seats of a group but one and never leave, and others visit the last seat.
         congestion_cost: m2, the share by which an edge costs more for each person per m2 on it.
         temperature: m, ways that cost so much more are taken e times less often; with 0 the cheapest one is.
         walking_groups: shares of the people who walk in pairs and in triples. They walk from waypoint to waypoint and
@@ -104,7 +104,7 @@ def build(
     avoid = [(position[node], reach(int(capacity[node])) + 0.6) for node in np.asarray(graph.groups)]
     start, node = starts.in_discs(environment, navigation, graph.position, graph.radius, graph.spawn, avoid)
     number = count_walking_groups(people, walking_groups)
-    permanent = members == "permanent"
+    permanent = group_membership == "permanent"
     first_seats = _first_seats(np.asarray(graph.seat_group), permanent)
     max_people = len(start) + min(len(first_seats), people - number.members)
     if people > max_people:

@@ -76,7 +76,7 @@ def offered() -> Iterator[tuple[str, dict[str, str]]]:
     yield "behavior", {name: _documented(value) for name, value in behaviors.BEHAVIORS.items()}
     yield "routing", {name: _documented(value) for name, value in behaviors.graph_behavior.ROUTINGS.items()}
     yield "task", {name: _documented(value) for name, value in tasks.TASKS.items()}
-    yield "places", {name: _documented(value) for name, value in navigation.PLACES.items()}
+    yield "goal_sampling", {name: _documented(value) for name, value in navigation.PLACES.items()}
     yield "robot", {name: _robot(path) for name, path in robots.ROBOTS.items()}
     known = {name: _documented(value) for name, value in policies.POLICIES.items()} | STACKS
     yield "policy", known | {name: agents.described(folder) for name, folder in agents.AGENTS.items()}

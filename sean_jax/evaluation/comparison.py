@@ -98,7 +98,7 @@ def read(folder: Path) -> Measured:
             raise InputError(f"{folder}: holds no {name}; give a folder that `sean run` has finished.")
     saved = output.read_config(folder / "config.yaml", check=False)
     config = validate(RunConfig, saved.description)
-    description = components.relocate(inputs.rename(config.decisive(), saved.identities), saved.identities)
+    description = components.relocate(inputs.rename(config.identity(), saved.identities), saved.identities)
     tasks, columns = output.read_episodes(folder / "episodes.csv")
     if len(tasks) > config.episodes:
         what = f"has {len(tasks):,} episodes and config.yaml {config.episodes:,}"

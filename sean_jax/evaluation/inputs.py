@@ -68,7 +68,7 @@ def read(config: RunConfig) -> Inputs:
         copies[names[name]] = f"{place}/{path.name}"
         inside = copies[names[name]] if path.is_dir() else place
         content |= {f"{inside}/{part.relative_to(root).as_posix()}": data for part, data in found.items()}
-    description = config.decisive() | {"camera": config.camera}
+    description = config.identity() | {"camera": config.camera}
     return Inputs(content, copies, hashes, rename(description, names))
 
 

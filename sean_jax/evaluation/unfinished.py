@@ -225,7 +225,7 @@ def _episodes(place: Path) -> int:
 
 def _about(config: RunConfig) -> dict[str, Any]:
     """What decides the episodes, as JSON gives it back: by option, and the content of files of one's own."""
-    fields = config.decisive() | {"batch": min(config.batch, config.episodes)}
+    fields = config.identity() | {"batch": min(config.batch, config.episodes)}
     parts = {f"the content of {name}": digest for name, digest in components.digests(config).items()}
     return json.loads(json.dumps({**{flag(name): value for name, value in fields.items()}, **parts}))
 

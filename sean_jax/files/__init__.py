@@ -34,6 +34,7 @@ from sean_jax.files.reading import (
     suggest,
     unknown_name,
 )
+from sean_jax.messages import shorten
 
 __all__ = [
     "MAX_BYTES",
@@ -119,7 +120,7 @@ def _clause(error: Any, model: type[pydantic.BaseModel]) -> str:
     """A pydantic error as one clause that names the value and the cure."""
     loc, kind = error["loc"], error["type"]
     context = {key: f"{item:g}" if isinstance(item, float) else item for key, item in error.get("ctx", {}).items()}
-    value = _quoted(error["input"])
+    value = "an empty value" if error["input"] is None else shorten(repr(error["input"]))
     if kind == "missing":
         return "one value more is needed" if isinstance(loc[-1], int) else "is missing; add it"
     if kind == "extra_forbidden":
@@ -152,11 +153,6 @@ def _clause(error: Any, model: type[pydantic.BaseModel]) -> str:
         "too_long": "has {actual_length} values, {max_length} are allowed",
     }
     return f"{value} {templates[kind].format(**context)}" if kind in templates else f"{value}: {error['msg']}"
-
-
-def _quoted(value: Any) -> str:
-    text = "an empty value" if value is None else repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _types_at(model: Any, loc: Location) -> list[Any]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from sean_jax.errors import FileError
 from sean_jax.files.reading import MAX_DEPTH, read_bytes, read_text, short_name
+from sean_jax.messages import shorten
 
 MAX_ELEMENTS = 10_000  # in all, those of a replicate as often as it makes them
 MAX_JOINTS = 100
@@ -137,9 +138,11 @@ class _Scan:
                 _check_numbers(key, value)
             maximum = MAX_COUNTS.get((name, key), MAX_RESERVED if name == "size" and key != "memory" else None)
             if maximum is not None and any(not -1 <= number <= maximum for number in _numbers(value)):
-                raise _ElementError(f'{name} {key}="{_short(value)}" must be at most {maximum:,}')
+                raise _ElementError(f'{name} {key}="{shorten(value, 40)}" must be at most {maximum:,}')
         if name == "size" and _bytes(attributes.get("memory", "")) > MAX_MEMORY:
-            raise _ElementError(f'size memory="{_short(attributes["memory"])}" must be at most {MAX_MEMORY // 10**6}M')
+            raise _ElementError(
+                f'size memory="{shorten(attributes["memory"], 40)}" must be at most {MAX_MEMORY // 10**6}M'
+            )
         self.elements += times
         if self.elements > MAX_ELEMENTS:
             raise _ElementError(f"makes more than {MAX_ELEMENTS:,} elements; use fewer")
@@ -195,10 +198,6 @@ class _ElementError(Exception):
     """An element is refused, for a reason in one clause."""
 
 
-def _short(value: str) -> str:
-    return value if len(value) <= 40 else value[:37] + "..."
-
-
 def _numbers(value: str) -> list[float]:
     numbers = []
     for word in value.split():
@@ -212,9 +211,11 @@ def _numbers(value: str) -> list[float]:
 def _check_numbers(key: str, value: str) -> None:
     for number in _numbers(value):
         if not math.isfinite(number):
-            raise _ElementError(f'{key}="{_short(value)}" holds a number that is not finite; give one that is')
+            raise _ElementError(f'{key}="{shorten(value, 40)}" holds a number that is not finite; give one that is')
         if abs(number) > MAX_MAGNITUDE:
-            raise _ElementError(f'{key}="{_short(value)}" holds a number beyond {MAX_MAGNITUDE:g}; give a smaller one')
+            raise _ElementError(
+                f'{key}="{shorten(value, 40)}" holds a number beyond {MAX_MAGNITUDE:g}; give a smaller one'
+            )
 
 
 def _bytes(value: str) -> float:

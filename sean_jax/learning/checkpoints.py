@@ -24,6 +24,7 @@ import orbax.checkpoint as ocp
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
 from sean_jax import files, writing
+from sean_jax.config import present_names
 from sean_jax.errors import FileError, IncompleteError, InputError
 from sean_jax.learning import processes
 from sean_jax.learning.manifests import CONFIG
@@ -266,6 +267,7 @@ def check_config(folder: Path, config: dict[str, Any]) -> bool:
         raise InputError(f"{str(error).rstrip('.')}; choose another folder with --out.") from None
     if not isinstance(saved, dict):
         raise InputError(f"{file} is no configuration of a network; choose another folder with --out.")
+    saved = present_names(saved)
     for name, value in json.loads(json.dumps(config)).items():
         if name == "parts":
             _check_parts(file, value, saved.get(name))

@@ -19,7 +19,7 @@ import jax
 
 from sean_jax import components, devices, sensors, writing
 from sean_jax.base import Policy, Scenario
-from sean_jax.config import CollectConfig
+from sean_jax.config import CollectConfig, present_names
 from sean_jax.errors import InputError
 from sean_jax.flags import command, flag, number
 from sean_jax.learning import choice, demonstrations, labels
@@ -165,7 +165,8 @@ def check_place(folder: Path) -> None:
 
 
 def _check_same(config: CollectConfig, data: Dataset) -> None:
-    asked, had = config.decisive(), {"rate": 1, **data.manifest["options"]}  # those of earlier versions have one rate
+    asked = config.identity()
+    had = {"rate": 1, **present_names(data.manifest["options"])}  # earlier versions have no other rate
     for name in asked:
         if asked[name] != had.get(name):
             text = f"{flag(name)} {_short(had.get(name))}, not {_short(asked[name])}"
@@ -211,7 +212,7 @@ def _manifest(
     scenarios, size = list(parts.values()), _size(config, len(parts))
     return {
         "command": _command(config, size),
-        "options": config.decisive(),
+        "options": config.identity(),
         **scenario_facts(scenarios[0], camera, config.policy.kind, config.rate),
         "content": fingerprint(scenarios[0], [scenario.behavior for scenario in scenarios], policy.params),
         "parts": components.digests(config),

@@ -16,7 +16,7 @@ from typing import Any
 from rich.console import Console
 
 from sean_jax import components, writing
-from sean_jax.config import CollectConfig, DaggerConfig, TrainConfig
+from sean_jax.config import CollectConfig, DaggerConfig, ImitationConfig
 from sean_jax.flags import command
 from sean_jax.learning import choice, collection, training
 from sean_jax.learning.checkpoints import check_config, write_config
@@ -43,13 +43,13 @@ def train(options: DaggerConfig, console: Console | Callable[[float], None] | No
     first = open_dataset(options.dataset)
     components.check_trust(_driving(options, first, 1))
     config = _config(options, first)
-    training.prepare(_learning(options, [options.dataset, *options.further], options.pretrained, options.folder))
+    training.prepare(_learning(options, [options.dataset, *options.datasets], options.pretrained, options.folder))
     choice.check(options.expert, _driving(options, first, 1), "expert")
     resumes = check_config(options.folder, config)
     with writing.folder_lock(options.folder):
         if not resumes:
             write_config(options.folder, config)
-        data, before, state = [options.dataset, *options.further], options.pretrained, None
+        data, before, state = [options.dataset, *options.datasets], options.pretrained, None
         for number in range(options.rounds + 1):
             if number > 0:
                 data.append(options.folder / f"data-{number}")
@@ -70,11 +70,11 @@ def _driving(options: DaggerConfig, first: Dataset, number: int) -> CollectConfi
     return had.replace(**own, out=options.folder / f"data-{number}", quiet=options.quiet)
 
 
-def _learning(options: DaggerConfig, data: list[Path], before: Path | None, out: Path) -> TrainConfig:
+def _learning(options: DaggerConfig, data: list[Path], before: Path | None, out: Path) -> ImitationConfig:
     """What is trained in a round."""
-    shared = {name: getattr(options, name) for name in TrainConfig.model_fields}
-    own = {"method": "imitation", "dataset": data[0], "further": tuple(data[1:]), "pretrained": before, "out": out}
-    return TrainConfig(**(shared | own))
+    shared = {name: getattr(options, name) for name in ImitationConfig.model_fields}
+    own = {"method": "imitation", "dataset": data[0], "datasets": tuple(data[1:]), "pretrained": before, "out": out}
+    return ImitationConfig(**(shared | own))
 
 
 def _part(console: Any, part: int, rounds: int) -> Any:
@@ -93,7 +93,7 @@ def _config(options: DaggerConfig, first: Dataset) -> dict[str, Any]:
     return {
         "command": command("train", options),
         "method": options.method,
-        **options.decisive(),
+        **options.identity(),
         "parts": components.digests(options),
         "dataset": {"fingerprint": first.fingerprint(), "command": first.manifest["command"]},
         "versions": versions(),

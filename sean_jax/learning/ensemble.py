@@ -20,7 +20,7 @@ from rich.console import Console
 
 from sean_jax import devices, prng, writing
 from sean_jax.base import Array
-from sean_jax.config import TrainConfig
+from sean_jax.config import ImitationConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import training
 from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
@@ -33,11 +33,13 @@ from sean_jax.learning.several import Several, open_datasets, split_each
 from sean_jax.learning.training import TrainState
 from sean_jax.progress import progress
 
-OWN = "dataset", "further", "part", "seed", "out", "quiet"  # options in which the networks may differ
+OWN = "dataset", "datasets", "part", "seed", "out", "quiet"  # options in which the networks may differ
 AT_ONCE = 32  # networks in one program, or fewer where their datasets fill the memory
 
 
-def train(several: Sequence[TrainConfig], console: Console | Callable[[float], None] | None = None) -> list[TrainState]:
+def train(
+    several: Sequence[ImitationConfig], console: Console | Callable[[float], None] | None = None
+) -> list[TrainState]:
     """Train networks, each in the folder of its options.
 
     Args:
@@ -54,7 +56,7 @@ def train(several: Sequence[TrainConfig], console: Console | Callable[[float], N
         FloatingPointError: a loss is not finite; nothing of the networks that were trained together is written.
     """
     several = list(several)
-    data = [open_datasets([options.dataset, *options.further], options.part) for options in several]
+    data = [open_datasets([options.dataset, *options.datasets], options.part) for options in several]
     networks = [Network(o.width, o.flags, each.image_shape) for o, each in zip(several, data, strict=True)]
     _check(several, data, networks)
     size = min(AT_ONCE, _fitting(several[0], data))
@@ -68,8 +70,8 @@ def train(several: Sequence[TrainConfig], console: Console | Callable[[float], N
     return states
 
 
-def _check(several: list[TrainConfig], data: list[Several], networks: list[Network]) -> None:
-    alike = [{name: value for name, value in options.decisive().items() if name not in OWN} for options in several]
+def _check(several: list[ImitationConfig], data: list[Several], networks: list[Network]) -> None:
+    alike = [{name: value for name, value in options.identity().items() if name not in OWN} for options in several]
     for one in alike[1:]:
         for name in one:
             if one[name] != alike[0][name]:
@@ -82,17 +84,17 @@ def _check(several: list[TrainConfig], data: list[Several], networks: list[Netwo
         raise InputError("dataset: images of other sizes beside one another; collect all with the same --width.")
 
 
-def _fitting(options: TrainConfig, data: list[Several]) -> int:
+def _fitting(options: ImitationConfig, data: list[Several]) -> int:
     """How many of the datasets fit on a device."""
     largest = max(each.example_count * each.row_bytes for each in data)
-    number = int(options.on_device * training._memory() // max(largest, 1))
+    number = int(options.device_memory_fraction * training._memory() // max(largest, 1))
     if number < 1:
         raise InputError("dataset: it does not fit on the device; train each network by itself.")
     return number
 
 
 @contextlib.contextmanager
-def _locked(several: list[TrainConfig]) -> Iterator[None]:
+def _locked(several: list[ImitationConfig]) -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         for options in several:
             stack.enter_context(writing.folder_lock(options.folder))
@@ -112,7 +114,10 @@ class _Show:
 
 
 def _train(
-    several: list[TrainConfig], data: list[Several], network: Network, show: Callable[[int, np.ndarray, float], None]
+    several: list[ImitationConfig],
+    data: list[Several],
+    network: Network,
+    show: Callable[[int, np.ndarray, float], None],
 ) -> list[TrainState]:
     """Networks whose folders are locked."""
     options = several[0]
@@ -150,7 +155,7 @@ def _train(
 
 
 def _begin(
-    network: Network, situations: int, options: TrainConfig, seeds: Array, scales: Array
+    network: Network, situations: int, options: ImitationConfig, seeds: Array, scales: Array
 ) -> tuple[TrainState, TrainState]:
     """The states before the first epoch, twice: now, and the best so far."""
 
@@ -188,7 +193,7 @@ def _stacked(data: list[Several], splits: list, balance: bool) -> tuple[Recordin
     return recordings, rows, jnp.asarray(np.stack(held)[:, :width], jnp.int32), jnp.asarray(np.stack(odds), jnp.float32)
 
 
-def _epoch(network: Network, options: TrainConfig) -> Callable:
+def _epoch(network: Network, options: ImitationConfig) -> Callable:
     """(states, best, over, recordings, training rows, validation rows, chances, seeds) -> (states, best, losses)."""
     compiled = training.programs(network, options, devices.mesh())
 

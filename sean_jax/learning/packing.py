@@ -32,11 +32,11 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     if agents.is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
     components.check_trust(options)
-    _, agent, _ = trained.load(folder, registry.build(options.of_each[0]).scenario)
+    _, agent, _ = trained.load(folder, registry.build(options.per_environment[0]).scenario)
     told = {**_best(folder), "weights": "float16", "packed_with": versions()}
     with writing.atomic_folder(out) as made:
         copies, hashes = components.copy(made, options)
-        own = components.relocate(options.decisive(), copies) | {"parts": hashes} if copies else {}
+        own = components.relocate(options.identity(), copies) | {"parts": hashes} if copies else {}
         agents.save(made, agent, {**files.read_json(folder / CONFIG), **own, "agent": told})
     return out
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from sean_jax import navigation, prng, sensors, writing
 from sean_jax.base import Array, Scenario, State
-from sean_jax.config import MAX_PIXELS
+from sean_jax.config import MAX_PIXELS, present_names
 from sean_jax.errors import InputError
 from sean_jax.learning import dataset as datasets
 from sean_jax.learning.collection import check_place, scenario_facts
@@ -153,7 +153,7 @@ class Recorder:
             with writing.folder_lock(folder):
                 return datasets.create_dataset(folder, manifest)
         data = datasets.open_dataset(folder)
-        if {"rate": 1, **data.manifest["options"]} != manifest["options"]:
+        if {"rate": 1, **present_names(data.manifest["options"])} != manifest["options"]:
             raise InputError(f"{folder} was begun with another scenario, driver, seed or rate; choose another folder.")
         return data
 

@@ -109,10 +109,10 @@ def build(options: ReinforcementConfig) -> tuple[tuple[Scenario, ...], tuple[mdp
         choice.check(options.imitate, options, "imitate")
     if options.pretrained is not None:
         _check_pretrained(options, options.pretrained)
-    for each in options.of_each:
+    for each in options.per_environment:
         registry.check(each)
     terms = sum(agents.terms(options), ())
-    built = [curricula.prepare(registry.build(each), options.curriculum) for each in options.of_each]
+    built = [curricula.prepare(registry.build(each), options.curriculum) for each in options.per_environment]
     envs = [replace(env, observations=terms) for env in built]
     rewards.reweighted(envs[0].rewards, _weights(options.agents[0]))  # refuses what is none of its terms
     _check_alike(envs)
@@ -420,7 +420,7 @@ def _config(options: ReinforcementConfig) -> dict[str, Any]:
     return {
         "command": command("train", options),
         "method": options.method,
-        **options.decisive(),
+        **options.identity(),
         "parts": components.digests(options),
         "devices": len(jax.devices()),
         "versions": versions(),

@@ -25,7 +25,7 @@ from rich.console import Console
 
 from sean_jax import devices, prng, writing
 from sean_jax.base import Array
-from sean_jax.config import TrainConfig
+from sean_jax.config import ImitationConfig
 from sean_jax.errors import InputError
 from sean_jax.flags import command
 from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
@@ -75,7 +75,7 @@ class TrainPrograms(NamedTuple):
     finish: Callable  # (state, training sums, validation sums) -> (state, Losses, Losses): the end of an epoch
 
 
-def train(options: TrainConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
+def train(options: ImitationConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
     """Train a network, or continue its training, in the folder of the options.
 
     Args:
@@ -98,13 +98,13 @@ def train(options: TrainConfig, console: Console | Callable[[float], None] | Non
         return _train(options, console, data, training, validation, network, config)
 
 
-def prepare(options: TrainConfig) -> tuple[Several, Network]:
+def prepare(options: ImitationConfig) -> tuple[Several, Network]:
     """What is learned from, and what learns.
 
     Raises:
         InputError: there is no such dataset, or the pretrained network is missing or another one.
     """
-    data = open_datasets([options.dataset, *options.further], options.part)
+    data = open_datasets([options.dataset, *options.datasets], options.part)
     network = Network(options.width, options.flags, data.image_shape)
     if options.pretrained is not None:
         had, _ = read_network(options.pretrained, data.manifest["situations"])
@@ -115,7 +115,7 @@ def prepare(options: TrainConfig) -> tuple[Several, Network]:
 
 
 def init_state(
-    network: Network, situations: int, options: TrainConfig, commands: Float[np.ndarray | Array, "R 2"]
+    network: Network, situations: int, options: ImitationConfig, commands: Float[np.ndarray | Array, "R 2"]
 ) -> TrainState:
     """The state before the first epoch.
 
@@ -142,7 +142,7 @@ def command_scale(commands: Float[np.ndarray | Array, "R 2"]) -> Float[Array, "2
     return jnp.maximum(jnp.std(jnp.asarray(commands), 0), MIN_COMMAND_SCALE)
 
 
-def begin(weights: Weights, options: TrainConfig) -> TrainState:
+def begin(weights: Weights, options: ImitationConfig) -> TrainState:
     """The state before the first epoch, from weights.
 
     Returns:
@@ -157,7 +157,7 @@ def begin(weights: Weights, options: TrainConfig) -> TrainState:
     )
 
 
-def programs(network: Network, options: TrainConfig, mesh: Mesh) -> TrainPrograms:
+def programs(network: Network, options: ImitationConfig, mesh: Mesh) -> TrainPrograms:
     """The compiled functions of a training.
 
     Returns:
@@ -259,12 +259,12 @@ def _losses(sums: Array) -> Losses:
     return Losses(local_plan + command, local_plan, command)
 
 
-def _optimizer(options: TrainConfig) -> optax.GradientTransformation:
+def _optimizer(options: ImitationConfig) -> optax.GradientTransformation:
     return optax.adamw(options.learning_rate, weight_decay=options.weight_decay)
 
 
 def _train(
-    options: TrainConfig,
+    options: ImitationConfig,
     console: Console | Callable[[float], None] | None,
     data: Several,
     training: list[Member],
@@ -310,12 +310,12 @@ def _epoch(
     training: list[Member],
     validation: list[Member],
     network: Network,
-    options: TrainConfig,
+    options: ImitationConfig,
     mesh: Mesh,
 ) -> Callable[[TrainState], tuple[TrainState, Losses, Losses]]:
     """state -> (state, Losses, Losses), with the dataset on the devices if it fits there, else from disk."""
     compiled = programs(network, options, mesh)
-    if data.example_count * data.row_bytes <= options.on_device * _memory():
+    if data.example_count * data.row_bytes <= options.device_memory_fraction * _memory():
         recording = devices.replicate(mesh, on_device(data.recording([*training, *validation])))
         number = sum(episode.length for episode in training)
         rows = jnp.arange(data.example_count, dtype=jnp.int32)
@@ -324,7 +324,9 @@ def _epoch(
             probabilities = jnp.asarray(balanced_probabilities(data.read(training, ("situations",))["situations"]))
         return lambda state: compiled.epoch(state, recording, rows[:number], rows[number:], probabilities)
     if options.balance:
-        raise InputError("--balance needs the dataset to fit on the device; collect less, or raise --on-device.")
+        raise InputError(
+            "--balance needs the dataset to fit on the device; collect less, or raise --device-memory-fraction."
+        )
     size = -(-options.batch // mesh.size) * mesh.size
     loader = Loader(data, training, size, options.seed)
     validation_loader = Loader(data, validation, size, options.seed, shuffle=False)
@@ -349,7 +351,7 @@ def _memory() -> float:
         return DEFAULT_MEMORY
 
 
-def _is_over(state: TrainState, options: TrainConfig) -> bool:
+def _is_over(state: TrainState, options: ImitationConfig) -> bool:
     done = int(state.epoch)
     return done >= options.epochs or done - int(state.best_epoch) >= options.patience
 
@@ -364,7 +366,7 @@ def _as_dict(losses: Losses) -> dict[str, float]:
     return {name: float(value) for name, value in losses._asdict().items()}
 
 
-def _config(options: TrainConfig, data: Several, network: Network) -> dict[str, Any]:
+def _config(options: ImitationConfig, data: Several, network: Network) -> dict[str, Any]:
     if data.example_count < 2:
         raise InputError(f"{data.folder} has {data.example_count} examples, too few to learn from; collect more.")
     return {
@@ -374,7 +376,7 @@ def _config(options: TrainConfig, data: Several, network: Network) -> dict[str, 
         "image": list(network.image),
         "situations": data.manifest["situations"],
         "sources": {"planner": network.planner_sources, "controller": network.controller_sources},
-        **{name: value for name, value in options.decisive().items() if name not in ("width", "flags")},
+        **{name: value for name, value in options.identity().items() if name not in ("width", "flags")},
         "devices": len(jax.devices()),
         "dataset": {"fingerprint": data.fingerprint(), "command": data.manifest["command"]},
         "versions": versions(),

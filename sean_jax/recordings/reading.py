@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float, Int
 from sean_jax.base import Array
 from sean_jax.errors import FileError, InputError
 from sean_jax.files import read_text, short_name, unknown_name
+from sean_jax.messages import shorten
 from sean_jax.quantities import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE, check_number
 
 NAMES = {  # the names that a column may have; the first one present counts
@@ -256,8 +257,7 @@ def _table(path: Path) -> tuple[dict[str, np.ndarray], list[str], np.ndarray]:
                 rows.append([float(row[place]) for place in places.values()])
                 names.append(_plain(row[name_place].strip()))
             except (ValueError, IndexError):
-                content = ",".join(row)
-                content = content if len(content) <= 80 else content[:77] + "..."
+                content = shorten(",".join(row), 80)
                 raise FileError(
                     f"{short_name(path)}:{reader.line_num}: is no line of a person and numbers: {content!r}; mend it."
                 ) from None

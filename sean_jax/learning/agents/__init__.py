@@ -18,7 +18,7 @@ from jaxtyping import PyTree
 
 from sean_jax import components, files, registry, writing
 from sean_jax.base import Scenario
-from sean_jax.config import METHODS, ReinforcementConfig, validate
+from sean_jax.config import METHODS, ReinforcementConfig, present_names, validate
 from sean_jax.errors import InputError
 from sean_jax.learning.actor_critic import ActorCritic, Agent, init_agent
 from sean_jax.learning.manifests import CONFIG, read_method
@@ -59,7 +59,7 @@ def read_options(folder: Path) -> ReinforcementConfig:
     saved, model = files.read_json(folder / CONFIG), METHODS[read_method(folder)]
     if not issubclass(model, ReinforcementConfig):
         raise InputError(f"{folder} has a network that imitates, and no agent; train one with `sean train ppo`.")
-    told = {name: saved[name] for name in saved if name in model.model_fields}
+    told = {name: value for name, value in present_names(saved).items() if name in model.model_fields}
     told = components.recorded(folder / CONFIG, told, saved.get("parts"), "parts")
     try:
         return validate(model, told, source=folder / CONFIG)

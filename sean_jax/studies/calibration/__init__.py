@@ -61,7 +61,7 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
         left_out = _left_out(options, list(prediction))
         kinds = [recorded.prediction_scenes(prediction)] if prediction else []
         kinds += [recorded.corridor_scenes(corridors)] if corridors else []
-        _write_json(folder / OPTIONS, {"options": options.decisive(), "versions": versions()})
+        _write_json(folder / OPTIONS, {"options": options.identity(), "versions": versions()})
         fit = Fit(forces, names, kinds, options.steps, options.batch)
         descent, history = _descend(fit, options, left_out, bar)
         bar.stage("judging by all windows")
@@ -183,7 +183,7 @@ def _check_folder(folder: Path, options: CalibrateConfig) -> None:
         return
     try:
         content = files.read_json(folder / OPTIONS)
-        previous, current = content["options"], options.decisive()
+        previous, current = content["options"], options.identity()
         names = [name for name in current if current[name] != previous.get(name)]
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"the folder {folder} holds something else already, choose another with --out.") from None

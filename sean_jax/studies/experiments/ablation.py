@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sean_jax import writing
-from sean_jax.config import CollectConfig, ExperimentConfig, fill
-from sean_jax.errors import InputError
+from sean_jax.config import AblationConfig, CollectConfig, with_defaults
 from sean_jax.learning import protocol
 from sean_jax.learning.protocol import streams
 from sean_jax.presets import PRESETS
@@ -37,7 +36,7 @@ WORLDS = (DEFAULT, *SWITCHES, ALL)
 """The package's world, that world with one switch each, and SEAN 2.0's, which has them all."""
 
 
-def run(options: ExperimentConfig, console: Console | None = None) -> Path:
+def run(options: AblationConfig, console: Console | None = None) -> Path:
     """Simulate what the folder lacks, and write the report.
 
     Args:
@@ -51,9 +50,6 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
 
     Source: section V-B, Table I.
     """
-    options = options.complete()
-    if options.preset is not None:
-        raise InputError(f"preset: {options.preset} besides ablation, which goes through its options; leave it out.")
     policies = table1.policies(options)
     for world in WORLDS:
         for behavior in BEHAVIORS:
@@ -74,7 +70,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     return folder
 
 
-def description(options: ExperimentConfig, world: str, behavior: str) -> CollectConfig:
+def description(options: AblationConfig, world: str, behavior: str) -> CollectConfig:
     """What is simulated in a world with people of a behavior.
 
     Args:
@@ -85,10 +81,10 @@ def description(options: ExperimentConfig, world: str, behavior: str) -> Collect
         The description. A switch that people of that behavior do not have changes nothing.
     """
     chosen = SWITCHES if world == ALL else {name: value for name, value in SWITCHES.items() if name == world}
-    return CollectConfig(**fill(CollectConfig, table1.fields(options, behavior, options.people), chosen))
+    return CollectConfig(**with_defaults(CollectConfig, table1.fields(options, behavior, options.people), chosen))
 
 
-def simulated(options: ExperimentConfig, world: str, behavior: str) -> str:
+def simulated(options: AblationConfig, world: str, behavior: str) -> str:
     """The world that is simulated for a world: the default one if the switch changes nothing for people of a behavior.
 
     Args:
@@ -98,23 +94,23 @@ def simulated(options: ExperimentConfig, world: str, behavior: str) -> str:
     Returns:
         That world or the default.
     """
-    own, usual = (description(options, each, behavior).decisive() for each in (world, DEFAULT))
+    own, usual = (description(options, each, behavior).identity() for each in (world, DEFAULT))
     return DEFAULT if own == usual else world
 
 
-def _places(options: ExperimentConfig, world: str, behavior: str) -> Streams:
+def _places(options: AblationConfig, world: str, behavior: str) -> Streams:
     return table1.with_starts(options, list(streams(description(options, world, behavior)).values()))
 
 
 def _cell(
-    options: ExperimentConfig, world: str, policy: str, behavior: str, places: Once, watch: Callable[[float], None]
+    options: AblationConfig, world: str, policy: str, behavior: str, places: Once, watch: Callable[[float], None]
 ) -> Cell:
     file = options.folder / f"{world}-{behavior}-{policy}.npz"
     make = functools.partial(places, world, behavior)
     return table1.cell(options, file, behavior, policy, make, watch)
 
 
-def write(options: ExperimentConfig, folder: Path, by_world: dict[str, list[Cell]]) -> None:
+def write(options: AblationConfig, folder: Path, by_world: dict[str, list[Cell]]) -> None:
     """Write ablation.csv, orderings.csv, the figure and report.html.
 
     Raises:

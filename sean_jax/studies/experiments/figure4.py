@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sean_jax import writing
-from sean_jax.config import CollectConfig, ExperimentConfig, Named, ScenarioConfig, validate
+from sean_jax.config import CollectConfig, Figure4Config, LearnedConfig, Named, ScenarioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.files import listed
 from sean_jax.learning import choice, protocol
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from sean_jax.metrics import Estimate
 
 
-def run(options: ExperimentConfig, console: Console | None = None) -> Path:
+def run(options: Figure4Config, console: Console | None = None) -> Path:
     """Collect, train and evaluate what the folder lacks, and write the report.
 
     Args:
@@ -55,11 +55,10 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
 
     Source: section V-C, Figure 4.
     """
-    options = options.complete()
     for behavior in BEHAVIORS:
-        protocol.check(collection(options, behavior))
-    for name in others(options):
-        choice.check(name, ScenarioConfig(), "--others")
+        protocol.check(collection(options, behavior, options.hours))
+    for name in baselines(options):
+        choice.check(name, ScenarioConfig(), "--baselines")
     folder = options.folder
     parts.has_started(options)
     with writing.folder_lock(folder):
@@ -67,7 +66,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     return folder
 
 
-def others(options: ExperimentConfig) -> list[str]:
+def baselines(options: Figure4Config) -> list[str]:
     """Drivers beside those of the paper, N and E.
 
     Returns:
@@ -76,15 +75,15 @@ def others(options: ExperimentConfig) -> list[str]:
     Raises:
         InputError: one has the name of a column.
     """
-    names = [name for name in dict.fromkeys(listed(options.others)) if name != "none"]
+    names = [name for name in dict.fromkeys(listed(options.baselines)) if name != "none"]
     for name in names:
         if name in (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR):
-            raise InputError(f"--others: '{name}' is a column of the figure already; give another driver's name.")
+            raise InputError(f"--baselines: '{name}' is a column of the figure already; give another driver's name.")
     return names
 
 
-def _run(options: ExperimentConfig, folder: Path, console: Console | None) -> None:
-    policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR, *others(options))
+def _run(options: Figure4Config, folder: Path, console: Console | None) -> None:
+    policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR, *baselines(options))
     places = {
         behavior: list(streams(CollectConfig(**description(options, behavior))).values()) for behavior in BEHAVIORS
     }
@@ -103,13 +102,13 @@ def _part_name(policy: str, behavior: str) -> str:
     return f"{'learned' if policy in LEARNED or policy == BALANCED else policy} in {behavior}"
 
 
-def _parts(options: ExperimentConfig, folder: Path, places: dict[str, list[Scenario]]) -> list[Part]:
+def _parts(options: Figure4Config, folder: Path, places: dict[str, list[Scenario]]) -> list[Part]:
     """The parts of the experiment, in an order in which they could run one by one."""
     taught = {policy: learner(options, policy) for policy in (*LEARNED, BALANCED)}
     data = {behavior: f"demonstrations in {behavior}" for behavior in reversed(BEHAVIORS)}  # two policies need graph
     jobs: list[Part] = []
     for behavior, name in data.items():
-        work = functools.partial(learners.collect, collection(options, behavior), tuple(taught.values()))
+        work = functools.partial(learners.collect, collection(options, behavior, options.hours), tuple(taught.values()))
         jobs.append(Part(name, work))
 
     def drive(several: tuple[Driver, ...], behavior: str, needs: tuple[str, ...] = ()) -> Part:
@@ -118,7 +117,7 @@ def _parts(options: ExperimentConfig, folder: Path, places: dict[str, list[Scena
         return Part(_part_name(several[0].name, behavior), functools.partial(drivers.drive, *asked), needs)
 
     names = {NAVIGATION: "social_costmap", DEMONSTRATOR: options.demonstrator}
-    for policy in (DEMONSTRATOR, NAVIGATION, *others(options)):
+    for policy in (DEMONSTRATOR, NAVIGATION, *baselines(options)):
         alike = functools.partial(choice.policy, names.get(policy, policy))  # the same driver in all episodes
         jobs += [drive((Driver(policy, (alike,)),), behavior) for behavior in BEHAVIORS]
     before: tuple[str, ...] = ()
@@ -131,17 +130,17 @@ def _parts(options: ExperimentConfig, folder: Path, places: dict[str, list[Scena
     return jobs
 
 
-def sizes(options: ExperimentConfig) -> tuple[int, int, int]:
+def sizes(options: LearnedConfig) -> tuple[int, int, int]:
     """How many there are of what the intervals are over.
 
     Returns:
         Datasets, trainings on each, and episodes of each network, enough to make what was asked for.
     """
-    datasets, trainings = options.datasets or 1, options.trainings or 1
-    return datasets, trainings, math.ceil((options.episodes or 1) / (datasets * trainings))
+    datasets, trainings = options.datasets, options.trainings
+    return datasets, trainings, math.ceil(options.episodes / (datasets * trainings))
 
 
-def description(options: ExperimentConfig, behavior: str) -> dict[str, Any]:
+def description(options: LearnedConfig, behavior: str) -> dict[str, Any]:
     """In which scenario people of a behavior are.
 
     Args:
@@ -150,24 +149,26 @@ def description(options: ExperimentConfig, behavior: str) -> dict[str, Any]:
     return {"preset": options.preset, **table1.fields(options, behavior, options.people)}
 
 
-def collection(options: ExperimentConfig, behavior: str, name: str | None = None, **others: Any) -> CollectConfig:
+def collection(
+    options: LearnedConfig, behavior: str, hours: float, name: str | None = None, rate: int = 1
+) -> CollectConfig:
     """What is demonstrated: the hours of all datasets together, since many episodes at once fill a GPU.
 
     Args:
         behavior: random, handcrafted or graph.
+        hours: of each dataset.
         name: in that of the folder, the behavior's by default.
 
     Raises:
         InputError: a value cannot be.
     """
     image: dict[str, Any] = dict(width=32, height=24) if options.quick else {}
-    told: dict[str, Any] = dict(hours=options.hours or 1.0) | image | others
-    told |= dict(hours=told["hours"] * (options.datasets or 1), seed=options.seed)
+    told: dict[str, Any] = dict(hours=hours * options.datasets, rate=rate, seed=options.seed) | image
     told |= dict(policy=Named(kind=options.demonstrator), out=options.folder / f"demonstrations-{name or behavior}")
     return validate(CollectConfig, description(options, behavior) | told)
 
 
-def learner(options: ExperimentConfig, policy: str) -> Learner:
+def learner(options: Figure4Config, policy: str) -> Learner:
     """The networks of a learned policy.
 
     Args:
@@ -176,21 +177,23 @@ def learner(options: ExperimentConfig, policy: str) -> Learner:
     behavior = LEARNED.get(policy, "graph")
     name = "graph-balanced" if policy == BALANCED else behavior
     told = training(options) | {"balance": policy == BALANCED}
-    return Learner(name, options.folder, collection(options, behavior), options.datasets or 1, seeds(options), told)
+    return Learner(
+        name, options.folder, collection(options, behavior, options.hours), options.datasets, seeds(options), told
+    )
 
 
-def seeds(options: ExperimentConfig) -> tuple[int, ...]:
+def seeds(options: LearnedConfig) -> tuple[int, ...]:
     """Those of the trainings on each dataset."""
-    return tuple(options.seed + more for more in range(options.trainings or 1))
+    return tuple(options.seed + more for more in range(options.trainings))
 
 
-def training(options: ExperimentConfig) -> dict[str, Any]:
+def training(options: LearnedConfig) -> dict[str, Any]:
     """How networks are trained."""
-    return {"epochs": options.epochs or 1000, "batch": 256 if options.quick else 1024}
+    return {"epochs": options.epochs, "batch": 256 if options.quick else 1024}
 
 
 def _results(
-    options: ExperimentConfig,
+    options: Figure4Config,
     policies: tuple[str, ...],
     measured: dict[str, dict[str, Columns]],
     trained: dict[str, Training],
@@ -212,7 +215,7 @@ def _by_situation(policy: str, behavior: str, cells: Estimate) -> list[str]:
     ]
 
 
-def write(options: ExperimentConfig, folder: Path, results: Results) -> None:
+def write(options: Figure4Config, folder: Path, results: Results) -> None:
     """Write figure4.csv, claims.csv, the figure and report.html.
 
     Raises:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from sean_jax import learning
-from sean_jax.config import CollectConfig, TrainConfig
+from sean_jax.config import CollectConfig, ImitationConfig
 from sean_jax.learning.loader import balanced_probabilities
 from sean_jax.studies.experiments import parts, shares
 from sean_jax.studies.experiments.claims import Training
@@ -49,10 +49,10 @@ class Learner:
         """The file that is written when a network is trained."""
         return self.folder / f"trained-{self.name}-{network[0]}-{network[1]}.json"
 
-    def training(self, network: tuple[int, int]) -> TrainConfig:
+    def training(self, network: tuple[int, int]) -> ImitationConfig:
         """How a network is trained."""
         dataset, seed = network
-        return TrainConfig(
+        return ImitationConfig(
             method="imitation", dataset=self.data.folder, part=(dataset + 1, self.datasets), seed=self.seeds[seed],
             out=self.folder / f"policy-{self.name}-{dataset}-{seed}", **self.options,
         )  # fmt: skip
@@ -100,7 +100,7 @@ def mean(summaries: Sequence[Training]) -> Training:
     return cast(Training, {name: float(np.mean([each[name] for each in summaries])) for name in summaries[0]})
 
 
-def _summary(trained: TrainConfig, state: TrainState) -> dict[str, Any]:
+def _summary(trained: ImitationConfig, state: TrainState) -> dict[str, Any]:
     data = learning.open_dataset(trained.dataset, trained.part)
     flags = data.read(data.episodes, ("situations",))["situations"]
     odds = balanced_probabilities(flags) if trained.balance else np.full(len(flags), 1 / len(flags))

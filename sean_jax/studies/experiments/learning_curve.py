@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sean_jax import writing
-from sean_jax.config import CollectConfig, ExperimentConfig
+from sean_jax.config import CollectConfig, LearningCurveConfig
 from sean_jax.flags import number
 from sean_jax.learning import protocol
 from sean_jax.learning.protocol import streams
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 TEACHER = "graph"  # the behavior of the people among whom all demonstrations are
 
 
-def run(options: ExperimentConfig, console: Console | None = None) -> Path:
+def run(options: LearningCurveConfig, console: Console | None = None) -> Path:
     """Collect, train and evaluate what the folder lacks, and write the report.
 
     Args:
@@ -48,7 +48,6 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
 
     Source: section V-C.
     """
-    options = options.complete()
     asked = variants(options)
     for variant in asked:
         protocol.check(collection(options, variant))
@@ -65,29 +64,27 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
     return folder
 
 
-def variants(options: ExperimentConfig) -> tuple[Variant, ...]:
+def variants(options: LearningCurveConfig) -> tuple[Variant, ...]:
     """What is compared.
 
     Returns:
         Each amount by itself, the first one at other rates, and with flags.
     """
-    amounts = sorted(set(options.amounts or (1.0,)))
-    first = (options.amounts or (1.0,))[0]
-    rates = (Variant(first, rate) for rate in options.rates or ())
-    return tuple(dict.fromkeys([*map(Variant, amounts), *rates, Variant(first, flags=True)]))
+    hours, first = sorted(set(options.demonstration_hours)), options.demonstration_hours[0]
+    rates = (Variant(first, rate) for rate in options.rates)
+    return tuple(dict.fromkeys([*map(Variant, hours), *rates, Variant(first, flags=True)]))
 
 
-def collection(options: ExperimentConfig, variant: Variant) -> CollectConfig:
+def collection(options: LearningCurveConfig, variant: Variant) -> CollectConfig:
     """What networks of a variant learn from.
 
     Raises:
         InputError: a value cannot be.
     """
-    told = {"hours": variant.hours, "rate": variant.rate}
-    return figure4.collection(options, TEACHER, variant.data, **told)
+    return figure4.collection(options, TEACHER, variant.hours, variant.data, variant.rate)
 
 
-def learner(options: ExperimentConfig, variant: Variant) -> Learner:
+def learner(options: LearningCurveConfig, variant: Variant) -> Learner:
     """The networks of a variant.
 
     Returns:
@@ -95,16 +92,16 @@ def learner(options: ExperimentConfig, variant: Variant) -> Learner:
     """
     told = figure4.training(options)
     told |= {"flags": variant.flags}
-    data, datasets = collection(options, variant), options.datasets or 1
+    data, datasets = collection(options, variant), options.datasets
     made = Learner(variant.name, options.folder, data, datasets, figure4.seeds(options), told)
     own = made.training((0, 0))
     steps = math.ceil((1.0 - own.validation) * variant.examples / own.batch)  # of an epoch
-    most = max(1, (options.updates or 1) // steps)
+    most = max(1, options.updates // steps)
     return dataclasses.replace(made, options=made.options | {"epochs": min(own.epochs, most)})
 
 
 def _parts(
-    options: ExperimentConfig, folder: Path, asked: tuple[Variant, ...], places: dict[str, list[Scenario]]
+    options: LearningCurveConfig, folder: Path, asked: tuple[Variant, ...], places: dict[str, list[Scenario]]
 ) -> list[Part]:
     """The parts of the experiment, in an order in which they could run one by one."""
     taught = {variant: learner(options, variant) for variant in sorted(asked, key=lambda each: each.examples)}
@@ -129,7 +126,7 @@ def _part_name(flags: bool, behavior: str) -> str:
     return f"driving {'with flags ' if flags else ''}in {behavior}"
 
 
-def _curve(options: ExperimentConfig, asked: tuple[Variant, ...], outcomes: dict) -> Curve:
+def _curve(options: LearningCurveConfig, asked: tuple[Variant, ...], outcomes: dict) -> Curve:
     values: dict = {}
     for variant in asked:
         found = {b: drivers.measures(outcomes[_part_name(variant.flags, b)][variant.name])[0] for b in BEHAVIORS}
@@ -138,7 +135,7 @@ def _curve(options: ExperimentConfig, asked: tuple[Variant, ...], outcomes: dict
     return Curve(asked, figure4.sizes(options), values, training)
 
 
-def write(options: ExperimentConfig, folder: Path, curve: Curve) -> None:
+def write(options: LearningCurveConfig, folder: Path, curve: Curve) -> None:
     """Write learning_curve.csv, differences.csv, verdicts.csv, the figure and report.html.
 
     Raises:

@@ -10,7 +10,14 @@ import numpy as np
 
 import sean_jax.report as reports
 from sean_jax.classifiers import MORE_SITUATIONS
-from sean_jax.config import BenchmarkConfig, ExperimentConfig
+from sean_jax.config import (
+    AblationConfig,
+    BenchmarkConfig,
+    ExperimentConfig,
+    Figure4Config,
+    LearningCurveConfig,
+    Table1Config,
+)
 from sean_jax.flags import command, number
 from sean_jax.studies.experiments import parts, pictures, shares
 from sean_jax.studies.experiments.shares import BEHAVIORS
@@ -58,7 +65,7 @@ def _table(head: list[str], rows: list[str]) -> str:
     return f"<div class=wide><table><thead><tr>{first}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
 
 
-def table1(options: ExperimentConfig, cells: list[Cell], figures: dict[str, Figure], real: list[Recorded]) -> str:
+def table1(options: Table1Config, cells: list[Cell], figures: dict[str, Figure], real: list[Recorded]) -> str:
     """The page of Table I.
 
     Args:
@@ -82,7 +89,7 @@ def table1(options: ExperimentConfig, cells: list[Cell], figures: dict[str, Figu
         sections.append(("When does one count as walking?", html["table1-speeds"] + SPEEDS))
     if "table1-crowds" in html:
         sections.append(("How many people?", html["table1-crowds"]))
-    minutes = 60.0 * (options.hours or 0) * (options.seeds or 0)
+    minutes = 60.0 * options.hours * options.seeds
     title = f"Table I: social situations in {number(minutes)} minutes of each behavior and policy"
     title = title if cells else "Table I: social situations in recordings"
     return document(title, "sean_jax · experiment", sections, options)
@@ -148,7 +155,7 @@ def _figures(estimate: shares.Shares, known: Collection[str] = shares.NAMES) -> 
     return "".join(columns) + _cell(f"{entropy[0]:.3f}", f"{ends[0]:.3f} – {ends[1]:.3f}", "ours")
 
 
-def _recorded(options: ExperimentConfig, real: list[Recorded]) -> str:
+def _recorded(options: Table1Config, real: list[Recorded]) -> str:
     rows = [
         f"<tr><td>{markup.escape(each.name)}, V = {number(speed)} m/s</td>{_figures(each.shares(index), each.known)}"
         f"{_cell(f'{each.people}')}</tr>"
@@ -202,7 +209,7 @@ def _verdict(row: Claim | Ordering | Verdict) -> tuple[str, str]:
     return ("" if sure else "perhaps ") + ("yes" if row["holds"] else "no"), f"{100 * row['share']:.1f} %"
 
 
-def ablation(options: ExperimentConfig, by_world: dict[str, list[Cell]], figure: Figure) -> str:
+def ablation(options: AblationConfig, by_world: dict[str, list[Cell]], figure: Figure) -> str:
     """The page of Table I in several worlds.
 
     Args:
@@ -315,7 +322,7 @@ POLITE = (
 )
 
 
-def figure4(options: ExperimentConfig, results: Results, grids: Figure) -> str:
+def figure4(options: Figure4Config, results: Results, grids: Figure) -> str:
     """The page of Figure 4.
 
     Args:
@@ -427,7 +434,7 @@ def _claims(results: Results) -> str:
     return _table(["statement", "paper", "here", "holds"], rows)
 
 
-def learning_curve(options: ExperimentConfig, curve: Curve, figure: Figure) -> str:
+def learning_curve(options: LearningCurveConfig, curve: Curve, figure: Figure) -> str:
     """The page of the learning curve of policy G.
 
     Args:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from sean_jax import components, files, writing
-from sean_jax.config import BenchmarkConfig, ExperimentConfig
+from sean_jax.config import BenchmarkConfig, ExperimentConfig, present_names
 from sean_jax.errors import FileError, InputError
 from sean_jax.flags import flag
 from sean_jax.versions import version_mismatch, versions
@@ -22,11 +22,11 @@ def has_started(options: ExperimentConfig | BenchmarkConfig) -> bool:
     Raises:
         InputError: the folder holds another experiment, results of other versions, or other files.
     """
-    folder, current = options.folder, options.decisive()
+    folder, current = options.folder, options.identity()
     if (folder / OPTIONS).is_file():
         try:
             content = files.read_json(folder / OPTIONS)
-            previous, previous_versions = content["options"], content.get("versions")
+            previous, previous_versions = present_names(content["options"]), content.get("versions")
             had = content.get("parts", {})
             if not (isinstance(previous, dict) and isinstance(had, dict)):
                 raise TypeError
@@ -57,7 +57,7 @@ def start(options: ExperimentConfig | BenchmarkConfig) -> None:
         InputError: the folder holds another experiment, results of other versions, or other files.
     """
     content = load(options.folder / OPTIONS) if has_started(options) else None
-    about = content or {"options": options.decisive(), "versions": versions()}
+    about = content or {"options": options.identity(), "versions": versions()}
     about = about | {"parts": about.get("parts", {}) | components.digests(options)}  # drivers can be added later
     if about != content:
         save(options.folder / OPTIONS, about)

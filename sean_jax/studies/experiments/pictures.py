@@ -19,7 +19,7 @@ from sean_jax.studies.experiments.shares import BEHAVIORS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from sean_jax.config import ExperimentConfig
+    from sean_jax.config import Table1Config
     from sean_jax.studies.experiments.claims import Results
     from sean_jax.studies.experiments.table1 import Cell
     from sean_jax.studies.experiments.variants import Curve, Variant
@@ -61,7 +61,7 @@ def save(folder: Path, figures: dict[str, Figure]) -> None:
             figure.savefig(stream, dpi=110, format="png", metadata={"Software": None})
 
 
-def table1(options: ExperimentConfig, cells: list[Cell], swept: list[Cell]) -> dict[str, Figure]:
+def table1(options: Table1Config, cells: list[Cell], swept: list[Cell]) -> dict[str, Figure]:
     """The figures of Table I; a sweep is drawn if the options have one.
 
     Args:
@@ -110,7 +110,7 @@ def bars(cells: list[Cell]) -> Figure:
     return figure
 
 
-def speeds(options: ExperimentConfig, cells: list[Cell]) -> Figure:
+def speeds(options: Table1Config, cells: list[Cell]) -> Figure:
     """Entropy and share of cross path by the walking speed V; one line for each behavior and policy.
 
     Args:

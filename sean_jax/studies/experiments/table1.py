@@ -20,7 +20,7 @@ import numpy as np
 
 from sean_jax import files, writing
 from sean_jax.classifiers import MORE_SITUATIONS
-from sean_jax.config import CollectConfig, ExperimentConfig, ScenarioConfig
+from sean_jax.config import CollectConfig, ExperimentConfig, ScenarioConfig, SituationConfig, Table1Config
 from sean_jax.errors import InputError
 from sean_jax.files import listed
 from sean_jax.flags import number
@@ -66,7 +66,7 @@ class Cell:
         return shares.count(self.more, streams=self.streams)
 
 
-def run(options: ExperimentConfig, console: Console | None = None) -> Path:
+def run(options: Table1Config, console: Console | None = None) -> Path:
     """Simulate what the folder lacks, and write the report.
 
     Args:
@@ -81,12 +81,9 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
 
     Source: section V-B, Table I.
     """
-    options = options.complete()
-    drivers = policies(options)
+    drivers = [] if listed(options.policies) == ["none"] and listed(options.recordings) else policies(options)
     jobs = [(behavior, policy, options.people) for policy in drivers for behavior in BEHAVIORS]
-    sweep = [
-        (behavior, policy, crowd) for policy in drivers[:1] for crowd in options.crowds or () for behavior in SWEPT
-    ]
+    sweep = [(behavior, policy, crowd) for policy in drivers[:1] for crowd in options.crowds for behavior in SWEPT]
     for behavior, _, people in [*jobs, *sweep]:
         protocol.check(description(options, behavior, people))
     kind = description(options, "random", None).situations[0].kind
@@ -107,7 +104,7 @@ def run(options: ExperimentConfig, console: Console | None = None) -> Path:
 
 
 def _run(
-    options: ExperimentConfig,
+    options: Table1Config,
     folder: Path,
     console: Console | None,
     places: Once,
@@ -128,18 +125,16 @@ def _part_name(behavior: str, policy: str, people: int | None) -> str:
     return f"{behavior}, {policy}" + ("" if people is None else f", {people} people")
 
 
-def policies(options: ExperimentConfig) -> list[str]:
+def policies(options: SituationConfig) -> list[str]:
     """Who drives.
 
     Returns:
-        Names or folders, each once; none if that is asked for and recordings are.
+        Names or folders, each once.
 
     Raises:
         InputError: there is none, or no policy of that name.
     """
     names = list(dict.fromkeys(listed(options.policies)))
-    if names == ["none"] and listed(options.recordings):
-        return []
     if not names:
         raise InputError("--policies names no policy; try --policies go_to_goal.")
     for name in names:
@@ -147,7 +142,7 @@ def policies(options: ExperimentConfig) -> list[str]:
     return names
 
 
-def description(options: ExperimentConfig, behavior: str, people: int | None) -> CollectConfig:
+def description(options: Table1Config, behavior: str, people: int | None) -> CollectConfig:
     """What is simulated with people of a behavior.
 
     Args:
@@ -168,20 +163,20 @@ def fields(options: ExperimentConfig, behavior: str, people: int | None) -> dict
     return told | {"behavior": behavior, "people": None if behavior == "handcrafted" else people}
 
 
-def _places(options: ExperimentConfig, behavior: str, people: int | None) -> Streams:
+def _places(options: Table1Config, behavior: str, people: int | None) -> Streams:
     """The streams of the protocol, with situations for each walking speed."""
     kinds = list(streams(description(options, behavior, people)).values())
     situations = _at_speeds(kinds[0], options.speeds)
     return with_starts(options, [dataclasses.replace(kind, situations=situations) for kind in kinds])
 
 
-def with_starts(options: ExperimentConfig, kinds: list[Scenario]) -> Streams:
+def with_starts(options: SituationConfig, kinds: list[Scenario]) -> Streams:
     """The streams of the protocol, with as many starts as the experiment needs."""
-    return Streams(kinds, options.seed, STARTS * (options.seeds or 1))
+    return Streams(kinds, options.seed, STARTS * options.seeds)
 
 
 def _cell(
-    options: ExperimentConfig,
+    options: Table1Config,
     folder: Path,
     behavior: str,
     policy: str,
@@ -194,7 +189,7 @@ def _cell(
 
 
 def cell(
-    options: ExperimentConfig,
+    options: SituationConfig,
     file: Path,
     behavior: str,
     policy: str,
@@ -222,9 +217,9 @@ def cell(
                 more = np.unpackbits(arrays["more"], axis=-1, count=len(names)).astype(bool)
                 number = int(arrays["streams"]) if "streams" in arrays else len(places().scenarios)
                 return Cell(behavior, policy, int(arrays["people"]), flags, more, arrays["ended"], number)
-    there, seeds = places(), options.seeds or 1
+    there, seeds = places(), options.seeds
     kinds = there.scenarios
-    minutes = max(1, math.ceil(60.0 * (options.hours or 1.0) / len(kinds) - 1e-6))
+    minutes = max(1, math.ceil(60.0 * options.hours / len(kinds) - 1e-6))
     each = min(CHAIN, minutes)
     chains = seeds * math.ceil(minutes / each)
     chain = Chains(choice.policy(policy, kinds[0]), further)
@@ -251,7 +246,7 @@ def _at(holds: Callable, speed: float, moment: Moment, thresholds: Thresholds) -
 
 
 def write(
-    options: ExperimentConfig, folder: Path, cells: list[Cell], swept: list[Cell], real: list[Recorded] | None = None
+    options: Table1Config, folder: Path, cells: list[Cell], swept: list[Cell], real: list[Recorded] | None = None
 ) -> None:
     """Write shares.csv, more.csv, entropies.csv, orderings.csv, recordings.csv, the figures and report.html.
 
@@ -306,7 +301,7 @@ def _rows(head: str, names: Sequence[str], samples: np.ndarray, known: Collectio
     ]
 
 
-def _recorded(options: ExperimentConfig, real: list[Recorded]) -> list[str]:
+def _recorded(options: Table1Config, real: list[Recorded]) -> list[str]:
     lines = ["recording,people,V,counting,situation,share,low,high"]  # no V where a situation does not depend on it
     for each in real:
         for index, speed in enumerate(options.speeds):

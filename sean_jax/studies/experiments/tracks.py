@@ -30,7 +30,7 @@ COMMON: dict[str, Any] = {
     "model": "social_forces",
     "forces": "calibrated",
     "situations": "paper",
-    "places": "uniform",
+    "goal_sampling": "uniform",
     "time_step": 0.1,
     "time_limit": 120.0,
     "goal_radius": 1.2,
@@ -41,8 +41,8 @@ COMMON: dict[str, Any] = {
     "rate": 1,
 }
 PEOPLE = {"warehouse": 62, "lab": 5, "outdoor": 30}
-GRAPH = {"kind": "graph", "routing": "whole", "members": "turnover", "congestion_cost": 0.0, "temperature": 0.0,
-         "walking_groups": (0.0, 0.0)}  # fmt: skip
+GRAPH = {"kind": "graph", "routing": "whole", "group_membership": "turnover", "congestion_cost": 0.0,
+         "temperature": 0.0, "walking_groups": (0.0, 0.0)}  # fmt: skip
 RANDOM = {"kind": "random", "walking_groups": (0.0, 0.0)}
 HANDCRAFTED = {"kind": "handcrafted", "sets": "all"}
 BY_TASK = {"join_group": GRAPH, "leave_group": GRAPH, "random_ab_nav": RANDOM, "handcrafted": HANDCRAFTED}

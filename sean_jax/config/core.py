@@ -1,0 +1,471 @@
+"""Options as pydantic models: components, checks, and errors in one sentence.
+
+An option is one field of a class in ``sean_jax.config``. Flags and help, ``config.yaml``, manifests, the JSON Schema
+and the keywords of ``make`` derive from it. A component (behavior, task, robot, policy, ...) has a ``kind`` and options
+of its own: ``{kind: graph, routing: edge}``, or ``GraphBehavior(routing="edge")``. Where a kind can stand,
+``my.py:thing`` can stand (``components`` loads it), or in Python the part itself.
+
+Nothing in this package imports JAX or numpy, so that the command line answers at once.
+"""
+
+import re
+import typing
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from operator import or_
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+import pydantic
+from pydantic import Discriminator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, Tag
+from pydantic.fields import FieldInfo
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, ErrorDetails, core_schema
+
+from sean_jax.config.fields import Option, Text, check_once
+from sean_jax.errors import InputError
+from sean_jax.files.reading import listed, suggest
+from sean_jax.messages import shorten
+
+OWN_PART = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
+
+ALIASES = {
+    "environment": "env env_id env_name world map",
+    "people": "num_people n_people humans num_humans human_num pedestrians num_pedestrians",
+    "time_step": "dt timestep",
+    "time_limit": "max_steps max_episode_steps episode_length max_episode_length",
+    "episodes": "num_episodes n_episodes eval_episodes",
+    "evaluation_episodes": "n_eval_episodes num_eval_episodes eval_episodes",
+    "evaluate_every": "eval_freq eval_interval eval_every",
+    "scenarios": "num_envs n_envs envs num_workers num_actors",
+    "steps": "total_timesteps timesteps num_timesteps max_timesteps total_steps",
+    "horizon": "n_steps num_steps rollout_length rollout_steps unroll_length",
+    "minibatches": "num_minibatches n_minibatches n_minibatch",
+    "batch": "batch_size minibatch_size num_envs n_envs",
+    "epochs": "n_epochs num_epochs update_epochs num_updates_per_batch",
+    "learning_rate": "lr",
+    "discount": "gamma discounting",
+    "advantage_decay": "gae_lambda lam gae",
+    "clip": "clip_range clip_coef clip_eps clip_epsilon clipping_epsilon",
+    "entropy": "ent_coef entropy_coef entropy_cost",
+    "width": "hidden_size hidden_dim hidden_units",
+    "layers": "num_layers n_layers",
+    "noise": "log_std_init init_std",
+    "pretrained": "checkpoint resume load load_path restore init_from",
+    "policy": "agent driver controller",
+    "rewards": "reward_fn",
+    "terminations": "termination_fn dones",
+    "randomization": "domain_randomization randomize",
+    "action_delay": "delay latency",
+    "seeds": "num_seeds n_seeds",
+    "out": "output output_dir out_dir log_dir logdir save_dir save_path",
+    "quiet": "silent",
+}
+"""Option -> names of it in other projects, for which it is proposed."""
+
+
+RENAMED = {
+    "others": "baselines",
+    "further": "datasets",
+    "members": "group_membership",
+    "on_device": "device_memory_fraction",
+    "amounts": "demonstration_hours",
+    "places": "goal_sampling",
+}
+"""Former name of an option -> its name. The former one is refused, but read in saved descriptions."""
+
+
+def did_you_mean(word: str, known: Iterable[str], named: Callable[[str], str] = str) -> str:
+    """The end of a message about an unknown option: its new name, or the option that was probably meant."""
+    known = list(known)
+    if RENAMED.get(word) in known:
+        return f"; it is called '{named(RENAMED[word])}' now."
+    alike = [name for name in known if word.lower() in ALIASES.get(name, "").split()]
+    return f"; did you mean '{named(alike[0])}'?" if alike else suggest(named(word), map(named, known))
+
+
+def present_names(options: Mapping[Any, Any]) -> dict[Any, Any]:
+    """Saved options, and those of their components, under their names of today."""
+
+    def inside(value: Any) -> Any:
+        return present_names(value) if isinstance(value, Mapping) and not is_own_part(value.get("kind")) else value
+
+    return {RENAMED.get(name, name) if isinstance(name, str) else name: inside(each) for name, each in options.items()}
+
+
+class Config(pydantic.BaseModel):
+    """Options: immutable, and without unknown keys."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    if not TYPE_CHECKING:  # a type checker takes the fields from the class
+
+        def __init__(self, **values: Any) -> None:
+            try:
+                super().__init__(**values)
+            except pydantic.ValidationError as error:
+                raise InputError(sentence(type(self), error.errors(include_url=False)[0])) from None
+
+        __init__.__pydantic_base_init__ = True  # validation by pydantic does not call it
+
+    def replace(self, **changes: object) -> Self:
+        """The same options with other values, checked again."""
+        return type(self)(**{**_given(self), **changes})
+
+    def identity(self) -> dict[str, Any]:
+        """The fields that affect results, as JSON values: to be recorded, and compared when work is resumed."""
+        fields = type(self).model_fields.items()
+        names = {name for name, field in fields if Option.of(field).affects_results}
+        return {name: compact(value) for name, value in self.model_dump(mode="json", include=names).items()}
+
+
+Described = typing.TypeVar("Described", bound=Config)
+
+
+def compact(value: object) -> object:
+    """A component without options as its name."""
+    if isinstance(value, list):
+        return [compact(each) for each in value]
+    return value["kind"] if isinstance(value, dict) and value.keys() == {"kind"} else value
+
+
+# ------------------------------------------------------------------ components
+
+
+class Component(Config):
+    """A part of a scenario or a run: its kind and its own options."""
+
+    kind: Text
+
+
+class Named(Component):
+    """A part without options: a name of ``sean list``; for a policy also the folder of a training."""
+
+
+class OwnPart(Component):
+    """Your own part, ``FILE.py:NAME``. With further keys, NAME is called with them and gives the part."""
+
+    model_config = pydantic.ConfigDict(extra="allow")
+
+    kind: Annotated[str, Field(pattern=f"^{OWN_PART.pattern}$".replace("?P<file>", "").replace("?P<name>", ""))]
+    _named_in: Path | None = pydantic.PrivateAttr(default=None)
+
+    def model_post_init(self, context: Any, /) -> None:
+        """Remember the file that names it: the ``context`` of ``validate``."""
+        self._named_in = context if isinstance(context, Path) else None
+
+    @property
+    def named_in(self) -> Path | None:
+        """The file that names it; None if the user does, on the command line or in Python."""
+        return self._named_in
+
+    @property
+    def file(self) -> str:
+        """The path of its file, as the user wrote it."""
+        return self.kind.rpartition(":")[0]
+
+    @property
+    def name(self) -> str:
+        """The name in the file."""
+        return self.kind.rpartition(":")[2]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The further keys."""
+        return dict(self.model_extra or {})
+
+
+class Value(Component):
+    """A Python value, which no file can hold."""
+
+    kind: Literal["value"] = "value"
+    name: str = ""
+    value: Any = Field(default=None, exclude=True, repr=False)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {"not": {}}
+
+
+@dataclass(frozen=True)
+class Family:
+    """The components that a field can hold; the command line offers their options beside it."""
+
+    variants: tuple[type[Component], ...]
+    singular: str | None = None  # the option that adds one component to a field of several
+    several: bool = False  # a field of several without such an option, such as tasks
+
+    def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
+        tagged = [Annotated[each, Tag(each.__name__)] for each in (*self.variants, OwnPart, Value)]
+        union: Any = Annotated[reduce(or_, tagged), Discriminator(self._tag)]  # type: ignore[arg-type]
+        one = core_schema.no_info_before_validator_function(self._read, handler.generate_schema(union))
+        if not (self.several or self.singular):
+            return one
+        many = core_schema.tuple_variable_schema(one, min_length=1 if self.several else 0)
+        once = core_schema.no_info_after_validator_function(_check_components, many)
+        return core_schema.no_info_before_validator_function(self._read_several, once)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {"anyOf": [{"type": "string"}, handler(schema)]}
+
+    def _read(self, value: object) -> object:
+        """A mapping with a kind, or a component."""
+        if isinstance(value, Component):
+            return value
+        if isinstance(value, str | Path):
+            value = {"kind": str(value)}
+        if not isinstance(value, Mapping):
+            name = getattr(value, "__name__", None) or getattr(value, "name", None) or type(value).__name__
+            return Value(value=value, name=str(name))
+        kind = value.get("kind")
+        if kind == "value":
+            raise ValueError("was a Python value, which no file holds; write it into a Python file: my.py:thing")
+        if not isinstance(kind, str):
+            raise ValueError(f"{shorten(repr(dict(value)))} has no kind; there are {', '.join(self.kinds)}")
+        if not is_own_part(kind) and self.variant(kind) is None:
+            raise ValueError(f"'{kind}' is not one of {', '.join(self.kinds)}{suggest(kind, self.kinds)}")
+        return dict(value)
+
+    def _read_several(self, value: object) -> object:
+        """Several components: from names with commas between them, a list, or a mapping from names to values."""
+        if value is None:
+            return []
+        if isinstance(value, str):
+            return listed(value)
+        if isinstance(value, Mapping) and "kind" not in value:
+            named = value.items()
+            return [each if isinstance(each, str) else Value(value=each, name=str(name)) for name, each in named]
+        if isinstance(value, Iterable) and not isinstance(value, Component | Mapping):
+            return list(value)
+        return [value]
+
+    def _tag(self, value: Component | Mapping[str, str]) -> str:
+        if isinstance(value, Component):
+            return type(value).__name__
+        kind = value["kind"]
+        variant = OwnPart if is_own_part(kind) else self.variant(kind)
+        return variant.__name__ if variant is not None else ""
+
+    @property
+    def kinds(self) -> list[str]:
+        """The kinds that have a class of their own."""
+        return [variant.model_fields["kind"].default for variant in self.variants if _is_one_kind(variant)]
+
+    def variant(self, kind: str) -> type[Component] | None:
+        """The class of a kind; None if the family has no such kind."""
+        for variant in self.variants:
+            if not _is_one_kind(variant) or variant.model_fields["kind"].default == kind:
+                return variant
+        return None
+
+    def options(self) -> dict[str, list[type[Component]]]:
+        """Option -> the classes that have it."""
+        owners: dict[str, list[type[Component]]] = {}
+        for variant in self.variants:
+            for name in variant.model_fields:
+                if name != "kind":
+                    owners.setdefault(name, []).append(variant)
+        return owners
+
+
+def _check_components(parts: tuple[Component, ...]) -> tuple[Component, ...]:
+    check_once([part for part in parts if not isinstance(part, Value)])
+    return parts
+
+
+def _is_one_kind(variant: type[Component]) -> bool:
+    return not variant.model_fields["kind"].is_required()
+
+
+def is_own_part(kind: object) -> bool:
+    """Whether a kind stands for a part in a file, ``FILE.py:NAME``."""
+    return isinstance(kind, str) and OWN_PART.fullmatch(kind) is not None
+
+
+def family_of(field: FieldInfo) -> Family | None:
+    """The family of components that a field holds; None if it holds none."""
+    inside = [mark for kind in typing.get_args(field.annotation) for mark in getattr(kind, "__metadata__", ())]
+    return next((mark for mark in (*field.metadata, *inside) if isinstance(mark, Family)), None)
+
+
+# ------------------------------------------------------------------ from values to options
+
+
+def gather(
+    model: type[Config],
+    values: Mapping[str, object],
+    base: Mapping[str, object] | None = None,
+    named: Callable[[str], str] = str,
+) -> dict[str, Any]:
+    """Fields of ``model``, with options of components moved into their component.
+
+    So ``behavior="graph", routing="edge"`` becomes ``behavior={"kind": "graph", "routing": "edge"}``.
+
+    Args:
+        base: values of fields that ``values`` lacks.
+        named: field or option -> its name in messages.
+
+    Raises:
+        InputError: an option does not belong to the chosen component.
+    """
+    data, values = dict(base or {}), dict(values)
+    for name, field in model.model_fields.items():
+        family = family_of(field)
+        owners = {} if family is None else family.options()
+        options = {
+            option: values.pop(option) for option in owners if option in values and option not in model.model_fields
+        }
+        if name in values:
+            data[name] = values.pop(name)
+        if options and family is not None:
+            data[name] = _with_options(name, data.get(name), field.get_default(), options, family, named)
+    return data | values
+
+
+def _given(description: Config) -> dict[str, Any]:
+    """The fields that were set."""
+    return {name: getattr(description, name) for name in description.model_fields_set}
+
+
+def with_defaults(model: type[Config], data: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of ``model`` with other defaults; those of a component hold where that component is chosen."""
+    full = dict(data)
+    behavior = _as_mapping(full.get("behavior")) or {}
+    for option, value in defaults.items():
+        if option == "warm_up" and behavior.get("kind") == "playback":
+            continue  # a recording begins with its own people
+        if option in model.model_fields:
+            full.setdefault(option, value)
+            continue
+        for name, field in model.model_fields.items():
+            family = family_of(field)
+            part = _as_mapping(full.get(name, field.get_default()))
+            if family is None or part is None or not isinstance(part.get("kind"), str) or is_own_part(part["kind"]):
+                continue
+            variant = family.variant(part["kind"])
+            if variant is not None and option in variant.model_fields:
+                full[name] = {option: value, **part}
+    return full
+
+
+def _as_mapping(part: Any) -> dict[str, Any] | None:
+    """The kind and options of a component; None for anything else and for a Python value."""
+    if isinstance(part, Component) and not isinstance(part, Value):
+        return {**_given(part), "kind": part.kind}
+    if isinstance(part, str):
+        return {"kind": part}
+    return dict(part) if isinstance(part, Mapping) else None
+
+
+def _with_options(
+    name: str, chosen: Any, default: object, options: dict[str, object], family: Family, named: Callable[[str], str]
+) -> Any:
+    """A component with the options that stand beside it."""
+    if isinstance(chosen, OwnPart):
+        return chosen.model_copy(update=options)
+    if family.several:
+        chosen = chosen[0] if isinstance(chosen, list | tuple) and len(chosen) == 1 else chosen
+        if chosen is None and len(options) == len(family.options()):
+            chosen = family.kinds[0]
+    elif chosen is None:
+        chosen = default
+    chosen = _as_mapping(chosen) or chosen
+    kind = chosen.get("kind") if isinstance(chosen, Mapping) else None
+    owners = family.options()
+    variant = family.variant(kind) if isinstance(kind, str) else None
+    for option in options:
+        if is_own_part(kind) or (variant is not None and variant in owners[option]) or variant is None and kind:
+            continue
+        kinds = " or ".join(f"'{owner.model_fields['kind'].default}'" for owner in owners[option])
+        what = f"{name} '{kind}'" if kind else f"the default {name}" if chosen is None else f"a {name} of your own"
+        raise InputError(f"{named(option)}: {what} has no such option; choose {name} {kinds}.")
+    assert isinstance(chosen, Mapping)  # else an option was refused above
+    return {**chosen, **options}
+
+
+def validate(
+    model: type[Described],
+    data: Mapping[str, object],
+    named: Callable[[str], str] = str,
+    source: Path | None = None,
+) -> Described:
+    """Options, checked.
+
+    Args:
+        source: the file with the values, whose own parts run if the user trusts it (``components.trust``), and whose
+            options may have their former names; None for values that the user gives.
+
+    Raises:
+        InputError: one sentence for the first mistake: field, value, cure.
+    """
+    data = dict(data) if source is None else present_names(data)
+    try:
+        return model.model_validate(data, context=source)
+    except pydantic.ValidationError as error:
+        raise InputError(sentence(model, error.errors(include_url=False)[0], named)) from None
+
+
+_TYPES = {  # of pydantic's errors -> what the value should be
+    "string_type": "a text",
+    "tuple_type": "a list",
+    "dict_type": "a mapping",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "path_type": "a path",
+}
+
+
+def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], str] = str) -> str:
+    """One of the errors of a ``pydantic.ValidationError`` as a sentence."""
+    classes = {each.__name__: each for each in _component_classes(model)}
+    path = [part for part in error["loc"] if part not in classes]
+    owner = next((classes[part] for part in reversed(error["loc"]) if part in classes), model)
+    kind, context = error["type"], error.get("ctx", {})
+    place = ".".join(str(part) for part in path[1:] if isinstance(part, str))
+    head = named(str(path[0])) if path else ""
+    if place and place in owner.model_fields and named is not str:
+        head, place = named(place), ""  # an option of a component is a flag of its own
+    value = shorten(repr(error["input"]))
+    if kind == "value_error":
+        text = str(context["error"])
+        if not path:
+            first, _, rest = text.partition(": ")
+            return f"{named(first)}: {rest}."
+    elif kind == "extra_forbidden":
+        known = list(owner.model_fields)
+        word = str(error["loc"][-1])
+        text = (
+            f"{shorten(repr(word))} is not a known key{did_you_mean(word, known) or '; there are ' + ', '.join(known)}"
+        )
+        head, place = ("", "") if len(path) == 1 else (head, ".".join(map(str, path[1:-1])))
+    elif kind == "missing":
+        text = "is missing; add it"
+    elif kind == "literal_error":
+        choices = [str(each) for each in _choices(owner, error["loc"][-1])]
+        text = f"{value} is not one of {', '.join(choices)}{suggest(str(error['input']), choices)}"
+    elif kind == "too_short":
+        text = "names nothing; `sean list` shows what there is"
+    elif kind == "invalid_key":
+        head = "" if len(path) == 1 else head
+        text = f"the key {shorten(repr(error['loc'][-1]))} is not a text; put it in quotes"
+    elif kind in _TYPES:
+        text = f"{value} is not {_TYPES[kind]}"
+    elif kind in ("too_long", "string_too_long"):
+        text = f"{value} is too long; {context['max_length']:,} are the most"
+    else:
+        text = f"{value} cannot be; {error['msg'][0].lower()}{error['msg'][1:]}"
+    start = ": ".join(part for part in (f"{head}{'.' if head and place else ''}{place}",) if part)
+    end = "" if text.endswith(("?", ".")) else "."
+    return f"{start}: {text}{end}" if start else f"{text}{end}"
+
+
+def _component_classes(model: type[Config]) -> list[type[Component]]:
+    families = (family_of(field) for field in model.model_fields.values())
+    return [OwnPart, Value, *(variant for family in families if family is not None for variant in family.variants)]
+
+
+def _choices(owner: type[Config], name: str | int) -> tuple[object, ...]:
+    field = owner.model_fields.get(str(name))
+    kinds = [field.annotation, *typing.get_args(field.annotation)] if field is not None else []
+    return next((typing.get_args(kind) for kind in kinds if typing.get_origin(kind) is Literal), ())

@@ -1,0 +1,387 @@
+"""Options of ``sean collect``, ``train`` and ``export``, and of environments of reinforcement learning."""
+
+from collections.abc import Iterable
+from numbers import Integral
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, Self
+
+import pydantic
+
+from sean_jax.config.core import Component, Config, Family, Named
+from sean_jax.config.fields import (
+    MAX_PIXELS,
+    BatchSize,
+    Count,
+    Delay,
+    Dynamics,
+    EpisodeCount,
+    Hours,
+    LearningRate,
+    Names,
+    Noise,
+    OpenShare,
+    Option,
+    Out,
+    Quiet,
+    Rate,
+    Seed,
+    ShardSize,
+    Share,
+    Side,
+    Text,
+    Width,
+)
+from sean_jax.config.scenario import Part, ScenarioConfig
+from sean_jax.files.reading import listed
+
+OBSERVED = ("goal", "goal_heading", "path", "distance", "speeds", "time", "obstacles", "people")
+"""The terms of an agent's observation, where none are named."""
+
+NO_EFFECT = Option(affects_results=False)
+METHOD = Option(positional=True, affects_results=False)
+
+Observations = Annotated[tuple[Component, ...], Family((Named,), "observation")]
+Rewards = Annotated[tuple[Component, ...], Family((Named,), "reward")]
+Terminations = Annotated[tuple[Component, ...], Family((Named,), "termination")]
+
+
+class CollectConfig(ScenarioConfig):
+    """Record demonstrations: what a policy sees and does, second by second. An unfinished folder is resumed."""
+
+    metrics: Annotated[tuple[Named, ...], NO_EFFECT] = ()
+    """Nothing is measured while demonstrations are recorded."""
+    policy: Part = Named(kind="expert")
+    """Policy of the robot: a name, or a folder of `sean train`."""
+    labels: Part | None = None
+    """Policy whose commands are recorded in place of those of the driving policy."""
+    noise: Noise | None = None
+    """Standard deviation of noise on the executed commands, as a share of the robot's limits, so that demonstrations
+    show recovery from deviations. Commands are recorded without it."""
+    hours: Annotated[Hours, NO_EFFECT] = 1.0
+    """Hours of demonstrations, divided equally among tasks, or among the five situations of handcrafted people."""
+    rate: Rate = 1
+    """Examples that begin in a second: 1, or another divisor of the control steps in a second. Images and positions
+    within an example are a second apart at any rate."""
+    width: Side = 64
+    """Width of the depth images in pixels."""
+    height: Side = 48
+    """Height of the depth images in pixels."""
+    batch: Annotated[ShardSize | None, NO_EFFECT] = None
+    """Episodes that are simulated at once and stored in one file; by default chosen for the device and the hours."""
+    seed: Seed = 0
+    """The same seed gives the same demonstrations."""
+    out: Out = None
+    """Folder of the dataset, runs/demonstrations-<environment>-<behavior>-<policy>-<seed> by default. A dataset of the
+    same options is resumed."""
+    quiet: Quiet = False
+
+    @pydantic.model_validator(mode="after")
+    def _check_recorded(self) -> "CollectConfig":
+        if self.width * self.height > MAX_PIXELS:
+            size = f"{self.width} times {self.height} are more than {MAX_PIXELS:,} pixels"
+            raise ValueError(f"width: {size}; ask for fewer")
+        if self.behavior.kind == "playback":
+            raise ValueError("behavior: playback is not recorded; choose behavior graph, random or handcrafted")
+        if any(task.kind == "custom" for task in self.tasks):
+            raise ValueError("task: custom is not recorded; choose another task")
+        steps = round(1.0 / self.time_step)
+        if steps % self.rate:
+            text = f"{self.rate} examples a second do not divide its {steps} steps of control"
+            raise ValueError(f"rate: {text}; choose a divisor")
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the dataset."""
+        paths = Path(self.environment), Path(self.policy.kind)
+        names = paths[0].name, Path(self.behavior.kind).stem, paths[1].stem, str(self.seed)
+        return self.out or Path("runs") / "-".join(("demonstrations", *names))
+
+
+class ImitationConfig(Config):
+    """Train a network to imitate the demonstrations of a dataset. An unfinished folder is resumed."""
+
+    method: Annotated[Literal["imitation"], METHOD] = "imitation"
+    """Imitation of demonstrations."""
+    dataset: Annotated[Path, Option(positional=True, affects_results=False)]
+    """Folder of `sean collect`."""
+    datasets: Annotated[tuple[Path, ...], NO_EFFECT] = ()
+    """Folders of further datasets to learn from."""
+    part: tuple[Count, Count] = (1, 1)
+    """Part of the dataset's episodes to learn from, and number of equal parts: 3 10 for the third of ten."""
+    pretrained: Path | None = None
+    """Folder of a training whose best network is trained further."""
+    flags: bool = False
+    """Give the network the current social situations as an input."""
+    balance: bool = False
+    """Sample examples so that all social situations are equally frequent."""
+    width: Width = 64
+    """Width of the encodings and hidden layers."""
+    batch: BatchSize = 1024
+    """Examples in a step."""
+    learning_rate: LearningRate = 1e-3
+    """Learning rate of AdamW."""
+    weight_decay: Share = 0.01
+    """Weight decay of AdamW."""
+    patience: Annotated[Count, NO_EFFECT] = 50
+    """Epochs without a smaller validation loss after which training stops."""
+    epochs: Annotated[Count, NO_EFFECT] = 1000
+    """Largest number of epochs."""
+    validation: OpenShare = 0.1
+    """Share of the episodes for validation."""
+    device_memory_fraction: Annotated[Share, NO_EFFECT] = 0.6
+    """Share of the device's memory that a dataset may fill; a larger one is read from disk in each epoch."""
+    seed: Seed = 0
+    """The same seed gives the same network."""
+    out: Out = None
+    """Folder for checkpoints and metrics, runs/imitation-<dataset>-<seed> by default. A training of the same options is
+    resumed."""
+    quiet: Quiet = False
+
+    @pydantic.model_validator(mode="after")
+    def _check_part(self) -> Self:
+        which, parts = self.part
+        if which > parts:
+            raise ValueError(f"part: {which} {parts}, but there are only {parts} parts; give a smaller first number")
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """The folder for checkpoints and metrics."""
+        return self.out or Path("runs") / f"{self.method}-{self.dataset.resolve().name}-{self.seed}"
+
+
+class DaggerConfig(ImitationConfig):
+    """Train networks in turn with DAgger: each drives, an expert labels its states, and the next one learns from them.
+    An unfinished folder is resumed."""
+
+    method: Annotated[Literal["dagger"], METHOD] = "dagger"  # pyright: ignore
+    """Imitation of an expert in the network's own states."""
+    expert: Part = Named(kind="expert")
+    """Policy that labels the states: a name, or FILE.py:NAME."""
+    rounds: Count = 5
+    """Networks after the one of the dataset alone."""
+    hours: Hours = 0.25
+    """Hours that each network drives."""
+
+
+def _as_pair(value: object) -> object:
+    """A number as the least and the most."""
+    return (value, value) if isinstance(value, Integral) else value
+
+
+class EnvConfig(ScenarioConfig):
+    """A scenario as an environment of reinforcement learning: observations, rewards and terminations."""
+
+    dynamics: Dynamics = "twin"
+    observations: Observations = tuple(Named(kind=name) for name in OBSERVED)
+    """Observations of the agent: terms of `sean list`, and further ones."""
+    rewards: Rewards = (Named(kind="default"),)
+    """Rewards: default, terms of `sean list`, and further ones."""
+    terminations: Terminations = ()
+    """Terminations besides completion and the time limit: collision, obstacle, intimate, and further ones."""
+    randomization: Part | None = None
+    """Randomization of each episode: behavior, how people behave; or a function (key, scenario) -> scenario."""
+    action_delay: Annotated[tuple[Delay, Delay], pydantic.BeforeValidator(_as_pair)] = (0, 0)
+    """Least and largest delay of commands in control steps; drawn for each episode."""
+
+    @pydantic.field_validator("action_delay")
+    @classmethod
+    def _in_order(cls, value: tuple[int, int]) -> tuple[int, int]:
+        if value[0] > value[1]:
+            raise ValueError(f"{value[0]} is more than {value[1]}; give the least steps first")
+        return value
+
+
+class ReinforcementConfig(EnvConfig):
+    """Options of all methods of reinforcement learning."""
+
+    SWEPT: ClassVar[tuple[str, ...]] = ("learning_rate", "discount", "advantage_decay")
+    """Numbers in which agents that are trained side by side may differ."""
+
+    method: Annotated[str, METHOD]
+    """Method."""
+    environment: Names = "warehouse"
+    """Physical environment: a name, or the folder of your own; several, separated by commas, share the scenarios, and
+    one agent learns in all of them."""
+    critic: Annotated[tuple[Component, ...], Family((Named,), "critic_term")] = ()
+    """Observations of the critic alone, such as people: it does not drive, so it may see anything."""
+    scenarios: BatchSize = 64
+    """Scenarios that step in parallel, for each agent; on a GPU try 8192."""
+    steps: Count = 2_000_000
+    """Scenario-steps of the whole training of an agent, over which the learning rate falls to 0."""
+    horizon: Count = 32
+    """Steps of each scenario between two updates."""
+    minibatches: Count = 8
+    """Parts of the collected transitions, one for each step of the optimizer."""
+    learning_rate: LearningRate = 5e-4
+    """Initial learning rate of Adam."""
+    discount: Share = 0.99
+    """Discount factor of a step."""
+    advantage_decay: Share = 0.95
+    """Lambda of the generalized advantage estimate."""
+    width: Width = 256
+    """Width of the hidden layers."""
+    layers: Count = 2
+    """Hidden layers of the actor and of the critic."""
+    recurrent: bool = False
+    """Give the network a memory, a gated recurrent unit."""
+    bfloat16: bool = False
+    """Store and encode images in half precision: faster on a GPU, slower on a CPU."""
+    careful: bool = False
+    """State-dependent standard deviation of actions."""
+    noise: Noise | None = None
+    """Initial standard deviation of actions, which are from -1 to 1; 0.5, or that of the pretrained agent, by
+    default."""
+    pool: BatchSize = 1024
+    """Starts of episodes that are drawn in advance, in each environment."""
+    curriculum: Literal["none", "situations", "regret"] = "none"
+    """Sampling of starts: none, uniform; situations, more of those situations in which the agent costs people most;
+    regret, more of those starts in which it could do better, among people who behave differently in each episode."""
+    curriculum_every: Count = 20
+    """Updates between two replacements of the least useful starts by a curriculum."""
+    pretrained: Path | None = None
+    """Folder of a training whose agent is trained further."""
+    imitate: Part | None = None
+    """Policy to imitate at first: a name, or the folder of a training, such as one of sean train dagger."""
+    seeds: Count = 1
+    """Agents that are trained side by side, with consecutive seeds."""
+    sweep: tuple[Text, ...] = ()
+    """Numbers in which agents differ, such as learning_rate=0.001,0.0003 or rewards.time=-0.1,-0.2; all combinations
+    are trained side by side."""
+    evaluate_every: Annotated[Count, NO_EFFECT] = 50
+    """Updates between two evaluations, each with a checkpoint."""
+    evaluation_episodes: Annotated[EpisodeCount, NO_EFFECT] = 64
+    """Episodes of an evaluation, in each environment; the agent takes the mean of its actions."""
+    seed: Seed = 0
+    """The same seed gives the same agent."""
+    out: Out = None
+    """Folder for checkpoints and metrics, runs/METHOD-<environment>-<behavior>-<seed> by default. A training of the
+    same options is resumed."""
+    distributed: Annotated[bool, NO_EFFECT] = False
+    """Join the other processes of this training, on one or more hosts, as SLURM and MPI start them."""
+    quiet: Quiet = False
+
+    @pydantic.model_validator(mode="after")
+    def _check_numbers(self) -> Self:
+        for problem in self._problems():
+            raise ValueError(problem)
+        _ = self.agents
+        return self
+
+    def _problems(self) -> Iterable[str]:
+        if self.scenarios % self.minibatches:
+            text = f"{self.scenarios} scenarios do not make {self.minibatches} minibatches of equal size"
+            yield f"minibatches: {text}; choose a divisor"
+        if self.imitate is not None and self.pretrained is not None:
+            yield f"imitate: {self.imitate.kind} and --pretrained {self.pretrained} exclude each other; choose one"
+        if self.scenarios % len(self.environments):
+            text = f"{self.scenarios} do not divide equally among {len(self.environments)} environments"
+            yield f"scenarios: {text}; take a multiple"
+        if self.curriculum != "none" and len(self.environments) > 1:
+            text = f"{self.curriculum} samples the starts of one environment, not of {self.environment}"
+            yield f"curriculum: {text}; choose one of the two"
+        if self.seed + self.seeds > 2**32:
+            text = f"{self.seeds} consecutive seeds from {self.seed} go beyond {2**32 - 1}"
+            yield f"seeds: {text}; take a lesser seed"
+
+    @property
+    def environments(self) -> list[str]:
+        """The environments in which one agent learns."""
+        return listed(self.environment) or [self.environment]
+
+    @property
+    def per_environment(self) -> list[Self]:
+        """The same options for each environment alone."""
+        return [self.replace(environment=name) for name in self.environments]
+
+    @property
+    def agents(self) -> list[dict[str, float]]:
+        """Numbers of each agent: its seed, one for each name in ``SWEPT``, and weights of rewards.
+
+        Raises:
+            ValueError: the sweep names something else, or an impossible number.
+        """
+        agents = [{name: float(getattr(self, name)) for name in self.SWEPT}]
+        names = [text.partition("=")[0] for text in self.sweep]
+        for text in self.sweep:
+            name, _, values = text.partition("=")
+            if name not in self.SWEPT and not name.startswith("rewards."):
+                known = ", ".join((*self.SWEPT, "rewards.NAME"))
+                raise ValueError(f"sweep: '{name}' cannot be swept; {known} can, as in {self.SWEPT[0]}=0.1,0.2")
+            if names.count(name) > 1:
+                raise ValueError(f"sweep: '{name}' is listed twice; list it once, with all of its numbers")
+            limits = type(self).model_fields[name].metadata if name in self.SWEPT else [pydantic.AllowInfNan(False)]
+            possible = pydantic.TypeAdapter(Annotated[float, *limits])
+            try:
+                numbers = [possible.validate_python(float(part)) for part in values.split(",")]
+            except ValueError:
+                raise ValueError(f"sweep: {name}={values} must be numbers within the range of --{name}") from None
+            if len({*numbers}) < len(numbers):
+                raise ValueError(f"sweep: {name}={values} has a number twice; list it once")
+            agents = [{**agent, name: number} for agent in agents for number in numbers]
+        return [{"seed": self.seed + more, **agent} for agent in agents for more in range(self.seeds)]
+
+    @property
+    def folder(self) -> Path:
+        """The folder for checkpoints and metrics."""
+        environments = (Path(name).name for name in self.environments)
+        names = self.method, *environments, Path(self.behavior.kind).stem, str(self.seed)
+        return self.out or Path("runs") / "-".join(names)
+
+
+class PPOConfig(ReinforcementConfig):
+    """Train a network by reinforcement learning with proximal policy optimization. An unfinished folder is resumed."""
+
+    SWEPT = (*ReinforcementConfig.SWEPT, "clip", "entropy")
+
+    method: Annotated[Literal["ppo"], METHOD] = "ppo"  # pyright: ignore
+    """Proximal policy optimization."""
+    epochs: Count = 4
+    """Passes of an update through the collected transitions."""
+    clip: Share = 0.2
+    """Largest change of an action's probability by an update."""
+    entropy: Share = 0.002
+    """Weight of the entropy of actions."""
+
+
+class APGConfig(ReinforcementConfig):
+    """Train a network with analytic policy gradients over short horizons, and a critic for what follows (SHAC). An
+    unfinished folder is resumed."""
+
+    method: Annotated[Literal["apg"], METHOD] = "apg"  # pyright: ignore
+    """Analytic policy gradients over short horizons."""
+    horizon: Count = 16
+    """Steps of each scenario between two updates, through which gradients are taken."""
+    critic_epochs: Count = 4
+    """Passes of the critic through the collected transitions."""
+    through_people: bool = False
+    """Take gradients through people as well, who give way to the robot."""
+    target_share: Share = 0.2
+    """Step of the target critic towards the learned one in each update."""
+
+
+METHODS: dict[str, type[Config]] = {
+    "imitation": ImitationConfig,
+    "dagger": DaggerConfig,
+    "ppo": PPOConfig,
+    "apg": APGConfig,
+}
+"""Word after ``sean train`` -> its options."""
+
+
+class ExportConfig(Config):
+    """Write a dataset in another project's format, or the best agent of a training as a small folder."""
+
+    format: Annotated[Literal["lerobot", "agent"], Option(positional=True)]
+    """lerobot: a dataset as LeRobotDataset v3.0; agent: a trained agent in two small files."""
+    source: Annotated[Path, Option(positional=True)]
+    """Folder of `sean collect`, or for agent of `sean train ppo`."""
+    out: Path
+    """Folder to write; it must be new or empty."""
+    quiet: Quiet = False
+
+    @property
+    def folder(self) -> Path:
+        """The folder to write."""
+        return self.out

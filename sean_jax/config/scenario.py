@@ -1,0 +1,187 @@
+"""Options of a scenario (section IV-B): environment, pedestrian behavior, robot task and what belongs to them."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import pydantic
+
+from sean_jax.config.core import Component, Config, Family, Named, OwnPart, Value, compact, with_defaults
+from sean_jax.config.fields import (
+    Congestion,
+    Distance,
+    DistanceOrInfinity,
+    Duration,
+    Dynamics,
+    EnvironmentName,
+    Option,
+    PeopleOrDefault,
+    PoseNumber,
+    Radius,
+    RecordingFormat,
+    RecordingRate,
+    RouteTemperature,
+    Routing,
+    Substeps,
+    Text,
+    Threshold,
+    TimeLimit,
+    TimeStep,
+    WalkingGroups,
+)
+from sean_jax.presets import PRESETS
+
+USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcrafted",)}
+"""behavior -> its robot tasks in the paper's protocol (section V-B); with other behaviors it is random_ab_nav."""
+
+DEFAULT_FORCES = "calibrated"
+"""The social forces of people, where none are named."""
+
+
+class GraphBehavior(Component):
+    """People walk, gather and disperse on the environment's behavior graph."""
+
+    kind: Literal["graph"] = "graph"
+    routing: Routing = "whole"
+    group_membership: Literal["turnover", "permanent"] = "turnover"
+    """turnover: people join and leave groups; permanent: members stay in their group, as in SEAN 2.0's code."""
+    congestion_cost: Congestion = 0.0
+    """How much people avoid crowded edges: an edge's cost is multiplied by 1 + congestion_cost * density (people/m2);
+    try 10."""
+    temperature: RouteTemperature = 0.0
+    """Softmax temperature in metres over the lengths of routes; 0: always the shortest route."""
+    walking_groups: WalkingGroups = (0.0, 0.0)
+
+
+class RandomBehavior(Component):
+    """People walk from one random place to another."""
+
+    kind: Literal["random"] = "random"
+    walking_groups: WalkingGroups = (0.0, 0.0)
+
+
+class HandcraftedBehavior(Component):
+    """People walk the environment's handcrafted sets."""
+
+    kind: Literal["handcrafted"] = "handcrafted"
+    sets: Text = "all"
+    """Sets to draw from: all, the name of a set, a situation; or COLLECTION, COLLECTION_SITUATION or COLLECTION_SET for
+    a further collection of handcrafted.yaml, such as staged."""
+
+
+class PlaybackBehavior(Component):
+    """People walk as they were recorded."""
+
+    kind: Literal["playback"] = "playback"
+    recording: Text | None = None
+    """A CSV file with the columns frame, id, x and y in metres."""
+    recording_format: RecordingFormat = None
+    frame_rate: RecordingRate = None
+
+
+class CustomTask(Component):
+    """From a start of your own to a goal of your own."""
+
+    kind: Literal["custom"] = "custom"
+    start: tuple[PoseNumber, ...] | None = None
+    """x and y in metres, and optionally a heading in degrees."""
+    goal: tuple[PoseNumber, ...] | None = None
+    """x and y in metres, and optionally a heading in degrees."""
+
+    @pydantic.field_validator("start", "goal")
+    @classmethod
+    def _pose(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if value is not None and len(value) not in (2, 3):
+            raise ValueError(f"has {len(value)} numbers; give x and y, and optionally a heading in degrees")
+        return value
+
+
+Forces = Annotated[tuple[Component, ...], Family((Named,), "force")]
+Situations = Annotated[tuple[Component, ...], Family((Named,), "situation")]
+Metrics = Annotated[tuple[Component, ...], Family((Named,), "metric")]
+Sensors = Annotated[tuple[Component, ...], Family((Named,), "sensor")]
+BehaviorPart = Annotated[
+    GraphBehavior | RandomBehavior | HandcraftedBehavior | PlaybackBehavior | Named | OwnPart | Value,
+    Family((GraphBehavior, RandomBehavior, HandcraftedBehavior, PlaybackBehavior, Named)),
+]
+Part = Annotated[Named | OwnPart | Value, Family((Named,))]
+RobotPart = Annotated[Part, pydantic.Field(description="Robot: a name, or an MJCF file.")]
+Tasks = Annotated[tuple[Component, ...], Family((CustomTask, Named), several=True)]
+
+
+class ScenarioConfig(Config):
+    """A physical environment, a pedestrian behavior and a robot task (section IV-B), and what belongs to them."""
+
+    environment: EnvironmentName = "warehouse"
+    preset: Annotated[Literal["sean2"] | None, Option(affects_results=False)] = None
+    """Preset for the options that you leave out: sean2, as in SEAN 2.0."""
+    behavior: BehaviorPart = GraphBehavior()
+    """Pedestrian behavior: which goals people have."""
+    task: Tasks | None = None
+    """Robot task; several, separated by commas, take turns. By default join_group,leave_group with behavior graph,
+    handcrafted with handcrafted, custom if a start and a goal are set, else random_ab_nav."""
+    robot: RobotPart = Named(kind="kuri")
+    dynamics: Dynamics = "mjx"
+    people: PeopleOrDefault = None
+    model: Part = Named(kind="social_forces")
+    """Model of how people move."""
+    forces: Forces = (Named(kind=DEFAULT_FORCES),)
+    """Social forces: the terms of a preset, and further ones."""
+    situations: Situations = (Named(kind="paper"),)
+    """Social situations to classify: a set, and further ones."""
+    thresholds: dict[str, Threshold] | None = None
+    """Thresholds of the situation classifiers that differ from those of the set."""
+    metrics: Metrics = (Named(kind="all"),)
+    """Metrics: all of the package, and further ones."""
+    sensors: Sensors = ()
+    """Sensors that a policy can read with sean_jax.sense."""
+    time_step: TimeStep = 0.1
+    """Control step in seconds."""
+    time_limit: TimeLimit = 120.0
+    """Longest duration of an episode in seconds."""
+    goal_radius: Radius = 1.2
+    """Distance in metres within which the goal counts as reached (SEAN 2.0: 1.2)."""
+    hold_time: Duration = 5.0
+    """Seconds that the robot must stay there to complete the task (SEAN 2.0: 5)."""
+    task_distance: tuple[Distance, DistanceOrInfinity] = (4.0, 20.0)
+    """Shortest and longest path in metres from start to goal; inf for no longest (SEAN 2.0: 0 inf)."""
+    goal_sampling: Literal["uniform", "mesh"] = "uniform"
+    """How free places are drawn, for goals of random people and for starts and goals of the robot: uniform over the
+    floor, or mesh, as SEAN 2.0 draws points on its navigation mesh."""
+    substeps: Substeps | None = None
+    """Steps of the social forces in a control step; by default as many as their stiffness needs."""
+    warm_up: Duration = 0.0
+    """Seconds for which people walk before a task begins, as in a crowd that lasts while tasks follow one another."""
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _apply_preset(cls, data: object) -> object:
+        if isinstance(data, Mapping) and isinstance(data.get("preset"), str) and data["preset"] in PRESETS:
+            rest = {name: value for name, value in data.items() if name != "preset"}
+            return with_defaults(cls, rest, PRESETS[data["preset"]].options)
+        return data
+
+    @pydantic.field_validator("thresholds", mode="before")
+    @classmethod
+    def _as_dict(cls, value: object) -> object:
+        if not hasattr(value, "__dataclass_fields__"):
+            return value
+        return {name: float(number) for name, number in vars(value).items() if number is not None}
+
+    @pydantic.model_validator(mode="after")
+    def _check(self) -> "ScenarioConfig":
+        if not self.task_distance[0] < self.task_distance[1]:
+            raise ValueError(f"task_distance: {self.task_distance} must be a shorter and a longer distance in metres")
+        if self.time_limit < self.time_step:
+            raise ValueError(f"time_limit: {self.time_limit:g} must be at least the time step of {self.time_step:g} s")
+        return self
+
+    @property
+    def tasks(self) -> tuple[Component, ...]:
+        """The tasks; by default those of the paper for robots among people of that behavior."""
+        if self.task is not None:
+            return self.task
+        return tuple(Named(kind=name) for name in USUAL_TASKS.get(self.behavior.kind, ("random_ab_nav",)))
+
+    def identity(self) -> dict[str, Any]:
+        """As of ``Config``, with the tasks that a default stands for."""
+        return super().identity() | {"task": [compact(task.model_dump(mode="json")) for task in self.tasks]}
