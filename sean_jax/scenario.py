@@ -112,7 +112,7 @@ def step(scenario: Scenario, state: State, action: Array) -> State:
     return finish(scenario, state, after)
 
 
-def place(scenario: Scenario, state: State, position: Array, heading: Array) -> State:
+def teleport(scenario: Scenario, state: State, position: Array, heading: Array) -> State:
     """The state with the robot somewhere else, at rest and without a command, and the situations there.
 
     The task stays, with its start, goal and distance, and so do metrics, for which this is a step of the path. Shortest
