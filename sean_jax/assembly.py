@@ -196,7 +196,7 @@ def check(config: ScenarioConfig) -> Path:
             if isinstance(task, CustomTask) and (task.start is None or task.goal is None):
                 raise InputError(NEEDS_POSES)
         if isinstance(config.behavior, GraphBehavior | RandomBehavior):
-            behaviors.walking_groups.count_walking_groups(0, config.behavior.walking_groups)
+            behaviors.count_walking_groups(0, config.behavior.walking_groups)
         _situations(config)
         components.resolve(config.model, pedestrian_models.MODELS, "model")
         _metrics(config)
