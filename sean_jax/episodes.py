@@ -129,7 +129,7 @@ _reset = jax.jit(reset)  # whose shapes are traced once for a scenario
 class ResetPool:
     """Starts from which ended episodes go on."""
 
-    starts: State  # (K, ...)
+    starts: State  # (K, ...), or (C, K, ...) of C streams
 
 
 def reset_pool(scenario: Scenario, key: Array, size: int, policy: PolicyLike | None = None) -> ResetPool:
@@ -146,27 +146,25 @@ def reset_pool(scenario: Scenario, key: Array, size: int, policy: PolicyLike | N
     return ResetPool(jax.vmap(one)(jax.random.split(key, size)))
 
 
-def autoreset(pool: ResetPool, state: State) -> State:
-    """The state; or, if its episode has ended, one of the pool's starts with streams of its own.
-
-    Args:
-        pool: starts of episodes of the same scenario.
-    """
+def autoreset(pool: ResetPool, state: State, stream: Array | None = None) -> State:
+    """The state; or, if its episode has ended, one of the pool's starts with streams of its own (``draw_start``)."""
     choice_key, streams_key = jax.random.split(jax.random.fold_in(state.streams.restart, state.tick))
-    fresh = draw_start(pool, choice_key, streams_key)
+    fresh = draw_start(pool, choice_key, streams_key, stream)
     over = state.completed | state.timed_out
     return jax.tree.map(lambda old, new: jnp.where(over, new, old), state, fresh)
 
 
-def draw_start(pool: ResetPool, choice_key: Array, streams_key: Array) -> State:
-    """One of the pool's starts, with chance of its own.
+def draw_start(pool: ResetPool, choice_key: Array, streams_key: Array, stream: Array | None = None) -> State:
+    """One of the pool's starts, with streams of its own.
 
     Args:
         choice_key: () typed PRNG key that chooses the start.
-        streams_key: () typed PRNG key of what happens in the episode.
+        streams_key: () typed PRNG key of the episode's streams.
+        stream: () int32, whose starts are drawn, if the pool has several streams.
     """
-    chosen = jax.random.randint(choice_key, (), 0, pool.starts.tick.shape[0], jnp.int32)
-    start = jax.tree.map(lambda leaf: leaf[chosen], pool.starts)
+    chosen = jax.random.randint(choice_key, (), 0, pool.starts.tick.shape[-1], jnp.int32)
+    index = chosen if stream is None else (stream, chosen)
+    start = jax.tree.map(lambda leaf: leaf[index], pool.starts)
     return replace(start, streams=prng.streams(streams_key))
 
 
