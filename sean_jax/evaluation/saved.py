@@ -192,7 +192,7 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
     Raises:
         InputError: the file cannot be used, or a file that it names has changed.
     """
-    _, content = files.nodes.read(path)
+    _, content = files.read_yaml(path)
     if not isinstance(content, dict):
         raise InputError(f"{path}: holds no description; give a config.yaml, such as `sean run` writes.")
     if "made by" in content:
