@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import obstacle_grid, prng
+from sean_jax import prng
 from sean_jax.base import ObstacleGrid, Obstacles, Pedestrians
-from sean_jax.geometry import rotate
+from sean_jax.geometry import build_obstacle_grid, rotate
 
 DENSITY = 0.1  # people per m2
 
@@ -83,7 +83,7 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Obstacle
     )  # fmt: skip
     half = side(people) / 2 + 1.0
     floor = jnp.asarray([-half, -half, half, half], float)
-    return pedestrians, obstacle_grid.build(obstacles, floor) if walls else None, exact
+    return pedestrians, build_obstacle_grid(obstacles, floor) if walls else None, exact
 
 
 def repeat(people: Pedestrians, size: int) -> Pedestrians:

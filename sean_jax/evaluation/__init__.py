@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
-from sean_jax import assembly, components, drawing, interrupts, robots, sensors, trajectories, writing
+from sean_jax import assembly, components, interrupts, robots, sensors, trajectories, writing
 from sean_jax.base import Policy, PolicyLike, Scenario, Trajectory
 from sean_jax.config import OwnPart, RunConfig, Value
 from sean_jax.errors import InputError
@@ -268,8 +268,6 @@ def _check(config: RunConfig) -> None:
     """Refuse wrong options before the scenario is built, which takes long."""
     if config.trajectories is not None:
         trajectories.check_packages(f".{config.trajectories}")
-    if config.camera is not None:
-        drawing.check_renderer(config.renderer or "rays")
     assembly.check(config)
     check_policy(config.policy, config)
     if config.camera is not None and not isinstance(config.robot, OwnPart | Value):

@@ -24,7 +24,7 @@ from sean_jax.flags import flag
 from sean_jax.metrics import METRICS, aggregate, resamples
 from sean_jax.metrics.bootstrap import interval
 
-UNDRAWN = ("policy", "dynamics", "robot", "metrics", "sensors", "situations", "thresholds", "camera", "renderer")
+UNDRAWN = ("policy", "dynamics", "robot", "metrics", "sensors", "situations", "thresholds", "camera")
 """Options that do not change the draw of an episode."""
 
 REPLAY = re.compile(r'<script type="application/json" id="replay">(.*?)</script>', re.S)

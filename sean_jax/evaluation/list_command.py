@@ -111,7 +111,7 @@ def _sentence(text: str) -> str:
 
 
 def _environment(folder: Path) -> str:
-    content = files.nodes.read(folder / "environment.yaml")[1]
+    content = files.read_yaml(folder / "environment.yaml")[1]
     x0, y0, x1, y1 = content["floor"]
     return f"The floor has {x1 - x0:.6g} x {y1 - y0:.6g} m and, unless told otherwise, {content['people']} people."
 

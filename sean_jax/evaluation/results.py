@@ -355,8 +355,7 @@ def write_all(
             title=evaluation.tasks[0].replace("_", " "),
         )
     if evaluation.frames and config is not None and config.camera is not None:
-        renderer = config.renderer or "rays"
-        drawing.video(evaluation.frames[0], scenario, folder / "camera.gif", view=config.camera, renderer=renderer)
+        drawing.video(evaluation.frames[0], scenario, folder / "camera.gif", view=config.camera)
     shown = []
     for i, frames in enumerate(evaluation.frames):
         ended = outcome(bool(evaluation.completed[i]), float(evaluation.seconds[i]))

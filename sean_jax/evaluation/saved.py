@@ -79,7 +79,7 @@ def read_inputs(config: RunConfig) -> Inputs:
         copies[names[name]] = f"{place}/{path.name}"
         inside = copies[names[name]] if path.is_dir() else place
         content |= {f"{inside}/{part.relative_to(root).as_posix()}": data for part, data in read.items()}
-    description = config.identity() | {name: getattr(config, name) for name in ("camera", "renderer")}
+    description = config.identity() | {"camera": config.camera}
     return Inputs(content, copies, hashes, rename(description, names))
 
 
@@ -192,7 +192,7 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
     Raises:
         InputError: the file cannot be used, or a file that it names has changed.
     """
-    _, content = files.nodes.read(path)
+    _, content = files.read_yaml(path)
     if not isinstance(content, dict):
         raise InputError(f"{path}: holds no description; give a config.yaml, such as `sean run` writes.")
     if "made by" in content:
