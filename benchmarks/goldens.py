@@ -3,9 +3,11 @@
 python benchmarks/goldens.py write before
 python benchmarks/goldens.py write after --only jaxprs help schema bad_input
 python benchmarks/goldens.py compare before after
+python benchmarks/goldens.py open before
 
 ``write`` records the package that is imported: PYTHONPATH says which. ``compare`` prints what differs, and its exit
-code is 1 then. Everything takes a quarter of an hour on a core. Numbers are those of one machine and its versions:
+code is 1 then. ``open`` lets the present code open what that of ``write`` has left in FOLDER/folders. What is tried is
+in goldens.yaml. Everything takes a quarter of an hour on a core. Numbers are those of one machine and its versions:
 another one's differ in their last digits.
 """
 
@@ -20,6 +22,7 @@ import os
 import re
 import shlex
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -29,174 +32,32 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 SECTIONS = ("jaxprs", "help", "schema", "bad_input", "runs", "folders")
 SHOWN = 12  # lines of a difference
 WIDE = 1000  # columns in which an option's text is one line
+CASES = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+TEXTS = ("type", "const", "$ref", "default", "pattern", "format")  # of a schema, that explain nothing
 
-# What an own part of each kind is, and two people who walk through the lab again and again.
-MINE = """
-import jax.numpy as jnp
-def drive(scenario, state, key):
-    return jnp.array([0.3, 0.2])
-def near(before, after):
-    return jnp.where(jnp.linalg.norm(after.people.position - after.position, axis=-1).min() < 2.0, after.time_step, 0.0)
-def alone(moment):
-    return jnp.linalg.norm(moment.people.position - moment.position, axis=-1).min() > 3.0
-"""
+# Two people who walk through the lab and back, and a room with a wall in it as a map.
 PEOPLE = "frame,id,x,y\n" + "".join(
     f"{tick},{person},{-5.5 + 0.06 * abs(150 - (30 * person + tick) % 300):.2f},{0.8 - 0.9 * person:.2f}\n"
-    for tick in range(0, 300, 3) for person in range(2)
-)  # fmt: skip
+    for tick in range(0, 300, 3)
+    for person in range(2)
+)
+PLAN = "P2 32 20 255\n" + "".join(
+    f"{254 if 0 < x < 31 and 0 < y < 19 and not (x == 14 and y < 9) else 0}\n" for y in range(20) for x in range(32)
+)
 
-SCENARIOS: dict[str, dict[str, Any]] = {
-    "warehouse": {"environment": "warehouse", "task": "join_group", "people": 8, "dynamics": "twin"},
-    "warehouse edge": {
-        "environment": "warehouse", "task": "leave_group", "people": 8, "routing": "edge", "members": "permanent",
-        "congestion_cost": 10.0, "temperature": 0.2, "walking_groups": (0.3, 0.3), "forces": "helbing1995",
-    },
-    "warehouse sean2": {"environment": "warehouse", "people": 8, "preset": "sean2", "task": "join_group"},
-    "warehouse orca": {
-        "environment": "warehouse", "behavior": "random", "people": 6, "model": "orca", "robot": "jackal",
-    },
-    "outdoor": {
-        "environment": "outdoor", "task": "random_ab_nav", "people": 6, "robot": "warthog", "forces": "helbing2000",
-    },
-    "outdoor random": {
-        "environment": "outdoor", "behavior": "random", "task": "busy_ab_nav", "people": 6, "warm_up": 1.0,
-        "walking_groups": (0.4, 0.3), "dynamics": "twin", "robot": "pioneer3dx",
-    },
-    "outdoor handcrafted": {
-        "environment": "outdoor", "behavior": "handcrafted", "task": "handcrafted", "sets": "join_group",
-        "dynamics": "kinematic",
-    },
-    "lab handcrafted": {"environment": "lab", "behavior": "handcrafted", "robot": "turtlebot3", "dynamics": "twin"},
-    "lab walkers": {
-        "environment": "lab", "behavior": "random", "people": 4, "model": "constant_velocity", "robot": "pioneer3dx",
-    },
-    "lab playback": {
-        "environment": "lab", "behavior": "playback", "recording": "people.csv", "frame_rate": 10.0, "robot": "kuri",
-        "dynamics": "twin", "situations": "more",
-    },
-    "lab custom": {
-        "environment": "lab", "behavior": "random", "people": 4, "start": (-5.0, 0.0, 90.0), "goal": (3.0, 1.0),
-        "forces": "johansson2007", "time_step": 0.04, "substeps": 2, "dynamics": "twin", "places": "mesh",
-    },
-    "lab sensors": {
-        "environment": "lab", "behavior": "random", "people": 4, "sensors": ("depth", "lidar"), "dynamics": "twin",
-        "metrics": ("all", "mine.py:near"), "situations": ("paper", "mine.py:alone"),
-    },
-}  # fmt: skip
-ENVS: dict[str, tuple[str, dict[str, Any]]] = {
-    "env people": ("Lab-Random-RandomAbNav-v0", {"people": 4, "action_delay": (1, 3), "randomization": "behavior"}),
-    "env images": (
-        "Lab-Graph-Mixed-v0",
-        {
-            "people": 4, "observations": ("goal", "plan", "lidar", "depth", "rgb", "situations"),
-            "terminations": ("collision", "obstacle"),
-            "rewards": ("progress", "completed", "at_goal", "time", "acceleration", "o_space", "personal_space"),
-        },
-    ),
-}  # fmt: skip
-
-FILES = {"file": "kept", "full/old": "kept", "map.yaml": "image: none.pgm\n", "mine.py": MINE, "people.csv": PEOPLE}
-FILES |= {"odd.py": "number = 3\ndef sonar(scenario, state):\n    return 0.0\n", "bad.yaml": "config:\n  people: [x\n"}
-FILES |= {"old.yaml": "config:\n  episods: 3\n"}
-BAD_INPUT = """
-rn
-run --episodes x
-run --episode 3
-run --episodes 0
-run --num-episodes 8
-run --people -1
-run --people 90000
-run --time-limit nan
-run --walking-groups 0.7 0.7
-run --task-distance 4 2
-run --frame-rate 30
-run --task custom --start 1 --goal 2 2
-run --task join_group,custom
-run --task join_group,join_grup
-run --task join_group --behavior random
-run --task join_group,join_group
-run --environment warehose
-run --environment full/
-run --environment=
-run --behavior grph
-run --behavior playback
-run --behavior playback --recording nope.csv
-run --behavior playback --recording file --model orca
-run --behavior handcrafted --people 4
-run --behavior handcrafted --sets nope --dynamics twin
-run --sets all
-run --routing egde
-run --model orka
-run --forces helbing95
-run --force odd.py:number
-run --situations papr
-run --metric nope.py:near
-run --metric mine.py:naer
-run --dynamics twinn
-run --robot nope.xml
-run --policy go_to_gaol
-run --policy runs/nope
-run --policy full
-run --policy mine.py:driv
-run --sensors depht
-run --sensor odd.py:sonar
-run --camera depth --renderer unity
-run --renderer mujoco
-run --config nope.yaml
-run --config bad.yaml
-run --config old.yaml
-run --preset sean3
-run --out file
-run --out full
-collect --policy nobody
-collect --rate 3
-collect --behavior playback
-collect --labels nobody
-collect --out full
-train
-train reinforce full
-train imitation nope
-train imitation full --validation 1
-train dagger nope --expert nobody
-train ppo --environment lab,nope
-train ppo --pretrained nope
-train ppo --observations goal,gaol
-train ppo --rewards progres
-train ppo --termination nope.py:fall
-train ppo --action-delay 3 1
-train ppo --sweep clip=0.1 clip=0.2
-train ppo --seed 4294967295 --seeds 2
-train apg --total_timesteps=100
-experiment table3
-experiment table1 --policies nobody
-experiment figure4 --people 90000
-experiment learning_curve --rates 5 3
-export agent nope --out new
-export lerobot nope --out full
-export zip nope --out new
-benchmark --policy nobody
-bench --only stepp
-bench --batches 0
-validate --only rimea-99
-validate --models nobody
-validate --data nope
-calibrate --data nope
-calibrate --data full --fit nope
-fit-graph nope
-fit-graph lab --recording nope.csv
-draw
-draw --graph --out sheet.docx
-replay nope
-compare nope full
-import-map nope.yaml --out new
-import-map map.yaml --out new --height nan
-doctor --fast
-list --all
-schema --nope
-""".strip().splitlines()
+# What files tell, without the times that it took and the versions; configurations without their versions.
+TOLD = ("*.csv", "summary.json", "metrics.jsonl", "dataset.json", "config.json", "experiment.json", "results.json")
+TOLD += ("config.yaml", "environment.yaml", "scene.xml", "agent.json")
+PASSING = {
+    "summary.json": ("timing",),
+    "metrics.jsonl": ("time", "seconds", "per_second"),
+    "results.json": ("seconds",),
+}
 
 
 def plain(text: str) -> str:
@@ -209,18 +70,19 @@ def plain(text: str) -> str:
     return re.sub(r"0x[0-9a-f]{6,}", "0x", text)
 
 
-def folder_of_files() -> contextlib.AbstractContextManager[str]:
-    """A temporary folder with the files that commands and scenarios name, as the current one."""
+def add_files() -> None:
+    """Write the files that scenarios and commands name into the current folder."""
+    for name, text in {**CASES["files"], "people.csv": PEOPLE, "plan.pgm": PLAN}.items():
+        Path(name).parent.mkdir(exist_ok=True)
+        Path(name).write_text(text)
 
-    @contextlib.contextmanager
-    def entered() -> Iterator[str]:
-        with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
-            for name, text in FILES.items():
-                Path(name).parent.mkdir(exist_ok=True)
-                Path(name).write_text(text)
-            yield place
 
-    return entered()
+@contextlib.contextmanager
+def folder_of_files() -> Iterator[None]:
+    """A temporary folder with these files, as the current one."""
+    with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
+        add_files()
+        yield
 
 
 # ------------------------------------------------------------------ programs
@@ -286,7 +148,7 @@ def jaxprs() -> dict[str, str]:
     key, action = jax.random.key(0), jax.ShapeDtypeStruct((2,), "float32")
     found, scenarios = {}, {}
     with folder_of_files():
-        for name, options in SCENARIOS.items():
+        for name, options in CASES["scenarios"].items():
             scenarios[name] = scenario = sean_jax.make(**options)
             state = jax.eval_shape(sean_jax.reset, scenario, key)
             found[f"step {name}"] = program(jax.make_jaxpr(sean_jax.step)(scenario, state, action))
@@ -308,8 +170,9 @@ def jaxprs() -> dict[str, str]:
                 return sean_jax.policy_step(scenario, policy, sean_jax.init_policy(scenario, policy, state))
 
             found[f"policy {name}"] = program(jax.make_jaxpr(drive)(scenario, state))
-        for name, (kind, overrides) in ENVS.items():
-            env = sean_jax.registry.load(kind, config_overrides=overrides)
+        for name, options in CASES["environments"].items():
+            overrides = {key: value for key, value in options.items() if key != "name"}
+            env = sean_jax.registry.load(options["name"], config_overrides=overrides)
             _, state = jax.eval_shape(type(env).reset, env, key)
             found[f"step {name}"] = program(jax.make_jaxpr(type(env).step)(env, key, state, action))
     return found
@@ -364,10 +227,9 @@ def schema() -> dict[str, str]:
 
     def bare(part: Any) -> Any:
         if isinstance(part, dict):
-            return {name: bare(each) for name, each in part.items() if not isinstance(each, str) or name in KEPT}
+            return {name: bare(each) for name, each in part.items() if not isinstance(each, str) or name in TEXTS}
         return [bare(each) for each in part] if isinstance(part, list) else part
 
-    KEPT = ("type", "const", "$ref", "default", "pattern", "format", "propertyName")
     text = say(["schema"])[0]
     return {"schema": text, "schema, bare": json.dumps(bare(json.loads(text)), indent=1, sort_keys=True) + "\n"}
 
@@ -375,7 +237,119 @@ def schema() -> dict[str, str]:
 def bad_input() -> dict[str, str]:
     """Exit code and sentence of each wrong command line."""
     with folder_of_files():
-        return {line: say(shlex.split(line))[1] for line in BAD_INPUT}
+        return {line: say(shlex.split(line))[1] for line in CASES["bad_input"].splitlines()}
+
+
+# ------------------------------------------------------------------ runs
+
+
+def words_of(line: str, out: str | None = None) -> list[str]:
+    """The words of a command, with those that it names by $."""
+    while "$" in line:
+        line = re.sub(r"\$([A-Z]+)", lambda found: CASES["words"][found[1]], line)
+    words = shlex.split(line)
+    return words + (["--out", out] if out else []) + (["--quiet"] if words[0] != "import-map" else [])
+
+
+def start(words: list[str]) -> subprocess.Popen[str]:
+    """A process of the command line, in the current folder."""
+    environment = os.environ | {"COLUMNS": "100"}
+    command = [sys.executable, "-m", "sean_jax", *words]
+    return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+
+
+def told(folder: Path, name: str) -> dict[str, str]:
+    """What the files of a folder tell, by the name and theirs; the arrays of a dataset by a digest of each file."""
+    found = {}
+    for path in sorted(path for pattern in TOLD for path in folder.rglob(pattern)):
+        found[f"{name} {path.relative_to(folder)}"] = plain(_lasting(path))
+    for manifest in sorted(folder.rglob("dataset.json")):
+        files = sorted(path for path in manifest.parent.rglob("*") if path.is_file() and path != manifest)
+        digests = [
+            f"{hashlib.sha256(path.read_bytes()).hexdigest()} {path.relative_to(manifest.parent)}" for path in files
+        ]
+        found[f"{name} {manifest.parent.relative_to(folder) / 'arrays'}"] = "\n".join(digests) + "\n"
+    return found
+
+
+def _lasting(path: Path) -> str:
+    """The text of a file, without what differs between two runs of the same."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".yaml":
+        return re.sub(r"^versions:\n(  .*\n)+", "", text, flags=re.MULTILINE)
+    if path.suffix not in (".json", ".jsonl"):
+        return text
+    passing = (*PASSING.get(path.name, ()), "versions")
+
+    def bare(part: Any) -> Any:
+        return {name: each for name, each in part.items() if name not in passing} if isinstance(part, dict) else part
+
+    parts = [bare(json.loads(line)) for line in (text.splitlines() if path.suffix == ".jsonl" else [text])]
+    for part in parts:
+        part |= {name: [bare(row) for row in rows] for name, rows in part.items() if isinstance(rows, list)}
+    return "".join(json.dumps(part, indent=1, sort_keys=True) + "\n" for part in parts)
+
+
+def runs(folder: Path) -> dict[str, str]:
+    """What small commands write; the folders of some stay."""
+    shutil.rmtree(folder / "folders", ignore_errors=True)
+    (folder / "folders").mkdir()
+    found = {}
+    with contextlib.chdir(folder / "folders"):
+        add_files()
+        for name, line in CASES["runs"].items():
+            began = time.monotonic()
+            process = start(words_of(line, name))
+            said = plain(process.communicate()[1])
+            found[f"{name} exit"] = f"exit code {process.returncode}\n{said}"
+            found |= told(Path(name), name)
+            print(f"  {name}: exit code {process.returncode} after {time.monotonic() - began:.0f} s", flush=True)
+        for name in set(CASES["runs"]) - {*CASES["kept"]}:
+            shutil.rmtree(name, ignore_errors=True)
+    return found
+
+
+def folders(folder: Path) -> dict[str, str]:
+    """Leave folders of commands that were killed, beside those that ``runs`` has left."""
+    if not (folder / "folders" / "data").is_dir():
+        sys.exit(f"{folder}: there are no folders of runs; write these first.")
+    with contextlib.chdir(folder / "folders"):
+        for name, pattern in CASES["killed"].items():
+            shutil.rmtree(f"half-{name}", ignore_errors=True)
+            process = start(words_of(CASES["runs"][name], f"half-{name}"))
+            while process.poll() is None and not list(Path(f"half-{name}").glob(pattern)):
+                time.sleep(0.002)
+            process.kill()
+            process.communicate()
+            print(f"  half-{name}: {'killed' if process.returncode < 0 else 'FINISHED'}", flush=True)
+    return {}
+
+
+def reopen(folder: Path) -> int:
+    """Let the present code open a copy of the folders, and print what it says; 1 if that is wrong."""
+    kept, wrong = read(folder)["runs"], 0
+    with tempfile.TemporaryDirectory() as place:
+        shutil.copytree(folder / "folders", place, dirs_exist_ok=True)
+        with contextlib.chdir(place):
+            cases = {name: line.partition(" = ")[::2] for name, line in CASES["opened"].items()}
+            for name in CASES["killed"]:
+                cases[f"unfinished {name}"] = (f"{CASES['runs'][name]} --out half-{name}", name)
+            for name, (line, same) in cases.items():
+                words = words_of(line)
+                process = start(words)
+                said = plain(process.communicate()[1]).strip()
+                code, result = process.returncode, "opened"
+                if same and not code:
+                    found = told(Path(words[words.index("--out") + 1]), same)
+                    wanted = {each for each in kept if each.startswith(f"{same} ") and each != f"{same} exit"}
+                    names = {*found, *wanted}
+                    differing = [each for each in names if digest(found.get(each, "")) != kept.get(each)]
+                    result = f"opened, but differs in {', '.join(sorted(differing))}" if differing else "opened, equal"
+                elif code:
+                    result = f"{'BROKEN' if 'Traceback' in said else 'refused'}, {code}: {said.splitlines()[-1:]}"
+                wrong += "BROKEN" in result or "differs" in result
+                print(f"{name}: {result}", flush=True)
+    return int(wrong > 0)
 
 
 # ------------------------------------------------------------------ commands
@@ -394,14 +368,20 @@ def write(folder: Path, only: Iterable[str]) -> None:
     for section in only:
         began = time.monotonic()
         found = WRITERS[section](folder)
-        shutil.rmtree(folder / section, ignore_errors=True)
-        (folder / section).mkdir()
+        if section != "folders":
+            shutil.rmtree(folder / section, ignore_errors=True)
+            (folder / section).mkdir()
         for name, text in found.items():
             data = text.encode()
             file_of(folder, section, name).write_bytes(gzip.compress(data, mtime=0) if section == "jaxprs" else data)
-        kept[section] = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in found.items()}
+        kept[section] = {name: digest(text) for name, text in found.items()}
         (folder / "goldens.json").write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n")
         print(f"{section}: {len(found)} in {time.monotonic() - began:.0f} s", flush=True)
+
+
+def digest(text: str) -> str:
+    """SHA-256 of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def read(path: Path) -> dict[str, dict[str, str]]:
@@ -442,6 +422,8 @@ WRITERS: dict[str, Callable[[Path], dict[str, str]]] = {
     "help": lambda _: help_texts(),
     "schema": lambda _: schema(),
     "bad_input": lambda _: bad_input(),
+    "runs": runs,
+    "folders": folders,
 }
 
 
@@ -455,9 +437,13 @@ def main() -> int:
     comparing = commands.add_parser("compare")
     comparing.add_argument("before", type=Path)
     comparing.add_argument("after", type=Path)
+    opening = commands.add_parser("open")
+    opening.add_argument("folder", type=Path)
     chosen = parser.parse_args()
     if chosen.command == "compare":
         return compare(chosen.before, chosen.after)
+    if chosen.command == "open":
+        return reopen(chosen.folder.resolve())
     write(chosen.folder.resolve(), chosen.only)
     return 0
 
