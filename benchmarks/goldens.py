@@ -252,8 +252,11 @@ def words_of(line: str, out: str | None = None) -> list[str]:
 
 
 def start(words: list[str]) -> subprocess.Popen[str]:
-    """A process of the command line, in the current folder."""
-    environment = os.environ | {"COLUMNS": "100"}
+    """A process of the command line of the imported package, in the current folder."""
+    import sean_jax
+
+    package = Path(sean_jax.__file__).resolve().parent
+    environment = os.environ | {"COLUMNS": "100", "PYTHONPATH": str(package.parent)}
     command = [sys.executable, "-m", "sean_jax", *words]
     return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
 
@@ -340,9 +343,8 @@ def reopen(folder: Path) -> int:
                 said = plain(process.communicate()[1]).strip()
                 code, result = process.returncode, "opened"
                 if same and not code:
-                    found = told(Path(words[words.index("--out") + 1]), same)
-                    wanted = {each for each in kept if each.startswith(f"{same} ") and each != f"{same} exit"}
-                    names = {*found, *wanted}
+                    found = told(Path(words[words.index("--out") + 1]), same.split()[0])
+                    names = {each for each in {*found, *kept} if f"{each} ".startswith(f"{same} ")} - {f"{same} exit"}
                     differing = [each for each in names if digest(found.get(each, "")) != kept.get(each)]
                     result = f"opened, but differs in {', '.join(sorted(differing))}" if differing else "opened, equal"
                 elif code:
@@ -390,7 +392,7 @@ def read(path: Path) -> dict[str, dict[str, str]]:
 
 
 def compare(before: Path, after: Path) -> int:
-    """Print what differs, with the first lines of the difference; 1 if anything does. Sections of both are compared."""
+    """Print what differs between the sections that both have, with the first lines of it; 1 if anything does."""
     one, other = read(before), read(after)
     differing = 0
     for section in sorted({*one, *other}):
