@@ -262,10 +262,12 @@ def start(words: list[str]) -> subprocess.Popen[str]:
 
 
 def told(folder: Path, name: str) -> dict[str, str]:
-    """What the files of a folder tell, by the name and theirs; the arrays of a dataset by a digest of each file."""
+    """What the files of a folder tell, by the name and theirs; arrays by digests of their files."""
     found = {}
     for path in sorted(path for pattern in TOLD for path in folder.rglob(pattern)):
         found[f"{name} {path.relative_to(folder)}"] = plain(_lasting(path))
+    for path in sorted(folder.rglob("weights.npz")):
+        found[f"{name} {path.relative_to(folder)}"] = f"{hashlib.sha256(path.read_bytes()).hexdigest()}\n"
     for manifest in sorted(folder.rglob("dataset.json")):
         files = sorted(path for path in manifest.parent.rglob("*") if path.is_file() and path != manifest)
         digests = [
