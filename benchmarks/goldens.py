@@ -2,6 +2,7 @@
 
 python benchmarks/goldens.py write before
 python benchmarks/goldens.py write after --only jaxprs help schema bad_input
+python benchmarks/goldens.py write after --only runs --runs warehouse data imitation
 python benchmarks/goldens.py compare before after
 python benchmarks/goldens.py open before
 
@@ -295,22 +296,22 @@ def _lasting(path: Path) -> str:
     return "".join(json.dumps(part, indent=1, sort_keys=True) + "\n" for part in parts)
 
 
-def runs(folder: Path) -> dict[str, str]:
+def runs(folder: Path, names: Iterable[str]) -> dict[str, str]:
     """What small commands write; the folders of some stay."""
-    shutil.rmtree(folder / "folders", ignore_errors=True)
-    (folder / "folders").mkdir()
+    (folder / "folders").mkdir(exist_ok=True)
     found = {}
     with contextlib.chdir(folder / "folders"):
         add_files()
-        for name, line in CASES["runs"].items():
+        for name in names:
+            shutil.rmtree(name, ignore_errors=True)
             began = time.monotonic()
-            process = start(words_of(line, name))
+            process = start(words_of(CASES["runs"][name], name))
             said = plain(process.communicate()[1])
             found[f"{name} exit"] = f"exit code {process.returncode}\n{said}"
             found |= told(Path(name), name)
             print(f"  {name}: exit code {process.returncode} after {time.monotonic() - began:.0f} s", flush=True)
-        for name in set(CASES["runs"]) - {*CASES["kept"]}:
-            shutil.rmtree(name, ignore_errors=True)
+            if name not in CASES["kept"]:
+                shutil.rmtree(name, ignore_errors=True)
     return found
 
 
@@ -365,20 +366,25 @@ def file_of(folder: Path, section: str, name: str) -> Path:
     return folder / section / (f"{slug}.txt.gz" if section == "jaxprs" else f"{slug}.txt")
 
 
-def write(folder: Path, only: Iterable[str]) -> None:
-    """Record the sections: a copy of each text, and goldens.json with their digests."""
+def write(folder: Path, only: Iterable[str], names: Iterable[str] = ()) -> None:
+    """Record the sections, of the runs those of the names: a copy of each text, and goldens.json with the digests."""
     kept = read(folder) if (folder / "goldens.json").is_file() else {}
     folder.mkdir(parents=True, exist_ok=True)
     for section in only:
         began = time.monotonic()
-        found = WRITERS[section](folder)
-        if section != "folders":
-            shutil.rmtree(folder / section, ignore_errors=True)
-            (folder / section).mkdir()
+        if section == "runs":
+            found = runs(folder, names or CASES["runs"])
+        else:
+            found = WRITERS[section](folder)
+        if not (section == "runs" and names):  # what is recorded of other runs stays
+            kept[section] = {}
+            if section != "folders":
+                shutil.rmtree(folder / section, ignore_errors=True)
+        (folder / section).mkdir(exist_ok=True)
         for name, text in found.items():
             data = text.encode()
             file_of(folder, section, name).write_bytes(gzip.compress(data, mtime=0) if section == "jaxprs" else data)
-        kept[section] = {name: digest(text) for name, text in found.items()}
+        kept[section] = kept.get(section, {}) | {name: digest(text) for name, text in found.items()}
         (folder / "goldens.json").write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n")
         print(f"{section}: {len(found)} in {time.monotonic() - began:.0f} s", flush=True)
 
@@ -402,6 +408,11 @@ def compare(before: Path, after: Path) -> int:
             print(f"{section}: only in {before if section in one else after}")
             continue
         names = sorted({*one[section], *other[section]})
+        if section == "runs":  # some may have been left out, with --runs
+            done = [{name.split()[0] for name in found[section]} for found in (one, other)]
+            names = [name for name in names if all(name.split()[0] in each for each in done)]
+            if done[0] != done[1]:
+                print(f"not in both: {', '.join(sorted(done[0] ^ done[1]))}")
         changed = [name for name in names if one[section].get(name) != other[section].get(name)]
         print(f"{section}: {len(changed)} of {len(names)} differ")
         differing += len(changed)
@@ -426,7 +437,6 @@ WRITERS: dict[str, Callable[[Path], dict[str, str]]] = {
     "help": lambda _: help_texts(),
     "schema": lambda _: schema(),
     "bad_input": lambda _: bad_input(),
-    "runs": runs,
     "folders": folders,
 }
 
@@ -438,6 +448,7 @@ def main() -> int:
     writing = commands.add_parser("write")
     writing.add_argument("folder", type=Path)
     writing.add_argument("--only", nargs="+", choices=SECTIONS, default=SECTIONS)
+    writing.add_argument("--runs", nargs="+", choices=CASES["runs"], metavar="NAME", help="of goldens.yaml, not all")
     comparing = commands.add_parser("compare")
     comparing.add_argument("before", type=Path)
     comparing.add_argument("after", type=Path)
@@ -448,7 +459,7 @@ def main() -> int:
         return compare(chosen.before, chosen.after)
     if chosen.command == "open":
         return reopen(chosen.folder.resolve())
-    write(chosen.folder.resolve(), chosen.only)
+    write(chosen.folder.resolve(), chosen.only, chosen.runs or ())
     return 0
 
 
