@@ -459,7 +459,9 @@ def main() -> int:
         return compare(chosen.before, chosen.after)
     if chosen.command == "open":
         return reopen(chosen.folder.resolve())
-    write(chosen.folder.resolve(), chosen.only, chosen.runs or ())
+    folder = chosen.folder.resolve()
+    os.environ.setdefault("XDG_CACHE_HOME", str(folder / "cache"))  # tables of an older cache are rounded otherwise
+    write(folder, chosen.only, chosen.runs or ())
     return 0
 
 
