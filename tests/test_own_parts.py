@@ -24,9 +24,8 @@ from sean_jax.errors import InputError
 from sean_jax.evaluation.output import read_config
 from sean_jax.learning import dataset
 from sean_jax.learning.policy import AGENTS
-from sean_jax.studies import validation
 from sean_jax.studies.experiments import parts
-from sean_jax.studies.validation import results
+from sean_jax.studies.validation import check, results
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -321,7 +320,7 @@ f = [*sean_jax.preset("helbing1995"), Law()]
     laws = set()
     for number in ("1.0", "2.0"):
         (place / "my.py").write_text(law.replace("NUMBER", number))
-        (model,) = validation.models_of("my.py:f")
+        (model,) = check.models_of("my.py:f")
         laws.add(json.dumps(results._made_with(model, ValidateConfig())))
     assert len(laws) == 2
 

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 from test_drawing import Graph, environment, frames
 
-from sean_jax import replay, report
+from sean_jax import pages, replay, report
 from sean_jax.evaluation import Evaluation, output, statistics, table
 from sean_jax.metrics import METRICS
 
@@ -185,3 +185,16 @@ def test_report_is_whole_and_refers_to_nothing_outside():
     assert [each.startswith(" open") for each in topics].count(True) == 2 < len(topics)
     ids = [part.split('"')[0] for part in text.split(' id="')[1:]]
     assert len(set(ids)) == len(ids)
+
+
+def test_pages_escape_every_text_and_mark_cells():
+    rows = [[pages.Cell("<name>", "small & print"), "a<b", pages.Cell("3", kind="ours")]]
+    parts = pages.table(["", "<head>", ""], rows), pages.note("<note>"), pages.facts({"<key>": "<value>"}), "<raw>"
+    text = pages.page("<title>", "<kicker>", [pages.section("<part>", *parts), pages.origin("sean --a '<b>'", {})])
+    body = text.split("</style>")[1]
+    for word in ("name", "head", "note", "key", "value", "raw", "title", "kicker", "part", "b"):
+        assert f"<{word}>" not in body and f"&lt;{word}&gt;" in body, word
+    assert "<th>&lt;name&gt;<small>small &amp; print</small></th><td>a&lt;b</td><td class=ours>3</td>" in body
+    reader = Reader()
+    reader.feed(text)
+    assert not reader.open

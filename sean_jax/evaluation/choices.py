@@ -33,7 +33,7 @@ def print_choices() -> None:
     """Every option of ``sean run`` and ``sean train`` that takes a name, each of its names and one line on it."""
     console = Console()
     for option, choices in offered():
-        console.print(Text(f"--{option}", "bold"))
+        console.print(Text(f"--{option.replace('_', '-')}", "bold"))
         width = max(len(name) for name in choices)
         for name, line in choices.items():
             _print(console, f"  {name:<{width}}  ", line)

@@ -5,7 +5,6 @@ itself, and what makes an episode easy or hard cancels. Other runs are compared 
 """
 
 import dataclasses
-import html as markup
 import json
 import re
 from pathlib import Path
@@ -17,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from sean_jax import components, files, replay, report, writing
+from sean_jax import components, files, pages, replay, writing
 from sean_jax.config import CompareConfig, RunConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import inputs, output, table
@@ -79,7 +78,7 @@ def compare(options: CompareConfig, console: Console) -> Path:
     runs = read(options.first), read(options.second)
     found, said = differences(*runs), told(*runs)
     console.print(_table(found, [each.name for each in runs]))
-    console.print(f"[dim]{markup.escape(said)}[/]", soft_wrap=True)
+    console.print(Text(said, "dim"), soft_wrap=True)
     writing.write(path, page(found, runs, said))
     return path
 
@@ -208,31 +207,24 @@ def _table(found: list[Difference], names: list[str]) -> Table:
 
 def page(found: list[Difference], runs: tuple[Measured, Measured], said: str) -> str:
     """The comparison as a page, with the replays of both."""
-    names = [markup.escape(run.name) for run in runs]
-    head = "".join(f"<th>{name}</th>" for name in (*names, "second less first", "95 % interval"))
-    body = "".join(
-        f"<tr{' class=decided' if row.decided else ''}><th>{markup.escape(row.title)} "
-        f"<small>{markup.escape(row.unit)}</small></th>" + "".join(f"<td>{cell}</td>" for cell in _cells(row)) + "</tr>"
-        for row in found
-    )
-    note = f"<p class=note>{markup.escape(said)} Bold: the interval leaves out 0.</p>"
-    sections = [
-        f"<section><h2>Differences</h2><div class=wide><table><thead><tr><th></th>{head}</tr></thead>"
-        f"<tbody>{body}</tbody></table></div>{note}</section>"
-    ]
+    names = [run.name for run in runs]
+    rows = []
+    for row in found:
+        one, other, *difference = _cells(row)
+        cells = [pages.Cell(cell, kind="ours" if row.decided else "") for cell in difference]
+        rows.append([pages.Cell(row.title, row.unit and f" {row.unit}"), one, other, *cells])
     players = [
-        f"<div><h2>{name}</h2>{replay.element(run.shown, f'replay-{index}', linked=False, program=False)}</div>"
-        for index, (name, run) in enumerate(zip(names, runs, strict=True))
+        (run.name, replay.element(run.shown, f"replay-{index}", linked=False, program=False))
+        for index, run in enumerate(runs)
         if run.shown is not None
     ]
-    if players:
-        sections.append(f"<div class=both>{''.join(players)}</div><script>{replay.script()}</script>")
-    style = (
-        "td:nth-child(2){font-weight:400}tr.decided td:nth-child(n+4){font-weight:650}"
-        ".both{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,480px),1fr));gap:16px}"
+    return pages.render(
+        "evaluation/comparison.html",
+        title=" and ".join(names),
+        kicker="sean_jax · two runs",
+        table=pages.table(["", *names, "second less first", "95 % interval"], rows, "units"),
+        note=f"{said} Bold: the interval leaves out 0.",
+        players=players,
+        script=replay.script(),
+        runs=runs,
     )
-    commands = "".join(
-        f"<pre>{name}: {markup.escape(str(run.folder))}</pre>" for name, run in zip(names, runs, strict=True)
-    )
-    sections.append(f"<section><h2>The runs</h2>{commands}</section>")
-    return report.page(" and ".join(run.name for run in runs), "sean_jax · two runs", sections, style + replay.style())

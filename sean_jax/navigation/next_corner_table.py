@@ -193,8 +193,8 @@ def _best(navigation: Navigation, points: Array) -> tuple:
     """
     none, obstacles, radius = navigation.arcs.side.shape[0], navigation.obstacles, navigation.radius
     distance, last, departure_angle = jax.vmap(last_arcs, in_axes=(None, 0))(navigation, points)
-    own = jnp.arange(none, dtype=jnp.int32)[None, :]
-    next_arc = jnp.where(last == own, none, navigation.next_arc[own, last].astype(jnp.int32)).astype(jnp.int16)
+    first = jnp.arange(none, dtype=jnp.int32)[None, :]
+    next_arc = jnp.where(last == first, none, navigation.next_arc[first, last].astype(jnp.int32)).astype(jnp.int16)
     ends, end_radius = jax.vmap(push_out_of_obstacles, in_axes=(None, 0, None))(obstacles, points, radius)
 
     def from_cell(cell: Array) -> Array:

@@ -38,8 +38,8 @@ def corner_successors(scenario: Scenario, state: State) -> Int[Array, "V"]:
     Costly, for it needs paths between all corners: call it once in an episode.
     """
     last = last_arcs(scenario.navigation, state.task.goal)[1]
-    own = jnp.arange(last.shape[0], dtype=jnp.int32)
-    return scenario.navigation.next_arc[own, last].astype(jnp.int32)
+    first = jnp.arange(last.shape[0], dtype=jnp.int32)
+    return scenario.navigation.next_arc[first, last].astype(jnp.int32)
 
 
 def build_cost_to_go(

@@ -295,10 +295,10 @@ def group_rate(
     """Cost [1/s] of being in o-spaces, at (x, y) [m]; less far in those of groups that the task joins or leaves."""
     groups, task = state.groups, state.task
     index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
-    own = (index == task.goal_group) | (index == task.start_group)
+    is_task_group = (index == task.goal_group) | (index == task.start_group)
     cx, cy = groups.center[None, None, :, 0], groups.center[None, None, :, 1]
     away = length(x[..., None] - cx, y[..., None] - cy)
-    size = jnp.where(own, 0.5, 1.2) * jnp.maximum(groups.radius, 1e-3)
+    size = jnp.where(is_task_group, 0.5, 1.2) * jnp.maximum(groups.radius, 1e-3)
     depth = jnp.clip(1.0 - away / size[None, None, :], 0.0, 1.0)
     return weights.o_space * jnp.where(groups.present[None, None, :], depth, 0.0).sum(-1)
 

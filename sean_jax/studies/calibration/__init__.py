@@ -1,8 +1,7 @@
 """``sean calibrate``: the constants of the social forces, fitted by gradient to recorded people.
 
-One fit sees all scenes. Each other one leaves out a scene of prediction, and is judged by it. What is measured of
-crowds (fundamental diagrams, flows, lanes) is not fitted: ``sean validate`` judges by it. Importing this imports no
-JAX.
+One fit is to all scenes. Each other one leaves out a scene of prediction, which tests it. Measurements of crowds
+(fundamental diagrams, flows, lanes) are not fitted: ``sean validate`` tests them. Importing this imports no JAX.
 """
 
 from __future__ import annotations
@@ -36,10 +35,7 @@ EVERY = 10.0  # s between two savings of an unfinished fit
 def run(options: CalibrateConfig, console: Console | None = None) -> Path:
     """Fit, and write forces.yaml, one such file for each scene left out, results.json and report.html.
 
-    An unfinished fit is kept every 10 s, and the same command goes on with it.
-
-    Args:
-        options: what is fitted to what, and where the results go.
+    An unfinished fit is saved every 10 s, and the same command resumes it.
 
     Raises:
         InputError: there are no recordings, a name does not exist, or the folder holds something else.
@@ -51,21 +47,20 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
         _check_folder(folder, options)
         bar.stage("reading the recordings")
         from sean_jax.social_forces import build
-        from sean_jax.studies.calibration import page, recorded
-        from sean_jax.studies.calibration.fitting import Fit
-        from sean_jax.studies.calibration.parameters import names_of
+        from sean_jax.studies.calibration import page, windows
+        from sean_jax.studies.calibration.fitting import Fit, names_of
 
         forces = build(options.forces)
         names = names_of(forces, listed(options.fit))
-        prediction, corridors = recorded.find(options.data)
+        prediction, corridors = windows.find(options.data)
         left_out = _left_out(options, list(prediction))
-        kinds = [recorded.prediction_scenes(prediction)] if prediction else []
-        kinds += [recorded.corridor_scenes(corridors)] if corridors else []
+        kinds = [windows.prediction_scenes(prediction)] if prediction else []
+        kinds += [windows.corridor_scenes(corridors)] if corridors else []
         _write_json(folder / OPTIONS, {"options": options.identity(), "versions": versions()})
         fit = Fit(forces, names, kinds, options.steps, options.batch)
         descent, history = _descend(fit, options, left_out, bar)
         bar.stage("judging by all windows")
-        results = _judge(fit, descent, left_out, history, prediction)
+        results = _evaluate(fit, descent, left_out, history, prediction)
         for what, values in results["parameters"].items():
             if what != "before":
                 file = FORCES if what == "all" else f"forces-without-{what}.yaml"
@@ -109,12 +104,13 @@ def _descend(fit: Fit, options: CalibrateConfig, left_out: list, bar: Any) -> tu
     return descent, np.stack(history)
 
 
-def _judge(fit: Fit, descent: Descent, left_out: list, history: np.ndarray, files: dict[str, Path]) -> dict[str, Any]:
+def _evaluate(
+    fit: Fit, descent: Descent, left_out: list, history: np.ndarray, recordings: dict[str, Path]
+) -> dict[str, Any]:
     """The best start of each fit, and how good its constants are in all scenes."""
     import numpy as np
 
-    from sean_jax.studies.calibration.fitting import COLLISIONS, parts_of
-    from sean_jax.studies.calibration.parameters import BOUNDS, values_of
+    from sean_jax.studies.calibration.fitting import BOUNDS, COLLISIONS, parts_of, values_of
     from sean_jax.studies.prediction import evaluate, read_windows
 
     error, near = fit.errors(descent.mean)  # (F, K, E), (F, K)
@@ -124,12 +120,12 @@ def _judge(fit: Fit, descent: Descent, left_out: list, history: np.ndarray, file
     chosen = np.asarray(descent.mean)[np.arange(len(best)), best]
     before, _ = fit.errors(fit.start(1, 1, 0).free[0])
     labels = ["all" if name is None else name for name in left_out]
-    found = {"before": np.asarray(values_of(fit.forces, fit.names))}
+    parameters = {"before": np.asarray(values_of(fit.forces, fit.names))}
     fits = {label: parts_of(fit.forces, fit.names, each) for label, each in zip(labels, chosen, strict=True)}
-    found |= {label: np.asarray(values_of(forces, fit.names)) for label, (forces, _) in fits.items()}
+    parameters |= {label: np.asarray(values_of(forces, fit.names)) for label, (forces, _) in fits.items()}
     errors = {"before": before[0]} | {label: error[k, best[k]] for k, label in enumerate(labels)}
     scores: dict[str, Any] = {}
-    for scene, file in files.items():
+    for scene, file in recordings.items():
         for clock in ("social_gan", "recorded"):
             windows = read_windows(file, clock)
             own = {
@@ -144,7 +140,7 @@ def _judge(fit: Fit, descent: Descent, left_out: list, history: np.ndarray, file
     return {
         "names": list(fit.names),
         "bounds": {name: BOUNDS[name] for name in fit.names},
-        "parameters": {what: _floats(fit.names, values) for what, values in found.items()},
+        "parameters": {what: _floats(fit.names, values) for what, values in parameters.items()},
         "habits": {label: _floats(habits._fields, habits) for label, (_, habits) in fits.items()},
         "errors": {what: _floats(fit.scenes, values) for what, values in errors.items()},
         "scores": scores,
@@ -175,7 +171,7 @@ def _floats(names: Any, values: Any) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
-# ------------------------------------------------------------------ what is kept
+# ------------------------------------------------------------------ the folder
 
 
 def _check_folder(folder: Path, options: CalibrateConfig) -> None:
@@ -205,7 +201,7 @@ def _save(descent: Descent, history: list, file: Path) -> None:
 
 
 def _resume(descent: Descent, file: Path) -> tuple[Descent, list]:
-    """The descent that a file holds; the given one if there is none."""
+    """The saved descent and its history; the start without a file."""
     import jax
     import jax.numpy as jnp
 
@@ -213,15 +209,15 @@ def _resume(descent: Descent, file: Path) -> tuple[Descent, list]:
         return descent, []
     leaves, structure = jax.tree.flatten(descent)
     try:
-        kept = files.read_arrays(file)
-        found = [kept[f"leaf{index}"] for index in range(len(leaves))]
-        history = list(kept["history"])
-        if [each.shape for each in found] != [leaf.shape for leaf in leaves]:
+        arrays = files.read_arrays(file)
+        restored = [arrays[f"leaf{index}"] for index in range(len(leaves))]
+        history = list(arrays["history"])
+        if [each.shape for each in restored] != [leaf.shape for leaf in leaves]:
             raise ValueError
     except (ValueError, KeyError, TypeError):
         raise InputError(f"{file} is damaged; remove it to begin anew.") from None
     return structure.unflatten(
-        [jnp.asarray(each, leaf.dtype) for each, leaf in zip(found, leaves, strict=True)]
+        [jnp.asarray(each, leaf.dtype) for each, leaf in zip(restored, leaves, strict=True)]
     ), history
 
 

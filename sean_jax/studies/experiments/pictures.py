@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 
 from sean_jax import writing
 from sean_jax.drawing import colors
-from sean_jax.report.figures import svg
 from sean_jax.studies.experiments import shares
 from sean_jax.studies.experiments.shares import BEHAVIORS
 
@@ -40,11 +39,6 @@ def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Figur
         for side in ("top", "right"):
             each.spines[side].set_visible(False)
     return figure, axes
-
-
-def embed(figure: Figure, name: str) -> str:
-    """A figure to stand in a page."""
-    return f"<figure>{svg(figure, name)}</figure>"
 
 
 def save(folder: Path, figures: dict[str, Figure]) -> None:

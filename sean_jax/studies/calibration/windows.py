@@ -1,8 +1,8 @@
-"""What forces are fitted to: recorded scenes as windows, of which the beginning is given and the rest compared.
+"""Recorded scenes as windows: forces are fitted to predict their later moments from the first ones.
 
-Scenes are of two kinds. *Prediction*: ETH and UCY, people in the open who go on as they were last seen
+Scenes are of two kinds. *Prediction*: ETH and UCY, people in the open who go on with their last velocity
 (``sean_jax.studies.prediction``). *Corridors*: unidirectional and bidirectional runs of Forschungszentrum Juelich
-(HERMES 2009), whose walls and walking direction are known; who is not in the corridor at the beginning is replayed.
+(HERMES 2009), whose walls and walking direction are known; people who enter later are replayed.
 """
 
 import re
@@ -23,8 +23,8 @@ RUN = re.compile(r"(uo|bo)-(\d{3})-(\d{3})-(\d{3})")  # direction, widths of ent
 LENGTH = 8.0  # m, of a corridor, from y = -4 to 4
 CORRIDOR_STEP = 0.5  # s between moments
 CORRIDOR_SEEN, CORRIDOR_STEPS = 2, 6  # moments given, of which the last is the beginning, and moments compared
-STRIDE = 4  # moments from the beginning of a window to that of the next
-NEARBY = 1.0  # m beyond the ends, where those stand who are replayed
+STRIDE = 4  # moments from the beginning of a window to the beginning of the next
+NEARBY = 1.0  # m beyond the ends, within which people are replayed
 APART = 40.0  # m between two runs, which lie side by side on one floor
 WALL = 0.3  # m, thickness
 EXIT = 0.3  # m beyond the exit line, where people head for
@@ -33,12 +33,12 @@ BODY = 0.25  # m, by which their way keeps off the posts of the exit
 
 @struct.dataclass
 class Scenes:
-    """B windows of some scenes, of up to N people who are predicted and M who are replayed."""
+    """B windows of some scenes, of up to N predicted people and M replayed ones."""
 
     seen: Float[np.ndarray, "B T N 2"]  # m
     known: Bool[np.ndarray, "B T N"]
     after: Float[np.ndarray, "B S N 2"]  # m, where people really were
-    counted: Bool[np.ndarray, "B S N"]  # who was seen then, and is compared
+    counted: Bool[np.ndarray, "B S N"]  # who was observed then
     scene: np.ndarray  # (B,) index of the window's scene among ``names``
     direction: Float[np.ndarray, "B N 2"] | None  # unit vector of the desired velocity where it is known
     others: Float[np.ndarray, "B moments M 2"] | None  # m, NaN where absent
@@ -49,10 +49,10 @@ class Scenes:
 
 
 def find(folder: str | Path) -> tuple[dict[str, Path], dict[str, Path]]:
-    """The recordings in a folder that forces can be fitted to.
+    """The recordings of pedestrians in the open, and of corridors, in a folder.
 
     Raises:
-        InputError: there is no such folder, or not one recording in it.
+        InputError: there is no such folder, or no such recording in it.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -70,11 +70,7 @@ def find(folder: str | Path) -> tuple[dict[str, Path], dict[str, Path]]:
 
 
 def prediction_scenes(files: dict[str, Path]) -> Scenes:
-    """The windows of ETH and UCY, 0.4 s apart in real time.
-
-    Returns:
-        Windows of 8 moments given and 12 compared.
-    """
+    """The windows of ETH and UCY, 8 observed moments and 12 to compare, 0.4 s apart in real time."""
     windows = [read_windows(file, "recorded") for file in files.values()]
     people = max(each.present.shape[1] for each in windows)
     position = np.concatenate([_pad(each.position, 2, people) for each in windows])
@@ -89,11 +85,7 @@ def prediction_scenes(files: dict[str, Path]) -> Scenes:
 
 
 def corridor_scenes(files: dict[str, Path]) -> Scenes:
-    """Windows of Juelich's runs; each run lies at a place of its own on one floor, between its own walls.
-
-    Returns:
-        Windows of 3 s.
-    """
+    """Windows of 3 s of Juelich's runs; each run lies at its own place on one floor, between its own walls."""
     parts, boxes = [], []
     for number, (name, file) in enumerate(files.items()):
         match = RUN.match(name)
@@ -122,7 +114,7 @@ def corridor_scenes(files: dict[str, Path]) -> Scenes:
 
 
 def _corridor_windows(places: np.ndarray, width: float, exit_width: float, one_way: bool, place: np.ndarray):
-    """Of each window: positions before and after, directions, and tracks of those who are replayed."""
+    """Of each window: positions before and after, directions, and tracks of replayed people."""
     half = 0.5 * LENGTH
     places = places[:, np.isfinite(places).any((0, 2))]
     y = places[..., 1]
@@ -133,22 +125,27 @@ def _corridor_windows(places: np.ndarray, width: float, exit_width: float, one_w
     for begin in range(0, len(places) - total + 1, STRIDE):
         window = places[begin : begin + total]
         now = CORRIDOR_SEEN - 1
-        who = np.flatnonzero(np.isfinite(window[: now + 1]).all((0, 2)) & inside[begin + now])
-        if len(who) < 2:
+        chosen = np.flatnonzero(np.isfinite(window[: now + 1]).all((0, 2)) & inside[begin + now])
+        if len(chosen) < 2:
             continue
-        rest = np.setdiff1d(np.arange(places.shape[1]), who)
+        rest = np.setdiff1d(np.arange(places.shape[1]), chosen)
         near = np.abs(window[now:, rest, 1]) < half + NEARBY
         tracks = np.where(near[..., None], window[now:, rest], np.nan)
         tracks = _share_columns(tracks)
-        start = window[now, who]
+        start = window[now, chosen]
         to = (
-            np.stack([start[:, 0], np.full(len(who), sign[who] * (half + EXIT))], -1)
+            np.stack([start[:, 0], np.full(len(chosen), sign[chosen] * (half + EXIT))], -1)
             if not one_way
-            else np.stack([_through(start[:, 0], width, exit_width), np.full(len(who), -half - EXIT)], -1)
+            else np.stack([_through(start[:, 0], width, exit_width), np.full(len(chosen), -half - EXIT)], -1)
         )
         way = to - start
-        after = np.where(inside[begin + now + 1 : begin + total][:, who, None], window[now + 1 :, who], np.nan)
-        yield window[: now + 1, who] + place, after + place, way / np.linalg.norm(way, axis=1)[:, None], tracks + place
+        after = np.where(inside[begin + now + 1 : begin + total][:, chosen, None], window[now + 1 :, chosen], np.nan)
+        yield (
+            window[: now + 1, chosen] + place,
+            after + place,
+            way / np.linalg.norm(way, axis=1)[:, None],
+            tracks + place,
+        )
 
 
 def _share_columns(tracks: np.ndarray) -> np.ndarray:
