@@ -31,9 +31,9 @@ from sean_jax.behaviors.starts import (
     present_people,
     walk_abreast,
 )
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
-from sean_jax.platforms import to_device
 from sean_jax.social_forces import draw_traits
 
 ARRIVED = 1.0  # m from the goal (SEAN 2.0)
