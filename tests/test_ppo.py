@@ -290,7 +290,7 @@ def test_it_learns_to_go_to_the_goal(tmp_path):
         (["train", "ppo", "--discount", "1.5"], "--discount"),
         (
             ["train", "ppo", "--environment", "lab,outdoor,warehouse"],
-            "64 do not spread evenly over 3 environments",
+            "64 do not divide equally among 3 environments",
         ),
         (["train", "ppo", "--environment", "lab,outdoor", "--curriculum", "regret"], "not of lab,outdoor; choose one"),
         (["train", "ppo", "--environment", "lab,labb"], "labb"),

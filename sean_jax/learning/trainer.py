@@ -30,6 +30,7 @@ from sean_jax import files, writing
 from sean_jax.config import present_names
 from sean_jax.errors import FileError, IncompleteError, InputError, SeanError
 from sean_jax.learning.networks import CONFIG, check_supported
+from sean_jax.workspace import refuse_others
 
 METRICS, CURVE = "metrics.jsonl", "curve.png"
 STATE, DIGESTS = "state", "sha256"
@@ -453,8 +454,7 @@ def check_config(folder: Path, config: dict[str, Any]) -> bool:
     """
     file = folder / CONFIG
     if not file.exists():
-        if writing.contents(folder):
-            raise InputError(f"the folder {folder} holds something else already, choose another with --out.")
+        refuse_others(folder)
         return False
     try:
         saved = files.read_json(file)
