@@ -114,8 +114,9 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         preferred_speed=group_speeds(scenario, walking_group, preferred_speed),
         robot_distance=robot_distance,
     )
+    groups = no_groups()
     goal = paths.draw_places(tables.navigation, goal_key, people)
-    return pedestrians, no_groups(), Memory(*follow_leaders(walking_group, goal))
+    return pedestrians, groups, Memory(*follow_leaders(walking_group, goal))
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
