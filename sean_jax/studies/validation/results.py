@@ -15,7 +15,7 @@ from sean_jax import files, writing
 from sean_jax.config import ValidateConfig
 from sean_jax.errors import InputError
 from sean_jax.flags import command
-from sean_jax.report.figures import svg
+from sean_jax.report import svg
 from sean_jax.studies.scenes import Model
 from sean_jax.studies.validation import page
 from sean_jax.studies.validation.check import FAILS, PASSES, SKIPPED, Check, CheckContext, Curve, Row, Skipped
