@@ -38,7 +38,7 @@ from sean_jax.config import (
     validate,
 )  # fmt: skip
 from sean_jax.errors import InputError
-from sean_jax.recordings.lines import check_clock
+from sean_jax.recordings import check_clock
 from sean_jax.scenario import direct_pedestrians, measure, move_pedestrians, reset, results
 
 MAX_SITUATIONS = 20  # times of all 2 ** 20 sets of them are counted

@@ -1,7 +1,6 @@
 """MJCF files, checked before MuJoCo compiles them, since it accepts any size, and NaN for a number.
 
-Elements that a scene or a robot of this package has no use for, and larger numbers than any of them needs, are refused
-at their line.
+Elements without use in a scene or a robot, and larger numbers than any of them needs, are refused at their line.
 """
 
 import math
@@ -15,6 +14,7 @@ import numpy as np
 
 from sean_jax.errors import FileError
 from sean_jax.files.reading import MAX_DEPTH, read_bytes, read_text, short_name
+from sean_jax.messages import shorten
 
 MAX_ELEMENTS = 10_000  # in all, those of a replicate as often as it makes them
 MAX_JOINTS = 100
@@ -38,10 +38,7 @@ WORDS = ("name", "class", "childclass", "file", "filename", "model", "prefix")  
 
 
 def read(path: Path) -> Any:
-    """Read an MJCF file.
-
-    Returns:
-        Its ``mujoco.MjModel``, in which every number is finite.
+    """The ``mujoco.MjModel`` of an MJCF file, in which every number is finite.
 
     Raises:
         FileError: one sentence that names the file, the line where there is one, and the cure.
@@ -73,11 +70,7 @@ def read(path: Path) -> Any:
 
 
 def sources(path: Path) -> list[Path]:
-    """The files that an MJCF file reads: those that it includes, meshes and images.
-
-    Raises:
-        FileError: an element is refused, or a file cannot be read.
-    """
+    """The files that an MJCF file reads: includes, meshes and images; FileError if an element or a file is refused."""
     scan = _Scan(path)
     scan.run(path, read_text(path, MAX_TEXT))
     scan.check_assets()
@@ -96,11 +89,7 @@ class _Scan:
         self.place = ""  # "file:line" of the current element
 
     def run(self, path: Path, content: str, including: tuple[Path, ...] = (), times: int = 1) -> None:
-        """Check the text of a file.
-
-        Raises:
-            FileError: an element is refused, or the file is not XML.
-        """
+        """Check the text of a file, its content made ``times``; FileError if it is not XML or an element is refused."""
         parser = expat.ParserCreate("utf-8")
         above = [times]  # of each open element: how often its content is made
 
@@ -139,11 +128,7 @@ class _Scan:
             raise FileError(f"{place}: is not XML: {expat.ErrorString(error.code)}.") from None
 
     def element(self, name: str, attributes: dict[str, str], times: int) -> int:
-        """Check an element.
-
-        Raises:
-            _ElementError: it is refused.
-        """
+        """Check an element; returns how often its content is made. Raises _ElementError."""
         if name == "robot":
             raise _ElementError("is URDF and not MJCF; write it as MJCF, as envs/robots/kuri.xml is")
         if name in REFUSED:
@@ -153,9 +138,11 @@ class _Scan:
                 _check_numbers(key, value)
             maximum = MAX_COUNTS.get((name, key), MAX_RESERVED if name == "size" and key != "memory" else None)
             if maximum is not None and any(not -1 <= number <= maximum for number in _numbers(value)):
-                raise _ElementError(f'{name} {key}="{_short(value)}" must be at most {maximum:,}')
+                raise _ElementError(f'{name} {key}="{shorten(value, 40)}" must be at most {maximum:,}')
         if name == "size" and _bytes(attributes.get("memory", "")) > MAX_MEMORY:
-            raise _ElementError(f'size memory="{_short(attributes["memory"])}" must be at most {MAX_MEMORY // 10**6}M')
+            raise _ElementError(
+                f'size memory="{shorten(attributes["memory"], 40)}" must be at most {MAX_MEMORY // 10**6}M'
+            )
         self.elements += times
         if self.elements > MAX_ELEMENTS:
             raise _ElementError(f"makes more than {MAX_ELEMENTS:,} elements; use fewer")
@@ -170,11 +157,7 @@ class _Scan:
         return max(1, int((_numbers(attributes.get("count", "")) or [1])[0])) if name == "replicate" else 1
 
     def count_images(self, name: str, attributes: dict[str, str]) -> None:
-        """Count the pixels that MuJoCo paints for an element, and collect the names of the files that it reads.
-
-        Raises:
-            _ElementError: there are too many pixels.
-        """
+        """Count the pixels that MuJoCo paints for an element, and collect its files. Raises _ElementError."""
         cube = name == "texture" and attributes.get("type", "cube") in ("cube", "skybox")
         if name in ("texture", "hfield"):
             sides = ("width", "height") if name == "texture" else ("nrow", "ncol")
@@ -187,7 +170,7 @@ class _Scan:
                 self.assets.append((self.place, names, 6 if cube and "gridsize" not in attributes else 1))
 
     def check_assets(self) -> None:
-        """Count the pixels of the files of all assets, in whichever of the folders they are. Raises FileError."""
+        """Count the pixels of the files of all assets, in all folders where they may be. Raises FileError."""
         pixels: dict[Path, int] = {}
         for place, names, many in self.assets:
             largest = 0
@@ -203,11 +186,7 @@ class _Scan:
                 raise FileError(f"{place}: {str(error).rstrip('.')}.") from None
 
     def count_pixels(self, pixels: float) -> None:
-        """Add pixels to the total.
-
-        Raises:
-            _ElementError: there are too many.
-        """
+        """Add pixels to the total; _ElementError if there are too many."""
         self.pixels += pixels
         if self.pixels > MAX_PIXELS:
             raise _ElementError(
@@ -217,10 +196,6 @@ class _Scan:
 
 class _ElementError(Exception):
     """An element is refused, for a reason in one clause."""
-
-
-def _short(value: str) -> str:
-    return value if len(value) <= 40 else value[:37] + "..."
 
 
 def _numbers(value: str) -> list[float]:
@@ -236,9 +211,11 @@ def _numbers(value: str) -> list[float]:
 def _check_numbers(key: str, value: str) -> None:
     for number in _numbers(value):
         if not math.isfinite(number):
-            raise _ElementError(f'{key}="{_short(value)}" holds a number that is not finite; give one that is')
+            raise _ElementError(f'{key}="{shorten(value, 40)}" holds a number that is not finite; give one that is')
         if abs(number) > MAX_MAGNITUDE:
-            raise _ElementError(f'{key}="{_short(value)}" holds a number beyond {MAX_MAGNITUDE:g}; give a smaller one')
+            raise _ElementError(
+                f'{key}="{shorten(value, 40)}" holds a number beyond {MAX_MAGNITUDE:g}; give a smaller one'
+            )
 
 
 def _bytes(value: str) -> float:

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from sean_jax import cache
 from sean_jax.base import Array, PathsToGoal
+from sean_jax.devices import to_device
 from sean_jax.geometry import from_box, length
 from sean_jax.navigation.arcs import (
     ANGLE,
@@ -24,7 +25,6 @@ from sean_jax.navigation.arcs import (
 )
 from sean_jax.navigation.shortest_paths import last_arcs
 from sean_jax.navigation.tables import CELL, CODE, Navigation, inputs
-from sean_jax.platforms import to_device
 
 CLOSE = 0.8  # of the radius: bodies of people have 0.2 m, their paths are for 0.25 m
 MIN_AHEAD = 0.5  # m ahead: the nearest place that people aim at

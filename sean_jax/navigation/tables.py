@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from sean_jax import cache
 from sean_jax import environment as environments
 from sean_jax.base import Array, Environment, Obstacles
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.navigation.arcs import (
     ANGLE,
@@ -25,7 +26,6 @@ from sean_jax.navigation.arcs import (
     segments_are_free,
     tangents,
 )
-from sean_jax.platforms import to_device
 
 CODE = "navigation", "environment", "geometry"  # on which the tables depend
 FIELDS = "corner", "middle", "side", "first", "last"

@@ -18,11 +18,10 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax import obstacle_grid
 from sean_jax.base import Array, ObstacleGrid, Policy, Scenario, State
-from sean_jax.geometry import from_rectangle, length, to_border
+from sean_jax.devices import scalar
+from sean_jax.geometry import from_rectangle, length, nearby_obstacles, to_border
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
-from sean_jax.platforms import scalar
 from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal
 from sean_jax.policies.prediction import (
     PeopleMotion,
@@ -251,7 +250,7 @@ def obstacle_distance(
     grid: ObstacleGrid, x: Float[Array, "*shape"], y: Float[Array, "*shape"]
 ) -> Float[Array, "*shape"]:
     """Distance [m] from places (x, y) [m] to the nearest obstacle within reach of the grid."""
-    rows = obstacle_grid.lookup(grid, x, y)
+    rows = nearby_obstacles(grid, x, y)
     return jnp.min(from_rectangle(x[..., None], y[..., None], *(rows[..., part] for part in range(6)))[0], -1)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from sean_jax import drawing, files, navigation, pages, writing
 from sean_jax.base import Environment, Scenario, Trajectory
 from sean_jax.drawing import colors
-from sean_jax.drawing.parts import one_episode, situation_names
+from sean_jax.drawing.layers import one_episode, situation_names
 from sean_jax.errors import InputError
 from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL

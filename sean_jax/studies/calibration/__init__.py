@@ -6,7 +6,6 @@ One fit is to all scenes. Each other one leaves out a scene of prediction, which
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +14,9 @@ from sean_jax import files, writing
 from sean_jax.config import CalibrateConfig
 from sean_jax.errors import InputError
 from sean_jax.files import listed, unknown_name
-from sean_jax.flags import flag
 from sean_jax.progress import progress
-from sean_jax.versions import version_mismatch, versions
+from sean_jax.versions import versions
+from sean_jax.workspace import Workspace, identity
 
 if TYPE_CHECKING:
     import numpy as np
@@ -42,9 +41,7 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
         WriteError: the folder cannot be written.
     """
     folder = options.folder
-    _check_folder(folder, options)
-    with writing.folder_lock(folder), progress(console) as bar:
-        _check_folder(folder, options)
+    with _workspace(options).open() as work, progress(console) as bar:
         bar.stage("reading the recordings")
         from sean_jax.social_forces import build
         from sean_jax.studies.calibration import page, windows
@@ -56,7 +53,7 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
         left_out = _left_out(options, list(prediction))
         kinds = [windows.prediction_scenes(prediction)] if prediction else []
         kinds += [windows.corridor_scenes(corridors)] if corridors else []
-        _write_json(folder / OPTIONS, {"options": options.identity(), "versions": versions()})
+        writing.write(folder / OPTIONS, {**work.identity, "versions": versions()})
         fit = Fit(forces, names, kinds, options.steps, options.batch)
         descent, history = _descend(fit, options, left_out, bar)
         bar.stage("judging by all windows")
@@ -65,7 +62,7 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
             if what != "before":
                 file = FORCES if what == "all" else f"forces-without-{what}.yaml"
                 writing.write(folder / file, _constants(options, what, values, results))
-        _write_json(folder / RESULTS, results)
+        writing.write(folder / RESULTS, results)
         writing.write(folder / REPORT, page.html(options, results))
         (folder / UNFINISHED).unlink(missing_ok=True)
     return folder
@@ -174,21 +171,12 @@ def _floats(names: Any, values: Any) -> dict[str, float]:
 # ------------------------------------------------------------------ the folder
 
 
-def _check_folder(folder: Path, options: CalibrateConfig) -> None:
-    """Refuse a folder that holds something else, or a fit of other options."""
-    if not folder.is_dir() or not writing.contents(folder):
-        return
-    try:
-        content = files.read_json(folder / OPTIONS)
-        previous, current = content["options"], options.identity()
-        names = [name for name in current if current[name] != previous.get(name)]
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"the folder {folder} holds something else already, choose another with --out.") from None
-    if names:
-        text = f"{flag(names[0])} {previous.get(names[0])}, not {current[names[0]]}"
-        raise InputError(f"{folder} was begun with {text}; ask for the same or choose another --out.")
-    if (folder / UNFINISHED).exists() and (other := version_mismatch(content.get("versions"))) is not None:
-        raise InputError(f"{folder} was begun with {other}; go on with the same, or choose another --out.")
+def _workspace(options: CalibrateConfig) -> Workspace:
+    """The folder of a fit; only an unfinished one needs the same versions."""
+    about = identity(options)
+    if not (options.folder / UNFINISHED).exists():
+        del about["versions"]
+    return Workspace(options.folder, about, OPTIONS)
 
 
 def _save(descent: Descent, history: list, file: Path) -> None:
@@ -219,7 +207,3 @@ def _resume(descent: Descent, file: Path) -> tuple[Descent, list]:
     return structure.unflatten(
         [jnp.asarray(each, leaf.dtype) for each, leaf in zip(restored, leaves, strict=True)]
     ), history
-
-
-def _write_json(file: Path, content: Any) -> None:
-    writing.write(file, json.dumps(content, indent=1, allow_nan=False) + "\n")

@@ -15,7 +15,8 @@ from jaxtyping import Bool, Float
 
 from sean_jax.base import Obstacles
 from sean_jax.errors import InputError
-from sean_jax.recordings import lines, read
+from sean_jax.recordings import read
+from sean_jax.recordings.reading import NEEDED, column_names
 from sean_jax.studies.prediction import read_windows
 from sean_jax.studies.prediction.benchmark import SEEN, TIME_STEP
 
@@ -207,6 +208,6 @@ def _pad(array: np.ndarray, axis: int, size: int, value: float = 0.0) -> np.ndar
 
 def _has_velocities(file: Path) -> bool:
     try:
-        return {*lines.NEEDED, "vx", "vy"} <= lines.columns(file)
+        return {*NEEDED, "vx", "vy"} <= column_names(file)
     except InputError:
         return False

@@ -20,28 +20,26 @@ from sean_jax.config import (
 from sean_jax.flags import command, number
 from sean_jax.pages import Cell, figure, note, section, table
 from sean_jax.report import svg
-from sean_jax.studies.experiments import parts, pictures, shares
+from sean_jax.studies.experiments import pictures, shares
+from sean_jax.studies.experiments.measures import CURVE_MEASURES, comparisons
 from sean_jax.studies.experiments.shares import BEHAVIORS
-from sean_jax.studies.experiments.variants import MEASURES, comparisons
 from sean_jax.versions import versions
+from sean_jax.workspace import IDENTITY, read_identity
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from sean_jax.metrics import Estimate
-    from sean_jax.studies.experiments import table1 as tables
-    from sean_jax.studies.experiments.benchmark import Scores
-    from sean_jax.studies.experiments.claims import Claim, Results, Training
-    from sean_jax.studies.experiments.recorded import Recorded
-    from sean_jax.studies.experiments.shares import Ordering
-    from sean_jax.studies.experiments.variants import Curve, Verdict
+    from sean_jax.studies.experiments.measures import Claim, Curve, Results, Training, Verdict
+    from sean_jax.studies.experiments.shares import Ordering, Recorded
+    from sean_jax.studies.experiments.tracks import Scores
 
 SITUATIONS = [name.replace("_", " ") for name in shares.NAMES]
 
 
 def document(title: str, sections: list[str], options: ExperimentConfig | BenchmarkConfig) -> str:
     """A page with these sections and one more: the command and the versions that reproduce it."""
-    origin = (parts.load(options.folder / parts.OPTIONS) or {}).get("versions") or versions()  # of the run
+    origin = (read_identity(options.folder / IDENTITY) or {}).get("versions") or versions()  # of the run
     word = "benchmark" if isinstance(options, BenchmarkConfig) else "experiment"
     return pages.page(title, f"sean_jax · {word}", [*sections, pages.origin(command(word, options), origin)])
 
@@ -70,7 +68,7 @@ def _holds(row: Claim | Ordering | Verdict) -> Cell:
 # ------------------------------------------------------------------ Table I
 
 
-def table1(options: Table1Config, cells: list[tables.Cell], figures: dict[str, Figure], real: list[Recorded]) -> str:
+def table1(options: Table1Config, cells: list[shares.Cell], figures: dict[str, Figure], real: list[Recorded]) -> str:
     """The page of Table I.
 
     Args:
@@ -129,7 +127,7 @@ SPEEDS = (
 )
 
 
-def _shares(cells: list[tables.Cell], policy: str) -> str:
+def _shares(cells: list[shares.Cell], policy: str) -> str:
     rows: list[list[str | Cell]] = []
     for cell in (cell for cell in cells if cell.policy == policy):
         paper = shares.paper()[cell.behavior]
@@ -161,7 +159,7 @@ def _recorded(options: Table1Config, real: list[Recorded]) -> str:
     return table(["", *SITUATIONS, "none", "entropy", "people"], rows)
 
 
-def _more(cells: list[tables.Cell], policies: list[str], real: list[Recorded]) -> str:
+def _more(cells: list[shares.Cell], policies: list[str], real: list[Recorded]) -> str:
     """Situations beyond the paper's five."""
     names = list(MORE_SITUATIONS)
     estimates = [
@@ -181,7 +179,7 @@ def _more(cells: list[tables.Cell], policies: list[str], real: list[Recorded]) -
     return table(["", *(name.replace("_", " ") for name in names)], rows)
 
 
-def _orderings(cells: list[tables.Cell], policies: list[str]) -> str:
+def _orderings(cells: list[shares.Cell], policies: list[str]) -> str:
     by_policy = [
         shares.orderings({cell.behavior: cell.shares() for cell in cells if cell.policy == policy})
         for policy in policies
@@ -196,7 +194,7 @@ def _orderings(cells: list[tables.Cell], policies: list[str]) -> str:
 # ------------------------------------------------------------------ ablation
 
 
-def ablation(options: AblationConfig, by_world: dict[str, list[tables.Cell]], picture: Figure) -> str:
+def ablation(options: AblationConfig, by_world: dict[str, list[shares.Cell]], picture: Figure) -> str:
     """The page of Table I in several worlds.
 
     Args:
@@ -228,7 +226,7 @@ WORLDS = (
 )
 
 
-def _worlds(by_world: dict[str, list[tables.Cell]], behavior: str, policy: str) -> str:
+def _worlds(by_world: dict[str, list[shares.Cell]], behavior: str, policy: str) -> str:
     estimates = {
         world: next(cell.shares() for cell in cells if (cell.behavior, cell.policy) == (behavior, policy))
         for world, cells in by_world.items()
@@ -255,7 +253,7 @@ def _columns(estimate: shares.Shares) -> np.ndarray:
     return np.concatenate([estimate.of("flags"), estimate.none[:, None], estimate.entropy()[:, None]], axis=1)
 
 
-def _changed_orderings(by_world: dict[str, list[tables.Cell]], policy: str) -> str:
+def _changed_orderings(by_world: dict[str, list[shares.Cell]], policy: str) -> str:
     orderings = {
         world: shares.orderings({cell.behavior: cell.shares() for cell in cells if cell.policy == policy})
         for world, cells in by_world.items()
@@ -393,16 +391,16 @@ def learning_curve(options: LearningCurveConfig, curve: Curve, picture: Figure) 
     """
     columns = list(curve.cells[curve.variants[0].name])
     numbers = []
-    for name, words in MEASURES.items():
+    for name, words in CURVE_MEASURES.items():
         rows = [[each.title, *_row(curve.cells[each.name], columns, name)] for each in curve.variants]
         numbers.append(table([words, *columns], rows))
     differences = []
     for one, other in comparisons(curve.variants):
         cells = curve.differences(one, other)
-        rows = [[words, *_row(cells, columns, name, "+.2f")] for name, words in MEASURES.items()]
+        rows = [[words, *_row(cells, columns, name, "+.2f")] for name, words in CURVE_MEASURES.items()]
         differences.append(table([f"{one.title} minus {other.title}", *columns], rows))
     verdicts = [
-        [Cell(f"{row['variant']} better than {row['other']}: {MEASURES[row['measure']]}", kind="text"),
+        [Cell(f"{row['variant']} better than {row['other']}: {CURVE_MEASURES[row['measure']]}", kind="text"),
          _estimate(row["difference"], "+.2f"), _holds(row)]
         for row in curve.verdicts
     ]  # fmt: skip

@@ -17,7 +17,7 @@ from sean_jax import assembly, files, prng, writing
 from sean_jax import environment as environments
 from sean_jax.base import Environment, Scenario
 from sean_jax.config import FitGraphConfig, GraphBehavior, Named, ScenarioConfig
-from sean_jax.drawing import colors, parts
+from sean_jax.drawing import colors, layers
 from sean_jax.errors import InputError
 from sean_jax.files.mjcf import MAX_TEXT
 from sean_jax.flags import command
@@ -238,8 +238,8 @@ def picture(
         own.set_aspect("equal")
         own.set_axis_off()
         own.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, color=colors.FLOOR, zorder=0))
-        parts.draw_obstacles(own, environment)
-        parts.draw_graph(own, graph, alone=False)
+        layers.draw_obstacles(own, environment)
+        layers.draw_graph(own, graph, alone=False)
         _arrows(own, graph, flow, greatest)
     _compare(axes[-1], panels, greatest)
     return figure

@@ -16,7 +16,8 @@ from jaxtyping import Bool, Float
 
 from sean_jax.errors import InputError
 from sean_jax.files import short_name
-from sean_jax.recordings import Tracks, lines, read
+from sean_jax.recordings import Tracks, read
+from sean_jax.recordings.reading import read_lines
 from sean_jax.studies.prediction.forecast import Model, predict
 
 SEEN, PREDICTED, TIME_STEP = 8, 12, 0.4  # moments, moments, s
@@ -128,7 +129,7 @@ def score(
 
 def _every_ten_frames(path: Path) -> np.ndarray:
     """(T, N, 2) m at frames 0, 10, 20, ..., NaN of absent people, who begin at the moment before their first line."""
-    recorded = lines.read(path, "eth_ucy")
+    recorded = read_lines(path, "eth_ucy")
     order = np.lexsort((recorded.values["frame"], recorded.person))
     frame, x, y = (recorded.values[name][order] for name in ("frame", "x", "y"))
     ends = np.flatnonzero(np.diff(recorded.person[order])) + 1

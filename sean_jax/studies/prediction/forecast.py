@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 
-from sean_jax import obstacle_grid, social_forces
+from sean_jax import social_forces
 from sean_jax.base import (
     Array,
     Behavior,
@@ -32,7 +32,7 @@ from sean_jax.base import (
 from sean_jax.config import DEFAULT_FORCES
 from sean_jax.errors import InputError
 from sean_jax.files import unknown_name
-from sean_jax.geometry import length
+from sean_jax.geometry import build_obstacle_grid, length
 from sean_jax.pedestrian_models import MODELS
 from sean_jax.people import pedestrians_at
 from sean_jax.social_forces import PRESETS, SUBSTEP, Cohesion, Forces, Term, presets
@@ -191,7 +191,7 @@ def grid_around(obstacles: Obstacles) -> ObstacleGrid:
     """The grid of some walls on a floor with much room around them. Runs on the host."""
     reach = jnp.hypot(obstacles.half_extent[:, 0], obstacles.half_extent[:, 1])[:, None]
     lower, upper = (obstacles.center - reach).min(0), (obstacles.center + reach).max(0)
-    return obstacle_grid.build(obstacles, jnp.concatenate([lower - MARGIN, upper + MARGIN]))
+    return build_obstacle_grid(obstacles, jnp.concatenate([lower - MARGIN, upper + MARGIN]))
 
 
 def _resolve(model: Model) -> tuple[Callable[[Scenario, State], Pedestrians], Forces]:

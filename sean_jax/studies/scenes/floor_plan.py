@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from sean_jax import obstacle_grid
 from sean_jax.base import Environment, ObstacleGrid, Obstacles
+from sean_jax.devices import to_device
+from sean_jax.environment import plain_scenery
 from sean_jax.errors import InputError
-from sean_jax.platforms import to_device
-from sean_jax.scenery import plain_scenery
+from sean_jax.geometry import build_obstacle_grid
 
 Point = tuple[float, float]  # m
 
@@ -117,7 +117,7 @@ def _grid(plan: np.ndarray, floor: Any) -> ObstacleGrid:
     """The grid of obstacles with ``CELLS`` by ``CELLS`` cells and a padded number of rows in each."""
     obstacles = Obstacles(plan[:, :2], plan[:, 2:4], plan[:, 4], np.full(len(plan), HEIGHT))  # pyright: ignore
     cell = max(1.0, float((floor[2:] - floor[:2]).max()) / CELLS + 1e-6)
-    grid = obstacle_grid.build(obstacles, floor, cell)
+    grid = build_obstacle_grid(obstacles, floor, cell)
     rows = np.asarray(grid.rows)
     near = next((near for near, walls in SIZES if near >= rows.shape[2] and walls >= len(plan)), None)
     if near is None:

@@ -14,6 +14,7 @@ from sean_jax.progress import Progress, progress
 from sean_jax.studies.validation import page, results
 from sean_jax.studies.validation.check import CheckContext, Row, models_of
 from sean_jax.studies.validation.checks import select
+from sean_jax.workspace import refuse_others
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,7 +40,7 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
     if options.data is not None and not options.data.is_dir():
         raise InputError(f"--data: {options.data} is no folder; give the one that holds the recordings.")
     folder = options.folder
-    results.check_folder(folder)
+    refuse_others(folder, results.OURS)
     rows: list[Row] = []
     done: dict[Any, Row] = {}  # several guidelines demand the same test
     with writing.folder_lock(folder), progress(console) as bar:

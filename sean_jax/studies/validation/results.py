@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import hashlib
-import json
 import math
 import re
 import time
@@ -13,7 +12,6 @@ from typing import Any
 
 from sean_jax import files, writing
 from sean_jax.config import ValidateConfig
-from sean_jax.errors import InputError
 from sean_jax.flags import command
 from sean_jax.report import svg
 from sean_jax.studies.scenes import Model
@@ -43,17 +41,6 @@ def do(check: Check, context: CheckContext) -> Row:
     return Row(check.name, context.model.name, verdict, measured, reason, numbers, curves, axes, pictures, seconds)
 
 
-def check_folder(folder: Path) -> None:
-    """Refuse a folder that holds something else.
-
-    Raises:
-        InputError: it is not empty and holds no results of this command.
-    """
-    names = set(writing.contents(folder)) if folder.is_dir() else set()
-    if names and not names <= OURS:
-        raise InputError(f"the folder {folder} holds something else already, choose another with --out.")
-
-
 def load(folder: Path, check: Check, model: Model, options: ValidateConfig) -> Row | None:
     """The row of an earlier run with the same code, versions and model; None without one, or if it was skipped."""
     try:
@@ -72,7 +59,7 @@ def save(folder: Path, check: Check, model: Model, options: ValidateConfig, row:
     """Keep a row."""
     (folder / PARTS).mkdir(exist_ok=True)
     content = {"made_with": _made_with(model, options), **_finite(dataclasses.asdict(row))}
-    writing.write(_part(folder, check, model), json.dumps(content, indent=1, allow_nan=False) + "\n")
+    writing.write(_part(folder, check, model), content)
 
 
 def write(folder: Path, options: ValidateConfig, rows: Sequence[Row]) -> None:
@@ -80,7 +67,7 @@ def write(folder: Path, options: ValidateConfig, rows: Sequence[Row]) -> None:
     left_out = ("curves", "axes", "pictures")
     table = [{name: part for name, part in dataclasses.asdict(row).items() if name not in left_out} for row in rows]
     content = {"command": command("validate", options), "versions": versions(), "rows": _finite(table)}
-    writing.write(folder / RESULTS, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    writing.write(folder / RESULTS, content)
 
 
 def _part(folder: Path, check: Check, model: Model) -> Path:

@@ -11,7 +11,7 @@ import yaml
 from sean_jax import cli, replay
 from sean_jax.classifiers import SITUATION_SETS
 from sean_jax.errors import InputError
-from sean_jax.evaluation import comparison
+from sean_jax.evaluation import compare
 from sean_jax.files.reading import MAX_BYTES
 from sean_jax.metrics import METRICS
 
@@ -38,34 +38,34 @@ def run(folder: Path, chance: int, shift: float = 0.0, episodes: int = 40, **opt
 def test_the_same_episodes_are_compared_one_by_one(tmp_path):
     """What is the same in each episode cancels: the interval is that of the differences alone."""
     one, other = run(tmp_path / "one", 0), run(tmp_path / "other", 0, shift=0.7, policy="orca")
-    pair = comparison.read(one), comparison.read(other)
-    assert comparison.paired(*pair) == 40 and comparison.unlike(*pair) == ["policy"]
-    found = {row.name: row for row in comparison.differences(*pair)}
+    pair = compare.read(one), compare.read(other)
+    assert compare.paired(*pair) == 40 and compare.differing_options(*pair) == ["policy"]
+    found = {row.name: row for row in compare.differences(*pair)}
     assert set(found) == set(NAMES)
     seconds = found["seconds"]
-    assert seconds.apart == pytest.approx(0.7, abs=1e-6) and seconds.decided
+    assert seconds.difference == pytest.approx(0.7, abs=1e-6) and seconds.significant
     assert seconds.low == pytest.approx(0.7, abs=1e-6) == pytest.approx(seconds.high, abs=1e-6)
     assert found["completed"].unit == "%" and found["completed"].first == 100 * pair[0].columns["completed"].mean()
-    assert found["path_length"].apart == 0.0 and not found["path_length"].decided
-    assert "--policy" in comparison.told(*pair)
+    assert found["path_length"].difference == 0.0 and not found["path_length"].significant
+    assert "--policy" in compare.summarize(*pair)
 
 
 def test_other_episodes_are_compared_by_their_means(tmp_path):
     one, other = run(tmp_path / "one", 0, episodes=300), run(tmp_path / "other", 1, 3.0, episodes=200, seed=1)
-    pair = comparison.read(one), comparison.read(other)
-    assert comparison.paired(*pair) == 0
-    row = next(row for row in comparison.differences(*pair) if row.name == "seconds")
+    pair = compare.read(one), compare.read(other)
+    assert compare.paired(*pair) == 0
+    row = next(row for row in compare.differences(*pair) if row.name == "seconds")
     parts = [each.columns["seconds"] for each in pair]
-    assert row.apart == pytest.approx(parts[1].mean() - parts[0].mean())
+    assert row.difference == pytest.approx(parts[1].mean() - parts[0].mean())
     error = 1.96 * np.sqrt(sum(part.var() / len(part) for part in parts))
     assert row.high - row.low == pytest.approx(2 * error, rel=0.15)
-    assert "not the same" in comparison.told(*pair)
+    assert "have different episodes" in compare.summarize(*pair)
 
 
 def test_fewer_episodes_are_those_that_both_have(tmp_path):
-    pair = comparison.read(run(tmp_path / "one", 0)), comparison.read(run(tmp_path / "two", 0, episodes=25))
-    assert comparison.paired(*pair) == 25
-    assert all(row.apart == 0.0 for row in comparison.differences(*pair))
+    pair = compare.read(run(tmp_path / "one", 0)), compare.read(run(tmp_path / "two", 0, episodes=25))
+    assert compare.paired(*pair) == 25
+    assert all(row.difference == 0.0 for row in compare.differences(*pair))
 
 
 def test_the_page_names_both_and_refers_to_nothing_outside(tmp_path, capsys, monkeypatch):
@@ -76,12 +76,12 @@ def test_the_page_names_both_and_refers_to_nothing_outside(tmp_path, capsys, mon
     text = Path("compare-a<b>-other.html").read_text(encoding="utf-8")
     assert "a&lt;b&gt;" in text and "<b>" not in text.split("<body>")[1] and "://" not in text
     said = capsys.readouterr().out
-    assert "40 episodes that both have" in said and "duration" in said
+    assert "40 common episodes" in said and "duration" in said
     assert cli.main(["compare", "a<b>", "missing"]) == 2
     assert "holds no config.yaml" in capsys.readouterr().err
     Path("other/episodes.csv").write_text("episode,task,completed,timed_out,seconds\n0,join_group,True,False,abc\n")
     with pytest.raises(InputError, match="other/episodes.csv: episode 0: seconds: 'abc' is no number from 0 to 86,400"):
-        comparison.read(Path("other"))
+        compare.read(Path("other"))
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_episodes_that_no_run_wrote_are_refused_in_a_sentence(tmp_path, old, new
     assert changes == 1
     (folder / "episodes.csv").write_text(wrong)
     with pytest.raises(InputError, match=words) as refused:
-        comparison.read(folder)
+        compare.read(folder)
     assert str(refused.value).startswith("one/episodes.csv") and "\n" not in str(refused.value)
 
 
@@ -124,9 +124,9 @@ def test_the_largest_run_of_the_docs_is_compared_with_its_replay(tmp_path):
     content = {"title": "mine", "filler": "x" * 2_100_000}
     (folder / "report.html").write_text(f"<html>{replay.element(content)}</html>")
     assert min(file.stat().st_size for file in folder.iterdir() if file.suffix != ".yaml") > MAX_BYTES
-    found = comparison.read(folder)
-    assert len(found.tasks) == 4096 and found.shown == content and not found.unseen
-    assert "No replay" not in comparison.told(found, found)
+    found = compare.read(folder)
+    assert len(found.tasks) == 4096 and found.replay == content and not found.no_replay
+    assert "No replay" not in compare.summarize(found, found)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ import random
 import re
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import pytest
 from sean_jax import cli, environment
 from sean_jax.config import RunConfig, validate
 from sean_jax.errors import InputError
-from sean_jax.evaluation import again, comparison, inputs, output
+from sean_jax.evaluation import compare, replay_command, saved
 
 FILES = ["environment.yaml", "graph.yaml", "handcrafted.yaml", "scene.xml"]
 SMALL = "--people 4 --dynamics twin --time-limit 6 --episodes 2 --quiet".split()
@@ -39,8 +38,7 @@ def described(**options: Any) -> RunConfig:
 def written(folder: Path, config: RunConfig) -> Path:
     """The config.yaml of a run of that description."""
     folder.mkdir(parents=True)
-    found: Any = SimpleNamespace(scenario=SimpleNamespace(people=4))
-    output.write_config(folder, found, config, inputs.read(config), {"python": "3"})
+    saved.write_config(folder, {"people": 4, "versions": {"python": "3"}}, config, saved.read_inputs(config))
     return folder / "config.yaml"
 
 
@@ -48,15 +46,15 @@ def written(folder: Path, config: RunConfig) -> Path:
 def test_a_changed_environment_is_read_from_the_run_and_told(place, name):
     file = written(place / "run", described())
     before = {each: (place / "mine" / "hall" / each).read_bytes() for each in FILES}
-    same = output.read_config(file)
+    same = saved.read_config(file)
     assert not same.changes and Path(same.description["environment"]) == place / "mine" / "hall"
     with (place / "mine" / "hall" / name).open("a") as stream:
         stream.write("\n<!-- moved -->\n" if name.endswith("xml") else "\n# moved\n")
-    saved = output.read_config(file)
-    copy = Path(saved.description["environment"])
+    config_file = saved.read_config(file)
+    copy = Path(config_file.description["environment"])
     assert copy.name == "hall" and copy.is_relative_to(place / "run")
     assert {each: (copy / each).read_bytes() for each in FILES} == before
-    (sentence,) = saved.changes
+    (sentence,) = config_file.changes
     assert f"({name})" in sentence and "mine/hall" in sentence
 
 
@@ -67,9 +65,9 @@ def test_a_run_is_repeated_where_its_files_are_not(place, monkeypatch, tmp_path)
     shutil.move(place / "runs" / "one", elsewhere)
     shutil.rmtree(place / "mine")
     monkeypatch.chdir(tmp_path)
-    saved = output.read_config(Path("elsewhere/config.yaml"))
-    config = validate(RunConfig, saved.description)
-    assert not saved.changes
+    config_file = saved.read_config(Path("elsewhere/config.yaml"))
+    config = validate(RunConfig, config_file.description)
+    assert not config_file.changes
     found = [Path(config.environment), Path(config.robot.kind), Path(config.forces[0].kind)]
     assert all(path.exists() and path.resolve().is_relative_to(elsewhere) for path in found)
     environment.load(config.environment)
@@ -84,10 +82,10 @@ def test_files_that_a_robot_and_a_scene_read_are_copied_along(place):
     (place / "mine" / "more" / "limits.xml").write_text("<mujoco></mujoco>")
     file = written(place / "run", described(robot="mine/robot.xml"))
     (place / "mine" / "more" / "limits.xml").write_text("<mujoco> </mujoco>")
-    saved = output.read_config(file)
-    copy = Path(saved.description["robot"])
+    config_file = saved.read_config(file)
+    copy = Path(config_file.description["robot"])
     assert (copy.parent / "more" / "limits.xml").read_text() == "<mujoco></mujoco>"
-    assert "more/limits.xml" in saved.changes[0]
+    assert "more/limits.xml" in config_file.changes[0]
 
 
 def test_what_a_scene_reads_outside_its_folder_is_not_copied_and_must_be_as_it_was(place):
@@ -96,10 +94,10 @@ def test_what_a_scene_reads_outside_its_folder_is_not_copied_and_must_be_as_it_w
     scene.write_text(scene.read_text().replace("</mujoco>", '<include file="../wall.xml"/></mujoco>'))
     file = written(place / "run", described())
     assert [path.name for path in (place / "run").rglob("*")] == ["config.yaml"]
-    output.read_config(file)
+    saved.read_config(file)
     (place / "mine" / "wall.xml").write_text("<mujoco> </mujoco>")
     with pytest.raises(InputError, match=r"wall\.xml: is not the file that the run was made with"):
-        output.read_config(file)
+        saved.read_config(file)
 
 
 def test_two_files_of_one_name_are_two_copies(place):
@@ -108,7 +106,7 @@ def test_two_files_of_one_name_are_two_copies(place):
     file = written(place / "run", described(forces=["mine/forces.yaml", "other/forces.yaml"]))
     shutil.rmtree(place / "other")
     (place / "mine" / "forces.yaml").unlink()
-    found = [Path(each).read_text() for each in output.read_config(file).description["forces"]]
+    found = [Path(each).read_text() for each in saved.read_config(file).description["forces"]]
     assert found == ["preset: helbing1995\n", "preset: calibrated\n"]
 
 
@@ -116,12 +114,12 @@ def test_a_recording_stays_where_it_is_and_a_changed_one_is_refused(place, monke
     behavior = {"kind": "playback", "recording": "mine/people.csv"}
     file = written(place / "run", described(behavior=behavior))
     monkeypatch.chdir(tmp_path)
-    saved = output.read_config(file)
-    assert saved.description["behavior"]["recording"] == str(place / "mine" / "people.csv")
+    config_file = saved.read_config(file)
+    assert config_file.description["behavior"]["recording"] == str(place / "mine" / "people.csv")
     (place / "mine" / "people.csv").write_text("frame,id,x,y\n0,1,0,0\n1,1,0.2,0\n")
     with pytest.raises(InputError, match=r"people\.csv: is not the file that the run was made with"):
-        output.read_config(file)
-    output.read_config(file, check=False)
+        saved.read_config(file)
+    saved.read_config(file, check=False)
 
 
 def test_a_changed_copy_is_refused(place):
@@ -135,16 +133,16 @@ def test_a_changed_copy_is_refused(place):
         before = path.read_bytes()
         path.write_bytes(content)
         with pytest.raises(InputError, match=f"{path.name}: is not the file that the run was made with"):
-            output.read_config(file)
+            saved.read_config(file)
         path.write_bytes(before)
-    output.read_config(file)
+    saved.read_config(file)
 
 
 @pytest.mark.parametrize("text", ["copies: 7", "copies: {a: 7}", "copies: [a]"])
 def test_lines_of_copies_that_are_none_are_refused(tmp_path, text):
     (tmp_path / "config.yaml").write_text(f"config: {{environment: lab}}\n{text}\n")
     with pytest.raises(InputError, match="copies: .* is no list of files; give file: copy lines, or none"):
-        output.read_config(tmp_path / "config.yaml")
+        saved.read_config(tmp_path / "config.yaml")
 
 
 def test_runs_are_compared_by_the_content_of_their_files_and_not_by_their_names(place):
@@ -157,15 +155,16 @@ def test_runs_are_compared_by_the_content_of_their_files_and_not_by_their_names(
             (place / "hall" / "graph.yaml").write_text(graph.replace("2.526", "-1.474"))
         folder = written(place / f"run{number}", described(environment=name)).parent
         (folder / "episodes.csv").write_text("episode,task,completed,timed_out,seconds\n0,join_group,True,False,5\n")
-        runs.append(comparison.read(folder))
-    assert comparison.unlike(runs[0], runs[1]) == [] and comparison.paired(runs[0], runs[1]) == 1
-    assert comparison.unlike(runs[1], runs[2]) == ["environment"] and comparison.paired(runs[1], runs[2]) == 0
+        runs.append(compare.read(folder))
+    assert compare.differing_options(runs[0], runs[1]) == [] and compare.paired(runs[0], runs[1]) == 1
+    assert compare.differing_options(runs[1], runs[2]) == ["environment"] and compare.paired(runs[1], runs[2]) == 0
 
 
 def test_why_an_episode_is_another_is_told_as_far_as_it_is_known():
-    assert again._cause({"jax": "0.1"}, "a", "a").startswith("it was made with jax 0.1, not")
-    assert "does not tell" in again._cause({}, "", "a") and "was another" in again._cause({}, "b", "a")
-    assert "rounding" in again._cause({}, "a", "a")
+    assert replay_command._cause({"jax": "0.1"}, "a", "a").startswith("it was made with jax 0.1, not")
+    assert "has no fingerprint" in replay_command._cause({}, "", "a")
+    assert "was another" in replay_command._cause({}, "b", "a")
+    assert "rounding" in replay_command._cause({}, "a", "a")
 
 
 @pytest.mark.slow

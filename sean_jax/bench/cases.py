@@ -1,20 +1,54 @@
-"""The parts of ``sean bench``: which programs are timed, at which sizes."""
+"""The cases of ``sean bench``: which programs are timed, at which sizes, and the rows of the table."""
 
+import dataclasses
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from typing import TypedDict
 
 import jax
 import numpy as np
 
 from sean_jax.base import Scenario
 from sean_jax.bench import programs
-from sean_jax.bench.timing import Program, Row, measure
+from sean_jax.bench.programs import Program, measure
 from sean_jax.config import BenchConfig
 
 IMAGE = 64, 48  # pixels of the image that goes with a step
 SIZES = (16, 12), (32, 24), (64, 48), (160, 120), (320, 240), (640, 480)
 CROWDS = 62, 200, 1000, 10_000  # people
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One row of the table."""
+
+    part: str  # a key of ``CASES``
+    what: str  # the unit, such as "scenario-steps"
+    batch: int  # scenarios at once
+    people: int
+    pixels: int  # of an image, 0 for none
+    devices: int
+    per_second: float  # units; for the part "compile" the seconds themselves
+    microseconds: float  # of one turn of the whole batch
+    compile_seconds: float
+    scenario_bytes: float  # state and temporary memory of one scenario
+
+
+class Setup(TypedDict):
+    """The machine and the scenario of a measurement, in bench.json."""
+
+    command: str
+    device: str
+    devices: int
+    memory: int  # bytes, 0 if unknown
+    environment: str
+    people: int
+    robot: str
+    dynamics: str
+    time_step: float  # s
+    crowd_steps: int  # in one control step
+    versions: dict[str, str]
 
 
 def on_cpu() -> bool:
@@ -23,72 +57,40 @@ def on_cpu() -> bool:
 
 
 def batches(options: BenchConfig) -> tuple[int, ...]:
-    """Sizes of the batches.
-
-    Args:
-        options: may name the sizes.
-    """
+    """Sizes of the batches: those of the options, or the usual ones of the device."""
     return options.batches or ((1, 16, 64, 256) if on_cpu() else (1, 64, 1024, 8192, 32768, 65536))
 
 
 def turns(batch: int) -> int:
-    """Control steps in one call: enough to hide the cost of the call, few enough to take seconds.
-
-    Returns:
-        2 to 200 steps.
-    """
+    """Control steps in one call, 2 to 200: enough to hide the cost of the call, few enough to take seconds."""
     return int(np.clip((4e3 if on_cpu() else 4e5) / batch, 2, 200))
 
 
 def steps(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
-    """Time the whole step with restarts.
-
-    Args:
-        options: sizes of the batches, repeats and seconds of each timing.
-    """
+    """Time the whole step with restarts."""
     for batch in batches(options):
         yield _row(options, "step", "scenario-steps", scenario, batch, programs.stepping(scenario, batch, turns(batch)))
 
 
 def depth(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
-    """Time the whole step with restarts and one depth image for each scenario.
-
-    Args:
-        options: sizes of the batches, repeats and seconds of each timing.
-    """
+    """Time the whole step with restarts and one depth image for each scenario."""
     for batch in batches(options):
         program = programs.stepping(scenario, batch, turns(batch), IMAGE)
         yield _row(options, "depth", "scenario-steps", scenario, batch, program, IMAGE)
 
 
 def images(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
-    """Time depth images alone, by batch and by size of the image.
-
-    Args:
-        options: sizes of the batches, repeats and seconds of each timing.
-    """
+    """Time depth images alone, by batch and by size of the image."""
     yield from _images(options, scenario, "images", "depth", "depth images")
 
 
 def pictures(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
-    """Time color images of the robot's own camera, by size of the image.
-
-    Args:
-        options: sizes of the batches, repeats and seconds of each timing.
-    """
+    """Time color images of the robot's own camera, by size of the image."""
     yield from _images(options, scenario, "pictures", "first_person", "color images")
 
 
 def crowd(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
-    """Time the social forces alone, in a hall with 32 walls.
-
-    Args:
-        options: repeats and seconds of each timing.
-        scenario: not used, for the hall has a crowd of its own.
-
-    Yields:
-        One row for each number of people and of crowds at once.
-    """
+    """Time the social forces alone, in a hall with 32 walls, by number of people and of crowds at once."""
     totals = (2**14,) if on_cpu() else (2**19, 2**21)
     for people in CROWDS:
         for batch in sorted({1, *(max(1, each // people) for each in totals)}):
@@ -99,14 +101,7 @@ def crowd(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
 
 
 def compiling(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
-    """Time tracing and compiling of the whole step of 64 scenarios.
-
-    Args:
-        options: not used, for there is one size.
-
-    Yields:
-        One row without a compilation cache, and one with the cache on the disk.
-    """
+    """Time tracing and compiling of the whole step of 64 scenarios, without and with a cache on the disk."""
     from jax.experimental.compilation_cache import compilation_cache
 
     settings = {
@@ -129,11 +124,7 @@ def compiling(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
 
 
 def scaling(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
-    """Time the whole step on 1, 2, 4 and more devices, with equally many scenarios on each.
-
-    Args:
-        options: sizes of the batches, repeats and seconds of each timing.
-    """
+    """Time the whole step on 1, 2, 4 and more devices, with equally many scenarios on each."""
     number, each = 1, batches(options)[-1] if on_cpu() else 32768
     while number <= jax.device_count():
         program = programs.stepping(scenario, each, turns(each), None, number)
@@ -169,7 +160,7 @@ def _shared(figures: dict[str, float], batch: int) -> dict[str, float]:
     return {**{k: v for k, v in figures.items() if k != "bytes"}, "scenario_bytes": figures["bytes"] / batch}
 
 
-MEASURES: dict[str, Callable[[BenchConfig, Scenario], Iterator[Row]]] = {
+CASES: dict[str, Callable[[BenchConfig, Scenario], Iterator[Row]]] = {
     "step": steps,
     "depth": depth,
     "images": images,

@@ -1,21 +1,52 @@
-"""Results of Figure 4 (section V-C): cells with intervals, and the paper's claims with how surely they hold here."""
+"""The numbers of Figure 4 and of the learning curve (section V-C): measures with intervals, and claims about them."""
 
 import dataclasses
 import functools
+import itertools
 import math
 from typing import ClassVar, TypedDict
 
 import numpy as np
 
+from sean_jax.flags import number
 from sean_jax.metrics import Estimate, aggregate, aggregate_ratio
 from sean_jax.metrics.bootstrap import hierarchical_resamples, of_share, with_estimate
 from sean_jax.studies.experiments import shares
-from sean_jax.studies.experiments.drivers import MEASURES
 from sean_jax.studies.experiments.shares import BEHAVIORS
 
+INTIMATE = "intimate_robot_on_person", "intimate_person_on_robot"
+METRIC_NAMES = (
+    "completed", "seconds", "time_not_moving", *INTIMATE, "collision_robot_on_person", "collision_person_on_robot",
+)  # fmt: skip
+MEASURES = {
+    "completed": "completed tasks",
+    "time_not_moving": "time not moving, s",
+    "violations": "intimate distance violations",
+    "collisions": "collisions with people",
+}
+"""Measure -> its title."""
+
+Columns = dict[str, list]  # metric -> E values, or E lists of them
 LEARNED = {"G": "graph", "R": "random", "H": "handcrafted"}
 BALANCED, NAVIGATION, DEMONSTRATOR = "B", "N", "E"
 FOUR = (*LEARNED, NAVIGATION)  # of the paper
+
+
+def episode_measures(columns: Columns) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """The ``MEASURES`` (E,) of episodes, and the violations (E, S) in each situation.
+
+    Violations and collisions are those of the robot and of people together.
+    """
+    values = {name: np.asarray(value, float) for name, value in columns.items()}
+    violations = values[INTIMATE[0]] + values[INTIMATE[1]]
+    collisions = values["collision_robot_on_person"] + values["collision_person_on_robot"]
+    waiting = values["time_not_moving"]
+    return {
+        "completed": values["completed"],
+        "time_not_moving": waiting[:, 0] if waiting.ndim == 2 else waiting,
+        "violations": violations[:, 0],
+        "collisions": collisions[:, 0] if collisions.ndim == 2 else collisions,
+    }, violations[:, 1:]
 
 
 class Training(TypedDict):
@@ -43,8 +74,8 @@ class Claim(TypedDict):
 class Results:
     """Measures of every policy in every scenario. All intervals use the same resamples of the numbered episodes.
 
-    Episodes are in the order of the datasets, seeds of training and numbers; N and E, who learned nothing, drive the
-    same ones. A resample draws datasets, with all networks and episodes of each; where there is one dataset, its seeds.
+    Episodes are in the order of the datasets, seeds of training and numbers; N and E, which are not trained, drive the
+    same episodes. A resample draws datasets, with all networks and episodes of each; or seeds, if there is one dataset.
     """
 
     MEASURES: ClassVar[dict[str, str]] = MEASURES
@@ -116,14 +147,7 @@ class Results:
 
 
 def over_behaviors(by_behavior: dict[str, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Means over the three scenarios, episode by episode.
-
-    Args:
-        by_behavior: behavior -> measure -> (E,).
-
-    Returns:
-        measure -> (E,).
-    """
+    """measure -> mean (E,) over the three scenarios, episode by episode, from behavior -> measure -> (E,)."""
     return {name: np.mean([by_behavior[b][name] for b in BEHAVIORS], 0) for name in by_behavior[BEHAVIORS[0]]}
 
 
@@ -132,15 +156,7 @@ def _scaled(estimate: Estimate, by: float) -> Estimate:
 
 
 def claims(results: Results) -> list[Claim]:
-    """Test the paper's statements about its figure.
-
-    Args:
-        results: measures of the paper's policies, the balanced one and the demonstrator.
-
-    Returns:
-        For each statement the paper's numbers, ours, whether it holds, and the share of the resamples in which it does.
-    Source: section V-C, Figure 4.
-    """
+    """Test the paper's statements about its figure. Source: section V-C, Figure 4."""
     weights = with_estimate(results.resamples)
 
     def of(policy: str, behavior: str, name: str) -> np.ndarray:
@@ -185,3 +201,120 @@ def _percent(values: np.ndarray) -> str:
 
 def _listed(values: dict[str, np.ndarray]) -> str:
     return ", ".join(f"{name} {each[0]:.1f}" for name, each in values.items())
+
+
+# ------------------------------------------------------------------ the learning curve
+
+MEAN = "mean"  # over the three scenarios
+BETTER = {"completed": 1.0, "time_not_moving": -1.0, "violations": -1.0}  # the sign of an improvement
+CURVE_MEASURES = {**MEASURES, "completed": "completed tasks, %"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Variant:
+    """The demonstrations of networks, and whether the situations are an input."""
+
+    hours: float
+    rate: int = 1  # examples a second
+    flags: bool = False
+
+    @property
+    def data(self) -> str:
+        """A name of the demonstrations."""
+        return f"{number(self.hours)}h" + (f"-{self.rate}hz" if self.rate != 1 else "")
+
+    @property
+    def name(self) -> str:
+        """A name for files."""
+        return self.data + ("-flags" if self.flags else "")
+
+    @property
+    def title(self) -> str:
+        """A name for people."""
+        more = (f" at {self.rate} Hz" if self.rate != 1 else "") + (" with flags" if self.flags else "")
+        return f"{number(self.hours)} h{more}"
+
+    @property
+    def examples(self) -> float:
+        """Their number, not counting the excess of the last episodes."""
+        return 3600.0 * self.hours * self.rate
+
+
+class Verdict(TypedDict):
+    """Whether one variant is better than another, over the three scenarios."""
+
+    variant: str
+    other: str
+    measure: str
+    difference: Estimate
+    holds: bool
+    share: float  # of the resamples in which it holds
+
+
+@dataclasses.dataclass
+class Curve:
+    """Measures of every variant in every scenario. All intervals use the same resamples of the numbered episodes.
+
+    A resample draws datasets, with all networks and episodes of each, as in Figure 4.
+    """
+
+    variants: tuple[Variant, ...]
+    sizes: tuple[int, int, int]  # datasets, trainings on each, episodes of each network
+    values: dict[str, dict[str, dict[str, np.ndarray]]]  # variant -> behavior -> measure -> (E,), of completed percent
+    training: dict[str, Training]
+
+    def __post_init__(self) -> None:
+        """Add the means over the scenarios."""
+        self.values = {name: {**by, MEAN: over_behaviors(by)} for name, by in self.values.items()}
+
+    @functools.cached_property
+    def resamples(self) -> np.ndarray:
+        """(R, E) number of times that each episode is in each resample."""
+        return hierarchical_resamples(self.sizes)
+
+    @functools.cached_property
+    def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:
+        """variant -> behavior or mean -> measure -> estimate."""
+        return {
+            name: {
+                b: {m: aggregate(value, weights=self.resamples) for m, value in each.items()} for b, each in by.items()
+            }
+            for name, by in self.values.items()
+        }
+
+    def differences(self, one: Variant, other: Variant) -> dict[str, dict[str, Estimate]]:
+        """behavior or mean -> measure -> difference ``one - other`` in the same episodes."""
+        ours, theirs = self.values[one.name], self.values[other.name]
+        return {b: {m: aggregate(ours[b][m] - theirs[b][m], weights=self.resamples) for m in ours[b]} for b in ours}
+
+    @functools.cached_property
+    def verdicts(self) -> list[Verdict]:
+        """Whether each comparison is for the better."""
+        weights, verdicts = with_estimate(self.resamples), list[Verdict]()
+        for one, other in comparisons(self.variants):
+            differences = self.differences(one, other)[MEAN]
+            for measure, sign in BETTER.items():
+                both = (self.values[each.name][MEAN][measure] for each in (one, other))
+                better = sign * (weights @ np.subtract(*both)) > 0.0
+                verdicts.append({
+                    "variant": one.title, "other": other.title, "measure": measure, "difference": differences[measure],
+                    "holds": bool(better[0]), "share": float(better[1:].mean()),
+                })  # fmt: skip
+        return verdicts
+
+
+def comparisons(variants: tuple[Variant, ...]) -> list[tuple[Variant, Variant]]:
+    """The pairs of variants that are compared.
+
+    These are each amount and the next smaller one; other rates and flags and the variant without them; and a rate and
+    the amount at one example a second with as many examples, if there is one.
+    """
+    plain = [each for each in variants if each.rate == 1 and not each.flags]
+    pairs = [(more, less) for less, more in itertools.pairwise(plain)]
+    for each in variants:
+        if each not in plain:
+            pairs.append((each, Variant(each.hours)))
+            pairs += [
+                (each, as_many) for as_many in plain if each.rate > 1 and math.isclose(as_many.examples, each.examples)
+            ]
+    return pairs

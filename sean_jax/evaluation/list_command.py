@@ -1,4 +1,4 @@
-"""What there is to choose from: ``sean list``, read from the dicts that hold the choices."""
+"""``sean list``: the names that options take, read from the dicts of the families."""
 
 import inspect
 import re
@@ -30,19 +30,19 @@ SETS = {
 
 
 def print_choices() -> None:
-    """Every option of ``sean run`` and ``sean train`` that takes a name, each of its names and one line on it."""
+    """Print every option of ``sean run`` and ``sean train`` that takes a name, with each name and one line on it."""
     console = Console()
-    for option, choices in offered():
+    for option, names in choices():
         console.print(Text(f"--{option.replace('_', '-')}", "bold"))
-        width = max(len(name) for name in choices)
-        for name, line in choices.items():
+        width = max(len(name) for name in names)
+        for name, line in names.items():
             _print(console, f"  {name:<{width}}  ", line)
     console.print(Text.assemble(("metrics", "bold"), " that are measured"))
-    _print(console, "  ", ", ".join(measured()))
+    _print(console, "  ", ", ".join(metric_names()))
 
 
 def _print(console: Console, name: str, text: str) -> None:
-    """A name and what it is, wrapped behind the name where a terminal is wide enough, and as it is in a file."""
+    """A name and its line, wrapped to the width of a terminal, not wrapped in a file."""
     if not console.is_terminal:
         console.print(Text(name + text), soft_wrap=True)
         return
@@ -54,8 +54,8 @@ def _print(console: Console, name: str, text: str) -> None:
     console.print(Text.assemble((name, "bold cyan"), first, *(f"\n{indent}{line}" for line in rest)), soft_wrap=True)
 
 
-def offered() -> Iterator[tuple[str, dict[str, str]]]:
-    """Option and {name: line} for each."""
+def choices() -> Iterator[tuple[str, dict[str, str]]]:
+    """Each option and its {name: line}."""
     from sean_jax import (
         behaviors,
         classifiers,
@@ -90,7 +90,7 @@ def offered() -> Iterator[tuple[str, dict[str, str]]]:
     yield "dynamics", {name: DYNAMICS.get(name, "") for name in robots.DYNAMICS}
 
 
-def measured() -> list[str]:
+def metric_names() -> list[str]:
     """The names of the metrics."""
     from sean_jax import metrics
 
@@ -98,28 +98,28 @@ def measured() -> list[str]:
 
 
 def _documented(value: Any) -> str:
-    """First sentence of a function's docstring, or of that of the first function that a value holds."""
-    functions = [value] if callable(value) else [held for held in vars(value).values() if callable(held)]
+    """First sentence of the docstring of a function, or of the first function among a value's fields."""
+    functions = [value] if callable(value) else [field for field in vars(value).values() if callable(field)]
     text = next((inspect.getdoc(function) for function in functions if inspect.getdoc(function)), None) or ""
     return _sentence(text.split("\n\n")[0])
 
 
 def _sentence(text: str) -> str:
-    """The first one, on one line, as a terminal shows it."""
+    """The first sentence, on one line."""
     words = " ".join(text.replace("``", "").split())
     return words[: end.start() + 1] if (end := re.search(r"\.(?= [A-Z]|$)", words)) else words + "."
 
 
 def _environment(folder: Path) -> str:
-    content = files.nodes.read(folder / "environment.yaml")[1]
+    content = files.read_yaml(folder / "environment.yaml")[1]
     x0, y0, x1, y1 = content["floor"]
     return f"The floor has {x1 - x0:.6g} x {y1 - y0:.6g} m and, unless told otherwise, {content['people']} people."
 
 
 def _robot(path: Path) -> str:
     """The first sentence of the first comment in a robot's MJCF file."""
-    found = re.search(r"<!--\s*(.*?)-->", files.read_text(path), re.DOTALL)
-    return _sentence(found.group(1)) if found else ""
+    comment = re.search(r"<!--\s*(.*?)-->", files.read_text(path), re.DOTALL)
+    return _sentence(comment.group(1)) if comment else ""
 
 
 def _forces(forces: Any) -> str:

@@ -1,4 +1,4 @@
-"""Parts of pictures: floor, obstacles, behavior graph, trails, people, robot, legend, scale."""
+"""Layers of a picture from above: floor, obstacles, graph, heat, trails, people, robot, legend, scale."""
 
 from __future__ import annotations
 
@@ -16,24 +16,20 @@ from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 DARKEST_HEIGHT = 4.0  # m, from which obstacles have the darkest shade
 PERSON_RADIUS = 0.25  # m, as drawn: a body of 0.2 m and its edge
 DEPTH = 0.6  # of a person's width, from chest to back, so that shoulders tell the heading
 ROBOT_RADIUS = 0.16  # m, Kuri's, where no scenario tells another
 HALO = 0.7  # m, around a robot: at its true size alone it would be hard to find
+MAX_BAND = 0.45, 0.024  # of the nodes' mean radius, and of the floor's width: the band of the edge with most people
+MIN_BAND = 0.002  # of the floor's width: the bands of edges with hardly any people
 MARGIN, FOOT = 0.02, 0.075  # of the floor's width, around it and below it
 
 
 def one_episode(frames: Trajectory) -> Trajectory:
-    """The frames of one episode on the host, cut after the last active one.
-
-    Args:
-        frames: (T, ...).
-
-    Raises:
-        InputError: they have a batch axis.
-    """
+    """The frames (T, ...) of one episode on the host, cut after the last active one; InputError for a batch."""
     if np.ndim(frames.active) != 1:
         raise InputError(f"frames of one episode have one leading axis, these have {np.ndim(frames.active)}.")
     frames = jax.tree.map(np.asarray, frames)
@@ -42,11 +38,7 @@ def one_episode(frames: Trajectory) -> Trajectory:
 
 
 def situation_names(frames: Trajectory, names: Sequence[str] | None) -> tuple[str, ...]:
-    """Names of the situations of frames.
-
-    Args:
-        frames: (T, ...) with S situations.
-        names: in the order of the frames; None for the paper's five, or numbers if there are not five.
+    """Names of the frames' S situations: those given, or the paper's five, or numbers if there are not five.
 
     Raises:
         InputError: there are not S names.
@@ -61,38 +53,20 @@ def situation_names(frames: Trajectory, names: Sequence[str] | None) -> tuple[st
 
 
 def situation_indices(frames: Trajectory) -> np.ndarray:
-    """The first situation that holds in each step.
-
-    Args:
-        frames: (T, ...) with S situations.
-
-    Returns:
-        (T,) int, S where none holds.
-    """
+    """(T,) int, the first situation that holds in each step, S if none holds."""
     flags = np.asarray(frames.situations, bool)
     none = np.ones((*flags.shape[:-1], 1), bool)
     return np.concatenate([flags, none], -1).argmax(-1)
 
 
 def step_colors(frames: Trajectory, situations: Sequence[str]) -> list[str]:
-    """The color of each step: that of the first situation that holds, if any does.
-
-    Args:
-        frames: (T, ...) with S situations.
-    """
+    """The color of each step: that of the first situation that holds."""
     shades = [*colors.situation_colors(situations), colors.NO_SITUATION]
     return [shades[index] for index in situation_indices(frames)]
 
 
 def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, Axes]:
-    """A figure whose only axes show the floor in true proportion, without ticks.
-
-    Args:
-        title: above the floor; none if empty.
-
-    Returns:
-        The figure, and its axes in metres.
-    """
+    """A figure of ``width`` inches and its axes [m], which show the floor in true proportion, without ticks."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
@@ -139,7 +113,7 @@ def draw_obstacles(axes: Axes, environment: Environment) -> None:
 
 
 def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
-    """Draw nodes as discs and edges as lines: thick where flow is high, dotted where low, with an arrow where one-way.
+    """Draw nodes as discs and edges as lines: thick for high flow, dotted for low, with an arrow for one way.
 
     Args:
         alone: name the nodes; otherwise colors are faint, for a background.
@@ -190,11 +164,7 @@ def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
 
 
 def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
-    """Draw where each person walked, fading with age.
-
-    Args:
-        frames: (T, ...) of one episode.
-    """
+    """Draw where each person walked in the last ``steps`` of frames (T, ...), fading with age."""
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgb
 
@@ -219,11 +189,7 @@ def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
 
 
 def draw_people(axes: Axes, frames: Trajectory) -> None:
-    """Draw each person at the last frame: a disc with a tick along the heading, in another color in a group.
-
-    Args:
-        frames: (T, ...) of one episode.
-    """
+    """Draw each person at the last of frames (T, ...): a disc with a tick along the heading, blue in a group."""
     present = np.asarray(frames.present[-1], bool)
     position, heading, group = (
         np.asarray(part[-1])[present] for part in (frames.people, frames.people_heading, frames.group)
@@ -239,7 +205,7 @@ def draw_discs(
     Args:
         position: (N, 2) m.
         heading: (N, 2) unit vectors.
-        member: (N,) bool, of a group, which has another color.
+        member: (N,) bool, whether a person is in a group, which has another color.
         radius: m, half of the width of the shoulders.
     """
     from matplotlib.collections import EllipseCollection, LineCollection
@@ -258,11 +224,11 @@ def draw_discs(
 
 
 def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius: float = ROBOT_RADIUS) -> None:
-    """Draw the robot's path in the colors of the situations, its start (ring), goal (target) and last pose, to scale.
+    """Draw the robot's path in the colors of situations, its start (ring), goal (target) and last pose, to scale.
 
     Args:
         frames: (T, ...) of one episode.
-        radius: m, of the robot.
+        radius: m.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Circle
@@ -297,6 +263,80 @@ def draw_scale(axes: Axes, environment: Environment) -> None:
     axes.text(x0, y - 0.010 * span, f"{bar:g} m", fontsize=8, color=colors.MUTED, ha="left", va="top", zorder=5)
 
 
+def draw_heat(axes: Axes, environment: Environment, density: np.ndarray, label: str) -> None:
+    """Draw values (rows, columns) over the floor, row 0 at its lowest y, and a scale; the highest 3 % share a color."""
+    from matplotlib.colors import LinearSegmentedColormap, PowerNorm
+    from matplotlib.ticker import MaxNLocator
+
+    x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
+    busy = density[density > 0]
+    highest = float(np.quantile(busy, 0.97)) if busy.size else 1.0
+    image = axes.imshow(
+        density,
+        extent=(x0, x1, y0, y1),
+        origin="lower",
+        cmap=LinearSegmentedColormap.from_list("heat", colors.HEAT),
+        norm=PowerNorm(0.5, 0.0, highest),
+        interpolation="nearest",
+        aspect="auto",
+        zorder=1,
+    )
+    span = x1 - x0
+    below = axes.inset_axes((x1 - 0.38 * span, y0 - 0.034 * span, 0.38 * span, 0.014 * span), transform=axes.transData)
+    bar = axes.get_figure().colorbar(image, cax=below, orientation="horizontal", extend="max", ticks=MaxNLocator(3))  # pyright: ignore[reportOptionalMemberAccess]
+    bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
+    below.tick_params(size=0, labelsize=7.5, labelcolor=colors.MUTED, pad=2)
+    place = (x1 - 0.40 * span, y0 - 0.027 * span)
+    axes.text(*place, label, fontsize=7.5, color=colors.MUTED, ha="right", va="center")
+
+
+def draw_flow(axes: Axes, environment: Environment, graph: BehaviorGraph, flow: np.ndarray) -> None:
+    """Draw a band for each walked direction of an edge, as wide as its flow, with its tip where it leads.
+
+    Args:
+        flow: (M, M) people per minute.
+    """
+    from matplotlib.collections import PolyCollection
+
+    x0, y0, x1, _ = (float(v) for v in np.asarray(environment.floor))
+    span, flow_max = x1 - x0, float(flow.max(initial=0.0))
+    position, widest = (
+        np.asarray(graph.position, float),
+        min(MAX_BAND[0] * float(np.mean(graph.radius)), MAX_BAND[1] * span),
+    )
+    bands = []
+    for u, v in np.argwhere(flow > 0):
+        wide = max(widest * float(flow[u, v]) / flow_max, MIN_BAND * span)
+        bands.append(_band(position[u], position[v], wide))
+    corner = np.array([x0 + 0.19 * span, y0 - 0.027 * span + 0.5 * widest])
+    bands.append(_band(corner, corner + np.array([0.05 * span, 0.0]), widest))
+    collection = PolyCollection(
+        bands, facecolors=colors.FLOW, edgecolors=colors.FLOOR, linewidths=0.5, alpha=0.7, zorder=4
+    )
+    collection.set_clip_on(False)
+    axes.add_collection(collection)
+    axes.plot(*position.T, linestyle="", marker="o", markersize=3.5, color=colors.FLOW_EDGE, zorder=5)
+    place = (x0 + 0.25 * span, y0 - 0.027 * span)
+    axes.text(*place, f"{flow_max:.3g} people a minute", fontsize=7.5, color=colors.MUTED, ha="left", va="center")
+
+
+def _band(start: np.ndarray, end: np.ndarray, wide: float) -> np.ndarray:
+    """(5, 2) m corners of a band on the right of the way from start to end, with its tip at the end."""
+    along = end - start
+    long = max(float(np.hypot(*along)), 1e-9)
+    along = along / long
+    right = np.array([along[1], -along[0]]) * wide
+    tip = end - along * min(1.5 * wide, 0.5 * long)
+    return np.stack([start, start + right, tip + right, end, end])
+
+
+def mark(shape: str, face: str, edge: str, size: float = 6) -> Line2D:
+    """A mark of a legend."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], linestyle="", marker=shape, markersize=size, markerfacecolor=face, markeredgecolor=edge)
+
+
 def draw_legend(axes: Axes, graph: bool, frames: Trajectory | None, situations: Sequence[str]) -> None:
     """Draw what the marks mean, in up to three rows below the floor; only situations that occurred are named.
 
@@ -306,17 +346,14 @@ def draw_legend(axes: Axes, graph: bool, frames: Trajectory | None, situations: 
     from matplotlib.legend_handler import HandlerTuple
     from matplotlib.lines import Line2D
 
-    def mark(shape: str, face: str, edge: str, size: float = 6.5) -> Line2D:
-        return Line2D([], [], linestyle="", marker=shape, markersize=size, markerfacecolor=face, markeredgecolor=edge)
-
     entries: list[tuple[Any, str]] = []
     if frames is not None:
         entries += [
-            (mark("o", colors.ROBOT, colors.ROBOT_EDGE), "robot"),
-            (mark("o", colors.PAPER, colors.ROBOT), "start"),
+            (mark("o", colors.ROBOT, colors.ROBOT_EDGE, 6.5), "robot"),
+            (mark("o", colors.PAPER, colors.ROBOT, 6.5), "start"),
             ((mark("o", "none", colors.ROBOT, 8.5), mark("o", colors.ROBOT, colors.ROBOT, 3)), "goal"),
-            (mark("o", colors.PERSON, colors.PERSON_EDGE), "person"),
-            (mark("o", colors.MEMBER, colors.PERSON_EDGE), "in a group"),
+            (mark("o", colors.PERSON, colors.PERSON_EDGE, 6.5), "person"),
+            (mark("o", colors.MEMBER, colors.PERSON_EDGE, 6.5), "in a group"),
         ]
         occurred = set(situation_indices(frames).tolist())
         shades = [*zip(situations, colors.situation_colors(situations), strict=True), ("none", colors.NO_SITUATION)]
