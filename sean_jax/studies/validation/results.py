@@ -71,8 +71,8 @@ def write(folder: Path, options: ValidateConfig, rows: Sequence[Row]) -> None:
 
 
 def _part(folder: Path, check: Check, model: Model) -> Path:
-    model = re.sub(r"[^\w.-]", "-", model.name)  # a path, where a file of constants or of one's own moves people
-    return folder / PARTS / f"{check.name}--{model}.json"
+    name = re.sub(r"[^\w.-]", "-", model.name)  # a path, where a file of constants or of one's own moves people
+    return folder / PARTS / f"{check.name}--{name}.json"
 
 
 def _made_with(model: Model, options: ValidateConfig) -> dict[str, Any]:
