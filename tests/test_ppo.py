@@ -568,7 +568,7 @@ def test_a_training_goes_on_with_the_same_own_files_alone(own, tmp_path):
     for file, old, new in [("mine.py", "1000.0", "1.0"), ("helper.py", "0.1", "0.2"), ("mine.py", "", "# as it was")]:
         text = (tmp_path / file).read_text()
         (tmp_path / file).write_text(text.replace(old, new) if old else text + new)
-        with pytest.raises(InputError, match=f"trained was trained with another {file}.*restore the file, or choose"):
+        with pytest.raises(InputError, match=f"trained was begun with another {file}; ask for the same or choose"):
             reinforcement.train(options(tmp_path / "trained", **own))
         with pytest.raises(InputError, match=f"{file}: is not the file that .*config.json was made with; restore"):
             learning.pack(tmp_path / "trained", tmp_path / "packed")

@@ -35,13 +35,13 @@ from sean_jax.learning.policy import check_policy, disturbed, label, labelled, l
 from sean_jax.progress import progress
 from sean_jax.runner import Callbacks, Record, Runner, not_finite
 from sean_jax.versions import fingerprint, versions
-from sean_jax.workspace import CURE, difference, refuse_others
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 from sean_jax.learning import dataset
 from sean_jax.scenario import reset, step
+from sean_jax.workspace import CONTENT, refuse_difference, refuse_others
 
 # ------------------------------------------------------------------ schedule of streams
 
@@ -315,26 +315,25 @@ def check_folder(folder: Path) -> None:
         refuse_others(folder, dataset.fields(1, 1, 1))
 
 
-def _check_same(config: CollectConfig, data: Dataset, now: dict[str, Any]) -> None:
+def _check_same(config: CollectConfig, data: Dataset, manifest: dict[str, Any]) -> None:
     """Refuse to resume with other options, versions or content: it would be two datasets in one.
 
     Content that the manifest of an earlier version does not have is not compared.
     """
-    had, options = data.manifest, now["options"]
-    had_options = {**dict.fromkeys(options), "rate": 1, **present_names(had["options"])}
-    before = {"options": had_options}
-    before |= {name: had[name] for name in ("versions", "parts") if isinstance(had.get(name), dict)}
-    if (text := difference(before, {name: now[name] for name in before})) is not None:
-        raise InputError(f"{data.folder} was begun {text}; {CURE}")
+    had = {**data.manifest, "options": {"rate": 1, **present_names(data.manifest["options"])}}
+    now = {name: manifest[name] for name in ("environment", "people", "robot", "camera", "situations") if name in had}
+    if "content" in had:
+        content = CONTENT + "scenario and policy"
+        had, now = had | {content: had["content"]}, now | {content: manifest["content"]}
+    now = {"options": config.identity(), "versions": versions(), **now, "parts": manifest["parts"]}
+    refuse_difference(data.folder, had, now)
     if config.batch not in (None, data.batch):
         raise InputError(f"{data.folder} was begun with --batch {data.batch}, not {config.batch}; ask for the same.")
-    if config.hours < had["hours"]:
-        hours = f"--hours {number(had['hours'])}, not {number(config.hours)}"
-        raise InputError(f"{data.folder} was begun with {hours}; ask for as much or more.")
-    for name in ("environment", "people", "robot", "camera", "situations", "content"):
-        if name in had and had[name] != now[name]:
-            what = {"content": "content of scenario or policy"}.get(name, name)
-            raise InputError(f"{data.folder} was begun with another {what}; restore it, or choose another --out.")
+    if config.hours < data.manifest["hours"]:
+        had_hours, asked_hours = number(data.manifest["hours"]), number(config.hours)
+        raise InputError(
+            f"{data.folder} was begun with --hours {had_hours}, not {asked_hours}; ask for as much or more."
+        )
 
 
 def _manifest(
