@@ -2,13 +2,11 @@
 
 import ast
 import dataclasses
-import graphlib
 import inspect
 import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -46,44 +44,6 @@ def room(module: str) -> str:
     return (module.split(".") + [""])[1]
 
 
-def floors() -> dict[str, int]:
-    """The table of docs/architecture.md: rows '| 2 | `environment`, `graph` | ... |'."""
-    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (\d+) \| ([^|]+) \|", text, re.M)
-    return {name: int(floor) for floor, names in rows for name in re.findall(r"`(\w+)`", names)}
-
-
-def nodes_at_run_time(tree: ast.AST) -> Iterator[ast.AST]:
-    """All nodes but those that only a type checker sees, under ``if TYPE_CHECKING``."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
-            yield from (inner for other in node.orelse for inner in (other, *nodes_at_run_time(other)))
-        else:
-            yield node
-            yield from nodes_at_run_time(node)
-
-
-def imports(source: str, module: str, is_package: bool, types: bool = True) -> list[tuple[str, int]]:
-    """Every module of sean_jax that a source imports, with its line.
-
-    Imports inside functions count, and, with ``types``, those under ``if TYPE_CHECKING``.
-    """
-    found, tree = [], ast.parse(source)
-    for node in ast.walk(tree) if types else nodes_at_run_time(tree):
-        if isinstance(node, ast.Import):
-            found += [(alias.name, node.lineno) for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                parts = module.split(".")
-                parts = parts[: len(parts) - node.level + is_package]
-                base = ".".join([*parts, *filter(None, [node.module])])
-            for alias in node.names:
-                full = f"{base}.{alias.name}"
-                found.append((full if full in NAMES else base, node.lineno))
-    return [(name, line) for name, line in found if name == "sean_jax" or name.startswith("sean_jax.")]
-
-
 def top_level_imports(path: Path) -> list[str]:
     """Names imported when the module is, those guarded by TYPE_CHECKING left out."""
     found = []
@@ -95,78 +55,28 @@ def top_level_imports(path: Path) -> list[str]:
     return found
 
 
-def test_every_module_has_a_floor_and_every_floor_a_module():
-    rooms = {room(name) for name in NAMES} - {""}
-    assert rooms == set(floors())
-
-
-def test_imports_go_down():
-    """The package's public names, which have the empty name, stand between the floors 10 and 11."""
-    floor = floors() | {"": 10.5}
-    wrong = []
-    for path in MODULES:
-        module = dotted(path)
-        for name, line in imports(path.read_text(encoding="utf-8"), module, path.name == "__init__.py"):
-            here, there = room(module), room(name)
-            if here != there and floor[there] >= floor[here]:
-                wrong.append(f"{path.relative_to(ROOT)}:{line}: {here or module} imports {name} from above or beside")
-    assert not wrong, "\n".join(wrong)
-
-
-def test_imports_are_read_in_every_form():
-    source = (
-        "import sean_jax.base\ndef f():\n    from . import tasks\n    from ..graph import x\n    from jax import y\n"
-    )
-    found = [name for name, _ in imports(source, "sean_jax.robots.kuri", False)]
-    assert found == ["sean_jax.base", "sean_jax.robots", "sean_jax.graph"]
-
-
-def circle(sources: dict[str, tuple[str, bool]]) -> list[str]:
-    """Modules that import one another in a circle when they run, inside functions too; none if empty.
-
-    ``sources`` has the text of each module, and whether it is a package.
-    """
-    graph = {}
-    for name, (source, is_package) in sources.items():
-        graph[name] = {found for found, _ in imports(source, name, is_package, types=False)} - {name}
-    try:
-        graphlib.TopologicalSorter(graph).prepare()
-    except graphlib.CycleError as error:
-        return error.args[1]
-    return []
-
-
-def test_no_circle_of_imports():
-    modules = {dotted(path): (path.read_text(encoding="utf-8"), path.name == "__init__.py") for path in MODULES}
-    assert circle(modules) == []
-
-
-@pytest.mark.parametrize(
-    "back, found",
-    [
-        ("import sean_jax.scenario", True),
-        ("def f():\n    from sean_jax import scenario", True),
-        ("if TYPE_CHECKING:\n    from sean_jax import scenario\nelse:\n    import jax", False),
-        ("if TYPE_CHECKING:\n    import jax\nelse:\n    from sean_jax import scenario", True),
-    ],
-)
-def test_circles_are_found(back, found):
-    modules = {"sean_jax.scenario": ("from sean_jax.base import State", False), "sean_jax.base": (back, False)}
-    assert bool(circle(modules)) is found
+def test_the_page_of_floors_is_the_contract_that_lint_imports_checks():
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    floors: dict[int, set[str]] = {}
+    for floor, names in re.findall(r"^\| (\d+) \| ([^|]+) \|", text, re.M):
+        floors.setdefault(int(floor), set()).update(re.findall(r"`(\w+)`", names))
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    layers = [set(layer.split(" | ")) for layer in contracts[0]["layers"]]
+    assert [floors[floor] for floor in sorted(floors, reverse=True)] == layers
 
 
 TRAINERS = ("ppo.py", "shac.py", "rollouts.py", "reinforcement.py", "curriculum.py", "dagger.py")
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: dotted(path))
-def test_an_environment_is_the_place(path):
+def test_an_environment_is_the_place():
     """And a scenario the whole: neither is called 'env', but for the ``Env`` of reinforcement learning."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    learns = room(dotted(path)) in ("mdp", "registry", "adapters") or path.name in TRAINERS
-    names = {getattr(node, field, None) for node in ast.walk(tree) for field in ("id", "arg", "name")}
-    assert learns or "env" not in names
-    vague = [part for part in path.relative_to(PACKAGE).with_suffix("").parts if part in ("utils", "helpers", "misc")]
-    assert not vague
+    for path in MODULES:
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        learns = room(dotted(path)) in ("mdp", "registry", "adapters") or path.name in TRAINERS
+        names = {getattr(node, field, None) for node in ast.walk(tree) for field in ("id", "arg", "name")}
+        assert learns or "env" not in names, path
 
 
 def test_optional_packages_stay_in_their_rooms():
