@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from sean_jax import config, interrupts
 from sean_jax.config import COMMANDS, GROUPS, Config
 from sean_jax.errors import IncompleteError, InputError, PartError
+from sean_jax.messages import suggest
 from sean_jax.writing import atomic_file, broken, check_file, check_new_folder, contents
 
 if TYPE_CHECKING:
@@ -149,8 +150,6 @@ def _model(words: list[str]) -> type[Config]:
     Raises:
         InputError: there is no such command.
     """
-    from sean_jax.files.reading import suggest
-
     first = list(dict.fromkeys(name.split()[0] for name in COMMANDS))
     if words[0] not in first:
         raise InputError(
@@ -386,7 +385,7 @@ def _doctor(options: config.DoctorConfig) -> int:
 
     table = Table(box=None, pad_edge=False, show_header=False)
     for finding in doctor.examine():
-        text = Text(finding.found)
+        text = Text(finding.value)
         if finding.cure:
             text.append(f"\n{finding.cure}", "bold yellow")
         table.add_row(Text(finding.what, "dim"), text)

@@ -32,8 +32,9 @@ from sean_jax.config import (
     validate,
 )
 from sean_jax.errors import InputError
-from sean_jax.files.reading import listed
+from sean_jax.messages import listed
 
+LAST = ("seed", "out", "quiet")  # in the help
 SETTINGS = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
 
 
@@ -61,7 +62,7 @@ def parser(model: type[Config], configurable: bool = False, trust: bool = False)
     if configurable:
         text = "A config.yaml, such as sean run writes; flags override its values."
         fields.append(_field("config", Path | None, text, None))
-    for name, field in model.model_fields.items():
+    for name, field in sorted(model.model_fields.items(), key=lambda option: option[0] in LAST):
         family = family_of(field)
         text = " ".join((field.description or "").split())
         if family is not None:

@@ -18,8 +18,8 @@ from sean_jax import navigation as paths
 from sean_jax.base import Array, Pedestrians, Scenario
 from sean_jax.errors import InputError
 from sean_jax.geometry import length, unit
+from sean_jax.messages import shorten
 from sean_jax.navigation import Navigation
-from sean_jax.quantities import short_repr
 
 MAX_SPAWN_DISTANCE = 0.9  # m, between the starts of those who walk together
 NEAR_LEADER = 1.5  # m, within which people go in the leader's direction ...
@@ -74,7 +74,7 @@ def count_walking_groups(people: int, shares: tuple[float, float]) -> WalkingGro
     two = isinstance(shares, (tuple, list)) and len(shares) == 2 and all(isinstance(share, Real) for share in shares)
     if not two or not (min(shares) >= 0 and sum(shares) <= 1 + 1e-6):
         clause = "must be two shares, each 0 or more, together 1 at most"
-        raise InputError(f"walking_groups: {short_repr(shares)} {clause}.")
+        raise InputError(f"walking_groups: {shorten(repr(shares))} {clause}.")
     in_pairs, in_triples = shares
     return WalkingGroups(int(people * in_pairs / 2 + 1e-6), int(people * in_triples / 3 + 1e-6))
 

@@ -32,7 +32,7 @@ from sean_jax.config.fields import (
     Width,
 )
 from sean_jax.config.scenario import Part, ScenarioConfig
-from sean_jax.files.reading import listed
+from sean_jax.messages import listed
 
 OBSERVED = ("goal", "goal_heading", "path", "distance", "speeds", "time", "obstacles", "people")
 """The terms of an agent's observation, where none are named."""

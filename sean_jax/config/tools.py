@@ -23,7 +23,7 @@ from sean_jax.config.fields import (
     TimingSeconds,
 )
 from sean_jax.config.scenario import RobotPart
-from sean_jax.files.reading import listed, suggest
+from sean_jax.messages import listed, suggest
 
 
 class BenchConfig(Config):

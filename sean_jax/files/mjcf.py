@@ -15,6 +15,7 @@ import numpy as np
 
 from sean_jax.errors import FileError
 from sean_jax.files.reading import MAX_DEPTH, read_bytes, read_text, short_name
+from sean_jax.messages import shorten
 
 MAX_ELEMENTS = 10_000  # in all, those of a replicate as often as it makes them
 MAX_JOINTS = 100
@@ -153,9 +154,8 @@ class _Scan:
                 _check_numbers(key, value)
             maximum = MAX_COUNTS.get((name, key), MAX_RESERVED if name == "size" and key != "memory" else None)
             if maximum is not None and any(not -1 <= number <= maximum for number in _numbers(value)):
-                raise _ElementError(f'{name} {key}="{_short(value)}" must be at most {maximum:,}')
-        if name == "size" and _bytes(attributes.get("memory", "")) > MAX_MEMORY:
-            raise _ElementError(f'size memory="{_short(attributes["memory"])}" must be at most {MAX_MEMORY // 10**6}M')
+                size = shorten(attributes["memory"], 40)
+            raise _ElementError(f'size memory="{size}" must be at most {MAX_MEMORY // 10**6}M')
         self.elements += times
         if self.elements > MAX_ELEMENTS:
             raise _ElementError(f"makes more than {MAX_ELEMENTS:,} elements; use fewer")
@@ -219,10 +219,6 @@ class _ElementError(Exception):
     """An element is refused, for a reason in one clause."""
 
 
-def _short(value: str) -> str:
-    return value if len(value) <= 40 else value[:37] + "..."
-
-
 def _numbers(value: str) -> list[float]:
     numbers = []
     for word in value.split():
@@ -234,11 +230,12 @@ def _numbers(value: str) -> list[float]:
 
 
 def _check_numbers(key: str, value: str) -> None:
+    text = f'{key}="{shorten(value, 40)}"'
     for number in _numbers(value):
         if not math.isfinite(number):
-            raise _ElementError(f'{key}="{_short(value)}" holds a number that is not finite; give one that is')
+            raise _ElementError(f"{text} holds a number that is not finite; give one that is")
         if abs(number) > MAX_MAGNITUDE:
-            raise _ElementError(f'{key}="{_short(value)}" holds a number beyond {MAX_MAGNITUDE:g}; give a smaller one')
+            raise _ElementError(f"{text} holds a number beyond {MAX_MAGNITUDE:g}; give a smaller one")
 
 
 def _bytes(value: str) -> float:

@@ -7,14 +7,13 @@ the content becomes a sentence.
 
 import contextlib
 import csv
-import difflib
 import io
 import json
 import math
 import os
 import stat
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -26,40 +25,6 @@ MAX_ARRAYS = 1_000_000_000  # of a .npz file that this program writes, and what 
 MAX_TABLE = 10_000_000_000  # of a table with a row for each episode or frame, which is read row by row
 MAX_LINE = 1_000_000  # characters of a line of a table
 MAX_DEPTH = 60  # of values within values
-
-
-def listed(text: str | None) -> list[str]:
-    """The names in a text.
-
-    Args:
-        text: names separated by commas; None has none.
-
-    Returns:
-        The names in order, without space around them.
-    """
-    return [name.strip() for name in (text or "").split(",") if name.strip()]
-
-
-def suggest(word: str, choices: Iterable[str]) -> str:
-    """The end of a message about an unknown name.
-
-    Returns:
-        "; did you mean 'x'?" with the choice most like the word, or nothing if none is like it.
-    """
-    choices = [str(choice) for choice in choices]
-    lower = {choice.lower(): choice for choice in choices}
-    close = difflib.get_close_matches(str(word).lower()[:100], lower, n=1, cutoff=0.6)
-    return f"; did you mean '{lower[close[0]]}'?" if close else ""
-
-
-def unknown_name(option: str, name: str, choices: Iterable[str]) -> str:
-    """The message about an unknown name.
-
-    Returns:
-        A sentence that names the option, the name and the choices, with a suggestion if a choice is like it.
-    """
-    choices = list(choices)
-    return f"{option}: '{name}' is not one of {', '.join(choices)}{suggest(name, choices) or '.'}"
 
 
 def short_name(path: Path) -> str:
