@@ -24,9 +24,9 @@ class Estimate(NamedTuple):
     """A figure over episodes. No number is NaN: where ``episodes`` is 0, the others are 0 and mean nothing."""
 
     mean: np.ndarray  # () or (1 + S,)
-    low: np.ndarray  # likewise, lower end of the interval
-    high: np.ndarray  # likewise, upper end
-    episodes: np.ndarray  # likewise, int, how many it is made of
+    low: np.ndarray  # same shape, lower end of the interval
+    high: np.ndarray  # same shape, upper end
+    episodes: np.ndarray  # same shape, int, number of episodes
 
 
 def aggregate(
@@ -44,7 +44,7 @@ def aggregate(
     Args:
         values: (E,) or (E, 1 + S), a metric as ``results`` gives it for each of E episodes.
         applies: of the same shape, bool: which values count; by default the finite ones, for a mean or an extreme over
-            a situation that never occurred is NaN.
+            a situation that never occurred is NaN. The other values may be anything.
         seed: of the resamples; equal seeds draw the same episodes, so that figures can be compared.
         level: share of the resamples that the interval holds.
         weights: (R, E) from ``resamples``, instead of drawing them from the seed; one draw can serve many metrics.

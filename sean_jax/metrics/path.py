@@ -28,7 +28,7 @@ from sean_jax.metrics.metric import (
 
 STILL = 0.05  # m/s: not moving is having moved no farther than 0.05 m in the last second (SEAN 2.0)
 GOAL_RADIUS = 1.2  # m, for moments that have none (SEAN 2.0)
-TOP_SPEED = 0.5  # m/s, likewise (Kuri)
+TOP_SPEED = 0.5  # m/s, for moments that have none (Kuri)
 
 
 # --- length, efficiency and standing, from positions at 1 Hz ---

@@ -26,8 +26,8 @@ from sean_jax.navigation.shortest_paths import last_arcs
 from sean_jax.navigation.tables import CELL, CODE, Navigation, inputs
 from sean_jax.platforms import to_device
 
-CLOSE = 0.8  # of the radius: free radius of people, whose bodies have 0.2 m while their paths are those of 0.25 m
-MIN_AHEAD = 0.5  # m, at least so far ahead do people aim
+CLOSE = 0.8  # of the radius: bodies of people have 0.2 m, their paths are for 0.25 m
+MIN_AHEAD = 0.5  # m ahead: the nearest place that people aim at
 CANDIDATES = 4  # arcs that ``next_point_approx`` tests
 MAX_DETOUR = 0.3  # m
 NEIGHBORS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))  # of a cell

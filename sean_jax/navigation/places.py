@@ -22,12 +22,12 @@ from sean_jax.navigation.arcs import SLACK, pairs_are_free
 from sean_jax.navigation.tables import CODE, Navigation, inputs
 from sean_jax.platforms import to_device
 
-MESH_RADIUS = 0.5  # m, of SEAN's mesh: so far its edges are from obstacles, and those of a larger robot its radius
+MESH_RADIUS = 0.5  # m, distance of edges of SEAN's mesh from obstacles; a larger robot's radius instead
 MESH_EDGE = 0.25  # m, from a point to the nearest edge of the mesh, at least (SEAN 2.0)
 MESH_SHARE = 0.05, 0.95  # of the way from the first vertex to the second (SEAN 2.0)
 MESH_DRAWS = 65_536  # points that are tabulated, 64 for each place
-NEAREST = 8  # places of which the nearest in sight stands for a point
-SAME = 1e-6  # m, corners nearer than that are one
+NEAREST = 8  # places that may stand for a point: the nearest in sight does
+SAME = 1e-6  # m, nearer corners are one
 CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
 
 

@@ -33,7 +33,7 @@ CELL = 0.25  # m
 MAX_CELLS = 100_000  # of a visibility grid; larger floors have wider cells
 MAX_ARCS = 2_500  # the tables have all pairs of them
 FREE_POINTS = 1024  # free places from which starts and goals are drawn
-ROOM = 0.1  # m, by which they are farther from obstacles than the radius
+ROOM = 0.1  # m, their distance from obstacles beyond the radius
 STRAIGHT = 1e-3  # rad, by which an arc may run backwards because of rounding
 SAMPLES = 91  # sampled places on a quarter of a circle, one each degree
 
@@ -58,7 +58,7 @@ class Navigation:
     places: Float[Array, "P 2"]  # m, uniform over all places that the disc can reach
     obstacles: Obstacles
     radius: Float[Array, ""]  # m
-    mesh_places: Int[Array, "M"] | None = None  # indices of places, as often as they are drawn; None: all alike
+    mesh_places: Int[Array, "M"] | None = None  # indices of places by how often they are drawn; None: uniform
 
 
 class CommonTangents(NamedTuple):

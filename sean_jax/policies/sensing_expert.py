@@ -21,7 +21,7 @@ from sean_jax.platforms import scalar
 from sean_jax.policies.expert import MAX_PEOPLE, STEPS, TIME_STEP, ExpertMemory, ExpertParams, expert, plan
 from sean_jax.policies.prediction import nearest_people, predict_straight
 
-WIDTH, HEIGHT = 64, 48  # pixels of the picture in which people are looked for, a bit more than a degree each
+WIDTH, HEIGHT = 64, 48  # pixels of the depth image that shows people, each a bit more than a degree
 
 
 @struct.dataclass
@@ -38,7 +38,7 @@ class KnownPeople(NamedTuple):
 
     position: Float[Array, "N 2"]  # m, where they are, or would be if they had walked on
     velocity: Float[Array, "N 2"]  # m/s, when they were last visible
-    group: Int[Array, "N"]  # in which they stood then, -1 none
+    group: Int[Array, "N"]  # of then, -1 none
     unseen_ticks: Int[Array, "N"]  # since then
     known: Bool[Array, "N"]  # visible or remembered
 

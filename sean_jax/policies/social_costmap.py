@@ -42,10 +42,10 @@ from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_succ
 from sean_jax.policies.prediction import nearest_people, to_world
 from sean_jax.robots.limits import clip_turn_rate, reachable
 
-MAX_PEOPLE = 10  # the nearest that are on the maps
+MAX_PEOPLE = 10  # the nearest, on the maps
 CONTACT_COST = 253.0  # the disc of the robot touches something there
 MAX_COST = 252.0  # of a cell that can be driven over
-NEUTRAL_COST, COST_FACTOR = 50.0, 3.0  # of global_planner: what a free cell costs, and how much the map counts
+NEUTRAL_COST, COST_FACTOR = 50.0, 3.0  # of global_planner: cost of a free cell, and weight of the map
 STRAIGHT_STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 DIAGONAL_STEPS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 UNREACHED = 1e6  # m, of cells that the wave has not reached
@@ -53,12 +53,12 @@ GLOBAL_CELLS, GLOBAL_CELL = 32, 0.2  # of the global map, and m
 PLAN_PERIOD, SWEEPS = 5, 12  # control steps that a plan takes; cells that the wave moves in each
 PATH_POINTS = 20  # of a plan
 LOCAL_CELLS, LOCAL_CELL = 32, 0.05  # of the local map, and m at least
-LOCAL_PATH_POINTS = 8  # of the plan, that the local planner looks at
+LOCAL_PATH_POINTS = 8  # of the plan, for the local planner
 SPEED_SAMPLES, TURN_RATE_SAMPLES = 20, 40
 HORIZON = 2.0  # s, of a trajectory
 TRAJECTORY_POINTS = 10  # at which costs are looked up
-SCORE_CELL = 0.05  # m, in which distances are counted
-ESCAPE_SPEED = -0.1  # m/s, out of what is touched
+SCORE_CELL = 0.05  # m, unit of distances in scores
+ESCAPE_SPEED = -0.1  # m/s, out of a contact
 LOOKAHEAD = 0.325  # m, by which turns on the spot are compared
 
 Tree = TypeVar("Tree")
@@ -113,7 +113,7 @@ class SocialCostmapMemory(NamedTuple):
 
     successors: Int[Array, "V"]  # of ``cost_to_go.corner_successors``
     window: Window  # of the plan in the making
-    resistance: Float[Array, "C C"]  # what a metre there is worth
+    resistance: Float[Array, "C C"]  # metres of free way that a metre there is worth
     wave: Float[Array, "C C"]  # m
     path: Float[Array, "2 points"]  # m, x and y of the current plan
     path_complete: Bool[Array, ""]  # whether it leads to the goal

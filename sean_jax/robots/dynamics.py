@@ -197,7 +197,7 @@ class Way(NamedTuple):
 
     position: Float[Array, "2"]  # m
     speed: Float[Array, ""]  # m/s along its heading: less than commanded where something is in the way
-    sideways: Float[Array, ""]  # m/s to the left: what a contact adds
+    sideways: Float[Array, ""]  # m/s to the left, from contacts
 
 
 def kinematic_move(

@@ -25,7 +25,7 @@ FACE = 0.22  # m, height of a face
 LEG, APART = 0.08, 0.1  # m, radius of a leg, and from the middle of the body to that of a leg
 STRIDE, SPREAD = 1.4, 0.3  # m, of two steps, and by how much a foot is ahead of the body at most, from 1 m/s on
 BETWEEN = 0.35  # share of the light between the legs
-SHADOW, SHADOW_REACH = 0.45, 0.22  # share of the light that is lost beside a body, and m over which the loss fades
+SHADOW, SHADOW_REACH = 0.45, 0.22  # share of the light lost beside a body, and m over which the loss fades
 Color = tuple[Array, Array, Array]  # red, green and blue, of one shape
 
 
@@ -85,7 +85,7 @@ def _labels(scenario: Scenario, view: View, with_robot: bool) -> tuple[np.ndarra
 
 
 def _body_colors(scenario: Scenario, view: View, with_robot: bool) -> Array:
-    """(3, bodies + 2) colors by number in the view; zeros for people, floor and sky, whose colors ``colors`` makes."""
+    """(3, bodies + 2) colors by number in the view; zeros for people, floor and sky, which ``colors`` paints."""
     parts = []
     solids, robot = scenario.environment.scenery.solids, scenario.robot.solids
     first, robot_first = np.cumsum((0, *_counts(solids))), np.cumsum((0, *_counts(robot)))

@@ -271,6 +271,8 @@ def noise(
 ) -> Float[Array, "*shape"]:
     """Add normal noise whose standard deviation is min_deviation + growth (distance - start)².
 
+    The result is clipped to 0 and ``far``.
+
     Args:
         far: m, the range of the sensor. Values at or beyond it are misses and stay as they are.
         min_deviation: m, standard deviation at ``start``.
@@ -300,7 +302,7 @@ def drop_outs(
 class Delay:
     """The last images of a sensor, the newest first. Callers carry it beside the state."""
 
-    images: Shaped[Array, "L *shape"]  # the last one is what the robot has received
+    images: Shaped[Array, "L *shape"]  # the robot has received the last one
 
 
 def delay(image: Shaped[Array, "*shape"], steps: int) -> Delay:
