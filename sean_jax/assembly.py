@@ -183,7 +183,7 @@ def with_task(scenario: Scenario, task: Any) -> Scenario:
 
 
 class Parts(NamedTuple):
-    """The parts of a scenario that are made in a moment."""
+    """The parts of a scenario that need neither compiling nor tables."""
 
     folder: Path  # of the environment
     forces: social_forces.Forces
@@ -278,9 +278,8 @@ def _behavior(config: ScenarioConfig, place: behaviors.Place) -> Behavior:
         part = components.resolve(description, {}, "behavior")
         behavior = part if isinstance(part, Behavior) else _build_own(part, place, config.people)
     else:
-        given = {name: getattr(description, name) for name in type(description).model_fields if name != "kind"}
-        build = behaviors.BEHAVIORS[description.kind]
-        behavior = build(place, config.people, **{name: value for name, value in given.items() if value is not None})
+        options = {name: value for name, value in description if name != "kind" and value is not None}
+        behavior = behaviors.BEHAVIORS[description.kind](place, config.people, **options)
     if not isinstance(behavior, Behavior):
         what = f"{description.kind} gives {shorten(repr(behavior))}"
         raise InputError(f"behavior: {what}, not a Behavior; give one, or a function (place, people) -> Behavior.")
@@ -326,7 +325,7 @@ def _situations(config: ScenarioConfig) -> tuple[tuple, classifiers.Thresholds]:
         else:
             chosen[_name(part)] = classifiers.as_situation(components.resolve(part, {}, "situations"), _name(part))
     if not chosen:
-        raise InputError("situations: none is given; give at least one, or a name like 'paper'.")
+        raise InputError("situations: there are none; give at least one, or a name like 'paper'.")
     if len(chosen) > MAX_SITUATIONS:
         raise InputError(f"situations: {len(chosen)} are more than {MAX_SITUATIONS}; give fewer.")
     thresholds = (usual or classifiers.thresholds)()

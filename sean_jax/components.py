@@ -334,7 +334,7 @@ def _imported(name: str, sources: Mapping[str, Source]) -> Iterator[str]:
     source = sources[name]
     try:
         tree = ast.parse(source.text or b"")
-    except (SyntaxError, ValueError):  # which is told when it is executed
+    except (SyntaxError, ValueError):  # an error in its execution reports it
         return
     package = name.split(".") if source.is_package else name.split(".")[:-1]
     for node in ast.walk(tree):

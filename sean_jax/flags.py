@@ -258,7 +258,7 @@ def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
         family = family_of(field)
         several = family.singular is not None if family else Ellipsis in typing.get_args(_plain(field.annotation))
         if several and names.count(flag(name)) > 1:
-            raise InputError(f"{flag(name)} is given more than once; give it once, with all of its values.")
+            raise InputError(f"{flag(name)} is repeated; give it once, with all of its values.")
 
 
 def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:

@@ -457,7 +457,7 @@ def test_what_the_critic_alone_sees_never_reaches_the_actor(several):
         (["--sweep", "width=3,4"], "'width' cannot be swept"),
         (["--sweep", "clip=0.1,many"], "sweep: clip=0.1,many must be numbers"),
         (["--sweep", "clip=0.1,7"], "sweep: clip=0.1,7 must be numbers"),
-        (["--sweep", "clip=0.1", "--sweep", "entropy=0"], "--sweep is given more than once; give it once"),
+        (["--sweep", "clip=0.1", "--sweep", "entropy=0"], "--sweep is repeated; give it once"),
         (["--sweep", "rewards.time=inf"], "sweep: rewards.time=inf must be numbers"),
         (["--sweep", "rewards.tine=1"], "rewards: 'tine' is not one of progress"),
         (["--critic", "depth"], "critic: depth is an image"),

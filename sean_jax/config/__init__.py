@@ -19,7 +19,6 @@ from sean_jax.config.core import (
     validate,
     with_defaults,
 )
-from sean_jax.config.evaluation import CompareConfig, ReplayConfig, RunConfig
 from sean_jax.config.fields import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, Number, Option, Text
 from sean_jax.config.learning import (
     METHODS,
@@ -36,11 +35,14 @@ from sean_jax.config.learning import (
 from sean_jax.config.scenario import (
     DEFAULT_FORCES,
     USUAL_TASKS,
+    CompareConfig,
     CustomTask,
     GraphBehavior,
     HandcraftedBehavior,
     PlaybackBehavior,
     RandomBehavior,
+    ReplayConfig,
+    RunConfig,
     ScenarioConfig,
 )
 from sean_jax.config.studies import (

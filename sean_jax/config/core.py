@@ -415,8 +415,9 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
     head = named(str(path[0])) if path else ""
     if place and place in owner.model_fields and named is not str:
         head, place = named(place), ""  # an option of a component is a flag of its own
-    known = list(owner.model_fields)
-    text = error_clause(error, _choices(owner, last), known, did_you_mean(last, known))
+    known, families = list(owner.model_fields), map(family_of, owner.model_fields.values())
+    beside = [option for family in families if family is not None for option in family.options()]
+    text = error_clause(error, _choices(owner, last), known, did_you_mean(last, [*known, *beside]))
     if kind == "value_error" and not path:
         head, _, text = text.partition(": ")
         head = named(head)
