@@ -6,36 +6,9 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
+from sean_jax.config import fields
 from sean_jax.config.core import Component, Config, Family, Named, OwnPart, Value, compact, with_defaults
-from sean_jax.config.fields import (
-    BatchSize,
-    Congestion,
-    Distance,
-    DistanceOrInfinity,
-    Duration,
-    Dynamics,
-    EnvironmentName,
-    EpisodeCount,
-    EpisodeNumber,
-    Names,
-    Option,
-    Out,
-    PeopleOrDefault,
-    PoseNumber,
-    Quiet,
-    Radius,
-    RecordingFormat,
-    RecordingRate,
-    RouteTemperature,
-    Routing,
-    Seed,
-    Substeps,
-    Text,
-    Threshold,
-    TimeLimit,
-    TimeStep,
-    WalkingGroups,
-)
+from sean_jax.config.fields import Option
 from sean_jax.presets import PRESETS
 
 USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcrafted",)}
@@ -49,29 +22,29 @@ class GraphBehavior(Component):
     """People walk, gather and disperse on the environment's behavior graph."""
 
     kind: Literal["graph"] = "graph"
-    routing: Routing = "whole"
+    routing: fields.Routing = "whole"
     group_membership: Literal["turnover", "permanent"] = "turnover"
     """turnover: people join and leave groups; permanent: members stay in their group, as in SEAN 2.0's code."""
-    congestion_cost: Congestion = 0.0
+    congestion_cost: fields.Congestion = 0.0
     """How much people avoid crowded edges: an edge's cost is multiplied by 1 + congestion_cost * density (people/m2);
     try 10."""
-    temperature: RouteTemperature = 0.0
+    temperature: fields.RouteTemperature = 0.0
     """Softmax temperature in metres over the lengths of routes; 0: always the shortest route."""
-    walking_groups: WalkingGroups = (0.0, 0.0)
+    walking_groups: fields.WalkingGroups = (0.0, 0.0)
 
 
 class RandomBehavior(Component):
     """People walk from one random place to another."""
 
     kind: Literal["random"] = "random"
-    walking_groups: WalkingGroups = (0.0, 0.0)
+    walking_groups: fields.WalkingGroups = (0.0, 0.0)
 
 
 class HandcraftedBehavior(Component):
     """People walk the environment's handcrafted sets."""
 
     kind: Literal["handcrafted"] = "handcrafted"
-    sets: Text = "all"
+    sets: fields.Text = "all"
     """Sets to draw from: all, the name of a set, a situation; or COLLECTION, COLLECTION_SITUATION or COLLECTION_SET for
     a further collection of handcrafted.yaml, such as staged."""
 
@@ -80,19 +53,19 @@ class PlaybackBehavior(Component):
     """People walk as they were recorded."""
 
     kind: Literal["playback"] = "playback"
-    recording: Text | None = None
+    recording: fields.Text | None = None
     """A CSV file with the columns frame, id, x and y in metres."""
-    recording_format: RecordingFormat = None
-    frame_rate: RecordingRate = None
+    recording_format: fields.RecordingFormat = None
+    frame_rate: fields.RecordingRate = None
 
 
 class CustomTask(Component):
     """From a start of your own to a goal of your own."""
 
     kind: Literal["custom"] = "custom"
-    start: tuple[PoseNumber, ...] | None = None
+    start: tuple[fields.PoseNumber, ...] | None = None
     """x and y in metres, and optionally a heading in degrees."""
-    goal: tuple[PoseNumber, ...] | None = None
+    goal: tuple[fields.PoseNumber, ...] | None = None
     """x and y in metres, and optionally a heading in degrees."""
 
     @pydantic.field_validator("start", "goal")
@@ -119,7 +92,7 @@ Tasks = Annotated[tuple[Component, ...], Family((CustomTask, Named), several=Tru
 class ScenarioConfig(Config):
     """A physical environment, a pedestrian behavior and a robot task (section IV-B), and what belongs to them."""
 
-    environment: EnvironmentName = "warehouse"
+    environment: fields.EnvironmentName = "warehouse"
     preset: Annotated[Literal["sean2"] | None, Option(affects_results=False)] = None
     """Preset for the options that you leave out: sean2, as in SEAN 2.0."""
     behavior: BehaviorPart = GraphBehavior()
@@ -128,36 +101,36 @@ class ScenarioConfig(Config):
     """Robot task; several, separated by commas, take turns. By default join_group,leave_group with behavior graph,
     handcrafted with handcrafted, custom if a start and a goal are set, else random_ab_nav."""
     robot: RobotPart = Named(kind="kuri")
-    dynamics: Dynamics = "mjx"
-    people: PeopleOrDefault = None
+    dynamics: fields.Dynamics = "mjx"
+    people: fields.PeopleOrDefault = None
     model: Part = Named(kind="social_forces")
     """Model of how people move."""
     forces: Forces = (Named(kind=DEFAULT_FORCES),)
     """Social forces: the terms of a preset, and further ones."""
     situations: Situations = (Named(kind="paper"),)
     """Social situations to classify: a set, and further ones."""
-    thresholds: dict[str, Threshold] | None = None
+    thresholds: dict[str, fields.Threshold] | None = None
     """Thresholds of the situation classifiers that differ from those of the set."""
     metrics: Metrics = (Named(kind="all"),)
     """Metrics: all of the package, and further ones."""
     sensors: Sensors = ()
     """Sensors that a policy can read with sean_jax.sense."""
-    time_step: TimeStep = 0.1
+    time_step: fields.TimeStep = 0.1
     """Control step in seconds."""
-    time_limit: TimeLimit = 120.0
+    time_limit: fields.TimeLimit = 120.0
     """Longest duration of an episode in seconds."""
-    goal_radius: Radius = 1.2
+    goal_radius: fields.Radius = 1.2
     """Distance in metres within which the goal counts as reached (SEAN 2.0: 1.2)."""
-    hold_time: Duration = 5.0
+    hold_time: fields.Duration = 5.0
     """Seconds that the robot must stay there to complete the task (SEAN 2.0: 5)."""
-    task_distance: tuple[Distance, DistanceOrInfinity] = (4.0, 20.0)
+    task_distance: tuple[fields.Distance, fields.DistanceOrInfinity] = (4.0, 20.0)
     """Shortest and longest path in metres from start to goal; inf for no longest (SEAN 2.0: 0 inf)."""
     goal_sampling: Literal["uniform", "mesh"] = "uniform"
     """How free places are drawn, for goals of random people and for starts and goals of the robot: uniform over the
     floor, or mesh, as SEAN 2.0 draws points on its navigation mesh."""
-    substeps: Substeps | None = None
+    substeps: fields.Substeps | None = None
     """Steps of the social forces in a control step; by default as many as their stiffness needs."""
-    warm_up: Duration = 0.0
+    warm_up: fields.Duration = 0.0
     """Seconds for which people walk before a task begins, as in a crowd that lasts while tasks follow one another."""
 
     @pydantic.model_validator(mode="before")
@@ -200,13 +173,13 @@ class RunConfig(ScenarioConfig):
 
     policy: Part = Named(kind="go_to_goal")
     """Policy of the robot: a name, or a folder of `sean train` or `sean export agent`."""
-    episodes: EpisodeCount = 64
+    episodes: fields.EpisodeCount = 64
     """Number of episodes."""
-    seed: Seed = 0
+    seed: fields.Seed = 0
     """The same seed gives the same episodes."""
-    batch: BatchSize = 1024
+    batch: fields.BatchSize = 1024
     """Largest number of episodes that are simulated at once."""
-    camera: Annotated[Text | None, Option(affects_results=False)] = None
+    camera: Annotated[fields.Text | None, Option(affects_results=False)] = None
     """Also write camera.gif, the first episode as first_person, third_person, overhead or depth sees it."""
     renderer: Annotated[Literal["rays", "mujoco"] | None, Option(affects_results=False)] = None
     """Renderer of camera.gif: rays, the default, or mujoco, which needs OpenGL."""
@@ -216,10 +189,10 @@ class RunConfig(ScenarioConfig):
     """Serve a page on this computer that plays the first episode during its simulation."""
     name: Annotated[str, Option(affects_results=False)] = ""
     """Name of the run, the end of the folder's name; by default the environment and the behavior."""
-    out: Out = None
+    out: fields.Out = None
     """Folder to write, runs/<date>-<time>-<name> by default: new, empty, or with an unfinished run of the same options,
     which is resumed."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
 
     @pydantic.model_validator(mode="after")
     def _check_renderer(self) -> "RunConfig":
@@ -237,19 +210,19 @@ class RunConfig(ScenarioConfig):
 
 
 class ReplayConfig(Config):
-    """Write a page that plays episodes of a run, a dataset or a training, or tests of a validation: they are simulated
+    """Write a page that plays episodes of a run, a dataset or a training, or tests of a validation. They are simulated
     again with the options in the folder."""
 
     folder: Annotated[Path, Option(positional=True)]
     """Folder of `sean run`, `collect`, `train` or `validate`."""
-    episodes: Annotated[tuple[EpisodeNumber, ...], pydantic.Field(min_length=1)] = (0,)
+    episodes: Annotated[tuple[fields.EpisodeNumber, ...], pydantic.Field(min_length=1)] = (0,)
     """Numbers of episodes, from 0: of a run as in episodes.csv, of a dataset in the order of their recording, of a
     training those of its evaluations, which alternate between its environments."""
-    only: Names | None = None
+    only: fields.Names | None = None
     """Tests of a validation, separated by commas, such as rimea-6,imo-1; by default its first."""
     out: Path | None = None
     """File to write, replay.html in the folder by default."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
 
 
 class CompareConfig(Config):
@@ -261,4 +234,4 @@ class CompareConfig(Config):
     """Folder of another run."""
     out: Path | None = None
     """Page to write, compare-FIRST-SECOND.html by default."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
