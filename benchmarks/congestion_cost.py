@@ -17,7 +17,7 @@ import numpy as np
 
 import sean_jax
 from sean_jax import scenario as stages
-from sean_jax.graph.congestion import edge_densities
+from sean_jax.graph.behavior_graph import edge_densities
 
 
 def measure(scenario, key, steps: int) -> tuple:

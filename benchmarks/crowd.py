@@ -14,7 +14,7 @@ import numpy as np
 
 from sean_jax import social_forces
 from sean_jax.bench import programs, timing, workload
-from sean_jax.social_forces.terms import term_name
+from sean_jax.social_forces.forces import term_name
 
 STEP = 0.05  # s
 

@@ -14,7 +14,7 @@ import sean_jax
 from sean_jax import obstacle_grid, social_forces
 from sean_jax import scenario as stages
 from sean_jax.base import Array, ObstacleGrid, Obstacles, Pedestrians, Robot, Scenario
-from sean_jax.behaviors.walking_groups import WalkingGroups
+from sean_jax.behaviors.starts import WalkingGroups
 
 STEP = 0.05  # s
 WALKING = 0.5  # m/s, slower is standing, as for the recordings

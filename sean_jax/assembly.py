@@ -207,7 +207,7 @@ def check(config: ScenarioConfig) -> Parts:
     for task in config.tasks:
         _check_task(task, behavior.kind)
     if isinstance(behavior, GraphBehavior | RandomBehavior):
-        behaviors.walking_groups.count_walking_groups(0, behavior.walking_groups)
+        behaviors.count_walking_groups(0, behavior.walking_groups)
     situations, thresholds = _situations(config)
     model = components.resolve(config.model, pedestrian_models.MODELS, "model")
     measured = _metrics(config)

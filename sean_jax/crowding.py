@@ -1,7 +1,7 @@
 """Density of people over the floor, and their flow along the edges of the Behavior Graph (section IV-D).
 
-Both are computed from positions alone, so they are the same measure whatever moves the people: a person who arrives at
-node v and was last at node u has walked the edge from u to v.
+Both are computed from positions alone, so they are the same for all pedestrian models: a person who arrives at node v
+and was last at node u has walked the edge from u to v.
 """
 
 import math
@@ -19,16 +19,16 @@ from sean_jax.graph import BehaviorGraph, graph_of
 
 CELL = 0.5  # m, side of the cells in which people are counted
 ARRIVAL_DISTANCE = 1.0  # m from a node's disc: people aim at any of its points and arrive 1 m from there (SEAN 2.0)
-NO_NODE = -1  # in place of a node, for people who were at none yet
+NO_NODE = -1  # for people who were at no node yet
 
 
 @struct.dataclass
 class Congestion:
-    """People's density and flow in each of K spans of time; M nodes of the graph, 0 without one."""
+    """Density and flow of people in each of K spans of time; M nodes of the graph, 0 without one."""
 
     time: Float[Array, "K"]  # s, end of each span
     density: Float[Array, "K rows columns"]  # people per m2, mean over the span; row 0 at the lowest y
-    flow: Float[Array, "K M M"]  # people per minute who came from the row's node to the column's by the edge between
+    flow: Float[Array, "K M M"]  # people per minute who walked the edge from the row's node to the column's
 
 
 def congestion(
@@ -36,21 +36,21 @@ def congestion(
 ) -> Congestion:
     """Density and flow of the people in the frames of a rollout.
 
-    The densities times the area of a cell add up to the number of people who are present: people off the floor count
-    for the nearest cell. Under ``jit`` give ``cells``, or close over the scenario.
+    The densities times the area of a cell add up to the number of people present: people off the floor count for the
+    nearest cell. Under ``jit`` give ``cells``, or close over the scenario.
 
     Args:
-        frames: (T, ...), or with batch axes before T, which the result has as well. All frames count, those after
-            the end of an episode too.
+        frames: (T, ...), or with batch axes before T, which the result has as well. All frames count, also after the
+            end of an episode.
         span: s, of the average; the last span may be shorter.
-        cells: rows and columns of the grid over the floor; cells of about half a metre if None, which a traced
-            scenario does not allow.
+        cells: rows and columns of the grid over the floor; None: cells of about half a metre, not for a traced
+            scenario.
 
     Raises:
         InputError: the span is shorter than a control step, or cells are missing under jit.
     """
     if frames.active.ndim > 1:
-        return jax.vmap(lambda each: congestion(scenario, each, span, cells))(frames)
+        return jax.vmap(lambda one: congestion(scenario, one, span, cells))(frames)
     stride = round(span / scenario.time_step)
     if stride < 1:
         raise InputError(f"span: {span:g} s is shorter than the control step of {scenario.time_step:g} s.")
@@ -75,10 +75,7 @@ def congestion(
 
 
 def grid_shape(environment: Environment) -> tuple[int, int]:
-    """The grid of cells of about half a metre that covers the floor.
-
-    Args:
-        environment: with the floor, which must not be traced.
+    """Rows and columns of the grid of cells of about half a metre that covers the floor.
 
     Raises:
         InputError: the environment is traced.
@@ -92,13 +89,9 @@ def grid_shape(environment: Environment) -> tuple[int, int]:
 
 
 def cell_of(environment: Environment, cells: tuple[int, int], points: Float[Array, "*shape 2"]) -> Int[Array, "*shape"]:
-    """The cell of a grid over the floor that each point is in.
+    """The cell of each point [m] in a grid over the floor, numbered row by row from the lowest y.
 
-    Args:
-        points: (..., 2) m; those off the floor count for the nearest cell.
-
-    Returns:
-        (...) number of the cell, row by row from the lowest y.
+    Points off the floor are in the nearest cell.
     """
     rows, columns = cells
     floor = environment.floor
@@ -111,14 +104,11 @@ def cell_of(environment: Environment, cells: tuple[int, int], points: Float[Arra
 def track_nodes(
     graph: BehaviorGraph, last: Int[Array, "N"], people: Float[Array, "N 2"], present: Bool[Array, "N"]
 ) -> tuple[Int[Array, "N"], Bool[Array, "N"]]:
-    """Update the node that each person was at last.
+    """The last node of each person, and whether they have just walked an edge to it.
 
     Args:
-        last: (N,) node that they were at last until now, ``NO_NODE`` if they were at none yet.
-        people: (N, 2) m, where they are.
-
-    Returns:
-        (N,) node that they were at last, and (N,) whether they have just walked an edge to it.
+        last: last node before this step, ``NO_NODE`` if there was none.
+        people: m, positions.
     """
     gap = people[:, None] - graph.position[None, :]
     beyond = length(gap[..., 0], gap[..., 1]) - graph.radius[None, :]  # (N, M) m
@@ -129,7 +119,7 @@ def track_nodes(
 
 
 def _walks_by_edge(graph: BehaviorGraph | None, frames: Trajectory, index: Array, number: int) -> Array:
-    """(number, M, M) people who walked each edge, in the span whose ``index`` (T,) each frame has."""
+    """(number, M, M) people who walked each edge in each span; ``index`` (T,) is the span of each frame."""
     if graph is None:
         return jnp.zeros((number, 0, 0), float)
     nodes = graph.radius.shape[0]

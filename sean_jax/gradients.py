@@ -1,10 +1,9 @@
-"""Gradients over long horizons: what may be done to the derivative that a state carries from step to step.
+"""Gradients over long horizons: truncate, damp or clip the derivative that a state carries from step to step.
 
-Crowds are chaotic: who passes whom on which side depends on centimetres, and derivatives grow with the time that they
-are carried. These functions leave the state as it is and change the derivative of what moves in it: positions,
-velocities and headings of people, and the robot. They are given to rollouts as ``between``, or stand in a user's own
-scan. Traits of people, goals and constants outside of the state keep their derivatives. docs/gradients.md measures what
-each does to a gradient.
+Crowds are chaotic: on which side people pass depends on centimetres, and derivatives grow with the horizon. These
+functions return the same state and change the derivative of its moving parts: positions, velocities and headings of
+people, and the robot. Use them as ``between`` of rollouts, or in your own scan. Traits of people, goals and constants
+outside of the state keep their derivatives. docs/gradients.md measures the effect of each.
 """
 
 from dataclasses import replace
@@ -20,44 +19,29 @@ MOVING = ("position", "velocity", "heading", "desired_velocity")  # of people
 
 
 def truncate(state: State, every: int) -> State:
-    """Ends the derivative at each ``every``-th step: backpropagation through that many steps, block by block.
-
-    Returns:
-        The same state.
-    """
+    """Ends the derivative at each ``every``-th step: truncated backpropagation through blocks of steps."""
     return damp(state, jnp.where(state.tick % every == 0, 0.0, 1.0))
 
 
 def damp(state: State, factor: Float[Array, ""] | float) -> State:
-    """Multiplies the derivative by a factor: what lies n steps back counts ``factor ** n``.
-
-    Args:
-        factor: 1, between 0 and 1; at 0 the derivative ends here.
-
-    Returns:
-        The same state.
-    """
+    """Multiplies the derivative by a factor from 0 to 1: n steps back it is ``factor ** n``; 0 ends it here."""
     return _with_moving(
         state, jax.tree.map(lambda leaf: _scaled(leaf, jnp.asarray(factor, leaf.dtype)), _moving(state))
     )
 
 
 def clip(state: State, limit: Float[Array, ""] | float) -> State:
-    """Shortens the cotangent of each body to a length, in reverse mode; forward mode is as without.
+    """Shortens the cotangent of each person and of the robot, in reverse mode; forward mode is unchanged.
 
     Args:
-        limit: of the length, over all that moves of one person, or of the robot; of the unit of what is differentiated
-            per metre.
-
-    Returns:
-        The same state.
+        limit: maximum length of the cotangent of all moving parts of a body, in units of the loss per metre.
     """
     moving = _moving(state)
     return _with_moving(state, linear_call(_same, _clipped, jnp.asarray(limit, float), moving, moving))
 
 
 def _moving(state: State) -> tuple[list[Array], list[Array]]:
-    """The leaves (N, ...) of people and (...) of the robot that move."""
+    """The moving leaves (N, ...) of people and (...) of the robot."""
     people = [getattr(state.pedestrians, name) for name in MOVING]
     return people, [leaf for leaf in jax.tree.leaves(state.robot) if _is_float(leaf)]
 
@@ -100,6 +84,6 @@ def _clipped(limit: Array, cotangents: tuple[list[Array], list[Array]]) -> tuple
 
 
 def _shorter(square: Array, limit: Array) -> Array:
-    """The factor that shortens vectors with these squared lengths to the limit; 0 for those beyond all numbers."""
+    """The factor that shortens vectors with these squared lengths to the limit; 0 for infinite ones."""
     over = square > limit * limit
     return jnp.where(over, limit * jax.lax.rsqrt(jnp.where(over, square, 1.0)), 1.0)

@@ -1,4 +1,4 @@
-"""People from positions: whoever has places of people, drawn, computed or recorded, has ``Pedestrians``."""
+"""``Pedestrians`` from positions that are drawn, computed or recorded."""
 
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
@@ -20,23 +20,19 @@ def pedestrians_at(
     heading: Float[Array, "N 2"] | None = None,
     present: Bool[Array, "N"] | None = None,
 ) -> Pedestrians:
-    """People at these positions, of no group, each of whom walks alone.
+    """People at these positions, in no group, each walking alone. To direct them later, replace ``desired_velocity``.
 
-    What is not given follows from what is. People with a goal desire to walk straight to it at their preferred speed;
-    people without one desire the velocity that they have.
+    People with a goal desire to walk straight to it at their preferred speed; people without one keep their velocity.
 
     Args:
-        position: (N, 2) m.
-        velocity: (N, 2) m/s; the desired velocity if None.
-        goal: (N, 2) m, or (2,) one for all; not together with ``desired_velocity``.
-        desired_velocity: (N, 2) m/s.
-        preferred_speed: (N,) m/s, or one for all; if None, the speed that they desire, and 1.34 of people with a goal
-            and of those who desire to stand, for nobody is faster than some multiple of it.
-        heading: (N, 2) unit vectors; if None, along the velocity, of who stands along the desired one, else (1, 0).
-        present: (N,) who is there; all if None.
-
-    Returns:
-        N people. To direct them on the way, replace ``desired_velocity``.
+        position: m.
+        velocity: m/s; the desired velocity if None.
+        goal: m, or (2,) one for all; excludes ``desired_velocity``.
+        desired_velocity: m/s.
+        preferred_speed: m/s, or one for all; if None, the speed of ``desired_velocity``, and 1.34 for people with a
+            goal or who stand (top speed is a multiple of it, so 0 would freeze them).
+        heading: unit vectors; if None, along the velocity, else along the desired one, else (1, 0).
+        present: all if None.
 
     Raises:
         InputError: both a goal and a desired velocity are given.
@@ -46,13 +42,13 @@ def pedestrians_at(
     position = jnp.asarray(position, float)
     number = position.shape[0]
     if goal is not None:
-        usual = PREFERRED_SPEED if preferred_speed is None else preferred_speed
-        preferred_speed = jnp.broadcast_to(jnp.asarray(usual, float), (number,))
+        speed = PREFERRED_SPEED if preferred_speed is None else preferred_speed
+        preferred_speed = jnp.broadcast_to(jnp.asarray(speed, float), (number,))
         way = jnp.asarray(goal, float).reshape(-1, 2) - position
         desired = jnp.stack(unit(way[:, 0], way[:, 1]), -1) * preferred_speed[:, None]
     else:
-        known = velocity if desired_velocity is None else desired_velocity
-        desired = jnp.zeros_like(position) if known is None else jnp.asarray(known, float)
+        desired = velocity if desired_velocity is None else desired_velocity
+        desired = jnp.zeros_like(position) if desired is None else jnp.asarray(desired, float)
     velocity = desired if velocity is None else jnp.asarray(velocity, float)
     if preferred_speed is None:
         speed = length(desired[:, 0], desired[:, 1])

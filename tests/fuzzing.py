@@ -166,9 +166,9 @@ def load_graph(folder: Path) -> Any:
 
 
 def load_handcrafted(folder: Path) -> Any:
-    from sean_jax.handcrafted import sets, validation
+    from sean_jax.handcrafted import read, sets
 
-    return sets.build(validation.read(folder, lab()).sets)
+    return sets.build(read(folder, lab()).sets)
 
 
 def load_environment(folder: Path) -> Any:

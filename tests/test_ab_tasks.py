@@ -13,9 +13,7 @@ from sean_jax.assembly import with_task
 from sean_jax.environment import clearance
 from sean_jax.navigation import draw_places
 from sean_jax.tasks import TASKS
-from sean_jax.tasks.ab_tasks import RING, SNAP
-from sean_jax.tasks.clusters import busiest, k_means
-from sean_jax.tasks.places import CANDIDATES, CLEAR, DETOUR, far_place
+from sean_jax.tasks.random_tasks import CANDIDATES, CLEAR, DETOUR, RING, SNAP, busiest, far_place, k_means
 
 SEEDS = 48
 

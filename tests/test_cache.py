@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import cache, environment, navigation
+from sean_jax import cache, environment, handcrafted, navigation
 from sean_jax.behaviors import Place, random_behavior, starts
-from sean_jax.graph import places
-from sean_jax.handcrafted import validation
+from sean_jax.graph.annotation import PERSON
 from sean_jax.navigation import tables
 
 BOX = '<geom type="box" pos="{x} 0 1" size="0.5 2 1"/>'
@@ -229,7 +228,7 @@ def test_tables_depend_on_the_code_that_makes_them(made, hall, monkeypatch):
     place = environment.load(hall)
     way = navigation.build(place, 0.25)
     random_behavior.build(Place(hall, place, way), 2)
-    monkeypatch.setattr(starts, "_reached", lambda _, spots: np.zeros(len(spots), bool))
+    monkeypatch.setattr(starts, "_reachable", lambda _, spots: np.zeros(len(spots), bool))
     starts.anywhere(place, way, 2, dense=True)
     assert "behaviors/random_behavior" in codes["goals"] and "behaviors/starts" in codes["reached"]
 
@@ -243,5 +242,5 @@ def test_ways_of_walkers_depend_on_the_room_that_a_person_needs(made, monkeypatc
         return make()
 
     monkeypatch.setattr(cache, "load_or_build", build)
-    validation.read(environment.ENVS / "lab", environment.load("lab"))
-    assert "graph/places" in codes["legs"] and validation.PERSON is places.PERSON
+    handcrafted.read(environment.ENVS / "lab", environment.load("lab"))
+    assert "graph/annotation" in codes["legs"] and handcrafted.annotation.PERSON is PERSON

@@ -10,7 +10,7 @@ import pytest
 import sean_jax
 from sean_jax import FileError, InputError, preset
 from sean_jax.config import CalibrateConfig
-from sean_jax.social_forces import PRESETS, build, constants
+from sean_jax.social_forces import PRESETS, build, presets
 from sean_jax.studies import calibration
 from sean_jax.studies.calibration import parameters, recorded
 from sean_jax.studies.calibration.fitting import HABITS, Fit
@@ -32,7 +32,7 @@ def plain():
 
 def test_a_file_of_constants_is_forces(tmp_path):
     file = tmp_path / "mine.yaml"
-    file.write_text(constants.text("helbing1995", {"repulsion.strength": 3.5}, {"fitted to": "nothing"}))
+    file.write_text(presets.text("helbing1995", {"repulsion.strength": 3.5}, {"fitted to": "nothing"}))
     forces = build(str(file))
     assert float(forces.repulsion.strength) == 3.5
     assert float(forces.repulsion.range) == pytest.approx(float(preset("helbing1995").repulsion.range))

@@ -12,7 +12,6 @@ from sean_jax import environment
 from sean_jax.files import mjcf
 from sean_jax.graph import annotation as graph
 from sean_jax.handcrafted import annotation as handcrafted
-from sean_jax.handcrafted import validation
 from sean_jax.robots import description
 
 PAGE = (Path(__file__).resolve().parent.parent / "docs" / "environments.md").read_text(encoding="utf-8")
@@ -110,8 +109,8 @@ def test_factors_of_the_flows_are_those_of_the_code():
 
 
 def test_rooms_of_groups_are_those_of_the_code():
+    from sean_jax.graph.annotation import PERSON
     from sean_jax.graph.formation import reach
-    from sean_jax.graph.places import PERSON
 
     sizes, rooms = (
         [float(cell) for cell in re.search(rf"^\| {re.escape(name)} \|(.*)\|$", PAGE, re.M).group(1).split("|")]
@@ -153,7 +152,7 @@ def test_the_example_has_each_file_and_every_file_is_read(place):
     here = environment.load(place)
     assert environment.default_people(place) == 6 and here.name == "my_place"
     assert int((np.asarray(here.obstacles.height) > 0).sum()) == 2, "the lamp is decoration"
-    sets = validation.read(place, here).sets
+    sets = handcrafted.read(place, here).sets
     assert list(sets) == ["cross_path_1", "join_group_1"]
 
 

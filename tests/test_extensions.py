@@ -18,10 +18,10 @@ import sean_jax
 from sean_jax import behaviors, classifiers, cli, metrics, pedestrian_models, policies, robots, social_forces, tasks
 from sean_jax import environment as environments
 from sean_jax.base import Behavior, Pedestrians
-from sean_jax.behaviors.random_behavior import no_groups
+from sean_jax.behaviors.starts import no_groups
 from sean_jax.classifiers.predicates import any_person, cosine, near
 from sean_jax.social_forces import draw_traits
-from sean_jax.tasks.places import far_place
+from sean_jax.tasks.random_tasks import far_place
 
 MOST = 30  # lines
 RECIPES = (Path(__file__).resolve().parent.parent / "docs" / "adding_parts.md").read_text(encoding="utf-8")

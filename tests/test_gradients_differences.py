@@ -19,7 +19,7 @@ from sean_jax import sensors, social_forces
 from sean_jax.pedestrian_models import MODELS
 from sean_jax.scenario import move_robot
 from sean_jax.social_forces import PRESETS
-from sean_jax.social_forces.terms import Forces, term_name
+from sean_jax.social_forces.forces import Forces, term_name
 
 pytestmark = pytest.mark.night
 LINES, PLACES = 64, 48

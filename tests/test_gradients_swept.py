@@ -15,14 +15,13 @@ import pytest
 import sean_jax
 from sean_jax import classifiers, episodes, geometry, metrics, navigation, obstacle_grid, sensors, social_forces
 from sean_jax.base import Moment, Obstacles, Pedestrians, Policy
-from sean_jax.classifiers import objects, predicates
+from sean_jax.classifiers import more_situations, predicates
 from sean_jax.metrics import proximity
-from sean_jax.pedestrian_models import MODELS
-from sean_jax.pedestrian_models.orca import best_velocity, half_plane
+from sean_jax.pedestrian_models import MODELS, best_velocity, half_plane
 from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.prediction import predict_people
 from sean_jax.policies.social_costmap import arc_trajectories, distance_to_path, inflation_cost, proxemic_cost
-from sean_jax.social_forces import PRESETS, Pair, cohesion, walls
+from sean_jax.social_forces import PRESETS, Pair, terms, walls
 
 NUMBER, PEOPLE = 1024, 4
 GOAL = (3.0, 1.0)
@@ -329,7 +328,7 @@ def test_distances_that_classifiers_and_metrics_read(room, kind):
         now = moment(at)
         gap = now.people.position[0] - now.position
         if kind == "situations":
-            first, second, cross = objects._crossing(now.position, now.heading, *_pose(now.people, 0))
+            first, second, cross = more_situations._crossing(now.position, now.heading, *_pose(now.people, 0))
             boxes = scenario.environment.obstacles
             room_left = geometry.signed_distances(scenario.environment, now.position[None])
             return (
@@ -337,7 +336,7 @@ def test_distances_that_classifiers_and_metrics_read(room, kind):
                 predicates.cosine(gap, now.people.velocity[0]),
                 jnp.stack(predicates.ahead_and_aside(now.heading, gap)),
                 jnp.tanh(jnp.stack([first, second, cross])),
-                jnp.tanh(objects._ray_length(boxes, now.position, now.heading)),
+                jnp.tanh(more_situations._ray_length(boxes, now.position, now.heading)),
                 jnp.stack(room_left),
                 jnp.where(classifiers.classify(now, limit), gap[0], gap[1]),
             )
@@ -380,9 +379,9 @@ def laws() -> dict[str, Any]:
         "wall_forces": lambda d, v: walls.wall_forces(p.walls, d[:1], d[1:], between, 1e6),
         "contact": lambda d, v: p.contact.pair(pair(*d, *v)),
         "sidestep": lambda d, v: p.sidestep.pair(pair(*d, *v)),
-        "gaze": lambda d, v: cohesion.gaze(p.cohesion, *d, *v, jnp.float32(1.0), jnp.float32(0.0)),
-        "attraction": lambda d, v: cohesion.attraction(p.cohesion, *d, 2.0),
-        "apart": lambda d, v: cohesion.apart(p.cohesion, *d),
+        "gaze": lambda d, v: terms.gaze(p.cohesion, *d, *v, jnp.float32(1.0), jnp.float32(0.0)),
+        "attraction": lambda d, v: terms.attraction(p.cohesion, *d, 2.0),
+        "apart": lambda d, v: terms.companion_repulsion(p.cohesion, *d),
         "half_plane": lambda d, v: half_plane(*d, *v, 0.6, 3.0, 0.1, True),
         "proxemic": lambda d, v: proxemic_cost(layers, *d, *v),
         "inflated": lambda d, v: inflation_cost(layers, d[0]),

@@ -13,8 +13,8 @@ import yaml
 from sean_jax import environment, files
 from sean_jax.errors import FileError
 from sean_jax.graph import FLOWS, BehaviorGraph, annotation
+from sean_jax.graph.behavior_graph import routes
 from sean_jax.graph.formation import MEASURED, formation, reach
-from sean_jax.graph.routes import routes
 
 FILE = environment.find("warehouse") / "graph.yaml"
 

@@ -7,7 +7,7 @@ import pytest
 
 import sean_jax
 from sean_jax import scenario as stages
-from sean_jax.behaviors import graph_behavior, graph_goals, successors
+from sean_jax.behaviors import graph_behavior, graph_choices
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_a_seat_has_one_holder_and_one_successor_at_most(history):
 def test_waypoint_goals_are_drawn_uniformly_from_all_but_the_own(scenario):
     graph, people = scenario.behavior.data.graph, 1200
     own = int(graph.waypoints[4])
-    goals = np.asarray(graph_goals._other_waypoint(graph, jnp.full(people, own, jnp.int32), uniform(people)))
+    goals = np.asarray(graph_choices._other_waypoint(graph, jnp.full(people, own, jnp.int32), uniform(people)))
     counts = np.bincount(goals, minlength=15)
     assert counts[own] == 0
     others = counts[np.setdiff1d(np.asarray(graph.waypoints), own)]
@@ -78,7 +78,7 @@ def test_stays_last_as_drawn_and_members_face_inward(scenario, history):
     standing = memory.stay > 0
     begins = standing[:, 1:] & ~standing[:, :-1]
     drawn = memory.stay[:, 1:][begins]
-    waiting = round(successors.MAX_WAIT / scenario.time_step)
+    waiting = round(graph_choices.MAX_WAIT / scenario.time_step)
     assert begins.sum() >= 3 and (drawn >= 50 + waiting).all() and (drawn <= 100 + waiting).all()
     assert (people.group[standing] >= 0).all() and (people.group[~standing] == -1).all()
     center = graph.position[graph.groups][people.group[standing]]
@@ -94,11 +94,11 @@ def test_stays_last_as_drawn_and_members_face_inward(scenario, history):
         )[standing],
         axis=-1,
     )
-    assert np.median(gap) < 0.2 and np.quantile(gap, 0.99) < successors.HAND_OVER + 0.2
+    assert np.median(gap) < 0.2 and np.quantile(gap, 0.99) < graph_choices.HAND_OVER + 0.2
 
 
 def test_a_stay_ends_when_the_successor_is_there_or_after_some_waiting(scenario, history):
-    memory, waiting = history[0], round(successors.MAX_WAIT / scenario.time_step)
+    memory, waiting = history[0], round(graph_choices.MAX_WAIT / scenario.time_step)
     before, after = (jax.tree.map(lambda leaf: leaf[:, part], memory) for part in (slice(None, -1), slice(1, None)))  # noqa: B023
     relieved = 0
     for episode, tick, person in np.argwhere((before.stay > 0) & (after.stay == 0)):
@@ -156,9 +156,9 @@ def test_the_rest_of_a_stay_is_as_at_a_random_moment_of_many_stays():
         expected = ends[np.searchsorted(ends, moments)] - moments
         limits = jnp.tile(jnp.asarray([shortest, longest], jnp.float32), (20_000, 1))
         chance = jax.random.uniform(jax.random.key(1), (2, 20_000), jnp.float32)
-        found = graph_behavior._rest_of_stay(limits, chance)
+        found = graph_behavior._residual_stay(limits, chance)
         shares = [0.1, 0.5, 0.9]
         np.testing.assert_allclose(
             np.quantile(found, shares), np.quantile(expected, shares), rtol=0.01, atol=0.015 * longest
         )
-    assert not np.asarray(graph_behavior._rest_of_stay(jnp.zeros((3, 2)), jnp.ones((2, 3)))).any()
+    assert not np.asarray(graph_behavior._residual_stay(jnp.zeros((3, 2)), jnp.ones((2, 3)))).any()

@@ -15,9 +15,8 @@ import sean_jax
 from sean_jax import environment as environments
 from sean_jax import prng
 from sean_jax import scenario as stages
-from sean_jax.behaviors import Place, graph_behavior, graph_goals
-from sean_jax.graph.congestion import add_congestion_cost, edge_areas, edge_densities
-from sean_jax.graph.routes import routes
+from sean_jax.behaviors import Place, graph_behavior, graph_choices
+from sean_jax.graph.behavior_graph import add_congestion_cost, edge_areas, edge_densities, routes
 
 HEAD = "version: 1\nc_min: 0.2\nc_max: 100\n"
 BLOCK = "<mujoco><worldbody><geom type='box' pos='0 0 1' size='5 1.5 1'/></worldbody></mujoco>"
@@ -151,10 +150,10 @@ def choosers(scenario):
     nobody = jax.tree.map(lambda leaf: jnp.zeros((12, *leaf.shape[1:]), leaf.dtype), nobody)
     nobody = dataclasses.replace(nobody, walking_group=jnp.full(12, -1, jnp.int32), present=jnp.ones(12, bool))
 
-    def at(hop, seat) -> graph_goals.Memory:
+    def at(hop, seat) -> graph_choices.Memory:
         hop, seat = jnp.asarray(hop, jnp.int32), jnp.asarray(seat, jnp.int32)
         nowhere, rows = jnp.zeros((len(hop), 2)), jnp.zeros((graph.seat_node.shape[0], 2))
-        return graph_goals.Memory(hop, hop, hop, nowhere, seat, jnp.zeros(len(hop)), rows, rows)
+        return graph_choices.Memory(hop, hop, hop, nowhere, seat, jnp.zeros(len(hop)), rows, rows)
 
     return graph, at, nobody
 
@@ -162,7 +161,7 @@ def choosers(scenario):
 def test_people_choose_at_each_node_as_sean2_does(choosers):
     """Against a loop over people: the neediest group or a waypoint, one edge of the cheapest path, seats in turn."""
     graph, at, nobody = choosers
-    choose = jax.jit(graph_goals.edge)
+    choose = jax.jit(graph_choices.choose_edge)
     group, seats = np.asarray(graph.groups), np.asarray(graph.seat_group)
     waypoints, step = np.asarray(graph.waypoints), np.asarray(graph.next_hop)
     draw, sent = np.random.default_rng(0), 0
@@ -201,7 +200,7 @@ def test_whoever_finds_the_group_full_goes_on_to_a_waypoint(choosers):
     names = {name: index for index, name in enumerate(graph.names)}
     dock, near, far = names["dock"], names["tables_1"], names["tables_2"]
     chance = jnp.full((2, 12), 0.4, jnp.float32)
-    choose = jax.jit(graph_goals.edge)
+    choose = jax.jit(graph_choices.choose_edge)
     # All seats but one of the dock are taken; 10 and 11 are a node away from it, and 11 farther.
     memory = at([*np.asarray(graph.seat_node)[1:], near, far], [*range(1, 11), -1, -1])
     first = choose(graph, nobody, memory, jnp.arange(12) == 11, chance)
@@ -218,7 +217,7 @@ def test_waypoints_are_drawn_by_their_weights(scenario):
     """As often as their weights say, and if all are equal, exactly as by whole numbers of others."""
     shipped = scenario.behavior.data.graph
     waypoints, draw = np.asarray(shipped.waypoints), np.random.default_rng(0)
-    choose = jax.jit(graph_goals._other_waypoint)
+    choose = jax.jit(graph_choices._other_waypoint)
     hop = jnp.asarray(draw.integers(0, 15, 20_000), jnp.int32)
     chance = jnp.asarray(draw.random(20_000), jnp.float32)
     goal = np.asarray(choose(shipped, hop, chance))

@@ -15,8 +15,7 @@ from sean_jax import files
 from sean_jax.config import FitGraphConfig
 from sean_jax.errors import InputError
 from sean_jax.graph import annotation
-from sean_jax.graph.route_choice import cheapest_paths, hop_log_chances
-from sean_jax.graph.routes import routes
+from sean_jax.graph.behavior_graph import cheapest_paths, hop_log_chances, routes
 from sean_jax.studies import inverse_graph
 from sean_jax.studies.inverse_graph import annotating, fitting, flow_model, measuring
 

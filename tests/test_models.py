@@ -12,8 +12,7 @@ from scipy.optimize import linprog, minimize
 
 import sean_jax
 from sean_jax.environment import clearance
-from sean_jax.pedestrian_models import MODELS
-from sean_jax.pedestrian_models.orca import best_velocity, half_plane
+from sean_jax.pedestrian_models import MODELS, best_velocity, half_plane
 from sean_jax.policies import go_to_goal
 
 LIMIT = 1.7

@@ -10,8 +10,8 @@ import pytest
 
 from sean_jax import social_forces
 from sean_jax.bench import workload
-from sean_jax.social_forces import Crowd, Pair, model, neighbors, pair_sums
-from sean_jax.social_forces.pair_sums import sum_pairs
+from sean_jax.social_forces import Crowd, Pair, model, neighbors
+from sean_jax.social_forces.neighbors import sum_pairs
 from sean_jax.social_forces.walking import look_direction
 
 NUMBER = 303  # enough that neighbors are looked for, and no multiple of the blocks
@@ -138,7 +138,7 @@ def test_both_forms_of_going_back_agree():
     own = tuple(jnp.asarray(random.normal(size=(2, 9)), jnp.float32))
     other = (*own, jnp.asarray(random.random(9), jnp.float32))
     pulls = tuple(jnp.asarray(random.normal(size=(2, 9)), jnp.float32))
-    both = [jax.jit(partial(form, pull)) for form in (pair_sums._pull_back_at_once, pair_sums._pull_back_in_two)]
+    both = [jax.jit(partial(form, pull)) for form in (neighbors._pull_back_at_once, neighbors._pull_back_in_two)]
     stored, summed = (form(jnp.float32(0.5), own, other, pulls) for form in both)
     assert jax.tree.structure(stored) == jax.tree.structure(summed)
     for one, two in zip(jax.tree.leaves(stored), jax.tree.leaves(summed), strict=True):

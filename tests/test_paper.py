@@ -20,10 +20,10 @@ from sean_jax import classifiers, files, metrics
 from sean_jax import environment as environments
 from sean_jax.assembly import with_task
 from sean_jax.behaviors import BEHAVIORS
-from sean_jax.behaviors.successors import MAX_WAIT
+from sean_jax.behaviors.graph_choices import MAX_WAIT
 from sean_jax.classifiers import predicates
 from sean_jax.environment import clearance
-from sean_jax.graph import annotation, routes
+from sean_jax.graph import annotation, behavior_graph
 from sean_jax.policies import go_to_goal
 from sean_jax.scenario import frame
 from sean_jax.social_forces import integrate
@@ -423,7 +423,7 @@ def test_4d_edge_costs_direct_the_flow():
         for middle, (there, back) in ((1, over_1), (2, over_2)):
             for u, v in ((0, middle), (middle, 3)):
                 weight[u, v], weight[v, u] = there, back
-        _, step = routes.routes(weight, is_group)
+        _, step = behavior_graph.routes(weight, is_group)
         assert step[0, 3] == chosen
     assert step[3, 0] == 1 or step[3, 0] == 2  # the way back of a uni-directional pair costs 1, as the other does
 

@@ -13,7 +13,7 @@ from quick import quick
 import sean_jax
 from sean_jax import episodes, prng, runner, sensors
 from sean_jax.base import Behavior, PathsToGoal, Pedestrians, RobotTask
-from sean_jax.behaviors.random_behavior import no_groups
+from sean_jax.behaviors.starts import no_groups
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.policies import POLICIES
 

@@ -129,7 +129,7 @@ def test_candidates_are_bounded_before_they_are_drawn(monkeypatch):
         return np.zeros((2, len(spots)))
 
     monkeypatch.setattr(starts, "signed_distances_on_host", nowhere)
-    monkeypatch.setattr(starts, "_reached", lambda _, spots: np.zeros(len(spots), bool))
+    monkeypatch.setattr(starts, "_reachable", lambda _, spots: np.zeros(len(spots), bool))
     monkeypatch.setattr(starts.cache, "load_or_build", lambda kind, code, inputs, make: make())
     monkeypatch.setattr(starts, "inputs", lambda _: [])
     navigation: Any = SimpleNamespace(radius=0.25, places=np.zeros((1, 2), np.float32))

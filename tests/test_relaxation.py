@@ -71,7 +71,7 @@ def test_drawn_stays_have_the_chances_that_are_told():
     limits, width, dt = np.array([2.0, 5.0]), 0.4, 0.1
     chance = np.random.default_rng(0).random((2, 40_000)).astype(np.float32)
     rows = jnp.broadcast_to(jnp.asarray(limits, jnp.float32), (40_000, 2))
-    ticks, log_chance = jax.jit(relaxation.drawn_stay, static_argnums=3)(
+    ticks, log_chance = jax.jit(relaxation.sample_stay, static_argnums=3)(
         rows, jnp.asarray(chance), jnp.float32(width), dt
     )
     ticks, told = np.asarray(ticks), np.exp(np.asarray(log_chance))
@@ -83,7 +83,7 @@ def test_drawn_stays_have_the_chances_that_are_told():
         np.testing.assert_allclose(told[ticks == k], wanted[k], rtol=0.03)
     counted = np.bincount(ticks, minlength=90)[:90] / len(ticks)
     assert np.abs(np.cumsum(counted) - np.cumsum(np.concatenate([[counted[0]], wanted[1:]]))).max() < 0.015
-    cold, _ = relaxation.drawn_stay(rows[:500], jnp.asarray(chance[:, :500]), jnp.float32(1e-6), dt)
+    cold, _ = relaxation.sample_stay(rows[:500], jnp.asarray(chance[:, :500]), jnp.float32(1e-6), dt)
     assert np.abs(np.asarray(cold) - np.ceil((2.0 + 3.0 * chance[0, :500]) / dt - 1e-4)).max() <= 1
 
 
@@ -91,13 +91,13 @@ def test_draws_by_scores_are_as_frequent_as_told_and_the_best_one_when_cold():
     score = jnp.asarray([[1.0, 2.5, np.inf, 1.4]], jnp.float32)
     chance = jnp.asarray(np.random.default_rng(1).random(20_000), jnp.float32)
     logs = relaxation.log_chances(jnp.broadcast_to(score, (20_000, 4)), jnp.float32(0.7))
-    index, told = jax.jit(relaxation.drawn)(logs, chance)
+    index, told = jax.jit(relaxation.sample)(logs, chance)
     wanted = np.exp(-np.array([1.0, 2.5, np.inf, 1.4]) / 0.7)
     wanted /= wanted.sum()
     np.testing.assert_allclose(np.bincount(np.asarray(index), minlength=4) / 20_000, wanted, atol=0.01)
     np.testing.assert_allclose(np.exp(np.asarray(told)), wanted[np.asarray(index)], rtol=1e-4)
     assert (np.asarray(index) != 2).all()
-    cold = relaxation.drawn(relaxation.log_chances(jnp.broadcast_to(score, (500, 4)), jnp.float32(1e-3)), chance[:500])
+    cold = relaxation.sample(relaxation.log_chances(jnp.broadcast_to(score, (500, 4)), jnp.float32(1e-3)), chance[:500])
     assert (np.asarray(cold[0]) == 0).all()
 
 

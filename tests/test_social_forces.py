@@ -24,7 +24,7 @@ from sean_jax.base import Groups, ObstacleGrid, Obstacles, Pedestrians, Robot
 from sean_jax.bench import workload
 from sean_jax.errors import InputError
 from sean_jax.policies import go_to_goal
-from sean_jax.social_forces import Contact, Crowd, Pair, model, repulsion
+from sean_jax.social_forces import Contact, Crowd, Pair, model, terms
 from sean_jax.social_forces.model import move, pair_forces
 
 STEP = 0.05
@@ -207,7 +207,7 @@ def test_elliptical_repulsion_is_the_gradient_of_its_potential(own_motion):
     with jax.enable_x64(True):
         p = SimpleNamespace(strength=strength, range=reach_of, reach=0.0, anticipation=ahead, own_motion=own_motion)
         parts = [jnp.asarray(part) for vectors in (d, w, v) for part in vectors.T]
-        ours = np.stack(jax.jit(lambda *parts: repulsion.elliptical(p, between(*parts)))(*parts), -1)
+        ours = np.stack(jax.jit(lambda *parts: terms.elliptical(p, between(*parts)))(*parts), -1)
     cross = np.abs(d[:, 0] * y[:, 1] - d[:, 1] * y[:, 0])
     smooth = cross >= 1e-2 * np.linalg.norm(y, axis=1)  # on the other's way b has a kink
     np.testing.assert_allclose(ours[smooth], numeric[smooth], rtol=1e-4, atol=1e-6)
@@ -218,7 +218,7 @@ def test_circular_repulsion_and_contact_are_as_printed():
     d = np.array([[0.3, 0.4], [-1.2, 0.5], [0.1, 0.0]])
     size = np.linalg.norm(d, axis=1)
     p = SimpleNamespace(strength=6.25, range=0.16, reach=0.9)
-    ours = np.stack(repulsion.circular(p, between(*jnp.asarray(d.T, jnp.float32), 0, 0, 0, 0)), -1)
+    ours = np.stack(terms.circular(p, between(*jnp.asarray(d.T, jnp.float32), 0, 0, 0, 0)), -1)
     np.testing.assert_allclose(ours, (6.25 * np.exp((0.9 - size) / 0.16) / size)[:, None] * d, rtol=2e-5)
     motion = jnp.array([0.3, -0.2, 0.5]), jnp.array([1.0, 1.0, 0.6]), jnp.zeros(3), jnp.array([0.0, 0.0, 0.4])
     pair = between(*jnp.asarray(d.T, jnp.float32), *motion)
@@ -842,7 +842,7 @@ def test_what_lies_within_the_limits_of_a_parameter_moves_people_by_finite_numbe
                 continue
             between = [low + (high - low) * 10.0 ** -draw.uniform(0, 6) for _ in range(6)]
             for value in (low, high, *between):
-                name = f"{social_forces.terms.term_name(term)}.{field}"
+                name = f"{social_forces.forces.term_name(term)}.{field}"
                 try:
                     varied.append(constants(preset, {name: value}))
                     names.append(f"{name} = {value:g}")

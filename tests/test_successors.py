@@ -9,8 +9,8 @@ import pytest
 import sean_jax
 from sean_jax import environment as environments
 from sean_jax import scenario as stages
-from sean_jax.behaviors import successors
-from sean_jax.behaviors.graph_memory import Memory, whose
+from sean_jax.behaviors import graph_choices
+from sean_jax.behaviors.graph_choices import Memory, seats_of
 from sean_jax.studies.validation.group_occupancy import group_occupancy
 
 PEOPLE, PATIENCE = 14, 50
@@ -25,8 +25,8 @@ def sent(scenario):
 
     @jax.jit
     def send(memory, arrival, seekers):
-        found = whose(memory, patience, 0.1)
-        return found, *successors.send(graph, arrival, memory, found, seekers)
+        found = seats_of(memory, patience, 0.1)
+        return found, *graph_choices.send(graph, arrival, memory, found, seekers)
 
     draw, moments = np.random.default_rng(0), []
     node, waypoints = np.asarray(graph.seat_node), np.asarray(graph.waypoints)
@@ -91,7 +91,7 @@ def test_only_who_is_better_in_time_takes_the_place_of_another(sent):
             (new,) = np.flatnonzero((after.seat == seat) & (after.stay == 0))
             due, group = max(seats.time_left[seat], 0.0), graph.seat_group[seat]
             assert memory.stay[old] == 0 and memory.hop[old] != memory.goal[old]
-            assert late(arrival[new, group], due) < late(arrival[old, group], due) - successors.MIN_GAIN
+            assert late(arrival[new, group], due) < late(arrival[old, group], due) - graph_choices.MIN_GAIN
     assert replaced > 10
 
 
@@ -151,9 +151,9 @@ def occupied():
         people, memory = after.pedestrians, after.memory
         seat = jnp.maximum(memory.seat, 0)
         gap = jnp.linalg.norm(people.position - memory.seat_position[seat], axis=-1)
-        arrival = successors.arrival_times(data.graph, data.walk, people, memory)
+        arrival = graph_choices.arrival_times(data.graph, data.walk, people, memory)
         own = jnp.take_along_axis(arrival, data.graph.seat_group[seat][:, None], axis=1)[:, 0]
-        near = (gap < successors.HAND_OVER) & (memory.seat >= 0)
+        near = (gap < graph_choices.HAND_OVER) & (memory.seat >= 0)
         return after, dict(group=people.group, seat=memory.seat, stay=memory.stay, near=near, arrival=own)
 
     found = jax.jit(lambda key: jax.lax.scan(one, sean_jax.reset(scenario, key), length=900)[1])(jax.random.key(0))
@@ -172,7 +172,7 @@ def test_groups_last_while_their_members_change(occupied):
     found = group_occupancy(group, graph.capacity[graph.groups], scenario.time_step, warm_up=0.0)
     assert found.mean.mean() > 0.75 and (found.largest == graph.capacity[graph.groups]).all()
     for stays, node in zip(found.stays, graph.groups, strict=True):
-        assert len(stays) > 3 and stays.max() <= graph.stay[node, 1] + successors.MAX_WAIT + 1e-3
+        assert len(stays) > 3 and stays.max() <= graph.stay[node, 1] + graph_choices.MAX_WAIT + 1e-3
     members = {g: set(np.nonzero(group == g)[1].tolist()) for g in range(len(graph.groups))}
     assert all(len(people) > graph.capacity[node] for people, node in zip(members.values(), graph.groups, strict=True))
 
@@ -197,6 +197,7 @@ def test_groups_last_in_each_environment(name):
     assert (begun.mean >= 0.8).all() and (begun.full >= 0.45).all(), begun
     for stays, node in zip(found.stays, graph.groups, strict=True):
         shortest, longest = graph.stay[node]
-        assert stays.min() >= shortest - 1e-3 and stays.max() <= longest + successors.MAX_WAIT + 1e-3
-        assert (shortest + longest) / 2 <= stays.mean() <= (shortest + longest) / 2 + 0.5 * successors.MAX_WAIT
-        assert len(stays) >= 0.6 * 16 * 280 * graph.capacity[node] * found.mean.min() / (longest + successors.MAX_WAIT)
+        assert stays.min() >= shortest - 1e-3 and stays.max() <= longest + graph_choices.MAX_WAIT + 1e-3
+        assert (shortest + longest) / 2 <= stays.mean() <= (shortest + longest) / 2 + 0.5 * graph_choices.MAX_WAIT
+        most = longest + graph_choices.MAX_WAIT
+        assert len(stays) >= 0.6 * 16 * 280 * graph.capacity[node] * found.mean.min() / most

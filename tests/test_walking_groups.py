@@ -9,8 +9,8 @@ import walkers
 import sean_jax
 from sean_jax import scenario as stages
 from sean_jax import social_forces
-from sean_jax.behaviors import starts, walking_groups
-from sean_jax.behaviors.walking_groups import WalkingGroups
+from sean_jax.behaviors import starts
+from sean_jax.behaviors.starts import WalkingGroups
 from sean_jax.geometry import crosses_box
 from sean_jax.social_forces import Crowd
 
@@ -42,14 +42,14 @@ def mixed(request):
     (6, (0.5, 0.5), 1, 1), (3, (0.0, 1.0), 0, 1), (2, (0.99, 0.0), 0, 0),
 ])  # fmt: skip
 def test_shares_round_down_to_whole_walking_groups(people, shares, pairs, triples):
-    assert walking_groups.count_walking_groups(people, shares) == WalkingGroups(pairs, triples)
+    assert starts.count_walking_groups(people, shares) == WalkingGroups(pairs, triples)
     assert WalkingGroups(pairs, triples).members <= people
 
 
 @pytest.mark.parametrize("shares", [(-0.1, 0.0), (0.6, 0.5), (0.0, 1.2), (float("nan"), 0.0)])
 def test_shares_that_cannot_be_are_refused(shares):
     with pytest.raises(ValueError, match="^walking_groups: .* must be two shares"):
-        walking_groups.count_walking_groups(10, shares)
+        starts.count_walking_groups(10, shares)
     with pytest.raises(ValueError, match="walking_groups: .* must be "):
         sean_jax.make(behavior="random", task="random_ab_nav", people=10, walking_groups=shares, dynamics="twin")
 
@@ -60,13 +60,13 @@ def test_companions_are_the_others_of_the_walking_group():
         walking_group = next((walking_group for walking_group in MEMBERS if person in walking_group), (person,))
         assert sorted(table[person][table[person] >= 0]) == [one for one in walking_group if one != person]
     assert WalkingGroups(0, 0).companions(PEOPLE) is None
-    leaders = np.asarray(walking_groups.leaders(jnp.asarray(table), PEOPLE))
+    leaders = np.asarray(starts.leaders(jnp.asarray(table), PEOPLE))
     assert leaders.tolist() == [-1] * 10 + [walking_group[0] for walking_group in MEMBERS for _ in walking_group]
 
 
 def test_nobody_has_company_unless_asked(scenario):
     assert scenario.behavior.companions is None
-    walking_group = walking_groups.leaders(None, 5)
+    walking_group = starts.leaders(None, 5)
     assert walking_group.tolist() == [-1] * 5 and walking_group.dtype == jnp.int32
 
 
@@ -86,10 +86,10 @@ def test_more_walking_groups_than_fit_are_refused(mixed):
     tables = mixed[0].behavior.data
     start = np.asarray(tables.start)[:40]
     with pytest.raises(ValueError, match="^walking_groups: 20 do not fit here, .* at most; give smaller") as no:
-        walking_groups.find_spawn_clusters(tables.navigation, start, WalkingGroups(20, 0))
+        starts.find_spawn_clusters(tables.navigation, start, WalkingGroups(20, 0))
     most = int(str(no.value).split("here, ")[1].split(" ")[0])
     assert most < 14
-    assert len(walking_groups.find_spawn_clusters(tables.navigation, start, WalkingGroups(0, 0))) == 0
+    assert len(starts.find_spawn_clusters(tables.navigation, start, WalkingGroups(0, 0))) == 0
 
 
 def test_spawn_clusters_share_no_start(mixed):
@@ -105,7 +105,7 @@ def test_walking_groups_start_together_and_everybody_apart(mixed):
     boxes = scenario.environment.obstacles
     for first, *others in MEMBERS:
         for other in others:
-            assert gap[first, other] <= walking_groups.MAX_SPAWN_DISTANCE + 1e-5
+            assert gap[first, other] <= starts.MAX_SPAWN_DISTANCE + 1e-5
             p, q = people.position[first], people.position[other]
             assert not np.asarray(crosses_box(*p, *q, boxes, 0.0)).any()
         assert len(set(people.preferred_speed[[first, *others]].tolist())) == 1

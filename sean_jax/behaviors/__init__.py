@@ -1,7 +1,7 @@
-"""Pedestrian behaviors (section IV-D, high level): who goes where."""
+"""Pedestrian behaviors (section IV-D, high level): the goals of people."""
 
-from sean_jax.behaviors import graph_behavior, handcrafted_behavior, playback, random_behavior, walking_groups
-from sean_jax.behaviors.place import Place
+from sean_jax.behaviors import graph_behavior, handcrafted_behavior, playback, random_behavior
+from sean_jax.behaviors.starts import Place, count_walking_groups
 
 BEHAVIORS = {
     "graph": graph_behavior.build,
@@ -11,10 +11,10 @@ BEHAVIORS = {
 }
 """name -> build(place, people=None, **options of its own) -> Behavior
 
-``people`` None is as many as the environment or the behavior's data says; ``Behavior.people`` is how many there are.
+``people`` None means the number of the environment or of the behavior's data; ``Behavior.people`` is the number.
 """
 
 OFFERS = {"graph": ("groups",), "random": (), "handcrafted": ("handcrafted_sets",), "playback": ()}
-"""name -> what a behavior of that name can offer to robot tasks (``Behavior.offers``), as far as its files have it"""
+"""name -> what the behavior can offer to robot tasks (``Behavior.offers``), if its files have it"""
 
-__all__ = ["BEHAVIORS", "OFFERS", "Place", "graph_behavior", "handcrafted_behavior", "playback", "walking_groups"]
+__all__ = ["BEHAVIORS", "OFFERS", "Place", "count_walking_groups", "graph_behavior"]

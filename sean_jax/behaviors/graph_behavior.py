@@ -1,9 +1,9 @@
 """Graph-based pedestrian behavior (section IV-D): people walk, gather and disperse on the Behavior Graph.
 
-People are first assigned to seats of group nodes that need somebody; the rest go to random waypoint nodes, along the
-cheapest path over waypoints. Whoever reaches a seat stays for a drawn duration, and a successor is sent so that he
-arrives when it ends (``successors``). So groups last while their members change. With ``routing="edge"`` people choose
-anew at every node, as in SEAN 2.0's code, and with ``group_membership="permanent"`` who starts in a group stays there.
+People are first assigned to free seats of group nodes; the others go to random waypoint nodes, along the cheapest path
+over waypoints. A person at a seat stays for a random duration, and a successor is sent to arrive when it ends
+(``graph_choices``). So groups last while their members change. With ``routing="edge"`` people choose at every node, as
+in SEAN 2.0's code, and with ``group_membership="permanent"`` people who start in a group stay there.
 """
 
 from collections.abc import Callable
@@ -18,25 +18,26 @@ from jaxtyping import Bool, Float, Int
 from sean_jax import clock
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
-from sean_jax.behaviors import graph_goals, relaxation, starts, successors
-from sean_jax.behaviors.graph_goals import ARRIVED
-from sean_jax.behaviors.graph_memory import Memory, Seats, of_seat, whose
-from sean_jax.behaviors.place import Place
+from sean_jax.behaviors import graph_choices, relaxation
+from sean_jax.behaviors.graph_choices import ARRIVED, Memory, Seats, of_seat, seats_of
 from sean_jax.behaviors.relaxation import Draws
-from sean_jax.behaviors.walking_groups import (
+from sean_jax.behaviors.starts import (
+    Place,
     WalkingGroups,
     choose_starts,
     count_walking_groups,
     find_spawn_clusters,
     follow_leaders,
     group_speeds,
+    in_discs,
     leaders,
+    present_people,
     walk_abreast,
 )
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph, annotation
-from sean_jax.graph.congestion import add_congestion_cost, edge_densities
+from sean_jax.graph.behavior_graph import add_congestion_cost, edge_densities
 from sean_jax.graph.formation import formation, reach
 from sean_jax.platforms import to_device
 from sean_jax.social_forces import draw_traits
@@ -47,20 +48,20 @@ SETTLING = 0.5  # s, in which the last steps to a seat are taken
 
 @struct.dataclass
 class Tables:
-    """What the behavior looks up: the graph, the paths between its nodes, and where people can start."""
+    """The tables of the behavior: the graph, the paths between its nodes, and possible starts."""
 
     graph: BehaviorGraph
     navigation: paths.Navigation
     next_corners: paths.NextCornerTable  # on the way to each node
-    walk: Float[Array, "M G"]  # m from each node to each group, along the path that costs least
-    patience: Int[Array, "Q"]  # ticks, for which who holds a seat waits for a successor
-    start: Float[Array, "P 2"]  # m, places where somebody can start, none too close to another
+    walk: Float[Array, "M G"]  # m from each node to each group, along the cheapest path
+    patience: Int[Array, "Q"]  # ticks for which the holder of a seat waits for a successor
+    start: Float[Array, "P 2"]  # m, possible starts, none too close to another
     start_node: Int[Array, "P"]  # the node of each
-    start_log_chance: Float[Array, "P"]  # log of the chance with which somebody starts there, relative to the others
-    congestion_cost: Float[Array, ""] | None  # m2, see ``graph.congestion``; None: none
+    start_log_chance: Float[Array, "P"]  # log of its chance, relative to the others
+    congestion_cost: Float[Array, ""] | None  # m2, see ``add_congestion_cost``; None: none
     temperature: Float[Array, ""] | None  # m, see ``relaxation``; None: people take the cheapest way
     spawn_clusters: Int[Array, "C 3"]  # starts beside one another, for walking groups
-    first_seats: tuple[int, ...] = struct.field(pytree_node=False)  # those at which people start
+    first_seats: tuple[int, ...] = struct.field(pytree_node=False)  # seats at which people start
     permanent: bool = struct.field(pytree_node=False)  # whether they stay there
     walking_groups: WalkingGroups = struct.field(pytree_node=False)  # how many
 
@@ -77,19 +78,17 @@ def build(
 ) -> Behavior:
     """People walk, gather and disperse on the Behavior Graph of the environment.
 
+    Needs ``graph.yaml``.
+
     Args:
-        place: its folder holds ``graph.yaml``.
-        people: how many; as many as the environment says if None.
+        people: the environment's number if None.
         routing: a key of ``ROUTINGS``.
-        group_membership: "turnover", where all members of groups come and go; or "permanent", where people start at
-            all seats of a group but one and never leave, and others visit the last seat.
-        congestion_cost: m2, the share by which an edge costs more for each person per m2 on it.
-        temperature: m, ways that cost so much more are taken e times less often; with 0 the cheapest one is.
+        group_membership: "turnover": all members of groups come and go; "permanent": people start at all seats of a
+            group but one and never leave, and others visit the free seat.
+        congestion_cost: m2, increase of the cost of an edge, as a share, for each person per m2 on it.
+        temperature: m, softmax temperature over costs of routes; 0: the cheapest one.
         walking_groups: shares of the people who walk in pairs and in triples. They walk from waypoint to waypoint and
             take no seats.
-
-    Returns:
-        The behavior, which offers "groups" to tasks if the graph has any.
 
     Raises:
         InputError: there is no graph, it has a mistake, or so many people or walking groups do not fit.
@@ -102,7 +101,7 @@ def build(
     graph = annotation.read(file, environment)
     position, capacity = np.asarray(graph.position), np.asarray(graph.capacity)
     avoid = [(position[node], reach(int(capacity[node])) + 0.6) for node in np.asarray(graph.groups)]
-    start, node = starts.in_discs(environment, navigation, graph.position, graph.radius, graph.spawn, avoid)
+    start, node = in_discs(environment, navigation, graph.position, graph.radius, graph.spawn, avoid)
     number = count_walking_groups(people, walking_groups)
     permanent = group_membership == "permanent"
     first_seats = _first_seats(np.asarray(graph.seat_group), permanent)
@@ -115,7 +114,7 @@ def build(
         graph=graph,
         navigation=navigation,
         next_corners=paths.build_next_corner_table(navigation, graph.position),
-        walk=to_device(successors.walking_lengths(graph, navigation)),
+        walk=to_device(graph_choices.walking_lengths(graph, navigation)),
         patience=to_device(_patience(graph, routing, place.time_step)),
         start=to_device(start),
         start_node=to_device(node.astype(np.int32)),
@@ -139,11 +138,7 @@ def build(
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
-    """People at their starts: seats of groups first, then places of waypoint nodes drawn by their spawn chance.
-
-    Returns:
-        N people, the G groups of the graph, and where each person is on it.
-    """
+    """People at their starts: seats of groups first, then places of waypoint nodes drawn by their spawn chance."""
     tables: Tables = scenario.behavior.data
     graph, people = tables.graph, scenario.people
     form_key, trait_key, place_key, stay_key, turn_key = jax.random.split(key, 5)
@@ -163,7 +158,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     node = jnp.concatenate([graph.seat_node[first_seats], tables.start_node[chosen]])
     seat = jnp.concatenate([first_seats, jnp.full(people - seated, -1, jnp.int32)])
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
-    present = starts.who_is_there(scenario)
+    present = present_people(scenario)
     if scenario.people_present is not None:
         seat = jnp.where(present, seat, -1)
     pedestrians = Pedestrians(
@@ -178,7 +173,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         robot_distance=robot_distance,
     )
     groups = Groups(center=center, radius=radius, opening=opening, present=jnp.ones(radius.shape, bool))
-    left = _rest_of_stay(graph.stay[graph.seat_node[first_seats]], jax.random.uniform(stay_key, (2, seated), float))
+    left = _residual_stay(graph.stay[graph.seat_node[first_seats]], jax.random.uniform(stay_key, (2, seated), float))
     stay = _stay(scenario, jnp.full_like(left, jnp.inf) if tables.permanent else left)
     stay = jnp.where(stay > 0, stay + tables.patience[first_seats], 0)
     stay = jnp.concatenate([stay, jnp.zeros(people - seated, jnp.int32)])
@@ -192,78 +187,71 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
 
 
 def _first_seats(seat_group: np.ndarray, permanent: bool) -> tuple[int, ...]:
-    """The seats at which people start: all, but for the last of each group if it is for visitors."""
+    """The seats at which people start: all, without the last of each group if that is for visitors."""
     others = [seat for seat, group in enumerate(seat_group) if group in seat_group[seat + 1 :]]
     return tuple(others) if permanent else tuple(range(len(seat_group)))
 
 
 def _patience(graph: BehaviorGraph, routing: str, time_step: float) -> np.ndarray:
-    """(Q,) ticks for which who holds a seat waits; none where nobody is sent ahead of time."""
+    """(Q,) ticks for which the holder of a seat waits; 0 where successors are not sent ahead of time."""
     longest = np.asarray(graph.stay)[np.asarray(graph.seat_node), 1]
-    wait = np.minimum(longest, successors.MAX_WAIT) if routing == "whole" else np.zeros_like(longest)
+    wait = np.minimum(longest, graph_choices.MAX_WAIT) if routing == "whole" else np.zeros_like(longest)
     return np.floor(wait / time_step + 1e-3).astype(np.int32)
 
 
-def _rest_of_stay(limits: Float[Array, "K 2"], chance: Float[Array, "2 K"]) -> Float[Array, "K"]:
-    """(K,) s that are left of stays in which people are at a random moment: a long stay is met more often."""
+def _residual_stay(limits: Float[Array, "K 2"], chance: Float[Array, "2 K"]) -> Float[Array, "K"]:
+    """Remaining stay times [s], drawn from the stationary residual distribution."""
     shortest = limits[:, 0] / jnp.maximum(limits[:, 1], 1e-6)
     whole = limits[:, 1] * jnp.sqrt(shortest**2 + chance[0] * (1.0 - shortest**2))
     return chance[1] * whole
 
 
 def _send_at_start(scenario: Scenario, people: Pedestrians, memory: Memory) -> Memory:
-    """Successors for the first stays, as if the episode had begun long ago."""
+    """Successors for the first stays, as if the episode had begun long before."""
     tables: Tables = scenario.behavior.data
-    arrival = successors.arrival_times(tables.graph, tables.walk, people, memory)
+    arrival = graph_choices.arrival_times(tables.graph, tables.walk, people, memory)
     seekers = people.present & (people.walking_group < 0)
 
     def one(_: Array, memory: Memory) -> Memory:
-        seats = whose(memory, tables.patience, scenario.time_step)
-        return successors.send(tables.graph, arrival, memory, seats, seekers)[0]
+        seats = seats_of(memory, tables.patience, scenario.time_step)
+        return graph_choices.send(tables.graph, arrival, memory, seats, seekers)[0]
 
     return jax.lax.fori_loop(0, min(tables.patience.shape[0], scenario.people), one, memory)
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
-    """People keep a goal until they are there, along the cheapest path to it, as in the paper.
-
-    Returns:
-        The state with new desired velocities, group members and memory.
-    """
-    return _directed(_whole, scenario, state, key)
+    """People keep a goal until they are there, along the cheapest path to it, as in the paper."""
+    return _direct(_whole, scenario, state, key)
 
 
 def direct_edge_by_edge(scenario: Scenario, state: State, key: Array) -> State:
-    """People choose anew at every node and walk one edge of the path, as in SEAN 2.0's code.
-
-    Returns:
-        The state with new desired velocities, group members and memory.
-    """
-    return _directed(_edge, scenario, state, key)
+    """People choose anew at every node and walk one edge of the path, as in SEAN 2.0's code."""
+    return _direct(_edge, scenario, state, key)
 
 
 ROUTINGS = {"whole": direct, "edge": direct_edge_by_edge}
-"""name -> how much of a path people are bound to: ``direct`` of the behavior"""
+"""name -> ``direct`` of the behavior: people are bound to the whole path to a goal, or to one edge"""
 
 
 def _whole(
     tables: Tables, people: Pedestrians, memory: Memory, seats: Seats, free: Array, chance: Array, draws: Draws | None
 ) -> tuple[Memory, Float[Array, "N"]]:
     """New goals, and the share of the preferred speed at which each person walks."""
-    arrival = successors.arrival_times(tables.graph, tables.walk, people, memory)
-    memory = graph_goals.whole(tables.graph, people, memory, seats, arrival, free, chance, draws)
-    return memory, successors.pace(tables.graph, arrival, memory, seats)
+    arrival = graph_choices.arrival_times(tables.graph, tables.walk, people, memory)
+    memory = graph_choices.choose_whole(tables.graph, people, memory, seats, arrival, free, chance, draws)
+    return memory, graph_choices.pace(tables.graph, arrival, memory, seats)
 
 
 def _edge(
     tables: Tables, people: Pedestrians, memory: Memory, seats: Seats, free: Array, chance: Array, draws: Draws | None
 ) -> tuple[Memory, Float[Array, "N"]]:
     """As ``_whole``."""
-    return graph_goals.edge(tables.graph, people, memory, free, chance, draws), jnp.ones_like(people.preferred_speed)
+    memory = graph_choices.choose_edge(tables.graph, people, memory, free, chance, draws)
+    return memory, jnp.ones_like(people.preferred_speed)
 
 
-def _directed(choose: Callable, scenario: Scenario, state: State, key: Array) -> State:
-    """Goals, hops and desired velocities. Whoever stands at a seat is a member of its group."""
+def _direct(choose: Callable, scenario: Scenario, state: State, key: Array) -> State:
+    """Goals, hops and desired velocities. People who stand at a seat are members of its group."""
     tables: Tables = scenario.behavior.data
     graph, people, memory = tables.graph, state.pedestrians, state.memory
     if tables.congestion_cost is not None:
@@ -277,7 +265,7 @@ def _directed(choose: Callable, scenario: Scenario, state: State, key: Array) ->
         draws = relaxation.draw(draw_key, tables.temperature, scenario.people, graph.seat_group.shape[0])
     chance = jax.random.uniform(key, (3, scenario.people), float)
     memory, free = _stay_or_leave(scenario, people, memory, chance[0], draws)
-    seats = whose(memory, tables.patience, scenario.time_step)
+    seats = seats_of(memory, tables.patience, scenario.time_step)
     memory, pace = choose(tables, people, memory, seats, free, chance[1:], draws)
     if scenario.behavior.companions is not None:
         goal, hop, origin, target = follow_leaders(
@@ -286,7 +274,7 @@ def _directed(choose: Callable, scenario: Scenario, state: State, key: Array) ->
         memory = memory._replace(goal=goal, hop=hop, origin=origin, target=target)
     desired_velocity = _desired_velocity(tables, people, memory, seats, pace)
     if draws is not None:
-        desired_velocity = _turned(scenario, people, before, memory, seats, desired_velocity)
+        desired_velocity = _blend(scenario, people, before, memory, seats, desired_velocity)
     if scenario.behavior.companions is not None:
         desired_velocity = walk_abreast(people, desired_velocity)
     standing = memory.stay > 0
@@ -304,17 +292,17 @@ def _directed(choose: Callable, scenario: Scenario, state: State, key: Array) ->
 def _stay_or_leave(
     scenario: Scenario, people: Pedestrians, memory: Memory, chance: Float[Array, "N"], draws: Draws | None
 ) -> tuple[Memory, Bool[Array, "N"]]:
-    """Stays that begin, go on or end; and (N,) who has no goal now.
+    """Stays that begin, go on or end; and whether people are without a goal now.
 
-    A stay ends when its time is over and a successor is near, who begins his own there and then, or after some waiting.
+    A stay ends when its time is over and a successor is near, whose own stay begins then, or after some waiting.
     """
     tables: Tables = scenario.behavior.data
     gap = memory.target - people.position
     distance = length(gap[:, 0], gap[:, 1])
     was_standing = memory.stay > 0
-    seats = whose(memory, tables.patience, scenario.time_step)
+    seats = seats_of(memory, tables.patience, scenario.time_step)
     comes = ~was_standing & (memory.seat >= 0) & (memory.hop == memory.goal)
-    near = _of_person(comes & (distance < successors.HAND_OVER), seats.successor)
+    near = _of_person(comes & (distance < graph_choices.HAND_OVER), seats.successor)
     stay = jnp.maximum(memory.stay - 1, 0)
     over = of_seat(near, memory.seat) & (stay <= of_seat(tables.patience, memory.seat))
     rises = was_standing & ((stay == 0) | over)
@@ -322,34 +310,34 @@ def _stay_or_leave(
     empty = of_seat(seats.holder < 0, memory.seat) & (distance < SEATED)
     sits_down = comes & (empty | of_seat(given_up & near, memory.seat))
     limits = tables.graph.stay[of_seat(tables.graph.seat_node, memory.seat)]
-    drawn = _stay(scenario, limits[:, 0] + chance * (limits[:, 1] - limits[:, 0]))
+    new_stay = _stay(scenario, limits[:, 0] + chance * (limits[:, 1] - limits[:, 0]))
     if draws is not None:
         both = jnp.stack([chance, draws.stay])
-        drawn, log_chance = relaxation.drawn_stay(limits, both, draws.temperature, scenario.time_step)
-        memory = relaxation.added(memory, jnp.sum(jnp.where(sits_down, log_chance, 0.0)))
-    drawn = jnp.where(drawn > 0, drawn + of_seat(tables.patience, memory.seat), 0)
-    leaves = rises | (sits_down & (drawn == 0))  # at once, if the stay that was drawn takes no time
-    stay = jnp.where(sits_down, drawn, jnp.where(rises, 0, stay))
+        new_stay, log_chance = relaxation.sample_stay(limits, both, draws.temperature, scenario.time_step)
+        memory = memory.with_choices(jnp.sum(jnp.where(sits_down, log_chance, 0.0)))
+    new_stay = jnp.where(new_stay > 0, new_stay + of_seat(tables.patience, memory.seat), 0)
+    leaves = rises | (sits_down & (new_stay == 0))  # at once, if the new stay takes no time
+    stay = jnp.where(sits_down, new_stay, jnp.where(rises, 0, stay))
     at_waypoint = ~was_standing & (memory.seat < 0) & (memory.hop == memory.goal) & (distance < ARRIVED)
     return memory._replace(stay=stay, seat=jnp.where(leaves, -1, memory.seat)), leaves | at_waypoint
 
 
 def _of_person(values: Bool[Array, "N"], person: Int[Array, "Q"]) -> Bool[Array, "Q"]:
-    """(Q,) the values of the people of seats, false where there is nobody."""
+    """The values of the people of seats, false where there is nobody."""
     if values.shape[0] == 0:
         return jnp.zeros(person.shape, bool)
     return (person >= 0) & values[jnp.maximum(person, 0)]
 
 
 def _stay(scenario: Scenario, time: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
-    """Ticks (...) of stays of so many seconds (...)."""
+    """Ticks of stay times [s]."""
     return jnp.ceil(jnp.minimum(clock.to_ticks(time, scenario.time_step), 1e9)).astype(jnp.int32)
 
 
 def _desired_velocity(
     tables: Tables, people: Pedestrians, memory: Memory, seats: Seats, pace: Float[Array, "N"]
 ) -> Float[Array, "N 2"]:
-    """(N, 2) m/s at the preferred speed to the target, or to the next corner on the way there; slower into a seat."""
+    """Velocities [m/s] at the preferred speed to the target, or the next corner on the way; slower into a seat."""
 
     def gap_ahead(position: Array, target: Array, hop: Array) -> Array:
         return _aim(tables, position, target, hop) - position
@@ -358,13 +346,13 @@ def _desired_velocity(
     distance = length(gap[:, 0], gap[:, 1])
     at_last = (memory.seat >= 0) & (memory.hop == memory.goal)
     early = (memory.stay == 0) & of_seat((seats.holder >= 0) & (seats.time_left > 0.0), memory.seat)
-    rest = jnp.maximum(distance - jnp.where(early, successors.STAND_BY, 0.0), 0.0)
+    rest = jnp.maximum(distance - jnp.where(early, graph_choices.STAND_BY, 0.0), 0.0)
     speed = people.preferred_speed * pace
     speed = jnp.where(at_last, jnp.minimum(speed, rest / SETTLING), speed)
     return gap * (speed / jnp.maximum(distance, 1e-6))[:, None]
 
 
-def _turned(
+def _blend(
     scenario: Scenario,
     people: Pedestrians,
     before: Memory,
@@ -372,7 +360,7 @@ def _turned(
     seats: Seats,
     desired_velocity: Float[Array, "N 2"],
 ) -> Float[Array, "N 2"]:
-    """(N, 2) m/s, of those who come to a node within this step in part still to it: see ``switched_share``."""
+    """Velocities [m/s], partly still to the old target for people who reach it in this step: ``switched_share``."""
     gap = before.target - people.position
     distance = length(gap[:, 0], gap[:, 1])
     closer = jnp.sum(gap * people.velocity, axis=1) / jnp.maximum(distance, 1e-6) * scenario.time_step
@@ -386,7 +374,7 @@ def _turned(
 def _aim(
     tables: Tables, position: Float[Array, "2"], target: Float[Array, "2"], hop: Int[Array, ""]
 ) -> Float[Array, "2"]:
-    """(2,) m: the target if the way to it is clear, else the next corner on the way to its node."""
+    """The target [m] if the way to it is clear, else the next corner on the way to its node."""
     navigation = tables.navigation
     clear = paths.segment_is_free(navigation.obstacles, position, target, navigation.radius * paths.CLOSE)
     return jnp.where(clear, target, paths.next_corner(navigation, tables.next_corners, position, hop))

@@ -1,7 +1,7 @@
-"""Handcrafted pedestrian behavior (section IV-D): people walk loops and stand in groups that a designer has placed.
+"""Handcrafted pedestrian behavior (section IV-D): people walk loops and stand in groups of a handcrafted layout.
 
 An episode has one of the chosen sets, drawn by its key. Walkers start spread along their loop, or each at a waypoint of
-the loop, and walk it without end; members of a group stand in a conversational formation, with a place left open.
+the loop, and walk it without end. Members of a group stand in a conversational formation, with a place left open.
 """
 
 from dataclasses import replace
@@ -13,43 +13,42 @@ from jaxtyping import Float, Int
 
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
-from sean_jax.behaviors.place import Place
+from sean_jax.behaviors.starts import Place
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
 from sean_jax.graph.formation import formation
-from sean_jax.handcrafted import ALL, ARRIVED, Sets, validation
+from sean_jax.handcrafted import ALL, ARRIVED, Sets, annotation
 from sean_jax.handcrafted.sets import Ways
 from sean_jax.handcrafted.sets import build as build_sets
 from sean_jax.social_forces import draw_traits
 
-SETTLING = 0.5  # s, in which somebody who was pushed from a seat steps back
+SETTLING = 0.5  # s, in which people who were pushed from a seat step back
 
 
 class Memory(NamedTuple):
-    """Which set it is, and where each person goes in it."""
+    """The set, and the target of each person in it."""
 
     set: Int[Array, ""]  # row of the sets
-    target: Int[Array, "N"]  # waypoint of the loop that a walker goes to
-    seat_position: Float[Array, "N 2"]  # m, of who stands in a group
+    target: Int[Array, "N"]  # next waypoint of a walker's loop
+    seat_position: Float[Array, "N 2"]  # m, of people who stand in a group
     seat_heading: Float[Array, "N 2"]  # unit vector
 
 
 def build(place: Place, people: int | None = None, *, sets: str = ALL) -> Behavior:
     """People walk loops and stand in groups that were placed by hand for a situation.
 
-    Args:
-        place: its folder holds ``handcrafted.yaml``.
-        people: None, because each set has a number of its own.
-        sets: the name of a set, a situation, from whose sets is drawn, ``all``, or a further collection of the file.
+    Needs ``handcrafted.yaml``. Each set has its own number of people, so ``people`` must be None, and
+    ``Behavior.people`` is the largest.
 
-    Returns:
-        The behavior, which offers "handcrafted_sets" to tasks; its ``people`` are those of the largest set.
+    Args:
+        sets: the name of a set, of a situation or a further collection of the file, from which sets are drawn, or
+            ``all``.
 
     Raises:
         InputError: there is no such file or no such set, the file has a mistake, a number of people is given, or there
             is no way from a waypoint to the next one.
     """
-    chosen = validation.read(place.folder, place.environment).chosen(sets)
+    chosen = annotation.read(place.folder, place.environment).chosen(sets)
     if people is not None:
         raise InputError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
     tables = build_sets(chosen, place.navigation)
@@ -70,7 +69,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     number = jax.random.categorical(set_key, jnp.log(tables.odds.sum((1, 2)))).astype(jnp.int32)
     one = tables.one(number)
 
-    # Whoever walks or is absent takes a seat of one group more, which nobody sees.
+    # Walkers and absent people take seats of an extra group, which is dropped below.
     groups, people = one.capacity.shape[0], one.group.shape[0]
     center = jnp.concatenate([one.center, jnp.zeros((1, 2), float)])
     capacity = jnp.concatenate([one.capacity, jnp.ones(1, jnp.int32)])
@@ -106,12 +105,9 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
-    """The next waypoint for who has arrived; desired velocities to waypoints and, of who stands, back to the seat.
+    """The next waypoint for walkers who have arrived; desired velocities to waypoints, or back to the seat.
 
     The way to a waypoint is straight, or the shortest one around obstacles in sets where people start at waypoints.
-
-    Args:
-        key: not used.
     """
     tables: Sets = scenario.behavior.data
     people, memory = state.pedestrians, state.memory
@@ -141,7 +137,7 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
 def _ahead(
     ways: Ways, row: Int[Array, ""], loop: Int[Array, "N"], target: Int[Array, "N"], position: Float[Array, "N 2"]
 ) -> Float[Array, "N 2"]:
-    """(N, 2) [m] the waypoint that each person of a set goes to, or a place on the shortest way there."""
+    """The waypoint [m] of each person of a set, or a point on the shortest way there."""
     index = ways.index[row, jnp.maximum(loop, 0), target]
     each_person = jax.vmap(paths.next_point_approx, in_axes=(None, 0, 0, 0))
     paths_to_point = jax.tree.map(lambda leaf: leaf[index], ways.paths_to_point)
@@ -156,9 +152,7 @@ def _on_loop(
     first: Int[Array, ""],
     phase: Float[Array, "L"],
 ) -> tuple[Float[Array, "2"], Float[Array, "2"], Int[Array, ""]]:
-    """Place (2,) m and heading (2,) of who is at that share of a loop's length, or at its waypoint ``first`` if that is
-    not -1, and the waypoint () ahead.
-    """
+    """Place [m] and heading at that share of a loop, or at its waypoint ``first`` unless -1; and the waypoint ahead."""
     loop = jnp.maximum(loop, 0)
     waypoint, count, walked = one.waypoint[loop], one.waypoints[loop], one.walked[loop]
     ends = jnp.where(jnp.isfinite(walked), walked, 0.0)

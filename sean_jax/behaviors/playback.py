@@ -1,7 +1,7 @@
 """Playback (section IV-D): recorded people walk as they did, and the robot moves among them.
 
-They follow nobody's model: forces do not move them and they do not see the robot. They enter and leave as in the
-recording, of which an episode is a part that begins at a random moment.
+No model moves them, and they do not see the robot. They enter and leave as in the recording. An episode is a part of it
+that begins at a random moment.
 """
 
 from dataclasses import replace
@@ -15,8 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from sean_jax import clock
 from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
-from sean_jax.behaviors.place import Place
-from sean_jax.behaviors.random_behavior import no_groups
+from sean_jax.behaviors.starts import Place, no_groups
 from sean_jax.errors import InputError
 from sean_jax.recordings import motion_between_rows, read
 from sean_jax.recordings.lines import check_clock
@@ -27,14 +26,14 @@ from sean_jax.social_forces import draw_traits
 class RecordedMotion:
     """T moments, one control step apart, of N people at once; a column serves one person after the other."""
 
-    position: Float[Array, "T N 2"]  # m; of who is absent, where somebody was or will be
-    velocity: Float[Array, "T N 2"]  # m/s, that led to the position; zero of who is absent
+    position: Float[Array, "T N 2"]  # m; of absent people the last or next position of the column
+    velocity: Float[Array, "T N 2"]  # m/s, that led to the position; zero of absent people
     heading: Float[Array, "T N 2"]  # unit vector
     present: Bool[Array, "T N"]
 
 
 class Memory(NamedTuple):
-    """Which part of the recording the episode is."""
+    """The part of the recording that the episode plays."""
 
     first: Int[Array, ""]  # moment of the recording at which the episode begins
 
@@ -50,13 +49,10 @@ def build(
     """Recorded people walk as they did.
 
     Args:
-        people: None, or as many as are recorded at once.
+        people: None, or the most people in a frame.
         recording: a CSV file with the columns frame, id, x and y in metres.
-        recording_format: a key of ``recordings.READERS``; recognised if None.
+        recording_format: a key of ``recordings.READERS``; detected if None.
         frame_rate: frames a second; that of the format if None.
-
-    Returns:
-        The behavior, which brings its own pedestrian model; its ``people`` are those recorded at once.
 
     Raises:
         InputError: there is no recording, it cannot be used, or another number of people is given.
@@ -75,7 +71,7 @@ def build(
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
-    """Who is there at a random moment that leaves time for an episode, or at the start of a shorter recording."""
+    """People at a random moment that leaves time for an episode, or at the start of a shorter recording."""
     motion: RecordedMotion = scenario.behavior.data
     begin_key, trait_key = jax.random.split(key)
     steps = clock.ceil_ticks(scenario.time_limit, scenario.time_step)
@@ -98,17 +94,13 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
-    """Desired velocities are the recorded ones.
-
-    Args:
-        key: not used.
-    """
+    """Desired velocities are the recorded ones."""
     velocity = _at(scenario.behavior.data, state.memory.first + state.tick + 1)[1]
     return replace(state, pedestrians=replace(state.pedestrians, desired_velocity=velocity))
 
 
 def follow(scenario: Scenario, state: State) -> Pedestrians:
-    """The pedestrian model of playback: everybody is where they were recorded, or absent; the robot moves nobody."""
+    """The pedestrian model of playback: people as recorded, or absent; the robot moves nobody."""
     position, velocity, heading, present = _at(scenario.behavior.data, state.memory.first + state.tick + 1)
     return replace(state.pedestrians, position=position, velocity=velocity, heading=heading, present=present)
 
@@ -116,7 +108,7 @@ def follow(scenario: Scenario, state: State) -> Pedestrians:
 def _at(
     motion: RecordedMotion, moment: Int[Array, ""]
 ) -> tuple[Float[Array, "N 2"], Float[Array, "N 2"], Float[Array, "N 2"], Bool[Array, "N"]]:
-    """Position, velocity, heading (N, 2) and presence (N,) at that moment () of the recording; nobody after its end."""
+    """Position [m], velocity [m/s], heading and presence at a moment of the recording; nobody after its end."""
     last = motion.present.shape[0] - 1
     index = jnp.minimum(moment, last)
     there = motion.present[index] & (moment <= last)

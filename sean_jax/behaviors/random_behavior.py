@@ -1,7 +1,7 @@
-"""Random pedestrian behavior (section IV-D): everybody walks from anywhere to anywhere, alone or in a walking group.
+"""Random pedestrian behavior (section IV-D): people walk from anywhere to anywhere, alone or in walking groups.
 
-Starts and goals are uniform on the navigable plane, paths lead around obstacles, and whoever arrives draws a new goal.
-There are no groups. Goals are places to which all paths are tabulated, so that a new goal costs a look-up.
+Starts and goals are uniform on the navigable plane, paths lead around obstacles, and people who arrive draw a new goal.
+There are no conversational groups. Paths to all possible goals are tabulated, so that a new goal costs a look-up.
 """
 
 import functools
@@ -17,16 +17,18 @@ from jaxtyping import Float, Int
 from sean_jax import cache
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Groups, PathsToGoal, Pedestrians, Scenario, State
-from sean_jax.behaviors import starts
-from sean_jax.behaviors.place import Place
-from sean_jax.behaviors.walking_groups import (
+from sean_jax.behaviors.starts import (
+    Place,
     WalkingGroups,
+    anywhere,
     choose_starts,
     count_walking_groups,
     find_spawn_clusters,
     follow_leaders,
     group_speeds,
     leaders,
+    no_groups,
+    present_people,
     walk_abreast,
 )
 from sean_jax.errors import InputError
@@ -39,17 +41,17 @@ ARRIVED = 1.0  # m from the goal (SEAN 2.0)
 
 @struct.dataclass
 class Tables:
-    """What the behavior looks up."""
+    """The tables of the behavior."""
 
     navigation: paths.Navigation
-    start: Float[Array, "Q 2"]  # m, places where somebody can start, none too close to another
+    start: Float[Array, "Q 2"]  # m, possible starts, none too close to another
     paths_to_goal: PathsToGoal  # (P, V) to each of the navigation's places
     spawn_clusters: Int[Array, "C 3"]  # starts beside one another, for walking groups
     walking_groups: WalkingGroups = struct.field(pytree_node=False)  # how many
 
 
 class Memory(NamedTuple):
-    """Where each person goes."""
+    """The goal of each person."""
 
     goal: Int[Array, "N"]  # index of a place of the navigation
 
@@ -58,7 +60,7 @@ def build(place: Place, people: int | None = None, *, walking_groups: tuple[floa
     """People walk from anywhere to anywhere, alone, in pairs or in triples.
 
     Args:
-        people: how many; as many as the environment says if None.
+        people: the environment's number if None.
         walking_groups: shares of the people who walk in pairs and in triples.
 
     Raises:
@@ -67,7 +69,7 @@ def build(place: Place, people: int | None = None, *, walking_groups: tuple[floa
     people = place.default_people if people is None else people
     environment, navigation = place.environment, place.navigation
     number = count_walking_groups(people, walking_groups)
-    start = starts.anywhere(environment, navigation, people, dense=number.number > 0)
+    start = anywhere(environment, navigation, people, dense=number.number > 0)
     if people > len(start):
         raise InputError(f"people: {people} do not fit in {environment.name}; the most that do is {len(start)}.")
     code = *paths.CODE, "behaviors/random_behavior"
@@ -84,7 +86,7 @@ def build(place: Place, people: int | None = None, *, walking_groups: tuple[floa
 
 
 def _paths_to_places(navigation: paths.Navigation) -> dict[str, np.ndarray]:
-    """The fields (P, V) of ``PathsToGoal`` of each of the navigation's places."""
+    """The fields (P, V) of ``PathsToGoal`` for each of the navigation's places."""
     one = functools.partial(paths.build_paths_to_goal, navigation)
     to_places = jax.jit(lambda places: jax.lax.map(one, places, batch_size=32))(navigation.places)
     return {"distance": np.asarray(to_places.distance), "departure_angle": np.asarray(to_places.departure_angle)}
@@ -108,20 +110,21 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         desired_velocity=jnp.zeros_like(position),
         group=jnp.full(people, -1, jnp.int32),
         walking_group=walking_group,
-        present=starts.who_is_there(scenario),
+        present=present_people(scenario),
         preferred_speed=group_speeds(scenario, walking_group, preferred_speed),
         robot_distance=robot_distance,
     )
-    return pedestrians, no_groups(), Memory(*follow_leaders(walking_group, _draw(tables, goal_key, people)))
+    goal = paths.draw_places(tables.navigation, goal_key, people)
+    return pedestrians, no_groups(), Memory(*follow_leaders(walking_group, goal))
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
-    """A new goal for who has arrived; desired velocities along the shortest paths."""
+    """A new goal for people who have arrived; desired velocities along the shortest paths."""
     tables: Tables = scenario.behavior.data
     people, places = state.pedestrians, tables.navigation.places
     gap = places[state.memory.goal] - people.position
     arrived = length(gap[:, 0], gap[:, 1]) < ARRIVED
-    goal = jnp.where(arrived, _draw(tables, key, scenario.people), state.memory.goal)
+    goal = jnp.where(arrived, paths.draw_places(tables.navigation, key, scenario.people), state.memory.goal)
     if scenario.behavior.companions is not None:
         (goal,) = follow_leaders(people.walking_group, goal)
     ahead = jax.vmap(paths.next_point_approx, in_axes=(None, 0, 0, 0))(
@@ -133,13 +136,3 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     if scenario.behavior.companions is not None:
         velocity = walk_abreast(people, velocity)
     return replace(state, pedestrians=replace(people, desired_velocity=velocity), memory=Memory(goal))
-
-
-def no_groups() -> Groups:
-    """Returns: groups of which there are none (G = 0)."""
-    pairs, none = jnp.zeros((0, 2), float), jnp.zeros(0, float)
-    return Groups(center=pairs, radius=none, opening=pairs, present=jnp.zeros(0, bool))
-
-
-def _draw(tables: Tables, key: Array, people: int) -> Int[Array, "N"]:
-    return paths.draw_places(tables.navigation, key, people)

@@ -1,11 +1,10 @@
-"""Conversational groups from positions and facing alone (section III-A's Member, without a simulator).
+"""Conversational groups from positions and headings alone (section III-A's Member, without a simulator).
 
-Kendon's o-space is the empty middle that the members of a group face. It is found by votes, as Cristani et al. (BMVC
-2011) and Setti et al. (PLoS ONE 2015) do: everybody votes for a place a stride ahead of them. The cost of a partition
-is the sum of squared distances of the votes from the mean of their group, plus a price for each group (minimum
-description length). Groups are merged greedily, always the two whose merger costs least, until no merger pays: Ward's
-linkage, which has a fixed number of steps and so works under jit and vmap. A person alone is a group of one, and gets
-the index -1.
+Kendon's o-space is the empty middle that the members of a group face. It is estimated by votes, as by Cristani et al.
+(BMVC 2011) and Setti et al. (PLoS ONE 2015): each person votes for a place a stride ahead. The cost of a partition is
+the sum of squared distances of the votes from the mean of their group, plus a price for each group (minimum description
+length). Groups are merged greedily, the cheapest merger first, until no merger pays: Ward's linkage, which has a fixed
+number of steps and so works under jit and vmap. A person alone has the index -1.
 """
 
 import jax
@@ -14,23 +13,16 @@ from jaxtyping import Bool, Float, Int
 
 from sean_jax.base import Array
 
-STRIDE = 0.8  # m, that of Setti et al. for the Cocktail Party recording
-PRICE = 1.5  # m2 for each group, the best on every second frame of it; Coffee Break wants 0.6 m and 0.6 m2
+STRIDE = 0.8  # m, of Setti et al. for the Cocktail Party recording
+PRICE = 1.5  # m2 for each group, the best on every second frame of it; for Coffee Break 0.6 m and 0.6 m2 are best
 APART = 1e9  # m2, more than any merger costs
 
 
 def o_space_votes(
     position: Float[Array, "*people 2"], heading: Float[Array, "*people 2"], stride: Float[Array, ""] | float = STRIDE
 ) -> Float[Array, "*people 2"]:
-    """Votes for the middle of a group: the place a stride ahead of each person.
+    """Votes [m] for the middle of a group: the place a stride [m] ahead of each person.
 
-    Args:
-        position: (..., 2) m.
-        heading: (..., 2) unit vectors.
-        stride: () m.
-
-    Returns:
-        (..., 2) m.
     Source: Cristani et al. (BMVC 2011).
     """
     return position + stride * heading
@@ -39,15 +31,12 @@ def o_space_votes(
 def o_space_groups(
     votes: Float[Array, "N 2"], present: Bool[Array, " N"], price: Float[Array, ""] | float = PRICE
 ) -> Int[Array, " N"]:
-    """The group of each person, as an index below N, -1 for those alone or absent.
+    """The group of each person: the index of its first member, -1 for people alone or absent.
 
     Args:
-        votes: (N, 2) m, from ``o_space_votes``; mean votes over some frames are steadier where facing is noisy.
-        price: () m2, how much description a group costs: two people merge where their votes are nearer than
-            sqrt(2 price) to each other.
+        votes: m, from ``o_space_votes``; mean votes over some frames are steadier if headings are noisy.
+        price: m2, cost of a group: two people merge if their votes are nearer than sqrt(2 price) to each other.
 
-    Returns:
-        (N,) int32; members of a group have the index of the first of them.
     Source: Setti et al. (PLoS ONE 2015), with Ward's linkage as the search.
     """
     number = votes.shape[0]
@@ -79,18 +68,16 @@ def o_space_groups(
 def match_groups(
     estimated: Int[Array, " N"], annotated: Int[Array, " N"], present: Bool[Array, " N"], tolerance: float = 2 / 3
 ) -> Int[Array, "3"]:
-    """Counts for precision and recall of estimated groups.
+    """Counts for precision and recall: numbers of matched, estimated and annotated groups of two or more people.
 
-    An annotated group of n is found by an estimated one that has at least ceil(T n) of its members and at most
-    ceil((1 - T) n) other people; each estimated group serves once.
+    An annotated group of n matches an estimated one with at least ceil(T n) of its members and at most ceil((1 - T) n)
+    other people; each estimated group matches once.
 
     Args:
-        estimated: (N,) int32 group of each person, -1 none; indices below N.
-        annotated: (N,) int32 likewise.
-        tolerance: T; 2/3 is the usual one and 1 asks for the very group.
+        estimated: group of each person, an index below N, -1 none.
+        annotated: likewise.
+        tolerance: T, usually 2/3; 1 demands equal groups.
 
-    Returns:
-        (3,) int32: numbers of groups found, estimated and annotated; groups of one do not count.
     Source: Cristani et al. (BMVC 2011).
     """
     number = estimated.shape[0]

@@ -16,103 +16,45 @@ Scalar = Float[Array, ""] | float
 
 
 def near(x1: Float[Array, "2"], x2: Float[Array, "2"], distance: Scalar) -> Bool[Array, ""]:
-    """Near(x1, x2): the positions are separated by less than D.
-
-    Args:
-        x1: (2,) m.
-        x2: (2,) m.
-        distance: () m, D.
-
-    Returns:
-        () bool.
-    """
+    """Near(x1, x2): the positions [m] are separated by less than D [m]."""
     gap = x1 - x2
     return (gap * gap).sum() < distance * distance
 
 
 def member(group_of_agent: Int[Array, ""], group: Int[Array, ""]) -> Bool[Array, ""]:
-    """Member(x, g): the agent belongs to the group g.
-
-    Args:
-        group_of_agent: () index of the agent's group, -1 none.
-        group: () index of the group g, -1 none, to which nobody belongs.
-
-    Returns:
-        () bool.
-    """
+    """Member(x, g): the agent belongs to the group g; nobody belongs to group -1."""
     return (group >= 0) & (group_of_agent == group)
 
 
 def walking(velocity: Float[Array, "2"], speed: Scalar) -> Bool[Array, ""]:
-    """Walking(v): the agent moves at more than V.
-
-    Args:
-        velocity: (2,) m/s.
-        speed: () m/s, V.
-
-    Returns:
-        () bool.
-    """
+    """Walking(v): the agent moves at more than V [m/s]."""
     return (velocity * velocity).sum() > speed * speed
 
 
 def perpendicular_trajectory(d1: Float[Array, "2"], d2: Float[Array, "2"], angle: Scalar) -> Bool[Array, ""]:
-    """PerpTraj(d1, d2): cos(pi/2 + A) <= d1 . d2 / (|d1| |d2|) <= cos(pi/2 - A).
-
-    Args:
-        angle: () rad, A.
-
-    Returns:
-        () bool.
-    """
+    """PerpTraj(d1, d2): cos(pi/2 + A) <= d1 . d2 / (|d1| |d2|) <= cos(pi/2 - A), with A in rad."""
     between = cosine(d1, d2)
     return (jnp.cos(jnp.pi / 2 + angle) <= between) & (between <= jnp.cos(jnp.pi / 2 - angle))
 
 
 def parallel_trajectory(d1: Float[Array, "2"], d2: Float[Array, "2"], angle: Scalar) -> Bool[Array, ""]:
-    """ParTraj(d1, d2): cos(A) <= d1 . d2 / (|d1| |d2|).
-
-    Args:
-        angle: () rad, A.
-
-    Returns:
-        () bool.
-    """
+    """ParTraj(d1, d2): cos(A) <= d1 . d2 / (|d1| |d2|), with A in rad."""
     return jnp.cos(angle) <= cosine(d1, d2)
 
 
 def cosine(d1: Float[Array, "2"], d2: Float[Array, "2"]) -> Float[Array, ""]:
-    """Cosine of the angle between two vectors.
-
-    Returns:
-        () from -1 to 1; -2, so that no predicate holds, if one of them is zero (to 1e-12).
-    """
+    """Cosine of the angle between two vectors; -2, so that no predicate holds, if one of them is zero (to 1e-12)."""
     square = (d1 * d1).sum() * (d2 * d2).sum()
     zero = square < TINY
     return jnp.where(zero, -2.0, (d1 * d2).sum() / jnp.sqrt(jnp.where(zero, 1.0, square)))
 
 
 def ahead_and_aside(heading: Float[Array, "2"], offset: Float[Array, "2"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Parts of an offset along a heading and to its left.
-
-    Args:
-        heading: (2,) unit vector.
-        offset: (2,) m.
-
-    Returns:
-        () m ahead and () m to the left.
-    """
+    """Parts of an offset [m] along a heading and to its left."""
     ahead = heading[0] * offset[0] + heading[1] * offset[1]
     return ahead, heading[0] * offset[1] - heading[1] * offset[0]
 
 
 def any_person(moment: Moment, holds: Callable[[Pedestrians], Array]) -> Bool[Array, ""]:
-    """Whether a predicate holds for at least one person who is present.
-
-    Args:
-        holds: ``person -> () bool``, where the person is a ``Pedestrians`` whose fields lack the axis N.
-
-    Returns:
-        () bool.
-    """
+    """Whether a predicate of a person, ``Pedestrians`` without the axis N, holds for at least one who is present."""
     return (jax.vmap(holds)(moment.people) & moment.people.present).any()

@@ -1,8 +1,8 @@
-"""The five situations as the code of SEAN 2.0 decides them, where it departs from the equations of section III-A.
+"""The five situations as in SEAN 2.0's code, which differs from the equations of section III-A.
 
-All five depart from the paper in three ways:
+All five differ from the paper in three ways:
 - Directions are those of motion. SEAN fits a line to an agent's last 30 poses and takes the vector along it; for a
-  robot that stands it takes the forward axis. Here the velocity serves as that vector.
+  standing robot it takes the forward axis. Here the velocity is that vector.
 - SEAN decides once a second. Here the caller decides how often.
 - SEAN's distances are to colliders. Ours are to centres, as in the paper.
 """
@@ -18,20 +18,12 @@ STILL = 0.02  # m/s: SEAN's 0.01 m within the half second that its 30 poses span
 
 
 def sean2_thresholds() -> Thresholds:
-    """Thresholds of SEAN 2.0's code.
-
-    Returns:
-        Those of the paper but V = 0.4 m/s instead of 1.4, which SEAN's pedestrians, at most 0.6 m/s fast, never reach.
-    """
+    """The paper's thresholds but V = 0.4 m/s: SEAN's pedestrians, at most 0.6 m/s fast, never reach 1.4 m/s."""
     return thresholds(walking=0.4)
 
 
 def cross_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
-    """Equation (1) on directions of motion instead of orientations; the limits of the angle are not included.
-
-    Returns:
-        () bool, whether it occurs.
-    """
+    """Equation (1) on directions of motion instead of orientations; the limits of the angle are not included."""
     direction = robot_direction(moment)
 
     def holds(agent: Pedestrians) -> Array:
@@ -42,16 +34,12 @@ def cross_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
 
 def down_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
-    """Equation (2), but the agent must walk, and coming the other way (anti-parallel) counts as well.
-
-    Returns:
-        () bool, whether it occurs.
-    """
+    """Equation (2), but the agent must walk, and the opposite direction counts as well."""
     direction = robot_direction(moment)
 
     def holds(agent: Pedestrians) -> Array:
         between = cosine(direction, agent.velocity)
-        # -2 says that there is no direction, which must not pass for the opposite one.
+        # -2 means no direction, which must not count as the opposite one.
         along = (between >= -1.5) & (jnp.abs(between) > jnp.cos(thresholds.angle))
         return _nearby_walker(moment, agent, thresholds) & along
 
@@ -59,29 +47,17 @@ def down_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
 
 def join_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
-    """Equation (3), but anybody near serves, member or not, and the robot must be within D of its goal; also at it.
-
-    Returns:
-        () bool, whether it occurs.
-    """
+    """Equation (3), but for any agent near, member or not, and the robot must be within D of its goal, or at it."""
     return _at_group(moment, moment.goal_group, moment.goal, thresholds)
 
 
 def leave_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
-    """Equation (4), but anybody near serves, member or not, and the robot must still be within D of its start.
-
-    Returns:
-        () bool, whether it occurs.
-    """
+    """Equation (4), but for any agent near, member or not, and the robot must still be within D of its start."""
     return _at_group(moment, moment.start_group, moment.start, thresholds)
 
 
 def robot_direction(moment: Moment) -> Float[Array, "2"]:
-    """The robot's direction of motion, or its orientation where it stands.
-
-    Returns:
-        (2,), its velocity [m/s] or its unit heading.
-    """
+    """The robot's direction: its velocity [m/s], or its unit heading if it stands."""
     moves = (moment.velocity * moment.velocity).sum() >= STILL * STILL
     return jnp.where(moves, moment.velocity, moment.heading)
 

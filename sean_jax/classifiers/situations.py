@@ -1,8 +1,8 @@
 """The five social situations, equations (1)-(5) of section III-A, for a robot among people.
 
-Each equation speaks of one agent; a situation occurs when it holds for any of them. A situation is a function of a
-``base.Moment`` and ``Thresholds`` that gives a () bool. It reads arrays alone, so it serves recordings as well. A
-situation of your own may do without thresholds: ``as_situation`` takes ``moment -> () bool``, too.
+Each equation is about one agent; a situation occurs when it holds for any of them. A situation is a function
+``(moment, thresholds) -> () bool`` of a ``base.Moment`` and ``Thresholds``. It reads arrays only, so it works for
+recordings as well. A user's situation may omit thresholds: ``as_situation`` takes ``moment -> () bool``, too.
 """
 
 import inspect
@@ -33,19 +33,19 @@ class Thresholds:
     near: Float[Array, ""]  # m, D: twice the personal distance of Hall
     walking: Float[Array, ""]  # m/s, V
     angle: Float[Array, ""]  # rad, A
-    arrival: Float[Array, ""]  # m, x_r = x'_r of equation (3) holds within it; ours, the paper has an equality
+    arrival: Float[Array, ""]  # m, within which x_r = x'_r of equation (3) holds; ours, the paper has an equality
     reach: Float[Array, ""]  # m, distance at which an encounter begins: where Hall's social distance ends
     personal: Float[Array, ""]  # m, Hall's personal distance: passing within it is passing close
     moving: Float[Array, ""]  # m/s, slower agents stand, in the situations beyond the five; ours
     gaining: Float[Array, ""]  # m/s, difference in speed of overtaking, below it of following; ours
     crowd: Float[Array, ""]  # 1/m2, density of people: where Fruin's best level of service for walkways ends
     hides: Float[Array, ""]  # m, height of an obstacle that people and robots cannot look over; ours
-    engaged: Float[Array, ""]  # m, from a person to the object that they are busy with; ours
+    engaged: Float[Array, ""]  # m, from a person to the object of their activity; ours
     imminent: Float[Array, ""]  # s, time to collision within which people react: Karamouzas et al.
     hurry: Float[Array, ""]  # m/s, faster people hurry: Weidmann's mean and two standard deviations
 
 
-RESERVED = ("overall", "none")  # what tables have beside the situations
+RESERVED = ("overall", "none")  # other rows of tables
 Situation = Callable[[Moment, Thresholds], Array]  # (moment, thresholds) -> () bool
 
 
@@ -64,28 +64,16 @@ def thresholds(
     imminent: float = 3.0,
     hurry: float = 1.86,
 ) -> Thresholds:
-    """The paper's thresholds, D = 2.4 m, V = 1.4 m/s, A = 15 degrees, and those of the other situations.
+    """The paper's thresholds, D = 2.4 m, V = 1.4 m/s, A = 15 degrees (section V-B), and those of other situations.
 
-    Args:
-        near: m, D.
-        walking: m/s, V.
-        angle: rad, A.
-        arrival, reach, personal, moving, gaining, crowd, hides, engaged, imminent, hurry: as in ``Thresholds``.
-
-    Returns:
-        The thresholds as arrays, which can be swept.
-    Source: section V-B.
+    Units as in ``Thresholds``. They are arrays, which can be swept.
     """
     values = (near, walking, angle, arrival, reach, personal, moving, gaining, crowd, hides, engaged, imminent, hurry)
     return Thresholds(*(jnp.asarray(value, float) for value in values))
 
 
 def cross_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
-    """Equation (1): near an agent who walks with an orientation perpendicular to the robot's.
-
-    Returns:
-        () bool, whether it occurs.
-    """
+    """Equation (1): near a walking agent with an orientation perpendicular to the robot's."""
 
     def holds(agent: Pedestrians) -> Array:
         return (
@@ -98,11 +86,7 @@ def cross_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
 
 def down_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
-    """Equation (2): near an agent with an orientation parallel to the robot's. As printed: it need not walk.
-
-    Returns:
-        () bool, whether it occurs.
-    """
+    """Equation (2): near an agent with an orientation parallel to the robot's. As printed: it need not walk."""
 
     def holds(agent: Pedestrians) -> Array:
         return near(moment.position, agent.position, thresholds.near) & parallel_trajectory(
@@ -113,11 +97,7 @@ def down_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
 
 def join_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
-    """Equation (3): near a member of the group that the goal belongs to, and not yet at the goal.
-
-    Returns:
-        () bool, whether it occurs.
-    """
+    """Equation (3): near a member of the group that the goal belongs to, and not yet at the goal."""
 
     def holds(agent: Pedestrians) -> Array:
         return near(moment.position, agent.position, thresholds.near) & member(agent.group, moment.goal_group)
@@ -126,11 +106,7 @@ def join_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
 
 def leave_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
-    """Equation (4): near a member of the group that the start belongs to.
-
-    Returns:
-        () bool, whether it occurs.
-    """
+    """Equation (4): near a member of the group that the start belongs to."""
 
     def holds(agent: Pedestrians) -> Array:
         return near(moment.position, agent.position, thresholds.near) & member(agent.group, moment.start_group)
@@ -139,11 +115,7 @@ def leave_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
 
 def empty(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
-    """Equation (5): no agent is near.
-
-    Returns:
-        () bool, whether it occurs.
-    """
+    """Equation (5): no agent is near."""
 
     def holds(agent: Pedestrians) -> Array:
         return near(moment.position, agent.position, thresholds.near)
@@ -158,7 +130,7 @@ SITUATIONS: dict[str, Situation] = {
     "leave_group": leave_group,
     "empty": empty,
 }
-
+"""The paper's five: name -> (moment, thresholds) -> () bool"""
 
 PAPER = tuple(SITUATIONS.items())
 
@@ -166,29 +138,18 @@ PAPER = tuple(SITUATIONS.items())
 def classify(
     moment: Moment, thresholds: Thresholds, situations: tuple[tuple[str, Situation], ...] = PAPER
 ) -> Bool[Array, " S"]:
-    """The situations that occur at a moment; several can.
-
-    Args:
-        situations: S names and functions; the paper's five by default.
-
-    Returns:
-        (S,) bool, in the order of ``situations``.
-    """
+    """Whether each of S situations, by default the paper's five, occurs at a moment."""
     return jnp.stack([holds(moment, thresholds) for _, holds in situations])
 
 
 def as_situation(value: Callable, name: str = "") -> Situation:
-    """A situation of what a user gives as one.
+    """A user's function ``(moment, thresholds) -> () bool`` or ``moment -> () bool`` as a situation.
 
-    Args:
-        value: ``(moment, thresholds) -> () bool`` or ``moment -> () bool``.
-
-    Returns:
-        ``(moment, thresholds) -> () bool``, which checks what the function gives while the program is traced. The
-        package's own situations stay as they are. Equal arguments give equal results, so nothing is compiled again.
+    The result checks the function's values while the program is traced. The package's own situations are returned
+    unchanged. Equal arguments give equal results, so nothing is compiled again.
 
     Raises:
-        InputError: it is no such function, or results use the name.
+        InputError: it is not such a function, or results use the name.
     """
     if name in RESERVED:
         raise InputError(f"situations: '{name}' means something else in results; choose another name.")
@@ -217,8 +178,8 @@ class _Situation:
 
     def __call__(self, moment: Moment, thresholds: Thresholds) -> Array:
         names = "moment, thresholds" if self.with_thresholds else "moment"
-        given = (moment, thresholds) if self.with_thresholds else (moment,)
-        value = calls.call("situations", self.function, names, *given)
+        arguments = (moment, thresholds) if self.with_thresholds else (moment,)
+        value = calls.call("situations", self.function, names, *arguments)
         cure = "compare numbers, and reduce those of all people with any"
         calls.check_array("situations", self.function, value, bool, (), cure)
         return jnp.asarray(value)

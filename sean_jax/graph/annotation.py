@@ -1,31 +1,38 @@
-"""The annotation of a Behavior Graph (section IV-D): what graph.yaml may say, and the graph that it means."""
+"""The annotation of a Behavior Graph (section IV-D): graph.yaml, its checks, and the graph it defines."""
 
 import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pydantic
+from jaxtyping import Bool, Float
 
-from sean_jax import files
-from sean_jax.base import Environment
-from sean_jax.geometry import signed_distances_on_host
-from sean_jax.graph.behavior_graph import FLOWS, NO_EDGE, BehaviorGraph
+from sean_jax import cache, files
+from sean_jax.base import Array, Environment
+from sean_jax.geometry import crosses_box, signed_distances_on_host
+from sean_jax.graph.behavior_graph import FLOWS, NO_EDGE, BehaviorGraph, routes
 from sean_jax.graph.formation import reach
-from sean_jax.graph.places import PERSON, places
-from sean_jax.graph.routes import routes
 from sean_jax.platforms import to_device
 from sean_jax.quantities import Coordinate, Duration, Radius, RelativeChance
 
 NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge
 Factor = Annotated[float, pydantic.Field(ge=1e-3, le=1e3)]  # by which the length of an edge is multiplied
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
-MIN_SPAWN = 1e-3  # one that is much smaller is 0 in single precision
+MIN_SPAWN = 1e-3  # a much smaller number is 0 in single precision
+CODE = "graph/annotation", "geometry"  # that the places depend on
+PERSON = 0.25  # m, kept free around a place: a body of 0.2 m and some room
+N_PLACES = 64  # of a node
+ROUND = 256  # candidates a node in one round
+FULL_ROUNDS = 4  # with candidates from the whole disc, before discs shrink
+SHRINK = 0.7  # of the disc's radius, each later round
 
 
 class Node(pydantic.BaseModel):
-    """A waypoint, which people pass, or a group, where they stand and talk."""
+    """A waypoint that people pass, or a group where they stand and talk."""
 
     model_config = STRICT
 
@@ -36,9 +43,7 @@ class Node(pydantic.BaseModel):
     weight: RelativeChance | None = None  # chance with which a waypoint is a goal, relative to the others; None: 1
     capacity: Annotated[int, pydantic.Field(ge=2, le=32)] | None = None  # people, of a group
     stay: tuple[Duration, Duration] | None = None  # s, minimum and maximum, of a group
-    id: Annotated[int, pydantic.Field(ge=-(2**31), lt=2**31)] | None = (
-        None  # number in the graph that this one was made from
-    )
+    id: Annotated[int, pydantic.Field(ge=-(2**31), lt=2**31)] | None = None  # number in the source graph
 
 
 class Edge(pydantic.BaseModel):
@@ -52,7 +57,7 @@ class Edge(pydantic.BaseModel):
 
 
 class Annotation(pydantic.BaseModel):
-    """What graph.yaml holds."""
+    """The content of graph.yaml."""
 
     model_config = STRICT
 
@@ -64,37 +69,25 @@ class Annotation(pydantic.BaseModel):
     edges: Annotated[list[Edge], pydantic.Field(max_length=5000)]
 
     def flow_factors(self) -> dict[str, tuple[float, float]]:
-        """The paper's pairs <c_uv, c_vu> of edge weights.
-
-        Returns:
-            Category of flow -> the factors by which the length of an edge is multiplied, there and back.
-        """
+        """The paper's pairs <c_uv, c_vu>: category of flow -> factors of an edge's length, there and back."""
         low, high = self.c_min, self.c_max
         pairs = {"medium": (1.0, 1.0), "high": (low, low), "low": (high, high)}
         return pairs | {"forward": (1.0, high), "backward": (high, 1.0)}
 
     def flow_of(self, edge: Edge) -> str:
-        """The category of flow of an edge, whether it is given by its word or by its pair of weights.
-
-        Returns:
-            One of ``FLOWS``: the word, or that whose factors are nearest to the weights, as ratios.
-        """
+        """The category of flow of an edge: its ``flow``, or that with the factors nearest to its weights, as ratios."""
         weights = edge.weights
         if weights is None:
             return edge.flow or "medium"
 
         def away(factors: tuple[float, float]) -> float:
-            return sum(math.log(own / other) ** 2 for own, other in zip(weights, factors, strict=True))
+            return sum(math.log(weight / factor) ** 2 for weight, factor in zip(weights, factors, strict=True))
 
         pairs = self.flow_factors()
         return min(pairs, key=lambda flow: away(pairs[flow]))
 
     def factors_of(self, edge: Edge) -> tuple[float, float]:
-        """The factors by which the length of an edge is multiplied.
-
-        Returns:
-            There and back: its weights, or those of its flow.
-        """
+        """The factors of an edge's length, there and back: its weights, or those of its flow."""
         return edge.weights or self.flow_factors()[self.flow_of(edge)]
 
 
@@ -102,18 +95,13 @@ def read(path: Path | str, environment: Environment) -> BehaviorGraph:
     """The graph of a ``graph.yaml``.
 
     Raises:
-        FileError: lists all that is wrong with the file, with line, key and cure.
+        FileError: lists all mistakes of the file, with line, key and cure.
     """
     return build(files.load(path, Annotation, check, lambda graph: check_against(graph, environment)), environment)
 
 
 def build(annotation: Annotation, environment: Environment, seed: int = 0) -> BehaviorGraph:
-    """Arrays and tables of a checked annotation.
-
-    Args:
-        annotation: without mistakes.
-        seed: from which the places in the nodes' discs are drawn.
-    """
+    """Arrays and tables of a checked annotation. The seed draws the places in the nodes' discs."""
     nodes = list(annotation.nodes.values())
     position = np.array([node.position for node in nodes], np.float64)
     radius = np.array([node.radius for node in nodes], np.float64)
@@ -164,6 +152,58 @@ def _edges(annotation: Annotation, position: np.ndarray) -> tuple[np.ndarray, np
     return flow, cost
 
 
+def in_sight(environment: Environment, center: Float[Array, "P 2"], points: Float[Array, "P 2"]) -> Bool[Array, "P"]:
+    """Whether a person can walk straight from a centre [m] to a point [m], pair by pair."""
+    each_box = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
+    each_pair = jax.vmap(each_box, in_axes=(0, 0, 0, 0, None, None))
+    px, py, qx, qy = center[:, 0], center[:, 1], points[:, 0], points[:, 1]
+    return ~jnp.any(each_pair(px, py, qx, qy, environment.obstacles, PERSON), axis=1)
+
+
+def places(environment: Environment, position: np.ndarray, radius: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Points (M, 64, 2) [m] uniform over the part of each node's disc that is free and in sight of its centre.
+
+    Goals are such points, not centres (section IV-D). They are drawn on the host, once for all processes. Where a disc
+    has too little room, the other points are nearer to its centre, which must be clear of obstacles and of the floor's
+    edge by more than the radius of a person.
+
+    Args:
+        position: (M, 2) m, of the nodes.
+        radius: (M,) m, of their discs.
+
+    Raises:
+        ValueError: the centre of a node is not clear.
+    """
+    boxes = environment.obstacles
+    inputs = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, position, radius, seed
+    draw = lambda: {"places": _draw_places(environment, position, radius, seed)}  # noqa: E731
+    return cache.load_or_build("places", CODE, inputs, draw)["places"]
+
+
+def _draw_places(environment: Environment, position: np.ndarray, radius: np.ndarray, seed: int) -> np.ndarray:
+    count = len(position)
+    generator = np.random.default_rng(seed)
+    chosen = [np.zeros((0, 2), np.float32) for _ in range(count)]
+    radius = np.array(radius, np.float64)
+    center = jnp.asarray(np.repeat(np.asarray(position, np.float32), ROUND, axis=0), float)
+    rounds = 0
+    while min(len(points) for points in chosen) < N_PLACES:
+        distance = np.sqrt(generator.uniform(size=(count, ROUND))) * radius[:, None]
+        angle = generator.uniform(0.0, 2.0 * np.pi, (count, ROUND))
+        offset = np.stack([distance * np.cos(angle), distance * np.sin(angle)], -1)
+        drawn = (np.asarray(position, np.float64)[:, None, :] + offset).astype(np.float32)
+        flat = drawn.reshape(-1, 2)
+        visible = jax.jit(in_sight)(environment, center, jnp.asarray(flat, float))  # seconds less than op by op
+        free = (np.asarray(visible) & (signed_distances_on_host(environment, flat)[1] >= PERSON)).reshape(count, ROUND)
+        chosen = [np.concatenate([old, new[ok]])[:N_PLACES] for old, new, ok in zip(chosen, drawn, free, strict=True)]
+        rounds += 1
+        if rounds >= FULL_ROUNDS:
+            radius *= SHRINK
+        if rounds > 100:
+            raise ValueError("a node's centre is not clear of obstacles.")
+    return np.stack(chosen)
+
+
 def check(annotation: Annotation) -> Iterator[files.Problem]:
     """Mistakes in the fields of an annotation, wherever its nodes lie."""
     for name, node in annotation.nodes.items():
@@ -207,11 +247,11 @@ def check(annotation: Annotation) -> Iterator[files.Problem]:
         if edge.weights is not None and edge.flow is not None:
             yield (*here, "weights"), "flow is given as well; remove one of them"
     if all(name in annotation.nodes for edge in annotation.edges for name in edge.between):
-        yield from _unreachable(annotation)  # a misspelt name would seem to cut nodes off
+        yield from _unreachable(annotation)  # a misspelled name would seem to cut nodes off
 
 
 def _unreachable(annotation: Annotation) -> Iterator[files.Problem]:
-    """Nodes that no walker can reach without crossing a group. Both directions of an edge have a finite cost."""
+    """Nodes that people cannot reach without crossing a group. Both directions of an edge have a finite cost."""
     nodes = annotation.nodes
     beside: dict[str, set[str]] = {name: set() for name in nodes}
     for edge in annotation.edges:

@@ -1,9 +1,26 @@
-"""The Behavior Graph as arrays that a simulation looks up (section IV-D)."""
+"""The Behavior Graph as arrays (section IV-D), its cheapest paths, route choice with a temperature, congestion costs.
 
+The paper sends everybody along the cheapest path. With a temperature T [m] a person at node u on the way to h goes on
+to the neighbor v with a chance proportional to exp(-(c_uv + C_vh) / T), where c is the cost of an edge and C that of
+the cheapest path from there: a logit model of route choice, node by node. As T goes to 0 it is the cheapest path.
+Unlike it, the chances are differentiable in the costs of edges. Source: R. B. Dial, A probabilistic multipath traffic
+assignment model which obviates path enumeration, Transportation Research 5(2), 1971.
+
+In the paper an author directs people away from a congested area by edge weights. With a congestion cost, people avoid
+it by themselves.
+"""
+
+import math
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int
 
 from sean_jax.base import Array, Scenario
+from sean_jax.geometry import length
 
 FLOWS = ("medium", "high", "low", "forward", "backward")
 """Categories of the paper's pairs <c_uv, c_vu> of edge weights, as ``graph.yaml`` names them.
@@ -11,6 +28,9 @@ FLOWS = ("medium", "high", "low", "forward", "backward")
 Many people walk an edge of high flow: its factors are low, so that more cheapest paths lead over it.
 """
 NO_EDGE = -1
+MIN_COST = 1e-9  # m, in place of a zero, which scipy would take for no edge
+MIN_AREA = 1.0  # m2, of an edge between nodes that coincide
+NEVER = -1e30  # log of a chance of zero; -inf would make gradients NaN
 
 
 @struct.dataclass
@@ -37,16 +57,155 @@ class BehaviorGraph:
 
 
 def graph_of(scenario: Scenario) -> BehaviorGraph | None:
-    """The Behavior Graph that the people of a scenario walk on.
-
-    Args:
-        scenario: of any behavior; its behavior's ``data`` is a graph or has one as its field ``graph``.
-
-    Returns:
-        The graph, or None if people walk otherwise.
-    """
+    """The Behavior Graph of a scenario: the behavior's ``data`` or its field ``graph``; None if neither is a graph."""
     data = scenario.behavior.data
     for candidate in (data, getattr(data, "graph", None)):
         if isinstance(candidate, BehaviorGraph):
             return candidate
     return None
+
+
+def routes(edge_cost: np.ndarray, is_group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The cheapest paths between all pairs of nodes, by Dijkstra's algorithm on the host (section IV-D, [47]).
+
+    A path may start and end at a group, never pass through one, so that it disrupts no group.
+
+    Args:
+        edge_cost: (M, M) m, of the directed edge from row to column, inf without one; the diagonal is ignored.
+        is_group: (M,) bool.
+
+    Returns:
+        Cost (M, M) m of the path from row to column, float64, inf without a path; and the node (M, M) int32 after the
+        row's on it, -1 without a path, the row's own on the diagonal.
+    """
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import dijkstra
+
+    edge_cost, is_group = np.asarray(edge_cost, np.float64), np.asarray(is_group, bool)
+    count = len(edge_cost)
+    # A group is two nodes: u, which edges only leave, and count + u, which edges only enter.
+    enter = np.where(is_group, count, 0) + np.arange(count)
+    start, end = np.nonzero(np.isfinite(edge_cost) & ~np.eye(count, dtype=bool))
+    size = (2 * count, 2 * count)
+    ends = start.astype(np.int32), enter[end].astype(np.int32)  # int32 for older versions of scipy
+    edges = csr_array((np.maximum(edge_cost[start, end], MIN_COST), ends), shape=size)
+    distance, before = dijkstra(edges, indices=np.arange(count), return_predecessors=True)
+
+    cost = distance[:, enter]
+    next_hop = np.full((count, count), -1, np.int32)
+    for source in range(count):
+        first = np.full(2 * count, -1)
+        for node in np.argsort(distance[source]):  # nearest first: its predecessor is known
+            previous = before[source, node]
+            if previous >= 0:
+                first[node] = node % count if previous == source else first[previous]
+        next_hop[source] = first[enter]
+    np.fill_diagonal(cost, 0.0)
+    np.fill_diagonal(next_hop, np.arange(count))
+    return cost, next_hop
+
+
+def cheapest_paths(
+    edge_cost: Float[Array, "M M"], is_group: Bool[Array, "M"]
+) -> tuple[Float[Array, "M M"], Int[Array, "M M"]]:
+    """``routes`` inside jit, by repeated squaring in the min-plus algebra."""
+    count = edge_cost.shape[0]
+    itself = jnp.eye(count, dtype=bool)
+    # All nodes of a path but the last are waypoints: nobody walks through a group.
+    onward = jnp.where(itself, 0.0, jnp.where(is_group[:, None], jnp.inf, edge_cost))
+    for _ in range(math.ceil(math.log2(max(count - 1, 1)))):
+        onward = jnp.min(onward[:, :, None] + onward[None, :, :], axis=1)
+    ways = jnp.where(itself, jnp.inf, edge_cost)[:, :, None] + onward[None, :, :]
+    first = jnp.argmin(ways, axis=1).astype(jnp.int32)
+    cost = jnp.where(itself, 0.0, jnp.min(ways, axis=1))
+    next_hop = jnp.where(jnp.isfinite(cost), first, -1)
+    row = jnp.broadcast_to(jnp.arange(count, dtype=jnp.int32)[:, None], (count, count))
+    return cost, jnp.where(itself, row, next_hop)
+
+
+def hop_log_chances(
+    edge_cost: Float[Array, "M M"],
+    cost: Float[Array, "M M"],
+    is_group: Bool[Array, "M"],
+    temperature: Float[Array, ""] | float,
+) -> Float[Array, "M M M"]:
+    """Log chances of the next node: from the first index to the last on the way to the second.
+
+    Chances of zero are ``NEVER``: all of a row where the goal is the node itself or cannot be reached.
+
+    Args:
+        edge_cost: m, of the edge from row to column, inf without one.
+        cost: m, of ``cheapest_paths``.
+        temperature: m, above 0, of the softmax over costs.
+    """
+    count = edge_cost.shape[0]
+    node = jnp.arange(count)
+    at_goal = node[None, :] == node[:, None]  # (goal, node)
+    usable = jnp.isfinite(edge_cost)[:, None, :] & jnp.isfinite(cost.T)[None, :, :]
+    usable = usable & ~at_goal.T[:, :, None] & (~is_group[None, None, :] | at_goal[None, :, :])
+    rest = jnp.where(usable, edge_cost[:, None, :] + cost.T[None, :, :], 0.0)
+    # Costs above the least one, because a large number over a low temperature would be rounded.
+    least = jnp.min(jnp.where(usable, rest, jnp.inf), axis=-1, keepdims=True)
+    least = jax.lax.stop_gradient(jnp.where(jnp.isfinite(least), least, 0.0))
+    score = jnp.where(usable, -(rest - least) / temperature, NEVER)
+    whole = jax.nn.logsumexp(score, axis=-1, keepdims=True)
+    return jnp.where(usable, score - whole, NEVER)
+
+
+def rerouted(
+    graph: BehaviorGraph,
+    position: Float[Array, "M 2"] | None = None,
+    factor: Float[Array, "M M"] | None = None,
+) -> BehaviorGraph:
+    """The graph with nodes at other positions [m], or costs of edges times a factor; differentiable, inside jit.
+
+    Places in nodes' discs move along with them, and edges cost in proportion to their lengths.
+    """
+    joined = jnp.isfinite(graph.edge_cost)
+    edge_cost = jnp.where(joined, graph.edge_cost, 1.0)
+    if factor is not None:
+        edge_cost = edge_cost * jnp.where(joined, factor, 1.0)
+    if position is not None:
+        edge_cost = edge_cost * _lengths(position) / jnp.maximum(_lengths(graph.position), 1e-6)
+        graph = replace(graph, position=position, places=graph.places + (position - graph.position)[:, None])
+    edge_cost = jnp.where(joined, edge_cost, jnp.inf)
+    cost, next_hop = cheapest_paths(edge_cost, graph.is_group)
+    return replace(graph, edge_cost=edge_cost, cost=cost, next_hop=next_hop)
+
+
+def _lengths(position: Float[Array, "M 2"]) -> Float[Array, "M M"]:
+    """(M, M) m between nodes; 1 on the diagonal."""
+    gap = position[:, None] - position[None, :]
+    itself = jnp.eye(position.shape[0], dtype=bool)
+    return length(jnp.where(itself, 1.0, gap[..., 0]), jnp.where(itself, 0.0, gap[..., 1]))
+
+
+def edge_areas(graph: BehaviorGraph) -> Float[Array, "M M"]:
+    """The floor [m2] between two nodes, also without an edge: a strip as wide as the mean diameter of their discs."""
+    gap = graph.position[:, None] - graph.position[None, :]
+    width = graph.radius[:, None] + graph.radius[None, :]  # people aim at points of the discs, all over them
+    return jnp.maximum(length(gap[..., 0], gap[..., 1]) * width, MIN_AREA)
+
+
+def edge_densities(
+    graph: BehaviorGraph, origin: Int[Array, "N"], hop: Int[Array, "N"], walking: Bool[Array, "N"]
+) -> Float[Array, "M M"]:
+    """Density of people [1/m2] between two nodes. Both directions count, because they share the floor."""
+    node = jnp.arange(graph.radius.shape[0], dtype=jnp.int32)
+    left = (origin[:, None] == node[None, :]) & (walking & (origin != hop))[:, None]
+    count = left.astype(float).T @ (hop[:, None] == node[None, :]).astype(float)
+    return (count + count.T) / edge_areas(graph)
+
+
+def add_congestion_cost(
+    graph: BehaviorGraph, density: Float[Array, "M M"], congestion_cost: Float[Array, ""]
+) -> BehaviorGraph:
+    """The graph with edges that cost ``1 + congestion_cost * density`` times as much, and the cheapest paths over them.
+
+    Args:
+        density: 1/m2, of people on each edge.
+        congestion_cost: m2; with 1, an edge with one person per m2 costs twice as much.
+    """
+    edge_cost = graph.edge_cost * (1.0 + congestion_cost * density)
+    cost, next_hop = cheapest_paths(edge_cost, graph.is_group)
+    return replace(graph, edge_cost=edge_cost, cost=cost, next_hop=next_hop)

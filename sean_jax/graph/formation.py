@@ -1,4 +1,4 @@
-"""Conversational formations: people on a ring around an empty o-space, one place of it left open (section IV-D).
+"""Conversational formations: people on a ring around an empty o-space, with one place left open (section IV-D).
 
 Kendon's F-formation [38], with the distances and directions measured in the Cocktail Party data [46]: 409 groups
 of 2 to 6 people.
@@ -14,7 +14,7 @@ from sean_jax.geometry import unit_vectors
 
 # Members' mean distance [m] from their centroid and its standard deviation, by group size.
 MEASURED = {2: (0.45, 0.14), 3: (0.58, 0.19), 4: (0.67, 0.20), 5: (0.77, 0.20), 6: (0.83, 0.17)}
-MAX_SIZE = 32  # people in a group that the tables below know; beyond it they repeat
+MAX_SIZE = 32  # people in a group, the last row of the tables below; larger groups use it too
 
 # Angle [rad] between a member's heading and the direction to the centre, at these shares of all members: half of
 # them within 30 degrees, 68 % within 45, 91 % within 90.
@@ -23,7 +23,7 @@ ANGLES = tuple(np.deg2rad((0.0, 30.0, 45.0, 90.0, 180.0)).tolist())
 
 NEIGHBOR = 0.55  # m, minimum distance of neighbouring places of the ring
 APART = 0.5  # m, minimum distance of any two seats, and of a seat and the opening
-JITTER = 0.12  # m, maximum by which a seat is off its place, along the ring and across it together
+JITTER = 0.12  # m, maximum distance of a seat from its place on the ring
 
 
 def _tables() -> tuple[np.ndarray, np.ndarray]:
@@ -46,7 +46,7 @@ MEAN, DEVIATION = _tables()
 
 
 def reach(capacity: int) -> float:
-    """The radius of the disc in which all seats of a group lie."""
+    """The radius [m] of the disc in which all seats of a group lie."""
     size = min(capacity, MAX_SIZE)
     return float(MEAN[size] + DEVIATION[size]) + JITTER
 
@@ -54,17 +54,9 @@ def reach(capacity: int) -> float:
 def formation(
     key: Array, capacity: Int[Array, "G"], center: Float[Array, "G 2"], seat_group: Int[Array, "Q"]
 ) -> tuple[Float[Array, "Q 2"], Float[Array, "Q 2"], Float[Array, "G"], Float[Array, "G 2"]]:
-    """Where the members of groups stand and look, and where each group has a place for one more.
+    """Positions [m] and headings of seats in groups; radius [m] of each group's ring and its opening [m].
 
-    No two seats, and no seat and the opening, are closer than 0.5 m.
-
-    Args:
-        center: (G, 2) m, of each group.
-        seat_group: (Q,) group of each seat; a group has as many seats as its capacity.
-
-    Returns:
-        Position (Q, 2) m and heading (Q, 2) unit vector of the seats, radius (G,) m of each group's ring, and its
-        opening (G, 2) m.
+    No two seats, and no seat and the opening, are closer than 0.5 m. A group has as many seats as its capacity.
     Source: Kendon's F-formation [38], measured in the Cocktail Party data [46].
     """
     groups, seats = capacity.shape[0], seat_group.shape[0]

@@ -1,4 +1,4 @@
-"""Handcrafted sets as arrays that a simulation looks up (sections IV-D and IV-E)."""
+"""Handcrafted sets as arrays (sections IV-D and IV-E)."""
 
 from dataclasses import replace
 
@@ -46,26 +46,21 @@ class Sets:
     loop: Int[Array, "S N"]  # loop that a person walks, -1 none
     share: Float[Array, "S N"]  # of its length, at which a person is behind the loop's first one
     way: Int[Array, "S N"]  # 1 forward, -1 backward
-    first: Int[Array, "S N"]  # waypoint at which a person starts, -1 for those who start spread along their loop
+    first: Int[Array, "S N"]  # waypoint at which a person starts, -1 for people spread along their loop
     present: Bool[Array, "S N"]
     ways: Ways | None  # None: everybody walks straight from waypoint to waypoint
     names: tuple[str, ...] = struct.field(pytree_node=False)
     situations: tuple[str, ...] = struct.field(pytree_node=False)
 
     def one(self, number: Int[Array, ""]) -> "Sets":
-        """One of the sets.
-
-        Returns:
-            The set, without the axis S and without ``ways``.
-        """
+        """One of the sets, without the axis S and without ``ways``."""
         return jax.tree.map(lambda leaf: leaf[number], replace(self, ways=None))
 
 
 def build(sets: dict[str, Set], navigation: paths.Navigation | None = None) -> Sets:
-    """Arrays of sets, one row each; every start and goal of every set with the same chance.
+    """Arrays of one or more checked sets by name; every start and goal of every set with the same chance.
 
     Args:
-        sets: name -> checked set, at least one.
         navigation: of people, for sets in which somebody starts at a waypoint.
 
     Raises:
@@ -74,7 +69,7 @@ def build(sets: dict[str, Set], navigation: paths.Navigation | None = None) -> S
     rows = list(sets.values())
     loops = max(1, *(len(each.walkers) for each in rows))
     corners = max((len(walkers.loop) for each in rows for walkers in each.walkers), default=1)
-    groups = max(1, *(len(each.groups) for each in rows))  # one at least, so that there is something to index
+    groups = max(1, *(len(each.groups) for each in rows))  # at least one, for indexing
     people = max(each.people for each in rows)
     stacked = jax.tree.map(lambda *row: np.stack(row), *(_row(each, people, groups, loops, corners) for each in rows))
     arrays = {name: jnp.asarray(value) for name, value in stacked.items()}
@@ -95,8 +90,8 @@ def _find_ways(sets: dict[str, Set], navigation: paths.Navigation, waypoint: np.
     point = np.unique(from_each, axis=0)
     inputs = *paths.inputs(navigation), point, from_each, to_each
     code = "handcrafted/sets", *paths.CODE
-    made = dict(cache.load_or_build("ways", code, inputs, lambda: _walks(navigation, point, from_each, to_each)))
-    for number in np.flatnonzero(~np.isfinite(made.pop("walk"))):
+    table = dict(cache.load_or_build("ways", code, inputs, lambda: _walks(navigation, point, from_each, to_each)))
+    for number in np.flatnonzero(~np.isfinite(table.pop("walk"))):
         name, walkers, k, place, _ = legs[number]
         which = f"walkers[{walkers}].loop[{k}] of set '{name}', [{place[0]:g}, {place[1]:g}],"
         raise InputError(f"handcrafted.yaml: there is no way from {which} to the next waypoint; move one of them.")
@@ -104,7 +99,7 @@ def _find_ways(sets: dict[str, Set], navigation: paths.Navigation, waypoint: np.
     return Ways(
         navigation=navigation,
         point=to_device(point),
-        paths_to_point=PathsToGoal(**to_device(made)),
+        paths_to_point=PathsToGoal(**to_device(table)),
         index=to_device(equal.argmax(-1).astype(np.int32)),
     )
 
@@ -132,20 +127,20 @@ def _walks(
 def _row(each: Set, people: int, groups: int, loops: int, corners: int) -> dict[str, np.ndarray]:
     waypoint, walked = np.zeros((loops, corners, 2)), np.full((loops, corners), np.inf)
     waypoints = np.ones(loops, np.int32)
-    who = {name: np.full(people, -1, np.int32) for name in ("group", "loop", "first")}
+    index_of = {name: np.full(people, -1, np.int32) for name in ("group", "loop", "first")}
     share, way = np.zeros(people), np.ones(people, np.int32)
     first = 0
     for index, group in enumerate(each.groups.values()):
-        who["group"][first : first + group.people] = index
+        index_of["group"][first : first + group.people] = index
         first += group.people
     for index, walkers in enumerate(each.walkers):
-        loop, some = np.array(walkers.loop, jnp.result_type(float)), slice(first, first + walkers.people)
+        loop, members = np.array(walkers.loop, jnp.result_type(float)), slice(first, first + walkers.people)
         waypoint[index, : len(loop)], waypoints[index] = loop, len(loop)
         walked[index, : len(loop)] = np.cumsum(np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=-1))
-        who["loop"][some] = index
-        share[some] = np.arange(walkers.people) / walkers.people
-        who["first"][some] = walkers.first_waypoints() if walkers.start == "waypoints" else -1
-        way[some] = 1 - 2 * (np.arange(walkers.people) % 2) if walkers.way == "both" else 1
+        index_of["loop"][members] = index
+        share[members] = np.arange(walkers.people) / walkers.people
+        index_of["first"][members] = walkers.first_waypoints() if walkers.start == "waypoints" else -1
+        way[members] = 1 - 2 * (np.arange(walkers.people) % 2) if walkers.way == "both" else 1
         first += walkers.people
     center, capacity = np.zeros((groups, 2)), np.zeros(groups, np.int32)
     for index, group in enumerate(each.groups.values()):
@@ -153,7 +148,7 @@ def _row(each: Set, people: int, groups: int, loops: int, corners: int) -> dict[
     poses = {}
     for word, chosen in (("start", each.starts), ("goal", each.goals)):
         poses |= _poses(word, chosen, list(each.groups), center)
-    return poses | who | dict(
+    return poses | index_of | dict(
         odds=np.ones((POSES, POSES)), waypoint=waypoint, waypoints=waypoints, walked=walked,
         center=center, capacity=capacity, share=share, way=way, present=np.arange(people) < first,
     )  # fmt: skip

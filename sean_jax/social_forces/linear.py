@@ -1,6 +1,6 @@
-"""A linear function with a transpose of its own, where JAX cannot transpose what computes it, such as a while loop.
+"""A linear function with its own transpose, for code that JAX cannot transpose, such as a while loop.
 
-It is ``jax.custom_derivatives.linear_call`` with support for ``jax.vmap``, which that one lacks (jax 0.10 to 0.12).
+It is ``jax.custom_derivatives.linear_call`` with support for ``jax.vmap``, which JAX's lacks (0.10 to 0.12).
 """
 
 from collections.abc import Callable
@@ -25,10 +25,7 @@ def linear_call(function: Callable, transpose: Callable, constant: PyTree, argum
 
     Args:
         function: closes over nothing that is traced, nor does ``transpose``. Both keep derivatives in forward mode.
-        result: a pytree of arrays with the shapes and types that the function gives.
-
-    Returns:
-        What the function gives, as a pytree like ``result``.
+        result: a pytree of arrays with the shapes and types of the function's result.
     """
     constants, constant_tree = jax.tree.flatten(constant)
     arguments, argument_tree = jax.tree.flatten(argument)
@@ -57,8 +54,8 @@ def _jvp(values: tuple, tangents: tuple, *, forward: Direction, backward: Direct
     results, change = _linear.bind(*values, **directions), _linear.bind(*constants, *changes[number:], **directions)
     if not all(isinstance(tangent, ad.Zero) for tangent in tangents[:number]):  # of a derivative
         by_constants = lambda *constants: forward.function(list(constants), list(arguments))  # noqa: E731
-        further = jax.jvp(by_constants, constants, tuple(changes[:number]))
-        change = [one + other for one, other in zip(change, further[1], strict=True)]
+        _, by_constant = jax.jvp(by_constants, constants, tuple(changes[:number]))
+        change = [one + other for one, other in zip(change, by_constant, strict=True)]
     return results, change
 
 

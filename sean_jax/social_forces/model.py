@@ -9,30 +9,22 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Float, Int
 
 from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot, Scenario, State
-from sean_jax.social_forces.cohesion import Cohesion
-from sean_jax.social_forces.contact import Contact
-from sean_jax.social_forces.neighbors import MIN_PEOPLE, Neighbors, find
-from sean_jax.social_forces.pair_sums import ABSENT, sum_pairs
-from sean_jax.social_forces.repulsion import Repulsion
-from sean_jax.social_forces.robot_repulsion import RobotRepulsion
-from sean_jax.social_forces.terms import Crowd, Force, Forces, Pair, PersonTerm, force_of, gather, sum_pair_terms
+from sean_jax.social_forces.forces import Crowd, Force, Forces, Pair, PersonTerm, force_of, gather, sum_pair_terms
+from sean_jax.social_forces.neighbors import ABSENT, MIN_PEOPLE, Neighbors, find, sum_pairs
+from sean_jax.social_forces.terms import Cohesion, Repulsion, RobotRepulsion
 from sean_jax.social_forces.walking import look_direction, turn
-from sean_jax.social_forces.walls import project_velocity
+from sean_jax.social_forces.walls import Contact, project_velocity
 
-SUMS = "pair sums"  # what reverse mode keeps of a step, beside the state; the rest is computed anew
-ALONE = -2  # group of those who feel and are in none; those who are felt have -1, so both are not together
-WALKING_GROUPS = 1 << 20  # added to the number of a walking group where it stands among those of groups
+SUMS = "pair sums"  # reverse mode keeps these of a step, beside the state; the rest is computed anew
+ALONE = -2  # group of a person in none, on whom forces act; the other of a pair has -1, so the two differ
+WALKING_GROUPS = 1 << 20  # added to the number of a walking group, to tell it from a standing group
 
 
 def draw_traits(forces: Forces, key: Array, people: int) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
-    """What differs from person to person: the speed they prefer, the distance they keep from a robot.
+    """Traits of people: preferred speeds [m/s], normal and truncated, and extra distances [m] from a moving robot.
 
-    Args:
-        forces: whose ``Walking`` and ``RobotRepulsion`` say how both are distributed.
-
-    Returns:
-        (N,) preferred speeds [m/s], normal and truncated, and (N,) extra distances [m] from a moving robot: a uniformly
-        drawn factor f of its repulsion A exp(-b / B) is a distance of B ln(f) [45].
+    A uniformly drawn factor f of the robot's repulsion A exp(-b / B) is a distance of B ln(f) [45]. ``Walking`` and
+    ``RobotRepulsion`` have the parameters of both distributions.
     """
     walking, robot, repulsion = forces.walking, forces.get(RobotRepulsion), forces.get(Repulsion)
     speed_key, robot_key = jax.random.split(key)
@@ -48,12 +40,7 @@ def draw_traits(forces: Forces, key: Array, people: int) -> tuple[Float[Array, "
 
 
 def move(scenario: Scenario, state: State) -> Pedestrians:
-    """Goals attract; people, walls, groups and the robot repel.
-
-    Args:
-        scenario: whose forces act, in ``scenario.substeps`` steps.
-        state: people, groups and the robot, which is held where it is.
-    """
+    """People one control step later, in ``scenario.substeps`` steps of the social forces; the robot stays in place."""
     time_step = scenario.time_step / scenario.substeps
     grid, radius, companions = scenario.environment.obstacle_grid, scenario.robot.radius, scenario.behavior.companions
     near = neighbors(scenario.forces, state.pedestrians, scenario.time_step)
@@ -78,27 +65,22 @@ def integrate(
     companions: Int[Array, "N 2"] | None = None,
     near: Neighbors | None = None,
 ) -> Pedestrians:
-    """One step of the social forces.
+    """People one step of the social forces later.
 
     Args:
-        obstacle_grid: the obstacles, or None.
-        groups: whose o-spaces people avoid, or None.
-        robot: the robot, or None.
+        groups: people avoid their o-spaces.
         time_step: s.
         robot_radius: m.
-        companions: (N, 2) indices of those whom each person walks with, -1 none; None if nobody does.
-        near: who feels whom, as ``neighbors`` gives it for some steps; if None, it is looked up for this one.
-
-    Returns:
-        People ``time_step`` later.
+        companions: indices of each person's companions, -1 none; None if nobody has any.
+        near: the result of ``neighbors`` for some steps; None: computed for this step.
     """
     near = neighbors(forces, people, 0.0) if near is None else near
     walking, contact = forces.walking, forces.get(Contact)
     px, py = people.position[:, 0], people.position[:, 1]
     vx, vy = people.velocity[:, 0], people.velocity[:, 1]
     crowd = Crowd(forces, people, *look_direction(people), obstacle_grid, groups, robot, robot_radius, companions)
-    damped = (_of_persons(term, crowd) for term in forces.person_terms if getattr(term, "damped", True))
-    undamped = (_of_persons(term, crowd) for term in forces.person_terms if not getattr(term, "damped", True))
+    damped = (_person_force(term, crowd) for term in forces.person_terms if getattr(term, "damped", True))
+    undamped = (_person_force(term, crowd) for term in forces.person_terms if not getattr(term, "damped", True))
     force = _add_up([pair_forces(crowd, near), *damped])
     if force is not None:
         force = walking.damp(*force, people.heading)
@@ -120,11 +102,7 @@ def integrate(
 
 
 def cutoff(forces: Forces) -> Float[Array, ""] | None:
-    """The distance beyond which no pair term pushes anybody by more than 1e-4 m/s2.
-
-    Returns:
-        () m; None if there is no pair term, or one of them does not say.
-    """
+    """The distance [m] beyond which no pair term pushes by more than 1e-4 m/s2; None if a term has no cutoff."""
     functions = [getattr(term, "cutoff", None) for term in (*forces.pair_terms, *forces.gather_terms)]
     cutoffs = [function(forces.walking) for function in functions if function is not None]
     known = [distance for distance in cutoffs if distance is not None]
@@ -134,14 +112,7 @@ def cutoff(forces: Forces) -> Float[Array, ""] | None:
 
 
 def neighbors(forces: Forces, people: Pedestrians, time: float) -> Neighbors | None:
-    """Who feels whom within some time.
-
-    Args:
-        time: s.
-
-    Returns:
-        Pairs that hold for that time; None if all pairs are to be summed, as in crowds so small that this is quicker.
-    """
+    """The pairs of people who feel one another within ``time`` [s]; None: sum all pairs, quicker in small crowds."""
     distance = cutoff(forces)
     if distance is None or people.group.shape[0] < MIN_PEOPLE:
         return None
@@ -150,16 +121,11 @@ def neighbors(forces: Forces, people: Pedestrians, time: float) -> Neighbors | N
 
 
 def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> Force | None:
-    """What each person feels from all other people: the pair terms and the gather terms, in one sum.
+    """The force (N,) [m/s2] of all other people on each person: pair terms and gather terms, in one sum; None without.
 
-    Standing members of one group do not feel one another: their formation holds them apart (section IV-D). Nor do those
-    who walk together, if there is ``Cohesion``, which holds them together and apart.
-
-    Args:
-        near: of a large crowd, who feels whom; pairs of others are left out.
-
-    Returns:
-        (N,) x and y parts [m/s2]; None if there are no such terms. To gather terms the robot is one of the others.
+    Standing members of one group do not feel one another: their formation keeps them apart (section IV-D). Nor do
+    companions, if there is ``Cohesion``, which keeps them together and apart. Gather terms count the robot as one of
+    the others. ``near`` are the pairs of a large crowd; other pairs are left out.
     """
     forces, people = crowd.forces, crowd.people
     if not forces.pair_terms and not forces.gather_terms:
@@ -198,18 +164,14 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> Force | None:
     return _add_up([force, *acts])
 
 
-def _of_persons(term: PersonTerm, crowd: Crowd) -> Force | None:
+def _person_force(term: PersonTerm, crowd: Crowd) -> Force | None:
     return force_of(term.person, "crowd", crowd, optional=True)
 
 
 def _add_up(parts: Iterable[Force | None]) -> Force | None:
-    """The sum of those forces that there are, in their order; None if there is none."""
+    """The sum of the forces that are not None, in their order; None if all are."""
     total = None
     for part in parts:
         if part is not None:
-            total = part if total is None else _add(total, part)
+            total = part if total is None else (total[0] + part[0], total[1] + part[1])
     return total
-
-
-def _add(one: Force, other: Force) -> Force:
-    return one[0] + other[0], one[1] + other[1]

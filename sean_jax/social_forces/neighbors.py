@@ -1,9 +1,13 @@
-"""Who is near whom in a large crowd: people sorted into strips of floor, so that a force is summed over few pairs.
+"""Sums of a law of one pair: over all others or, in a large crowd, over neighbors.
 
-A strip is as high as the distance within which people feel one another. The neighbors of a person then form three runs
-of the sorted people: one in the same strip and one in each of the two beside it. Sums go along all three at once, in
-parts of ``PART`` people. People are summed in blocks of similar run length, each in as many parts as its longest run
-needs. So no crowd is too dense, and a throng in one place does not slow down the sums elsewhere.
+Reverse mode would keep some hundred numbers for each pair and step. Here it keeps only the rows of each person, and
+computes the law again while it goes along the pairs on the way back.
+
+Neighbors: people are sorted into strips of floor, as high as the distance within which people feel one another. The
+neighbors of a person then form three runs of the sorted people: one in the same strip and one in each of the two beside
+it. Sums go along all three at once, in parts of ``PART`` people. People are summed in blocks of similar run length,
+each in as many parts as its longest run needs. So no crowd is too dense, and a throng in one place does not slow down
+the sums elsewhere.
 """
 
 from collections.abc import Callable
@@ -17,7 +21,11 @@ from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax.base import Array
 from sean_jax.geometry import sum_in_pairs
+from sean_jax.platforms import by_platform
+from sean_jax.social_forces.linear import linear_call
 
+ABSENT = 1e7  # all rows of a person who is not there: far from everybody, and of no group
+TURNS = 4  # others over whom each thread of a GPU sums first, if the law gives more than two numbers
 MIN_PEOPLE = 256  # in smaller crowds it is quicker to sum all pairs
 PART = 8  # people of each run who are summed together, a power of two
 BLOCKS = 4  # into which people are divided by the length of their runs
@@ -25,22 +33,17 @@ BLOCKS = 4  # into which people are divided by the length of their runs
 
 @struct.dataclass
 class Neighbors:
-    """Where everybody's neighbors stand in the sorted crowd."""
+    """The neighbors of each person, as runs of the sorted crowd."""
 
     order: Int[Array, "N"]  # the people, strip by strip, in each from left to right
-    by_parts: Int[Array, "N"]  # the people, those whose runs have the most parts first
+    by_parts: Int[Array, "N"]  # the people, those with the most parts first
     rank: Int[Array, "N"]  # where among those each person is
     first: Int[Array, "N 3"]  # by_parts: where in ``order`` the runs in the strips below, own and above begin ...
     last: Int[Array, "N 3"]  # ... and end, exclusively
 
 
 def find(position: Float[Array, "N 2"], present: Bool[Array, "N"], within: Float[Array, ""] | float) -> Neighbors:
-    """Finds the pairs of people within a distance of each other, and some more.
-
-    Args:
-        position: (N, 2) m.
-        within: m, the distance.
-    """
+    """The pairs of people ``within`` a distance [m] of each other, and some more; positions [m]."""
     # Absent people may be anywhere. Far away they would cost the others' coordinates their precision.
     x, y = (_from_min(part, present) for part in jax.lax.stop_gradient(position).T)
     within = jax.lax.stop_gradient(within)
@@ -67,12 +70,12 @@ def find(position: Float[Array, "N 2"], present: Bool[Array, "N"], within: Float
 
 
 def _half_chord(radius: Array, apart: Array) -> Array:
-    """Half of what a circle cuts off a line at that distance from its middle."""
+    """Half the length of a circle's chord at that distance from its middle."""
     return jnp.sqrt(jnp.maximum(radius * radius - jnp.maximum(apart, 0.0) ** 2, 0.0))
 
 
 def _from_min(values: Array, present: Array) -> Array:
-    """(N,) the values above the minimum of those present; 0 for who is absent."""
+    """(N,) the values above the minimum of the people present; 0 for absent people."""
     minimum = jnp.min(jnp.where(present, values, jnp.inf))
     return jnp.where(present, values - minimum, 0.0)
 
@@ -80,16 +83,7 @@ def _from_min(values: Array, present: Array) -> Array:
 def sum_near(
     law: Callable, near: Neighbors, shared: PyTree, own: Float[Array, "A N"], other: Float[Array, "B N"]
 ) -> PyTree:
-    """Sums a law of one pair over the neighbors of each person. Reverse mode needs ``pull_back_near``.
-
-    Args:
-        law: ``law(shared, own (A,), other (B,)) -> numbers``, whose rows come as a sequence; a pytree of numbers, zero
-            for a person with itself, for absent people, and beyond the distance of ``near``.
-        shared: a pytree of floats, such as the parameters of the law.
-
-    Returns:
-        The numbers as arrays (N,).
-    """
+    """``sum_pairs`` over neighbors, with rows as arrays. Reverse mode needs ``pull_back_near``."""
     sorted_other = other[:, near.order]
     numbers, structure = jax.tree.flatten(jax.eval_shape(law, shared, own[:, 0], other[:, 0]))
 
@@ -111,15 +105,10 @@ def pull_back_near(
     other: Float[Array, "B N"],
     pulls: Float[Array, "C N"],
 ) -> tuple[PyTree, Float[Array, "A N"], Float[Array, "B N"]]:
-    """The transpose of the derivative of ``sum_near``.
+    """The transpose of the derivative of ``sum_near``: cotangents of shared, own and other.
 
-    It goes along the same runs: if one person is a neighbor of another, that one is a neighbor of the first. So what
-    others feel of a person is a sum over the neighbors as well.
-
-    Args:
-        law: as in ``sum_near``.
-        near: as in ``sum_near``.
-        shared: as in ``sum_near``.
+    It goes along the same runs, for neighbors are mutual: the forces of a person on others are a sum over the person's
+    neighbors as well.
     """
     own_rows, other_rows = len(own), len(other)
     sorted_other, sorted_own = other[:, near.order], jnp.concatenate([own, pulls])[:, near.order]
@@ -157,12 +146,7 @@ class Runs(NamedTuple):
 def _over_blocks(near: Neighbors, block: Callable, rows: Array) -> tuple:
     """Applies ``block(runs, rows (R, n)) -> (tuple of (n,), totals)`` to all blocks of people.
 
-    Args:
-        near: whose people are split into blocks, those with most parts first.
-        rows: (R, N).
-
-    Returns:
-        The tuple of (N,), in the order of ``near.by_parts``, and the sum of the totals.
+    The result is the tuple of (N,), in the order of ``near.by_parts``, and the sum of the totals.
     """
     number = near.by_parts.shape[0]
     size = -(-number // BLOCKS)
@@ -194,7 +178,7 @@ def _window(runs: Runs, rows: Array, part: Array) -> tuple[tuple[Array, ...], Ar
     valid = begin[:, :, None] + jnp.arange(PART, dtype=jnp.int32)[None, None, :] < runs.last[:, :, None]
     padded = jnp.pad(rows, ((0, 0), (0, PART)))
 
-    def cut(row: Array) -> Array:  # a CPU does it once and for all, a GPU where it needs them
+    def cut(row: Array) -> Array:  # a CPU cuts once, a GPU where it needs the values
         values = jax.vmap(jax.vmap(lambda at: jax.lax.dynamic_slice(row, (at,), (PART,))))(begin)
         return jax.lax.platform_dependent(values, cpu=jax.lax.optimization_barrier, default=lambda values: values)
 
@@ -223,3 +207,117 @@ def _sum_by_halves(pushes: Array) -> Array:
         half = pushes.shape[1] // 2
         pushes = pushes[:, :half] + pushes[:, half:]
     return pushes[:, 0]
+
+
+Rows = tuple[Float[Array, "N"], ...]
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def sum_pairs(law: Callable, near: Neighbors | None, shared: PyTree, own: Rows, other: Rows) -> PyTree:
+    """Sums a law of one pair over the others, for each person: the numbers of the law as arrays (N,).
+
+    Args:
+        law: ``law(shared, own, other) -> numbers``, of one pair in scalars; a pytree of numbers, zero for a person with
+            itself, for absent people, and beyond the distance of ``near``. It closes over nothing that is traced.
+        near: the neighbors of each person; None: all others.
+        shared: a pytree of floats, such as the parameters of the law.
+        own: rows of the persons on whom the law acts.
+        other: rows of the others, ``ABSENT`` for people who are not there.
+    """
+    return _sum(law, near, shared, own, other)
+
+
+@sum_pairs.defjvp
+def _jvp(law: Callable, primals: tuple, tangents: tuple) -> tuple:
+    sums = sum_pairs(law, *primals)
+    change = linear_call(partial(_forward, law), partial(_backward, law), primals, tangents[1:], sums)
+    return sums, change
+
+
+def _sum(law: Callable, near: Neighbors | None, shared: PyTree, own: Rows, other: Rows) -> PyTree:
+    if near is not None:
+        return sum_near(law, near, shared, jnp.stack(own), jnp.stack(other))
+    return by_platform(partial(_sum_all, law, 1), partial(_sum_by_two, law))(shared, own, other)
+
+
+def _forward(law: Callable, primals: tuple, tangents: tuple) -> PyTree:
+    return jax.jvp(partial(_sum, law, primals[0]), primals[1:], tangents)[1]
+
+
+def _backward(law: Callable, primals: tuple, cotangents: PyTree) -> tuple:
+    """Cotangents of shared, own and other."""
+    near, shared, own, other = primals
+    if near is not None:
+        pulls = jnp.stack(jax.tree.leaves(cotangents))
+        d_shared, d_own, d_other = pull_back_near(law, near, shared, jnp.stack(own), jnp.stack(other), pulls)
+        return d_shared, tuple(d_own), tuple(d_other)
+    pull_back = by_platform(partial(_pull_back_at_once, law), partial(_pull_back_in_two, law))
+    return pull_back(shared, own, other, cotangents)
+
+
+def _sum_all(law: Callable, turns: int, shared: PyTree, own: Rows, other: Rows) -> PyTree:
+    """The sums over all others, ``turns`` at a time first."""
+    nobody = (0, -len(other[0]) % turns)
+    other = tuple(jnp.pad(row, nobody, constant_values=ABSENT).reshape(turns, -1) for row in other)
+
+    def sum_turns(shared: PyTree, own: Rows, others: Rows) -> PyTree:
+        turn = lambda total, one: (jax.tree.map(jnp.add, total, law(shared, own, one)), None)  # noqa: E731
+        shapes = jax.eval_shape(law, shared, own, tuple(row[0] for row in others))
+        nothing = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
+        return jax.lax.scan(turn, nothing, others, unroll=turns)[0]
+
+    each = jax.vmap(jax.vmap(sum_turns, in_axes=(None, None, 1)), in_axes=(None, 0, None))
+    numbers, structure = jax.tree.flatten(each(shared, own, other))
+    return structure.unflatten(sum_in_pairs(numbers, 1))
+
+
+def _sum_by_two(law: Callable, shared: PyTree, own: Rows, other: Rows) -> PyTree:
+    """The sums over all others, for a GPU.
+
+    Each thread takes two others, so it reads its person's rows half as often: a fifth less time. For a law of two
+    numbers XLA makes one kernel of all pairs and their sums; more numbers it writes to memory for each pair. So every
+    two numbers are a sum of their own behind a barrier, in which a thread takes ``TURNS`` others. XLA then makes one
+    kernel of these sums as well, and writes no pair (``benchmarks/kernels.py`` shows it).
+    """
+    pair = [tuple(jax.ShapeDtypeStruct((), row.dtype) for row in rows) for rows in (own, other)]
+    structure = jax.tree.structure(jax.eval_shape(law, shared, *pair))
+    if structure.num_leaves <= 2:
+        return _sum_all(law, 2, shared, own, other)
+    sums = []
+    for first in range(0, structure.num_leaves, 2):
+        two = partial(_numbers, law, slice(first, first + 2))
+        sums += _sum_all(two, TURNS, shared, *jax.lax.optimization_barrier((own, other)))
+    return structure.unflatten(sums)
+
+
+def _numbers(law: Callable, which: slice, *pair: PyTree) -> list[Array]:
+    """Some of the numbers of the law, in a list."""
+    return jax.tree.leaves(law(*pair))[which]
+
+
+def _pull_back_at_once(law: Callable, shared: PyTree, own: Rows, other: Rows, pulls: PyTree) -> tuple:
+    """JAX's own cotangents, from arrays of all pairs: quickest on a CPU."""
+    return jax.vjp(partial(_sum_all, law, 1), shared, own, other)[1](pulls)
+
+
+def _pull_back_in_two(law: Callable, shared: PyTree, own: Rows, other: Rows, pulls: PyTree) -> tuple:
+    """The cotangents by two sums, over the others and over the persons, each in one reduction.
+
+    XLA for a GPU writes fewer numbers of each pair than in ``_pull_back_at_once``: those that both sums share.
+    """
+
+    def of_pair(own: Rows, other: Rows, pulls: PyTree) -> tuple:
+        return jax.vjp(law, shared, own, other)[1](pulls)
+
+    by_own = jax.vmap(jax.vmap(of_pair, (None, 0, None)), (0, None, 0))
+    by_other = jax.vmap(jax.vmap(of_pair, (0, None, 0)), (None, 0, None))
+    d_shared, d_own = _sum_leaves(by_own(own, other, pulls)[:2])
+    return jax.tree.map(lambda leaf: leaf.sum(0), d_shared), d_own, _sum_leaves(by_other(own, other, pulls)[2])
+
+
+def _sum_leaves(tree: PyTree) -> PyTree:
+    """The sums over the last axis of all leaves, in one reduction."""
+    leaves, structure = jax.tree.flatten(tree)
+    add = lambda one, other: tuple(map(jnp.add, one, other))  # noqa: E731
+    zeros = tuple(jnp.zeros((), leaf.dtype) for leaf in leaves)
+    return structure.unflatten(jax.lax.reduce(tuple(leaves), zeros, add, (1,)))

@@ -1,4 +1,4 @@
-"""The named constants of the social force model (section IV-D), each with its source.
+"""Presets of the social forces (section IV-D): named constants, each with its source, and YAML files of constants.
 
 [HM95] Helbing & Molnar, Phys. Rev. E 51, 4282 (1995). [J07] Johansson, Helbing & Shukla, Adv. Complex Syst. 10, 271
 (2007), the elliptical specification II fitted to video. [S2] SEAN 2.0's published code (yale-sean/social_sim_unity,
@@ -6,26 +6,45 @@ SFAgent.cs and Parameters.cs), forces divided by its body mass of 80 kg. [M09] M
 2755 (2009). [M10] Moussaid et al., PLoS ONE 5, e10047 (2010). [H00] Helbing, Farkas & Vicsek, Nature 407, 487 (2000).
 [K90] Kendon, Conducting Interaction (1990). [C] Fitted to recordings by ``sean calibrate``, and rounded. [D] Found
 before that, to meet measured diagrams of speed and density, and distances from a robot. docs/calibration.md tells how.
+
+``sean calibrate`` writes files of constants. Such a file stands wherever a preset can stand: ``sean run --forces
+forces.yaml``, ``make(forces="forces.yaml")``.
+
+    preset: calibrated
+    parameters:
+      repulsion.strength: 1.8
+    provenance:
+      command: sean calibrate --data recordings
 """
 
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pydantic
+import yaml
 
-from sean_jax.errors import InputError
-from sean_jax.files import unknown_name
-from sean_jax.social_forces.cohesion import Cohesion
-from sean_jax.social_forces.contact import Contact
-from sean_jax.social_forces.evasion import Evasion
-from sean_jax.social_forces.groups import GroupSpace
-from sean_jax.social_forces.headway import Headway
-from sean_jax.social_forces.repulsion import Repulsion, all_round, circular, elliptical, in_cone, in_front
-from sean_jax.social_forces.robot_repulsion import RobotRepulsion
-from sean_jax.social_forces.sidestep import Sidestep
-from sean_jax.social_forces.terms import Forces, collect
+from sean_jax import files
+from sean_jax.errors import FileError, InputError
+from sean_jax.social_forces.forces import Forces, Term, collect
+from sean_jax.social_forces.terms import (
+    Cohesion,
+    Evasion,
+    GroupSpace,
+    Headway,
+    Repulsion,
+    RobotRepulsion,
+    Sidestep,
+    all_round,
+    circular,
+    elliptical,
+    in_cone,
+    in_front,
+)
 from sean_jax.social_forces.walking import Walking
-from sean_jax.social_forces.walls import Walls
+from sean_jax.social_forces.walls import Contact, Walls
 
 
 def _arrays(**values: float) -> dict[str, Any]:
@@ -194,20 +213,68 @@ PRESETS: dict[str, Forces] = {
     "helbing2000": _HELBING_2000,
     "sean2": _SEAN2,
 }
+"""name -> the forces of a published or fitted model"""
 
 
 def preset(name: str) -> Forces:
-    """The named forces.
-
-    Args:
-        name: a key of ``PRESETS``.
-
-    Returns:
-        Forces whose parameters are float arrays on the default device.
+    """The forces of a key of ``PRESETS``, with float arrays on the default device.
 
     Raises:
         InputError: no preset has that name.
     """
     if name not in PRESETS:
-        raise InputError(unknown_name("forces", name, PRESETS))
+        raise InputError(files.unknown_name("forces", name, PRESETS))
     return collect(PRESETS[name])
+
+
+class Constants(pydantic.BaseModel):
+    """The content of a file of constants."""
+
+    model_config = pydantic.ConfigDict(extra="forbid")
+
+    preset: str
+    parameters: dict[str, float] = {}  # term.parameter -> value in its unit
+    provenance: dict[str, str] = {}  # where the numbers come from; not read
+
+
+def is_file(name: str) -> bool:
+    """Whether a name of forces is that of a YAML file of constants."""
+    return name.lower().endswith((".yaml", ".yml"))
+
+
+def read(path: str | Path) -> Constants:
+    """The content of a file of constants.
+
+    Raises:
+        FileError: the file cannot be read.
+    """
+    return files.load(Path(path), Constants)
+
+
+def text(name: str, parameters: Mapping[str, float], provenance: Mapping[str, str]) -> str:
+    """The text of a file of constants: a preset, and the parameters that differ from it, with 6 digits."""
+    values = {key: float(f"{value:.6g}") for key, value in parameters.items()}
+    content = {"preset": name, "parameters": values, "provenance": dict(provenance)}
+    return yaml.safe_dump(content, sort_keys=False, width=110)
+
+
+def build(forces: str | Iterable[Term]) -> Forces:
+    """The forces of a scenario, with float arrays on the default device.
+
+    Args:
+        forces: a key of ``PRESETS``, a YAML file of constants, forces, or any sequence of terms with exactly one
+            ``Walking`` among them, such as ``[*preset("helbing1995"), mine]``.
+
+    Raises:
+        FileError: the file cannot be read, or names a preset or a parameter that does not exist.
+        InputError: no preset has that name, or the terms do not make forces (see ``collect``).
+    """
+    if not isinstance(forces, str):
+        return collect(forces)
+    if not is_file(forces):
+        return preset(forces)
+    constants = read(forces)
+    try:
+        return collect(preset(constants.preset).tree_replace(dict(constants.parameters)))
+    except (InputError, AttributeError) as error:
+        raise FileError(f"{files.short_name(Path(forces))}: {str(error).rstrip('.?')}; mend the file.") from None

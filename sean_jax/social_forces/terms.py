@@ -1,333 +1,463 @@
-"""The social force is a sum of terms (section IV-D, low level): what a term is, what it may read, and their collection.
+"""The laws of the social forces (section IV-D, low level), one term a class. Walls and contact are in ``walls``.
 
-A term is a ``flax.struct.dataclass`` whose fields are its parameters. It has one or more of these methods:
+Laws of pairs are written in components, as printed: ``d`` leads from the other person to the person, ``w`` is the
+velocity of the other and ``v`` that of the person.
 
-- ``pair(self, pair: Pair) -> (fx, fy)``: the acceleration [m/s2] of one person by one other, written for one pair in
-  scalars. All pair terms are evaluated together, in one fused sum over the others. The robot acts on people through
-  the same terms, if there is a ``RobotRepulsion``.
-- ``gather(self, pair: Pair) -> tuple`` and ``act(self, crowd: Crowd, *sums) -> (fx, fy)``: numbers that are summed over
-  all others, the robot among them, and the accelerations (N,) [m/s2] that follow from the sums. So a law can depend on
-  the others together: how much room they leave ahead, say. ``gather`` is part of the same fused sum.
-- ``person(self, crowd: Crowd) -> (fx, fy) | None``: the accelerations (N,) [m/s2] of all people; None if the term does
-  not apply, so that nothing is computed.
-
-It may also have ``limits``, parameter -> least and most, and ``relations``, what is wrong in words -> a function of the
-term that says whether it is so. ``collect`` refuses what is beyond.
-
-The package's own terms and a user's are the same thing. docs/social_forces.md has examples.
+[HM95] D. Helbing & P. Molnar, Phys. Rev. E 51, 4282 (1995). [J07] A. Johansson, D. Helbing & P. Shukla, Adv. Complex
+Syst. 10, 271 (2007). [M10] M. Moussaid, N. Perozo, S. Garnier, D. Helbing & G. Theraulaz, PLoS ONE 5(4), e10047 (2010).
 """
 
-import dataclasses
-import re
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
+from collections.abc import Callable
+from functools import partial
+from typing import Any, ClassVar
 
 import jax
-import numpy as np
-from jax.core import Tracer
-from jaxtyping import Bool, Float, Int
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Float
 
-from sean_jax import calls, quantities
-from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot
-from sean_jax.errors import InputError
-from sean_jax.messages import shorten, suggest
+from sean_jax.base import Array
+from sean_jax.geometry import angle_between, length, sum_vectors, unit
+from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Pair, gather, sum_pair_terms
 from sean_jax.social_forces.walking import Walking
+from sean_jax.social_forces.walls import Contact
 
-Force = tuple[Array, Array]  # x and y parts of accelerations [m/s2]: of one person, or (N,) of all
-T = TypeVar("T")
-
-
-class Pair(NamedTuple):
-    """One person who feels one other: another person, or the robot. Every array is a scalar."""
-
-    dx: Float[Array, "..."]  # m, from the other to the person
-    dy: Float[Array, "..."]
-    wx: Float[Array, "..."]  # m/s, velocity of the other
-    wy: Float[Array, "..."]
-    vx: Float[Array, "..."]  # m/s, velocity of the person
-    vy: Float[Array, "..."]
-    look_x: Float[Array, "..."]  # unit vector, the direction in which the person looks
-    look_y: Float[Array, "..."]
-    radii: Float[Array, "..."]  # m, sum of the radii of both
-    standing: Bool[Array, "..."] | bool = False  # the person is a standing member of a group
-    is_robot: bool = False  # the other is the robot; known when the program is traced
-    repulsion_scale: Float[Array, "..."] | None = None  # 1, drawn factor of what a moving robot does; None for a person
+NEGLIGIBLE = 1e-4  # m/s2, of a push
+SHORTEST = 1e-3  # m, of a ramp or a width that is divided by; its tenth power is still a float
+MAX_SHARE = 0.95  # of the desired velocity; single files of 1.9 people/m still move at 0.05 m/s or more
+SOFTENING = 0.01  # m2: the direction of a companion fades out below a distance of 0.1 m
 
 
-class Crowd(NamedTuple):
-    """All people at one moment, and what is around them."""
+@struct.dataclass
+class Repulsion:
+    """A push away from each other person, stronger at short distance, weaker if the other is out of sight."""
 
-    forces: "Forces"  # all terms, with their parameters
-    people: Pedestrians
-    look_x: Float[Array, "N"]  # unit vectors, the directions in which people look
-    look_y: Float[Array, "N"]
-    obstacle_grid: ObstacleGrid | None
-    groups: Groups | None
-    robot: Robot | None
-    robot_radius: float  # m
-    companions: Int[Array, "N 2"] | None  # indices of those whom each person walks with, -1 none
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "strength": (-1e6, 1e6),
+        "range": (0.01, 1e3),
+        "anticipation": (0.0, 100.0),
+        "sight_cosine": (-1.0, 1.0),
+    }
+    relations: ClassVar[dict[str, Callable[[Any], Any]]] = {
+        "reach is more than 20 times range": lambda term: term.reach > MAX_EXPONENT * term.range,
+    }
 
-
-@runtime_checkable
-class PairTerm(Protocol):
-    """A term that acts between two people.
-
-    It may also have ``cutoff(walking) -> () m``, the distance beyond which it is negligible. In crowds of 256 people or
-    more only pairs within the largest cutoff are evaluated, or all pairs if a pair term has no cutoff.
-    """
+    strength: Float[Array, ""]  # m/s2, A of A exp((reach - b) / range)
+    range: Float[Array, ""]  # m, B
+    reach: Float[Array, ""]  # m, added to the exponent's distance (SEAN: both radii and half a metre)
+    anticipation: Float[Array, ""]  # s, the step that b looks ahead; 0 makes ellipses circles
+    own_motion: Float[Array, ""]  # 1, share of the own velocity in that step: 0 as in [HM95], 1 as in [J07]
+    back_weight: Float[Array, ""]  # 1, weight of pushes from out of sight: c of [HM95], lambda of [J07]
+    sight_cosine: Float[Array, ""]  # 1, cosine of the half angle of sight of [HM95]
+    law: Callable = struct.field(pytree_node=False)  # (parameters, pair) -> (fx, fy) m/s2: elliptical or circular
+    sight: Callable = struct.field(pytree_node=False)  # (parameters, pair, fx, fy) -> weight, such as in_cone
 
     def pair(self, pair: Pair) -> Force:
-        """The acceleration of one person by one other.
+        """The law's push [m/s2], weighted by sight and, for a moving robot, by the pair's scale."""
+        fx, fy = self.law(self, pair)
+        weight = self.sight(self, pair, fx, fy)
+        if pair.repulsion_scale is not None:
+            weight = weight * pair.repulsion_scale
+        return weight * fx, weight * fy
 
-        Returns:
-            () x and y parts [m/s2].
+    def cutoff(self, walking: Walking) -> Array | None:
+        """The distance [m] beyond which the push is below 1e-4 m/s2; None for a user's law.
+
+        A push of the elliptical law decays with b, and the ellipse of that b reaches sqrt(b^2 + (y / 2)^2) + y / 2 from
+        the other person, y being how far they walk in the time of the anticipation.
         """
-        ...
+        if self.law not in (elliptical, circular):
+            return None
+        b = self.reach + self.range * jnp.log(jnp.maximum(2.0 * self.strength / NEGLIGIBLE, 1.0))
+        y = (1.0 + self.own_motion) * self.anticipation * walking.speed_ratio * walking.speed_max
+        return jnp.sqrt(b * b + 0.25 * y * y) + 0.5 * y
 
 
-@runtime_checkable
-class GatherTerm(Protocol):
-    """A term that sums numbers over all others before it acts. It may have a ``cutoff``, as a ``PairTerm``."""
+def elliptical(parameters: Repulsion, pair: Pair) -> Force:
+    """Repulsion [m/s2] that decays with the semi-minor axis b of the ellipse around the other's next step.
 
-    def gather(self, pair: Pair) -> tuple[Array, ...]:
-        """What one other adds to the sums.
-
-        Returns:
-            () each, of any unit.
-        """
-        ...
-
-    act: Callable[..., Force]
-    """``act(crowd, *sums)``: the accelerations (N,) [m/s2] of all people, by the sums (N,) of what ``gather`` gave."""
-
-
-@runtime_checkable
-class PersonTerm(Protocol):
-    """A term that acts on each person.
-
-    Its result is subject to ``Walking.damp``, unless the class says ``damped = False``.
+    With y = (w - own_motion v) anticipation, 2 b = sqrt((|d| + |d - y|)^2 - |y|^2), the push is
+    A exp((reach - b) / B) (|d| + |d - y|) / (4 b) (d / |d| + (d - y) / |d - y|). The difference of squares is evaluated
+    as 2 (|d| |d - y| + d . (d - y)), and that sum, where it would cancel, by way of the cross product.
+    Source: the negative gradient of the potential of [HM95], eq. (3)-(4); elliptical specification II of [J07].
     """
+    dx, dy = pair.dx, pair.dy
+    ex = dx - (pair.wx - parameters.own_motion * pair.vx) * parameters.anticipation
+    ey = dy - (pair.wy - parameters.own_motion * pair.vy) * parameters.anticipation
+    dd, ee = dx * dx + dy * dy + TINY, ex * ex + ey * ey + TINY
+    inverse_d, inverse_e = jax.lax.rsqrt(dd), jax.lax.rsqrt(ee)
+    d, e = dd * inverse_d, ee * inverse_e
+    dot, cross = dx * ex + dy * ey, dx * ey - dy * ex
+    ahead = dot < 0.0
+    bb = 0.5 * jnp.where(ahead, cross * cross / (d * e + jnp.abs(dot)), d * e + dot) + TINY
+    inverse_b = jax.lax.rsqrt(bb)
+    push = parameters.strength * jnp.exp((parameters.reach - bb * inverse_b) * (1.0 / parameters.range))
+    push = push * (0.25 * (d + e) * inverse_b)
+    return push * (dx * inverse_d + ex * inverse_e), push * (dy * inverse_d + ey * inverse_e)
+
+
+def circular(parameters: Repulsion, pair: Pair) -> Force:
+    """Repulsion A exp((reach - |d|) / B) [m/s2] along d.
+
+    Source: the circular specification of [J07], and SEAN 2.0's code.
+    """
+    dx, dy = pair.dx, pair.dy
+    dd = dx * dx + dy * dy + TINY
+    inverse = jax.lax.rsqrt(dd)
+    push = parameters.strength * jnp.exp((parameters.reach - dd * inverse) * (1.0 / parameters.range)) * inverse
+    return push * dx, push * dy
+
+
+def in_cone(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> Array:
+    """Weight of a push (fx, fy): 1 from within the angle of sight, else ``back_weight``.
+
+    The condition h . (-f) >= |f| cos(phi) is compared by signed squares. Source: [HM95], eq. (8).
+    """
+    along = -(fx * pair.look_x + fy * pair.look_y)
+    limit = parameters.sight_cosine * jnp.abs(parameters.sight_cosine) * (fx * fx + fy * fy)
+    return jnp.where(along * jnp.abs(along) >= limit, 1.0, parameters.back_weight)
+
+
+def in_front(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> Array:
+    """Weight of a push: lambda + (1 - lambda) (1 + cos(phi)) / 2, phi between the look and the other person.
+
+    Source: [J07], eq. (7).
+    """
+    dx, dy = pair.dx, pair.dy
+    cosine = -(dx * pair.look_x + dy * pair.look_y) * jax.lax.rsqrt(dx * dx + dy * dy + TINY)
+    return parameters.back_weight + (1.0 - parameters.back_weight) * 0.5 * (1.0 + cosine)
+
+
+def all_round(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> float:
+    """Weight 1 on all sides. So a uniform crowd, however dense, pushes nobody back."""
+    return 1.0
+
+
+@struct.dataclass
+class Headway:
+    """Takes a share of the desired velocity for each person in the way: ((range - gap) / (range - length))^2.
+
+    The gap is between the surfaces of the bodies: at ``range`` people walk freely, at ``length`` they stand still. A
+    person beside the line of sight counts less, by (1 - (aside / width)^2)^2. An oncoming person counts less, the
+    faster they come: ``Evasion`` deals with them. The shares of all others add up to 95 % of the desired velocity at
+    most, so people in a queue shuffle on.
+
+    Source: A. Tordeux, M. Chraibi & A. Seyfried, Traffic and Granular Flow '15, 225 (2016), who limit the speed to
+    (gap - l) / T. Here the limit sets in smoothly.
+    """
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "length": (-10.0, 10.0),
+        "range": (-10.0, 100.0),
+        "width": (0.0, 100.0),
+        "ramp": (0.0, 100.0),
+    }
+    relations: ClassVar[dict[str, Callable[[Any], Any]]] = {
+        "range is less than 0.01 m more than length": lambda term: term.range - term.length < 0.0099,
+    }
+
+    length: Float[Array, ""]  # m, the gap at which people stand still
+    range: Float[Array, ""]  # m, the gap from which on they walk freely
+    width: Float[Array, ""]  # m, farther aside nobody is in the way
+    ramp: Float[Array, ""]  # m, ahead, over which somebody comes to be in the way
+
+    def gather(self, pair: Pair) -> tuple[Array]:
+        """The share of the desired velocity that one other takes, times ``_scale`` [m7], which ``act`` divides by."""
+        dx, dy = pair.dx, pair.dy
+        dd = dx * dx + dy * dy + TINY
+        near = jnp.maximum(self.range + pair.radii - dd * jax.lax.rsqrt(dd), 0.0)
+        ahead = -(dx * pair.look_x + dy * pair.look_y)
+        aside = dx * pair.look_y - dy * pair.look_x
+        before = jnp.maximum(self.width * self.width - aside * aside, 0.0)
+        following = jnp.clip(1.0 + (pair.wx * pair.look_x + pair.wy * pair.look_y), 0.0, 1.0)
+        return (jnp.clip(ahead, 0.0, self._ramp()) * following * (near * before) ** 2,)
+
+    def act(self, crowd: Crowd, share: Float[Array, "N"]) -> Force:
+        """The braking (N,) [m/s2] that takes that share from the desired velocity."""
+        rate = -jnp.minimum(share * (1.0 / self._scale()), MAX_SHARE) / crowd.forces.walking.relaxation_time
+        desired = crowd.people.desired_velocity
+        return rate * desired[:, 0], rate * desired[:, 1]
+
+    def _ramp(self) -> Array:
+        return jnp.maximum(self.ramp, SHORTEST)
+
+    def _scale(self) -> Array:
+        """The divisor of the sum over all others, so that not each pair divides."""
+        return self._ramp() * (self.range - self.length) ** 2 * jnp.maximum(self.width, SHORTEST) ** 4
+
+    def cutoff(self, walking: Walking) -> Array:
+        """The distance [m] within which somebody is in the way."""
+        return 2.0 * walking.radius + self.range
+
+
+@struct.dataclass
+class Evasion:
+    """A push across the look that makes the closest approach to others wider. Standing members of groups feel none.
+
+    If both keep their velocities, the closest approach is in a time t at an offset m. The push is the part of m across
+    the look, stronger if it is sooner and nearer: (1 - t / horizon)^2 (1 - m^2 / width^2)^2, for others ahead who
+    come closer faster than about ``speed``. ``side`` is added to the offset, so that both step to their right where
+    they would meet exactly. Pushes of all others together are at most ``strength``. Unlike ``Sidestep`` it has no
+    jumps and is bounded however many people come.
+
+    Source: F. Zanlungo, T. Ikeda & T. Kanda, EPL 93, 68005 (2011).
+    """
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "horizon": (1e-3, 100.0),
+        "width": (0.0, 100.0),
+        "speed": (1e-3, 100.0),
+        "ramp": (0.0, 100.0),
+    }
+
+    strength: Float[Array, ""]  # m/s2, of the push when many come
+    gain: Float[Array, ""]  # 1, share of it for one person on a collision course
+    horizon: Float[Array, ""]  # s, a later approach does not count
+    width: Float[Array, ""]  # m, nor does a wider one
+    side: Float[Array, ""]  # m, by which people keep to the right
+    speed: Float[Array, ""]  # m/s, of the relative speed at which an approach counts by half
+    ramp: Float[Array, ""]  # m, ahead, over which somebody comes in sight
+
+    def gather(self, pair: Pair) -> tuple[Array]:
+        """The share of the push to the right (negative: left) by one other, times ``_scale`` [m6 s2]."""
+        dx, dy, look_x, look_y = pair.dx, pair.dy, pair.look_x, pair.look_y
+        ux, uy = pair.vx - pair.wx, pair.vy - pair.wy
+        uu = ux * ux + uy * uy
+        inverse = jax.lax.rsqrt(uu + self.speed * self.speed) ** 2  # cheaper than a division
+        approach = -(dx * ux + dy * uy)
+        time = jnp.maximum(approach, 0.0) * inverse
+        mx, my = dx + ux * time, dy + uy * time
+        soon = jnp.maximum(self.horizon - time, 0.0)
+        near = jnp.maximum(self.width * self.width - (mx * mx + my * my), 0.0)
+        in_sight = jnp.clip(-(dx * look_x + dy * look_y), 0.0, self._ramp())
+        right = mx * look_y - my * look_x + self.side
+        closing = jnp.where(approach > 0.0, uu * inverse, 0.0)
+        return (in_sight * closing * (soon * near) ** 2 * right,)
+
+    def act(self, crowd: Crowd, share: Float[Array, "N"]) -> Force:
+        """The push to the side (N,) [m/s2], ``strength`` at most, from the sum of ``gather``."""
+        share = share * (self.gain / self._scale())
+        push = self.strength * share * jax.lax.rsqrt(1.0 + share * share)
+        push = jnp.where(crowd.people.group >= 0, 0.0, push)
+        return push * crowd.look_y, -push * crowd.look_x
+
+    def _ramp(self) -> Array:
+        return jnp.maximum(self.ramp, SHORTEST)
+
+    def _scale(self) -> Array:
+        """As in ``Headway``."""
+        return self._ramp() * self.horizon**2 * jnp.maximum(self.width, SHORTEST) ** 5
+
+    def cutoff(self, walking: Walking) -> Array:
+        """The distance [m] beyond which nobody can come near within the horizon."""
+        return self.width + 2.0 * walking.speed_ratio * walking.speed_max * self.horizon
+
+
+@struct.dataclass
+class Sidestep:
+    """A push across the look of a person whom somebody approaches [44]. Standing members of groups do not step aside.
+
+    In SEAN 2.0's form: ``preference`` times the cosine of the bearing, while the other is within ``range`` and
+    ``cosine`` ahead and the two are closing.
+    """
+
+    preference: Float[Array, ""]  # m/s2; positive to the right
+    cosine: Float[Array, ""]  # 1, cosine of the half angle within which somebody counts as oncoming
+    range: Float[Array, ""]  # m, and the distance
+    scaled_by_robot: bool = struct.field(pytree_node=False, default=False)  # whether by a moving robot's factor, too
+
+    def pair(self, pair: Pair) -> Force:
+        """The push to the side [m/s2], zero unless the other is oncoming."""
+        dx, dy, look_x, look_y = pair.dx, pair.dy, pair.look_x, pair.look_y
+        dd = dx * dx + dy * dy + TINY
+        bearing = -(dx * look_x + dy * look_y) * jax.lax.rsqrt(dd)
+        closing = (pair.wx - pair.vx) * look_x + (pair.wy - pair.vy) * look_y < 0.0
+        oncoming = closing & (bearing >= self.cosine) & (dd < self.range * self.range)
+        push = jnp.where(oncoming, jnp.where(pair.standing, 0.0, self.preference) * bearing, 0.0)
+        if self.scaled_by_robot and pair.repulsion_scale is not None:
+            push = push * pair.repulsion_scale
+        return push * look_y, -push * look_x
+
+    def cutoff(self, walking: Walking) -> Array:
+        """The distance [m] within which people step aside."""
+        return self.range
+
+
+@struct.dataclass
+class GroupSpace:
+    """A push A exp((radius - distance) / B) away from the centre of each group, on all but its standing members.
+
+    People walk around the o-spaces of conversational groups. Source: A. Kendon, Conducting Interaction (1990).
+    """
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "strength": (-1e6, 1e6),
+        "range": (0.05, 1e3),
+    }
+
+    strength: Float[Array, ""]  # m/s2, A
+    range: Float[Array, ""]  # m, B
 
     def person(self, crowd: Crowd) -> Force | None:
-        """The accelerations of all people.
+        """The push (N,) [m/s2] of all groups on each person; None if there are no groups."""
+        groups, people = crowd.groups, crowd.people
+        if groups is None:
+            return None
 
-        Returns:
-            (N,) x and y parts [m/s2]; None if the term does not apply.
-        """
-        ...
+        def push(px, py, member_of, index, center, radius, present):
+            dx, dy = px - center[0], py - center[1]
+            dd = dx * dx + dy * dy + TINY
+            inverse = jax.lax.rsqrt(dd)
+            size = self.strength * jnp.exp((radius - dd * inverse) / self.range) * inverse
+            size = jnp.where(present & (member_of != index), size, 0.0)
+            return size * dx, size * dy
+
+        index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
+        each_group = jax.vmap(push, in_axes=(None, None, None, 0, 0, 0, 0))
+        each_person = jax.vmap(each_group, in_axes=(0, 0, 0, None, None, None, None))
+        x, y = people.position[:, 0], people.position[:, 1]
+        pushes = each_person(x, y, people.group, index, groups.center, groups.radius, groups.present)
+        return sum_vectors(*pushes, 1)
 
 
-Term = Walking | PairTerm | GatherTerm | PersonTerm
+@struct.dataclass
+class Cohesion:
+    """Gaze, attraction, repulsion and contact among companions, who do not feel one another's pair terms.
 
-
-@jax.tree_util.register_pytree_with_keys_class
-@dataclasses.dataclass(frozen=True, eq=False)
-class Forces:
-    """The terms whose sum moves people; a pytree. ``build`` makes one of a name or a list, and checks it.
-
-    It iterates over its terms, and each term is an attribute by the name of its class in lower case:
-    ``forces.repulsion.strength``, ``forces.robot_repulsion``.
+    In walking groups [M10] people slow down when they would have to turn their heads to see the others (gaze), are
+    pulled to the middle of the group from afar (attraction), and keep a distance (repulsion). As printed the last two
+    switch on and off. Here they fade in over ``ramp``, so that people do not jerk and the law is differentiable.
     """
 
-    terms: tuple[Term, ...]
+    damped: ClassVar[bool] = False
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "ramp": (1e-3, 1e3),
+    }
 
-    def __iter__(self) -> Iterator[Term]:
-        return iter(self.terms)
+    gaze: Float[Array, ""]  # 1/(s rad), beta1 of [M10]: braking when companions are out of view
+    view_angle: Float[Array, ""]  # rad, half angle of that view
+    attraction: Float[Array, ""]  # m/s2, beta2 of [M10]: pull to the middle of one's walking group
+    attraction_distance: Float[Array, ""]  # m, times half the number of companions: from the middle to where it begins
+    repulsion: Float[Array, ""]  # m/s2, beta3 of [M10]: push from a companion ...
+    repulsion_distance: Float[Array, ""]  # m, ... nearer than that
+    ramp: Float[Array, ""]  # m, over which pull and push fade in; [M10] has steps
 
-    def __len__(self) -> int:
-        return len(self.terms)
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name == "terms":
-            raise AttributeError(name)
-        for term in self.terms:
-            if term_name(term) == name:
-                return term
-        names = [term_name(term) for term in self.terms]
-        raise AttributeError(f"forces: there is no term '{name}' among {', '.join(names)}{suggest(name, names)}")
-
-    @property
-    def walking(self) -> Walking:
-        """How people move: the one ``Walking`` term."""
-        term = self.get(Walking)
-        if term is None:
-            raise AttributeError("forces: there is no Walking term.")
-        return term
-
-    @property
-    def pair_terms(self) -> tuple[PairTerm, ...]:
-        """The terms that act between two people, in their order."""
-        return tuple(term for term in self.terms if isinstance(term, PairTerm))
-
-    @property
-    def gather_terms(self) -> tuple[GatherTerm, ...]:
-        """The terms that sum numbers over all others before they act, in their order."""
-        return tuple(term for term in self.terms if isinstance(term, GatherTerm))
-
-    @property
-    def person_terms(self) -> tuple[PersonTerm, ...]:
-        """The terms that act on each person, in their order."""
-        return tuple(term for term in self.terms if isinstance(term, PersonTerm))
-
-    def get(self, kind: type[T]) -> T | None:
-        """The term of a class.
-
-        Args:
-            kind: the class, such as ``Contact``.
-
-        Returns:
-            The term, or None if there is none of that class.
-        """
-        return next((term for term in self.terms if isinstance(term, kind)), None)
-
-    def replace(self, **terms: Term) -> Self:
-        """These forces with other terms in the places of those of the same names.
-
-        Args:
-            **terms: by name, such as ``repulsion=forces.repulsion.replace(strength=...)``.
-
-        Raises:
-            AttributeError: there is no term of a name.
-        """
-        for name in terms:
-            getattr(self, name)
-        return type(self)(tuple(terms.get(term_name(term), term) for term in self.terms))
-
-    def tree_replace(self, values: dict[str, Any]) -> Self:
-        """These forces with other parameters.
-
-        Args:
-            values: by the names of term and field, such as ``{"repulsion.strength": 8.0, "contact.friction": None}``.
-
-        Raises:
-            AttributeError: there is no term of a name.
-            InputError: a term has no parameter of a name.
-        """
-        changes: dict[str, dict[str, Any]] = {}
-        for path, value in values.items():
-            name, _, field = path.partition(".")
-            fields = [one.name for one in dataclasses.fields(getattr(self, name))]
-            if field not in fields:
-                raise InputError(f"forces.{path}: '{name}' has no such parameter{suggest(field, fields)}")
-            number = isinstance(value, (int, float, np.ndarray, np.generic)) and not isinstance(value, bool)
-            changes.setdefault(name, {})[field] = np.asarray(value, float) if number else value
-        return self.replace(**{name: dataclasses.replace(getattr(self, name), **new) for name, new in changes.items()})
-
-    def tree_flatten_with_keys(self) -> tuple[list, None]:
-        """Terms as children, each keyed by its name; part of being a pytree."""
-        return [(jax.tree_util.GetAttrKey(term_name(term)), term) for term in self.terms], None
-
-    @classmethod
-    def tree_unflatten(cls, _: None, terms: Iterable) -> Self:
-        """The inverse of ``tree_flatten_with_keys``."""
-        return cls(tuple(terms))
+    def person(self, crowd: Crowd) -> Force | None:
+        """The force (N,) [m/s2] by companions, zero for people who walk alone; None if nobody has companions."""
+        people, companions = crowd.people, crowd.companions
+        if companions is None:
+            return None
+        there = (companions >= 0) & people.present[companions]
+        position, velocity = people.position, people.velocity
+        dx = jnp.where(there, position[:, 0][:, None] - position[companions, 0], 0.0)
+        dy = jnp.where(there, position[:, 1][:, None] - position[companions, 1], 0.0)
+        number = there.sum(1, dtype=jnp.int32).astype(float)
+        share = 1.0 / jnp.maximum(number, 1.0)
+        cx, cy = -dx.sum(1) * share, -dy.sum(1) * share  # to the middle of the others
+        fx, fy = gaze(self, cx, cy, velocity[:, 0], velocity[:, 1], crowd.look_x, crowd.look_y)
+        ax, ay = attraction(self, cx, cy, number)
+        wx, wy = velocity[companions, 0], velocity[companions, 1]
+        vx, vy = jnp.broadcast_to(velocity[:, :1], wx.shape), jnp.broadcast_to(velocity[:, 1:], wy.shape)
+        rx, ry = companion_repulsion(self, dx, dy)
+        contact = crowd.forces.get(Contact)
+        if contact is not None:
+            radii = 2.0 * crowd.forces.walking.radius
+            bx, by = contact.pair(Pair(dx, dy, wx, wy, vx, vy, crowd.look_x[:, None], crowd.look_y[:, None], radii))
+            rx, ry = rx + bx, ry + by
+        px, py = jnp.where(there, rx, 0.0).sum(1), jnp.where(there, ry, 0.0).sum(1)
+        in_group = number > 0.0
+        return jnp.where(in_group, fx + ax + px, 0.0), jnp.where(in_group, fy + ay + py, 0.0)
 
 
-def term_name(term: object) -> str:
-    """The name of a term among the forces: its class's in lower case, ``RobotRepulsion`` as ``robot_repulsion``."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", type(term).__name__).lower()
+def gaze(
+    parameters: Cohesion,
+    cx: Float[Array, "*N"],
+    cy: Float[Array, "*N"],
+    vx: Float[Array, "*N"],
+    vy: Float[Array, "*N"],
+    look_x: Float[Array, "*N"],
+    look_y: Float[Array, "*N"],
+) -> Force:
+    """Push -beta1 alpha v [m/s2] against one's own velocity v; c leads to the middle of the others [m].
 
-
-def sum_pair_terms(terms: tuple[PairTerm, ...], pair: Pair) -> Force:
-    """What one person feels of one other.
-
-    Args:
-        terms: one or more pair terms; they are added up in this order.
-
-    Returns:
-        () x and y parts [m/s2].
+    alpha [rad] is by how much that middle lies beyond ``view_angle`` off the look. Source: [M10], eq. (2).
     """
-    fx, fy = force_of(terms[0].pair, "pair", pair)
-    for term in terms[1:]:
-        gx, gy = force_of(term.pair, "pair", pair)
-        fx, fy = fx + gx, fy + gy
-    return fx, fy
+    angle = jnp.abs(angle_between(jnp.stack([look_x, look_y], -1), jnp.stack([cx, cy], -1)))
+    square = cx * cx + cy * cy
+    size = parameters.gaze * jnp.maximum(angle - parameters.view_angle, 0.0) * square / (square + SOFTENING)
+    return -size * vx, -size * vy
 
 
-def gather(terms: tuple[GatherTerm, ...], pair: Pair) -> tuple[tuple[Array, ...], ...]:
-    """What one other adds to the sums of the gather terms.
+def attraction(
+    parameters: Cohesion, cx: Float[Array, "*N"], cy: Float[Array, "*N"], number: Float[Array, "*N"] | float
+) -> Force:
+    """Pull beta2 [m/s2] towards the middle of a walking group of 1 + number people, from afar.
 
-    Returns:
-        () each, a tuple for each term.
+    That middle lies at number / (1 + number) of the way c [m] to the middle of the others; far is number / 2 times
+    ``attraction_distance``. Source: [M10], eq. (3).
     """
-    return tuple(tuple(calls.call("forces", term.gather, "pair", pair)) for term in terms)
+    away = length(cx, cy) * number / (1.0 + number) - 0.5 * number * parameters.attraction_distance
+    ux, uy = unit(cx, cy)
+    pull = parameters.attraction * jnp.clip(away / parameters.ramp, 0.0, 1.0)
+    return pull * ux, pull * uy
 
 
-def force_of(law: Callable, arguments: str, *values: Any, optional: bool = False) -> Any:
-    """What a method of a term gives.
+def companion_repulsion(parameters: Cohesion, dx: Float[Array, "*N"], dy: Float[Array, "*N"]) -> Force:
+    """Push beta3 [m/s2] along d [m], away from a companion nearer than ``repulsion_distance``.
 
-    Args:
-        optional: whether it may be None.
-
-    Returns:
-        x and y parts [m/s2], or None.
-
-    Raises:
-        PartError: the term is a user's, and raised something or gives no such parts.
+    Source: [M10], eq. (4).
     """
-    value = calls.call("forces", law, arguments, *values)
-    if value is None and optional:
-        return None
-    if not isinstance(value, tuple | list) or len(value) != 2:
-        raise calls.wrong("forces", law, calls.describe(value), "(fx, fy)", "give both parts, in m/s2")
-    for part in value:
-        calls.check_array("forces", law, part, None, None, "give numbers, in m/s2")
-    return value[0], value[1]
+    ux, uy = unit(dx, dy)
+    share = (parameters.repulsion_distance - length(dx, dy)) / parameters.ramp
+    push = parameters.repulsion * jnp.clip(share, 0.0, 1.0)
+    return push * ux, push * uy
 
 
-def collect(terms: Iterable[Term]) -> Forces:
-    """Forces that are the sum of these terms.
+@struct.dataclass
+class RobotRepulsion:
+    """All pair terms between each person and the robot [45]. Without this term people do not notice the robot.
 
-    Args:
-        terms: exactly one ``Walking`` among them; they are added up in this order.
-
-    Returns:
-        The forces, with every parameter a float array on the default device.
-
-    Raises:
-        InputError: what is given is no collection of terms, a name stands twice, there is no ``Walking``, or a
-            parameter is not finite or beyond the limits of its term.
+    A factor f of the repulsion A exp(-b / B) is drawn for each person and acts while the robot moves. It equals a
+    distance of B ln(f), which is ``Pedestrians.robot_distance``.
     """
-    if isinstance(terms, PairTerm | GatherTerm | PersonTerm) or not isinstance(terms, Iterable):
-        raise InputError(
-            f"forces: {shorten(repr(terms))} must be the name of a preset or a list of terms, such as "
-            "[*preset('helbing1995'), term]."
-        )
-    terms = tuple(terms)
-    for term in terms:
-        if isinstance(term, type) or not isinstance(term, Term):
-            text = shorten(repr(term))
-            raise InputError(f"forces: {text} is no term; a term has a method 'pair', 'gather' or 'person'.")
-        if not dataclasses.is_dataclass(term) or any(leaf is term for leaf in jax.tree.leaves(term)):
-            raise InputError(f"forces: {type(term).__name__} must be a flax.struct.dataclass.")
-    names = [term_name(term) for term in terms]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(
-                f"forces: the term '{name}' stands twice; give one, or a class of another name for the second."
-            )
-    if "walking" not in names:
-        raise InputError("forces: there is no Walking term, which drives people; begin with [*preset('helbing1995')].")
-    for name, term in zip(names, terms, strict=True):
-        quantities.check_leaves(f"forces.{name}", term)
-        _check_limits(name, term)
-    return jax.tree.map(_parameter, Forces(terms))
 
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "factor_min": (1e-6, 1e6),
+        "factor_max": (1e-6, 1e6),
+        "ramp": (0.0, 100.0),
+    }
 
-def _check_limits(name: str, term: Term) -> None:
-    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(term)):
-        return
-    term = jax.tree.map(np.asarray, term)  # nothing is compiled
-    for field, (low, high) in getattr(term, "limits", {}).items():
-        value = getattr(term, field)
-        if value is not None and not ((low <= value) & (value <= high)).all():
-            raise InputError(f"forces.{name}.{field}: {value} must be from {low:,g} to {high:,g}.")
-    for what, wrong in getattr(term, "relations", {}).items():
-        if np.any(wrong(term)):
-            raise InputError(f"forces.{name}: {what}; change one of the two.")
+    factor_min: Float[Array, ""]  # 1, of the repulsion by a moving robot, drawn uniformly per person ...
+    factor_max: Float[Array, ""]  # 1, ... up to here
+    moving_speed: Float[Array, ""]  # m/s, a slower robot is avoided like a person
+    ramp: Float[Array, ""]  # m/s around it over which a robot comes to be felt as moving; 0: all at once
 
+    def person(self, crowd: Crowd) -> Force | None:
+        """The push (N,) [m/s2] of the robot on each person; None without a robot or pair terms."""
+        terms = crowd.forces.pair_terms
+        return self._over_people(crowd, partial(sum_pair_terms, terms)) if terms else None
 
-def _parameter(leaf: Any) -> Array:
-    if isinstance(leaf, jax.Array):
-        return leaf.astype(float)
-    return jax.device_put(np.asarray(leaf, float))
+    def gathered(self, crowd: Crowd) -> tuple[tuple[Array, ...], ...] | None:
+        """The robot's contributions (N,) to the sums of each gather term; None without a robot."""
+        return self._over_people(crowd, partial(gather, crowd.forces.gather_terms))
+
+    def _over_people(self, crowd: Crowd, law: Callable) -> Any:
+        """(N,) each: the law for the pairs of each person and the robot; None without a robot."""
+        robot, people = crowd.robot, crowd.people
+        if robot is None:
+            return None
+        wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
+        faster = jnp.abs(robot.speed) - self.moving_speed
+        smooth = self.ramp > 0.0
+        ramped = jnp.clip(0.5 + faster / jnp.where(smooth, self.ramp, 1.0), 0.0, 1.0)
+        moving = jnp.where(smooth, ramped, (faster > 0.0).astype(float))
+        repulsion, radii = crowd.forces.get(Repulsion), crowd.forces.walking.radius + crowd.robot_radius
+
+        def push(px, py, vx, vy, look_x, look_y, standing, distance):
+            dx, dy = px - robot.position[0], py - robot.position[1]
+            scale = None if repulsion is None else jnp.exp(moving * distance / repulsion.range)
+            pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing, True, scale)
+            return law(pair)
+
+        one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
+        return jax.vmap(push)(*one, crowd.look_x, crowd.look_y, people.group >= 0, people.robot_distance)

@@ -1,4 +1,4 @@
-"""Walking (section IV-D, low level): what a person is without others: a body, a speed, a way to turn.
+"""Walking (section IV-D, low level): a person without others: body, speed, and how headings turn.
 
 D. Helbing & P. Molnar, Phys. Rev. E 51, 4282 (1995): people take up their desired velocity within a relaxation time.
 """
@@ -18,7 +18,7 @@ MIN_SPEED = 0.1  # m/s: a slower body does not turn into its direction of motion
 
 @struct.dataclass
 class Walking:
-    """How people move. Every collection of forces has exactly one of these; it is the term that drives them."""
+    """How people move. All forces have exactly one of these; it is the term that drives people."""
 
     limits: ClassVar[dict[str, tuple[float, float]]] = {
         "radius": (0.01, 10.0),
@@ -53,16 +53,7 @@ class Walking:
     def damp(
         self, fx: Float[Array, "N"], fy: Float[Array, "N"], heading: Float[Array, "N 2"]
     ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
-        """Scales the social force against the heading by ``backward_scale`` and damps it across the heading.
-
-        Args:
-            fx: (N,) x part of the social force [m/s2].
-            fy: (N,) y part [m/s2].
-            heading: (N, 2) unit vectors.
-
-        Returns:
-            (N,) x and y parts of what is left [m/s2].
-        """
+        """The social force [m/s2] scaled by ``backward_scale`` against the heading and damped across it."""
         hx, hy = heading[:, 0], heading[:, 1]
         along, across = fx * hx + fy * hy, fy * hx - fx * hy
         along = jnp.where(along < 0.0, along * self.backward_scale, along)
@@ -72,16 +63,7 @@ class Walking:
     def limit_speed(
         self, vx: Float[Array, "N"], vy: Float[Array, "N"], preferred_speed: Float[Array, "N"]
     ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
-        """Shortens velocities to ``speed_ratio`` times the preferred speed.
-
-        Args:
-            vx: (N,) x parts of the velocities [m/s].
-            vy: (N,) y parts [m/s].
-            preferred_speed: (N,) m/s.
-
-        Returns:
-            (N,) x and y parts of the limited velocities [m/s].
-        """
+        """Velocities shortened to ``speed_ratio`` times the preferred speed [m/s]."""
         # A step of an optimizer may make a preferred speed negative: such a person stands.
         speed, speed_max = length(vx, vy), jnp.maximum(self.speed_ratio * preferred_speed, 0.0)
         slower = jnp.where(speed > speed_max, speed_max / jnp.where(speed > speed_max, speed, 1.0), 1.0)
@@ -89,11 +71,7 @@ class Walking:
 
 
 def look_direction(people: Pedestrians) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
-    """Where each person looks: to where they want to go, or along their heading when they stand.
-
-    Returns:
-        (N,) x and y parts of unit vectors.
-    """
+    """The look of each person, a unit vector: along the desired velocity, or along the heading when they stand."""
     x, y = unit(people.desired_velocity[:, 0], people.desired_velocity[:, 1])
     standing = (people.group >= 0) | ((x == 0.0) & (y == 0.0))
     return jnp.where(standing, people.heading[:, 0], x), jnp.where(standing, people.heading[:, 1], y)
@@ -102,15 +80,7 @@ def look_direction(people: Pedestrians) -> tuple[Float[Array, "N"], Float[Array,
 def turn(
     people: Pedestrians, velocity: Float[Array, "N 2"], max_angle: Float[Array, ""] | float
 ) -> Float[Array, "N 2"]:
-    """Headings turned towards the velocity; standing members of groups keep theirs.
-
-    Args:
-        velocity: (N, 2) m/s.
-        max_angle: by how much a heading turns at most [rad].
-
-    Returns:
-        (N, 2) unit vectors.
-    """
+    """Headings turned towards the velocity [m/s] by ``max_angle`` [rad] at most; standing group members keep theirs."""
     x, y = people.heading[:, 0], people.heading[:, 1]
     goal_x, goal_y = unit(velocity[:, 0], velocity[:, 1])
     cosine, sine = x * goal_x + y * goal_y, x * goal_y - y * goal_x  # of the angle between both, without trigonometry

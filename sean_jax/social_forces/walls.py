@@ -1,14 +1,17 @@
-"""Walls (section IV-D, low level): the wall force, and the guarantee that no body enters an obstacle.
+"""Walls and contact (section IV-D, low level): the wall force, the guarantee that no body enters an obstacle, bodies
+that touch, and how short the steps of stiff bodies must be.
 
 [HM95] D. Helbing & P. Molnar, Phys. Rev. E 51, 4282 (1995). [H00] D. Helbing, I. Farkas & T. Vicsek, Nature 407, 487
 (2000). [S2] SEAN 2.0's published code.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jaxtyping import Float
 
@@ -16,10 +19,13 @@ from sean_jax import obstacle_grid
 from sean_jax.base import Array, ObstacleGrid
 from sean_jax.geometry import from_rectangle, sum_vectors
 from sean_jax.platforms import by_platform
-from sean_jax.social_forces.repulsion import MAX_EXPONENT
-from sean_jax.social_forces.terms import Crowd, Force
+from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Forces, Pair
+from sean_jax.social_forces.walking import Walking
 
-SLACK = 1e-3  # m/s, or rounding would hold whoever walks along a wall: 0.05 mm in a step of 0.05 s
+SUBSTEP = 0.05  # s, at most: a tenth of the relaxation time
+NEIGHBORS = 6  # bodies that touch a body in the densest packing; they make its stiffest mode
+OVERLAP = 0.01  # m, up to which friction is stable in that packing; where fewer touch, at deeper overlaps
+SLACK = 1e-3  # m/s, or rounding would stop people who walk along a wall: 0.05 mm in a step of 0.05 s
 MIN_APPROACH = 1e-9  # m/s, a slower approach is none, for the gradient of a share of it would overflow
 
 
@@ -27,8 +33,7 @@ MIN_APPROACH = 1e-9  # m/s, a slower approach is none, for the gradient of a sha
 class Walls:
     """A push A exp((reach - distance) / R) of each obstacle along its normal.
 
-    Source:
-        [HM95], eq. (5): the negative gradient of U(d) = U0 exp(-d / R), with A = U0 / R.
+    Source: [HM95], eq. (5): the negative gradient of U(d) = U0 exp(-d / R), with A = U0 / R.
     """
 
     limits: ClassVar[dict[str, tuple[float, float]]] = {
@@ -42,11 +47,7 @@ class Walls:
     distance_factor: Float[Array, ""]  # 1/m or 0: 1 multiplies the force by the distance, as [S2] does
 
     def person(self, crowd: Crowd) -> Force | None:
-        """The push of all obstacles on everybody.
-
-        Returns:
-            (N,) x and y parts [m/s2]; None if there are no obstacles.
-        """
+        """The push (N,) [m/s2] of all obstacles on each person; None if there are no obstacles."""
         if crowd.obstacle_grid is None:
             return None
         px, py = crowd.people.position[:, 0], crowd.people.position[:, 1]
@@ -56,17 +57,9 @@ class Walls:
 def distances(
     px: Float[Array, "N"], py: Float[Array, "N"], grid: ObstacleGrid
 ) -> tuple[Float[Array, "N K"], Float[Array, "N K"], Float[Array, "N K"]]:
-    """Signed distances and normals from the obstacles near each person.
-
-    Args:
-        px: (N,) x of the people [m].
-        py: (N,) y [m].
-
-    Returns:
-        (N, K) distance [m] from the surface of each obstacle, and x and y parts (N, K) of its unit normal there.
-    """
+    """Signed distances [m] of people from the surfaces of the obstacles near them, and the unit normals there."""
     rows = obstacle_grid.lookup(grid, px, py)
-    return from_rectangle(px[:, None], py[:, None], *(rows[..., part] for part in range(6)))
+    return from_rectangle(px[:, None], py[:, None], *(rows[..., column] for column in range(6)))
 
 
 def wall_forces(
@@ -76,16 +69,7 @@ def wall_forces(
     grid: ObstacleGrid,
     perception: Float[Array, ""] | float,
 ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
-    """The push of all obstacles on people.
-
-    Args:
-        px: (N,) x of the people [m].
-        py: (N,) y [m].
-        perception: m, a wall farther away is not felt.
-
-    Returns:
-        (N,) x and y parts [m/s2].
-    """
+    """The push [m/s2] of all obstacles within ``perception`` [m] on people at (px, py) [m]."""
 
     def push(distance, nx, ny, parameters, perception):
         exponent = (parameters.reach - distance) * (1.0 / parameters.range)  # a hundred and more in a wide wall
@@ -107,28 +91,20 @@ def project_velocity(
     time_step: Float[Array, ""] | float,
     friction: Float[Array, ""] | float | None = None,
 ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
-    """Projects velocities onto those with which no body ends the step inside an obstacle.
+    """Velocities [m/s] projected so that no body ends the step inside an obstacle.
 
-    A body at a gap from an obstacle may approach by no more than the gap in one step: n . v >= -gap / time_step. For a
-    convex obstacle this linear bound is exact or stricter. All violated bounds are met together, which is exact at the
-    inner corner of two walls and moves a body out that is inside (a negative gap). Where that violates another bound,
-    as in an acute corner, the velocity is shortened until it does not.
+    A body may approach an obstacle by no more than its gap [m] in one step: n . v >= -gap / time_step. For a convex
+    obstacle this linear bound is exact or stricter. All violated bounds are met together, which is exact at the inner
+    corner of two walls and moves a body out that is inside (a negative gap). Where that violates another bound, as in
+    an acute corner, the velocity is shortened until it does not.
 
-    Friction: the guarantee takes the place of the body force k g of [H00] at walls. Where it takes away n . v = u in a
-    step, it has pushed with u / time_step, so the friction kappa g is (kappa / k) u / time_step. An implicit step of it
-    divides the speed along the wall by 1 + (kappa / k) u, which reverses nobody, however long the step.
+    Friction: the guarantee replaces the body force k g of [H00] at walls. Where it takes away n . v = u in a step, it
+    has pushed with u / time_step, so the friction kappa g is (kappa / k) u / time_step. An implicit step of it divides
+    the speed along the wall by 1 + (kappa / k) u, which reverses nobody, however long the step.
 
     Args:
-        px: (N,) x of the people [m].
-        py: (N,) y [m].
-        vx: (N,) x parts of their velocities [m/s].
-        vy: (N,) y parts [m/s].
-        radius: of the bodies [m].
-        time_step: s.
-        friction: kappa / k of [H00] [s/m]; None without friction.
-
-    Returns:
-        (N,) x and y parts of the velocities [m/s].
+        radius: m, of the bodies.
+        friction: s/m, kappa / k of [H00]; None without friction.
     """
     rows = obstacle_grid.lookup(grid, px, py)
 
@@ -141,8 +117,8 @@ def project_velocity(
 
     def rubbing(distance, nx, ny, before_x, before_y, vx, vy, radius, time_step, friction):
         over = excess(distance, nx, ny, before_x, before_y, radius, time_step)
-        lost = (ny * vx - nx * vy) * (1.0 - 1.0 / (1.0 + friction * over))
-        return -lost * ny, lost * nx
+        decrease = (ny * vx - nx * vy) * (1.0 - 1.0 / (1.0 + friction * over))
+        return -decrease * ny, decrease * nx
 
     def share(distance, nx, ny, vx, vy, radius, time_step):
         approach, allowed = -(nx * vx + ny * vy), jnp.maximum((distance - radius) / time_step + SLACK, MIN_APPROACH)
@@ -172,16 +148,16 @@ def _sum(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: 
 
 
 def _min(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> Array:
-    """(N,) the minimum over obstacles of what the law gives, at most 1."""
+    """(N,) the minimum of the law over obstacles, at most 1."""
     whole = jnp.ones_like(px)
     return _over_obstacles(law, lambda values: values.min(1), jnp.minimum, whole, px, py, rows, each, shared)
 
 
-def _over_obstacles(law: Callable, reduce: Callable, join: Callable, start: Any, *given: Any) -> Any:
-    """The law of all obstacles (N, K): on a CPU at once and then reduced, elsewhere joined to the start one by one.
+def _over_obstacles(law: Callable, reduce: Callable, join: Callable, start: Any, *arguments: Any) -> Any:
+    """The law for all obstacles (N, K): on a CPU at once and then reduced, elsewhere joined to the start one by one.
 
-    XLA for a GPU writes what is (N, K) to memory and reads it again for each sum over K; one by one it makes a single
-    kernel of it all, which would be slow on a CPU.
+    XLA for a GPU writes arrays (N, K) to memory and reads them again for each sum over K; one by one it makes a single
+    kernel, which would be slow on a CPU.
     """
 
     def value(px: Array, py: Array, row: Any, each: tuple, shared: tuple) -> Any:  # of one obstacle
@@ -196,7 +172,66 @@ def _over_obstacles(law: Callable, reduce: Callable, join: Callable, start: Any,
         def turn(total: Any, row: tuple) -> tuple:
             return join(total, value(px, py, row, each, shared)), None
 
-        parts = tuple(rows[..., part].T for part in range(rows.shape[2]))
-        return jax.lax.scan(turn, start, parts, unroll=rows.shape[1])[0]
+        columns = tuple(rows[..., column].T for column in range(rows.shape[2]))
+        return jax.lax.scan(turn, start, columns, unroll=rows.shape[1])[0]
 
-    return by_platform(at_once, one_by_one)(start, *given)
+    return by_platform(at_once, one_by_one)(start, *arguments)
+
+
+@struct.dataclass
+class Contact:
+    """A push of two discs in proportion to their overlap g, and sliding friction between them.
+
+    As printed in [H00]: the body force k g n and the sliding friction kappa g ((w - v) . t) t, with n along d and t
+    across it. At obstacles ``walls.project_velocity`` takes the place of the body force.
+    """
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "stiffness": (0.0, 1e6),
+        "friction": (0.0, 1e6),
+    }
+
+    relations: ClassVar[dict[str, Callable[[Any], Any]]] = {
+        "friction of bodies without stiffness": lambda term: term.friction is not None and term.stiffness <= 0,
+    }
+
+    stiffness: Float[Array, ""]  # 1/s2, by which overlapping bodies part: k / m of [H00]
+    friction: Float[Array, ""] | None = None  # 1/(m s), of bodies that slide: kappa / m of [H00]; None: not computed
+
+    def pair(self, pair: Pair) -> Force:
+        """The push and the friction [m/s2], zero unless the two touch."""
+        dx, dy = pair.dx, pair.dy
+        dd = dx * dx + dy * dy + TINY
+        inverse = jax.lax.rsqrt(dd)
+        overlap = jnp.maximum(pair.radii - dd * inverse, 0.0)
+        push = self.stiffness * overlap * inverse
+        if self.friction is None:
+            return push * dx, push * dy
+        slide = (pair.wy - pair.vy) * dx - (pair.wx - pair.vx) * dy
+        rub = self.friction * overlap * inverse * inverse * slide
+        return push * dx - rub * dy, push * dy + rub * dx
+
+    def cutoff(self, walking: Walking) -> Array:
+        """The distance [m] at which bodies touch: two radii."""
+        return 2.0 * walking.radius
+
+
+def longest_step(forces: Forces) -> float:
+    """The longest step [s] with which touching bodies stay stable, ``SUBSTEP`` at most. Runs on the host.
+
+    Semi-implicit Euler of a spring of frequency w that friction damps at a rate c is stable while
+    (w step)^2 + 2 c step < 4. In the densest packing the largest w^2 is 6 k and, at an overlap g, the largest c is
+    6 kappa g, with k = ``stiffness`` and kappa = ``friction``; that both belong to one motion is the worst case.
+    """
+    contact = forces.get(Contact)
+    if contact is None:
+        return SUBSTEP
+    stiffness = NEIGHBORS * max(float(np.max(np.asarray(contact.stiffness))), 1e-9)
+    friction = 0.0 if contact.friction is None else float(np.max(np.asarray(contact.friction)))
+    rate = NEIGHBORS * OVERLAP * friction
+    return min(SUBSTEP, (math.sqrt(rate**2 + 4.0 * stiffness) - rate) / stiffness)
+
+
+def substeps(forces: Forces, time_step: float) -> int:
+    """The number of steps of the social forces, 1 or more, in a control step of ``time_step`` [s]."""
+    return math.ceil(time_step / longest_step(forces) - 1e-6)

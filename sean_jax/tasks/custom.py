@@ -1,4 +1,4 @@
-"""Custom start and goal (section IV-E): the robot goes from a given place to a given place in every episode."""
+"""Custom start and goal (section IV-E), the same in every episode."""
 
 import dataclasses
 import math
@@ -21,25 +21,15 @@ from sean_jax.tasks.task import build_task
 def custom(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
     """The robot goes from the start to the goal that are given as (x, y) or (x, y, heading in degrees).
 
-    Args:
-        scenario: not used.
-        pedestrians: not used.
-        groups: not used.
-        memory: not used.
-        key: not used.
-
-    Returns:
-        Nothing, for this function stands for the task until ``poses`` makes it.
-
     Raises:
-        InputError: always; ``poses`` makes the task that stands for it.
+        InputError: always; ``poses`` makes the task that takes its place.
     """
     raise InputError("task: 'custom' needs a start and a goal; give start=(x, y) and goal=(x, y) in metres.")
 
 
 @dataclasses.dataclass(frozen=True)
 class Poses:
-    """The task ``custom`` with its poses: equal ones are equal values, so that nothing is traced again for them."""
+    """The task ``custom`` with its poses. Equal poses are equal values, so that nothing is traced again."""
 
     start: tuple[float, float]  # m
     goal: tuple[float, float]  # m
@@ -49,14 +39,7 @@ class Poses:
     def __call__(
         self, scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array
     ) -> RobotTask:
-        """The task for ``scenario.task``; the same for every key.
-
-        Args:
-            pedestrians: not used.
-            groups: not used.
-            memory: not used.
-            key: not used.
-        """
+        """The task, the same for every key."""
         return build_task(
             scenario,
             jnp.asarray(self.start, float),
@@ -67,13 +50,10 @@ class Poses:
 
 
 def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...]) -> Poses:
-    """The task ``custom`` with a start and a goal. Without headings the robot looks from the start to the goal.
+    """The task ``custom`` for ``scenario.task``. Without headings the robot looks from the start to the goal.
 
     Args:
-        start: x, y in metres, and if wanted a heading in degrees.
-
-    Returns:
-        The task for ``scenario.task``.
+        start, goal: x and y in metres, and optionally a heading in degrees.
 
     Raises:
         InputError: one of them is not free, or no path leads from the start to the goal.
@@ -82,14 +62,14 @@ def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...])
         if np.ndim(pose) != 1 or len(pose) not in (2, 3):
             raise InputError(f"{name}: {pose} must be x and y in metres, and if you like a heading in degrees.")
         bounds = MAX_COORDINATE, MAX_COORDINATE, 3600.0
-        for what, number, limit in zip(("x", "y", "heading"), pose, bounds, strict=False):
-            check_number(f"{name}: {what}", number, -limit, limit, "degrees" if what == "heading" else "m")
+        for part, number, limit in zip(("x", "y", "heading"), pose, bounds, strict=False):
+            check_number(f"{name}: {part}", number, -limit, limit, "degrees" if part == "heading" else "m")
         room = float(np.min(signed_distances_on_host(scenario.environment, np.array([pose[:2]]))))
-        needed = scenario.robot.radius
-        if not room >= needed:
+        radius = scenario.robot.radius
+        if not room >= radius:
             where = f"({pose[0]:g}, {pose[1]:g})"
             lies = "off the floor or inside an obstacle" if room < 0 else f"{room:.2f} m from an obstacle or the edge"
-            raise InputError(f"{name}: {where} lies {lies}, where a robot of radius {needed:g} m cannot be; move it.")
+            raise InputError(f"{name}: {where} lies {lies}, where a robot of radius {radius:g} m cannot be; move it.")
     ahead = math.atan2(goal[1] - start[1], goal[0] - start[0])
     angle = [math.radians(pose[2]) if len(pose) == 3 else ahead for pose in (start, goal)]
     task = Poses((float(start[0]), float(start[1])), (float(goal[0]), float(goal[1])), *angle)

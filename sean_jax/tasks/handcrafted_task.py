@@ -1,4 +1,4 @@
-"""Handcrafted task (section IV-E): start and goal are poses that the designer of a handcrafted set has chosen."""
+"""Handcrafted task (section IV-E): start and goal are poses of a handcrafted set."""
 
 from dataclasses import replace
 from typing import Any
@@ -20,11 +20,8 @@ from sean_jax.tasks.task import build_task, requires
 def check_room(scenario: Scenario) -> None:
     """Refuse a robot that does not fit at a pose of a set, or cannot go from a start to a goal.
 
-    Args:
-        scenario: of behavior ``handcrafted``.
-
     Raises:
-        InputError: names the set and the pose.
+        InputError: with the set and the pose.
     """
     sets: Sets = scenario.behavior.data
     for word, place in (("starts", sets.start), ("goals", sets.goal)):
@@ -46,7 +43,7 @@ def check_room(scenario: Scenario) -> None:
 def handcrafted(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
     """The robot goes from one of the five starts to one of the five goals of the handcrafted set.
 
-    The episode's set is read from ``memory``, that of behavior ``handcrafted``.
+    The episode's set is in ``memory`` of behavior ``handcrafted``.
     """
     sets: Sets = scenario.behavior.data
     one = sets.one(memory.set)
@@ -66,17 +63,12 @@ def handcrafted(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
 
 
 def pair(scenario: Scenario, name: str, start: int, goal: int) -> Scenario:
-    """The scenario in which every episode has one handcrafted set, and one of its pairs of start and goal.
+    """The scenario in which every episode has one handcrafted set, with its start and goal of these numbers, 0 to 4.
 
     Only a leaf differs, the odds of each set and pair, so that nothing is compiled again and pairs can be vmapped.
 
-    Args:
-        scenario: of behavior ``handcrafted``.
-        start: its number, 0 to 4.
-        goal: its number, 0 to 4.
-
     Raises:
-        InputError: the behavior is another, the set is not among those chosen, or there is no such start or goal.
+        InputError: the behavior is not ``handcrafted``, or the scenario has no such set, start or goal.
     """
     if scenario.behavior.name != "handcrafted":
         raise InputError(f"behavior: '{scenario.behavior.name}' has no handcrafted sets; make one with 'handcrafted'.")
@@ -94,7 +86,7 @@ def pair(scenario: Scenario, name: str, start: int, goal: int) -> Scenario:
 def _walks(
     navigation: paths.Navigation, starts: Float[Array, "5 2"], goals: Float[Array, "5 2"]
 ) -> Float[Array, "5 5"]:
-    """(5, 5) lengths [m] of the shortest paths from each start to each goal."""
+    """Lengths [m] of the shortest paths from each start [m] to each goal [m]."""
     rows = jax.vmap(paths.build_paths_to_goal, in_axes=(None, 0))(navigation, goals)
     each_goal = jax.vmap(paths.geodesic, in_axes=(None, None, 0, 0))
     return jax.vmap(each_goal, in_axes=(None, 0, None, None))(navigation, starts, goals, rows)
@@ -103,7 +95,7 @@ def _walks(
 def _pose(
     groups: Groups, place: Float[Array, "2"], heading: Float[Array, "2"], group: Int[Array, ""]
 ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-    """The place and the heading themselves, or the open place of the group and the direction into it."""
+    """The place and the heading, or the open place of the group and the direction into it."""
     index = jnp.maximum(group, 0)
     opening = groups.opening[index]
     inward = unit_vectors(groups.center[index] - opening, heading)

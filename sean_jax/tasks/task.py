@@ -1,13 +1,15 @@
-"""What every robot task is made of (section IV-E): a start, a goal and the paths between them; and what it needs."""
+"""Robot tasks as values (section IV-E): start, goal and the paths between them; requirements; mixtures of tasks."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, PyTree
 
 from sean_jax import navigation as paths
-from sean_jax.base import Array, PathsToGoal, RobotTask, Scenario
+from sean_jax.base import Array, Groups, PathsToGoal, Pedestrians, RobotTask, Scenario
 from sean_jax.errors import InputError
 from sean_jax.geometry import unit_vectors
 
@@ -15,21 +17,18 @@ Task = TypeVar("Task", bound=Callable[..., RobotTask])
 
 
 class Requirement(NamedTuple):
-    """What a task needs of the behavior (``Behavior.offers``), and of all else if there is a check."""
+    """The offer of a behavior (``Behavior.offers``) that a task needs, and a check of the scenario."""
 
     offer: str
     check: Callable[[Scenario], None] | None = None  # raises InputError
 
 
 def requires(offer: str, check: Callable[[Scenario], None] | None = None) -> Callable[[Task], Task]:
-    """A decorator for tasks that not every scenario can have.
+    """A decorator for tasks that do not fit every scenario.
 
     Args:
-        offer: what the behavior must offer, such as "groups".
+        offer: an offer of the behavior, such as "groups".
         check: of a scenario with the task; raises InputError if it does not fit.
-
-    Returns:
-        A function that gives the task back, with its requirement.
     """
 
     def mark(task: Task) -> Task:
@@ -40,14 +39,7 @@ def requires(offer: str, check: Callable[[Scenario], None] | None = None) -> Cal
 
 
 def requirement(task: Callable[..., RobotTask]) -> Requirement | None:
-    """What a task needs.
-
-    Args:
-        task: any, of the package or of a user.
-
-    Returns:
-        None if it fits every scenario.
-    """
+    """The requirement of a task; None if it fits every scenario."""
     return getattr(task, "requirement", None)
 
 
@@ -81,17 +73,13 @@ def build_task(
     paths_to_goal: PathsToGoal | None = None,
     geodesic: Float[Array, ""] | None = None,
 ) -> RobotTask:
-    """The task to go from a start to a goal, with the shortest paths that belong to it. Works inside jit.
+    """The task to go from a start [m] to a goal [m], with the shortest paths. Works inside jit.
 
     Args:
-        start: (2,) m.
-        goal: (2,) m.
-        start_heading: (2,) unit vector; from the start to the goal if None.
-        goal_heading: (2,) unit vector; from the start to the goal if None.
-        start_group: () index of the group of which the start is a member's place; none if None.
-        goal_group: () likewise for the goal.
+        start_heading, goal_heading: unit vectors; from the start to the goal if None.
+        start_group, goal_group: index of the group in which the start or goal is a member's place; none if None.
         paths_to_goal: of ``navigation.build_paths_to_goal``; built if None.
-        geodesic: () m, length of the shortest path; computed if None.
+        geodesic: m, length of the shortest path; computed if None.
     """
     nobody = jnp.full((), -1, jnp.int32)
     if start_heading is None or goal_heading is None:
@@ -112,3 +100,22 @@ def build_task(
         geodesic=geodesic,
         paths_to_goal=paths_to_goal,
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class Mixture:
+    """A random one of several tasks in each episode, all equally likely (section V-B lets tasks take turns).
+
+    Mixtures of equal tasks are equal, so nothing is compiled again.
+    """
+
+    tasks: tuple[Callable[..., RobotTask], ...]
+
+    def __call__(
+        self, scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: PyTree, key: Array
+    ) -> RobotTask:
+        """The task of an episode."""
+        choice_key, task_key = jax.random.split(key)
+        which = jax.random.randint(choice_key, (), 0, len(self.tasks), jnp.int32)
+        branches = [lambda key, task=task: task(scenario, pedestrians, groups, memory, key) for task in self.tasks]
+        return jax.lax.switch(which, branches, task_key)

@@ -156,18 +156,19 @@ def _judge(fit: Fit, descent: Descent, left_out: list, history: np.ndarray, file
 def _constants(options: CalibrateConfig, what: str, values: dict[str, float], results: dict[str, Any]) -> str:
     """The file of constants of a fit; on top of a file, all that it has."""
     from sean_jax.flags import command
-    from sean_jax.social_forces import constants
+    from sean_jax.social_forces import presets
 
     name, others = options.forces, {}
-    if constants.is_file(name):
-        name, others = constants.content(name)
+    if presets.is_file(name):
+        file = presets.read(name)
+        name, others = file.preset, file.parameters
     scenes = [scene for scene in results["errors"]["all"] if scene != what]
     provenance = {
         "fitted by": command("calibrate", options),
         "fitted to": ", ".join(scenes),
         "versions": ", ".join(f"{package} {version}" for package, version in versions().items()),
     }
-    return constants.text(name, {**others, **values}, provenance)
+    return presets.text(name, {**others, **values}, provenance)
 
 
 def _floats(names: Any, values: Any) -> dict[str, float]:

@@ -15,7 +15,7 @@ from sean_jax.base import Array
 from sean_jax.errors import InputError
 from sean_jax.files import unknown_name
 from sean_jax.social_forces import Forces
-from sean_jax.social_forces.terms import term_name
+from sean_jax.social_forces.forces import term_name
 
 BOUNDS: dict[str, tuple[float, float]] = {
     "walking.relaxation_time": (0.1, 1.0),  # s; measured starts and stops take .2 to .6

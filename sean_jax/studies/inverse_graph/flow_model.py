@@ -1,6 +1,6 @@
 """The flows that a graph makes people have: a Markov chain of people with goals, differentiable by its weights.
 
-A person at a node has a goal and goes on to it as ``graph.route_choice`` says, with a temperature. Whoever is at the
+A person at a node has a goal and goes on to it as ``graph.behavior_graph`` says, with a temperature. Whoever is at the
 goal draws another one, and whoever is at any waypoint may be sent to a group instead. On the way there somebody else
 may take the place; then a goal is drawn at the next node. So the expected number of walks along each edge, and of each
 turn, follows from linear equations. The behavior ``graph`` is this chain with temperature 0: how often somebody is sent
@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int
 from sean_jax.base import Array
 from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph
-from sean_jax.graph.route_choice import cheapest_paths, hop_log_chances
+from sean_jax.graph.behavior_graph import cheapest_paths, hop_log_chances
 
 RARE = 1e-6  # share of walks that no model explains, such as of somebody who turned round on the way
 SELDOM = -3.0  # logarithm of the odds with which somebody at a node is sent to a group, before anything is known

@@ -18,8 +18,7 @@ from jaxtyping import Float
 from sean_jax.base import Environment
 from sean_jax.errors import InputError
 from sean_jax.geometry import signed_distances_on_host
-from sean_jax.graph.annotation import NODE_CLEARANCE, Annotation, Edge, Node
-from sean_jax.graph.places import PERSON
+from sean_jax.graph.annotation import NODE_CLEARANCE, PERSON, Annotation, Edge, Node
 from sean_jax.navigation.arcs import pairs_are_free
 
 CELL = 0.25  # m, side of the cells in which the floor is looked at

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, PyTree
 from sean_jax import prng
 from sean_jax import scenario as stages
 from sean_jax.base import Array, Scenario, State
-from sean_jax.behaviors.graph_memory import Memory
+from sean_jax.behaviors.graph_choices import Memory
 from sean_jax.graph import BehaviorGraph
 
 FAR = 1e3  # m, at which the robot stands

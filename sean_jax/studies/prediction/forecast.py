@@ -35,7 +35,7 @@ from sean_jax.files import unknown_name
 from sean_jax.geometry import length
 from sean_jax.pedestrian_models import MODELS
 from sean_jax.people import pedestrians_at
-from sean_jax.social_forces import PRESETS, SUBSTEP, Cohesion, Forces, Term, constants
+from sean_jax.social_forces import PRESETS, SUBSTEP, Cohesion, Forces, Term, presets
 
 CONTROL_STEP = 0.1  # s, at most, in which a pedestrian model moves people
 MARGIN = 50.0  # m of open floor around walls
@@ -209,7 +209,7 @@ def _resolve(model: Model) -> tuple[Callable[[Scenario, State], Pedestrians], Fo
     if isinstance(model, str):
         if model in MODELS:
             return MODELS[model], social_forces.preset(DEFAULT_FORCES)
-        if model not in PRESETS and not constants.is_file(model):
+        if model not in PRESETS and not presets.is_file(model):
             raise InputError(unknown_name("model", model, {**PRESETS, **MODELS}))
         return social_forces.move, social_forces.build(model)
     if isinstance(model, Forces):

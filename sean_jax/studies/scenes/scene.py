@@ -14,8 +14,8 @@ from sean_jax.base import Array, Pedestrians, Robot, RobotModel, Scenario, State
 from sean_jax.config import DEFAULT_FORCES
 from sean_jax.errors import InputError
 from sean_jax.files import unknown_name
-from sean_jax.social_forces import constants
-from sean_jax.social_forces.terms import Forces, Term
+from sean_jax.social_forces import presets
+from sean_jax.social_forces.forces import Forces, Term
 from sean_jax.studies.scenes.floor_plan import environment
 from sean_jax.studies.scenes.periodic import Periodic
 from sean_jax.studies.scenes.walkers import NEVER, Gate, Walkers, walkers_behavior
@@ -68,7 +68,7 @@ def model(what: Any = None, name: str | None = None) -> Model:
     if isinstance(what, Model):
         return what
     if isinstance(what, str):
-        if what in social_forces.PRESETS or constants.is_file(what):
+        if what in social_forces.PRESETS or presets.is_file(what):
             return Model(name or what, social_forces.build(what), social_forces.move)
         if what not in pedestrian_models.MODELS:
             raise InputError(unknown_name("model", what, {**social_forces.PRESETS, **pedestrian_models.MODELS}))

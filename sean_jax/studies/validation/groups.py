@@ -9,7 +9,7 @@ import numpy as np
 
 from sean_jax import assembly, environment, prng, social_forces
 from sean_jax.base import Array, Scenario
-from sean_jax.behaviors.successors import MAX_WAIT
+from sean_jax.behaviors.graph_choices import MAX_WAIT
 from sean_jax.scenario import reset
 from sean_jax.studies.scenes.simulation import advance
 from sean_jax.studies.validation.check import Check, Curve, Finding, Laboratory, judge

@@ -1,20 +1,21 @@
-"""Optimal reciprocal collision avoidance (ORCA): velocities that lead to no collision within a time horizon.
+"""Pedestrian models (section IV-D, low level): how people move to the goals of their behavior.
 
-J. van den Berg, S. J. Guy, M. Lin & D. Manocha, "Reciprocal n-body collision avoidance", Robotics Research (2011).
-Each neighbor leaves a half-plane of velocities, n . v >= c with a unit normal n = (nx, ny). People take the velocity in
-all half-planes that is nearest to their desired one. They share the avoidance of one another equally. They avoid the
-robot and obstacles wholly, for these need not reciprocate.
+Beside the social forces: constant velocity, and optimal reciprocal collision avoidance (ORCA) of J. van den Berg, S. J.
+Guy, M. Lin & D. Manocha, "Reciprocal n-body collision avoidance", Robotics Research (2011).
 """
+
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from sean_jax import social_forces
 from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.geometry import length, unit
-from sean_jax.pedestrian_models.constant_velocity import walk
-from sean_jax.social_forces.walls import distances
+from sean_jax.social_forces.walking import turn
+from sean_jax.social_forces.walls import distances, project_velocity
 
 HORIZON = 3.0  # s, without a collision with people and the robot; ours
 WALL_HORIZON = 0.5  # s, likewise with obstacles; ours
@@ -28,8 +29,31 @@ FORBIDDEN = 1e6  # times what is above the top speed or violates a hard half-pla
 UNBOUNDED = -1e6  # m/s: c of a half-plane that holds every velocity
 
 
+def constant_velocity(scenario: Scenario, state: State) -> Pedestrians:
+    """People take their desired velocity at once, through one another and the robot, but not into obstacles.
+
+    The simplest baseline of trajectory prediction (Schoeller et al., IEEE RA-L 5(2), 2020, found it hard to beat).
+    """
+    return walk(scenario, state.pedestrians, state.pedestrians.desired_velocity)
+
+
+def walk(scenario: Scenario, people: Pedestrians, velocity: Float[Array, "N 2"]) -> Pedestrians:
+    """People one step later with these velocities [m/s], as far as speed limit and obstacles allow."""
+    walking, (px, py) = scenario.forces.walking, people.position.T
+    vx, vy = walking.limit_speed(velocity[:, 0], velocity[:, 1], people.preferred_speed)
+    vx, vy = project_velocity(px, py, vx, vy, scenario.environment.obstacle_grid, walking.radius, scenario.time_step)
+    velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
+    heading = turn(people, velocity, walking.turn_rate * scenario.time_step)
+    return replace(people, position=people.position + velocity * scenario.time_step, velocity=velocity, heading=heading)
+
+
 def orca(scenario: Scenario, state: State) -> Pedestrians:
-    """Each takes the velocity nearest to the desired one that avoids everybody in time."""
+    """Each person takes the velocity nearest to the desired one that avoids everybody in time.
+
+    Each neighbor allows a half-plane of velocities, n . v >= c with a unit normal n = (nx, ny); the velocity lies in
+    all of them. People share the avoidance of one another equally. They avoid the robot and obstacles wholly, because
+    these need not reciprocate.
+    """
     people, walking, robot = state.pedestrians, scenario.forces.walking, state.robot
     px, py = people.position[:, 0], people.position[:, 1]
     vx, vy = people.velocity[:, 0], people.velocity[:, 1]
@@ -37,7 +61,7 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
     half_planes = jax.vmap(half_plane, in_axes=(0, 0, 0, 0, None, None, None, 0))
     each = jax.vmap(half_planes, in_axes=(0, 0, 0, 0, None, None, None, 0))
     index = jnp.arange(px.shape[0], dtype=jnp.int32)
-    first = index[:, None] < others  # which of two people at one place goes which way
+    first = index[:, None] < others  # breaks the tie of two people at one place
     nx, ny, c = each(
         px[others] - px[:, None],
         py[others] - py[:, None],
@@ -90,23 +114,18 @@ def half_plane(
     time_step: float,
     first: Bool[Array, "..."] | bool,
 ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
-    """The way out of the velocity obstacle of another disc.
+    """The way out of the velocity obstacle of another disc: unit normal (nx, ny) and distance [m/s] of its border.
 
     The obstacle holds the relative velocities with which the discs touch within the horizon: a cone with a round tip.
+    Normal and distance are those of the border's point nearest to the velocity; outside the distance is negative.
 
     Args:
-        dx: x part of the way to the other [m].
-        dy: y part [m].
-        vx: x part of the velocity relative to the other [m/s].
-        vy: y part [m/s].
-        radii: sum of both radii [m].
+        dx, dy: m, to the other.
+        vx, vy: m/s, relative to the other.
+        radii: m, sum of both radii.
         horizon: s.
-        time_step: s, within which discs that overlap are to part.
-        first: which of two people at one place goes which way.
-
-    Returns:
-        The unit normal (nx, ny) of the obstacle's border where the border is nearest to the velocity, and how far it is
-        to there along that normal [m/s], negative if the velocity lies outside of the obstacle.
+        time_step: s, within which overlapping discs are to part.
+        first: breaks the tie of two people at one place.
     """
     distance = length(dx, dy)
     ex, ey = unit(dx, dy)
@@ -118,7 +137,7 @@ def half_plane(
     side = jnp.where(across > 0.0, 1.0, -1.0)
     across = across * side
     inverse = jnp.where(apart, 1.0 / jnp.where(apart, distance, 1.0), 0.0)
-    beyond = jnp.where(apart, (distance - radii) * (distance + radii), 1.0)  # positive, however little they are apart
+    beyond = jnp.where(apart, (distance - radii) * (distance + radii), 1.0)  # positive, however small the gap
     sine, cosine = radii * inverse, jnp.where(apart, jnp.sqrt(beyond) * inverse, 1.0)
     leg = apart & (along * cosine + across * sine > 0.0)
     size = length(along, across)
@@ -138,19 +157,15 @@ def nearest(
     py: Float[Array, ""],
     limit: Float[Array, ""],
 ) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
-    """The velocity in all half-planes that is nearest to a preferred one.
+    """The velocity (x, y) [m/s] in all half-planes that is nearest to a preferred one, and whether there is one.
 
-    It is the preferred one, or lies on the border of some half-plane. So one candidate for each border, the nearest
-    point of what the others leave of it, decides. All are computed side by side.
+    It is the preferred one, or lies on the border of some half-plane. So there is one candidate for each border: the
+    nearest point of its segment that the other half-planes allow. If there is none, (x, y) has no meaning.
 
     Args:
-        c: (M,) bounds [m/s].
-        px: x part of the preferred velocity [m/s].
-        py: y part [m/s].
-        limit: the top speed [m/s].
-
-    Returns:
-        x and y parts [m/s], and whether there is such a velocity; if not, the parts have no meaning.
+        c: m/s, bounds.
+        px, py: m/s, the preferred velocity.
+        limit: m/s, the top speed.
     """
     speed = length(px, py)
     slower = jnp.where(speed > limit, limit / jnp.where(speed > limit, speed, 1.0), 1.0)
@@ -170,22 +185,22 @@ def _nearest_on_borders(
     py: Float[Array, ""],
     limit: Float[Array, ""],
 ) -> tuple[Float[Array, "M"], Float[Array, "M"], Float[Array, "M"]]:
-    """The point nearest to a preferred one of what is left of each border, and the square of how far it is to there."""
-    lower, upper, possible = _left_of_borders(nx, ny, c, limit)
+    """The nearest allowed point of each border to a preferred one, and the square of its distance; inf if none."""
+    lower, upper, possible = _border_segments(nx, ny, c, limit)
     t = jnp.clip(px * -ny + py * nx, lower, jnp.maximum(lower, upper))
     x, y = c * nx - t * ny, c * ny + t * nx
     return x, y, jnp.where(possible, (x - px) ** 2 + (y - py) ** 2, jnp.inf)
 
 
-def _left_of_borders(
+def _border_segments(
     nx: Float[Array, "M"], ny: Float[Array, "M"], c: Float[Array, "M"], limit: Float[Array, ""]
 ) -> tuple[Float[Array, "M"], Float[Array, "M"], Bool[Array, "M"]]:
-    """What the other half-planes and the top speed leave of each border: from where to where, and whether anything.
+    """The segment (from t, to t) of each border that other half-planes and top speed allow, and whether there is one.
 
     A point of border i is c n + t (-ny, nx).
     """
     low, high = _chord(c, limit)
-    # There, half-plane j says rate t >= rest.
+    # There, half-plane j is rate t >= rest.
     rate = ny[None, :] * nx[:, None] - nx[None, :] * ny[:, None]  # (i, j)
     rest = c[None, :] - c[:, None] * (nx[:, None] * nx[None, :] + ny[:, None] * ny[None, :])
     itself = jnp.eye(c.shape[0], dtype=bool)
@@ -198,7 +213,7 @@ def _left_of_borders(
 
 
 def _chord(c: Float[Array, "*M"], limit: Float[Array, ""]) -> tuple[Float[Array, "*M"], Float[Array, "*M"]]:
-    """From where to where a border lies within the top speed; both are zero where it does not."""
+    """The segment of a border within the top speed, from t to t; both are zero where there is none."""
     square = limit * limit - c * c
     half = jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
     return -half, half
@@ -213,17 +228,9 @@ def best_velocity(
     py: Float[Array, ""],
     limit: Float[Array, ""],
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """As ``nearest``; where nothing is left, the velocity whose largest violation of a half-plane is smallest.
+    """As ``nearest``; if there is none, the velocity [m/s] whose largest violation of a half-plane is smallest.
 
-    Args:
-        c: (M,) bounds [m/s].
-        hard: (M,) half-planes that are not violated; they must hold the zero velocity.
-        px: x part of the preferred velocity [m/s].
-        py: y part [m/s].
-        limit: the top speed [m/s].
-
-    Returns:
-        x and y parts [m/s].
+    ``hard`` half-planes are never violated; they must contain the zero velocity.
     """
     free_x, free_y, exists = nearest(nx, ny, c, px, py, limit)
     program = (nx, ny, c, hard, px, py, limit)
@@ -234,7 +241,7 @@ def best_velocity(
         each = c - nx * x - ny * y
         forbidden = jnp.maximum(jnp.where(hard, each, UNBOUNDED).max(), length(x, y) - limit)
         largest = jnp.where(hard, UNBOUNDED, each).max() + FORBIDDEN * jnp.maximum(forbidden - TOLERANCE, 0.0)
-        return largest - jnp.where(opposite, TOLERANCE, 0.0)  # others are the ends of what lies between these
+        return largest - jnp.where(opposite, TOLERANCE, 0.0)  # other velocities are ends of the segment of these
 
     first, second = (jnp.asarray(index, jnp.int32) for index in np.triu_indices(c.shape[0]))
     least = jnp.argmin(jax.vmap(violation)(first, second))
@@ -253,12 +260,12 @@ def _least_violating(
     py: Float[Array, ""],
     limit: Float[Array, ""],
 ) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
-    """The velocity that violates half-planes i and j least, if both by as much and all others by no more.
+    """The velocity with the least equal violation of half-planes i and j and no larger one of others; if i opposes j.
 
     Three dimensions, the velocity and the violation, have three bounds at their optimum: two half-planes and a third or
-    the top speed, or one and the top speed (i = j). Where i and j lie opposite, as the third value says, all velocities
-    between the others are as good; it is the one nearest to the preferred. If there is no such velocity, the result has
-    no meaning. A hard half-plane is not violated, but met on its border.
+    the top speed, or one and the top speed (i = j). If i and j oppose each other, all velocities of a segment are
+    equally good; the result is the one nearest to the preferred. If there is no such velocity, the result has no
+    meaning. A hard half-plane is not violated, but met on its border.
     """
     i, j = jnp.where(hard[i], j, i), jnp.where(hard[i], i, j)
     # Half-plane k is violated by no more than i, where m . v >= b.
@@ -281,7 +288,7 @@ def _least_violating(
 
 
 def _neighbors(people: Pedestrians) -> Array:
-    """(N, K) int32 the nearest others of each person."""
+    """(N, K) the nearest others of each person."""
     x, y = people.position[:, 0], people.position[:, 1]
     dx, dy = x[:, None] - x[None, :], y[:, None] - y[None, :]
     square = jnp.where(people.present[None, :], dx * dx + dy * dy, jnp.inf)
@@ -290,9 +297,13 @@ def _neighbors(people: Pedestrians) -> Array:
 
 
 def _avoided(people: Pedestrians, others: Array) -> Array:
-    """(N, K) bool: somebody else, who is there and near, and does not stand in the same group."""
+    """(N, K) whether an other is present, near and not in the same standing group."""
     x, y, group = people.position[:, 0], people.position[:, 1], people.group
     dx, dy = x[others] - x[:, None], y[others] - y[:, None]
     together = (group[:, None] >= 0) & (group[others] == group[:, None])
     itself = others == jnp.arange(x.shape[0], dtype=jnp.int32)[:, None]
     return people.present[others] & ~itself & ~together & (dx * dx + dy * dy < RANGE * RANGE)
+
+
+MODELS = {"social_forces": social_forces.move, "constant_velocity": constant_velocity, "orca": orca}
+"""name -> (scenario, state) -> Pedestrians one control step later"""

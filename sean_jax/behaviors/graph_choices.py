@@ -1,0 +1,345 @@
+"""Choices on the Behavior Graph (section IV-D): next nodes and goals, and the successors at the seats of groups.
+
+The paper's Behavior Graph "maintains" group formations although each member stays for a few seconds only. So a seat has
+a holder, who stands there, and a successor, who walks there. The successor is chosen before the holder's stay ends,
+among people who pass a node, by the time at which they would arrive. When the stay is over the holder waits for the
+successor, for a bounded time. A person who is much better in time replaces a successor who is still nodes away.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from sean_jax import cache
+from sean_jax import navigation as paths
+from sean_jax.base import Array, Pedestrians
+from sean_jax.behaviors import relaxation
+from sean_jax.behaviors.relaxation import Draws
+from sean_jax.geometry import length
+from sean_jax.graph import BehaviorGraph
+from sean_jax.graph.behavior_graph import hop_log_chances
+
+ARRIVED = 1.0  # m from the target, where a waypoint counts as reached (SEAN 2.0)
+MAX_WAIT = 5.0  # s, for which the holder of a seat waits for a successor; at most the longest stay at that group
+HAND_OVER = 1.0  # m between a successor and the seat, where a holder whose stay is over leaves
+STAND_BY = 0.9  # m from the seat, where a successor who is early waits
+CROWD = 1.1  # duration of a walk over its length at the preferred speed
+LAST_STEPS = 1.0  # s, in addition
+MAX_MISFIT = 8.0  # s between an arrival and the end of a stay, beyond which nobody is sent to a taken seat
+EARLY = 2.0  # cost of a second too early over that of a second too late
+RETURN = 2.0  # s, penalty of a person who was in that group just before
+MIN_GAIN = 2.0  # s, by which a person must be better in time to replace a successor
+MIN_PACE = 0.6  # of the preferred speed, for a successor who is early
+
+
+class Memory(NamedTuple):
+    """Where each person is on the graph.
+
+    At most two people have the same seat: its holder, who stands there, and a successor, who walks there.
+    """
+
+    goal: Int[Array, "N"]  # final node
+    hop: Int[Array, "N"]  # next node
+    origin: Int[Array, "N"]  # last node; the next one before the first edge
+    target: Float[Array, "N 2"]  # m, the point of the next node's disc, or the seat
+    seat: Int[Array, "N"]  # seat of a holder or successor, -1 none
+    stay: Int[Array, "N"]  # maximum of ticks left at the seat, waiting included; 0 for people who do not stand
+    seat_position: Float[Array, "Q 2"]  # m
+    seat_heading: Float[Array, "Q 2"]  # unit vector
+    log_chance: Float[Array, ""] | None = None  # of all choices so far; None without a temperature
+
+    def with_choices(self, log_chance: Float[Array, ""]) -> "Memory":
+        """The memory after further choices, whose log chances add up to ``log_chance``."""
+        assert self.log_chance is not None  # set by reset
+        return self._replace(log_chance=self.log_chance + log_chance)
+
+
+class Seats(NamedTuple):
+    """The people of each of the Q seats."""
+
+    holder: Int[Array, "Q"]  # person who stands there, -1 nobody
+    successor: Int[Array, "Q"]  # person who walks there, -1 nobody
+    time_left: Float[Array, "Q"]  # s, of the holder's drawn stay; 0 or less while the holder waits, and without one
+
+
+def seats_of(memory: Memory, patience: Int[Array, "Q"], time_step: float) -> Seats:
+    """The holder and successor of each seat.
+
+    Args:
+        patience: ticks for which the holder of each seat waits for a successor.
+        time_step: s, of control.
+    """
+    seat, person = jnp.arange(patience.shape[0], dtype=jnp.int32), jnp.arange(memory.seat.shape[0], dtype=jnp.int32)
+    has, stands = memory.seat[:, None] == seat[None, :], (memory.stay > 0)[:, None]
+    holder = jnp.max(jnp.where(has & stands, person[:, None], -1), axis=0, initial=-1)
+    successor = jnp.max(jnp.where(has & ~stands, person[:, None], -1), axis=0, initial=-1)
+    left = jnp.max(jnp.where(has, memory.stay[:, None], 0), axis=0, initial=0)
+    return Seats(holder, successor, (left - patience).astype(float) * time_step)
+
+
+def of_seat(values: Shaped[Array, "Q *shape"], seat: Int[Array, "N"]) -> Shaped[Array, "N *shape"]:
+    """The values of people's seats; any row for people without a seat (-1), zeros if there are no seats."""
+    if values.shape[0] == 0:
+        return jnp.zeros((*seat.shape, *values.shape[1:]), values.dtype)
+    return values[jnp.maximum(seat, 0)]
+
+
+def walking_lengths(graph: BehaviorGraph, navigation: paths.Navigation) -> np.ndarray:
+    """Lengths (M, G) [m] of the cheapest paths from each node to each group. Runs on the host.
+
+    From node to node they lead around obstacles. Unlike costs they have no factors.
+    """
+    position, next_hop = np.asarray(graph.position), np.asarray(graph.next_hop)
+    groups = np.asarray(graph.groups)
+    code = *paths.CODE, "behaviors/graph_choices"
+    table = cache.load_or_build(
+        "edge_lengths",
+        code,
+        [*paths.inputs(navigation), position],
+        lambda: {"length": np.asarray(_geodesics(navigation, jnp.asarray(position, float)))},
+    )
+    straight = np.linalg.norm(position[:, None] - position[None, :], axis=-1)
+    edge = np.where(np.isfinite(table["length"]), table["length"], straight)
+    walk, node = np.zeros((len(position), len(groups))), np.tile(np.arange(len(position))[:, None], (1, len(groups)))
+    for _ in position:
+        onward = next_hop[node, groups[None, :]]
+        onward = np.where(onward < 0, groups[None, :], onward)
+        walk, node = walk + np.where(node == onward, 0.0, edge[node, onward]), onward
+    return walk
+
+
+@jax.jit
+def _geodesics(navigation: paths.Navigation, points: Float[Array, "M 2"]) -> Float[Array, "M M"]:
+    """Lengths [m] of the shortest paths around obstacles from the row's point [m] to the column's."""
+
+    def to(goal: Array) -> Array:
+        rest = paths.build_paths_to_goal(navigation, goal)
+        return jax.vmap(lambda point: paths.geodesic(navigation, point, goal, rest))(points)
+
+    return jax.lax.map(to, points).T
+
+
+def arrival_times(
+    graph: BehaviorGraph, walk: Float[Array, "M G"], people: Pedestrians, memory: Memory
+) -> Float[Array, "N G"]:
+    """Times [s] at which people would be at groups, if they went there from their next node; ``walk`` [m] of
+    ``walking_lengths``.
+    """
+    gap = memory.target - people.position
+    first = length(gap[:, 0], gap[:, 1])
+    onward = graph.position[graph.next_hop[:, graph.groups]]  # (M, G, 2), the node after each
+    leg = onward - graph.position[:, None]
+    after_leg = walk - length(leg[..., 0], leg[..., 1])
+    # The target is a point of the node's disc, from which the next node may be nearer than from the node's centre.
+    leg = onward[memory.hop] - memory.target[:, None]
+    rest = jnp.maximum(after_leg[memory.hop] + length(leg[..., 0], leg[..., 1]), 0.0)
+    rest = jnp.where(memory.hop[:, None] == graph.groups[None, :], 0.0, rest)
+    return CROWD * (first[:, None] + rest) / jnp.maximum(people.preferred_speed, 1e-3)[:, None] + LAST_STEPS
+
+
+def send(
+    graph: BehaviorGraph,
+    arrival: Float[Array, "N G"],
+    memory: Memory,
+    seats: Seats,
+    seekers: Bool[Array, "N"],
+    draws: Draws | None = None,
+) -> tuple[Memory, Bool[Array, "N"]]:
+    """Sends successors to seats; returns the memory with new seats and goals, and whether people have lost their seat.
+
+    A seat without a successor gets a person who would arrive about when the stay ends, or as soon as possible if nobody
+    stands there or the holder waits already. Each seeker asks for the seat that is due first, and each seat takes the
+    seeker who is best in time, if that seeker asks for it. So nobody gets two seats, and no seat gets two successors.
+
+    Args:
+        arrival: s, of ``arrival_times``.
+        seekers: people at a node who go on from there.
+        draws: with a temperature, people ask and seats take by chances that decrease with the score.
+    """
+    number, none = memory.seat.shape[0], jnp.zeros(memory.seat.shape, bool)
+    if seats.holder.shape[0] == 0 or number == 0:
+        return memory, none
+    due, node = jnp.maximum(seats.time_left, 0.0), graph.seat_node
+    has_successor, person = seats.successor >= 0, jnp.arange(number, dtype=jnp.int32)
+    index = jnp.maximum(seats.successor, 0)
+    arrival_of_successor = arrival[index, graph.seat_group]
+    far = memory.hop[index] != memory.goal[index]
+    replaceable = jnp.where(far, misfit(arrival_of_successor, due) - MIN_GAIN, -jnp.inf)
+    limit = jnp.where(has_successor, replaceable, jnp.where(seats.time_left <= 0.0, jnp.inf, MAX_MISFIT))
+    returns = jnp.where(memory.origin[:, None] == node[None, :], RETURN, 0.0)
+    off = misfit(arrival[:, graph.seat_group], due[None, :]) + returns
+    may = (seekers & (memory.seat < 0))[:, None] & (memory.hop[:, None] != node[None, :]) & (off < limit[None, :])
+    score = jnp.where(may, off + 2.0 * seats.time_left[None, :], jnp.inf)
+    if draws is None:
+        seat, taker = jnp.argmin(score, axis=1).astype(jnp.int32), jnp.argmin(score, axis=0).astype(jnp.int32)
+    else:
+        seat, asks = relaxation.sample(relaxation.log_chances(score, draws.temperature), draws.seat)
+        taker, takes = relaxation.sample(relaxation.log_chances(score.T, draws.temperature), draws.taker)
+        asks, takes = (jnp.where(jnp.any(may, axis=k), chances, 0.0) for k, chances in ((1, asks), (0, takes)))
+        memory = memory.with_choices(jnp.sum(asks) + jnp.sum(takes))
+    takes = (taker[seat] == person) & jnp.isfinite(jnp.min(score, axis=1))
+    assigned = takes[taker] & (seat[taker] == jnp.arange(taker.shape[0], dtype=jnp.int32))
+    walks = (memory.seat >= 0) & (memory.stay == 0)
+    loses = walks & of_seat(assigned, memory.seat)
+    memory = memory._replace(
+        seat=jnp.where(takes, seat, jnp.where(loses, -1, memory.seat)),
+        goal=jnp.where(takes, node[seat], memory.goal),
+    )
+    return memory, loses
+
+
+def misfit(arrival: Float[Array, "..."], due: Float[Array, "..."]) -> Float[Array, "..."]:
+    """The cost [s] of an arrival [s] for a seat that is due [s]: time too late, or ``EARLY`` times time too early."""
+    return jnp.maximum(arrival - due, EARLY * (due - arrival))
+
+
+def pace(graph: BehaviorGraph, arrival: Float[Array, "N G"], memory: Memory, seats: Seats) -> Float[Array, "N"]:
+    """Share of the preferred speed, from ``MIN_PACE`` to 1: successors who would be early walk slower."""
+    if graph.seat_group.shape[0] == 0:
+        return jnp.ones(memory.seat.shape, float)
+    expected = jnp.take_along_axis(arrival, of_seat(graph.seat_group, memory.seat)[:, None], axis=1)[:, 0]
+    left = jnp.where((memory.seat >= 0) & (memory.stay == 0), of_seat(seats.time_left, memory.seat), 0.0)
+    return jnp.clip(expected / jnp.maximum(left, 1e-3), MIN_PACE, 1.0)
+
+
+def choose_whole(
+    graph: BehaviorGraph,
+    people: Pedestrians,
+    memory: Memory,
+    seats: Seats,
+    arrival: Float[Array, "N G"],
+    free: Bool[Array, "N"],
+    chance: Float[Array, "2 N"],
+    draws: Draws | None = None,
+) -> Memory:
+    """New goals as in the paper (section IV-D): people keep a goal until they are there.
+
+    Seats without a successor come first, then waypoint nodes. People at a node can be sent to a seat whatever their
+    goal. A successor whose seat somebody else takes goes on to a waypoint node.
+
+    Args:
+        arrival: s, of ``arrival_times``.
+        free: people without a goal.
+        chance: uniform from 0 to 1.
+        draws: with a temperature, see ``relaxation``.
+    """
+    onward = free | _passes(people, memory)
+    alone = people.present & (people.walking_group < 0)  # walking groups take no seats
+    memory, loses = send(graph, arrival, memory, seats, onward & alone, draws)
+    aimless = (free & (memory.seat < 0)) | loses
+    goal = jnp.where(aimless, _other_waypoint(graph, memory.hop, chance[0]), memory.goal)
+    memory = _count_goals(graph, memory, goal, aimless, draws)
+    return _set_out(graph, memory._replace(goal=goal), onward, chance[1], draws)
+
+
+def choose_edge(
+    graph: BehaviorGraph,
+    people: Pedestrians,
+    memory: Memory,
+    free: Bool[Array, "N"],
+    chance: Float[Array, "2 N"],
+    draws: Draws | None = None,
+) -> Memory:
+    """New goals as in SEAN 2.0's NavManager: people choose at every node and are bound to one edge.
+
+    They go to the group that lacks most members, or if none lacks any, to a random waypoint node. A seat is reserved
+    for the first person who sets out on the edge that leads to it; if the group is full by then, people draw a waypoint
+    node instead. Choices of one step are simultaneous. Unlike in SEAN 2.0, paths never lead through a group.
+
+    Args:
+        free: people without a goal.
+        chance: uniform from 0 to 1.
+        draws: with a temperature, see ``relaxation``.
+    """
+    onward = free | _passes(people, memory)
+    seat = jnp.where(onward, -1, memory.seat)
+    goal, to_waypoint = _other_waypoint(graph, memory.hop, chance[0]), onward
+    if graph.groups.shape[0]:
+        empty = ~_taken(memory, graph.seat_group.shape[0])
+        group = jnp.arange(graph.groups.shape[0], dtype=jnp.int32)
+        of_group = graph.seat_group[:, None] == group[None, :]  # (Q, G)
+        lack = jnp.sum(of_group & empty[:, None], axis=0, dtype=jnp.int32)
+        neediest = jnp.argmax(lack).astype(jnp.int32)
+        node = graph.groups[neediest]
+        wants = onward & people.present & (people.walking_group < 0) & (lack[neediest] > 0) & (memory.hop != node)
+        near = wants & (graph.next_hop[memory.hop, node] == node)
+        offered = empty & (graph.seat_group == neediest)
+        succeeds, which = _in_turn(near, offered)
+        seat = jnp.where(succeeds, which, seat)
+        goal, to_waypoint = jnp.where(wants & (succeeds | ~near), node, goal), onward & ~(wants & (succeeds | ~near))
+    memory = _count_goals(graph, memory, goal, to_waypoint, draws)
+    memory = memory._replace(seat=seat, goal=jnp.where(onward, goal, memory.goal))
+    return _set_out(graph, memory, onward, chance[1], draws)
+
+
+def _taken(memory: Memory, seats: int) -> Bool[Array, "Q"]:
+    """(Q,) seats that are reserved."""
+    return (memory.seat[:, None] == jnp.arange(seats, dtype=jnp.int32)[None, :]).any(0)
+
+
+def _in_turn(seekers: Bool[Array, "N"], seats: Bool[Array, "Q"]) -> tuple[Bool[Array, "N"], Int[Array, "N"]]:
+    """Whether each seeker gets one of the seats, both in their order; and which seat."""
+    if seats.shape[0] == 0:
+        return jnp.zeros_like(seekers), jnp.full(seekers.shape, -1, jnp.int32)
+    rank = jnp.cumsum(seekers, dtype=jnp.int32) - 1
+    order = jnp.cumsum(seats, dtype=jnp.int32) - 1
+    match = seekers[:, None] & seats[None, :] & (rank[:, None] == order[None, :])
+    return match.any(1), jnp.argmax(match, axis=1).astype(jnp.int32)
+
+
+def _other_waypoint(graph: BehaviorGraph, hop: Int[Array, "N"], chance: Float[Array, "N"]) -> Int[Array, "N"]:
+    """A random waypoint node other than ``hop`` if there is one, in proportion to the weights."""
+    below = jnp.cumsum(_goal_odds(graph, hop), axis=1)
+    index = jnp.sum(below <= chance[:, None] * below[:, -1:], axis=1, dtype=jnp.int32)
+    return graph.waypoints[jnp.minimum(index, graph.waypoints.shape[0] - 1)]
+
+
+def _goal_odds(graph: BehaviorGraph, hop: Int[Array, "N"]) -> Float[Array, "N Mw"]:
+    """The odds with which people at ``hop`` draw each waypoint."""
+    other = (graph.waypoints[None, :] != hop[:, None]).astype(float)
+    odds = other * graph.weight[graph.waypoints][None, :]
+    return jnp.where(jnp.sum(odds, axis=1, keepdims=True) > 0.0, odds, other)  # else all others have weight 0
+
+
+def _count_goals(
+    graph: BehaviorGraph, memory: Memory, goal: Int[Array, "N"], to_waypoint: Bool[Array, "N"], draws: Draws | None
+) -> Memory:
+    """The memory with the log chances of goals that were drawn; unchanged without draws."""
+    if draws is None:
+        return memory
+    odds = _goal_odds(graph, memory.hop)
+    chosen = jnp.sum(jnp.where(graph.waypoints[None, :] == goal[:, None], odds, 0.0), axis=1)
+    chance = jnp.where(to_waypoint, chosen / jnp.maximum(jnp.sum(odds, axis=1), 1e-30), 1.0)
+    return memory.with_choices(jnp.sum(jnp.log(jnp.maximum(chance, 1e-30))))
+
+
+def _passes(people: Pedestrians, memory: Memory) -> Bool[Array, "N"]:
+    """Whether people have reached a node on the way to another."""
+    gap = memory.target - people.position
+    return (length(gap[:, 0], gap[:, 1]) < ARRIVED) & (memory.hop != memory.goal)
+
+
+def _set_out(
+    graph: BehaviorGraph, memory: Memory, onward: Bool[Array, "N"], chance: Float[Array, "N"], draws: Draws | None
+) -> Memory:
+    """The next node on the way and a point of its disc, for people who go on from a node."""
+    following = graph.next_hop[memory.hop, memory.goal]
+    if draws is not None:
+        ways = hop_log_chances(graph.edge_cost, graph.cost, graph.is_group, draws.temperature)
+        choice, log_chance = relaxation.sample(ways[memory.hop, memory.goal], draws.hop)
+        chooses = onward & (following >= 0) & (memory.hop != memory.goal)
+        following = jnp.where(chooses, choice, following)
+        memory = memory.with_choices(jnp.sum(jnp.where(chooses, log_chance, 0.0)))
+    hop = jnp.where(onward, jnp.where(following >= 0, following, memory.goal), memory.hop)
+    number = graph.places.shape[1]
+    place = graph.places[hop, jnp.minimum((chance * number).astype(jnp.int32), number - 1)]
+    to_seat = (memory.seat >= 0) & (hop == memory.goal)
+    place = jnp.where(to_seat[:, None], of_seat(memory.seat_position, memory.seat), place)
+    return memory._replace(
+        hop=hop,
+        origin=jnp.where(onward, memory.hop, memory.origin),
+        target=jnp.where(onward[:, None], place, memory.target),
+    )

@@ -1,0 +1,288 @@
+"""The social force as a sum of terms (section IV-D, low level): the interface of a term, and the collection ``Forces``.
+
+A term is a ``flax.struct.dataclass`` whose fields are its parameters. It has one or more of these methods:
+
+- ``pair(self, pair: Pair) -> (fx, fy)``: the acceleration [m/s2] of one person by one other, written for one pair in
+  scalars. All pair terms are evaluated in one fused sum over the others. With a ``RobotRepulsion`` the robot acts on
+  people through the same terms.
+- ``gather(self, pair: Pair) -> tuple`` and ``act(self, crowd: Crowd, *sums) -> (fx, fy)``: numbers that are summed over
+  all others, including the robot, and the accelerations (N,) [m/s2] that follow from the sums. So a law can depend on
+  all others together, such as on the room ahead. ``gather`` is part of the same fused sum.
+- ``person(self, crowd: Crowd) -> (fx, fy) | None``: the accelerations (N,) [m/s2] of all people; None if the term does
+  not apply, so that nothing is computed.
+
+A term may also have ``limits`` (parameter -> minimum and maximum) and ``relations`` (description of a mistake -> a
+function of the term that is true if the term has it). ``collect`` refuses terms that violate them.
+
+Built-in terms and a user's terms have the same interface. docs/social_forces.md has examples.
+"""
+
+import dataclasses
+import re
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
+
+import jax
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Bool, Float, Int
+
+from sean_jax import calls, quantities
+from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot
+from sean_jax.errors import InputError
+from sean_jax.messages import shorten, suggest
+from sean_jax.social_forces.walking import Walking
+
+Force = tuple[Array, Array]  # x and y parts of accelerations [m/s2]: of one person, or (N,) of all
+T = TypeVar("T")
+
+TINY = 1e-8  # m2: keeps lengths differentiable at zero, 1e-7 of the square of a distance of 0.3 m
+MAX_EXPONENT = 20.0  # a push e^20 times the usual one is as good as any, and its square is still a number
+
+
+class Pair(NamedTuple):
+    """One person who feels one other: another person, or the robot. Every array is a scalar."""
+
+    dx: Float[Array, "..."]  # m, from the other to the person
+    dy: Float[Array, "..."]
+    wx: Float[Array, "..."]  # m/s, velocity of the other
+    wy: Float[Array, "..."]
+    vx: Float[Array, "..."]  # m/s, velocity of the person
+    vy: Float[Array, "..."]
+    look_x: Float[Array, "..."]  # unit vector, the direction in which the person looks
+    look_y: Float[Array, "..."]
+    radii: Float[Array, "..."]  # m, sum of the radii of both
+    standing: Bool[Array, "..."] | bool = False  # the person is a standing member of a group
+    is_robot: bool = False  # the other is the robot; known when the program is traced
+    repulsion_scale: Float[Array, "..."] | None = None  # 1, drawn factor of a moving robot's push; None for a person
+
+
+class Crowd(NamedTuple):
+    """All people at one moment, and their surroundings."""
+
+    forces: "Forces"  # all terms, with their parameters
+    people: Pedestrians
+    look_x: Float[Array, "N"]  # unit vectors, the directions in which people look
+    look_y: Float[Array, "N"]
+    obstacle_grid: ObstacleGrid | None
+    groups: Groups | None
+    robot: Robot | None
+    robot_radius: float  # m
+    companions: Int[Array, "N 2"] | None  # indices of each person's companions, -1 none
+
+
+@runtime_checkable
+class PairTerm(Protocol):
+    """A term that acts between two people.
+
+    It may also have ``cutoff(walking) -> () m``, the distance beyond which it is negligible. In crowds of 256 people or
+    more only pairs within the largest cutoff are evaluated, or all pairs if a pair term has no cutoff.
+    """
+
+    def pair(self, pair: Pair) -> Force:
+        """The acceleration [m/s2] of one person by one other, in scalars."""
+        ...
+
+
+@runtime_checkable
+class GatherTerm(Protocol):
+    """A term that sums numbers over all others before it acts. It may have a ``cutoff``, as a ``PairTerm``."""
+
+    def gather(self, pair: Pair) -> tuple[Array, ...]:
+        """The contribution of one other to the sums: scalars of any unit."""
+        ...
+
+    act: Callable[..., Force]
+    """``act(crowd, *sums)``: the accelerations (N,) [m/s2] of all people, from the sums (N,) of ``gather``."""
+
+
+@runtime_checkable
+class PersonTerm(Protocol):
+    """A term that acts on each person.
+
+    Its result is subject to ``Walking.damp``, unless the class says ``damped = False``.
+    """
+
+    def person(self, crowd: Crowd) -> Force | None:
+        """The accelerations (N,) [m/s2] of all people; None if the term does not apply."""
+        ...
+
+
+Term = Walking | PairTerm | GatherTerm | PersonTerm
+
+
+@jax.tree_util.register_pytree_with_keys_class
+@dataclasses.dataclass(frozen=True, eq=False)
+class Forces:
+    """The terms whose sum moves people; a pytree. ``build`` makes checked forces from a name or a list.
+
+    Iteration gives the terms. Each term is an attribute, named like its class in lower case:
+    ``forces.repulsion.strength``, ``forces.robot_repulsion``.
+    """
+
+    terms: tuple[Term, ...]
+
+    def __iter__(self) -> Iterator[Term]:
+        return iter(self.terms)
+
+    def __len__(self) -> int:
+        return len(self.terms)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "terms":
+            raise AttributeError(name)
+        for term in self.terms:
+            if term_name(term) == name:
+                return term
+        names = [term_name(term) for term in self.terms]
+        raise AttributeError(f"forces: there is no term '{name}' among {', '.join(names)}{suggest(name, names)}")
+
+    @property
+    def walking(self) -> Walking:
+        """How people move: the one ``Walking`` term."""
+        term = self.get(Walking)
+        if term is None:
+            raise AttributeError("forces: there is no Walking term.")
+        return term
+
+    @property
+    def pair_terms(self) -> tuple[PairTerm, ...]:
+        """The terms that act between two people, in their order."""
+        return tuple(term for term in self.terms if isinstance(term, PairTerm))
+
+    @property
+    def gather_terms(self) -> tuple[GatherTerm, ...]:
+        """The terms that sum numbers over all others before they act, in their order."""
+        return tuple(term for term in self.terms if isinstance(term, GatherTerm))
+
+    @property
+    def person_terms(self) -> tuple[PersonTerm, ...]:
+        """The terms that act on each person, in their order."""
+        return tuple(term for term in self.terms if isinstance(term, PersonTerm))
+
+    def get(self, kind: type[T]) -> T | None:
+        """The term of a class such as ``Contact``; None if there is none."""
+        return next((term for term in self.terms if isinstance(term, kind)), None)
+
+    def replace(self, **terms: Term) -> Self:
+        """These forces with other terms by name: ``replace(repulsion=forces.repulsion.replace(strength=...))``.
+
+        Raises:
+            AttributeError: there is no term of that name.
+        """
+        for name in terms:
+            getattr(self, name)
+        return type(self)(tuple(terms.get(term_name(term), term) for term in self.terms))
+
+    def tree_replace(self, values: dict[str, Any]) -> Self:
+        """These forces with other parameters, such as ``{"repulsion.strength": 8.0, "contact.friction": None}``.
+
+        Raises:
+            AttributeError: there is no term of that name.
+            InputError: the term has no parameter of that name.
+        """
+        changes: dict[str, dict[str, Any]] = {}
+        for path, value in values.items():
+            name, _, field = path.partition(".")
+            fields = [one.name for one in dataclasses.fields(getattr(self, name))]
+            if field not in fields:
+                raise InputError(f"forces.{path}: '{name}' has no such parameter{suggest(field, fields)}")
+            number = isinstance(value, (int, float, np.ndarray, np.generic)) and not isinstance(value, bool)
+            changes.setdefault(name, {})[field] = np.asarray(value, float) if number else value
+        return self.replace(**{name: dataclasses.replace(getattr(self, name), **new) for name, new in changes.items()})
+
+    def tree_flatten_with_keys(self) -> tuple[list, None]:
+        """Terms as children, each keyed by its name; part of being a pytree."""
+        return [(jax.tree_util.GetAttrKey(term_name(term)), term) for term in self.terms], None
+
+    @classmethod
+    def tree_unflatten(cls, _: None, terms: Iterable) -> Self:
+        """The inverse of ``tree_flatten_with_keys``."""
+        return cls(tuple(terms))
+
+
+def term_name(term: object) -> str:
+    """The name of a term among the forces: that of its class in lower case, such as ``robot_repulsion``."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", type(term).__name__).lower()
+
+
+def sum_pair_terms(terms: tuple[PairTerm, ...], pair: Pair) -> Force:
+    """The acceleration [m/s2] of one person by one other: the sum of one or more pair terms, in their order."""
+    fx, fy = force_of(terms[0].pair, "pair", pair)
+    for term in terms[1:]:
+        gx, gy = force_of(term.pair, "pair", pair)
+        fx, fy = fx + gx, fy + gy
+    return fx, fy
+
+
+def gather(terms: tuple[GatherTerm, ...], pair: Pair) -> tuple[tuple[Array, ...], ...]:
+    """The contributions of one other to the sums of the gather terms: a tuple of scalars for each term."""
+    return tuple(tuple(calls.call("forces", term.gather, "pair", pair)) for term in terms)
+
+
+def force_of(law: Callable, arguments: str, *values: Any, optional: bool = False) -> Any:
+    """The force [m/s2] that a method of a term returns, or None if that is allowed.
+
+    Raises:
+        PartError: a user's term raised an error, or returned something else.
+    """
+    value = calls.call("forces", law, arguments, *values)
+    if value is None and optional:
+        return None
+    if not isinstance(value, tuple | list) or len(value) != 2:
+        raise calls.wrong("forces", law, calls.describe(value), "(fx, fy)", "give both parts, in m/s2")
+    for part in value:
+        calls.check_array("forces", law, part, None, None, "give numbers, in m/s2")
+    return value[0], value[1]
+
+
+def collect(terms: Iterable[Term]) -> Forces:
+    """Forces from terms, which are added up in this order. Parameters become float arrays on the default device.
+
+    Raises:
+        InputError: this is not a collection of terms, a name occurs twice, there is no ``Walking``, or a parameter is
+            not finite or violates the limits of its term.
+    """
+    if isinstance(terms, PairTerm | GatherTerm | PersonTerm) or not isinstance(terms, Iterable):
+        raise InputError(
+            f"forces: {shorten(repr(terms))} must be the name of a preset or a list of terms, such as "
+            "[*preset('helbing1995'), term]."
+        )
+    terms = tuple(terms)
+    for term in terms:
+        if isinstance(term, type) or not isinstance(term, Term):
+            text = shorten(repr(term))
+            raise InputError(f"forces: {text} is no term; a term has a method 'pair', 'gather' or 'person'.")
+        if not dataclasses.is_dataclass(term) or any(leaf is term for leaf in jax.tree.leaves(term)):
+            raise InputError(f"forces: {type(term).__name__} must be a flax.struct.dataclass.")
+    names = [term_name(term) for term in terms]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"forces: the term '{name}' stands twice; give one, or a class of another name for the second."
+            )
+    if "walking" not in names:
+        raise InputError("forces: there is no Walking term, which drives people; begin with [*preset('helbing1995')].")
+    for name, term in zip(names, terms, strict=True):
+        quantities.check_leaves(f"forces.{name}", term)
+        _check_limits(name, term)
+    return jax.tree.map(_parameter, Forces(terms))
+
+
+def _check_limits(name: str, term: Term) -> None:
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(term)):
+        return
+    term = jax.tree.map(np.asarray, term)  # nothing is compiled
+    for field, (low, high) in getattr(term, "limits", {}).items():
+        value = getattr(term, field)
+        if value is not None and not ((low <= value) & (value <= high)).all():
+            raise InputError(f"forces.{name}.{field}: {value} must be from {low:,g} to {high:,g}.")
+    for mistake, has_mistake in getattr(term, "relations", {}).items():
+        if np.any(has_mistake(term)):
+            raise InputError(f"forces.{name}: {mistake}; change one of the two.")
+
+
+def _parameter(leaf: Any) -> Array:
+    if isinstance(leaf, jax.Array):
+        return leaf.astype(float)
+    return jax.device_put(np.asarray(leaf, float))

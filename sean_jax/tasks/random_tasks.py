@@ -1,0 +1,219 @@
+"""Tasks with random starts and goals (section IV-E): Join and Leave Group, Random and Busy A-B Navigation.
+
+Starts and goals are free and clear of people, a walk within ``scenario.task_distance`` apart.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from sean_jax import navigation as paths
+from sean_jax.base import Array, Groups, PathsToGoal, Pedestrians, RobotTask, Scenario
+from sean_jax.environment import clearance
+from sean_jax.geometry import unit_vectors
+from sean_jax.tasks.task import build_task, requires
+
+RING = 5.0  # m, from the person in the middle of the largest cluster (SEAN 2.0)
+SNAP = 1.0  # m, by which a place may be off the ring (SEAN 2.0)
+GOALS = 4  # goals for which starts are rated
+ROOM = 0.1  # m, to obstacles beside the robot's radius
+CANDIDATES = 64
+CLEAR = 1.0  # m from the nearest person
+DETOUR = 10.0  # cost of a metre too little or too much to walk over that of a metre off the wanted place
+
+
+@requires("groups")
+def join_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
+    """The robot goes to the open place of a random group, from a random place within ``scenario.task_distance``."""
+    group, opening, inward, away, facing = _group_poses(scenario, pedestrians, groups, key)
+    return build_task(scenario, away, opening, start_heading=facing, goal_heading=inward, goal_group=group)
+
+
+@requires("groups")
+def leave_group(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
+    """The robot goes from the open place of a random group to a random place within ``scenario.task_distance``."""
+    group, opening, inward, away, facing = _group_poses(scenario, pedestrians, groups, key)
+    return build_task(scenario, opening, away, start_heading=inward, goal_heading=facing, start_group=group)
+
+
+def _group_poses(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, key: Array) -> tuple:
+    """A group's index, its opening [m] with the heading into it, and a far place [m] with a random heading."""
+    group_key, place_key, turn_key = jax.random.split(key, 3)
+    chance = jnp.where(groups.present, jax.random.uniform(group_key, groups.radius.shape, float), -1.0)
+    group = jnp.argmax(chance).astype(jnp.int32)
+    opening = groups.opening[group]
+    inward = unit_vectors(groups.center[group] - opening, jnp.asarray([1.0, 0.0], float))
+    angle = jax.random.uniform(turn_key, (), float, 0.0, 2 * jnp.pi)
+    away = far_place(scenario, pedestrians, opening, place_key)
+    return group, opening, inward, away, jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+
+
+def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
+    """The robot goes from anywhere to anywhere within ``scenario.task_distance``, with random headings."""
+    navigation = scenario.navigation
+    draw_key, choice_key, turn_key = jax.random.split(key, 3)
+    spots = navigation.places[paths.draw_places(navigation, draw_key, GOALS + CANDIDATES)]
+    goals, starts = spots[:GOALS], spots[GOALS:]
+    no_cost = jnp.zeros(GOALS, float), jnp.zeros(CANDIDATES, float)
+    return _task(scenario, choose_pair(scenario, pedestrians, goals, starts, *no_cost, choice_key), turn_key)
+
+
+def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
+    """The robot starts and ends 5 m around the person in the middle of the largest of three clusters of people.
+
+    Clusters are those of k-means. If too little of the ring is free, the robot starts and ends near it. Without people
+    the ring is around any free place.
+    """
+    navigation = scenario.navigation
+    cluster_key, ring_key, draw_key, goal_key, choice_key, turn_key = jax.random.split(key, 6)
+    index = jax.random.randint(draw_key, (CANDIDATES,), 0, navigation.places.shape[0], jnp.int32)
+    anywhere = navigation.places[index]
+    middle = anywhere[0]
+    if pedestrians.present.shape[0]:
+        busy = pedestrians.position[busiest(pedestrians.position, pedestrians.present, cluster_key)]
+        middle = jnp.where(pedestrians.present.any(), busy, middle)
+    share = jax.random.uniform(ring_key, (2, CANDIDATES), float)
+    angle, off = 2.0 * jnp.pi * share[0], RING + SNAP * (2.0 * share[1] - 1.0)
+    around = middle[None, :] + off[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    spots = jnp.concatenate([around, anywhere])
+    gap = spots - middle[None, :]
+    cost = jnp.maximum(jnp.abs(jnp.sqrt((gap * gap).sum(-1)) - RING) - SNAP - 1e-4, 0.0)
+    free = clearance(scenario.environment, spots) > navigation.radius + ROOM
+    cost = jnp.where(free, cost, jnp.inf)
+    chance = jax.random.uniform(goal_key, cost.shape, float)
+    best = jax.lax.top_k(-cost + 0.01 * chance, GOALS)[1]
+    pair = choose_pair(scenario, pedestrians, spots[best], spots, cost[best], cost, choice_key)
+    return _task(scenario, pair, turn_key)
+
+
+def _task(
+    scenario: Scenario,
+    pair: tuple[Float[Array, "2"], Float[Array, "2"], PathsToGoal, Float[Array, ""]],
+    key: Array,
+) -> RobotTask:
+    """The task of a pair, with random headings."""
+    start, goal, paths_to_goal, geodesic = pair
+    angle = jax.random.uniform(key, (2,), float, 0.0, 2 * jnp.pi)
+    heading = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    return build_task(
+        scenario,
+        start,
+        goal,
+        start_heading=heading[0],
+        goal_heading=heading[1],
+        paths_to_goal=paths_to_goal,
+        geodesic=geodesic,
+    )
+
+
+def far_place(scenario: Scenario, pedestrians: Pedestrians, other: Float[Array, "2"], key: Array) -> Float[Array, "2"]:
+    """A random free place [m] from which the walk to another place [m] is within ``scenario.task_distance``.
+
+    It is one of 64 random places and 1 m clear of everybody. If none fits, as on a large floor with a short walk, it is
+    the place with the smallest errors of walk and clearance. Lengths of walks have the resolution of the navigation's
+    cells.
+    """
+    navigation = scenario.navigation
+    draw_key, choice_key = jax.random.split(key)
+    spots = navigation.places[paths.draw_places(navigation, draw_key, CANDIDATES)]
+    to_other = paths.build_paths_to_goal(navigation, other)
+    walk = jax.vmap(paths.geodesic_approx, in_axes=(None, 0, None, None))(navigation, spots, other, to_other)
+    cost = _off(scenario, walk) + _crowded(pedestrians, spots)
+    chance = jax.random.uniform(choice_key, (CANDIDATES,), float)
+    return spots[jnp.argmax(jnp.where(cost == 0.0, 1.0 + chance, -cost))]
+
+
+def choose_pair(
+    scenario: Scenario,
+    pedestrians: Pedestrians,
+    goals: Float[Array, "D 2"],
+    starts: Float[Array, "C 2"],
+    goal_cost: Float[Array, "D"],
+    start_cost: Float[Array, "C"],
+    key: Array,
+) -> tuple[Float[Array, "2"], Float[Array, "2"], PathsToGoal, Float[Array, ""]]:
+    """A start [m] and a goal [m] of a random fitting pair of candidates, the paths to the goal and the geodesic [m].
+
+    A pair fits if it has no cost, its walk is within ``scenario.task_distance``, and both places are 1 m clear of
+    everybody. If none fits, it is the reachable pair of the lowest cost.
+
+    Args:
+        goal_cost: m, inf where a robot cannot be.
+        start_cost: m, likewise.
+    """
+    navigation = scenario.navigation
+    rows = jax.vmap(paths.build_paths_to_goal, in_axes=(None, 0))(navigation, goals)
+    each_start = jax.vmap(paths.geodesic_approx, in_axes=(None, 0, None, None))
+    walk = jax.vmap(each_start, in_axes=(None, None, 0, 0))(navigation, starts, goals, rows)  # (D, C)
+    goal_cost = goal_cost + _crowded(pedestrians, goals)
+    start_cost = start_cost + _crowded(pedestrians, starts)
+    cost = _off(scenario, walk) + goal_cost[:, None] + start_cost[None, :]
+    chance = jax.random.uniform(key, cost.shape, float)
+    best = jnp.argmax(jnp.where(cost == 0.0, 1.0 + chance, -cost)).astype(jnp.int32)
+    goal, start = best // starts.shape[0], best % starts.shape[0]
+    paths_to_goal = jax.tree.map(lambda leaf: leaf[goal], rows)
+    length = paths.geodesic(navigation, starts[start], goals[goal], paths_to_goal)
+    return starts[start], goals[goal], paths_to_goal, length
+
+
+def _off(scenario: Scenario, walk: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """The cost of walks [m] that are too short or too long; inf if there is no path."""
+    lower, upper = scenario.task_distance[0], scenario.task_distance[1]
+    reachable = jnp.isfinite(walk)
+    finite = jnp.where(reachable, walk, 0.0)  # the upper limit may be inf as well
+    off = jnp.maximum(lower - finite, 0.0) + jnp.maximum(finite - upper, 0.0)
+    return jnp.where(reachable, DETOUR * off, jnp.inf)
+
+
+def _crowded(pedestrians: Pedestrians, spots: Float[Array, "C 2"]) -> Float[Array, "C"]:
+    """The distance [m] by which spots are nearer than ``CLEAR`` to the nearest person."""
+    gaps = spots[:, None, :] - pedestrians.position[None, :, :]
+    square = jnp.where(pedestrians.present, (gaps * gaps).sum(-1), jnp.inf).min(axis=1, initial=jnp.inf)
+    return jnp.maximum(CLEAR - jnp.sqrt(square), 0.0)
+
+
+def k_means(
+    points: Float[Array, "N 2"], counted: Bool[Array, "N"], start: Float[Array, "K 2"], iterations: int = 10
+) -> tuple[Float[Array, "K 2"], Int[Array, "N"]]:
+    """Centres [m] of clusters by Lloyd's iterations, and the labels of their last step, -1 for points not counted.
+
+    Each point is labelled by the nearest centre, the first of equally near ones. Then each centre moves to the mean of
+    its points; a centre without points stays. ``start`` [m] are the first centres.
+    """
+    number = start.shape[0]
+
+    def once(centers: Array, _) -> tuple[Array, None]:
+        mine = (_labels(points, centers)[:, None] == jnp.arange(number, dtype=jnp.int32)[None, :]) & counted[:, None]
+        size = mine.sum(0, dtype=float)
+        total = jnp.where(mine[:, :, None], points[:, None, :], 0.0).sum(0)
+        mean = total / jnp.maximum(size, 1.0)[:, None]
+        return jnp.where(size[:, None] > 0.0, mean, centers), None
+
+    before = jax.lax.scan(once, start, length=iterations - 1)[0]
+    after = once(before, None)[0]
+    return after, jnp.where(counted, _labels(points, before), -1)
+
+
+def busiest(points: Float[Array, "N 2"], counted: Bool[Array, "N"], key: Array, number: int = 3) -> Int[Array, ""]:
+    """The medoid of the largest cluster of people: the index of the one with the smallest sum of distances in it.
+
+    The first centres are random people. If nobody is counted, it is any index. Source: section IV-E.
+    """
+    chance = jnp.where(counted, jax.random.uniform(key, counted.shape, float), -1.0)
+    # With fewer points than clusters, the last point is the first centre of several, which then stay empty.
+    order = jnp.argsort(-chance)[jnp.minimum(jnp.arange(number), counted.shape[0] - 1)]
+    _, label = k_means(points, counted, points[order])
+    size = (label[:, None] == jnp.arange(number, dtype=jnp.int32)[None, :]).sum(0, dtype=jnp.int32)
+    mine = label == jnp.argmax(size).astype(jnp.int32)
+    gaps = points[:, None, :] - points[None, :, :]
+    distance = jnp.sqrt((gaps * gaps).sum(-1))
+    total = jnp.where(mine[None, :], distance, 0.0).sum(1)
+    return jnp.argmin(jnp.where(mine, total, jnp.inf)).astype(jnp.int32)
+
+
+def _labels(points: Float[Array, "N 2"], centers: Float[Array, "K 2"]) -> Int[Array, "N"]:
+    """The index of the nearest centre of each point."""
+    gaps = points[:, None, :] - centers[None, :, :]
+    return jnp.argmin((gaps * gaps).sum(-1), axis=1).astype(jnp.int32)
