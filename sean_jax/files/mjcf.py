@@ -154,8 +154,9 @@ class _Scan:
                 _check_numbers(key, value)
             maximum = MAX_COUNTS.get((name, key), MAX_RESERVED if name == "size" and key != "memory" else None)
             if maximum is not None and any(not -1 <= number <= maximum for number in _numbers(value)):
-                size = shorten(attributes["memory"], 40)
-            raise _ElementError(f'size memory="{size}" must be at most {MAX_MEMORY // 10**6}M')
+                raise _ElementError(f'{name} {key}="{shorten(value, 40)}" must be at most {maximum:,}')
+        if name == "size" and _bytes(memory := attributes.get("memory", "")) > MAX_MEMORY:
+            raise _ElementError(f'size memory="{shorten(memory, 40)}" must be at most {MAX_MEMORY // 10**6}M')
         self.elements += times
         if self.elements > MAX_ELEMENTS:
             raise _ElementError(f"makes more than {MAX_ELEMENTS:,} elements; use fewer")
