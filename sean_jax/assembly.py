@@ -92,7 +92,7 @@ def build(config: ScenarioConfig) -> list[Scenario]:
     """
     parts = check(config)
     scene, robot = environments.load(parts.folder), _robot(config)
-    robots.check_step(robot, config.time_step)
+    robots.physics_steps(robot, config.time_step)  # refuses a control step that is no multiple
     walking = navigation.build(scene, PERSON_CLEARANCE)
     driving = walking if robot.radius <= PERSON_CLEARANCE else navigation.build(scene, robot.radius)
     draw = navigation.PLACES[config.goal_sampling]
