@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from sean_jax.errors import FileError, SeanError
+from sean_jax.messages import suggest
 
 MAX_BYTES = 2_000_000  # of a file that people write
 MAX_RECORD = 200_000_000  # of one text that this program writes: JSON, a log, a page
