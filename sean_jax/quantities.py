@@ -60,7 +60,8 @@ def check_leaves(name: str, tree: Any) -> None:
     Raises:
         InputError: a number is not, in a sentence that names the leaf.
     """
-    import jax
+    import jax.core
+    import jax.tree_util
     import numpy as np
 
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):

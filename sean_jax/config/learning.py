@@ -57,7 +57,7 @@ class CollectConfig(ScenarioConfig):
     @pydantic.model_validator(mode="after")
     def _check_recorded(self) -> "CollectConfig":
         if self.width * self.height > fields.MAX_PIXELS:
-            size = f"{self.width} times {self.height} are more than {MAX_PIXELS:,} pixels"
+            size = f"{self.width} times {self.height} are more than {fields.MAX_PIXELS:,} pixels"
             raise ValueError(f"width: {size}; ask for fewer")
         if self.behavior.kind == "playback":
             raise ValueError("behavior: playback is not recorded; choose behavior graph, random or handcrafted")
