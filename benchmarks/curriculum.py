@@ -25,7 +25,8 @@ from rich.console import Console
 import sean_jax
 from sean_jax import mdp, prng
 from sean_jax.errors import SeanError
-from sean_jax.learning import agents, driving, reinforcement, trained
+from sean_jax.learning import reinforcement
+from sean_jax.learning.policy import AGENTS, agent_policy, is_packed, load_packed, load_trained, read_options
 from sean_jax.metrics import bootstrap
 
 VIOLATIONS = ("intimate_robot_on_person", "intimate_person_on_robot")
@@ -57,7 +58,7 @@ def measurement(scenario, network, observed):
 
     @jax.jit
     def all_of(agent, keys):
-        policy = driving.policy(network, agent, observed)
+        policy = agent_policy(network, agent, observed)
         return jax.lax.map(lambda key: episode(policy, key), keys, batch_size=size)
 
     return lambda agent, keys: jax.tree.map(np.asarray, all_of(agent, keys))
@@ -134,10 +135,10 @@ def main() -> None:
 def mend(chosen: argparse.Namespace, console: Console) -> None:
     """What ``main`` does, by the options that were chosen."""
     folder = Path(chosen.agent)
-    folder = folder if folder.exists() else agents.AGENTS.get(chosen.agent, folder)
-    options = agents.read_options(folder)
+    folder = folder if folder.exists() else AGENTS.get(chosen.agent, folder)
+    options = read_options(folder)
     (scenario, *_), _, _ = reinforcement.build(options)
-    load = agents.load if agents.is_packed(folder) else trained.load
+    load = load_packed if is_packed(folder) else load_trained
     network, given, observed = load(folder, scenario)
     trainings = {"none": [], chosen.curriculum: []}
     for kind, several in trainings.items():

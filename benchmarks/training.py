@@ -21,7 +21,7 @@ from sean_jax import devices, flags, mdp
 from sean_jax.config import PPOConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import reinforcement, rollouts
-from sean_jax.learning.actor_critic import init_agent
+from sean_jax.learning.networks import init_agent
 from sean_jax.mdp import observations, rewards
 
 
@@ -44,7 +44,7 @@ def main(names: list[str], options: PPOConfig) -> None:
     batch, steps = options.scenarios, options.horizon
     env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, jax.random.key(0), options.pool)
     agent = init_agent(network, env.observations, env.observation_space, jax.random.key(1))
-    rows = jax.jit(rollouts.begin, static_argnums=(1, 3))((env,), network, jax.random.key(2), batch)
+    rows = jax.jit(rollouts.reset_envs, static_argnums=(1, 3))((env,), network, jax.random.key(2), batch)
     keys = jax.random.split(jax.random.key(3), batch)
     command = jnp.array([0.3, 0.1])
 
@@ -79,7 +79,7 @@ def main(names: list[str], options: PPOConfig) -> None:
         observation, state, reward, *_ = env.step(keys[0], state, command)
         return state, (observation, reward)
 
-    gather = jax.jit(rollouts.collect, static_argnums=(1, 4))
+    gather = jax.jit(rollouts.rollout, static_argnums=(1, 4))
     run = reinforcement.programs(options, network, devices.mesh())
     state = run.begin((env,), jax.tree.map(lambda part: part[None], agent))
 

@@ -46,7 +46,7 @@ import sean_jax
 from sean_jax import PPOConfig, learning, make_env, mdp, metrics
 from sean_jax.base import as_policy
 from sean_jax.drawing import parts
-from sean_jax.learning import actor_critic, driving
+from sean_jax.learning import networks, policy
 from sean_jax.policies import go_to_goal
 
 PEOPLE = 5  # in the lab
@@ -161,10 +161,10 @@ print(f"{log[-1]['steps']:,} scenario-steps at {np.median([line['per_second'] fo
 # has seen. Each line is the way of a robot from its start (a dot) to its goal (a star), in the first few of them.
 
 # %%
-network = learning.agents.network(asked, env.observations)
-begun = actor_critic.init_agent(network, env.observations, env.observation_space, jax.random.key(1))
+network = policy.agent_network(asked, env.observation_space)
+begun = networks.init_agent(network, env.observations, env.observation_space, jax.random.key(1))
 trained = learning.load(folder, scenario)
-untrained = trained.replace(params=driving.policy(network, begun, env.observations).params)  # the same program
+untrained = trained.replace(params=policy.agent_policy(network, begun, env.observations).params)  # the same program
 drivers = {"untrained": untrained, "trained": trained, "go_to_goal": go_to_goal}
 keys = jax.random.split(jax.random.key(7), EPISODES)
 drive = jax.jit(jax.vmap(lambda driver, key: sean_jax.rollout(scenario, driver, key, STEPS), (None, 0)))

@@ -109,14 +109,14 @@ def dataset(folder: Path) -> dict[str, bytes]:
     """Two shards of two episodes of nothing."""
     import numpy as np
 
-    from sean_jax.learning import dataset as datasets
+    from sean_jax.learning import dataset
 
     manifest = {
         "command": "sean collect", "options": {"seed": 0}, "hours": 0.01, "batch": 2, "seconds": 6,
         "streams": ["join_group", "leave_group"], "situations": ["empty", "cross_path"], "rate": 1.0,
         "camera": {"width": 8, "height": 6, "fovy": 60.0, "far": 10.0}, "robot": {"name": "kuri", "max_speed": 0.5},
     }  # fmt: skip
-    made = datasets.create_dataset(folder, manifest)
+    made = dataset.create_dataset(folder, manifest)
     for stream in (0, 1):
         rows = {name: np.zeros((2, 6, *shape), kind) for name, (shape, kind) in made.fields.items()}
         made.commit(stream, SimpleNamespace(rows=rows, lengths=np.array([6, 4]), completed=np.array([True, False])))
@@ -129,9 +129,9 @@ def policy(folder: Path) -> dict[str, bytes]:
     import jax.numpy as jnp
     import optax
 
-    from sean_jax.learning.checkpoints import Checkpoints
-    from sean_jax.learning.network import Network, init_weights
-    from sean_jax.learning.training import TrainState
+    from sean_jax.learning.imitation import TrainState
+    from sean_jax.learning.networks import Network, init_weights
+    from sean_jax.learning.trainer import Checkpoints
 
     config = {"width": 8, "flags": True, "image": [12, 16], "situations": list(names()), "seed": 0, "epochs": 2}
     folder.mkdir(parents=True)
@@ -213,9 +213,9 @@ def load_map(folder: Path) -> Any:
 
 
 def load_dataset(folder: Path) -> Any:
-    from sean_jax.learning import dataset as datasets
+    from sean_jax.learning import dataset
 
-    data = datasets.open_dataset(folder)
+    data = dataset.open_dataset(folder)
     data.fingerprint()
     lost = data.damaged_shards()
     return data.recording(data.episodes) if not lost else (data.example_count, data.stream_rows, data.row_bytes)
@@ -226,12 +226,12 @@ def load_policy(folder: Path) -> Any:
 
     from sean_jax import robots
     from sean_jax.base import Scenario
-    from sean_jax.learning import learned
+    from sean_jax.learning.policy import load_imitation
 
     told = tuple((name, None) for name in names())
     nothing: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Scenario))
     scenario = Scenario(**nothing | {"situations": told, "robot": robots.load("kuri", "twin")})  # all that is looked at
-    return learned.load(folder, scenario).params
+    return load_imitation(folder, scenario).params
 
 
 def walk(folder: Path, name: str) -> dict[str, bytes]:
@@ -469,9 +469,9 @@ def _lab_step() -> Any:
 
 
 def load_agent(folder: Path) -> Any:
-    from sean_jax.learning import agents
+    from sean_jax.learning.policy import load_packed
 
-    return agents.load(folder, _lab())[1]
+    return load_packed(folder, _lab())[1]
 
 
 @functools.cache
@@ -525,7 +525,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
     import numpy as np
 
     from sean_jax.environment import ENVS
-    from sean_jax.learning.agents import AGENTS
+    from sean_jax.learning.policy import AGENTS
 
     NUMBERS.update(ranges=np.arange(40.0).reshape(5, 8), marks=np.array([True, False]))
     constants = "preset: calibrated\nparameters:\n  repulsion.range: 0.1\n  walking.relaxation_time: 0.3\n"

@@ -8,8 +8,10 @@ import numpy as np
 from sean_jax import runner, sensors
 from sean_jax.base import Scenario
 from sean_jax.config import CollectConfig, gather, validate
-from sean_jax.learning import choice, collection, demonstrations, protocol
+from sean_jax.learning import collection, dataset
+from sean_jax.learning.collection import row_record, simulate_shard, streams
 from sean_jax.learning.dataset import Dataset
+from sean_jax.learning.policy import load_policy
 from sean_jax.policies import go_to_goal
 
 EPISODES, SEED, SECONDS = 16, 3, 20
@@ -27,18 +29,18 @@ def options(out: Path | None = None, hours: float = 0.05, **others) -> CollectCo
 @functools.cache
 def setting() -> tuple[dict[str, Scenario], sensors.Camera]:
     """Streams and the camera."""
-    parts = protocol.streams(options())
+    parts = streams(options())
     return parts, sensors.camera(parts["join_group"], "depth", width=16, height=12)
 
 
 @functools.cache
-def batches() -> tuple[demonstrations.Batch, demonstrations.Batch]:
+def batches() -> tuple[dataset.EpisodeBatch, dataset.EpisodeBatch]:
     """Episodes 0 to 7 join a group and 8 to 15 leave one: the first two shards of the collection."""
     parts, camera = setting()
     scenarios = list(parts.values())
-    record = demonstrations.record(scenarios[0], camera)
+    record = row_record(scenarios[0], camera)
     running = runner.Runner(scenarios, DRIVE, EPISODES // 2, "collect", record)
-    first, second = (demonstrations.simulate(running, SEED, shard, stream=shard) for shard in range(2))
+    first, second = (simulate_shard(running, SEED, shard, stream=shard) for shard in range(2))
     return first, second
 
 
@@ -46,8 +48,8 @@ def begin(config: CollectConfig, parts: dict[str, Scenario] | None = None) -> Da
     """The dataset that a collection of these options begins or continues; ``parts`` in place of its scenarios."""
     own, camera = setting()
     parts = own if parts is None else parts
-    policy = choice.policy(config.policy, next(iter(parts.values())))
-    return collection._opened(config, parts, policy, camera)
+    policy = load_policy(config.policy, next(iter(parts.values())))
+    return collection._open(config, parts, policy, camera)
 
 
 def write(folder: Path, hours: float = 0.05) -> Dataset:
@@ -67,5 +69,15 @@ def write_fine(folder: Path) -> Dataset:
         made["pose"][:, :, 0], made["pose"][:, :, 2] = rows, 1.0
         made["depth"][:] = rows[:, None, None]
         lengths = np.where(np.arange(size) < 4, len(rows), 50)
-        data.commit(stream, demonstrations.Batch(made, lengths, np.ones(size, bool)))
+        data.commit(stream, dataset.EpisodeBatch(made, lengths, np.ones(size, bool)))
     return data
+
+
+def crc32c(data: bytes) -> int:
+    """The checksum of Castagnoli (RFC 3720), bit by bit."""
+    value = 0xFFFFFFFF
+    for byte in data:
+        value ^= byte
+        for _ in range(8):
+            value = (value >> 1) ^ (0x82F63B78 if value & 1 else 0)
+    return value ^ 0xFFFFFFFF

@@ -17,8 +17,7 @@ import pytest
 import sean_jax
 from sean_jax import cli, learning
 from sean_jax.errors import FileError, InputError
-from sean_jax.learning import agents, choice
-from sean_jax.learning.agents import AGENTS
+from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_packed, load_policy, save_agent
 
 WITHOUT = """
 import sys
@@ -36,7 +35,7 @@ def lab():
 def test_each_is_small_and_says_what_it_is():
     assert "ppo" in AGENTS
     for folder in AGENTS.values():
-        assert {path.name for path in folder.iterdir()} == {agents.WEIGHTS, "config.json"}
+        assert {path.name for path in folder.iterdir()} == {WEIGHTS, "config.json"}
         assert sum(path.stat().st_size for path in folder.iterdir()) < 1_000_000
         told = json.loads((folder / "config.json").read_text())
         assert told["command"].startswith("sean train ") and "/" not in told["command"]
@@ -50,7 +49,7 @@ def test_one_is_loaded_by_its_name(lab):
     assert driver.name == "ppo"
     assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(driver.params.agent))
     with pytest.raises(InputError, match="'ppoo' is not one of .*; did you mean 'ppo'"):
-        choice.policy("ppoo", lab)
+        load_policy("ppoo", lab)
 
 
 def test_it_is_written_and_read(lab, tmp_path):
@@ -58,18 +57,18 @@ def test_it_is_written_and_read(lab, tmp_path):
     agent = learning.load("ppo", lab).params.agent
     agent = replace(agent, statistics=replace(agent.statistics, variance=agent.statistics.variance * 1e6 + 1e-6))
     config = json.loads((AGENTS["ppo"] / "config.json").read_text())
-    agents.save(tmp_path, agent, config)
-    _, found, _ = agents.load(tmp_path, lab)
+    save_agent(tmp_path, agent, config)
+    _, found, _ = load_packed(tmp_path, lab)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(agent), strict=True):
         np.testing.assert_array_equal(one, other)
     huge = jax.tree.map(lambda leaf: leaf * 0.0 + 1e6, agent)
     with pytest.raises(InputError, match="16 bits cannot hold"):
-        agents.save(tmp_path, huge, config)
+        save_agent(tmp_path, huge, config)
 
 
 def test_it_is_refused_where_it_sees_something_else(lab, tmp_path):
     config = json.loads((AGENTS["ppo"] / "config.json").read_text())
-    agents.save(tmp_path, learning.load("ppo", lab).params.agent, config | {"observations": ["goal", "situations"]})
+    save_agent(tmp_path, learning.load("ppo", lab).params.agent, config | {"observations": ["goal", "situations"]})
     with pytest.raises(InputError, match="agent sees 80 numbers, and this scenario shows 7 .goal, situations.; make"):
         learning.load(tmp_path, lab)
 
@@ -77,19 +76,19 @@ def test_it_is_refused_where_it_sees_something_else(lab, tmp_path):
 def test_damaged_weights_are_told(lab, tmp_path):
     folder = tmp_path / "ppo"
     folder.mkdir()
-    for name in ("config.json", agents.WEIGHTS):
+    for name in ("config.json", WEIGHTS):
         (folder / name).write_bytes((AGENTS["ppo"] / name).read_bytes())
-    weights = folder / agents.WEIGHTS
+    weights = folder / WEIGHTS
     for wrong in (np.array(["a"]), np.array([np.nan])):
         np.savez(weights, **{"statistics/mean": wrong})
         with pytest.raises(InputError, match="statistics/mean has what is no finite number"):
             learning.load(folder, lab)
-    weights.write_bytes((AGENTS["ppo"] / agents.WEIGHTS).read_bytes()[:-5000])
+    weights.write_bytes((AGENTS["ppo"] / WEIGHTS).read_bytes()[:-5000])
     with pytest.raises(FileError, match="ppo/weights.npz: is damaged; get the file anew"):
         learning.load(folder, lab)
     bomb = io.BytesIO()
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("a.npy", bytes(agents.MAX_BYTES + 1))
+        archive.writestr("a.npy", bytes(MAX_WEIGHTS_BYTES + 1))
     weights.write_bytes(bomb.getvalue())
     with pytest.raises(FileError, match="unpacks to"):
         learning.load(folder, lab)
@@ -101,11 +100,11 @@ def test_a_folder_of_that_name_is_not_shadowed(lab, tmp_path, monkeypatch):
     Path("ppo").mkdir()
     assert learning.load("ppo", lab).name == "ppo"  # a folder without an agent is no rival
     Path("ppo/config.json").write_text('{"method": "ppo", "width": -3}')
-    for load in (learning.load, lambda name, lab: choice.policy(name, lab)):
+    for load in (learning.load, lambda name, lab: load_policy(name, lab)):
         with pytest.raises(InputError, match="an agent of the package and a folder here; write ./ppo for the folder"):
             load("ppo", lab)
     with pytest.raises(InputError, match="ppo/config.json"):
-        choice.policy("./ppo", lab)
+        load_policy("./ppo", lab)
     with pytest.raises(InputError, match="ppo/config.json"):
         learning.load(Path("ppo"), lab)
 

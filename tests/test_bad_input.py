@@ -16,7 +16,7 @@ from sean_jax import cli, environment, maps, navigation, obstacle_grid, quantiti
 from sean_jax.errors import FileError, InputError
 from sean_jax.files import mjcf
 from sean_jax.learning.dataset import open_dataset
-from sean_jax.learning.manifests import read_network_config
+from sean_jax.learning.networks import read_network_config
 
 MAP = "image: map.png\nresolution: 0.1\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
 

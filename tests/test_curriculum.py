@@ -348,7 +348,7 @@ def test_a_training_with_a_curriculum_goes_on_to_the_same_curve(kind, tmp_path, 
     whole = reinforcement.train(options(tmp_path / "whole"))
     assert whole.curriculum is not None
     assert int(np.asarray(whole.curriculum.pool.states.start).max()) >= 8  # some have been replaced
-    numbers, calls = reinforcement._numbers, []
+    numbers, calls = reinforcement._finite_means, []
 
     def until(values):
         calls.append(values)
@@ -356,7 +356,7 @@ def test_a_training_with_a_curriculum_goes_on_to_the_same_curve(kind, tmp_path, 
             raise KeyboardInterrupt
         return numbers(values)
 
-    monkeypatch.setattr(reinforcement, "_numbers", until)
+    monkeypatch.setattr(reinforcement, "_finite_means", until)
     with pytest.raises(KeyboardInterrupt):
         reinforcement.train(options(tmp_path / "stopped"))
     monkeypatch.undo()

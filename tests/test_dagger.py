@@ -10,8 +10,9 @@ import sean_jax
 from sean_jax import cli, episodes, learning
 from sean_jax.config import DaggerConfig
 from sean_jax.errors import InputError
-from sean_jax.learning import dagger, labels, several
+from sean_jax.learning import dagger, dataset
 from sean_jax.learning.dataset import open_dataset, split
+from sean_jax.learning.policy import NOISE_TIME, disturbed, label, labelled
 
 SMALL = "--environment lab --behavior random --people 2 --dynamics twin --time-limit 3 --width 8 --height 8 --quiet"
 
@@ -24,7 +25,7 @@ def spin(scenario, state, key):
 def test_the_driver_drives_and_the_other_labels():
     scenario = sean_jax.make("lab", behavior="random", people=3, dynamics="twin")
     helper = sean_jax.POLICIES["go_to_goal"]
-    both = labels.labelled(spin, helper)
+    both = labelled(spin, helper)
 
     @jax.jit
     def begin(key):
@@ -39,14 +40,14 @@ def test_the_driver_drives_and_the_other_labels():
     for _ in range(5):
         after, alone, wanted = step(state)
         np.testing.assert_allclose(after.robot.position, alone.robot.position, atol=1e-6)
-        np.testing.assert_allclose(labels.label(after), wanted, atol=1e-6)
+        np.testing.assert_allclose(label(after), wanted, atol=1e-6)
         state = after
 
 
 def test_a_disturbed_driver_is_led_astray_and_its_own_command_is_the_label():
     scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", sensors=())
     helper = sean_jax.POLICIES["go_to_goal"]
-    noisy = labels.disturbed(helper, 0.2)
+    noisy = disturbed(helper, 0.2)
 
     @jax.jit
     def commands(key):
@@ -54,26 +55,26 @@ def test_a_disturbed_driver_is_led_astray_and_its_own_command_is_the_label():
 
         def one(state, _):
             after, action = episodes.policy_step(scenario, noisy, state)
-            return after, (action, labels.label(after), helper(scenario, state, jax.random.key(0)))
+            return after, (action, label(after), helper(scenario, state, jax.random.key(0)))
 
         return jax.lax.scan(one, state, length=40)[1]
 
-    given, label, wanted = jax.vmap(commands)(jax.random.split(jax.random.key(1), 64))
-    np.testing.assert_allclose(label, wanted, atol=1e-5)
-    noise = np.asarray(given - label)[:, 20:] / np.array([scenario.robot.max_speed, scenario.robot.max_turn_rate])
+    given, labels, wanted = jax.vmap(commands)(jax.random.split(jax.random.key(1), 64))
+    np.testing.assert_allclose(labels, wanted, atol=1e-5)
+    noise = np.asarray(given - labels)[:, 20:] / np.array([scenario.robot.max_speed, scenario.robot.max_turn_rate])
     np.testing.assert_allclose(noise.std((0, 1)), 0.2, rtol=0.15)
     alike = (noise[:, 1:] * noise[:, :-1]).mean((0, 1)) / noise.var((0, 1))
-    np.testing.assert_allclose(alike, np.exp(-0.1 / labels.NOISE_TIME), atol=0.06)
-    both = labels.labelled(noisy, spin)
+    np.testing.assert_allclose(alike, np.exp(-0.1 / NOISE_TIME), atol=0.06)
+    both = labelled(noisy, spin)
     state = jax.jit(lambda key: episodes.init_policy(scenario, both, sean_jax.reset(scenario, key)))(jax.random.key(2))
     after = jax.jit(lambda state: episodes.policy_step(scenario, both, state)[0])(state)
-    np.testing.assert_allclose(labels.label(after), [0.1, 0.5])
+    np.testing.assert_allclose(label(after), [0.1, 0.5])
 
 
 def test_several_datasets_are_read_as_one(tmp_path):
     parts = [learning_data.write(tmp_path / name) for name in ("one", "two")]
-    both = several.open_datasets([part.folder for part in parts])
-    training, validation = several.split_each(both, 0.3, 5)
+    both = dataset.open_datasets([part.folder for part in parts])
+    training, validation = dataset.split_each(both, 0.3, 5)
     found = both.recording([*training, *validation])
     assert both.example_count == sum(part.example_count for part in parts) == len(found.first)
     chosen = [split(part, 0.3, 5) for part in parts]
@@ -83,7 +84,7 @@ def test_several_datasets_are_read_as_one(tmp_path):
     lengths = found.end - found.first
     assert (np.arange(len(found.first)) >= found.first).all() and (np.arange(len(found.first)) < found.end).all()
     assert set(lengths) == {episode.length for part in parts for episode in part.episodes}
-    assert both.fingerprint() != parts[0].fingerprint() == several.Several(parts[:1]).fingerprint()
+    assert both.fingerprint() != parts[0].fingerprint() == dataset.ConcatDataset(parts[:1]).fingerprint()
 
 
 def test_other_images_are_refused(tmp_path):
@@ -91,7 +92,7 @@ def test_other_images_are_refused(tmp_path):
     two = learning_data.write(tmp_path / "two")
     two.save({**two.manifest, "situations": ["other"]})
     with pytest.raises(InputError, match="situations"):
-        several.open_datasets([one.folder, two.folder])
+        dataset.open_datasets([one.folder, two.folder])
 
 
 @pytest.mark.slow

@@ -177,7 +177,7 @@ def numbers(values):
 
 if last:
     from sean_jax.learning import reinforcement
-    before, reinforcement._numbers = reinforcement._numbers, numbers
+    before, reinforcement._finite_means = reinforcement._finite_means, numbers
 sys.exit(cli.main(sys.argv[2:]))
 """
 SMALL = "--environment lab --behavior random --people 2 --dynamics twin --time-limit 2 --scenarios 4 --horizon 4"

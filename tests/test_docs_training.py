@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from sean_jax import config, mdp
-from sean_jax.learning.agents import AGENTS
+from sean_jax.learning.policy import AGENTS
 from sean_jax.mdp import rewards
 
 TEXT = (Path(__file__).parent.parent / "docs" / "training.md").read_text(encoding="utf-8")

@@ -9,8 +9,8 @@ import sean_jax
 from sean_jax import learning
 from sean_jax.config import ImitationConfig
 from sean_jax.errors import InputError
-from sean_jax.learning import ensemble, training
-from sean_jax.learning.logs import read_lines
+from sean_jax.learning import imitation
+from sean_jax.learning.trainer import read_metrics
 
 
 @pytest.fixture(scope="module")
@@ -27,13 +27,13 @@ def options(data, out, **others) -> ImitationConfig:
 def three(data, tmp_path_factory):
     folder = tmp_path_factory.mktemp("three")
     asked = [options(data, folder / str(seed), seed=seed) for seed in range(3)]
-    return ensemble.train(asked), asked
+    return imitation.train_ensemble(asked), asked
 
 
 def test_each_learns_and_has_the_folder_of_a_training(three, data):
     states, asked = three
     for state, own in zip(states, asked, strict=True):
-        lines = read_lines(own.folder)
+        lines = read_metrics(own.folder)
         assert [line["epoch"] for line in lines] == list(range(1, int(state.epoch) + 1))
         assert lines[-1]["train"]["loss"] < lines[0]["train"]["loss"]
         best = min(lines, key=lambda line: line["validation"]["loss"])
@@ -49,7 +49,7 @@ def test_each_learns_and_has_the_folder_of_a_training(three, data):
 def test_none_learns_anything_of_another(three, data, tmp_path):
     """The second of three is what it is by itself."""
     states, _ = three
-    (alone,) = ensemble.train([options(data, tmp_path / "alone", seed=1)])
+    (alone,) = imitation.train_ensemble([options(data, tmp_path / "alone", seed=1)])
     assert int(alone.epoch) == int(states[1].epoch)
     for one, other in zip(*map(jax.tree.leaves, (alone.weights, states[1].weights)), strict=True):
         np.testing.assert_allclose(one, other, atol=2e-5)
@@ -59,8 +59,8 @@ def test_none_learns_anything_of_another(three, data, tmp_path):
 def test_it_learns_as_a_training_by_itself_does(three, data, tmp_path):
     """From the same weights, in another order of the same batches."""
     states, _ = three
-    state = training.train(options(data, tmp_path / "one", seed=0, epochs=int(states[0].epoch), patience=1000))
-    lines = [read_lines(folder) for folder in (tmp_path / "one", three[1][0].folder)]
+    state = imitation.train(options(data, tmp_path / "one", seed=0, epochs=int(states[0].epoch), patience=1000))
+    lines = [read_metrics(folder) for folder in (tmp_path / "one", three[1][0].folder)]
     first, last = ([each[k]["validation"]["loss"] for each in lines] for k in (0, -1))
     assert first[0] == pytest.approx(first[1], rel=0.1) and last[0] == pytest.approx(last[1], rel=0.15)
     np.testing.assert_allclose(state.weights.scale, states[0].weights.scale)
@@ -69,9 +69,9 @@ def test_it_learns_as_a_training_by_itself_does(three, data, tmp_path):
 def test_what_cannot_stand_beside_one_another_is_refused(data, tmp_path):
     pair = [options(data, tmp_path / "a"), options(data, tmp_path / "b", width=16)]
     with pytest.raises(InputError, match="width: 16 beside 8; networks side by side have the same"):
-        ensemble.train(pair)
+        imitation.train_ensemble(pair)
     with pytest.raises(InputError, match="pretrained: networks side by side begin from nothing"):
-        ensemble.train([options(data, tmp_path / "a", pretrained=tmp_path)])
+        imitation.train_ensemble([options(data, tmp_path / "a", pretrained=tmp_path)])
     assert not (tmp_path / "a").exists()
 
 
@@ -87,10 +87,10 @@ def test_parts_of_a_dataset_share_its_episodes_evenly(data, tmp_path):
         for stream in {episode.stream for episode in data.episodes}:
             counts = [sum(episode.stream == stream for episode in each.episodes) for each in opened]
             assert max(counts) - min(counts) <= 1
-    states = ensemble.train([options(data, tmp_path / str(k), part=(k, 2), epochs=2) for k in (1, 2)])
+    states = imitation.train_ensemble([options(data, tmp_path / str(k), part=(k, 2), epochs=2) for k in (1, 2)])
     alike = jax.tree.map(lambda one, other: np.array_equal(one, other), states[0].weights, states[1].weights)
     assert not all(jax.tree.leaves(alike))
     with pytest.raises(InputError, match="episodes in part 1 of 16, too few"):
-        training.train(options(data, tmp_path / "few", part=(1, 16)))
+        imitation.train(options(data, tmp_path / "few", part=(1, 16)))
     with pytest.raises(ValueError, match="part: 3 of 2 is none; give a first number of 2 or less"):
         options(data, tmp_path / "none", part=(3, 2))

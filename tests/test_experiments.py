@@ -18,7 +18,7 @@ from sean_jax.base import as_policy
 from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import AblationConfig, CollectConfig, Figure4Config, Table1Config, validate
 from sean_jax.errors import FileError, InputError
-from sean_jax.learning.protocol import streams
+from sean_jax.learning.collection import streams
 from sean_jax.metrics import METRICS
 from sean_jax.policies import POLICIES, go_to_goal
 from sean_jax.runner import Runner
@@ -115,7 +115,7 @@ def test_claims_of_figure_4():
 
 
 def test_balanced_odds_make_situations_equally_frequent():
-    from sean_jax.learning.loader import balanced_probabilities
+    from sean_jax.learning.examples import balanced_probabilities
 
     random = np.random.default_rng(0)
     flags = random.random((2000, 5)) < [0.15, 0.25, 0.08, 0.1, 0.0]

@@ -14,7 +14,7 @@ from sean_jax.assembly import with_task
 from sean_jax.config import CollectConfig, HandcraftedBehavior, RunConfig
 from sean_jax.environment import clearance
 from sean_jax.errors import FileError, InputError
-from sean_jax.learning import protocol
+from sean_jax.learning.collection import streams
 from sean_jax.policies import go_to_goal
 
 ENVIRONMENTS = ("warehouse", "lab", "outdoor")
@@ -391,7 +391,7 @@ def test_further_collections_take_part_only_where_they_are_named(warehouse):
 @pytest.mark.parametrize(("sets", "number"), [("all", 5), ("staged", 5), ("staged_join_group", 1)])
 def test_each_situation_of_a_collection_is_a_stream_of_its_own(sets, number):
     config = CollectConfig(environment="warehouse", behavior=HandcraftedBehavior(sets=sets), dynamics="twin")
-    found = protocol.streams(config)
+    found = streams(config)
     assert len(found) == number
     for name, scenario in found.items():
         drawn = np.asarray(scenario.behavior.data.odds).any((1, 2))

@@ -155,7 +155,7 @@ def test_train(sean, tmp_path):
     import jax
     import orbax.checkpoint as ocp
 
-    from sean_jax.learning.checkpoints import Checkpoints
+    from sean_jax.learning.trainer import Checkpoints
 
     (tmp_path / "jobs" / "data").mkdir(parents=True)
     assert sean.wait(sean.start(tmp_path / "jobs" / "data", *COLLECT)) == 0
@@ -192,7 +192,7 @@ def test_ppo(sean, tmp_path):
     """Stopped again and again, reinforcement learning comes to the same curve and the same agent."""
     import orbax.checkpoint as ocp
 
-    from sean_jax.learning.checkpoints import Checkpoints
+    from sean_jax.learning.trainer import Checkpoints
 
     def steps(folder: Path) -> list[int]:
         names = os.listdir(folder / "checkpoints") if (folder / "checkpoints").is_dir() else []

@@ -11,8 +11,8 @@ import sean_jax
 from sean_jax import cli
 from sean_jax.config import Figure4Config, LearningCurveConfig
 from sean_jax.errors import InputError
-from sean_jax.learning import choice
 from sean_jax.learning.dataset import open_dataset
+from sean_jax.learning.policy import check_policy
 from sean_jax.studies.experiments import drivers, figure4, learning_curve, together, variants
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from sean_jax.studies.experiments.variants import Curve, Variant, comparisons
@@ -183,7 +183,7 @@ def test_columns_of_figure_4_are_folders_of_other_trainings(tmp_path, monkeypatc
     jobs = {part.name: part.work for part in figure4._parts(options, options.folder, places)}
     options.folder.mkdir()
     for name in figure4.baselines(options):
-        choice.check(name, description, "--baselines")
+        check_policy(name, description, "--baselines")
         found = jobs[f"{name} in graph"](lambda share: None)[name]
         assert len(found["completed"]) == 3 and max(found["seconds"]) <= 3.0 + 1e-3
         assert (options.folder / f"episodes-{name.replace('/', '-')}-graph.json").is_file()

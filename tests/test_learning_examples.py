@@ -11,8 +11,16 @@ import pytest
 from sean_jax import flags, prng, runner, sensors
 from sean_jax.config import CollectConfig, GraphBehavior, gather, validate
 from sean_jax.errors import InputError
-from sean_jax.learning import demonstrations, examples, protocol
-from sean_jax.learning.recorder import Recorder, record
+from sean_jax.learning import dataset, examples
+from sean_jax.learning.collection import (
+    Recorder,
+    check_collection,
+    next_stream,
+    record,
+    row_record,
+    simulate_shard,
+    streams,
+)
 from sean_jax.scenario import reset
 
 
@@ -48,7 +56,7 @@ def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
             np.testing.assert_allclose(found[name], expected, atol=2e-2, err_msg=name)
     drawn = jax.random.fold_in(prng.key("record", learning_data.SEED), recorder.number)
     own = jax.jit(reset)(scenario, drawn)
-    state, see = recorder.begin(), jax.jit(lambda state: sensors.depth(scenario, state, recorder.eye))
+    state, see = recorder.begin(), jax.jit(lambda state: sensors.depth(scenario, state, recorder.camera))
     np.testing.assert_allclose(state.robot.position, own.robot.position, atol=1e-5)
     image = 1000.0 * np.asarray(see(state))
     recorder.step((0.1, 0.2))
@@ -84,9 +92,9 @@ def test_rows_at_a_higher_rate_hold_those_of_each_second(batch):
     """Of the same episodes: every tenth row is one of those, the robot drives from row to row, and zeros come after."""
     parts, camera = learning_data.setting()
     scenarios = list(parts.values())
-    recorded = demonstrations.record(scenarios[0], camera, rate=10)
+    recorded = row_record(scenarios[0], camera, rate=10)
     running = runner.Runner(scenarios, learning_data.DRIVE, learning_data.EPISODES // 2, "collect", recorded)
-    fine = demonstrations.simulate(running, learning_data.SEED, 0, 0)
+    fine = simulate_shard(running, learning_data.SEED, 0, 0)
     assert fine.rows["pose"].shape[1] == 10 * learning_data.SECONDS
     np.testing.assert_array_equal(np.ceil(fine.lengths / 10), batch.lengths)
     for one, seconds, length in zip(fine.rows["pose"], batch.rows["pose"], fine.lengths, strict=True):
@@ -139,7 +147,7 @@ def test_streams_get_equal_time_in_any_order_of_asking():
     def order(wanted):
         seconds, chosen = [0, 0, 0], []
         for spent in took:
-            stream = protocol.next_stream(seconds, wanted)
+            stream = next_stream(seconds, wanted)
             if stream is None:
                 return chosen, seconds
             seconds[stream] += spent
@@ -149,11 +157,11 @@ def test_streams_get_equal_time_in_any_order_of_asking():
     (short, some), (long, many) = order(400), order(1000)
     assert long[: len(short)] == short
     assert min(some) >= 400 and min(many) >= 1000 and max(many) < 1060
-    assert protocol.seconds_of_each(1.0, 5) == 720, "12 minutes of each of five"
+    assert dataset.stream_seconds(1.0, 5) == 720, "12 minutes of each of five"
 
 
 def test_the_papers_protocol():
-    parts = protocol.streams(CollectConfig(environment="lab", behavior="handcrafted", dynamics="twin"))
+    parts = streams(CollectConfig(environment="lab", behavior="handcrafted", dynamics="twin"))
     assert set(parts) == {"cross_path", "down_path", "join_group", "leave_group", "empty"}
     assert len({part.task for part in parts.values()}) == 1
     first = parts["cross_path"]
@@ -170,10 +178,10 @@ def test_people_of_demonstrations_are_those_asked_for():
     """Walking groups, and choices on the graph, as `sean run` has them; and the command says so."""
     given = GraphBehavior(walking_groups=(0.5, 0.0), routing="edge", congestion_cost=10.0)
     asked = CollectConfig(environment="lab", dynamics="twin", people=4, behavior=given)
-    behavior = protocol.streams(asked)["join_group"].behavior
+    behavior = streams(asked)["join_group"].behavior
     assert (np.asarray(behavior.companions) >= 0).sum() == 2 and float(behavior.data.congestion_cost) == 10.0
     usual = asked.replace(behavior=given.replace(routing="whole"))
-    assert behavior.direct is not protocol.streams(usual)["join_group"].behavior.direct
+    assert behavior.direct is not streams(usual)["join_group"].behavior.direct
     words = flags.command("collect", asked)
     assert "--walking-groups 0.5 0 " in words and "--routing edge" in words and "--congestion-cost 10" in words
     fields = {"environment": "lab", "behavior": "handcrafted", "walking_groups": (0.5, 0.0)}
@@ -183,9 +191,9 @@ def test_people_of_demonstrations_are_those_asked_for():
 
 def test_wrong_names_are_answered_in_a_sentence():
     with pytest.raises(InputError, match="policy: 'go_to_gaol' is not one of .*; did you mean 'go_to_goal'"):
-        protocol.check(CollectConfig(policy="go_to_gaol"))
+        check_collection(CollectConfig(policy="go_to_gaol"))
     with pytest.raises(InputError, match="'join_grup' is not one of"):
-        protocol.streams(CollectConfig(environment="lab", task="join_grup"))
+        streams(CollectConfig(environment="lab", task="join_grup"))
     with pytest.raises(InputError, match="hours: 0.0 must be from 1e-06 to 1e\\+06 h"):
         validate(CollectConfig, {"hours": 0.0})
 
@@ -197,7 +205,7 @@ def test_a_nan_is_refused_with_the_episodes_number(batch):
     states = SimpleNamespace(completed=batch.completed)
     ended = runner.Batch(cast(Any, states), batch.lengths, (), [(rows, np.ones(rows.pose.shape[:2], bool))])
     scenarios = list(learning_data.setting()[0].values())
-    record = demonstrations.record(scenarios[0], learning_data.setting()[1])
+    record = row_record(scenarios[0], learning_data.setting()[1])
     running: Any = SimpleNamespace(size=8, scenarios=scenarios, record=record, run=lambda *_, **__: ended)
     with pytest.raises(FloatingPointError, match="1 of 8 episodes hold numbers that are not finite: 9"):
-        demonstrations.simulate(running, 3, 1, 1)
+        simulate_shard(running, 3, 1, 1)

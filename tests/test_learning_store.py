@@ -16,12 +16,11 @@ from PIL import Image
 from sean_jax import cli, environment, writing
 from sean_jax.config import CollectConfig, Figure4Config, ImitationConfig, validate
 from sean_jax.errors import IncompleteError, InputError
-from sean_jax.learning import collection, dataset, demonstrations, lerobot, store
-from sean_jax.learning.dataset import open_dataset, split
-from sean_jax.learning.examples import example
-from sean_jax.learning.loader import Loader, Token
-from sean_jax.learning.manifests import check_manifest, read_network_config
-from sean_jax.learning.recorder import Recorder
+from sean_jax.learning import collection, dataset, lerobot
+from sean_jax.learning.collection import Recorder
+from sean_jax.learning.dataset import check_manifest, open_dataset, open_datasets, split
+from sean_jax.learning.examples import Loader, Token, example
+from sean_jax.learning.networks import read_network_config
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -58,10 +57,8 @@ def test_other_readers_of_zarr_find_what_the_format_prescribes(made):
     assert metadata["shape"] == [16, 20, 12, 16] and metadata["codecs"][0]["name"] == "sharding_indexed"
     raw = (made.folder / "depth/c/1/0/0/0").read_bytes()
     index = np.frombuffer(raw[-4 - 16 * 8 : -4], "<u8").reshape(8, 2)
-    from sean_jax.learning.logs import crc32c
-
-    assert int.from_bytes(raw[-4:], "little") == crc32c(raw[-4 - 16 * 8 : -4])
-    assert (index[:, 0] + index[:, 1] <= len(raw)).all() and crc32c(b"123456789") == 0xE3069283
+    assert int.from_bytes(raw[-4:], "little") == learning_data.crc32c(raw[-4 - 16 * 8 : -4])
+    assert (index[:, 0] + index[:, 1] <= len(raw)).all() and learning_data.crc32c(b"123456789") == 0xE3069283
 
 
 def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
@@ -74,7 +71,7 @@ def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
         simulated.append(shard)
         return learning_data.batches()[shard]
 
-    monkeypatch.setattr(collection.demonstrations, "simulate", simulate)
+    monkeypatch.setattr(collection, "simulate_shard", simulate)
     for number in range(6):
         folder, steps = tmp_path / f"killed{number}", [number]
 
@@ -89,7 +86,7 @@ def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
 
         with monkeypatch.context() as patched:
             patched.setattr(writing.os, "replace", step(os.replace))
-            patched.setattr(store, "path", step(store.path))
+            patched.setattr(dataset, "shard_file", step(dataset.shard_file))
             try:
                 collection.collect(learning_data.options(folder))
             except KeyboardInterrupt:
@@ -137,7 +134,7 @@ def test_two_collections_into_one_folder(tmp_path, monkeypatch):
         refused.append(shard)
         return learning_data.batches()[shard]
 
-    monkeypatch.setattr(collection.demonstrations, "simulate", simulate)
+    monkeypatch.setattr(collection, "simulate_shard", simulate)
     assert collection.collect(learning_data.options(folder)).example_count == 180 and refused == [0, 1]
     assert not (folder / writing.LOCK).exists()
 
@@ -145,7 +142,7 @@ def test_two_collections_into_one_folder(tmp_path, monkeypatch):
 def test_a_shard_that_cannot_be_written_ends_the_collection(tmp_path, monkeypatch):
     """The next one, which was simulated meanwhile, is not written, and the same command goes on."""
     monkeypatch.setattr(
-        collection.demonstrations, "simulate", lambda runner, seed, shard, *others: learning_data.batches()[shard]
+        collection, "simulate_shard", lambda runner, seed, shard, *others: learning_data.batches()[shard]
     )
     folder, asked = tmp_path / "data", []
 
@@ -154,7 +151,7 @@ def test_a_shard_that_cannot_be_written_ends_the_collection(tmp_path, monkeypatc
         raise IncompleteError("the disk is full")
 
     with monkeypatch.context() as patched:
-        patched.setattr(store, "write", full)
+        patched.setattr(dataset, "write_shard", full)
         with pytest.raises(IncompleteError, match="the disk is full"):
             collection.collect(learning_data.options(folder))
     assert asked == [0] and open_dataset(folder).stream_rows == [0, 0]
@@ -175,7 +172,7 @@ def test_lost_and_damaged_files(data, monkeypatch):
     file.unlink()
     with pytest.raises(IncompleteError, match="is missing or damaged; remove the damaged file"):
         data.recording(data.episodes)
-    monkeypatch.setattr(collection.demonstrations, "simulate", lambda *others: learning_data.batches()[0])
+    monkeypatch.setattr(collection, "simulate_shard", lambda *others: learning_data.batches()[0])
     collection.collect(learning_data.options(data.folder))
     assert files(data.folder) == whole
 
@@ -187,7 +184,7 @@ def test_a_full_disk_leaves_what_was_committed(data, monkeypatch):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr(store, "_open_array", full)
+        patched.setattr(dataset, "_open_array", full)
         with pytest.raises(IncompleteError, match="the disk is full; what was committed before is as it was"):
             data.commit(0, learning_data.batches()[0])
     with monkeypatch.context() as patched:
@@ -281,14 +278,13 @@ def test_ten_rows_a_second(fine, made):
 
 def test_rates_are_not_mixed(fine, made, data):
     from sean_jax.config import ImitationConfig
-    from sean_jax.learning import ensemble
-    from sean_jax.learning.several import open_datasets
+    from sean_jax.learning import imitation
 
     with pytest.raises(InputError, match="10 examples a second, and .* 1; collect with the same --rate"):
         open_datasets([made.folder, fine.folder])
     pair = [ImitationConfig(method="imitation", dataset=one.folder, out=one.folder / "no") for one in (made, fine)]
-    with pytest.raises(InputError, match="other rates of examples beside one another"):
-        ensemble.train(pair)
+    with pytest.raises(InputError, match="the datasets have different rates"):
+        imitation.train_ensemble(pair)
     with pytest.raises(InputError, match="was begun with --rate 1, not 2"):
         learning_data.begin(learning_data.options(data.folder, rate=2))
     old = {name: value for name, value in data.manifest.items() if name != "rate"}
@@ -393,7 +389,7 @@ def test_one_situation_is_exported_as_a_number(fine, tmp_path):
     one = dataset.create_dataset(tmp_path / "one", {name: manifest[name] for name in manifest if name != "shards"})
     blank = {name: np.zeros((8, one.most_rows, *shape), kind) for name, (shape, kind) in one.fields.items()}
     for stream in range(2):
-        one.commit(stream, demonstrations.Batch(blank, np.full(8, 90), np.ones(8, bool)))
+        one.commit(stream, dataset.EpisodeBatch(blank, np.full(8, 90), np.ones(8, bool)))
     out = lerobot.export(one.folder, tmp_path / "out")
     feature = json.loads((out / "meta/info.json").read_text())["features"]["observation.situations"]
     assert feature == {"dtype": "float32", "shape": [1], "names": ["passing"]}

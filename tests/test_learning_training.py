@@ -2,8 +2,9 @@
 
 import functools
 import json
-import struct
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -14,12 +15,13 @@ import pytest
 from sean_jax import cli, devices, episodes, prng, writing
 from sean_jax.config import ImitationConfig
 from sean_jax.errors import IncompleteError, InputError
-from sean_jax.learning import demonstrations, learned, training
-from sean_jax.learning.checkpoints import Checkpoints
+from sean_jax.learning import imitation
+from sean_jax.learning.collection import row_record, simulate_shard
 from sean_jax.learning.dataset import on_device, split
 from sean_jax.learning.examples import example
-from sean_jax.learning.logs import Log, crc32c
-from sean_jax.learning.network import Network
+from sean_jax.learning.networks import Network
+from sean_jax.learning.policy import load_imitation
+from sean_jax.learning.trainer import Checkpoints, Log
 from sean_jax.runner import Runner
 
 
@@ -47,10 +49,10 @@ def recording(data):
 def trained(data, tmp_path_factory):
     """A training of 12 epochs and its folder."""
     folder = tmp_path_factory.mktemp("run") / "whole"
-    return training.train(options(data, folder)), folder
+    return imitation.train(options(data, folder)), folder
 
 
-begin = jax.jit(training.init_state, static_argnums=(0, 1, 2))
+begin = jax.jit(imitation.init_state, static_argnums=(0, 1, 2))
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -61,12 +63,13 @@ def answers(network, weights, examples):
 
 
 def test_documented_sizes():
-    from sean_jax.learning import network
+    from sean_jax.learning import networks
+    from sean_jax.learning.networks import Network
 
     for flags, shares in ((False, (2, 3)), (True, (3, 4))):
-        weights = jax.eval_shape(lambda flags=flags: network.init_weights(Network(flags=flags), 5, jax.random.key(0)))
+        weights = jax.eval_shape(lambda flags=flags: networks.init_weights(Network(flags=flags), 5, jax.random.key(0)))
         count = sum(leaf.size for leaf in jax.tree.leaves(weights.parameters))
-        assert f"{count:,} parameters" in network.__doc__.replace("\n", " ") or f"{count:,} with" in network.__doc__
+        assert f"{count:,} parameters" in networks.__doc__.replace("\n", " ") or f"{count:,} with" in networks.__doc__
         one = Network(flags=flags)
         assert (len(one.planner_sources), len(one.controller_sources)) == shares
 
@@ -76,7 +79,7 @@ def test_it_learns_two_hundred_examples_by_heart(recording):
     chosen = unread(width=32, batch=64, learning_rate=3e-3, weight_decay=0.0)
     network = Network(32, True, (12, 16))
     state = begin(network, 5, chosen, recording.rows.command)
-    programs = training.programs(network, chosen, devices.mesh())
+    programs = imitation.programs(network, chosen, devices.mesh())
     rows = jnp.arange(len(recording.first), dtype=jnp.int32)
     losses = []
     for _ in range(80):
@@ -94,7 +97,7 @@ def test_losses_equal_a_loop_in_numpy(recording, data):
     network, chosen = Network(16, False, (12, 16)), unread(width=16, batch=32)
     state = begin(network, 5, chosen, recording.rows.command)
     np.testing.assert_allclose(state.weights.scale, np.std(recording.rows.command, 0), rtol=1e-5)
-    programs = training.programs(network, chosen, devices.mesh())
+    programs = imitation.programs(network, chosen, devices.mesh())
     rows = np.arange(3, 50, dtype=np.int32)
     examples = jax.jit(jax.vmap(example, (None, 0)))(recording, jnp.asarray(rows))
     answer = answers(network, state.weights, examples)
@@ -131,10 +134,10 @@ def test_an_interrupted_training_comes_to_the_same_bits(data, trained, tmp_path,
 
     monkeypatch.setattr(Checkpoints, "save", stopping)
     with pytest.raises(KeyboardInterrupt):
-        training.train(options(data, tmp_path / "run"))
+        imitation.train(options(data, tmp_path / "run"))
     with (tmp_path / "run" / "metrics.jsonl").open("a") as stream:  # as a kill leaves it: beyond the checkpoint, cut
         stream.write('{"epoch": 99, "time": 0.0}\n{"epo')
-    again = training.train(options(data, tmp_path / "run"))
+    again = imitation.train(options(data, tmp_path / "run"))
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(one, other)
     logs = [
@@ -157,56 +160,37 @@ def test_the_latest_and_the_best_checkpoint_are_kept(trained):
     assert float(state.best) == pytest.approx(losses[best])
 
 
-def test_events_are_what_tensorboard_reads(trained):
-    """Decoded by a parser of its own: lengths, checksums, and the protocol buffers by protobuf."""
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+def test_events_for_tensorboard_need_an_optional_package(tmp_path, monkeypatch):
+    """Of a log with scalars in dicts, those after the last checkpoint are purged at a restart."""
+    written = []
 
-    kinds = {"double": 1, "float": 2, "int64": 3, "string": 9, "message": 11}
-    file = descriptor_pb2.FileDescriptorProto(name="event.proto", package="t", syntax="proto3")
-    for name, fields in {
-        "Value": (("tag", 1, "string", ""), ("simple_value", 2, "float", "")),
-        "Summary": (("value", 1, "message", ".t.Value"),),
-        "Event": (
-            ("wall_time", 1, "double", ""),
-            ("step", 2, "int64", ""),
-            ("file_version", 3, "string", ""),
-            ("summary", 5, "message", ".t.Summary"),
-        ),
-    }.items():
-        message = file.message_type.add(name=name)
-        for field, number, kind, of in fields:
-            made = message.field.add(name=field, number=number, type=kinds[kind], label=3 if field == "value" else 1)
-            if of:
-                made.type_name = of
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    event = message_factory.GetMessageClass(pool.FindMessageTypeByName("t.Event"))
-    raw, found, at = next(trained[1].glob("events.out.tfevents.*")).read_bytes(), [], 0
-    while at < len(raw):
-        (length,) = struct.unpack_from("<Q", raw, at)
-        for begin, size in ((at, 8), (at + 12, length)):
-            value = crc32c(raw[begin : begin + size])
-            masked = (((value >> 15) | (value << 17)) + 0xA282EAD8) & 0xFFFFFFFF
-            assert struct.unpack_from("<I", raw, begin + size) == (masked,)
-        found.append(event.FromString(raw[at + 12 : at + 12 + length]))
-        at += 16 + length
-    assert found[0].file_version == "brain.Event:2"
-    values = {(one.step, value.tag): value.simple_value for one in found for value in one.summary.value}
-    for line in lines(trained[1]):
-        for part in ("train", "validation"):
-            for name, value in line[part].items():
-                assert values[line["epoch"], f"{part}/{name}"] == pytest.approx(value, rel=1e-6)
+    class SummaryWriter:
+        def __init__(self, folder, purge_step):
+            written.append((folder, purge_step))
+
+        def add_scalar(self, *values):
+            written.append(values)
+
+        def flush(self):
+            pass
+
+    monkeypatch.setitem(sys.modules, "tensorboardX", SimpleNamespace(SummaryWriter=SummaryWriter))
+    Log(tmp_path, 3).add({"epoch": 4, "train": {"loss": 0.5}, "seconds": 2.0, "time": 10.0})
+    assert written == [(str(tmp_path), 4), ("train/loss", 0.5, 4, 10.0), ("seconds", 2.0, 4, 10.0)]
+    monkeypatch.setitem(sys.modules, "tensorboardX", None)
+    Log(tmp_path, 4).add({"epoch": 5, "time": 11.0})
+    assert [line["epoch"] for line in lines(tmp_path)] == [4, 5]
 
 
 @pytest.mark.slow
 def test_training_from_disk_learns_as_well(data, tmp_path):
-    state = training.train(options(data, tmp_path / "disk", device_memory_fraction=0.0, epochs=3))
+    state = imitation.train(options(data, tmp_path / "disk", device_memory_fraction=0.0, epochs=3))
     losses = [line["train"]["loss"] for line in lines(tmp_path / "disk")]
     assert int(state.epoch) == 3 and losses[-1] < losses[0]
     validation = split(data, 0.2, 0)[1]
     recording = on_device(data.recording(validation))
     network = Network(16, False, (12, 16))
-    programs = training.programs(network, options(data, None), devices.mesh())
+    programs = imitation.programs(network, options(data, None), devices.mesh())
     rows = jnp.arange(len(recording.first), dtype=jnp.int32)
     _, _, found = programs.epoch(jax.tree.map(jnp.copy, state), recording, rows[:0], rows)
     assert float(found.loss) == pytest.approx(lines(tmp_path / "disk")[-1]["validation"]["loss"], rel=1e-4)
@@ -214,12 +198,12 @@ def test_training_from_disk_learns_as_well(data, tmp_path):
 
 @pytest.mark.slow
 def test_training_stops_when_nothing_gets_better(data, tmp_path):
-    state = training.train(options(data, tmp_path / "run", learning_rate=0.3, patience=2, epochs=30))
+    state = imitation.train(options(data, tmp_path / "run", learning_rate=0.3, patience=2, epochs=30))
     assert int(state.epoch) == int(state.best_epoch) + 2 < 30
 
 
 def test_a_loss_that_is_not_finite_ends_it_and_keeps_what_there_was(data, tmp_path, monkeypatch):
-    made = training.programs
+    made = imitation.programs
 
     def poisoned(network, chosen, over):
         programs = made(network, chosen, over)
@@ -231,12 +215,12 @@ def test_a_loss_that_is_not_finite_ends_it_and_keeps_what_there_was(data, tmp_pa
 
         return programs._replace(epoch=epoch)
 
-    monkeypatch.setattr(training, "programs", poisoned)
+    monkeypatch.setattr(imitation, "programs", poisoned)
     with pytest.raises(FloatingPointError, match="the loss is not finite in epoch 4; .* keeps the checkpoints"):
-        training.train(options(data, tmp_path / "run"))
+        imitation.train(options(data, tmp_path / "run"))
     assert max(int(path.name) for path in (tmp_path / "run" / "checkpoints").iterdir()) <= 3
     scenario = learning_data.setting()[0]["join_group"]
-    assert learned.load(tmp_path / "run", scenario).name == "run"
+    assert load_imitation(tmp_path / "run", scenario).name == "run"
 
 
 def test_checkpoints_of_another_network_are_refused(data, trained, tmp_path, capsys):
@@ -247,13 +231,13 @@ def test_checkpoints_of_another_network_are_refused(data, trained, tmp_path, cap
         ({"seed": 1}, "seed 0, not 1"),
     ):
         with pytest.raises(InputError, match=f"has checkpoints of another network, with {message}"):
-            training.train(options(data, folder, **others))
+            imitation.train(options(data, folder, **others))
     command = ["train", "imitation", str(data.folder), "--width", "24", "--out", str(folder)]
     assert cli.main(command) == 2
     error = capsys.readouterr().err
     assert error.startswith("sean: ") and "another network" in error and len(error.splitlines()) == 1
     with pytest.raises(InputError, match="has no trained network"):
-        learned.load(tmp_path, learning_data.setting()[0]["join_group"])
+        load_imitation(tmp_path, learning_data.setting()[0]["join_group"])
 
 
 def test_opening_a_policy_changes_nothing(data, trained, tmp_path):
@@ -272,13 +256,13 @@ def test_opening_a_policy_changes_nothing(data, trained, tmp_path):
 
     before = everything()
     scenario = learning_data.setting()[0]["join_group"]
-    weights, expected = (learned.load(place, scenario).params.weights for place in (folder, trained[1]))
+    weights, expected = (load_imitation(place, scenario).params.weights for place in (folder, trained[1]))
     assert everything() == before
     for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)
     with writing.folder_lock(folder), pytest.raises(writing.WriteError, match="run is being written by process"):
-        training.train(options(data, folder, epochs=13))
-    training.train(options(data, folder, epochs=13))
+        imitation.train(options(data, folder, epochs=13))
+    imitation.train(options(data, folder, epochs=13))
     assert not half.exists() and (folder / "checkpoints" / "13").is_dir()
 
 
@@ -299,10 +283,10 @@ def test_what_a_kill_left_half_deleted_is_no_checkpoint(data, trained, tmp_path)
             shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
     assert len([*checkpoints.iterdir()]) > len(steps) + 3
     scenario = learning_data.setting()[0]["join_group"]
-    weights, expected = (learned.load(place, scenario).params.weights for place in (folder, trained[1]))
+    weights, expected = (load_imitation(place, scenario).params.weights for place in (folder, trained[1]))
     for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)
-    again = training.train(options(data, folder))
+    again = imitation.train(options(data, folder))
     for one, other in zip(jax.tree.leaves(trained[0]), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(one, other)
     assert sorted(path.name for path in checkpoints.iterdir()) == steps
@@ -325,7 +309,7 @@ def test_a_policy_is_opened_while_its_training_replaces_the_best(trained, tmp_pa
 
     monkeypatch.setattr(Checkpoints, "_restore", replaced)
     scenario = learning_data.setting()[0]["join_group"]
-    weights, expected = (learned.load(place, scenario).params.weights for place in (folder, trained[1]))
+    weights, expected = (load_imitation(place, scenario).params.weights for place in (folder, trained[1]))
     assert new.exists()
     for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -333,7 +317,7 @@ def test_a_policy_is_opened_while_its_training_replaces_the_best(trained, tmp_pa
 
 def test_a_refused_training_leaves_no_folder(data, tmp_path):
     with pytest.raises(InputError, match="--balance needs the dataset to fit"):
-        training.train(options(data, tmp_path / "deep" / "run", balance=True, device_memory_fraction=0.0))
+        imitation.train(options(data, tmp_path / "deep" / "run", balance=True, device_memory_fraction=0.0))
     assert not any(tmp_path.iterdir())
 
 
@@ -347,7 +331,7 @@ def test_a_damaged_checkpoint_is_named(data, trained, tmp_path):
         if path.is_file():
             path.write_bytes(b"broken")
     with pytest.raises(IncompleteError, match=f"checkpoints/{latest} cannot be read .* remove it to go on"):
-        training.train(options(data, folder, epochs=14))
+        imitation.train(options(data, folder, epochs=14))
 
 
 def test_a_byte_that_changed_in_a_checkpoint_changes_no_weight(trained, tmp_path):
@@ -356,7 +340,7 @@ def test_a_byte_that_changed_in_a_checkpoint_changes_no_weight(trained, tmp_path
 
     random, refused = np.random.default_rng(0), 0
     scenario = learning_data.setting()[0]["join_group"]
-    expected = jax.tree.leaves(learned.load(trained[1], scenario).params.weights)
+    expected = jax.tree.leaves(load_imitation(trained[1], scenario).params.weights)
     for number in range(24):
         folder = tmp_path / str(number)
         shutil.copytree(trained[1], folder)
@@ -368,7 +352,7 @@ def test_a_byte_that_changed_in_a_checkpoint_changes_no_weight(trained, tmp_path
         content[random.integers(len(content))] ^= 1 << random.integers(8)
         file.write_bytes(content)
         try:
-            found = jax.tree.leaves(learned.load(folder, scenario).params.weights)
+            found = jax.tree.leaves(load_imitation(folder, scenario).params.weights)
         except (InputError, IncompleteError) as error:
             refused += "cannot be read" in str(error)
             continue
@@ -385,7 +369,7 @@ def test_a_full_disk_keeps_the_checkpoints(data, trained, tmp_path, monkeypatch)
     usage = shutil.disk_usage(folder)._replace(free=1000)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
     with pytest.raises(IncompleteError, match="the disk is full; earlier checkpoints are as they were"):
-        training.train(options(data, folder, epochs=14))
+        imitation.train(options(data, folder, epochs=14))
     assert sorted(path.name for path in (folder / "checkpoints").iterdir()) == before
 
 
@@ -404,7 +388,7 @@ def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
     """Driven step by step, in a batch, its decisions each second are those for the examples of the recording."""
     parts, camera = learning_data.setting()
     scenario = parts["join_group"]
-    policy = learned.load(trained[1], scenario)
+    policy = load_imitation(trained[1], scenario)
     keys = jax.vmap(jax.random.fold_in, (None, 0))(prng.key("collect", learning_data.SEED), jnp.arange(3))
 
     def follow(before, after, action):
@@ -412,8 +396,8 @@ def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
 
     drive = jax.vmap(lambda policy, key: episodes.rollout(scenario, policy, key, 61, follow), (None, 0))
     _, (decisions, actions) = jax.jit(drive)(policy, keys)
-    running = Runner(scenario, policy, 3, "collect", demonstrations.record(scenario, camera))
-    batch = demonstrations.simulate(running, learning_data.SEED, 0, 0)
+    running = Runner(scenario, policy, 3, "collect", row_record(scenario, camera))
+    batch = simulate_shard(running, learning_data.SEED, 0, 0)
     np.testing.assert_allclose(batch.rows["command"][:, :7], actions[:, ::10], atol=1e-3)
     lengths = np.minimum(batch.lengths, 7)
     assert (lengths == 7).all()

@@ -10,7 +10,7 @@ import sean_jax
 from sean_jax import cli, components, mdp
 from sean_jax.config import OwnPart
 from sean_jax.errors import PartError
-from sean_jax.learning import choice
+from sean_jax.learning.policy import load_policy
 
 HEAD = "import math\nimport jax\nimport jax.numpy as jnp\nimport numpy as np\nimport sean_jax\n"
 LINE = HEAD.count("\n")  # lines before a part
@@ -133,7 +133,7 @@ def test_a_mistake_in_a_policy_is_one_sentence(mistake, small, tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     kind = write(tmp_path, text)
     with pytest.raises(PartError) as refused:
-        choice.policy(kind, small)
+        load_policy(kind, small)
     check_sentence(str(refused.value), "policy", line, words)
 
 

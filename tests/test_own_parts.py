@@ -23,7 +23,7 @@ from sean_jax.config import BenchmarkConfig, CollectConfig, Figure4Config, RunCo
 from sean_jax.errors import InputError
 from sean_jax.evaluation.output import read_config
 from sean_jax.learning import dataset
-from sean_jax.learning.agents import AGENTS
+from sean_jax.learning.policy import AGENTS
 from sean_jax.studies import validation
 from sean_jax.studies.experiments import parts
 from sean_jax.studies.validation import results

@@ -18,7 +18,7 @@ import sean_jax
 from sean_jax import cli, episodes, navigation, robots
 from sean_jax.base import Groups, Policy
 from sean_jax.evaluation.choices import offered
-from sean_jax.learning.agents import AGENTS
+from sean_jax.learning.policy import AGENTS
 from sean_jax.pedestrian_models import walk
 from sean_jax.policies import POLICIES, cost_to_go, prediction, social_costmap
 from sean_jax.policies.expert import plan_limits

@@ -16,9 +16,9 @@ import sean_jax
 from sean_jax import cli, devices, learning, mdp, registry
 from sean_jax.config import APGConfig, PPOConfig
 from sean_jax.errors import InputError
-from sean_jax.learning import actor_critic, reinforcement, rollouts
-from sean_jax.learning.actor_critic import ActorCritic, Agent, Statistics
-from sean_jax.learning.trained import Best
+from sean_jax.learning import networks, reinforcement, rollouts
+from sean_jax.learning.networks import ActorCritic, Agent, Statistics
+from sean_jax.learning.policy import Best
 
 SMALL = dict(
     method="ppo", environment="lab", behavior="random", people=2, time_limit=4.0, scenarios=8, horizon=8, minibatches=2,
@@ -84,7 +84,7 @@ def env() -> mdp.Env:
 
 def begun(network: ActorCritic, env: mdp.Env) -> Agent:
     """An agent before it has learned."""
-    return jax.jit(lambda key: actor_critic.init_agent(network, env.observations, env.observation_space, key))(
+    return jax.jit(lambda key: networks.init_agent(network, env.observations, env.observation_space, key))(
         jax.random.key(0)
     )
 
@@ -105,7 +105,7 @@ def test_advantages_are_those_of_the_definition():
     final = np.where(over & (rng.random((steps, rows)) < 0.5), final, 0.0)
     last = rng.normal(size=rows)
     zero = jnp.zeros((steps, rows))
-    seen = rollouts.Seen((), {}, zero, zero, zero, jnp.asarray(value), jnp.asarray(reward), jnp.asarray(over),
+    seen = rollouts.Transition((), {}, zero, zero, zero, jnp.asarray(value), jnp.asarray(reward), jnp.asarray(over),
                     jnp.asarray(final), {})  # fmt: skip
     found = rollouts.advantages(seen, jnp.asarray(last), 0.9, 0.8)
     for row in range(rows):
@@ -127,7 +127,7 @@ def test_statistics_are_those_of_all_together():
     statistics = Statistics(jnp.zeros(3), jnp.ones(3), jnp.full((), 1e-4))
     parts = [rng.normal(5.0, 2.0, (number, 3)).astype(np.float32) for number in (7, 1, 300)]
     for part in parts:
-        statistics = actor_critic.update_statistics(statistics, jnp.asarray(part))
+        statistics = networks.update_statistics(statistics, jnp.asarray(part))
     everything = np.concatenate(parts)
     np.testing.assert_allclose(statistics.mean, everything.mean(0), rtol=1e-4)
     np.testing.assert_allclose(statistics.variance, everything.var(0), rtol=1e-3)
@@ -138,17 +138,17 @@ def test_density_and_entropy_are_those_of_a_normal_distribution():
 
     rng = np.random.default_rng(2)
     mean, log_std, action = rng.normal(size=(3, 4, 2))
-    said = actor_critic.Answer(*map(jnp.asarray, (mean, log_std)), jnp.zeros(4), jnp.zeros((4, 0)))
+    said = networks.NetworkOutput(*map(jnp.asarray, (mean, log_std)), jnp.zeros(4), jnp.zeros((4, 0)))
     wanted = norm(mean, np.exp(log_std))
-    np.testing.assert_allclose(actor_critic.log_density(said, jnp.asarray(action)), wanted.logpdf(action).sum(-1), 1e-5)
-    np.testing.assert_allclose(actor_critic.entropy(said), wanted.entropy().sum(-1), 1e-5)
+    np.testing.assert_allclose(networks.log_density(said, jnp.asarray(action)), wanted.logpdf(action).sum(-1), 1e-5)
+    np.testing.assert_allclose(networks.entropy(said), wanted.entropy().sum(-1), 1e-5)
 
 
 def test_a_memory_begins_anew_with_an_episode(env):
     network = ActorCritic(8, 1, (), recurrent=True)
     agent = begun(network, env)
     goal, full, empty = jnp.array([1.0, 2.0]), jnp.full(8, 0.7), jnp.zeros(8)
-    say = lambda memory, start: actor_critic.answer(network, agent, goal, {}, memory, jnp.asarray(start))  # noqa: E731
+    say = lambda memory, start: networks.apply(network, agent, goal, {}, memory, jnp.asarray(start))  # noqa: E731
     assert float(say(full, True).value) == float(say(empty, True).value) == float(say(empty, False).value)
     assert float(say(full, False).value) != float(say(empty, False).value)
 
@@ -166,25 +166,22 @@ def test_matrices_of_several_agents_are_factorized_one_by_one(env):
                 if hasattr(inner := getattr(part, "jaxpr", part), "eqns"):
                     yield from factorizations(inner)
 
-    program = jax.make_jaxpr(lambda keys: actor_critic.init_agents(*seen, keys))(keys).jaxpr
+    program = jax.make_jaxpr(lambda keys: networks.init_agents(*seen, keys))(keys).jaxpr
     found = list(factorizations(program))
     assert found and all(step.invars[0].aval.ndim == 2 for step in found)
-    agents = jax.jit(lambda keys: actor_critic.init_agents(*seen, keys))(keys)
-    alone = jax.jit(lambda key: actor_critic.init_agent(*seen, key))(keys[1])
+    agents = jax.jit(lambda keys: networks.init_agents(*seen, keys))(keys)
+    alone = jax.jit(lambda key: networks.init_agent(*seen, key))(keys[1])
     for one, other in zip(*map(jax.tree.leaves, (agents, alone)), strict=True):
         np.testing.assert_allclose(one[1], other, atol=1e-6)
 
 
-@pytest.mark.parametrize("careful", [False, True])
-def test_noise_is_what_is_asked_for(env, careful):
-    """And depends on what is seen if the agent is careful, alone."""
-    network = ActorCritic(8, 1, careful=careful)
+def test_noise_is_what_is_asked_for(env):
+    network = ActorCritic(8, 1)
     agent = begun(network, env)
-    agent = actor_critic.with_noise(agent, 0.1)
+    agent = networks.with_noise(agent, 0.1)
     seen = jnp.array([[1.0, 2.0], [-3.0, 0.5]])
-    said = actor_critic.answer(network, agent, seen, {}, jnp.zeros((2, 0)), jnp.ones(2, bool))
-    np.testing.assert_allclose(jnp.exp(said.log_std), 0.1, rtol=0.2 if careful else 1e-5)
-    assert bool(jnp.array_equal(said.log_std[0], said.log_std[1])) is not careful
+    said = networks.apply(network, agent, seen, {}, jnp.zeros((2, 0)), jnp.ones(2, bool))
+    np.testing.assert_allclose(jnp.exp(said.log_std), 0.1, rtol=1e-5)
 
 
 @pytest.mark.parametrize("training", quick(["trained", "learned"], "trained"))
@@ -208,7 +205,7 @@ def test_programs_of_a_training_fit_together(method):
 
     def together(key):
         pooled = (env.with_pool(key, config.pool),)
-        several = actor_critic.init_agents(network, env.observations, env.observation_space, key[None])
+        several = networks.init_agents(network, env.observations, env.observation_space, key[None])
         before = run.begin(pooled, several)
         return before, *run.update(pooled, before), run.evaluate(scenarios, (env,), several)
 
@@ -225,7 +222,7 @@ def test_a_stopped_training_goes_on_to_the_same_curve(learned, tmp_path, monkeyp
     """Stopped before and after checkpoints, it ends with the same numbers and the same agent."""
     folder = tmp_path / "run"
     for last in (1, 5):
-        monkeypatch.setattr(reinforcement, "_numbers", _until(reinforcement._numbers, last))
+        monkeypatch.setattr(reinforcement, "_finite_means", _until(reinforcement._finite_means, last))
         with pytest.raises(KeyboardInterrupt):
             reinforcement.train(options(folder))
         monkeypatch.undo()
@@ -236,7 +233,7 @@ def test_a_stopped_training_goes_on_to_the_same_curve(learned, tmp_path, monkeyp
 
 
 def _until(numbers, last):
-    """``reinforcement._numbers``, called three times an update, until Ctrl-C in update ``last`` of this process."""
+    """``reinforcement._finite_means``, called three times an update, until Ctrl-C in update ``last``."""
     calls = []
 
     def call(values):
@@ -265,7 +262,7 @@ def test_it_drives_as_it_was_evaluated(learned):
     advance = jax.jit(env.advance)
     for tick in range(10):
         vector = sean_jax.mdp.flatten(env.observations, seen)
-        said = actor_critic.answer(driver.params.network, agent, vector, {}, jnp.zeros(0), jnp.zeros((), bool))
+        said = networks.apply(driver.params.network, agent, vector, {}, jnp.zeros(0), jnp.zeros((), bool))
         envs, seen, *_, info = advance(envs, said.mean)
         np.testing.assert_allclose(info["command"], recorded.action[tick], atol=1e-4)
 
@@ -361,7 +358,7 @@ def test_a_training_with_randomization_delay_and_own_ends_goes_on(mine, tmp_path
     half, whole = tmp_path / "half", tmp_path / "whole"
     reinforcement.train(varied(whole, mine))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reinforcement.processes, "must_stop", lambda done: done == 3)
+        patch.setattr(reinforcement.trainer, "must_stop", lambda done: done == 3)
         with pytest.raises(KeyboardInterrupt):
             reinforcement.train(varied(half, mine))
     reinforcement.train(varied(half, mine))
@@ -444,7 +441,7 @@ def test_what_the_critic_alone_sees_never_reaches_the_actor(several):
     key = jax.random.key(0)
     vector = jax.random.normal(key, (4 + private,))
     other = vector.at[4:].set(jax.random.normal(jax.random.key(1), (private,)))
-    say = lambda numbers: actor_critic.answer(  # noqa: E731
+    say = lambda numbers: networks.apply(  # noqa: E731
         driver.network, driver.agent, numbers, {}, jnp.zeros(0), jnp.ones((), bool)
     )
     assert jnp.array_equal(say(vector).mean, say(other).mean)
@@ -478,8 +475,8 @@ def test_analytic_gradients_are_those_of_differences():
     config = analytic(None, horizon=4, scenarios=2)
     _, (env,), network = reinforcement.build(config)
     env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, jax.random.key(1), 4).with_transition_gradients()
-    agent = actor_critic.init_agent(network, env.observations, env.observation_space, jax.random.key(2))
-    rows = jax.jit(rollouts.begin, static_argnums=(1, 3))((env,), network, jax.random.key(3), 2)
+    agent = networks.init_agent(network, env.observations, env.observation_space, jax.random.key(2))
+    rows = jax.jit(rollouts.reset_envs, static_argnums=(1, 3))((env,), network, jax.random.key(3), 2)
 
     def lost(change):
         last = f"Dense_{2 * config.layers}"
@@ -487,7 +484,7 @@ def test_analytic_gradients_are_those_of_differences():
         bias = parameters["params"][last]["bias"]
         parameters["params"][last]["bias"] = bias.at[0].add(change)
         acting = replace(agent, parameters=parameters)
-        return shac._lost((env,), network, acting, agent, rows, 4, jax.random.key(4), jnp.asarray(0.99))[0]
+        return shac._loss((env,), network, acting, agent, rows, 4, jax.random.key(4), jnp.asarray(0.99))[0]
 
     found = jax.jit(jax.grad(lost))(0.3)
     step = 1e-3  # at 1e-2 limits of the robot come in between
@@ -533,9 +530,7 @@ def test_a_packed_agent_drives_as_its_training(trained, tmp_path, capsys):
     drivers = [learning.load(each, scenario) for each in (folder, out)]
     seen, driven = jnp.array([1.0, -2.0, 0.3, 0.5]), []
     for driver in drivers:
-        said = actor_critic.answer(
-            driver.params.network, driver.params.agent, seen, {}, jnp.zeros(0), jnp.ones((), bool)
-        )
+        said = networks.apply(driver.params.network, driver.params.agent, seen, {}, jnp.zeros(0), jnp.ones((), bool))
         driven.append(said.mean)
     assert drivers[1].name == "small" and drivers[0].apply is drivers[1].apply
     assert 0 < np.abs(driven[0] - driven[1]).max() + 1e-9 < 1e-3
@@ -631,9 +626,9 @@ def cell(tmp_path_factory):
 
 def test_scenarios_of_environments_take_turns():
     rows = {"row": jnp.arange(12).reshape(6, 2), "keys": jax.random.split(jax.random.key(0), 6)}
-    parts = rollouts.deal(rows, 3)
+    parts = rollouts.split_by_env(rows, 3)
     assert [part["row"][:, 0].tolist() for part in parts] == [[0, 6], [2, 8], [4, 10]]
-    again = rollouts.gather(parts)
+    again = rollouts.merge_envs(parts)
     assert jnp.array_equal(again["row"], rows["row"]) and bool((again["keys"] == rows["keys"]).all())
 
 
@@ -652,7 +647,7 @@ def test_one_agent_learns_in_several_environments(cell, tmp_path, monkeypatch):
     """Stopped and given again, with two seeds: it sees each place as it is, is judged in each, and drives in each."""
     config = options(tmp_path / "run", environment=f"lab,{cell}", seeds=2, steps=8 * 8 * 4)
     assert config.replace(out=None).folder.name == "ppo-lab-cell-random-0"
-    numbers, told = reinforcement._numbers, []
+    numbers, told = reinforcement._finite_means, []
 
     def until(values):
         told.append(numbers(values))
@@ -660,7 +655,7 @@ def test_one_agent_learns_in_several_environments(cell, tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return told[-1]
 
-    monkeypatch.setattr(reinforcement, "_numbers", until)
+    monkeypatch.setattr(reinforcement, "_finite_means", until)
     with pytest.raises(KeyboardInterrupt):
         reinforcement.train(config)
     monkeypatch.undo()
@@ -672,7 +667,7 @@ def test_one_agent_learns_in_several_environments(cell, tmp_path, monkeypatch):
     np.testing.assert_allclose(state.agent.statistics.count, 8 * 8 * 4, atol=0.01)  # learned from all
     of_one = jax.tree.map(lambda leaf: leaf[1], state.rows)  # of the agents
     look = jax.jit(jax.vmap(mdp.observations.begin, (None, None, 0, 0)), static_argnums=0)
-    for number, seen in enumerate(rollouts.deal(of_one.observation, 2)):
+    for number, seen in enumerate(rollouts.split_by_env(of_one.observation, 2)):
         there = of_one.envs[number].simulation
         now, _ = look(envs[number].observations, scenarios[number], there, there.streams.sensors)
         assert now["goal"].shape == (4, 2)

@@ -12,12 +12,5 @@ NAMESPACE = "sean"
 
 
 def identity(env: mdp.Env) -> Hashable:
-    """What an environment has in common with those of the same parts and numbers, and with no other.
-
-    Args:
-        env: of ``make_env``.
-
-    Returns:
-        A value to compare, or a key of a dict.
-    """
+    """A hashable value that is equal for environments of the same parts and numbers, and for no others."""
     return jax.tree.structure(env), fingerprint(prng.as_numbers(env))

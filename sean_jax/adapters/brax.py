@@ -1,7 +1,7 @@
 """Brax's interface: ``reset(rng) -> State`` and ``step(State, action) -> State``, for its wrappers and trainers.
 
-An episode that has ended has ``done`` and waits for a wrapper to begin another; ``info["truncation"]`` is 1 where the
-time limit ended it. Observations are vectors, or with ``flat=False`` dicts.
+An ended episode has ``done`` and waits for a wrapper to reset it; ``info["truncation"]`` is 1 if the time limit ended
+it. Observations are vectors, or with ``flat=False`` dicts.
 """
 
 # pyright: reportMissingImports=false, reportArgumentType=false, reportAttributeAccessIssue=false
@@ -32,10 +32,9 @@ class SocialNavigation(base.Env):
     """A scenario as an environment of Brax."""
 
     def __init__(self, env: mdp.Env | str, flat: bool = True, **config: Any):
-        """Make the environment.
+        """An environment of ``make_env``, or a name of ``registry.ALL_ENVS`` with fields of its description.
 
         Args:
-            env: of ``make_env``, or a name of ``registry.ALL_ENVS``.
             flat: give observations as one vector, without images.
 
         Raises:
@@ -45,54 +44,43 @@ class SocialNavigation(base.Env):
         self.flat = flat
 
     def reset(self, rng: Array) -> base.State:
-        """Begin an episode.
-
-        Args:
-            rng: () PRNG key, typed or not.
-        """
+        """Begin an episode; the PRNG key may be typed or not."""
         key = rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
         observation, state = self.env.reset(key)
-        nothing = jnp.zeros((), jnp.float32)
-        parts = {f"reward/{name}": nothing for name, _ in self.env.rewards}
-        metrics = parts | {"completed": nothing}
-        return base.State(state, self._given(observation), nothing, nothing, metrics, {"truncation": nothing})
+        zero = jnp.zeros((), jnp.float32)
+        parts = {f"reward/{name}": zero for name, _ in self.env.rewards}
+        metrics = parts | {"completed": zero}
+        return base.State(state, self._shown(observation), zero, zero, metrics, {"truncation": zero})
 
     def step(self, state: base.State, action: Array) -> base.State:
-        """One step of control.
-
-        Args:
-            action: (2,) from -1 to 1.
-
-        Returns:
-            The state after it, with all keys of ``metrics`` and ``info`` that it had.
-        """
+        """The state after a step of control, with all keys of ``metrics`` and ``info`` that it had."""
         after, observation, reward, terminated, truncated, info = self.env.advance(state.pipeline_state, action)
         parts = {f"reward/{name}": part.astype(jnp.float32) for name, part in info["rewards"].items()}
         metrics = state.metrics | parts | {"completed": info["completed"].astype(jnp.float32)}
         return state.replace(
             pipeline_state=after,
-            obs=self._given(observation),
+            obs=self._shown(observation),
             reward=reward.astype(jnp.float32),
             done=(terminated | truncated).astype(jnp.float32),
             metrics=metrics,
             info=state.info | {"truncation": truncated.astype(jnp.float32)},
         )
 
-    def _given(self, observation: dict[str, Array]) -> Any:
+    def _shown(self, observation: dict[str, Array]) -> Any:
         return observations.flatten(self.env.observations, observation) if self.flat else observation
 
     @property
     def observation_size(self) -> Any:
-        """Numbers of an observation, or the shapes of its parts."""
+        """The size of an observation, or the shapes of its parts."""
         shapes = jax.eval_shape(self.reset, jax.random.key(0)).obs
         return shapes.shape[-1] if self.flat else {name: part.shape for name, part in shapes.items()}
 
     @property
     def action_size(self) -> int:
-        """Numbers of an action."""
+        """The size of an action."""
         return 2
 
     @property
     def backend(self) -> str:
-        """What moves the robot."""
+        """The physics of the robot."""
         return "mjx"

@@ -5,8 +5,7 @@ Episode ``n`` after ``reset(seed=s)`` is drawn from ``fold_in(key(s), n)``, and 
 the seed ``s + k``: so it is equal to a single environment of that seed. Observations are dicts of numpy arrays.
 """
 
-import dataclasses
-import math
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -27,93 +26,75 @@ from sean_jax.scenario import frame, results
 MAX_RECENT = 8  # environments whose compiled programs are remembered
 
 
-@dataclasses.dataclass(frozen=True)
-class _Told:
-    """What a step gives, cut out of one array: each array that leaves the device costs as much as a small step."""
-
-    sizes: tuple[tuple[str, tuple[int, ...]], ...]
-
-    @classmethod
-    def of(cls, env: mdp.Env) -> "_Told":
-        parts = [("reward", ()), ("terminated", ()), ("truncated", ()), ("completed", ()), ("command", (2,))]
-        parts.append(("situations", (len(env.scenario.situations),)))
-        return cls((*parts, *((f"/{name}", box.shape) for name, box in env.observation_space.items())))
-
-    def pack(self, values: dict[str, Any]) -> Array:
-        return jnp.concatenate([jnp.ravel(values[name]).astype(jnp.float32) for name, _ in self.sizes])
-
-    def unpack(self, packed: np.ndarray) -> dict[str, np.ndarray]:
-        """The parts of (..., K) numbers."""
-        found, first = {}, 0
-        for name, shape in self.sizes:
-            last = first + math.prod(shape)
-            found[name] = packed[..., first:last].reshape((*packed.shape[:-1], *shape))
-            first = last
-        return found
-
-    def observation(self, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        return {name[1:]: np.array(value) for name, value in values.items() if name.startswith("/")}
-
-
-class _Layout:
-    """A state as one array of bits: a call with a hundred arrays takes three times as long as a step."""
+class _Packing:
+    """A pytree as one array per type of number: a call with a hundred arrays takes three times as long as a step."""
 
     def __init__(self, like: PyTree):
-        self.like = like
-        numbers = jax.eval_shape(prng.as_numbers, like)
-        self.shapes, self.structure = jax.tree.flatten(numbers)
+        self.leaves, self.structure = jax.tree.flatten(like)
 
-    def pack(self, state: PyTree) -> Array:
-        parts = []
-        for leaf in jax.tree.leaves(prng.as_numbers(state)):
-            bits = leaf.astype(jnp.uint32) if leaf.dtype == bool else jax.lax.bitcast_convert_type(leaf, jnp.uint32)
-            parts.append(jnp.ravel(bits))
-        return jnp.concatenate(parts)
+    def pack(self, tree: PyTree) -> dict[str, Array]:
+        parts: dict[str, list[Array]] = {}
+        for leaf in jax.tree.leaves(tree):
+            parts.setdefault(str(leaf.dtype), []).append(jnp.ravel(leaf))
+        return {kind: jnp.concatenate(arrays) for kind, arrays in parts.items()}
 
-    def unpack(self, packed: Array) -> PyTree:
-        found, first = [], 0
-        for shape in self.shapes:
-            words = 1 if shape.dtype == bool else shape.dtype.itemsize // 4
-            last = first + words * shape.size
-            bits = packed[first:last].reshape((*shape.shape, *([words] if words > 1 else [])))
-            whole = bits != 0 if shape.dtype == bool else jax.lax.bitcast_convert_type(bits, shape.dtype)
-            found.append(whole)
-            first = last
-        return prng.as_keys(self.structure.unflatten(found), self.like)
+    def unpack(self, packed: Mapping[str, Any]) -> PyTree:
+        """The pytree of arrays (..., K), with their leading axes."""
+        leaves, first = [], dict.fromkeys(packed, 0)
+        for leaf in self.leaves:
+            array, begin = packed[str(leaf.dtype)], first[str(leaf.dtype)]
+            first[str(leaf.dtype)] += leaf.size
+            leaves.append(array[..., begin : begin + leaf.size].reshape((*array.shape[:-1], *leaf.shape)))
+        return self.structure.unflatten(leaves)
 
 
 class _Programs:
-    """The compiled functions of an environment, of states as arrays of bits."""
+    """The compiled functions of an environment, of packed states and packed results of a step in 32 bits."""
 
     def __init__(self, env: mdp.Env, rows: bool):
-        self.told = _Told.of(env)
-        self.layout = layout = _Layout(jax.eval_shape(lambda: env.reset(jax.random.key(0)))[1])
+        observation, self.state = jax.eval_shape(lambda: env.reset(jax.random.key(0)))
+        self.states = states = _Packing(jax.eval_shape(prng.as_numbers, self.state))
+        shapes = dict.fromkeys(("reward", "terminated", "truncated", "completed"), ())
+        shapes |= {"command": (2,), "situations": (len(env.scenario.situations),)}
+        zeros = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+        observed = {name: np.zeros(part.shape, np.float32) for name, part in observation.items()}
+        self.results = results_of = _Packing(zeros | {"observation": observed})
 
-        def begin(seed: Array, number: Array) -> tuple[Array, Array]:
+        def pack(state: PyTree, values: dict[str, Any]) -> tuple[dict[str, Array], dict[str, Array]]:
+            values = jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), values)
+            return states.pack(prng.as_numbers(state)), results_of.pack(values)
+
+        def begin(seed: Array, number: Array) -> tuple[dict[str, Array], dict[str, Array]]:
             observation, state = env.reset(jax.random.fold_in(jax.random.key(seed), number))
-            nothing = {name: jnp.zeros(shape) for name, shape in self.told.sizes}
-            seen = {f"/{name}": part for name, part in observation.items()}
-            return layout.pack(state), self.told.pack(nothing | seen)
+            return pack(state, zeros | {"observation": observation})
 
-        def advance(packed: Array, action: Array) -> tuple[Array, Array]:
-            state, observation, reward, terminated, truncated, info = env.advance(layout.unpack(packed), action)
-            values = {"reward": reward, "terminated": terminated, "truncated": truncated}
-            values |= {name: info[name] for name in ("completed", "command", "situations")}
-            seen = {f"/{name}": part for name, part in observation.items()}
-            return layout.pack(state), self.told.pack(values | seen)
+        def advance(packed: dict[str, Array], action: Array) -> tuple[dict[str, Array], dict[str, Array]]:
+            state, observation, reward, terminated, truncated, info = env.advance(self.unpack(packed), action)
+            values = {name: info[name] for name in ("completed", "command", "situations")}
+            values |= {"reward": reward, "terminated": terminated, "truncated": truncated, "observation": observation}
+            return pack(state, values)
 
-        def measured(packed: Array) -> dict[str, Array]:
-            return results(env.scenario, layout.unpack(packed).simulation)
+        def measured(packed: dict[str, Array]) -> dict[str, Array]:
+            return results(env.scenario, self.unpack(packed).simulation)
 
         over = jax.vmap if rows else lambda function: function
         self.begin, self.advance, self.measured = (jax.jit(over(part)) for part in (begin, advance, measured))
+
+    def unpack(self, packed: dict[str, Array]) -> mdp.EnvState:
+        """The state of its packed form."""
+        return prng.as_keys(self.states.unpack(packed), self.state)
+
+    def read(self, packed: dict[str, Any]) -> dict[str, Any]:
+        """The results of a step on the host, with an observation that may be written to."""
+        values = self.results.unpack(jax.device_get(packed))
+        return values | {"observation": {name: np.array(part) for name, part in values["observation"].items()}}
 
 
 _recent: dict[Any, _Programs] = {}
 
 
 def _programs(env: mdp.Env, rows: bool) -> _Programs:
-    """Those of an equal environment, if it is among the last; else new ones."""
+    """The programs of an equal environment, if it is among the latest; else new ones."""
     key = identity(env), rows
     _recent[key] = _recent.pop(key, None) or _Programs(env, rows)
     if len(_recent) > MAX_RECENT:
@@ -127,12 +108,11 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
 
     def __init__(self, env: mdp.Env | str, render_mode: str | None = None, **config: Any):
-        """Make the environment.
+        """An environment of ``make_env``, or a name of ``registry.ALL_ENVS`` with fields of its description, as
+        ``people=20``.
 
         Args:
-            env: of ``make_env``, or a name of ``registry.ALL_ENVS``.
             render_mode: None or rgb_array.
-            config: of a name, fields of its description, such as ``people=20``.
 
         Raises:
             InputError: one sentence that names the value and the cure.
@@ -147,31 +127,23 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         self._run = _programs(self.env, rows=False)
         self._seed: int | None = None
         self._episodes = 0
-        self._state: Array | None = None
+        self._state: dict[str, Array] | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode.
-
-        Args:
-            seed: begins a new row of episodes; None goes on with the next one.
-
-        Returns:
-            The observation, and an empty dict.
+        """The first observation of an episode, and an empty dict; a seed begins a new row of episodes, None goes on
+        with the next one.
         """
         super().reset(seed=seed)
         if seed is not None or self._seed is None:
             self._seed, self._episodes = _seed(seed, self.np_random), 0
         self._state, packed = self._run.begin(np.uint32(self._seed), np.int32(self._episodes))
         self._episodes += 1
-        return self._run.told.observation(self._run.told.unpack(np.asarray(packed))), {}
+        return self._run.read(packed)["observation"], {}
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """One step of control.
-
-        Args:
-            action: (2,) from -1 to 1.
+        """One step of control, of an action (2,) from -1 to 1.
 
         Returns:
             The observation, the reward, ``terminated``, ``truncated``, and a dict: whether the task is ``completed``,
@@ -183,27 +155,23 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         if self._state is None:
             raise InputError("step: no episode has begun; call reset first.")
         self._state, packed = self._run.advance(self._state, np.asarray(action, np.float32))
-        told = self._run.told.unpack(np.asarray(packed))
-        terminated, truncated = bool(told["terminated"]), bool(told["truncated"])
+        values = self._run.read(packed)
+        terminated, truncated = bool(values["terminated"]), bool(values["truncated"])
         names = [name for name, _ in self.env.scenario.situations]
         info = {
-            "completed": bool(told["completed"]),
-            "command": np.array(told["command"]),
-            "situations": dict(zip(names, told["situations"] > 0.5, strict=True)),
+            "completed": bool(values["completed"]),
+            "command": np.array(values["command"]),
+            "situations": dict(zip(names, values["situations"] > 0.5, strict=True)),
         }
         if terminated or truncated:
             info["metrics"] = jax.device_get(self._run.measured(self._state))
-        return self._run.told.observation(told), float(told["reward"]), terminated, truncated, info
+        return values["observation"], float(values["reward"]), terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
-        """A picture of the scenario from above.
-
-        Returns:
-            (height, width, 3) uint8, or None if no render_mode was chosen.
-        """
+        """A picture (height, width, 3) uint8 of the scenario from above; None without a render_mode."""
         if self.render_mode is None or self._state is None:
             return None
-        state = self._run.layout.unpack(self._state)
+        state = self._run.unpack(self._state)
         shown = frame(state.simulation, state.simulation, state.commands[0])
         return _pixels(view(jax.tree.map(lambda leaf: leaf[None], shown), self.env.scenario))
 
@@ -220,12 +188,10 @@ class VectorSocialNavigation(VectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **config: Any,
     ):
-        """Make the environments.
+        """As of ``SocialNavigation``.
 
         Args:
-            env: as of ``SocialNavigation``.
             autoreset_mode: SAME_STEP or NEXT_STEP, which Gymnasium's wrappers of observations need.
-            config: as of ``SocialNavigation``.
 
         Raises:
             InputError: one sentence that names the value and the cure.
@@ -242,19 +208,16 @@ class VectorSocialNavigation(VectorEnv):
         self._run = _programs(self.env, rows=True)
         self._seeds: np.ndarray | None = None
         self._episodes = np.zeros(num_envs, np.int32)
-        self._over = np.zeros(num_envs, bool)
-        self._state: Array | None = None
+        self._done = np.zeros(num_envs, bool)
+        self._state: dict[str, Array] | None = None
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode in each row.
+        """The first observations (B, ...) of an episode in each row, and an empty dict.
 
         Args:
             seed: of the first row, and one more for each of the next; or a seed for each row.
-
-        Returns:
-            The observations (B, ...), and an empty dict.
 
         Raises:
             InputError: seeds are not as many as rows, or one is out of range.
@@ -270,21 +233,18 @@ class VectorSocialNavigation(VectorEnv):
         if seed is not None:
             self._episodes = np.zeros(self.num_envs, np.int32)
         self._state, packed = self._run.begin(self._seeds, self._episodes)
-        self._episodes, self._over = self._episodes + 1, np.zeros(self.num_envs, bool)
-        return self._run.told.observation(self._run.told.unpack(np.asarray(packed))), {}
+        self._episodes, self._done = self._episodes + 1, np.zeros(self.num_envs, bool)
+        return self._run.read(packed)["observation"], {}
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One step of control in each row.
-
-        Args:
-            actions: (B, 2) from -1 to 1.
+        """One step of control in each row, of actions (B, 2) from -1 to 1.
 
         Returns:
             The observations, rewards, ``terminated`` and ``truncated`` (B, ...), and a dict with the ``metrics`` of
-            episodes that have ended. SAME_STEP: there the observation is the first of the next episode, and the dict's
-            ``final_obs`` and ``final_info`` hold the last. NEXT_STEP: there the step after it begins the next episode,
+            ended episodes. SAME_STEP: there the observation is the first of the next episode, and the dict's
+            ``final_obs`` and ``final_info`` hold the last. NEXT_STEP: there the next step begins the next episode,
             whatever the action, with a reward of 0.
 
         Raises:
@@ -293,42 +253,36 @@ class VectorSocialNavigation(VectorEnv):
         if self._state is None:
             raise InputError("step: no episode has begun; call reset first.")
         state, packed = self._run.advance(self._state, np.asarray(actions, np.float32))
-        packed = np.asarray(packed)
         if self._mode == AutoresetMode.NEXT_STEP:
-            state, packed = self._begin(self._over, state, packed)
-        told = self._run.told.unpack(packed)
-        observation = self._run.told.observation(told)
-        terminated, truncated = told["terminated"] > 0.5, told["truncated"] > 0.5
-        over, completed = terminated | truncated, told["completed"] > 0.5
-        info: dict[str, Any] = {"completed": completed, "command": np.array(told["command"])}
-        if over.any():
+            state, packed = self._begin(self._done, state, packed)
+        values = self._run.read(packed)
+        observation = values["observation"]
+        terminated, truncated = values["terminated"] > 0.5, values["truncated"] > 0.5
+        done, completed = terminated | truncated, values["completed"] > 0.5
+        info: dict[str, Any] = {"completed": completed, "command": np.array(values["command"])}
+        if done.any():
             metrics = jax.device_get(self._run.measured(state))
             if self._mode == AutoresetMode.NEXT_STEP:
-                info |= {"metrics": metrics, "_metrics": over}
+                info |= {"metrics": metrics, "_metrics": done}
             else:
-                info |= {"final_obs": observation, "_final_obs": over, "_final_info": over}
+                info |= {"final_obs": observation, "_final_obs": done, "_final_info": done}
                 info["final_info"] = {"metrics": metrics, "completed": completed}
-                state, packed = self._begin(over, state, packed)
-                observation = self._run.told.observation(self._run.told.unpack(packed))
-        self._state, self._over = state, over
-        return observation, np.array(told["reward"]), terminated, truncated, info
+                state, packed = self._begin(done, state, packed)
+                observation = self._run.read(packed)["observation"]
+        self._state, self._done = state, done
+        return observation, np.array(values["reward"]), terminated, truncated, info
 
-    def _begin(self, rows: np.ndarray, state: Array, packed: np.ndarray) -> tuple[Array, np.ndarray]:
-        """The next episode in some rows, and what the others have."""
+    def _begin(self, rows: np.ndarray, state: dict[str, Array], packed: dict[str, Array]) -> tuple[dict, dict]:
+        """State and results with the next episode in some rows."""
         if not rows.any():
             return state, packed
-        begun, first = self._run.begin(self._seeds, self._episodes)
+        first = self._run.begin(self._seeds, self._episodes)
         self._episodes = self._episodes + rows.astype(np.int32)
-        return jnp.where(rows[:, None], begun, state), np.where(rows[:, None], np.asarray(first), packed)
+        return jax.tree.map(lambda new, old: jnp.where(rows[:, None], new, old), first, (state, packed))
 
 
 def make(name: str, render_mode: str | None = None, **config: Any) -> SocialNavigation:
-    """One environment by its name, without Gymnasium's wrappers.
-
-    Args:
-        name: of ``registry.ALL_ENVS``.
-        render_mode: None or rgb_array.
-        config: fields of its description that differ, such as ``people=20``.
+    """One environment by its name in ``registry.ALL_ENVS``, without Gymnasium's wrappers.
 
     Raises:
         InputError: one sentence that names the value and the cure.
@@ -339,11 +293,7 @@ def make(name: str, render_mode: str | None = None, **config: Any) -> SocialNavi
 def make_vec(
     name: str, num_envs: int = 1, autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP, **config: Any
 ) -> VectorSocialNavigation:
-    """Many environments by their name, which step together in one compiled call.
-
-    Args:
-        name: of ``registry.ALL_ENVS``.
-        autoreset_mode: as of ``VectorSocialNavigation``.
+    """Many environments by their name in ``registry.ALL_ENVS``, which step together in one compiled call.
 
     Raises:
         InputError: one sentence that names the value and the cure.

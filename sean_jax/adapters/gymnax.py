@@ -40,10 +40,9 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
     _supports_transition_gradients = True
 
     def __init__(self, env: mdp.Env | str, flat: bool = False, **config: Any):
-        """Make the environment.
+        """An environment of ``make_env``, or a name of ``registry.ALL_ENVS`` with fields of its description.
 
         Args:
-            env: of ``make_env``, or a name of ``registry.ALL_ENVS``.
             flat: give observations as one vector, without images.
 
         Raises:
@@ -65,7 +64,7 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
     def _key(self) -> tuple:
         return type(self), self._identity, self.flat, self.transition_gradients_enabled
 
-    def _given(self, observation: dict[str, Array]) -> Any:
+    def _shown(self, observation: dict[str, Array]) -> Any:
         return observations.flatten(self.env.observations, observation) if self.flat else observation
 
     @property
@@ -75,87 +74,52 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
         return EnvParams(max_steps_in_episode=round(scenario.time_limit / scenario.time_step), env=self.env)
 
     def reset_env(self, key: Array, params: EnvParams) -> tuple[Any, EnvState]:
-        """Begin an episode.
-
-        Args:
-            key: () PRNG key, typed or not.
-        """
+        """Begin an episode; the PRNG key may be typed or not."""
         observation, state = params.env.reset(_typed(key))
-        return self._given(observation), state
+        return self._shown(observation), state
 
     @functools.partial(jax.jit, static_argnames=("self",))
     def step(
         self, key: Array, state: EnvState, action: Array, params: EnvParams | None = None
     ) -> tuple[Any, EnvState, Array, Array, Array, dict[Any, Any]]:
-        """One step of control; what it gives at the end of an episode is the beginning of the next.
-
-        Args:
-            key: () PRNG key, typed or not.
-            action: (2,) from -1 to 1.
-
-        Returns:
-            As ``Env.step``.
-        """
+        """As ``Env.step``; the PRNG key may be typed or not."""
         env = (params or self.default_params).env
         env = replace(env, transition_gradients=self.transition_gradients_enabled)
         observation, state, reward, terminated, truncated, info = env.step(_typed(key), state, action)
-        info |= {"final_observation": self._given(info["final_observation"]), **_ends(terminated, truncated)}
-        return self._given(observation), state, reward, terminated, truncated, info
+        info |= {"final_observation": self._shown(info["final_observation"]), **_ends(terminated, truncated)}
+        return self._shown(observation), state, reward, terminated, truncated, info
 
     def step_env(
         self, key: Array, state: EnvState, action: Array, params: EnvParams
     ) -> tuple[Any, EnvState, Array, Array, dict[Any, Any]]:
-        """One step of control without a reset.
-
-        Args:
-            action: (2,) from -1 to 1.
-
-        Returns:
-            The observation, the state, the reward, whether the episode is terminated, and a dict.
-        """
+        """One step of control without a reset: observation, state, reward, ``terminated``, and a dict."""
         state, observation, reward, terminated, truncated, info = params.env.advance(state, action)
-        return self._given(observation), state, reward, terminated, info | _ends(terminated, truncated)
+        return self._shown(observation), state, reward, terminated, info | _ends(terminated, truncated)
 
     def is_truncated(self, state: EnvState, params: EnvParams) -> Array:
-        """Whether the time limit has passed.
-
-        Returns:
-            () bool.
-        """
+        """Whether the time limit has passed, () bool."""
         return state.simulation.timed_out
 
     def is_terminated(self, state: EnvState, params: EnvParams) -> Array:
-        """Whether the task is completed.
-
-        Returns:
-            () bool.
-        """
+        """Whether the task is completed, () bool."""
         return state.simulation.completed
 
     @property
     def num_actions(self) -> int:
-        """Numbers of an action."""
+        """The size of an action."""
         return 2
 
     def action_space(self, params: EnvParams | None = None) -> spaces.Box:
-        """The values that actions may have.
-
-        Returns:
-            A box of (2,) from -1 to 1.
-        """
+        """A box of (2,) from -1 to 1."""
         return spaces.Box(-1.0, 1.0, (2,))
 
     def observation_space(self, params: EnvParams | None = None) -> spaces.Dict | spaces.Box:
-        """The values that observations may have.
-
-        Returns:
-            A box for each term, or, of a flat observation, one box.
-        """
+        """A box for each term, or one box for a flat observation."""
         boxes = self.env.observation_space.items()
         if not self.flat:
             return spaces.Dict({name: spaces.Box(box.low, box.high, box.shape) for name, box in boxes})
-        low = self._given({name: np.full(box.shape, box.low) for name, box in boxes})
-        high = self._given({name: np.full(box.shape, box.high) for name, box in boxes})
+        low = self._shown({name: np.full(box.shape, box.low) for name, box in boxes})
+        high = self._shown({name: np.full(box.shape, box.high) for name, box in boxes})
         return spaces.Box(low, high, low.shape)
 
 

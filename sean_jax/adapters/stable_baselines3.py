@@ -22,11 +22,7 @@ class VecSocialNavigation(VecEnv):
     """Many scenarios that step together, for ``PPO("MultiInputPolicy", VecSocialNavigation(...))``."""
 
     def __init__(self, env: mdp.Env | str, num_envs: int = 1, **config: Any):
-        """Make the environments.
-
-        Args:
-            env: of ``make_env``, or a name of ``registry.ALL_ENVS``.
-            config: of a name, fields of its description, such as ``people=20``.
+        """Environments of ``make_env``, or of a name of ``registry.ALL_ENVS`` with fields of its description.
 
         Raises:
             InputError: one sentence that names the value and the cure.
@@ -37,57 +33,40 @@ class VecSocialNavigation(VecEnv):
         self._actions = np.zeros((num_envs, 2), np.float32)
 
     def reset(self) -> dict[str, np.ndarray]:
-        """Begin an episode in each row, with the seeds of ``seed`` if there were any.
-
-        Returns:
-            The observations (B, ...).
-        """
+        """The first observations (B, ...) of an episode in each row, with the seeds of ``seed`` if there were any."""
         seeds = self._seeds if any(seed is not None for seed in self._seeds) else None
         observation, _ = self.rows.reset(seed=seeds)
         self._reset_seeds()
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keep the actions for ``step_wait``.
-
-        Args:
-            actions: (B, 2) from -1 to 1.
-        """
+        """Store the actions (B, 2) from -1 to 1 for ``step_wait``."""
         self._actions = actions
 
     def step_wait(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """One step of control in each row.
-
-        Returns:
-            The observations, rewards, whether an episode ended (B, ...), and a dict for each row.
+        """One step of control in each row: observations, rewards, whether an episode ended (B, ...), and a dict for
+        each row.
         """
-        observation, reward, terminated, truncated, told = self.rows.step(self._actions)
-        over = terminated | truncated
+        observation, reward, terminated, truncated, info = self.rows.step(self._actions)
+        done = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for row in np.flatnonzero(over):
+        for row in np.flatnonzero(done):
             infos[row] = {
-                "terminal_observation": {name: part[row] for name, part in told["final_obs"].items()},
+                "terminal_observation": {name: part[row] for name, part in info["final_obs"].items()},
                 "TimeLimit.truncated": bool(truncated[row] and not terminated[row]),
-                "is_success": bool(told["completed"][row]),
+                "is_success": bool(info["completed"][row]),
             }
-        return observation, reward, over, infos
+        return observation, reward, done, infos
 
     def close(self) -> None:
         """Nothing is to be freed."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute, which all rows share.
-
-        Args:
-            indices: of rows; all if None.
-        """
+        """An attribute, which all rows share."""
         return [getattr(self.rows, attr_name)] * len(self._rows(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Refused: the rows are one program.
-
-        Args:
-            attr_name, value, indices: of an attribute.
 
         Raises:
             NotImplementedError: always.
@@ -97,23 +76,13 @@ class VecSocialNavigation(VecEnv):
     def env_method(self, method_name: str, *arguments: Any, indices: Any = None, **named: Any) -> list[Any]:
         """Refused: the rows are one program.
 
-        Args:
-            method_name, arguments, indices, named: of a call.
-
         Raises:
             NotImplementedError: always.
         """
         raise NotImplementedError("rows of one program have no methods of their own; call those of .rows.")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Whether rows are wrapped.
-
-        Args:
-            indices: of rows; all if None.
-
-        Returns:
-            False for each.
-        """
+        """False for each row."""
         return [False] * len(self._rows(indices))
 
     def _rows(self, indices: int | Sequence[int] | None) -> Sequence[int]:

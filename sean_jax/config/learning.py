@@ -207,8 +207,6 @@ class ReinforcementConfig(EnvConfig):
     """Give the network a memory, a gated recurrent unit."""
     bfloat16: bool = False
     """Store and encode images in half precision: faster on a GPU, slower on a CPU."""
-    careful: bool = False
-    """State-dependent standard deviation of actions."""
     noise: fields.Noise | None = None
     """Initial standard deviation of actions, which are from -1 to 1; 0.5, or that of the pretrained agent, by
     default."""

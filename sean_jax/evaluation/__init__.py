@@ -25,7 +25,7 @@ from sean_jax.evaluation import frames, inputs, output, statistics, table, tally
 from sean_jax.evaluation.tally import Finished
 from sean_jax.evaluation.unfinished import Unfinished, check_place, unfinished_runs
 from sean_jax.flags import number
-from sean_jax.learning import choice
+from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.metrics import Metric
 from sean_jax.progress import Progress, progress
 from sean_jax.replay.live import Live, serve
@@ -173,7 +173,7 @@ def evaluate(
     """
     scenarios = [scenario] if isinstance(scenario, Scenario) else list(scenario)
     config = RunConfig(episodes=episodes, seed=seed, batch=batch)
-    driver = choice.policy(policy, scenarios[0])
+    driver = load_policy(policy, scenarios[0])
     if out is not None:
         check_new_folder(Path(out), "out")
     with progress(console) as tell:
@@ -206,7 +206,7 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
             _check(config)
             made_of = inputs.read(config)
             scenarios = assembly.build(config)
-            policy = choice.policy(config.policy, scenarios[0])
+            policy = load_policy(config.policy, scenarios[0])
         unfinished.settle(scenarios[0], policy)
         made_of = made_of._replace(fingerprint=fingerprint(scenarios[0], policy.params))
         _introduce(console, scenarios, policy, config)
@@ -390,7 +390,7 @@ def _check(config: RunConfig) -> None:
     if config.camera is not None:
         drawing.check_renderer(config.renderer or "rays")
     assembly.check(config)
-    choice.check(config.policy, config)
+    check_policy(config.policy, config)
     if config.camera is not None and not isinstance(config.robot, OwnPart | Value):
         try:
             sensors.camera(robots.load(config.robot.kind, "twin"), config.camera)

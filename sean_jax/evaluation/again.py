@@ -23,9 +23,9 @@ from sean_jax.base import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import CollectConfig, ReplayConfig, RunConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import output, tally
-from sean_jax.learning import agents, choice, labels
-from sean_jax.learning.manifests import CONFIG, read_method
-from sean_jax.learning.protocol import streams
+from sean_jax.learning.collection import streams
+from sean_jax.learning.networks import CONFIG, read_method
+from sean_jax.learning.policy import disturbed, labelled, load_folder, load_policy, read_options
 from sean_jax.progress import progress
 from sean_jax.runner import Record, Runner, Watch
 from sean_jax.versions import fingerprint, version_mismatch
@@ -120,7 +120,7 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
     config = validate(RunConfig, saved.description, source=path)
     _check(numbers, config.episodes, folder)
     scenarios = assembly.build(config)
-    policy = choice.policy(config.policy, scenarios[0])
+    policy = load_policy(config.policy, scenarios[0])
     ended, step = _ended(folder / "episodes.csv"), scenarios[0].time_step
     cause = _cause(saved.versions, saved.fingerprint, fingerprint(scenarios[0], policy.params))
 
@@ -175,11 +175,11 @@ def _of_dataset(folder: Path, numbers: list[int]) -> Source:
     _check(numbers, size * len(manifest["shards"]), folder)
     parts = streams(config)
     names, scenarios = list(parts), list(parts.values())
-    policy = choice.policy(config.policy, scenarios[0])
+    policy = load_policy(config.policy, scenarios[0])
     if config.noise is not None:
-        policy = labels.disturbed(policy, config.noise)
+        policy = disturbed(policy, config.noise)
     if config.labels is not None:
-        policy = labels.labelled(policy, choice.policy(config.labels, scenarios[0], "labels"))
+        policy = labelled(policy, load_policy(config.labels, scenarios[0], "labels"))
     now = fingerprint(scenarios[0], [scenario.behavior for scenario in scenarios], policy.params)
     cause = _cause(manifest.get("versions"), manifest.get("content", ""), now)
     every = round(1.0 / scenarios[0].time_step) // config.rate
@@ -215,7 +215,7 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
         return _of_imitation(folder)
     from sean_jax.learning import reinforcement  # which needs the extra "learning"
 
-    options = agents.read_options(folder)
+    options = read_options(folder)
     scenarios, envs, _ = reinforcement.build(options)
     turns = {number % len(envs) for number in numbers}
     if len(turns) > 1:
@@ -228,7 +228,7 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
     record = tally.record(scenario, 1)
     return Source(
         scenarios=[scenario],
-        policy=choice.load(folder, scenario),
+        policy=load_folder(folder, scenario),
         use="evaluation",  # whose i-th key of a split is that of a number
         seed=options.seed,
         record=_until_terminated(record, judged.ends) if judged.terminations else record,
@@ -253,7 +253,7 @@ def _of_imitation(folder: Path) -> Source:
     names, scenarios = list(parts), list(parts.values())
     return Source(
         scenarios=scenarios,
-        policy=choice.load(folder, scenarios[0]),
+        policy=load_folder(folder, scenarios[0]),
         use="evaluation",
         seed=config.seed,
         record=tally.record(scenarios[0], 1),

@@ -69,7 +69,7 @@ def offered() -> Iterator[tuple[str, dict[str, str]]]:
         social_forces,
         tasks,
     )
-    from sean_jax.learning import agents
+    from sean_jax.learning.policy import AGENTS, describe_agent
 
     yield "preset", {name: preset.summary for name, preset in presets.PRESETS.items()}
     yield "environment", {name: _environment(environment.find(name)) for name in environment.available()}
@@ -79,7 +79,7 @@ def offered() -> Iterator[tuple[str, dict[str, str]]]:
     yield "goal_sampling", {name: _documented(value) for name, value in navigation.PLACES.items()}
     yield "robot", {name: _robot(path) for name, path in robots.ROBOTS.items()}
     known = {name: _documented(value) for name, value in policies.POLICIES.items()} | STACKS
-    yield "policy", known | {name: agents.described(folder) for name, folder in agents.AGENTS.items()}
+    yield "policy", known | {name: describe_agent(folder) for name, folder in AGENTS.items()}
     yield "model", {name: _documented(value) for name, value in pedestrian_models.MODELS.items()}
     yield "forces", {name: _forces(value) for name, value in social_forces.PRESETS.items()}
     yield "situations", {name: f"{SETS[name]}: {', '.join(each)}." for name, each in classifiers.SITUATION_SETS.items()}

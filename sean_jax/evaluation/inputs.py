@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from sean_jax import components, environment, files
 from sean_jax.config import Named, PlaybackBehavior, RunConfig
 from sean_jax.files import mjcf
-from sean_jax.learning.agents import AGENTS
+from sean_jax.learning.policy import AGENTS
 from sean_jax.policies import POLICIES
 from sean_jax.robots import ROBOTS
 

@@ -1,73 +1,225 @@
-"""``sean collect``: demonstrations of a driver until there is as much as asked for, shard by shard (section V-B).
+"""``sean collect`` and the ``Recorder``: demonstrations of so many hours, shard by shard (section V-B).
 
-What has been committed is never lost: after a kill, or for more hours, the same command goes on with the next shard,
-and makes those anew that were lost. The result is the same, to the byte, as that of one run. A shard is written while
-the next one is simulated.
+The paper's schedule: random people have one task for all the time; handcrafted people each of the five situations for
+a fifth of it; the Behavior Graph half of it joining groups and half of it leaving them. A part of the time is a stream
+of episodes. Episode ``i`` is drawn from ``fold_in(prng.key("collect", seed), i)`` alone. Committed shards
+are never lost: after a kill, or for more hours, the same command goes on with the next shard, and makes lost ones anew.
+The result is the same, to the byte, as that of one run. A shard is written while the next one is simulated.
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import functools
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
-from sean_jax import components, devices, sensors, writing
-from sean_jax.base import Policy, Scenario
-from sean_jax.config import CollectConfig, present_names
+from sean_jax import assembly, components, devices, navigation, prng, robots, sensors, writing
+from sean_jax.base import Array, Policy, Scenario, State
+from sean_jax.config import MAX_PIXELS, CollectConfig, HandcraftedBehavior, OwnPart, Value, present_names
 from sean_jax.errors import InputError
 from sean_jax.flags import command, flag, number
-from sean_jax.learning import choice, demonstrations, labels
-from sean_jax.learning import dataset as datasets
-from sean_jax.learning.dataset import Dataset
-from sean_jax.learning.protocol import check, next_stream, seconds_of_each, streams
+from sean_jax.learning.dataset import Dataset, EpisodeBatch, stream_seconds
+from sean_jax.learning.examples import Row, row
+from sean_jax.learning.policy import check_policy, disturbed, label, labelled, load_policy
 from sean_jax.progress import progress
-from sean_jax.runner import Runner
+from sean_jax.runner import Record, Runner, Watch, not_finite
 from sean_jax.versions import fingerprint, version_mismatch, versions
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-TYPICAL = 30.0  # s, of an episode: so many are simulated at once that no stream gets much more than it needs
+from sean_jax.learning import dataset
+from sean_jax.scenario import reset, step
+
+# ------------------------------------------------------------------ schedule of streams
+
+
+def check_collection(config: CollectConfig) -> None:
+    """Refuse everything that can be told before a scenario is made.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    check_policy(config.policy, config)
+    if config.labels is not None:
+        check_policy(config.labels, config, "labels")
+    assembly.check(config)
+    if isinstance(config.robot, OwnPart | Value):
+        return
+    try:
+        robot = robots.load(config.robot.kind, "twin")
+        sensors.camera(robot, "depth", width=config.width, height=config.height)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+
+
+def streams(config: CollectConfig) -> dict[str, Scenario]:
+    """Name of a stream -> its scenario; scenarios differ only in leaves and task.
+
+    Raises:
+        InputError: one sentence for what does not exist or go together.
+    """
+    scenarios = [replace(scenario, metrics=()) for scenario in assembly.build(config)]  # not needed here
+    first = scenarios[0]
+    if isinstance(config.behavior, HandcraftedBehavior) and [each.task_name for each in scenarios] == ["handcrafted"]:
+        situations = dict.fromkeys(first.behavior.data.situations)
+        if len(situations) > 1:
+            return {name: _only(first, name) for name in situations}
+    return {scenario.task_name: scenario for scenario in scenarios}
+
+
+def _only(scenario: Scenario, situation: str) -> Scenario:
+    """The scenario with the handcrafted sets of that situation alone: their odds differ, and nothing else."""
+    sets = scenario.behavior.data
+    chosen = np.array([name == situation for name in sets.situations])
+    odds = jnp.where(jnp.asarray(chosen)[:, None, None], sets.odds, 0.0)
+    return replace(scenario, behavior=replace(scenario.behavior, data=replace(sets, odds=odds)))
+
+
+def next_stream(recorded: list[int], target_rows: int) -> int | None:
+    """The index of the stream with the fewest recorded rows; None when each has ``wanted`` rows.
+
+    It does not depend on ``wanted`` otherwise, so a dataset that is made longer later equals one made at once.
+    """
+    shortest = min(range(len(recorded)), key=lambda stream: (recorded[stream], stream))
+    return None if recorded[shortest] >= target_rows else shortest
+
+
+# ------------------------------------------------------------------ rows of simulated episodes
+
+
+def row_record(
+    scenario: Scenario, camera: sensors.Camera, command: Callable[[State], Array] | None = None, rate: int = 1
+) -> Record:
+    """The record of a ``Runner`` that keeps rows, ``rate`` a second.
+
+    Args:
+        command: the command that is recorded, from the state after a step; that of the policy if None.
+    """
+    return Record(_init_rows, functools.partial(_update_rows, camera), steps_per_row(scenario, rate), command)
+
+
+def steps_per_row(scenario: Scenario, rate: int) -> int:
+    """Steps of control from one row to the next; ``rate`` rows a second divide the steps in a second."""
+    return round(1.0 / scenario.time_step) // rate
+
+
+def simulate_shard(
+    runner: Runner, seed: int, shard: int, stream: int, watch: Callable[[int], None] | None = None
+) -> EpisodeBatch:
+    """A shard: the episodes from number ``shard * runner.size`` on, all of one stream.
+
+    Args:
+        runner: with the record of ``row_record``.
+        watch: is called with the seconds that are simulated.
+
+    Raises:
+        FloatingPointError: a number is not finite; the message names the episodes.
+    """
+    callbacks = Watch(advanced=lambda seconds, simulated: watch(round(seconds)) if watch is not None else None)
+    first = shard * runner.size
+    batch = runner.run(seed, first, index=np.full(runner.size, stream), watch=callbacks)
+    scenario = runner.scenarios[0]
+    rate = round(1.0 / scenario.time_step) // runner.record.every
+    most = rate * math.ceil(scenario.time_limit - 1e-6)
+    rows: dict[str, np.ndarray] = {}
+    lengths = np.zeros(runner.size, np.int64)
+    begin = 0
+    for values, active in batch.rows:
+        lengths += _put_rows(rows, values, active, begin, most)
+        begin += len(active)
+    floats = [values for values in rows.values() if values.dtype.kind == "f"]
+    faulty = np.any([~np.isfinite(values.reshape(len(values), -1)).all(1) for values in floats], 0)
+    if faulty.any():
+        raise FloatingPointError(not_finite(first + np.flatnonzero(faulty), runner.size))
+    return EpisodeBatch(rows, lengths, np.asarray(batch.states.completed))
+
+
+def _put_rows(arrays: dict[str, np.ndarray], rows: Row, active: np.ndarray, begin: int, most: int) -> np.ndarray:
+    """Put rows (C, B, ...) from row ``begin`` on into arrays (B, most, ...); how many each episode has, (B,)."""
+    end = min(begin + len(active), most)
+    active = active[: end - begin].T
+    for field in dataclasses.fields(Row):  # pyright: ignore[reportArgumentType]
+        values = np.swapaxes(np.asarray(getattr(rows, field.name)), 0, 1)
+        if field.name not in arrays:
+            arrays[field.name] = np.zeros((len(values), most, *values.shape[2:]), values.dtype)
+        where = active.reshape(*active.shape, *(1,) * (values.ndim - 2))
+        np.copyto(arrays[field.name][:, begin:end], values[:, : end - begin], where=where)
+    return active.sum(1)
+
+
+def _init_rows(scenario: Scenario, states: State) -> tuple[Array, Array]:
+    """The way to the goal of each episode, and no command yet."""
+    last = jax.vmap(lambda goal: navigation.last_arc_to_goal(scenario.navigation, goal))(states.task.goal)
+    return last, jnp.zeros((*states.tick.shape, 2), float)
+
+
+def _update_rows(
+    camera: sensors.Camera, scenario: Scenario, before: State, after: State, actions: Array, active: Array, total: tuple
+) -> tuple[tuple[Array, Array], tuple[Row, Array]]:
+    """The rows before the latest steps, with whether the episodes had not ended by then."""
+
+    def one(before: State, actions: Array, last: Array, latest: Array) -> tuple[Array, Row]:
+        finite = jnp.isfinite(actions).all(-1)
+        command = jnp.where(finite[0], actions[0], latest)  # a command that is not finite is no new one
+        newest = jnp.max(jnp.where(finite, jnp.arange(len(actions), dtype=jnp.int32), -1))
+        latest = jnp.where(newest >= 0, actions[newest], latest)
+        return latest, row(scenario, before, command, camera, last)
+
+    last, latest = total
+    latest, rows = jax.vmap(one, (0, 1, 0, 0))(before, actions, last, latest)
+    return (last, latest), (rows, active)
+
+
+TYPICAL = 30.0  # s, of an episode: batches are sized so that no stream gets much more than it needs
 MAX_BATCH = {"cpu": 32}  # episodes at once, by kind of device
 MAX_BATCH_ELSEWHERE = 1024
-MIN_BATCH = 32  # at a high rate, at which so many as otherwise would fill the memory with their images
+MIN_BATCH = 32  # at a high rate, where larger batches would fill the memory with their images
+
+
+# ------------------------------------------------------------------ sean collect
 
 
 def collect(config: CollectConfig, console: Console | Callable[[float], None] | None = None) -> Dataset:
     """Record until every stream has its time. What was committed stays, whatever is raised.
 
     Args:
-        console: shows the progress; a function is told the share that is done.
+        console: shows the progress; a function receives the share that is done.
 
     Raises:
-        InputError: what is asked for cannot be.
+        InputError: the options are impossible, or the folder holds something else.
         WriteError: another process records in the folder.
         IncompleteError: something broke midway.
         FloatingPointError: a number is not finite.
     """
     with components.read_once():
-        check(config)
-        check_place(config.folder)
+        check_collection(config)
+        check_folder(config.folder)
         with writing.folder_lock(config.folder):
             return _collect(config, console)
 
 
 def _collect(config: CollectConfig, console: Console | Callable[[float], None] | None) -> Dataset:
-    """In a folder that nobody else writes."""
+    """Record in a folder that this process has locked."""
     parts = streams(config)
     scenarios = list(parts.values())
-    policy, command_of = choice.policy(config.policy, scenarios[0]), None
+    policy, command_of = load_policy(config.policy, scenarios[0]), None
     if config.noise is not None:
-        policy, command_of = labels.disturbed(policy, config.noise), labels.label
+        policy, command_of = disturbed(policy, config.noise), label
     if config.labels is not None:
-        policy = labels.labelled(policy, choice.policy(config.labels, scenarios[0], "labels"))
-        command_of = labels.label
+        policy = labelled(policy, load_policy(config.labels, scenarios[0], "labels"))
+        command_of = label
     try:
         camera = sensors.camera(scenarios[0], "depth", width=config.width, height=config.height)
     except ValueError as error:
@@ -76,32 +228,32 @@ def _collect(config: CollectConfig, console: Console | Callable[[float], None] |
     if (config.batch or 0) % mesh.size:
         uneven = f"{config.batch} episodes do not spread evenly over {mesh.size} devices"
         raise InputError(f"--batch: {uneven}; take a multiple.")
-    data = _opened(config, parts, policy, camera)
+    data = _open(config, parts, policy, camera)
     if data.batch % mesh.size:
         text = (
             f"{data.folder} was begun with --batch {data.batch}, which does not spread evenly over {mesh.size} devices"
         )
         raise InputError(f"{text}; choose another --out.")
-    record = demonstrations.record(scenarios[0], camera, command_of, config.rate)
+    record = row_record(scenarios[0], camera, command_of, config.rate)
     runner = Runner(scenarios, policy, data.batch, "collect", record, mesh)
-    wanted = config.rate * seconds_of_each(config.hours, len(parts))
-    total = wanted * len(parts) // config.rate
+    target_rows = config.rate * stream_seconds(config.hours, len(parts))
+    total = target_rows * len(parts) // config.rate
     recorded, first_new = data.stream_rows, len(data.manifest["shards"])
     with progress(console) as tell, _behind(data) as commit:
         tell.start("recording", total)
 
         def show(note: str) -> None:
-            done = sum(min(each, wanted) for each in recorded) // config.rate
+            done = sum(min(each, target_rows) for each in recorded) // config.rate
             tell.update(done, f"{done:,} of {total:,} s · {note}")
 
         show("compiling")
-        for stream, shard in _due(data, recorded, wanted):
+        for stream, shard in _due(data, recorded, target_rows):
             began = time.perf_counter()
 
             def watch(seconds: int, shard: int = shard) -> None:
                 show(f"shard {shard}: {data.batch} episodes of {scenarios[0].people} people at {seconds} s")
 
-            batch = demonstrations.simulate(runner, config.seed, shard, stream, watch)
+            batch = simulate_shard(runner, config.seed, shard, stream, watch)
             commit(stream, batch, shard)
             if shard >= first_new:
                 recorded[stream] += int(batch.lengths.sum())
@@ -109,67 +261,66 @@ def _collect(config: CollectConfig, console: Console | Callable[[float], None] |
     return data
 
 
-def _due(data: Dataset, recorded: list[int], wanted: int) -> Iterator[tuple[int, int]]:
-    """(stream, shard) of what is to be recorded: first what was lost, then what is missing of ``recorded`` rows."""
+def _due(data: Dataset, recorded: list[int], target_rows: int) -> Iterator[tuple[int, int]]:
+    """(stream, shard) of the shards to record: first lost shards, then new ones of the stream with the fewest rows."""
     shards = data.manifest["shards"]
     for shard in data.damaged_shards():
         yield shards[shard]["stream"], shard
     number = len(shards)
-    while (stream := next_stream(recorded, wanted)) is not None:
+    while (stream := next_stream(recorded, target_rows)) is not None:
         yield stream, number
         number += 1
 
 
 @contextlib.contextmanager
 def _behind(data: Dataset) -> Iterator[Callable[..., None]]:
-    """``data.commit``, one after the other in a thread; what one of them raises is raised at the next, or at the end.
+    """``data.commit`` in a thread, one after the other; an error is raised at the next commit, or at the end.
 
-    Whatever ends the block, it waits until what was begun is committed.
+    However the block ends, it waits until the last commit is written.
     """
     with ThreadPoolExecutor(1, thread_name_prefix="sean-commit") as pool:
         last: list[Future] = []
 
         def commit(*arguments: Any) -> None:
-            for begun in last:
-                begun.result()
+            for future in last:
+                future.result()
             last[:] = [pool.submit(data.commit, *arguments)]
 
         yield commit
-        for begun in last:
-            begun.result()
+        for future in last:
+            future.result()
 
 
-def _opened(config: CollectConfig, parts: dict[str, Scenario], policy: Policy, camera: sensors.Camera) -> Dataset:
+def _open(config: CollectConfig, parts: dict[str, Scenario], policy: Policy, camera: sensors.Camera) -> Dataset:
     """The dataset of the folder, if it was begun with the same description and content, or an empty one."""
     folder, manifest = config.folder, _manifest(config, parts, policy, camera)
-    check_place(folder)
-    if (folder / datasets.MANIFEST).exists():
-        data = datasets.open_dataset(folder)
+    check_folder(folder)
+    if (folder / dataset.MANIFEST).exists():
+        data = dataset.open_dataset(folder)
         _check_same(config, data)
-        _check_made_with(data, manifest)
+        _check_content(data, manifest)
         if config.hours > data.manifest["hours"]:
             data.save({**data.manifest, "command": _command(config, data.batch), "hours": config.hours})
         return data
-    return datasets.create_dataset(folder, manifest)
+    return dataset.create_dataset(folder, manifest)
 
 
-def check_place(folder: Path) -> None:
+def check_folder(folder: Path) -> None:
     """Refuse a folder that holds something else than a dataset, or what a kill at the very beginning left of one.
 
     Raises:
         InputError: it holds something else.
     """
-    if not any((folder / name).is_file() for name in (datasets.MANIFEST, "zarr.json")):
-        if not set(writing.contents(folder)) <= set(datasets.fields(1, 1, 1)):
+    if not any((folder / name).is_file() for name in (dataset.MANIFEST, "zarr.json")):
+        if not set(writing.contents(folder)) <= set(dataset.fields(1, 1, 1)):
             raise InputError(f"the folder {folder} holds something else already, choose another with --out.")
 
 
 def _check_same(config: CollectConfig, data: Dataset) -> None:
-    asked = config.identity()
-    had = {"rate": 1, **present_names(data.manifest["options"])}  # earlier versions have no other rate
-    for name in asked:
-        if asked[name] != had.get(name):
-            text = f"{flag(name)} {_short(had.get(name))}, not {_short(asked[name])}"
+    options, had = config.identity(), {"rate": 1, **present_names(data.manifest["options"])}
+    for name in options:
+        if options[name] != had.get(name):
+            text = f"{flag(name)} {_short(had.get(name))}, not {_short(options[name])}"
             raise InputError(f"{data.folder} was begun with {text}; ask for the same or choose another --out.")
     if config.batch not in (None, data.batch):
         raise InputError(f"{data.folder} was begun with --batch {data.batch}, not {config.batch}; ask for the same.")
@@ -180,10 +331,10 @@ def _check_same(config: CollectConfig, data: Dataset) -> None:
         )
 
 
-def _check_made_with(data: Dataset, now: dict[str, Any]) -> None:
-    """Refuse to go on where the description is the same, but not what it stands for: it would be two datasets in one.
+def _check_content(data: Dataset, now: dict[str, Any]) -> None:
+    """Refuse to resume an equal description with other content: it would be two datasets in one.
 
-    What a dataset of an earlier version does not tell is not asked.
+    Content that the manifest of an earlier version does not have is not compared.
     """
     had = data.manifest
     if (other := version_mismatch(had.get("versions"))) is not None:
@@ -195,21 +346,18 @@ def _check_made_with(data: Dataset, now: dict[str, Any]) -> None:
 
 
 def _short(value: Any) -> str:
-    """A value of a description as messages give it."""
+    """An option's value in a message."""
     if isinstance(value, dict):
         rest = " ".join(f"{flag(name)} {_short(each)}" for name, each in value.items() if name != "kind")
         return f"{value.get('kind')} {rest}".strip()
-    return " ".join(number(each) if not isinstance(each, dict) else _short(each) for each in _listed(value))
-
-
-def _listed(value: Any) -> list:
-    return value if isinstance(value, list) else [value]
+    values = value if isinstance(value, list) else [value]
+    return " ".join(_short(each) if isinstance(each, dict) else number(each) for each in values)
 
 
 def _manifest(
     config: CollectConfig, parts: dict[str, Scenario], policy: Policy, camera: sensors.Camera
 ) -> dict[str, Any]:
-    scenarios, size = list(parts.values()), _size(config, len(parts))
+    scenarios, size = list(parts.values()), _batch_size(config, len(parts))
     return {
         "command": _command(config, size),
         "options": config.identity(),
@@ -223,16 +371,12 @@ def _manifest(
 
 
 def _command(config: CollectConfig, batch: int) -> str:
-    """That records this dataset again, in full."""
+    """The command that records this dataset again, in full."""
     return f"{command('collect', config)} --hours {number(config.hours)} --batch {batch}"
 
 
 def scenario_facts(scenario: Scenario, camera: sensors.Camera, policy: str, rate: int = 1) -> dict[str, Any]:
-    """What a manifest says of a scenario and of who drives there.
-
-    Args:
-        rate: rows a second.
-    """
+    """A manifest's entries about a scenario and its policy; ``rate`` in rows a second."""
     image = {"width": camera.width, "height": camera.height, "fovy": camera.fovy, "far": camera.far}
     limits = {"max_speed": float(scenario.robot.max_speed), "max_turn_rate": float(scenario.robot.max_turn_rate)}
     return {
@@ -249,12 +393,188 @@ def scenario_facts(scenario: Scenario, camera: sensors.Camera, policy: str, rate
     }
 
 
-def _size(config: CollectConfig, parts: int) -> int:
+def _batch_size(config: CollectConfig, parts: int) -> int:
     """Episodes at once, a multiple of the number of devices."""
     count = len(jax.devices())
     if config.batch is not None:
         return config.batch
     largest = MAX_BATCH.get(jax.default_backend(), MAX_BATCH_ELSEWHERE)
     largest = min(largest, max(MIN_BATCH, largest // config.rate))
-    needed = math.ceil(seconds_of_each(config.hours, parts) / TYPICAL)
+    needed = math.ceil(stream_seconds(config.hours, parts) / TYPICAL)
     return math.ceil(min(largest, max(4, needed)) / count) * count
+
+
+# ------------------------------------------------------------------ commands from outside
+
+
+class Recorder:
+    """Demonstrations from any source of commands, outside ``jit``: a joystick, a web page, a planner, a list.
+
+    Episodes of one scenario go one after the other into a dataset like those of ``sean collect``, new or resumed; each
+    is a shard. ``state = recorder.begin()``, then ``state = recorder.step(command)`` for each step of control, then
+    ``recorder.commit()`` or ``recorder.discard()``.
+    """
+
+    def __init__(
+        self,
+        folder: Path | str,
+        scenario: Scenario,
+        *,
+        driver: str = "human",
+        seed: int = 0,
+        width: int = 64,
+        height: int = 48,
+        rate: int = 1,
+    ):
+        """Open or create the dataset; depth images have width x height pixels.
+
+        Args:
+            driver: a word for the manifest about the source of the commands.
+            seed: episode ``i`` is drawn from ``fold_in(prng.key("record", seed), i)``.
+            rate: rows a second, a divisor of the steps of control in a second.
+
+        Raises:
+            InputError: the folder holds something else, the images are too large, or the rate is no divisor.
+        """
+        if width * height > MAX_PIXELS:
+            raise InputError(f"width: {width} times {height} are more than {MAX_PIXELS:,} pixels; ask for fewer.")
+        if (steps := round(1.0 / scenario.time_step)) % rate:
+            raise InputError(f"rate: {rate} rows a second do not divide its {steps} steps; choose a divisor.")
+        folder = Path(folder)
+        self.scenario, self.seed, self.rate = scenario, seed, rate
+        self.camera = sensors.camera(scenario, "depth", width=width, height=height)
+        self.data = self._opened(folder, driver)
+        self._begin, self._step, self._row = (jax.jit(part) for part in (_begin_episode, step, self._read_row))
+        self.discard()
+
+    @property
+    def number(self) -> int:
+        """Of the next episode."""
+        return len(self.data.manifest["shards"])
+
+    def begin(self, key: Array | None = None) -> State:
+        """A new episode; one that was not committed is forgotten.
+
+        Args:
+            key: () typed PRNG key of the episode, such as that of another program's episode; by default of the
+                recorder's own stream, which no other episodes have.
+        """
+        self.discard()
+        if key is None:
+            key = jax.random.fold_in(prng.key("record", self.seed), jnp.uint32(self.number))
+        self.state, self._last = self._begin(self.scenario, key)
+        return self.state
+
+    def step(self, command: Any) -> State:
+        """The state one step of control later.
+
+        Args:
+            command: (2,) m/s and rad/s; None, or one that is not finite, is no new one.
+
+        Raises:
+            InputError: no episode has begun.
+        """
+        if self.state is None:
+            raise InputError("recorder: no episode has begun; call begin first.")
+        action = np.full(2, np.nan) if command is None else np.asarray(command, np.float64).reshape(2)
+        new = bool(np.isfinite(action).all())
+        self._command = np.where(new, action, self._command)
+        if int(self.state.tick) % steps_per_row(self.scenario, self.rate) == 0 and len(self._rows) < self._max_rows:
+            latest = jnp.asarray(self._command, float)
+            self._rows.append(jax.tree.map(np.asarray, self._row(self.scenario, self.state, latest, self._last)))
+        self.state = self._step(self.scenario, self.state, jnp.asarray(action, float))
+        return self.state
+
+    def commit(self) -> None:
+        """Keep the episode.
+
+        Raises:
+            IncompleteError: it cannot be written; it can be tried again.
+            InputError: there is nothing to commit, or another program has recorded in the folder.
+            WriteError: another process records in the folder.
+        """
+        if self.state is None or not self._rows:
+            raise InputError("recorder: there is nothing to commit; call begin and step first.")
+        rows = {}
+        for name, (shape, kind) in self.data.fields.items():
+            rows[name] = np.zeros((1, self._max_rows, *shape), kind)
+            rows[name][0, : len(self._rows)] = np.stack([getattr(one, name) for one in self._rows])
+        completed = np.array([bool(self.state.completed)])
+        with writing.folder_lock(self.data.folder):
+            if dataset.open_dataset(self.data.folder).manifest != self.data.manifest:
+                raise InputError(f"{self.data.folder} was continued by another program; record in another folder.")
+            self.data.commit(0, EpisodeBatch(rows, np.array([len(self._rows)]), completed))
+        self.discard()
+
+    def discard(self) -> None:
+        """Forget the episode."""
+        self.state: Any = None
+        self._rows: list[Any] = []
+        self._command = np.zeros(2)
+
+    @property
+    def _max_rows(self) -> int:
+        return self.data.most_rows
+
+    def _read_row(self, scenario: Scenario, state: State, command: Array, last: Array) -> Any:
+        return row(scenario, state, command, self.camera, last)
+
+    def _opened(self, folder: Path, driver: str) -> Dataset:
+        identity = {
+            "seed": self.seed,
+            "driver": driver,
+            "task": self.scenario.task_name,
+            "people": self.scenario.people,
+        }
+        manifest = {
+            "command": "",
+            "options": {
+                **identity,
+                "rate": self.rate,
+                "environment": self.scenario.environment.name,
+                "size": [self.camera.width, self.camera.height],
+            },
+            **scenario_facts(self.scenario, self.camera, driver, self.rate),
+            "hours": 1e6,  # all that is recorded takes part
+            "batch": 1,
+            "streams": [self.scenario.task_name],
+        }
+        if not (folder / dataset.MANIFEST).exists():
+            check_folder(folder)
+            with writing.folder_lock(folder):
+                return dataset.create_dataset(folder, manifest)
+        data = dataset.open_dataset(folder)
+        if {"rate": 1, **present_names(data.manifest["options"])} != manifest["options"]:
+            raise InputError(f"{folder} was begun with another scenario, driver, seed or rate; choose another folder.")
+        return data
+
+
+def record(recorder: Recorder, commands: Callable[[State], Any] | Iterable[Any], episodes: int) -> Dataset:
+    """Record so many episodes, each until it is completed or timed out, and commit them.
+
+    Args:
+        commands: a function of the state, or one command (2,) for each step. If they end midway, the last episode is
+            committed as it is then.
+    """
+    source = commands if callable(commands) else functools.partial(_next_command, iter(commands))
+    for _ in range(episodes):
+        state, ended = recorder.begin(), False
+        while not (ended or bool(state.completed | state.timed_out)):
+            try:
+                state = recorder.step(source(state))
+            except StopIteration:
+                ended = True
+        if recorder._rows:
+            recorder.commit()
+        if ended:
+            break
+    return recorder.data
+
+
+def _next_command(commands: Any, state: State) -> Any:
+    return next(commands)
+
+
+def _begin_episode(scenario: Scenario, key: Array) -> tuple[State, Array]:
+    state = reset(scenario, key)
+    return state, navigation.last_arc_to_goal(scenario.navigation, state.task.goal)

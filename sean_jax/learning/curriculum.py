@@ -1,15 +1,15 @@
 """A curriculum: from which starts episodes begin, so that what an agent does worst occurs more often.
 
-``Env.with_pool`` takes all starts alike. A curriculum has a pool whose weights follow the agent's own record:
+``Env.with_pool`` takes all starts equally often. A curriculum has a pool whose weights follow the agent's own record:
 
 - ``situations``: a situation weighs as much as the agent costs people in it, per second, and a start as much as it
-  leads to such situations. Starts that do so seldom make room for new ones that do so more.
-- ``regret``: a start weighs by how much better the agent has already done from it than it usually does. Starts that
-  have little to teach make room for new ones, and for others like the best: the same start among people who behave a
-  little differently (``mdp.randomize_behavior``).
+  leads to such situations. Starts that seldom do so make room for new ones that do so more.
+- ``regret``: a start weighs by how much better the agent has already done from it than it usually does. Starts with low
+  regret make room for new ones and for mutations of the best: the same start among people who behave a little
+  differently (``mdp.randomize_behavior``).
 
-All functions are pure and of fixed shapes. A ``Curriculum`` is a pytree of arrays with all that the rest depends on,
-and all chance comes from keys: a training that was stopped goes on to the same curve.
+All functions are pure and of fixed shapes. A ``Curriculum`` is a pytree of arrays with everything that the rest depends
+on, and all chance comes from keys: a training that was stopped is resumed to the same curve.
 
 Source: M. Jiang, E. Grefenstette & T. Rocktaschel, "Prioritized level replay", ICML 2021; J. Parker-Holder et al.,
 "Evolving curricula with regret-based environment design", ICML 2022.
@@ -39,18 +39,18 @@ WHOLE = 2**30  # into which sums by start are divided
 
 @dataclass(frozen=True)
 class Plan:
-    """What a curriculum follows.
+    """How a curriculum weighs starts.
 
     Args:
         by: "situations" or "regret".
-        situations: weights of situations that are chosen, such as ``(("join_group", 1.0),)``; None: what they cost.
+        situations: weights of chosen situations, such as ``(("join_group", 1.0),)``; None: their cost.
         temperature: the weight of a situation is its cost to the power of 1 / temperature, and that of a start its rank
             by regret to the power of -1 / temperature. Low: the worst alone; high: all alike.
         floor: share of the episodes that begin anywhere in the pool.
         replaced: share of the pool that is replaced at most at a time.
-        mutated: share of what takes its place, by regret, that is like the best.
-        ahead: s, how far it is looked from a start to see which situations occur.
-        memory: share of what is known that is kept when something is observed.
+        mutated: share of the replacements, by regret, that are mutations of the best.
+        ahead: s, simulated from a start to see which situations occur.
+        memory: share of the record that is kept at each observation.
     """
 
     by: Literal["situations", "regret"] = "situations"
@@ -80,13 +80,10 @@ class Plan:
 
 @struct.dataclass
 class Curriculum:
-    """A pool, and what is known of its starts and of situations.
-
-    Sums of the record fade by ``Plan.memory`` as more comes.
-    """
+    """A pool, and the record of its starts and of situations, whose sums fade by ``Plan.memory``."""
 
     pool: mdp.Pool
-    keys: Array  # (K,) typed PRNG keys, of which the starts were made
+    keys: Array  # (K,) typed PRNG keys of the starts
     occurs: Float[Array, "K S"]  # s spent in each situation, from each start
     seconds: Float[Array, "K"]  # s of it, all together
     cost: Float[Array, "S"]  # of people, in each situation
@@ -103,24 +100,19 @@ class Curriculum:
 
 
 class Record(NamedTuple):
-    """What T steps of B scenarios gave, of the episode that each step belongs to."""
+    """T steps of B scenarios, of the episode that each step belongs to."""
 
     start: Int[Array, "T B"]  # ``info["start"]``
     situations: Bool[Array, "T B S"]  # ``info["situations"]``
     cost: Float[Array, "T B"]  # of ``social_cost``
-    over: Bool[Array, "T B"]  # the episode ended with this step
+    done: Bool[Array, "T B"]  # the episode ended with this step
     episode_return: Float[Array, "T B"]  # ``info["episode_return"]``
-    advantage: Float[Array, "T B"] | None = None  # regret is its positive part if it is given, else best less mean
+    advantage: Float[Array, "T B"] | None = None  # for regret, its positive part; None: best return less mean
 
 
 def social_cost(parts: Mapping[str, Float[Array, "*batch"]]) -> Float[Array, "*batch"]:
-    """What an agent costs people: the negative parts of the terms of its reward that are about people and touching.
-
-    Args:
-        parts: ``info["rewards"]``.
-
-    Returns:
-        (...) 0 or more.
+    """The cost (...) to people, 0 or more: the negative parts of the terms of ``info["rewards"]`` about people and
+    contact.
 
     Raises:
         InputError: there is no such term.
@@ -131,30 +123,17 @@ def social_cost(parts: Mapping[str, Float[Array, "*batch"]]) -> Float[Array, "*b
     return sum((jnp.maximum(-part, 0.0) for part in social[1:]), jnp.maximum(-social[0], 0.0))
 
 
-# ------------------------------------------------------------------ of a training
+# ------------------------------------------------------------------ in a trainer
 
 
 def plan(name: str) -> Plan | None:
-    """The plan of an option of a trainer.
-
-    Args:
-        name: "none", "situations" or "regret".
-
-    Returns:
-        The plan with its usual numbers; None for none.
-    """
+    """The plan of a trainer's option "none", "situations" or "regret", with its usual numbers; None for none."""
     return None if name == "none" else Plan(name)  # pyright: ignore[reportArgumentType]
 
 
 def prepare(env: mdp.Env, name: str) -> mdp.Env:
-    """An environment in which the plan of that name has something to vary.
-
-    Args:
-        env: without a pool.
-        name: "none", "situations" or "regret".
-
-    Returns:
-        The environment; by regret, with ``mdp.randomize_behavior()`` unless it has a randomization of its own.
+    """An environment, without a pool, in which the plan of that name has something to vary: by regret, with
+    ``mdp.randomize_behavior()`` unless it has its own randomization.
 
     Raises:
         InputError: by situations, no term of the reward is about people.
@@ -167,23 +146,18 @@ def prepare(env: mdp.Env, name: str) -> mdp.Env:
 
 
 def follow(
-    env: mdp.Env, plan: Plan | None, curriculum: Curriculum | None, told: Mapping[str, PyTree], over: Bool[Array, "T B"]
+    env: mdp.Env, plan: Plan | None, curriculum: Curriculum | None, info: Mapping[str, PyTree], done: Bool[Array, "T B"]
 ) -> tuple[Curriculum | None, dict[str, dict[str, Array]]]:
-    """The curriculum after an update of a trainer, and what its log tells of it.
+    """The curriculum after an update of a trainer, and numbers for its log: the effective number of starts, how often
+    each has been replaced, and the weights of situations or the mean regret.
 
     Args:
-        plan: what it follows; None for none.
-        curriculum: before; None for none.
-        told: (T, B, ...) of the dicts of ``Env.step``: rewards, start, situations, episode_return.
-
-    Returns:
-        The curriculum; and under its name, of how many starts the weights are worth, how often each has been replaced,
-        and the weights of situations, or the mean regret.
+        info: (T, B, ...) of ``Env.step``: rewards, start, situations, episode_return.
     """
     if plan is None or curriculum is None:
         return None, {}
-    cost = social_cost(told["rewards"]) if plan.by == "situations" else jnp.zeros(over.shape, float)
-    record = Record(told["start"], told["situations"], cost, over, told["episode_return"])
+    cost = social_cost(info["rewards"]) if plan.by == "situations" else jnp.zeros(done.shape, float)
+    record = Record(info["start"], info["situations"], cost, done, info["episode_return"])
     after = observe(env, plan, curriculum, record)
     return after, {"curriculum": _numbers(env, plan, after)}
 
@@ -192,26 +166,25 @@ def _numbers(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> dict[str, Arra
     weights = curriculum.pool.weights.astype(jnp.float32)
     size = weights.shape[0]
     replacements = (curriculum.pool.states.start // size).astype(jnp.float32).mean()
-    told = {"starts": weights.sum() ** 2 / (weights * weights).sum(), "replaced": replacements}
+    numbers = {"starts": weights.sum() ** 2 / (weights * weights).sum(), "replaced": replacements}
     if plan.by == "regret":
-        return told | {"regret": _mean_regret(curriculum)}
+        return numbers | {"regret": _mean_regret(curriculum)}
     shares = situation_weights(env, plan, curriculum)
-    return told | {name: shares[index] for index, (name, _) in enumerate(env.scenario.situations)}
+    return numbers | {name: shares[index] for index, (name, _) in enumerate(env.scenario.situations)}
 
 
 # ------------------------------------------------------------------ begin, observe, refill
 
 
 def init(env: mdp.Env, plan: Plan, key: Array, size: int, policy: PolicyLike | None = None) -> Curriculum:
-    """A curriculum whose starts are drawn now; wrap it in ``jax.jit`` with ``plan`` and ``size`` static.
+    """A curriculum whose starts are drawn now; jit it with ``plan`` and ``size`` static.
 
     Args:
-        env: where it happens; ``replace(env, pool=curriculum.pool)`` trains on it.
-        key: () typed PRNG key.
-        policy: who drives to find out which situations occur; None: that shows in the record alone. Regret needs none.
+        env: ``replace(env, pool=curriculum.pool)`` trains on it.
+        policy: drives to find out which situations occur; None: only the record shows that. Regret needs none.
 
     Raises:
-        InputError: a situation that is chosen is none of the scenario's.
+        InputError: a chosen situation is none of the scenario's.
     """
     _check(env, plan)
     number = len(env.scenario.situations)
@@ -226,10 +199,8 @@ def init(env: mdp.Env, plan: Plan, key: Array, size: int, policy: PolicyLike | N
 
 
 def observe(env: mdp.Env, plan: Plan, curriculum: Curriculum, record: Record) -> Curriculum:
-    """The curriculum after some steps of an agent, with new weights.
-
-    Args:
-        record: of the steps. Episodes from starts that are no longer in the pool count for situations alone.
+    """The curriculum with the weights that follow from further steps. Episodes from starts that are no longer in the
+    pool count for situations alone.
     """
     size = curriculum.keys.shape[0]
     slot = jnp.maximum(record.start, 0) % size
@@ -237,7 +208,7 @@ def observe(env: mdp.Env, plan: Plan, curriculum: Curriculum, record: Record) ->
     second = jnp.asarray(env.scenario.time_step, jnp.float32)
     occurs = record.situations.astype(jnp.float32) * second
     cost = record.cost.astype(jnp.float32)
-    ends = (known & record.over).astype(jnp.float32)
+    ends = (known & record.done).astype(jnp.float32)
     returns = record.episode_return.astype(jnp.float32)
     gain = jnp.zeros_like(cost) if record.advantage is None else jnp.maximum(record.advantage, 0.0).astype(jnp.float32)
     counted = known.astype(jnp.float32)
@@ -248,11 +219,11 @@ def observe(env: mdp.Env, plan: Plan, curriculum: Curriculum, record: Record) ->
     before = jnp.where(curriculum.episodes > 0.0, curriculum.best, highest)
     best = jnp.maximum(before, highest)
     keep = jnp.asarray(plan.memory, jnp.float32)
-    seen, ended = (jnp.where(sums[:, column] > 0.0, keep, 1.0) for column in (4, 1))  # else nothing takes its place
+    faded, ended = (jnp.where(sums[:, column] > 0.0, keep, 1.0) for column in (4, 1))  # else nothing takes its place
     after = replace(
         curriculum,
-        occurs=seen[:, None] * curriculum.occurs + sums[:, 5:],
-        seconds=seen * curriculum.seconds + sums[:, 0],
+        occurs=faded[:, None] * curriculum.occurs + sums[:, 5:],
+        seconds=faded * curriculum.seconds + sums[:, 0],
         cost=keep * curriculum.cost + (cost[..., None] * record.situations.astype(jnp.float32)).sum((0, 1)),
         time=keep * curriculum.time + occurs.sum((0, 1)),
         total_cost=keep * curriculum.total_cost + cost.sum(),
@@ -261,8 +232,8 @@ def observe(env: mdp.Env, plan: Plan, curriculum: Curriculum, record: Record) ->
         best=jnp.where(jnp.isfinite(best), best, 0.0),
         returns=ended * curriculum.returns + sums[:, 2],
         ended=ended * curriculum.ended + sums[:, 1],
-        gain=seen * curriculum.gain + sums[:, 3],
-        steps=seen * curriculum.steps + (sums[:, 4] if record.advantage is not None else 0.0),
+        gain=faded * curriculum.gain + sums[:, 3],
+        steps=faded * curriculum.steps + (sums[:, 4] if record.advantage is not None else 0.0),
     )
     return _weighed(env, plan, after)
 
@@ -272,8 +243,8 @@ def refill(
 ) -> Curriculum:
     """The curriculum with new starts in the places of those that weigh least; jit it with ``plan`` static.
 
-    By situations, of these and of as many that are drawn those remain that weigh most. By regret, those with the least
-    go whose regret is known, for others like the best and for new ones.
+    By situations, of these and of as many new ones those remain that weigh most. By regret, those with the least known
+    regret make room for mutations of the best and for new ones.
 
     Args:
         key: () typed PRNG key, another one each time.
@@ -313,15 +284,11 @@ def refill(
     return _weighed(env, plan, _put(curriculum, fresh, out, order, better))
 
 
-# ------------------------------------------------------------------ what is known
+# ------------------------------------------------------------------ statistics of the record
 
 
 def situation_weights(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Float[Array, "S"]:
-    """How much each situation shall occur.
-
-    Returns:
-        (S,) that add up to 1.
-    """
+    """The shares (S,) of situations in what the weights aim at; they add up to 1."""
     names = [name for name, _ in env.scenario.situations]
     if plan.situations is not None:
         chosen = dict(plan.situations)
@@ -333,20 +300,13 @@ def situation_weights(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Float
 
 
 def occurrences(curriculum: Curriculum) -> Float[Array, "K S"]:
-    """Which situations occur from each start.
-
-    Returns:
-        (K, S) shares of the time; those of all starts together where nothing is known.
-    """
+    """Shares (K, S) of the time in each situation, from each start; those of all starts where nothing is known."""
     return _shares(curriculum.occurs, curriculum.seconds)
 
 
 def regret(curriculum: Curriculum) -> Float[Array, "K"]:
-    """How much the agent could do better from each start.
-
-    Returns:
-        (K,) the mean of positive advantages, if they were observed, else the best return less their mean; a guess where
-        too few episodes have ended.
+    """The regret (K,) of starts: the mean of positive advantages, if they were observed, else the best return less
+    their mean; a guess if too few episodes have ended.
     """
     mean = curriculum.returns / jnp.maximum(curriculum.ended, TINY)
     gap = jnp.maximum(curriculum.best - mean, 0.0)
@@ -397,7 +357,7 @@ def _by_regret(plan: Plan, curriculum: Curriculum) -> Float[Array, "K"]:
 
 
 def _values(env: mdp.Env, plan: Plan, curriculum: Curriculum, fresh: Curriculum) -> tuple[Array, Array]:
-    """(K,) and (R,) what starts and those that are offered weigh, all in one pool."""
+    """Weights (K,) of the starts and (R,) of the offered ones, all in one pool."""
     occurs = jnp.concatenate([curriculum.occurs, fresh.occurs])
     share = _shares(occurs, jnp.concatenate([curriculum.seconds, fresh.seconds]))
     values = _by_situations(share, share.sum(0), situation_weights(env, plan, curriculum))
@@ -462,10 +422,10 @@ def _offspring(
     own = jax.tree.map(lambda leaf: leaf[parent], curriculum.pool.states.randomization)
     moved = mutate(jax.random.split(key, parent.shape[0]), own)
 
-    def chosen(one: Array, other: Array) -> Array:
+    def select(one: Array, other: Array) -> Array:
         return jnp.where(mutates.reshape(-1, *[1] * (one.ndim - 1)), one, other)
 
-    return jnp.where(mutates, curriculum.keys[parent], keys), jax.tree.map(chosen, moved, drawn)
+    return jnp.where(mutates, curriculum.keys[parent], keys), jax.tree.map(select, moved, drawn)
 
 
 def _put(

@@ -1,38 +1,55 @@
-"""``sean train dagger``: imitation of an expert in the student's own states (dataset aggregation).
+"""Dataset aggregation: imitation of an expert in the student's own states.
 
-A network that imitates demonstrations drives into states in which nobody ever demonstrated. So it drives, the expert
-says what should have been done there, and the next network learns from all data until then. In the folder ``round-0``
-is the network of the demonstrations alone, ``data-K`` what network K - 1 drove with the expert's labels, and
-``round-K`` the network of all data until then. Each of these parts goes on where it stopped.
+``train`` is ``sean train dagger``: in rounds, the network drives, the expert labels, and the next network learns from
+all data until then. The folder has ``round-0``, the network of the demonstrations alone, ``data-K``, what network K - 1
+drove with the expert's labels, and ``round-K``, the network of all data until then; each part is resumed. ``clone`` is
+the same on-policy, for an agent of reinforcement learning before its first update.
 
-Source: S. Ross et al., "A reduction of imitation learning and structured prediction to no-regret online learning",
-AISTATS 2011, with networks that drive by themselves from the first round on.
+Source: S. Ross, G. Gordon & J. Bagnell, "A reduction of imitation learning and structured prediction to no-regret
+online learning", AISTATS 2011, with networks that drive by themselves from the first round on.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
+import optax
 from rich.console import Console
 
-from sean_jax import components, writing
-from sean_jax.config import CollectConfig, DaggerConfig, ImitationConfig
+from sean_jax import components, episodes, mdp, writing
+from sean_jax.base import Array, Policy
+from sean_jax.config import CollectConfig, DaggerConfig, ImitationConfig, ReinforcementConfig
 from sean_jax.flags import command
-from sean_jax.learning import choice, collection, training
-from sean_jax.learning.checkpoints import check_config, write_config
+from sean_jax.learning import collection, imitation, ppo
 from sean_jax.learning.dataset import Dataset, open_dataset
-from sean_jax.learning.training import TrainState
+from sean_jax.learning.imitation import TrainState
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, update_statistics
+from sean_jax.learning.policy import check_policy
+from sean_jax.learning.rollouts import (
+    EnvBatch,
+    Optimization,
+    Transition,
+    forward,
+    merge_envs,
+    optimize,
+    reset_envs,
+    step,
+)
+from sean_jax.learning.trainer import check_config, write_config
 from sean_jax.versions import versions
+
+UPDATES = 100  # of ``clone``
+EPOCHS = 4
 
 
 def train(options: DaggerConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
-    """Train networks in turn with further demonstrations, or go on with that, in the folder of the options.
+    """Train networks in rounds, or resume that; the state of the last, whose best weights ``learning.load`` reads.
 
     Args:
-        console: shows the progress; a function receives the fraction done instead, and None shows nothing.
-
-    Returns:
-        The state of the last network. ``learning.load`` reads its best weights from the folder.
+        console: shows the progress; a function receives the share that is done.
 
     Raises:
         InputError: the options are impossible, or the folder holds something else.
@@ -41,10 +58,10 @@ def train(options: DaggerConfig, console: Console | Callable[[float], None] | No
         FloatingPointError: a number is not finite. What was finished stays.
     """
     first = open_dataset(options.dataset)
-    components.check_trust(_driving(options, first, 1))
+    components.check_trust(_collect_options(options, first, 1))
     config = _config(options, first)
-    training.prepare(_learning(options, [options.dataset, *options.datasets], options.pretrained, options.folder))
-    choice.check(options.expert, _driving(options, first, 1), "expert")
+    imitation.prepare(_train_options(options, [options.dataset, *options.datasets], options.pretrained, options.folder))
+    check_policy(options.expert, _collect_options(options, first, 1), "expert")
     resumes = check_config(options.folder, config)
     with writing.folder_lock(options.folder):
         if not resumes:
@@ -53,40 +70,38 @@ def train(options: DaggerConfig, console: Console | Callable[[float], None] | No
         for number in range(options.rounds + 1):
             if number > 0:
                 data.append(options.folder / f"data-{number}")
-                _say(console, f"round {number} of {options.rounds}: the network drives, {options.expert.kind} labels")
-                collection.collect(_driving(options, first, number), _part(console, 2 * number - 1, options.rounds))
+                if console is not None and hasattr(console, "print"):
+                    text = f"round {number} of {options.rounds}: the network drives, {options.expert.kind} labels"
+                    console.print(text, markup=False)  # pyright: ignore
+                part = _part_of_progress(console, 2 * number - 1, options.rounds)
+                collection.collect(_collect_options(options, first, number), part)
             out = options.folder / f"round-{number}"
-            state = training.train(_learning(options, data, before, out), _part(console, 2 * number, options.rounds))
+            part = _part_of_progress(console, 2 * number, options.rounds)
+            state = imitation.train(_train_options(options, data, before, out), part)
             before = out
     assert state is not None
     return state
 
 
-def _driving(options: DaggerConfig, first: Dataset, number: int) -> CollectConfig:
-    """What is recorded in a round: the demonstrations' scenario, with other episodes."""
-    had = first.description()
+def _collect_options(options: DaggerConfig, first: Dataset, number: int) -> CollectConfig:
+    """Of a round: the demonstrations' scenario, with other episodes."""
+    described = first.description()
     student = str(options.folder / f"round-{number - 1}")
-    own = {"policy": student, "labels": options.expert, "hours": options.hours, "seed": had.seed + number}
-    return had.replace(**own, out=options.folder / f"data-{number}", quiet=options.quiet)
+    changed = {"policy": student, "labels": options.expert, "hours": options.hours, "seed": described.seed + number}
+    return described.replace(**changed, out=options.folder / f"data-{number}", quiet=options.quiet)
 
 
-def _learning(options: DaggerConfig, data: list[Path], before: Path | None, out: Path) -> ImitationConfig:
-    """What is trained in a round."""
+def _train_options(options: DaggerConfig, data: list[Path], before: Path | None, out: Path) -> ImitationConfig:
     shared = {name: getattr(options, name) for name in ImitationConfig.model_fields}
-    own = {"method": "imitation", "dataset": data[0], "datasets": tuple(data[1:]), "pretrained": before, "out": out}
-    return ImitationConfig(**(shared | own))
+    changed = {"method": "imitation", "dataset": data[0], "datasets": tuple(data[1:]), "pretrained": before, "out": out}
+    return ImitationConfig(**(shared | changed))
 
 
-def _part(console: Any, part: int, rounds: int) -> Any:
-    """What tells a part's progress as a share of the whole."""
+def _part_of_progress(console: Any, part: int, rounds: int) -> Any:
+    """A function that maps the share of a part to the share of the whole; a console as it is."""
     if console is None or hasattr(console, "print"):
         return console
     return lambda share: console((part + share) / (2 * rounds + 1))
-
-
-def _say(console: Any, text: str) -> None:
-    if console is not None and hasattr(console, "print"):
-        console.print(text, markup=False)
 
 
 def _config(options: DaggerConfig, first: Dataset) -> dict[str, Any]:
@@ -98,3 +113,92 @@ def _config(options: DaggerConfig, first: Dataset) -> dict[str, Any]:
         "dataset": {"fingerprint": first.fingerprint(), "command": first.manifest["command"]},
         "versions": versions(),
     }
+
+
+# ------------------------------------------------------------------ before reinforcement learning
+
+
+def clone(
+    options: ReinforcementConfig,
+    envs: tuple[mdp.Env, ...],
+    network: ActorCritic,
+    agent: Agent,
+    teachers: tuple[Policy, ...],
+    key: Array,
+) -> tuple[Agent, Array]:
+    """The agent after it has learned to act as ``teachers`` do, and the mean squared errors of actions (UPDATES,).
+
+    In the first half of the updates the teacher drives, in the second half the agent, with the teacher's actions as
+    labels: so the agent also learns the way back from states to which only its own errors lead.
+
+    Args:
+        teachers: one for each environment.
+        key: () typed PRNG key.
+    """
+    pool_key, batch_key, key = jax.random.split(key, 3)
+    pool_keys = pool_key, *(jax.random.fold_in(key, 2**31 - turn) for turn in range(1, len(envs)))
+
+    def with_memory(env: mdp.Env, teacher: Policy, states: mdp.EnvState) -> mdp.EnvState:
+        simulation = jax.vmap(lambda state: episodes.init_policy(env.scenario, teacher, state))(states.simulation)
+        return replace(states, simulation=simulation)
+
+    def with_pool(env: mdp.Env, teacher: Policy, key: Array) -> mdp.Env:
+        env = env.with_pool(key, options.pool)
+        assert env.pool is not None
+        return replace(env, pool=replace(env.pool, states=with_memory(env, teacher, env.pool.states)))
+
+    envs = tuple(map(with_pool, envs, teachers, pool_keys))
+    batch = reset_envs(envs, network, batch_key, options.scenarios)
+    batch = replace(batch, envs=tuple(map(with_memory, envs, teachers, batch.envs)))
+    rate = jnp.asarray(options.learning_rate, jnp.float32)
+    how = Optimization(ppo.OPTIMIZER, rate, EPOCHS, options.minibatches)
+
+    def update(carry: tuple[Agent, optax.OptState, EnvBatch], number: Array) -> tuple[tuple, Array]:
+        agent, optimizer, batch = carry
+        memory, turn = batch.memory, jax.random.fold_in(key, number)
+        alone = number >= UPDATES // 2
+        batch, steps = _labelled_rollout(envs, network, agent, teachers, batch, options.horizon, turn, alone)
+        agent, optimizer, error = optimize(how, _action_error, network, agent, optimizer, (steps,), memory, turn)
+        statistics = update_statistics(agent.statistics, steps.vector.reshape(-1, steps.vector.shape[-1]))
+        return (replace(agent, statistics=statistics), optimizer, batch), error
+
+    carry = agent, ppo.init(agent), batch
+    (agent, _, _), errors = jax.lax.scan(update, carry, jnp.arange(UPDATES, dtype=jnp.int32))
+    return agent, errors
+
+
+def _action_error(output: NetworkOutput, steps: Transition) -> tuple[Array, Array]:
+    """Mean squared error of actions, as the loss and for the log."""
+    error = ((output.mean - steps.action) ** 2).mean()
+    return error, error
+
+
+def _labelled_rollout(
+    envs: tuple[mdp.Env, ...],
+    network: ActorCritic,
+    agent: Agent,
+    teachers: tuple[Policy, ...],
+    batch: EnvBatch,
+    steps: int,
+    key: Array,
+    alone: Array,
+) -> tuple[EnvBatch, Transition]:
+    """Transitions with the teacher's actions, while the teacher drives, or the agent if ``alone`` () bool."""
+
+    def label(env: mdp.Env, teacher: Policy, before: mdp.EnvState) -> tuple[Array, mdp.EnvState]:
+        state = before.simulation
+        policy_key = jax.random.fold_in(state.streams.policy, state.tick)
+        command, memory = episodes.command(env.scenario, teacher, state, policy_key)
+        after = replace(before, simulation=replace(state, policy_state=memory))
+        return mdp.to_action(env.scenario.robot, command).astype(jnp.float32), after
+
+    def one(batch: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
+        output = forward(network, agent, envs[0].observations, batch)
+        each = [jax.vmap(label, (None, None, 0))(*part) for part in zip(envs, teachers, batch.envs, strict=True)]
+        labels, states = merge_envs([actions for actions, _ in each]), tuple(after for _, after in each)
+        action = jnp.where(alone, output.mean, labels)
+        turn = jax.random.fold_in(key, tick)
+        batch, transition = step(envs, network, agent, replace(batch, envs=states), output, action, turn)
+        return batch, transition._replace(action=labels, info={})
+
+    return jax.lax.scan(one, batch, jnp.arange(steps, dtype=jnp.int32))

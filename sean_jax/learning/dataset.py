@@ -1,7 +1,13 @@
-"""A dataset of demonstrations (section V-B): a manifest, and arrays in a store.
+"""A dataset of demonstrations (section V-B): a manifest, and arrays in sharded zarr (version 3) through tensorstore.
 
 The manifest ``dataset.json`` says what was recorded and how. It is replaced as a whole after each shard, and what it
-does not name does not exist. Each stream uses as many seconds of its episodes as were asked for.
+does not name does not exist. Each stream uses as many seconds of its episodes as were asked for. Datasets may come from
+other people: a manifest that this version would not write is refused, with the key that is wrong, before memory of the
+sizes in it is allocated.
+
+Each field of a row is an array (episodes, T, ...). A batch of episodes is one shard, which is one file for each field.
+A committed file is never written again, so a kill cannot damage it. In the shards of the depth images each episode is
+a chunk of its own. Every chunk has a checksum (crc32c).
 """
 
 from __future__ import annotations
@@ -10,27 +16,214 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import math
 import os
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pydantic
 
 from sean_jax import components, files, prng, writing
-from sean_jax.config import CollectConfig, validate
+from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, CollectConfig, validate
 from sean_jax.errors import FileError, IncompleteError, InputError
-from sean_jax.learning import store
 from sean_jax.learning.examples import POINTS, Recording, Row
-from sean_jax.learning.manifests import check_manifest
-from sean_jax.learning.protocol import seconds_of_each
+from sean_jax.quantities import MAX_DURATION
 
-if TYPE_CHECKING:
-    from sean_jax.learning.demonstrations import Batch
+LOOSE = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
+Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
+Positive = Annotated[int, pydantic.Field(ge=1, le=MAX_SHARD)]
+Side = Annotated[int, pydantic.Field(ge=1, le=MAX_SIDE)]  # pixels
+Names = Annotated[list[str], pydantic.Field(max_length=1_000)]
+
+
+# ------------------------------------------------------------------ manifest
+
+
+class Camera(pydantic.BaseModel):
+    """Size of the depth images."""
+
+    model_config = LOOSE
+
+    width: Side
+    height: Side
+
+
+class Shard(pydantic.BaseModel):
+    """A batch of episodes."""
+
+    model_config = LOOSE
+
+    stream: Count
+    lengths: list[Count]  # rows
+    completed: list[bool]
+    bytes: dict[str, Annotated[int, pydantic.Field(ge=0, lt=2**62)]]  # of the file of each field
+
+
+class Robot(pydantic.BaseModel):
+    """The robot that was driven."""
+
+    model_config = LOOSE
+
+    name: str
+
+
+class Manifest(pydantic.BaseModel):
+    """The keys of dataset.json that are read; other keys are for people."""
+
+    model_config = LOOSE
+
+    command: str
+    options: dict[str, Any]
+    hours: Annotated[float, pydantic.Field(gt=0, le=MAX_HOURS)]
+    batch: Positive
+    seconds: Annotated[int, pydantic.Field(ge=1, le=MAX_DURATION)]  # of an episode, at most
+    rate: Annotated[float, pydantic.Field(ge=1, le=MAX_RATE)] = 1.0  # rows a second, a whole number
+    streams: Annotated[Names, pydantic.Field(min_length=1)]
+    situations: Names
+    camera: Camera
+    robot: Robot
+    shards: list[Shard]
+
+
+def check_manifest(path: Path, data: Any, fields: tuple[str, ...]) -> None:
+    """Refuse the content of a dataset.json that cannot be that of a dataset with these fields.
+
+    Raises:
+        FileError: names the key.
+    """
+    files.check_json(path, data, Manifest, lambda manifest: _check_relations(manifest, fields))
+
+
+def _check_relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[files.Problem]:
+    if manifest.camera.width * manifest.camera.height > MAX_PIXELS:
+        yield ("camera",), f"has more than {MAX_PIXELS:,} pixels"
+    if manifest.rate != int(manifest.rate):
+        yield ("rate",), f"{manifest.rate:g} is not a whole number"
+    for number, shard in enumerate(manifest.shards):
+        here = ("shards", number)
+        if shard.stream >= len(manifest.streams):
+            yield (*here, "stream"), f"{shard.stream} is none of the {len(manifest.streams)} streams"
+        for name, values in (("lengths", shard.lengths), ("completed", shard.completed)):
+            if len(values) != manifest.batch:
+                yield (*here, name), f"has {len(values)} values, and a batch has {manifest.batch} episodes"
+        longest = max(shard.lengths, default=0)
+        if longest > manifest.rate * manifest.seconds:
+            seconds = f"{longest / manifest.rate:g} s long, and {manifest.seconds} s are the most"
+            yield (*here, "lengths"), f"an episode is {seconds}"
+        if missing := [name for name in fields if name not in shard.bytes]:
+            yield (*here, "bytes"), f"lacks {', '.join(missing)}"
+        if unknown := [name for name in shard.bytes if name not in fields]:
+            yield (*here, "bytes"), f"has '{unknown[0][:40]}', which is no field of a row"
+
+
+COMPRESSION = 3  # of the zstd compression
+CURE = "remove the damaged file, and `sean collect` with the same options makes it anew."
+
+
+# ------------------------------------------------------------------ arrays in the store
+
+
+def create_arrays(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], batch: int, rows: int) -> None:
+    """Create arrays of fields, name -> (shape, type), without episodes, in a group that other readers of zarr
+    recognize.
+
+    Raises:
+        OSError: the folder cannot be written.
+        ValueError: tensorstore refuses the arrays.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, (shape, kind) in fields.items():
+        shard = [batch, rows, *shape]
+        chunk = [1, *shard[1:]] if len(shape) > 1 and kind == "uint16" else shard
+        little = {"name": "bytes"} if kind == "bool" else {"name": "bytes", "configuration": {"endian": "little"}}
+        index = {"name": "bytes", "configuration": {"endian": "little"}}
+        sharding = {
+            "chunk_shape": chunk,
+            "codecs": [little, {"name": "zstd", "configuration": {"level": COMPRESSION}}, {"name": "crc32c"}],
+            "index_codecs": [index, {"name": "crc32c"}],
+        }
+        metadata = {
+            "shape": [0, *shard[1:]],
+            "data_type": kind,
+            "fill_value": False if kind == "bool" else 0,
+            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": shard}},
+            "codecs": [{"name": "sharding_indexed", "configuration": sharding}],
+        }
+        _open_array(folder / name, {"metadata": metadata, "create": True, "open": True})
+    group = {"zarr_format": 3, "node_type": "group", "attributes": {}}
+    writing.write(folder / "zarr.json", json.dumps(group, indent=2) + "\n")
+
+
+def write_shard(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict[str, int]:
+    """Write a shard of fields, name -> (B, T, ...), durably; name -> size of its file [bytes].
+
+    Raises:
+        IncompleteError: it cannot be written, for example because the disk is full.
+    """
+    writes = []
+    try:
+        for name, values in fields.items():
+            array = _open_array(folder / name)
+            first, last = shard * len(values), (shard + 1) * len(values)
+            if array.shape[0] < last:
+                array = array.resize(exclusive_max=[last, *array.shape[1:]]).result()
+            writes.append(array[first:last].write(values))
+        for each in writes:
+            each.result()
+        return {name: shard_file(folder, name, shard, values.ndim).stat().st_size for name, values in fields.items()}
+    except (OSError, ValueError) as error:
+        raise IncompleteError(f"{folder}: {_store_reason(error)}; what was committed before is as it was.") from error
+
+
+def read_array(folder: Path, name: str, first: int, last: int) -> np.ndarray:
+    """One field (E, T, ...) of consecutive episodes.
+
+    Raises:
+        IncompleteError: a file is damaged.
+    """
+    try:
+        return np.asarray(_open_array(folder / name)[first:last].read().result())
+    except (OSError, ValueError) as error:
+        raise IncompleteError(f"{folder / name}: {_store_reason(error)}; {CURE}") from error
+
+
+def shard_file(folder: Path, name: str, shard: int, dimensions: int) -> Path:
+    """The file of a shard of an array (episodes, T, ...) with so many dimensions."""
+    return folder / name / "c" / str(shard) / "/".join("0" * (dimensions - 1))
+
+
+def _open_array(folder: Path, more: dict[str, Any] | None = None) -> Any:
+    import tensorstore
+
+    files = {"driver": "file", "path": os.path.abspath(folder)}  # tensorstore takes no path with ".."
+    # Shards of zeros are written as well, so that a missing file is always a lost one.
+    spec = {"driver": "zarr3", "kvstore": files, "open": True, "store_data_equal_to_fill_value": True, **(more or {})}
+    return tensorstore.open(spec).result()
+
+
+def _store_reason(error: Exception) -> str:
+    """The cause in a few words that name the file."""
+    text = str(error)
+    if writing.reason(error) == writing.DISK_FULL:
+        return writing.DISK_FULL
+    if isinstance(error, OSError) and error.strerror:
+        return writing.broken(error)
+    cause = text.split("[")[0].strip().rstrip(".")
+    file = next((part for part in text.split('"') if "/c/" in part), "")
+    if "Digest mismatch" in text or "DATA_LOSS" in text or "corrupt" in text.lower():
+        return f"the file {file} is damaged" if file else f"a file is damaged ({cause})"
+    return cause
+
 
 MANIFEST = "dataset.json"
 FORMAT = 1
+
+
+# ------------------------------------------------------------------ dataset
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,6 +234,16 @@ class Episode:
     stream: int
     length: int  # rows
     completed: bool
+    source: int = 0  # index of its dataset in a ``ConcatDataset``
+
+
+@dataclasses.dataclass
+class EpisodeBatch:
+    """B episodes of at most T rows."""
+
+    rows: dict[str, np.ndarray]  # field of Row -> (B, T, ...)
+    lengths: np.ndarray  # (B,) rows of each episode
+    completed: np.ndarray  # (B,) bool
 
 
 @dataclasses.dataclass
@@ -52,7 +255,7 @@ class Dataset:
     part: tuple[int, int] = (1, 1)  # which of how many equal parts of the episodes is read; (3, 10) is the third of ten
 
     def description(self) -> CollectConfig:
-        """What ``sean collect`` recorded, with the files of own parts as they are found from here.
+        """The options of ``sean collect`` that recorded it, with the files of own parts as they lie from here.
 
         Raises:
             InputError: something else made the dataset, or a file is not what it was.
@@ -96,7 +299,7 @@ class Dataset:
 
         Parts take turns by episode, so that each has as much of every stream.
         """
-        rows = self.rate * seconds_of_each(self.manifest["hours"], len(self.manifest["streams"]))
+        rows = self.rate * stream_seconds(self.manifest["hours"], len(self.manifest["streams"]))
         left, episodes = [rows] * len(self.manifest["streams"]), []
         for index, shard in enumerate(self.manifest["shards"]):
             for place, length in enumerate(shard["lengths"]):
@@ -129,24 +332,14 @@ class Dataset:
         return fields(*self.image_shape, len(self.manifest["situations"]))
 
     def fingerprint(self) -> str:
-        """Hash of everything that decides what the examples are.
-
-        Returns:
-            16 hexadecimal digits of options, length and file sizes.
-        """
+        """16 hexadecimal digits of everything that decides the examples: options, length and file sizes."""
         names = ("format", "options", "hours", "batch", "streams", "shards")
-        told = {name: self.manifest[name] for name in names} | ({"part": self.part} if self.part != (1, 1) else {})
-        text = json.dumps(told, sort_keys=True)
+        content = {name: self.manifest[name] for name in names} | ({"part": self.part} if self.part != (1, 1) else {})
+        text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
-    def read(self, episodes: list[Episode], names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
-        """Read fields of rows.
-
-        Args:
-            names: of the fields; all if None.
-
-        Returns:
-            Name -> (R, ...) the rows of one episode after the other.
+    def read(self, episodes: Sequence[Episode], names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+        """Fields of the rows of one episode after the other, name -> (R, ...); all fields if ``names`` is None.
 
         Raises:
             IncompleteError: a file is missing or damaged.
@@ -159,7 +352,7 @@ class Dataset:
             for group in self._read_groups(episodes, sparse=name == "depth"):
                 first, last = min(one.number for one in group), max(one.number for one in group)
                 self._check_file(name, first // self.batch, len(shape) + 2)
-                values = store.read(self.folder, name, first, last + 1)
+                values = read_array(self.folder, name, first, last + 1)
                 expected = (last + 1 - first, self.most_rows, *shape)
                 if values.shape != expected or values.dtype != kind:
                     sizes = f"{values.shape} {values.dtype}, but by {MANIFEST} they are {expected} {kind}"
@@ -173,15 +366,15 @@ class Dataset:
             arrays[name] = array
         return arrays
 
-    def recording(self, episodes: list[Episode]) -> Recording:
-        """Read whole episodes.
+    def recording(self, episodes: Sequence[Episode]) -> Recording:
+        """Whole episodes, one after the other.
 
         Raises:
             IncompleteError: a file is missing or damaged.
         """
         return recording_of(self.read(episodes), [episode.length for episode in episodes], self.rate)
 
-    def commit(self, stream: int, batch: Batch, shard: int | None = None) -> None:
+    def commit(self, stream: int, batch: EpisodeBatch, shard: int | None = None) -> None:
         """Write a batch of episodes as a shard, then name it in the manifest.
 
         Args:
@@ -191,7 +384,7 @@ class Dataset:
             IncompleteError: it cannot be written. What was committed before stays.
         """
         index = len(self.manifest["shards"]) if shard is None else shard
-        sizes = store.write(self.folder, index, batch.rows)
+        sizes = write_shard(self.folder, index, batch.rows)
         lengths, completed = batch.lengths.tolist(), batch.completed.tolist()
         entry = {"stream": stream, "lengths": lengths, "completed": completed, "bytes": sizes}
         shards = list(self.manifest["shards"])
@@ -220,7 +413,7 @@ class Dataset:
             if any(self._size(name, index, dimensions[name]) != size for name, size in shard["bytes"].items())
         ]
 
-    def _read_groups(self, episodes: list[Episode], sparse: bool) -> list[list[Episode]]:
+    def _read_groups(self, episodes: Sequence[Episode], sparse: bool) -> list[list[Episode]]:
         """Cut the list into neighbors of one shard, which are read in one piece.
 
         If ``sparse``, episodes that lie far apart in a shard are read one by one.
@@ -234,23 +427,18 @@ class Dataset:
         return [part for group, far in pairs for part in ([[one] for one in group] if far else [group])]
 
     def _size(self, name: str, shard: int, dimensions: int) -> int:
-        file = store.path(self.folder, name, shard, dimensions)
+        file = shard_file(self.folder, name, shard, dimensions)
         return file.stat().st_size if file.is_file() else -1
 
     def _check_file(self, name: str, shard: int, dimensions: int) -> None:
         """Raise for a missing file, which tensorstore would read as zeros."""
         if self._size(name, shard, dimensions) != self.manifest["shards"][shard]["bytes"][name]:
-            file = store.path(self.folder, name, shard, dimensions)
-            raise IncompleteError(f"the file {file} is missing or damaged; {store.CURE}")
+            file = shard_file(self.folder, name, shard, dimensions)
+            raise IncompleteError(f"the file {file} is missing or damaged; {CURE}")
 
 
 def recording_of(fields: dict[str, np.ndarray], lengths: list[int], rate: int = 1) -> Recording:
-    """Put the fields of whole episodes together.
-
-    Args:
-        fields: name -> (R, ...) the rows of one episode after the other.
-        rate: rows a second.
-    """
+    """A recording of fields, name -> (R, ...), of whole episodes one after the other; ``rate`` in rows a second."""
     each = np.array(lengths, np.int64)
     ends = np.cumsum(each)
     first, end = np.repeat(ends - each, each), np.repeat(ends, each)
@@ -259,15 +447,7 @@ def recording_of(fields: dict[str, np.ndarray], lengths: list[int], rate: int = 
 
 
 def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Describe the fields of ``examples.Row``.
-
-    Args:
-        height: of a depth image [pixels].
-        width: of a depth image [pixels].
-
-    Returns:
-        Name -> (shape, type).
-    """
+    """Name -> (shape, type) of the fields of ``examples.Row``, for depth images of height x width pixels."""
     return {
         "depth": ((height, width), "uint16"),
         "plan": ((POINTS, 2), "float32"),
@@ -279,7 +459,7 @@ def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[in
 
 
 def create_dataset(folder: Path, manifest: dict[str, Any]) -> Dataset:
-    """Create a dataset without episodes. The manifest is written last.
+    """A dataset without episodes. The manifest is written last.
 
     Args:
         folder: does not exist, or is empty.
@@ -291,7 +471,7 @@ def create_dataset(folder: Path, manifest: dict[str, Any]) -> Dataset:
     """
     data = Dataset(folder, {"format": FORMAT, **manifest, "shards": []})
     try:
-        store.create(folder, data.fields, data.batch, data.most_rows)
+        create_arrays(folder, data.fields, data.batch, data.most_rows)
     except (OSError, ValueError) as error:
         raise InputError(f"cannot write {folder}: {error}; choose another folder with --out.") from error
     data.save(data.manifest)
@@ -299,10 +479,10 @@ def create_dataset(folder: Path, manifest: dict[str, Any]) -> Dataset:
 
 
 def open_dataset(folder: Path | str, part: tuple[int, int] = (1, 1)) -> Dataset:
-    """Open a dataset for reading.
+    """The dataset that ``sean collect`` or a ``Recorder`` has written, for reading.
 
     Args:
-        folder: the folder that ``sean collect`` or a ``Recorder`` has written.
+        part: (3, 10) reads the third of ten equal parts of its episodes.
 
     Raises:
         InputError: there is none, or this version cannot read it.
@@ -326,10 +506,7 @@ def open_dataset(folder: Path | str, part: tuple[int, int] = (1, 1)) -> Dataset:
 
 
 def split(dataset: Dataset, share: float, seed: int) -> tuple[list[Episode], list[Episode]]:
-    """Split the episodes into those to train and those to validate with. No episode is in both.
-
-    Args:
-        share: of the episodes that validate; at least one does.
+    """The episodes to train with and those to validate with: a ``share`` of all, at least one.
 
     Raises:
         InputError: there are fewer than two episodes.
@@ -347,9 +524,73 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[list[Episode], lis
 
 
 def on_device(recording: Recording) -> Recording:
-    """Convert a recording to arrays of jax.
-
-    Returns:
-        The same on the default device.
-    """
+    """The recording as arrays of jax, on the default device."""
     return jax.tree.map(jnp.asarray, recording)
+
+
+def stream_seconds(hours: float, number: int) -> int:
+    """How long each of some streams is recorded."""
+    return math.ceil(3600.0 * hours / number - 1e-6)
+
+
+# ------------------------------------------------------------------ several datasets
+
+
+class ConcatDataset(Dataset):
+    """Datasets of equal cameras, situations and rate, read as one; folder and manifest are those of the first."""
+
+    def __init__(self, parts: list[Dataset]):
+        super().__init__(parts[0].folder, parts[0].manifest)
+        self.parts = parts
+
+    @property
+    def episodes(self) -> list[Episode]:
+        """The episodes of all."""
+        return [dataclasses.replace(each, source=n) for n, part in enumerate(self.parts) for each in part.episodes]
+
+    def fingerprint(self) -> str:
+        """16 hexadecimal digits of everything that decides the examples; those of the dataset if it is the only one."""
+        prints = [part.fingerprint() for part in self.parts]
+        return prints[0] if len(prints) == 1 else hashlib.sha256(" ".join(prints).encode()).hexdigest()[:16]
+
+    def read(self, episodes: Sequence[Episode], names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+        """As ``Dataset.read``."""
+        groups = itertools.groupby(episodes, lambda episode: episode.source)
+        arrays = [self.parts[source].read(list(group), names) for source, group in groups]
+        if len(arrays) == 1:
+            return arrays[0]
+        if not arrays:
+            return self.parts[0].read([], names)
+        return {name: np.concatenate([array[name] for array in arrays]) for name in arrays[0]}
+
+
+def open_datasets(folders: Sequence[Path], part: tuple[int, int] = (1, 1)) -> ConcatDataset:
+    """Datasets to learn from together; ``part`` is of the first, as in ``open_dataset``; the others are read whole.
+
+    Raises:
+        InputError: one is none, or has other images, situations or another rate than the first.
+    """
+    first, *others = (open_dataset(folder, (1, 1) if more else part) for more, folder in enumerate(folders))
+    for other in others:
+        for name in ("camera", "situations"):
+            theirs, ours = other.manifest[name], first.manifest[name]
+            if theirs != ours:
+                raise InputError(f"{other.folder} has {name} {theirs}, and {first.folder} {ours}; collect the same.")
+        if other.rate != first.rate:
+            rates = f"{other.folder} has {other.rate} examples a second, and {first.folder} {first.rate}"
+            raise InputError(f"{rates}; collect with the same --rate.")
+    return ConcatDataset([first, *others])
+
+
+def split_each(data: ConcatDataset, share: float, seed: int) -> tuple[list[Episode], list[Episode]]:
+    """``split`` of each dataset: what validates one training also validates the next, with more datasets.
+
+    Raises:
+        InputError: a dataset has fewer than two episodes.
+    """
+    training: list[Episode] = []
+    validation: list[Episode] = []
+    for number, part in enumerate(data.parts):
+        for episodes, chosen in zip((training, validation), split(part, share, seed), strict=True):
+            episodes += [dataclasses.replace(episode, source=number) for episode in chosen]
+    return training, validation

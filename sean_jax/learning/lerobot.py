@@ -29,10 +29,7 @@ NUMBERS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
 def export(dataset: Path | str, out: Path | str) -> Path:
-    """Write a dataset in the format of LeRobot.
-
-    Args:
-        out: folder to write, new or empty.
+    """Write a dataset in the format of LeRobot into a new or empty folder ``out``.
 
     Raises:
         InputError: there is no dataset, it is empty, or pyarrow is not installed.
@@ -83,15 +80,18 @@ def _stats(columns: dict[str, np.ndarray], depths: np.ndarray) -> dict[str, dict
 
     Args:
         columns: (T,) or (T, K) of each feature but the image.
-        depths: (65,536,) how many pixels have each depth.
+        depths: (65,536,) number of pixels of each depth.
     """
     kinds = np.flatnonzero(depths)
     image = {name: value.reshape(1, 1, 1) for name, value in _statistics(kinds[:, None], depths[kinds]).items()}
-    found = {IMAGE: image, **{name: _statistics(values.reshape(len(values), -1)) for name, values in columns.items()}}
+    statistics = {
+        IMAGE: image,
+        **{name: _statistics(values.reshape(len(values), -1)) for name, values in columns.items()},
+    }
     count = [len(columns["index"])]
     return {
         feature: {**{name: value.tolist() for name, value in values.items()}, "count": count}
-        for feature, values in found.items()
+        for feature, values in statistics.items()
     }
 
 
@@ -101,8 +101,8 @@ def _statistics(values: np.ndarray, weights: np.ndarray | None = None) -> dict[s
     mean = np.average(values, axis=0, weights=weights)
     std = np.sqrt(np.average(np.square(values - mean), axis=0, weights=weights))
     levels = np.quantile(values, list(QUANTILES.values()), axis=0, weights=weights, method="inverted_cdf")
-    found = {"min": values.min(0), "max": values.max(0), "mean": mean, "std": std}
-    return found | dict(zip(QUANTILES, levels, strict=True))
+    statistics = {"min": values.min(0), "max": values.max(0), "mean": mean, "std": std}
+    return statistics | dict(zip(QUANTILES, levels, strict=True))
 
 
 def _columns(data: Dataset, episode: Episode, number: int, index: int) -> dict[str, np.ndarray]:

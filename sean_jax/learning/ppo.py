@@ -1,4 +1,4 @@
-"""Proximal policy optimization: an update goes through what was seen in minibatches of whole scenarios.
+"""Proximal policy optimization over minibatches of whole scenarios.
 
 Source: J. Schulman et al., "Proximal policy optimization algorithms", 2017.
 """
@@ -13,13 +13,21 @@ from jaxtyping import Float
 from sean_jax import mdp
 from sean_jax.base import Array
 from sean_jax.config import PPOConfig
-from sean_jax.learning.actor_critic import ActorCritic, Agent, Answer, entropy, log_density, update_statistics
-from sean_jax.learning.descent import Descent, learn
-from sean_jax.learning.rollouts import Rows, Seen, advantages, collect, of_episodes, say
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, entropy, log_density, update_statistics
+from sean_jax.learning.rollouts import (
+    EnvBatch,
+    Optimization,
+    Transition,
+    advantages,
+    episode_means,
+    forward,
+    optimize,
+    rollout,
+)
 
 VALUE_WEIGHT = 0.5  # of the critic's loss
 MAX_GRADIENT_NORM = 0.5
-FEW = 1e-8
+EPSILON = 1e-8
 
 OPTIMIZER = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scale_by_adam(eps=1e-5))
 
@@ -36,34 +44,30 @@ def update(
     network: ActorCritic,
     agent: Agent,
     optimizer: optax.OptState,
-    rows: Rows,
+    batch: EnvBatch,
     key: Array,
-) -> tuple[Agent, optax.OptState, Rows, Seen, dict[str, Any]]:
-    """Let the agent drive, and learn from that.
+) -> tuple[Agent, optax.OptState, EnvBatch, Transition, dict[str, Any]]:
+    """The agent, optimizer and scenarios after a rollout and its epochs, the transitions, and numbers for the log.
 
     Args:
-        numbers: what an agent of a sweep has for itself, of the names in ``PPOConfig.SWEPT``; the learning rate is that
-            of this update.
-        envs: what is trained on, with pools; scenarios are shared out equally.
+        numbers: this agent's values of ``PPOConfig.SWEPT``; the learning rate is that of this update.
+        envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
-
-    Returns:
-        The agent, the state of the optimizer, the scenarios, what was seen, and numbers for the log.
     """
-    memory = rows.memory
-    rows, seen = collect(envs, network, agent, rows, options.horizon, key)
-    last = say(network, agent, envs[0].observations, rows)
-    advantage = advantages(seen, last.value, numbers["discount"], numbers["advantage_decay"])
-    agent, optimizer, losses = _learn(options, numbers, network, agent, optimizer, seen, memory, advantage, key)
-    statistics = update_statistics(agent.statistics, seen.vector.reshape(-1, seen.vector.shape[-1]))
-    wanted = advantage + seen.value
-    explained = 1.0 - (wanted - seen.value).var() / jnp.maximum(wanted.var(), FEW)
-    told = {
+    memory = batch.memory
+    batch, transitions = rollout(envs, network, agent, batch, options.horizon, key)
+    last = forward(network, agent, envs[0].observations, batch)
+    advantage = advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
+    agent, optimizer, losses = _learn(options, numbers, network, agent, optimizer, transitions, memory, advantage, key)
+    statistics = update_statistics(agent.statistics, transitions.vector.reshape(-1, transitions.vector.shape[-1]))
+    target = advantage + transitions.value
+    explained = 1.0 - (target - transitions.value).var() / jnp.maximum(target.var(), EPSILON)
+    log = {
         "train": losses | {"explained_variance": explained},
-        "episodes": of_episodes(seen),
-        "rewards": {name: part.mean() for name, part in seen.told["rewards"].items()},
+        "episodes": episode_means(transitions),
+        "rewards": {name: part.mean() for name, part in transitions.info["rewards"].items()},
     }
-    return replace(agent, statistics=statistics), optimizer, rows, seen, told
+    return replace(agent, statistics=statistics), optimizer, batch, transitions, log
 
 
 def _learn(
@@ -72,23 +76,23 @@ def _learn(
     network: ActorCritic,
     agent: Agent,
     optimizer: optax.OptState,
-    seen: Seen,
+    transitions: Transition,
     memory: Float[Array, "B M"],
     advantage: Float[Array, "T B"],
     key: Array,
 ) -> tuple[Agent, optax.OptState, dict[str, Array]]:
-    """The agent, the state of the optimizer, and numbers for the log, after the epochs of an update."""
+    """The agent, the optimizer's state, and numbers for the log, after the epochs of an update."""
 
-    def loss(said: Answer, steps: Seen, gain: Array, wanted: Array) -> tuple[Array, dict[str, Array]]:
-        change = log_density(said, steps.action) - steps.log_density
+    def loss(output: NetworkOutput, steps: Transition, gain: Array, target: Array) -> tuple[Array, dict[str, Array]]:
+        change = log_density(output, steps.action) - steps.log_density
         ratio, clip = jnp.exp(change), numbers["clip"]
-        gain = (gain - gain.mean()) / (gain.std() + FEW)
+        gain = (gain - gain.mean()) / (gain.std() + EPSILON)
         clipped = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
         actor = -jnp.minimum(ratio * gain, clipped * gain).mean()
-        critic = 0.5 * ((said.value - wanted) ** 2).mean()
-        spread = entropy(said).mean()
+        critic = 0.5 * ((output.value - target) ** 2).mean()
+        spread = entropy(output).mean()
         total = actor + VALUE_WEIGHT * critic - numbers["entropy"] * spread
-        told = {
+        log = {
             "loss": total,
             "actor": actor,
             "critic": critic,
@@ -96,8 +100,8 @@ def _learn(
             "divergence": ((ratio - 1.0) - change).mean(),
             "clipped": (jnp.abs(ratio - 1.0) > clip).mean(dtype=jnp.float32),
         }
-        return total, told
+        return total, log
 
-    descent = Descent(OPTIMIZER, numbers["learning_rate"], options.epochs, options.minibatches)
-    data = seen._replace(told={}), advantage, advantage + seen.value
-    return learn(descent, loss, network, agent, optimizer, data, memory, key)
+    how = Optimization(OPTIMIZER, numbers["learning_rate"], options.epochs, options.minibatches)
+    data = transitions._replace(info={}), advantage, advantage + transitions.value
+    return optimize(how, loss, network, agent, optimizer, data, memory, key)

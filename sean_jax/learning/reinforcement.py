@@ -1,10 +1,10 @@
-"""``sean train ppo`` and ``sean train apg``: training from rewards, with checkpoints, evaluations and several agents.
+"""``sean train ppo`` and ``sean train apg``: training from rewards, with evaluations and several agents.
 
 An update is one compiled program: all scenarios take some steps, and the agent learns from them (``ppo``, ``shac``).
-Several environments share the scenarios equally, and the agent learns from all of them together.
-Agents of different seeds and numbers are trained side by side, along a leading axis A. Chance depends on (seed, update)
-and on the states of the scenarios, which checkpoints hold, so a training that was stopped goes on to the same curve.
-Processes that ``jax.distributed`` has joined train together: scenarios are spread over the devices of all of them.
+Several environments share the scenarios equally, and the agent learns from all of them together. Agents of different
+seeds and numbers are trained side by side, along a leading axis A. All chance depends on (seed, update) and on the
+states of the scenarios, which checkpoints hold, so a training that was stopped is resumed to the same curve. Processes
+that ``jax.distributed`` has joined train together: scenarios are spread over the devices of all of them.
 """
 
 import contextlib
@@ -30,23 +30,32 @@ from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 from sean_jax.flags import command
-from sean_jax.learning import agents, choice, cloning, driving, ppo, processes, rollouts, shac
 from sean_jax.learning import curriculum as curricula
-from sean_jax.learning.actor_critic import ActorCritic, Agent, init_agents, with_noise
-from sean_jax.learning.checkpoints import Checkpoints, check_config, write_config
+from sean_jax.learning import dagger, ppo, rollouts, shac, trainer
 from sean_jax.learning.curriculum import Curriculum
-from sean_jax.learning.curves import draw_curve, sparkline
-from sean_jax.learning.logs import Log
-from sean_jax.learning.rollouts import Rows
-from sean_jax.learning.trained import Best, load
+from sean_jax.learning.networks import ActorCritic, Agent, init_agents, with_noise
+from sean_jax.learning.policy import (
+    Best,
+    agent_network,
+    agent_policy,
+    agent_terms,
+    check_policy,
+    is_packed,
+    load_packed,
+    load_policy,
+    load_trained,
+    read_options,
+)
+from sean_jax.learning.rollouts import EnvBatch
+from sean_jax.learning.trainer import Loop, Report, check_config
 from sean_jax.mdp import rewards
 from sean_jax.progress import progress
 from sean_jax.scenario import reset, results
 from sean_jax.versions import versions
 
-REWARDS = "rewards."  # what numbers of a sweep begin with that are weights
+REWARDS = "rewards."  # prefix of a sweep's numbers that are weights of rewards
 
-TRAINERS = {"ppo": ppo, "apg": shac}
+METHODS = {"ppo": ppo, "apg": shac}
 """Method -> the module that has its ``init`` and ``update``."""
 
 
@@ -56,7 +65,7 @@ class TrainState:
 
     agent: Agent  # (A, ...)
     optimizer: PyTree  # (A, ...)
-    rows: Rows  # (A, B, ...)
+    rows: EnvBatch  # (A, B, ...)
     best: Best
     curriculum: Curriculum | None  # (A, ...); None: all starts of the pool are alike
     update: Int[Array, ""]  # updates done
@@ -66,19 +75,16 @@ class Programs(NamedTuple):
     """The compiled functions of a training. Each compiles at its first call."""
 
     begin: Callable  # (envs, agents) -> TrainState
-    update: Callable  # (envs, state) -> (state, numbers for the log, (A, ...))
-    evaluate: Callable  # (scenarios, envs, agents) -> mean return, (A,), and numbers of each for the log, (A, ...)
-    refill: Callable  # (envs, state) -> state with other starts
+    update: Callable  # (envs, state) -> (state, numbers for the log, (A, ...)); donates the state
+    evaluate: Callable  # (scenarios, envs, agents) -> mean return, (A,), and numbers for the log, (A, ...)
+    refill: Callable  # (envs, state) -> state with other starts; donates the state
 
 
 def train(options: ReinforcementConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
-    """Train agents, or continue their training, in the folder of the options.
+    """Train agents, or resume their training; the state then. ``learning.load`` reads the best agent from the folder.
 
     Args:
-        console: shows the progress; a function receives the fraction done instead, and None shows nothing.
-
-    Returns:
-        The state after the last update. ``learning.load`` reads the best agent from the folder.
+        console: shows the progress; a function receives the share that is done.
 
     Raises:
         InputError: the options are impossible, or the folder holds something else.
@@ -88,44 +94,40 @@ def train(options: ReinforcementConfig, console: Console | Callable[[float], Non
     """
     with contextlib.ExitStack() as stack:
         stack.enter_context(components.read_once())
-        config = processes.together(lambda: _config(options))
-        processes.by_first(lambda: check_config(options.folder, config))  # refuses before anything is written
-        scenarios, envs, network = processes.together(lambda: build(options))
-        processes.by_first(lambda: stack.enter_context(writing.folder_lock(options.folder)))
+        config = trainer.on_all_processes(lambda: _config(options))
+        trainer.on_first_process(lambda: check_config(options.folder, config))  # refuses before anything is written
+        scenarios, envs, network = trainer.on_all_processes(lambda: build(options))
+        trainer.on_first_process(lambda: stack.enter_context(writing.folder_lock(options.folder)))
         return _train(options, console, scenarios, envs, network, config)
 
 
 def build(options: ReinforcementConfig) -> tuple[tuple[Scenario, ...], tuple[mdp.Env, ...], ActorCritic]:
-    """What is trained, and where.
-
-    Returns:
-        The scenario of evaluations in each environment, and the ``Env`` of the training, without a pool, and the
-        network.
+    """For each environment the scenario of evaluations and the ``Env`` of the training, without a pool; the network.
 
     Raises:
         InputError: one sentence that names the value and the cure.
     """
     if options.imitate is not None:
-        choice.check(options.imitate, options, "imitate")
+        check_policy(options.imitate, options, "imitate")
     if options.pretrained is not None:
         _check_pretrained(options, options.pretrained)
-    for each in options.per_environment:
-        registry.check(each)
-    terms = sum(agents.terms(options), ())
-    built = [curricula.prepare(registry.build(each), options.curriculum) for each in options.per_environment]
-    envs = [replace(env, observations=terms) for env in built]
+    for config in options.per_environment:
+        registry.check(config)
+    terms = sum(agent_terms(options), ())
+    envs = [curricula.prepare(registry.build(config), options.curriculum) for config in options.per_environment]
+    envs = [replace(env, observations=terms) for env in envs]
     rewards.reweighted(envs[0].rewards, _weights(options.agents[0]))  # refuses what is none of its terms
     _check_alike(envs)
-    network = agents.network(options, envs[0].observation_space)
+    network = agent_network(options, envs[0].observation_space)
     measured = tuple(env.scenario for env in envs)
     return measured, tuple(replace(env, scenario=replace(env.scenario, metrics=())) for env in envs), network
 
 
 def _check_alike(envs: Sequence[mdp.Env]) -> None:
-    """Refuse environments of one name, whose evaluations could not be told apart, and those that show other sizes."""
+    """Refuse environments of one name, whose evaluations could not be told apart, and of other observation sizes."""
     names = [env.scenario.environment.name for env in envs]
     if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(f"environment: {twice[0]} is there more than once; give each once.")
+        raise InputError(f"environment: {twice[0]} is listed more than once; list each once.")
     first, *others = [{name: box.shape for name, box in env.observation_space.items()} for env in envs]
     for name, shapes in zip(names[1:], others, strict=True):
         for term in (term for term in first if shapes[term] != first[term]):
@@ -134,74 +136,71 @@ def _check_alike(envs: Sequence[mdp.Env]) -> None:
 
 
 def updates(options: ReinforcementConfig) -> int:
-    """How many updates a training has."""
+    """The number of updates of a training."""
     return max(1, math.ceil(options.steps / (options.scenarios * options.horizon)))
 
 
-def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> Programs:
-    """The compiled functions of a training.
-
-    Returns:
-        Functions, of which ``update`` reuses (donates) the memory of the state that it receives.
-    """
-    trainer: Any = TRAINERS[options.method]
+def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> Programs:
+    """The compiled functions of a training on the devices of a mesh."""
+    method: Any = METHODS[options.method]
     keys = jnp.stack([prng.key("training", int(agent["seed"])) for agent in options.agents])
     numbers = {
         name: jnp.asarray([agent[name] for agent in options.agents], jnp.float32)
         for name in options.agents[0]
         if name != "seed"
     }
-    number, plan, (seen, _) = updates(options), curricula.plan(options.curriculum), agents.terms(options)
-    starts = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
+    total, plan, (terms, _) = updates(options), curricula.plan(options.curriculum), agent_terms(options)
+    curriculum_keys = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
 
-    def begin(envs: tuple[mdp.Env, ...], first: Agent) -> TrainState:
-        def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, Rows, Curriculum | None]:
-            rows = rollouts.begin(envs, network, jax.random.fold_in(key, 0), options.scenarios)
-            driver, start = driving.policy(network, agent, seen), jax.random.fold_in(start, 0)
-            return trainer.init(agent), rows, plan and curricula.init(envs[0], plan, start, options.pool, driver)
+    def begin(envs: tuple[mdp.Env, ...], agents: Agent) -> TrainState:
+        def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, EnvBatch, Curriculum | None]:
+            batch = rollouts.reset_envs(envs, network, jax.random.fold_in(key, 0), options.scenarios)
+            policy, start = agent_policy(network, agent, terms), jax.random.fold_in(start, 0)
+            return method.init(agent), batch, plan and curricula.init(envs[0], plan, start, options.pool, policy)
 
-        optimizer, rows, curriculum = jax.vmap(one)(first, keys, starts)
+        optimizer, batch, curriculum = jax.vmap(one)(agents, keys, curriculum_keys)
         count = keys.shape[0]
-        best = Best(first, jnp.full(count, -jnp.inf, jnp.float32), jnp.zeros(count, jnp.int32))
-        return TrainState(first, optimizer, rows, best, curriculum, jnp.zeros((), jnp.int32))
+        best = Best(agents, jnp.full(count, -jnp.inf, jnp.float32), jnp.zeros(count, jnp.int32))
+        return TrainState(agents, optimizer, batch, best, curriculum, jnp.zeros((), jnp.int32))
 
     def update(envs: tuple[mdp.Env, ...], state: TrainState) -> tuple[TrainState, dict[str, Any]]:
-        done = state.update + 1
-        left = 1.0 - state.update.astype(jnp.float32) / number
+        number = state.update + 1
+        left = 1.0 - state.update.astype(jnp.float32) / total
 
-        def one(agent: Agent, optimizer: PyTree, rows: Rows, curriculum: Curriculum | None, key: Array, own: dict):
+        def one(agent: Agent, optimizer: PyTree, batch: EnvBatch, curriculum: Curriculum | None, key: Array, own: dict):
             own = own | {"learning_rate": own["learning_rate"] * left}
-            where = envs if curriculum is None else (replace(envs[0], pool=curriculum.pool),)
-            where = tuple(replace(env, rewards=rewards.reweighted(env.rewards, _weights(own))) for env in where)
-            key = jax.random.fold_in(key, done)
-            *changed, rows, seen, told = trainer.update(options, own, where, network, agent, optimizer, rows, key)
-            curriculum, more = curricula.follow(envs[0], plan, curriculum, seen.told, seen.over)
-            return *changed, rows, curriculum, told | more
+            mine = envs if curriculum is None else (replace(envs[0], pool=curriculum.pool),)
+            mine = tuple(replace(env, rewards=rewards.reweighted(env.rewards, _weights(own))) for env in mine)
+            key = jax.random.fold_in(key, number)
+            *changed, batch, transitions, log = method.update(options, own, mine, network, agent, optimizer, batch, key)
+            curriculum, more = curricula.follow(envs[0], plan, curriculum, transitions.info, transitions.done)
+            return *changed, batch, curriculum, log | more
 
         parts = state.agent, state.optimizer, state.rows, state.curriculum
-        agent, optimizer, rows, curriculum, told = jax.vmap(one)(*parts, keys, numbers)
-        state = replace(state, agent=agent, optimizer=optimizer, rows=rows, curriculum=curriculum, update=done)
-        return state, told
+        agent, optimizer, batch, curriculum, log = jax.vmap(one)(*parts, keys, numbers)
+        state = replace(state, agent=agent, optimizer=optimizer, rows=batch, curriculum=curriculum, update=number)
+        return state, log
 
     def refill(envs: tuple[mdp.Env, ...], state: TrainState) -> TrainState:
         def one(agent: Agent, curriculum: Curriculum | None, start: Array) -> Curriculum:
-            driver, key = driving.policy(network, agent, seen), jax.random.fold_in(start, state.update)
+            policy, key = agent_policy(network, agent, terms), jax.random.fold_in(start, state.update)
             assert plan is not None and curriculum is not None
-            return curricula.refill(envs[0], plan, curriculum, key, driver)
+            return curricula.refill(envs[0], plan, curriculum, key, policy)
 
-        return replace(state, curriculum=jax.vmap(one)(state.agent, state.curriculum, starts))
+        return replace(state, curriculum=jax.vmap(one)(state.agent, state.curriculum, curriculum_keys))
 
-    def evaluate(scenarios: tuple[Scenario, ...], envs: tuple[mdp.Env, ...], several: Agent) -> tuple[Array, list]:
-        chosen = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
+    def evaluate(scenarios: tuple[Scenario, ...], envs: tuple[mdp.Env, ...], agents: Agent) -> tuple[Array, list]:
+        episode_keys = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
 
         def one(agent: Agent) -> list[dict[str, Any]]:
-            policy = driving.policy(network, agent, seen)
-            return [_evaluate(scenario, env, policy, chosen) for scenario, env in zip(scenarios, envs, strict=True)]
+            policy = agent_policy(network, agent, terms)
+            each = zip(scenarios, envs, strict=True)
+            return [_evaluate_policy(scenario, env, policy, episode_keys) for scenario, env in each]
 
-        each = jax.vmap(one)(several)
+        each = jax.vmap(one)(agents)
         return jnp.stack([numbers["return"] for numbers in each]).mean(0), each
 
-    whole, split = (NamedSharding(over, PartitionSpec(*axes)) for axes in ((), (None, devices.AXIS)))
+    whole, split = (NamedSharding(mesh, PartitionSpec(*axes)) for axes in ((), (None, devices.AXIS)))
     placed: Any = TrainState(agent=whole, optimizer=whole, rows=split, best=whole, curriculum=whole, update=whole)  # pyright: ignore
     return Programs(
         jax.jit(begin),
@@ -211,18 +210,12 @@ def programs(options: ReinforcementConfig, network: ActorCritic, over: Mesh) -> 
     )
 
 
-def _weights(own: dict[str, Any]) -> dict[str, Any]:
-    """Those of rewards, of what an agent has for itself."""
-    return {name.removeprefix(REWARDS): value for name, value in own.items() if name.startswith(REWARDS)}
+def _weights(numbers: dict[str, Any]) -> dict[str, Any]:
+    """The weights of rewards among an agent's numbers."""
+    return {name.removeprefix(REWARDS): value for name, value in numbers.items() if name.startswith(REWARDS)}
 
 
-def _spread(over: Mesh, state: TrainState) -> TrainState:
-    """Scenarios on all devices, and all else on each."""
-    whole = devices.replicate(over, replace(state, rows=None))
-    return replace(whole, rows=devices.split(over, state.rows, axis=1))
-
-
-def _evaluate(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Array) -> dict[str, Any]:
+def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Array) -> dict[str, Any]:
     """Means over episodes in which the agent takes the mean of its actions: return, and all metrics."""
     steps = math.ceil(scenario.time_limit / scenario.time_step) + 1
 
@@ -262,107 +255,110 @@ def _train(
     config: dict[str, Any],
 ) -> TrainState:
     """Train in a folder that this process has locked, or the first of those that train together."""
-    resumes = processes.by_first(lambda: check_config(options.folder, config))
-    over, number, first = devices.mesh(), updates(options), processes.is_first()
-    if options.scenarios // len(envs) % over.size:
-        text = f"scenarios: {options.scenarios} do not spread evenly over {over.size} devices"
+    resumes = trainer.on_first_process(lambda: check_config(options.folder, config))
+    mesh, total = devices.mesh(), updates(options)
+    if options.scenarios // len(envs) % mesh.size:
+        text = f"scenarios: {options.scenarios} do not spread evenly over {mesh.size} devices"
         text += f" in {len(envs)} environments" if len(envs) > 1 else ""
         raise InputError(f"{text}; take a multiple.")
-    run = programs(options, network, over)
-    several, teachers = _agents(options, network, envs[0], scenarios[0]), ()
+    run = programs(options, network, mesh)
+    agents, teachers = _first_agents(options, network, envs[0], scenarios[0]), ()
     if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
-        teachers = tuple(choice.policy(options.imitate, scenario, "imitate") for scenario in scenarios)
-    with progress(console if first else None) as tell:
+        teachers = tuple(load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
+    with progress(console if trainer.is_first_process() else None) as tell:
         tell.stage("drawing starts")
         key, draw = prng.key("training", options.seed), jax.jit(mdp.Env.with_pool, static_argnums=2)
         if options.curriculum == "none":
             keys = [jax.random.fold_in(key, 2**31 - 1 - turn) for turn in range(len(envs))]
-            envs = tuple(draw(env, own, options.pool) for env, own in zip(envs, keys, strict=True))
+            envs = tuple(draw(env, pool_key, options.pool) for env, pool_key in zip(envs, keys, strict=True))
         if teachers:
             assert options.imitate is not None
             tell.stage(f"imitating {options.imitate.kind}")
-            several = _imitating(options, network, envs, teachers, several)
+            agents = _imitate(options, network, envs, teachers, agents)
         if options.noise is not None:
-            several = with_noise(several, options.noise)
-        state = run.begin(envs, several)
-        if not resumes:
-            processes.by_first(lambda: write_config(options.folder, config))
-        checkpoints = Checkpoints(options.folder, writes=True)
-        saved = checkpoints.latest(_plain(state)) if resumes else None
-        state = state if saved is None else _typed(saved, state)
-        (scenarios, envs), state = devices.replicate(over, (scenarios, envs)), _spread(over, state)
-        log = Log(options.folder, int(state.update)) if first else None
-        curve = [float(line["evaluation"]["return"]) for line in (log.lines if log else []) if "evaluation" in line]
-        tell.start("training", number)
-        try:
-            while int(state.update) < number:
-                begun = time.time()
-                state, told = run.update(envs, state)
-                done, told = int(state.update), jax.tree.map(np.asarray, told)
-                if state.curriculum is not None and done % options.curriculum_every == 0:
-                    state = run.refill(envs, state)
-                _check_finite(told, done, options)
-                each = options.scenarios * options.horizon
-                took = time.time() - begun
-                rate = len(options.agents) * each / took
-                line = {"epoch": done, "steps": done * each, "seconds": took, "per_second": rate}
-                line |= {part: _numbers(values) for part, values in told.items()}
-                due = done % options.evaluate_every == 0 or done == number
-                if due:
-                    state, evaluation = _judge(run, scenarios, envs, state)
-                    line |= evaluation
-                    curve.append(evaluation["evaluation"]["return"])
-                if log is not None:  # before the checkpoint: what follows it is dropped at a restart
-                    log.add(line | {"time": time.time()})
-                if due:
-                    checkpoints.save(_plain(state), done, -float(np.sum(np.asarray(state.best.value))))
-                    if log is not None:
-                        draw_curve(options.folder)
-                episodes = line["episodes"]
-                note = f"return {episodes.get('return', math.nan):.1f}, completed {episodes.get('completed', 0.0):.0%}"
-                if processes.must_stop(done):
-                    raise KeyboardInterrupt
-                tell.update(done, f"update {done} · {note} · {sparkline(curve)} · {rate:,.0f} steps/s")
-        finally:
-            checkpoints.wait()
-    return state
+            agents = with_noise(agents, options.noise)
+        state = run.begin(envs, agents)
+        scenarios, envs = devices.replicate(mesh, (scenarios, envs))
+
+        def place(state: TrainState) -> TrainState:
+            """Scenarios on all devices, and all else on each."""
+            whole = devices.replicate(mesh, replace(state, rows=None))
+            return replace(whole, rows=devices.split(mesh, state.rows, axis=1))
+
+        loop = Loop(
+            advance=lambda state: _advance(options, run, scenarios, envs, state),
+            is_over=lambda state: int(state.update) >= total,
+            done=lambda state: int(state.update),
+            place=place,
+            encode=_encode,
+            decode=_decode,
+        )
+        return trainer.fit(options.folder, config, state, loop, total, tell)
 
 
-def _agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.Env, scenario: Scenario) -> Agent:
+def _advance(
+    options: ReinforcementConfig,
+    run: Programs,
+    scenarios: tuple[Scenario, ...],
+    envs: tuple[mdp.Env, ...],
+    state: TrainState,
+) -> tuple[TrainState, Report]:
+    """An update, and an evaluation if it is due."""
+    start = time.time()
+    state, log = run.update(envs, state)
+    number, log = int(state.update), jax.tree.map(np.asarray, log)
+    if state.curriculum is not None and number % options.curriculum_every == 0:
+        state = run.refill(envs, state)
+    _check_finite(log, number, options)
+    steps, seconds = options.scenarios * options.horizon, time.time() - start
+    rate = len(options.agents) * steps / seconds
+    line: dict[str, Any] = {"epoch": number, "steps": number * steps, "seconds": seconds, "per_second": rate}
+    line |= {part: _finite_means(values) for part, values in log.items()}
+    loss = None
+    if number % options.evaluate_every == 0 or number == updates(options):
+        state, evaluation = _evaluate(run, scenarios, envs, state)
+        line |= evaluation
+        loss = -float(np.sum(np.asarray(state.best.value)))
+    episodes = line["episodes"]
+    note = f"return {episodes.get('return', math.nan):.1f}, completed {episodes.get('completed', 0.0):.0%}"
+    return state, Report(number, line, loss, f"update {number} · {note} · {rate:,.0f} steps/s")
+
+
+def _first_agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.Env, scenario: Scenario) -> Agent:
     """The agents before the first update, (A, ...)."""
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     if options.pretrained is None:
         return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
     folder = options.pretrained
-    other = (agents.load if agents.is_packed(folder) else load)(folder, scenario)[1]
-    return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), other)
+    agent = (load_packed if is_packed(folder) else load_trained)(folder, scenario)[1]
+    return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), agent)
 
 
-def _imitating(
+def _imitate(
     options: ReinforcementConfig,
     network: ActorCritic,
     envs: tuple[mdp.Env, ...],
     teachers: tuple[Policy, ...],
-    several: Agent,
+    agents: Agent,
 ) -> Agent:
     """The agents after they have learned from another policy, (A, ...)."""
     envs = tuple(replace(env, pool=None) for env in envs)
     keys = jnp.stack([prng.key("imitation", int(agent["seed"])) for agent in options.agents])
 
     def one(envs: tuple, teachers: tuple, agent: Agent, key: Array) -> tuple[Agent, Array]:
-        return cloning.clone(options, envs, network, agent, teachers, key)
+        return dagger.clone(options, envs, network, agent, teachers, key)
 
-    taught, errors = jax.jit(jax.vmap(one, (None, None, 0, 0)))(envs, teachers, several, keys)
+    agents, errors = jax.jit(jax.vmap(one, (None, None, 0, 0)))(envs, teachers, agents, keys)
     if not np.isfinite(np.asarray(errors)).all():
         raise FloatingPointError(f"imitate: what {teachers[0].name} does is not finite; choose another --imitate.")
-    return taught
+    return agents
 
 
-def _judge(
+def _evaluate(
     run: Programs, scenarios: tuple[Scenario, ...], envs: tuple[mdp.Env, ...], state: TrainState
 ) -> tuple[TrainState, dict[str, dict]]:
-    """The state with its best agents, and what this evaluation found: the means of all environments and agents, and
-    those in each and of each if there are several."""
+    """The state with its best agents, and the evaluation: means of all environments and agents, and, if there are
+    several, of each environment and of each agent."""
     value, each = run.evaluate(scenarios, tuple(replace(env, pool=None) for env in envs), state.agent)
     value, each = jnp.asarray(value, jnp.float32), jax.tree.map(np.asarray, each)
     better = value > state.best.value
@@ -372,48 +368,49 @@ def _judge(
     )
     names = ["", *(f" in {name}" for name, _ in scenarios[0].situations)]
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # a situation that never occurred
-        found = {name: np.nanmean([one[name] for one in each], 0) for name in each[0]}
-        mean, *places = [{name: np.nanmean(part, 0) for name, part in one.items()} for one in (found, *each)]
-    told = {"evaluation": _row(names, mean)}
+        agents = {name: np.nanmean([one[name] for one in each], 0) for name in each[0]}
+        mean, *places = [{name: np.nanmean(part, 0) for name, part in one.items()} for one in (agents, *each)]
+    line = {"evaluation": _by_situation(names, mean)}
     if len(places) > 1:
-        told |= {f"evaluation in {a.environment.name}": _row(names, b) for a, b in zip(scenarios, places, strict=True)}
+        pairs = zip(scenarios, places, strict=True)
+        line |= {f"evaluation in {one.environment.name}": _by_situation(names, part) for one, part in pairs}
     if (count := value.shape[0]) > 1:
-        parts = [{name: part[number] for name, part in found.items()} for number in range(count)]
-        told |= {f"agent {number}": _row(names, part) for number, part in enumerate(parts)}
-    return replace(state, best=best), told
+        parts = [{name: part[number] for name, part in agents.items()} for number in range(count)]
+        line |= {f"agent {number}": _by_situation(names, part) for number, part in enumerate(parts)}
+    return replace(state, best=best), line
 
 
-def _row(names: list[str], found: dict[str, np.ndarray]) -> dict[str, float]:
-    """What is finite, by name and by situation."""
-    told = {}
-    for name, value in found.items():
+def _by_situation(names: list[str], values: dict[str, np.ndarray]) -> dict[str, float]:
+    """The finite numbers of () or (1 + S,) values, by name and situation."""
+    numbers = {}
+    for name, value in values.items():
         for column, part in zip(names, value.reshape(-1), strict=False):
             if np.isfinite(part):
-                told[name + column] = float(part)
-    return told
+                numbers[name + column] = float(part)
+    return numbers
 
 
-def _numbers(values: dict[str, np.ndarray]) -> dict[str, float]:
-    """Means over agents of what is finite, as JSON has words for."""
+def _finite_means(values: dict[str, np.ndarray]) -> dict[str, float]:
+    """Means over agents of finite numbers, as JSON has words for."""
     finite = {name: value[np.isfinite(value)] for name, value in values.items()}
     return {name: float(value.mean()) for name, value in finite.items() if value.size}
 
 
-def _check_finite(numbers: dict[str, Any], done: int, options: ReinforcementConfig) -> None:
-    if not np.isfinite(numbers["train"]["loss"]).all():
-        where = f"the loss is not finite in update {done}; {options.folder} keeps the checkpoints until then"
+def _check_finite(log: dict[str, Any], number: int, options: ReinforcementConfig) -> None:
+    if not np.isfinite(log["train"]["loss"]).all():
+        where = f"the loss is not finite in update {number}; {options.folder} keeps the checkpoints until then"
         raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
 
 
 @jax.jit  # of arrays on the devices of other processes, an array of none is made only so
-def _plain(tree: PyTree) -> PyTree:
-    """What checkpoints can hold: keys as numbers, and one number for an array of none."""
+def _encode(tree: PyTree) -> PyTree:
+    """The state as checkpoints can hold it: keys as numbers, and one number for an empty array."""
     return jax.tree.map(lambda leaf: leaf if leaf.size else jnp.zeros(1, leaf.dtype), prng.as_numbers(tree))
 
 
-def _typed(plain: PyTree, like: PyTree) -> PyTree:
-    """The inverse of ``_plain``."""
-    return prng.as_keys(jax.tree.map(lambda leaf, one: leaf if one.size else one, plain, like), like)
+def _decode(saved: PyTree, like: PyTree) -> PyTree:
+    """The inverse of ``_encode``."""
+    return prng.as_keys(jax.tree.map(lambda leaf, one: leaf if one.size else one, saved, like), like)
 
 
 def _config(options: ReinforcementConfig) -> dict[str, Any]:
@@ -428,8 +425,8 @@ def _config(options: ReinforcementConfig) -> dict[str, Any]:
 
 
 def _check_pretrained(options: ReinforcementConfig, folder: Path) -> None:
-    """Refuse an agent that sees something else or is of another size."""
-    had, asked = components.by_content(agents.read_options(folder)), components.by_content(options)
-    for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16", "careful"):
-        if had[name] != asked[name]:
-            raise InputError(f"pretrained: {folder} has {name} {had[name]}, not {asked[name]}; ask for the same.")
+    """Refuse an agent with other observations or of another size."""
+    saved, current = components.by_content(read_options(folder)), components.by_content(options)
+    for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16"):
+        if saved[name] != current[name]:
+            raise InputError(f"pretrained: {folder} has {name} {saved[name]}, not {current[name]}; ask for the same.")

@@ -1,37 +1,39 @@
-"""What an agent of reinforcement learning does and sees while it learns: steps of many scenarios, and their advantages.
+"""Rollouts of many scenarios, advantages, and epochs of minibatches over what they gave.
 
 Source: J. Schulman et al., "High-dimensional continuous control using generalized advantage estimation", ICLR 2016.
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import optax
 from flax import struct
 from jaxtyping import Bool, Float, PyTree
 
 from sean_jax import mdp
 from sean_jax.base import Array
-from sean_jax.learning.actor_critic import ActorCritic, Agent, Answer, answer, draw_action, log_density
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, apply, draw_action, log_density
 from sean_jax.mdp import observations
 
-TOLD = ("rewards", "completed", "episode_return", "episode_length", "start", "situations")  # of a step's info
+INFO_KEYS = ("rewards", "completed", "episode_return", "episode_length", "start", "situations")  # of a step's info
 
 
 @struct.dataclass
-class Rows:
-    """Scenarios that step together, between two updates, in one environment or several, of which they take turns."""
+class EnvBatch:
+    """B scenarios that step together; they take turns through E environments. Checkpoints have these field names."""
 
-    envs: tuple[mdp.EnvState, ...]  # (B / E, ...) of the scenarios of each environment
+    envs: tuple[mdp.EnvState, ...]  # E times (B / E, ...)
     observation: dict[str, Array]  # (B, ...)
     memory: Float[Array, "B M"]  # of the network
     start: Bool[Array, "B"]  # whether the observation is the first of an episode
 
 
-class Seen(NamedTuple):
-    """What a step of a scenario gives, or stacked (T, B, ...)."""
+class Transition(NamedTuple):
+    """One step of a scenario; stacked: (T, B, ...)."""
 
     vector: Float[Array, "F"]
     images: dict[str, Array]
@@ -40,20 +42,15 @@ class Seen(NamedTuple):
     log_density: Float[Array, ""]
     value: Float[Array, ""]
     reward: Float[Array, ""]
-    over: Bool[Array, ""]  # the episode ended with this step
-    final_value: Float[Array, ""]  # of what followed a truncation; 0 where none was
-    told: dict[str, Any]  # for the log and the curriculum
+    done: Bool[Array, ""]  # the episode ended with this step
+    final_value: Float[Array, ""]  # of the state after a truncation, else 0
+    info: dict[str, Any]  # ``INFO_KEYS``, for the log and the curriculum
 
 
-def deal(tree: PyTree, number: int) -> tuple[PyTree, ...]:
-    """What belongs to the scenarios of each environment.
+def split_by_env(tree: PyTree, number: int) -> tuple[PyTree, ...]:
+    """(B, ...) of all scenarios as E = ``number`` parts (B / E, ...), one for each environment.
 
-    Args:
-        tree: (B, ...) of all scenarios.
-        number: of environments, E. They take turns, so that each device has as many scenarios of each.
-
-    Returns:
-        E times (B / E, ...).
+    Environments take turns, so that each device has equally many scenarios of each.
     """
 
     def of(turn: int) -> PyTree:
@@ -62,167 +59,187 @@ def deal(tree: PyTree, number: int) -> tuple[PyTree, ...]:
     return tuple(map(of, range(number)))
 
 
-def gather(parts: Sequence[PyTree]) -> PyTree:
-    """The inverse of ``deal``.
-
-    Args:
-        parts: E times (B / E, ...).
-
-    Returns:
-        (B, ...) of all scenarios.
-    """
+def merge_envs(parts: Sequence[PyTree]) -> PyTree:
+    """(B, ...) of E parts (B / E, ...): the inverse of ``split_by_env``."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves, 1).reshape(-1, *leaves[0].shape[1:]), *parts)
 
 
-def begin(envs: tuple[mdp.Env, ...], network: ActorCritic, key: Array, number: int) -> Rows:
-    """Scenarios at the start of their first episodes.
-
-    Args:
-        key: () typed PRNG key.
-    """
-    keys = deal(jax.random.split(key, number), len(envs))
-    begun = [jax.vmap(env.reset)(own) for env, own in zip(envs, keys, strict=True)]
-    shown, states = gather([shown for shown, _ in begun]), tuple(states for _, states in begun)
-    return Rows(states, shown, jnp.zeros((number, network.memory_size), jnp.float32), jnp.ones(number, bool))
+def reset_envs(envs: tuple[mdp.Env, ...], network: ActorCritic, key: Array, number: int) -> EnvBatch:
+    """``number`` scenarios at the start of their first episodes; the key is a typed PRNG key ()."""
+    keys = split_by_env(jax.random.split(key, number), len(envs))
+    first = [jax.vmap(env.reset)(env_keys) for env, env_keys in zip(envs, keys, strict=True)]
+    observation, states = merge_envs([observation for observation, _ in first]), tuple(states for _, states in first)
+    return EnvBatch(states, observation, jnp.zeros((number, network.memory_size), jnp.float32), jnp.ones(number, bool))
 
 
-def vectors(terms: observations.Terms, observation: dict[str, Array]) -> Float[Array, "B F"]:
-    """The numbers of observations, without images.
-
-    Args:
-        observation: (B, ...) of each term.
-    """
+def flat_observations(terms: observations.Terms, observation: dict[str, Array]) -> Float[Array, "B F"]:
+    """The numbers of observations (B, ...), without images."""
     return jax.vmap(functools.partial(observations.flatten, terms))(observation).astype(jnp.float32)
 
 
-def say(network: ActorCritic, agent: Agent, terms: observations.Terms, rows: Rows) -> Answer:
-    """The answer to what many scenarios show.
-
-    Returns:
-        The answer, (B, ...).
-    """
-    vector, images = vectors(terms, rows.observation), _images(network, rows)
-    return answer(network, agent, vector, images, rows.memory, rows.start)
+def forward(network: ActorCritic, agent: Agent, terms: observations.Terms, batch: EnvBatch) -> NetworkOutput:
+    """The network's output (B, ...) for the present observations."""
+    vector, images = flat_observations(terms, batch.observation), _images(network, batch)
+    return apply(network, agent, vector, images, batch.memory, batch.start)
 
 
-def _images(network: ActorCritic, rows: Rows) -> dict[str, Array]:
-    return {name: rows.observation[name].astype(network.image_dtype) for name in network.images}
+def _images(network: ActorCritic, batch: EnvBatch) -> dict[str, Array]:
+    return {name: batch.observation[name].astype(network.image_dtype) for name in network.images}
 
 
 def step(
     envs: tuple[mdp.Env, ...],
     network: ActorCritic,
-    judge: Agent,
-    rows: Rows,
-    said: Answer,
+    target_critic: Agent,
+    batch: EnvBatch,
+    output: NetworkOutput,
     action: Float[Array, "B 2"],
     key: Array,
-) -> tuple[Rows, Seen]:
-    """A step of all scenarios.
+) -> tuple[EnvBatch, Transition]:
+    """One step of all scenarios, (B, ...).
 
     Args:
-        envs: what is trained on, with pools; scenarios are shared out equally.
+        envs: with pools; scenarios are shared out equally.
+        target_critic: values the state after a truncation.
+        output: of the agent, for its value and the log density of the action.
         key: () typed PRNG key of the episodes that begin.
-
-    Returns:
-        The scenarios afterwards, and what was seen, (B, ...); its value is that of ``said``.
     """
-    terms, keys = envs[0].observations, jax.random.split(key, rows.start.shape[0])
-    dealt = zip(envs, deal(keys, len(envs)), rows.envs, deal(action, len(envs)), strict=True)
-    stepped = [jax.vmap(env.step)(own, before, done) for env, own, before, done in dealt]
-    following, reward, terminated, truncated, info = gather([(shown, *rest) for shown, _, *rest in stepped])
-    states, over = tuple(each[1] for each in stepped), terminated | truncated
-    ended = Rows(states, info["final_observation"], said.memory, jnp.zeros_like(over))
-    seen = Seen(
-        vector=vectors(terms, rows.observation),
-        images=_images(network, rows),
-        start=rows.start,
+    terms, keys = envs[0].observations, jax.random.split(key, batch.start.shape[0])
+    each = zip(envs, split_by_env(keys, len(envs)), batch.envs, split_by_env(action, len(envs)), strict=True)
+    stepped = [jax.vmap(env.step)(env_keys, states, actions) for env, env_keys, states, actions in each]
+    following, reward, terminated, truncated, info = merge_envs([(shown, *rest) for shown, _, *rest in stepped])
+    states, done = tuple(result[1] for result in stepped), terminated | truncated
+    ended = EnvBatch(states, info["final_observation"], output.memory, jnp.zeros_like(done))
+    transition = Transition(
+        vector=flat_observations(terms, batch.observation),
+        images=_images(network, batch),
+        start=batch.start,
         action=action,
-        log_density=log_density(said, action),
-        value=said.value,
+        log_density=log_density(output, action),
+        value=output.value,
         reward=reward.astype(jnp.float32),
-        over=over,
-        final_value=jnp.where(truncated, say(network, judge, terms, ended).value, 0.0),
-        told={name: info[name] for name in TOLD},
+        done=done,
+        final_value=jnp.where(truncated, forward(network, target_critic, terms, ended).value, 0.0),
+        info={name: info[name] for name in INFO_KEYS},
     )
-    return Rows(states, following, said.memory, over), seen
+    return EnvBatch(states, following, output.memory, done), transition
 
 
-def collect(
-    envs: tuple[mdp.Env, ...], network: ActorCritic, agent: Agent, rows: Rows, steps: int, key: Array
-) -> tuple[Rows, Seen]:
-    """Let the agent drive, with the noise of its actions.
+def rollout(
+    envs: tuple[mdp.Env, ...], network: ActorCritic, agent: Agent, batch: EnvBatch, steps: int, key: Array
+) -> tuple[EnvBatch, Transition]:
+    """T = ``steps`` transitions (T, B, ...) of an agent with the noise of its actions, and the scenarios afterwards.
 
-    Args:
-        envs: what is trained on, with pools; scenarios are shared out equally.
-        key: () typed PRNG key of the noise and of the episodes that begin.
-
-    Returns:
-        The scenarios afterwards, and (T, B) of what was seen.
+    The key is a typed PRNG key () of the noise and of the episodes that begin.
     """
 
-    def one(rows: Rows, tick: Array) -> tuple[Rows, Seen]:
+    def one(batch: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
         action_key, next_key = jax.random.split(jax.random.fold_in(key, tick))
-        said = say(network, agent, envs[0].observations, rows)
-        return step(envs, network, agent, rows, said, draw_action(said, action_key), next_key)
+        output = forward(network, agent, envs[0].observations, batch)
+        return step(envs, network, agent, batch, output, draw_action(output, action_key), next_key)
 
-    return jax.lax.scan(one, rows, jnp.arange(steps, dtype=jnp.int32))
+    return jax.lax.scan(one, batch, jnp.arange(steps, dtype=jnp.int32))
 
 
-def advantages(seen: Seen, last_value: Float[Array, "B"], discount: Array, decay: Array) -> Float[Array, "T B"]:
-    """Generalized advantage estimates; an episode that was truncated is worth what followed.
+def advantages(
+    transitions: Transition, last_value: Float[Array, "B"], discount: Array, decay: Array
+) -> Float[Array, "T B"]:
+    """Generalized advantage estimates of transitions (T, B); truncated episodes are worth the value that followed."""
 
-    Args:
-        seen: (T, B) of the scenarios.
-    """
-
-    def back(carry: tuple[Array, Array], step: Seen) -> tuple[tuple[Array, Array], Array]:
+    def back(carry: tuple[Array, Array], step: Transition) -> tuple[tuple[Array, Array], Array]:
         advantage, following = carry
-        following = jnp.where(step.over, step.final_value, following)
+        following = jnp.where(step.done, step.final_value, following)
         error = step.reward + discount * following - step.value
-        advantage = error + jnp.where(step.over, 0.0, discount * decay) * advantage
+        advantage = error + jnp.where(step.done, 0.0, discount * decay) * advantage
         return (advantage, step.value), advantage
 
-    nothing = jnp.zeros_like(last_value)
-    _, found = jax.lax.scan(back, (nothing, last_value), seen._replace(vector=(), images={}, told={}), reverse=True)
-    return found
+    carry = jnp.zeros_like(last_value), last_value
+    numbers = transitions._replace(vector=(), images={}, info={})
+    return jax.lax.scan(back, carry, numbers, reverse=True)[1]
 
 
-def unroll(network: ActorCritic, agent: Agent, seen: Seen, memory: Float[Array, "B M"]) -> Answer:
-    """Answers to observations in a row.
-
-    Args:
-        seen: (T, B) of the scenarios.
-
-    Returns:
-        The answers, (T, B, ...).
-    """
+def unroll(network: ActorCritic, agent: Agent, transitions: Transition, memory: Float[Array, "B M"]) -> NetworkOutput:
+    """The network's output (T, B, ...) for the observations of transitions (T, B), from the memory before them."""
     if not network.recurrent:
-        empty = jnp.zeros((*seen.start.shape, 0), jnp.float32)
-        return answer(network, agent, seen.vector, seen.images, empty, seen.start)
+        empty = jnp.zeros((*transitions.start.shape, 0), jnp.float32)
+        return apply(network, agent, transitions.vector, transitions.images, empty, transitions.start)
 
-    def one(memory: Array, step: Seen) -> tuple[Array, Answer]:
-        said = answer(network, agent, step.vector, step.images, memory, step.start)
-        return said.memory, said
+    def one(memory: Array, step: Transition) -> tuple[Array, NetworkOutput]:
+        output = apply(network, agent, step.vector, step.images, memory, step.start)
+        return output.memory, output
 
-    return jax.lax.scan(one, memory, seen)[1]
+    return jax.lax.scan(one, memory, transitions)[1]
 
 
-def of_episodes(seen: Seen) -> dict[str, Array]:
-    """Of the episodes that ended in an update: how many, and means, which are NaN if none did.
-
-    Args:
-        seen: (T, B) of the scenarios.
-    """
-    over = seen.over.astype(jnp.float32)
-    number = over.sum()
+def episode_means(transitions: Transition) -> dict[str, Array]:
+    """The number of episodes that ended in transitions (T, B), and their means, NaN if none did."""
+    done = transitions.done.astype(jnp.float32)
+    number = done.sum()
 
     def mean(values: Array) -> Array:
-        return (values.astype(jnp.float32) * over).sum() / number
+        return (values.astype(jnp.float32) * done).sum() / number
 
     return {
         "number": number,
-        "return": mean(seen.told["episode_return"]),
-        "steps": mean(seen.told["episode_length"]),
-        "completed": mean(seen.told["completed"]),
+        "return": mean(transitions.info["episode_return"]),
+        "steps": mean(transitions.info["episode_length"]),
+        "completed": mean(transitions.info["completed"]),
     }
+
+
+# ------------------------------------------------------------------ minibatches
+
+
+class Optimization(NamedTuple):
+    """How an update learns from its transitions."""
+
+    optimizer: optax.GradientTransformation  # with a learning rate of -1
+    learning_rate: Float[Array, ""]
+    epochs: int
+    minibatches: int  # of whole scenarios in an epoch, each for one step of the optimizer
+
+
+def optimize(
+    how: Optimization,
+    loss: Callable[..., tuple[Array, PyTree]],
+    network: ActorCritic,
+    agent: Agent,
+    state: optax.OptState,
+    data: tuple[Transition, *tuple[Array, ...]],
+    memory: Float[Array, "B M"],
+    key: Array,
+) -> tuple[Agent, optax.OptState, PyTree]:
+    """The agent after epochs over shuffled minibatches, the optimizer's state, and means of the numbers for the log.
+
+    Args:
+        loss: ``(network output now, *minibatch of data) -> (loss, numbers for the log)``.
+        data: transitions (T, B, ...) and other arrays (T, B, ...) of which minibatches are cut along B.
+        memory: of the network before the transitions.
+        key: () typed PRNG key of the update.
+    """
+
+    def loss_of(parameters: PyTree, part: tuple, memory: Array) -> tuple[Array, PyTree]:
+        return loss(unroll(network, replace(agent, parameters=parameters), part[0], memory), *part)
+
+    def step(carry: tuple, rows: Array) -> tuple[tuple, PyTree]:
+        parameters, state = carry
+        part = jax.tree.map(lambda leaf: leaf[:, rows], data)
+        gradient, numbers = jax.grad(loss_of, has_aux=True)(parameters, part, memory[rows])
+        return apply_gradient(how.optimizer, how.learning_rate, parameters, state, gradient), numbers
+
+    def epoch(carry: tuple, key: Array) -> tuple[tuple, PyTree]:
+        order = jax.random.permutation(key, memory.shape[0]).reshape(how.minibatches, -1)
+        return jax.lax.scan(step, carry, order)
+
+    keys = jax.random.split(jax.random.fold_in(key, 2**31 - 1), how.epochs)
+    (parameters, state), numbers = jax.lax.scan(epoch, (agent.parameters, state), keys)
+    return replace(agent, parameters=parameters), state, jax.tree.map(jnp.mean, numbers)
+
+
+def apply_gradient(
+    optimizer: optax.GradientTransformation, rate: Array, parameters: PyTree, state: optax.OptState, gradient: PyTree
+) -> tuple[PyTree, optax.OptState]:
+    """Parameters and state after a step of an optimizer with a learning rate of -1, times the traced ``rate``."""
+    with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
+        change, state = optimizer.update(gradient, state, parameters)
+    return optax.apply_updates(parameters, jax.tree.map(lambda part: -rate * part, change)), state

@@ -1,9 +1,9 @@
-"""Short-horizon actor-critic: the actor follows derivatives of the reward through the simulator, and a critic tells
-what follows after some steps.
+"""Short-horizon actor-critic: the actor follows derivatives of the reward through the simulator for some steps, and a
+critic values what follows.
 
-The derivative goes through the robot and what is seen of it, and through people if asked: a crowd makes it longer to
-compute and noisier (docs/gradients.md). Rewards that count events have no derivative, so it is potentials and smooth
-costs from which the actor learns.
+The derivative goes through the robot and its observations, and through people if asked for: a crowd makes it slower and
+noisier (docs/gradients.md). Rewards that count events have no derivative: the actor learns from potentials and smooth
+costs.
 
 Source: J. Xu et al., "Accelerated policy learning with parallel differentiable simulation", ICLR 2022.
 """
@@ -23,9 +23,18 @@ from jaxtyping import PyTree
 from sean_jax import mdp
 from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.config import APGConfig
-from sean_jax.learning.actor_critic import ActorCritic, Agent, Answer, draw_action, update_statistics
-from sean_jax.learning.descent import Descent, descend, learn
-from sean_jax.learning.rollouts import Rows, Seen, advantages, of_episodes, say, step
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, draw_action, update_statistics
+from sean_jax.learning.rollouts import (
+    EnvBatch,
+    Optimization,
+    Transition,
+    advantages,
+    apply_gradient,
+    episode_means,
+    forward,
+    optimize,
+    step,
+)
 
 MAX_GRADIENT_NORM = 1.0
 
@@ -35,15 +44,15 @@ CRITIC = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scale_b
 
 @struct.dataclass
 class Optimizers:
-    """What is kept between updates beside the agent."""
+    """The state between updates beside the agent. Checkpoints have these field names."""
 
     actor: optax.OptState
     critic: optax.OptState
-    target: VariableDict  # parameters whose critic tells what follows
+    target: VariableDict  # parameters of the target critic
 
 
 @dataclasses.dataclass(frozen=True)
-class Held:
+class StopGradient:
     """A pedestrian model through which no derivative goes; equal for equal models."""
 
     move: Callable[[Scenario, State], Pedestrians]
@@ -66,89 +75,87 @@ def update(
     network: ActorCritic,
     agent: Agent,
     optimizer: Optimizers,
-    rows: Rows,
+    batch: EnvBatch,
     key: Array,
-) -> tuple[Agent, Optimizers, Rows, Seen, dict[str, Any]]:
-    """Let the agent drive, improve the actor by the derivative of what it got, and then the critic.
+) -> tuple[Agent, Optimizers, EnvBatch, Transition, dict[str, Any]]:
+    """The agent, optimizers and scenarios after a rollout, a step of the actor along its gradient, and the critic's
+    epochs; the transitions; and numbers for the log.
 
     Args:
-        numbers: what an agent of a sweep has for itself, of the names in ``APGConfig.SWEPT``; the learning rate is that
-            of this update.
-        envs: what is trained on, with pools; scenarios are shared out equally.
+        numbers: this agent's values of ``APGConfig.SWEPT``; the learning rate is that of this update.
+        envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
-
-    Returns:
-        The agent, the optimizers, the scenarios, what was seen, and numbers for the log.
     """
     envs = tuple(env.with_transition_gradients() for env in envs)
     if not options.through_people:
-        held = (replace(env.scenario, move=Held(env.scenario.move)) for env in envs)
-        envs = tuple(replace(env, scenario=scenario) for env, scenario in zip(envs, held, strict=True))
-    memory = rows.memory
-    judge = replace(agent, parameters=optimizer.target)
+        scenarios = (replace(env.scenario, move=StopGradient(env.scenario.move)) for env in envs)
+        envs = tuple(replace(env, scenario=scenario) for env, scenario in zip(envs, scenarios, strict=True))
+    memory = batch.memory
+    target_critic = replace(agent, parameters=optimizer.target)
 
-    def lost(parameters: PyTree) -> tuple[Array, tuple[Rows, Seen]]:
-        acting = replace(agent, parameters=parameters)
-        return _lost(envs, network, acting, judge, rows, options.horizon, key, numbers["discount"])
+    def loss_fn(parameters: PyTree) -> tuple[Array, tuple[EnvBatch, Transition]]:
+        actor = replace(agent, parameters=parameters)
+        return _actor_loss(envs, network, actor, target_critic, batch, options.horizon, key, numbers["discount"])
 
-    (loss, (rows, seen)), gradient = jax.value_and_grad(lost, has_aux=True)(agent.parameters)
-    rows, seen = jax.lax.stop_gradient((rows, seen))
+    (loss, (batch, transitions)), gradient = jax.value_and_grad(loss_fn, has_aux=True)(agent.parameters)
+    batch, transitions = jax.lax.stop_gradient((batch, transitions))
     norm = optax.tree.norm(gradient)
     finite = jnp.isfinite(norm)
     gradient = jax.tree.map(lambda part: jnp.where(finite, part, 0.0), gradient)
-    parameters, actor = descend(ACTOR, numbers["learning_rate"], agent.parameters, optimizer.actor, gradient)
+    parameters, actor = apply_gradient(ACTOR, numbers["learning_rate"], agent.parameters, optimizer.actor, gradient)
     agent = replace(agent, parameters=parameters)
 
-    last = say(network, judge, envs[0].observations, rows)
-    advantage = advantages(seen, last.value, numbers["discount"], numbers["advantage_decay"])
+    last = forward(network, target_critic, envs[0].observations, batch)
+    advantage = advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
 
-    def critic_loss(said: Answer, steps: Seen, wanted: Array) -> tuple[Array, Array]:
-        error = 0.5 * ((said.value - wanted) ** 2).mean()
+    def critic_loss(output: NetworkOutput, steps: Transition, target: Array) -> tuple[Array, Array]:
+        error = 0.5 * ((output.value - target) ** 2).mean()
         return error, error
 
-    descent = Descent(CRITIC, numbers["learning_rate"], options.critic_epochs, options.minibatches)
-    data = seen._replace(told={}), advantage + seen.value
-    agent, critic, error = learn(descent, critic_loss, network, agent, optimizer.critic, data, memory, key)
+    how = Optimization(CRITIC, numbers["learning_rate"], options.critic_epochs, options.minibatches)
+    data = transitions._replace(info={}), advantage + transitions.value
+    agent, critic, error = optimize(how, critic_loss, network, agent, optimizer.critic, data, memory, key)
     share = options.target_share
     target = jax.tree.map(lambda old, new: old + share * (new - old), optimizer.target, agent.parameters)
-    told = {
+    log = {
         "train": {
             "loss": loss,
             "critic": error,
             "gradient": jnp.where(finite, norm, jnp.inf),
-            "lost": 1.0 - finite.astype(jnp.float32),
+            "lost": 1.0 - finite.astype(jnp.float32),  # updates whose gradient was not finite
         },
-        "episodes": of_episodes(seen),
-        "rewards": {name: part.mean() for name, part in seen.told["rewards"].items()},
+        "episodes": episode_means(transitions),
+        "rewards": {name: part.mean() for name, part in transitions.info["rewards"].items()},
     }
-    statistics = update_statistics(agent.statistics, seen.vector.reshape(-1, seen.vector.shape[-1]))
-    return replace(agent, statistics=statistics), Optimizers(actor, critic, target), rows, seen, told
+    statistics = update_statistics(agent.statistics, transitions.vector.reshape(-1, transitions.vector.shape[-1]))
+    return replace(agent, statistics=statistics), Optimizers(actor, critic, target), batch, transitions, log
 
 
-def _lost(
+def _actor_loss(
     envs: tuple[mdp.Env, ...],
     network: ActorCritic,
-    agent: Agent,
-    judge: Agent,
-    rows: Rows,
+    actor: Agent,
+    target_critic: Agent,
+    batch: EnvBatch,
     steps: int,
     key: Array,
     discount: Array,
-) -> tuple[Array, tuple[Rows, Seen]]:
-    """Minus the discounted reward of some steps and the value of what follows, a step; the scenarios afterwards."""
+) -> tuple[Array, tuple[EnvBatch, Transition]]:
+    """Minus the discounted reward of some steps and the value after them, divided by the steps; the scenarios then."""
     terms = envs[0].observations
 
     @jax.checkpoint  # what a step needs on the way back is computed again
-    def one(carry: tuple[Rows, Array], tick: Array) -> tuple[tuple[Rows, Array], tuple[Array, Seen]]:
-        rows, weight = carry
+    def one(carry: tuple[EnvBatch, Array], tick: Array) -> tuple[tuple[EnvBatch, Array], tuple[Array, Transition]]:
+        batch, weight = carry
         action_key, next_key = jax.random.split(jax.random.fold_in(key, tick))
-        said, value = say(network, agent, terms, rows), say(network, judge, terms, rows).value
-        rows, seen = step(envs, network, judge, rows, said, draw_action(said, action_key), next_key)
-        gain = weight * (seen.reward + jnp.where(seen.over, discount * seen.final_value, 0.0))
-        return (rows, jnp.where(seen.over, 1.0, weight * discount)), (gain, seen._replace(value=value))
+        output, value = forward(network, actor, terms, batch), forward(network, target_critic, terms, batch).value
+        batch, transition = step(envs, network, target_critic, batch, output, draw_action(output, action_key), next_key)
+        gain = weight * (transition.reward + jnp.where(transition.done, discount * transition.final_value, 0.0))
+        weight = jnp.where(transition.done, 1.0, weight * discount)
+        return (batch, weight), (gain, transition._replace(value=value))
 
-    carry = rows, jnp.ones(rows.start.shape, jnp.float32)
-    (rows, weight), (gains, seen) = jax.lax.scan(one, carry, jnp.arange(steps, dtype=jnp.int32))
-    last = say(network, judge, terms, rows).value
-    gain = gains.sum(0) + jnp.where(rows.start, 0.0, weight * last)
-    return -gain.mean() / steps, (rows, seen)
+    carry = batch, jnp.ones(batch.start.shape, jnp.float32)
+    (batch, weight), (gains, transitions) = jax.lax.scan(one, carry, jnp.arange(steps, dtype=jnp.int32))
+    last = forward(network, target_critic, terms, batch).value
+    gain = gains.sum(0) + jnp.where(batch.start, 0.0, weight * last)
+    return -gain.mean() / steps, (batch, transitions)

@@ -1,4 +1,4 @@
-"""A scenario as a Markov decision process: what the agent sees, does and is rewarded for."""
+"""A scenario as a Markov decision process: observations, actions and rewards of the agent."""
 
 from sean_jax.config import OBSERVED
 from sean_jax.mdp.actions import to_action, to_command

@@ -18,8 +18,8 @@ from sean_jax import calls, files, prng
 from sean_jax.base import Array, Scenario, State
 from sean_jax.config import OBSERVED
 from sean_jax.errors import InputError
-from sean_jax.mdp import observations as seen
-from sean_jax.mdp import rewards as rewarded
+from sean_jax.mdp import observations as observing
+from sean_jax.mdp import rewards as rewarding
 from sean_jax.mdp.actions import to_command
 from sean_jax.mdp.observations import ObservationLike
 from sean_jax.mdp.randomization import Randomization, RandomizationLike, as_randomization
@@ -27,7 +27,7 @@ from sean_jax.mdp.rewards import RewardLike
 from sean_jax.mdp.spaces import Box, Dict
 from sean_jax.scenario import reset, results, step
 
-CHANCES = 2**30  # into which the chance of all starts is divided; so their sums are exact, and 0 is never taken
+CHANCES = 2**30  # parts of the total probability; their sums are exact, and 0 is never taken
 
 
 @struct.dataclass
@@ -40,7 +40,7 @@ class EnvState:
     observed: PyTree  # memory of the terms of the observation
     potentials: dict[str, Float[Array, ""]]  # of the terms of the reward that have one
     commands: Float[Array, "L 2"]  # m/s, rad/s: the last commands, newest first
-    late: Int[Array, ""]  # steps of control by which commands are late in this episode
+    late: Int[Array, ""]  # steps of control, delay of commands in this episode
     episode_return: Float[Array, ""]  # sum of the rewards so far
     episode_length: Int[Array, ""]  # steps so far
 
@@ -64,8 +64,8 @@ class Env:
 
     scenario: Scenario
     pool: Pool | None  # None: episodes are followed by a new reset, which is computed in each step
-    observations: seen.Terms = struct.field(pytree_node=False)
-    rewards: rewarded.Terms = struct.field(pytree_node=False)
+    observations: observing.Terms = struct.field(pytree_node=False)
+    rewards: rewarding.Terms = struct.field(pytree_node=False)
     terminations: tuple[tuple[str, Callable], ...] = struct.field(pytree_node=False)
     randomization: Randomization | None = struct.field(pytree_node=False, default=None)
     action_delay: tuple[int, int] = struct.field(pytree_node=False, default=(0, 0))  # steps of control, least and most
@@ -82,12 +82,12 @@ class Env:
     def observation_space(self) -> Dict:
         """A box for each term of the observation."""
         shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), self.scenario)
-        return seen.space(self.observations, self.scenario, shapes)
+        return observing.space(self.observations, self.scenario, shapes)
 
     # ------------------------------------------------------------------ episodes
 
     def reset(self, key: Array, randomization: PyTree = None) -> tuple[dict[str, Array], EnvState]:
-        """The beginning of an episode.
+        """The first observation and state of an episode.
 
         Args:
             key: () typed PRNG key, from which all chance of the episode comes.
@@ -99,14 +99,14 @@ class Env:
         scenario = self.scenario_of(randomization)
         simulation = reset(scenario, episode_key)
         first, second = jax.random.split(delay_key)
-        observation, memory = seen.begin(self.observations, scenario, simulation, first)
+        observation, memory = observing.begin(self.observations, scenario, simulation, first)
         least, most = self.action_delay
         state = EnvState(
             simulation=simulation,
             randomization=randomization,
             start=jnp.full((), -1, jnp.int32),
             observed=memory,
-            potentials=rewarded.potentials(self.rewards, scenario, simulation),
+            potentials=rewarding.potentials(self.rewards, scenario, simulation),
             commands=jnp.zeros((most + 1, 2), float),
             late=jax.random.randint(second, (), least, most + 1, jnp.int32),
             episode_return=jnp.zeros((), float),
@@ -117,46 +117,43 @@ class Env:
     def step(
         self, key: Array, state: EnvState, action: Float[Array, "2"]
     ) -> tuple[dict[str, Array], EnvState, Float[Array, ""], Bool[Array, ""], Bool[Array, ""], dict[str, Any]]:
-        """One step of control; if it ends the episode, what it gives is the beginning of the next.
+        """One step of control; if it ends the episode, observation and state are the first of the next.
 
         Args:
-            key: () typed PRNG key of the episode that follows, if this one ends: within an episode all chance comes
-                from its state.
+            key: () typed PRNG key of the next episode, if this one ends; within an episode all chance comes from its
+                state.
             action: (2,) from -1 to 1.
 
         Returns:
-            The observation, the state, the reward, whether the episode is ``terminated``, whether it is ``truncated``
-            by the time limit, and a dict: ``final_observation`` before a reset, ``rewards`` by term, ``command``,
-            ``situations``, and, of the episode so far, ``start`` (its number in the pool), ``completed``,
-            ``episode_return``, ``episode_length`` and ``metrics``.
+            The observation, the state, the reward, ``terminated``, ``truncated`` (by the time limit), and ``info``:
+            ``final_observation`` before a reset, ``rewards`` by term, ``command``, ``situations``, and, of the episode
+            so far, ``start`` (its number in the pool), ``completed``, ``episode_return``, ``episode_length`` and
+            ``metrics``.
         """
         ended, observation, reward, terminated, truncated, info = self.advance(state, action)
-        over = terminated | truncated
+        done = terminated | truncated
         first, start = self._start(key)
-        following = jax.tree.map(lambda old, new: jnp.where(over, new, old), ended, start)
-        given = jax.tree.map(lambda old, new: jnp.where(over, new, old), observation, first)
-        return given, following, reward, terminated, truncated, info | {"final_observation": observation}
+        following = jax.tree.map(lambda old, new: jnp.where(done, new, old), ended, start)
+        shown = jax.tree.map(lambda old, new: jnp.where(done, new, old), observation, first)
+        return shown, following, reward, terminated, truncated, info | {"final_observation": observation}
 
     def advance(
         self, state: EnvState, action: Float[Array, "2"]
     ) -> tuple[EnvState, dict[str, Array], Float[Array, ""], Bool[Array, ""], Bool[Array, ""], dict[str, Any]]:
-        """As ``step``, without what follows an episode: who ends episodes on their own uses it.
-
-        Args:
-            action: (2,) from -1 to 1.
+        """As ``step``, without the next episode, for callers that reset by themselves; the action (2,) is from -1 to 1.
 
         Returns:
-            The state, the observation, the reward, ``terminated``, ``truncated``, and the dict.
+            The state, the observation, the reward, ``terminated``, ``truncated``, and ``info``.
         """
         scenario, before = self.scenario_of(state.randomization), state.simulation
         command = to_command(scenario.robot, jnp.asarray(action, before.robot.position.dtype))
         commands = jnp.concatenate([command[None], state.commands[:-1]])
         after = step(scenario, before, commands[state.late])
-        potentials = rewarded.potentials(self.rewards, scenario, after)
-        parts = rewarded.of_step(self.rewards, scenario, before, after, state.potentials, potentials)
+        potentials = rewarding.potentials(self.rewards, scenario, after)
+        parts = rewarding.of_step(self.rewards, scenario, before, after, state.potentials, potentials)
         reward = jnp.stack(list(parts.values())).sum()
         with jax.named_scope("observe"):
-            observation, memory = seen.observe(self.observations, scenario, after, state.observed)
+            observation, memory = observing.observe(self.observations, scenario, after, state.observed)
         terminated = jnp.stack([after.completed, *self.ends(scenario, before, after)]).any()
         truncated = after.timed_out & ~terminated
         state = EnvState(
@@ -185,35 +182,28 @@ class Env:
         return state, observation, reward, terminated, truncated, info
 
     def ends(self, scenario: Scenario, before: State, after: State) -> list[Bool[Array, ""]]:
-        """Whether a step ends an episode, beside completion and the time limit."""
-        found = []
+        """The ``terminations`` of a step, beside completion and the time limit."""
+        conditions = []
         for _, condition in self.terminations:
             value = calls.call("terminations", condition, "scenario, before, after", scenario, before, after)
             calls.check_array("terminations", condition, value, bool, (), "compare numbers, and reduce with any or all")
-            found.append(value)
-        return found
+            conditions.append(value)
+        return conditions
 
-    # ------------------------------------------------------------------ other environments of the same parts
+    # ------------------------------------------------------------------ variants
 
     def with_pool(self, key: Array, size: int) -> "Env":
-        """The environment with starts that are drawn now; wrap it in ``jax.jit`` with ``size`` static.
+        """The environment with starts that are drawn now, whose ``step`` saves a reset; jit it with ``size`` static.
 
-        Starts are taken at random, by the ``weights`` of the pool, which are equal, and what happens afterwards is each
-        episode's own chance. The noise of a first observation is that of the start.
-
-        Args:
-            key: () typed PRNG key.
-
-        Returns:
-            The environment, whose ``step`` is quicker by a reset.
+        Starts are taken at random, by the ``weights`` of the pool, which are equal. All chance after the start is the
+        episode's own. The noise of a first observation is that of the start.
         """
         return replace(self, pool=self.draw_pool(jax.random.split(key, size)))
 
     def draw_pool(self, keys: Array, randomization: PyTree = None) -> Pool:
-        """Starts, each as likely as the others.
+        """Equally likely starts of keys (K,).
 
         Args:
-            keys: (K,) typed PRNG keys.
             randomization: (K, ...) parameters of their scenarios; drawn by the keys if None.
         """
         number = keys.shape[0]
@@ -224,22 +214,22 @@ class Env:
     def with_transition_gradients(self) -> "Env":
         """The environment whose observations and states can be differentiated, as gymnax words it.
 
-        Elsewhere the derivative ends with each step: that of a reward by the action that led to it is what is left.
+        Otherwise gradients are truncated to one step: only the derivative of a reward by its action is left.
         """
         return replace(self, transition_gradients=True)
 
     # ------------------------------------------------------------------
 
     def scenario_of(self, randomization: PyTree) -> Scenario:
-        """The scenario of an episode. It is made anew in each step, so that a state need not hold what differs."""
+        """The scenario of an episode, made anew in each step, so that a state need not hold it."""
         if self.randomization is None:
             return self.scenario
         apply = self.randomization.apply
         scenario = calls.call("randomization", apply, "parameters, scenario", randomization, self.scenario)
         if not isinstance(scenario, Scenario):
-            own = getattr(self.randomization, "function", apply)
+            function = getattr(self.randomization, "function", apply)
             raise calls.wrong(
-                "randomization", own, calls.describe(scenario), "a Scenario", "give scenario.replace(...)"
+                "randomization", function, calls.describe(scenario), "a Scenario", "give scenario.replace(...)"
             )
         return scenario
 
@@ -253,7 +243,9 @@ class Env:
 
 
 def _choose(key: Array, weights: Float[Array, "K"]) -> Int[Array, ""]:
-    """A start by its weight. Sums are of whole numbers: those of floats would now and then take a start of weight 0."""
+    """The index of a start by its weight. Sums are of whole numbers: floats would now and then take a start of weight
+    0.
+    """
     parts = jnp.round(weights / weights.sum() * CHANCES).astype(jnp.int32)
     below = jnp.cumsum(parts, dtype=jnp.int32)
     drawn = jax.random.randint(key, (), 0, below[-1], jnp.int32)
@@ -264,7 +256,7 @@ def _choose(key: Array, weights: Float[Array, "K"]) -> Int[Array, ""]:
 
 
 def _grown(name: str, definition: str) -> Callable:
-    term = rewarded.of_metric(name).step
+    term = rewarding.of_metric(name).step
     assert term is not None
 
     def grows(scenario: Scenario, before: State, after: State) -> Array:
@@ -279,7 +271,7 @@ TERMINATIONS: dict[str, Callable[[Scenario, State, State], Array]] = {
     "obstacle": _grown("collision_with_obstacle", "The robot touches an obstacle."),
     "intimate": _grown("intimate_robot_on_person", "The robot, by its own motion, comes within 0.45 m of a person."),
 }
-"""What can end an episode early, by name: (scenario, before, after) -> () bool."""
+"""Name -> (scenario, before, after) -> () bool: whether a step ends an episode early."""
 
 
 def make_env(
@@ -291,21 +283,18 @@ def make_env(
     randomization: RandomizationLike | None = None,
     action_delay: int | tuple[int, int] = 0,
 ) -> Env:
-    """An environment of reinforcement learning.
+    """An environment of reinforcement learning, without a pool.
 
     Args:
         scenario: of ``make``.
-        observations: what the agent sees: names in ``OBSERVATIONS``, or name -> term.
+        observations: names in ``OBSERVATIONS``, or name -> term.
         rewards: name -> weight of the term of that name in ``REWARDS``, or your own term; ``mdp.rewards.DEFAULT`` if
             None.
         terminations: what ends episodes beside completion: names in ``TERMINATIONS``, or functions
             (scenario, before, after) -> () bool.
         randomization: what differs between episodes, such as ``randomize_behavior()``; or (key, scenario) -> scenario
             with other leaves.
-        action_delay: steps of control by which commands are late: a number, or (least, most), drawn for each episode.
-
-    Returns:
-        The environment, without a pool.
+        action_delay: delay of commands in steps of control: a number, or (least, most), drawn for each episode.
 
     Raises:
         InputError: one sentence that names the value and the cure.
@@ -317,8 +306,8 @@ def make_env(
     env = Env(
         scenario=scenario,
         pool=None,
-        observations=seen.as_terms(observations if isinstance(observations, Mapping) else tuple(observations)),
-        rewards=rewarded.as_terms(rewarded.DEFAULT if rewards is None else rewards),
+        observations=observing.as_terms(observations if isinstance(observations, Mapping) else tuple(observations)),
+        rewards=rewarding.as_terms(rewarding.DEFAULT if rewards is None else rewards),
         terminations=tuple(as_termination(each) for each in terminations),
         randomization=randomization,
         action_delay=(least, most),
@@ -335,18 +324,15 @@ def _try_env(env: Env, key: Array) -> None:
         for (path, old), new in zip(jax.tree.leaves_with_path(env.scenario), jax.tree.leaves(scenario), strict=True):
             if jnp.shape(old) != jnp.shape(new):
                 name = jax.tree_util.keystr(path, simple=True, separator=".")
-                own: Any = getattr(env.randomization, "function", env.randomization)
-                made, cure = f"{name} of shape {jnp.shape(new)}", "keep the shapes of the scenario"
-                raise calls.wrong("randomization", own, made, str(jnp.shape(old)), cure)
-    rewarded.of_step(env.rewards, scenario, simulation, simulation, state.potentials, state.potentials)
+                function: Any = getattr(env.randomization, "function", env.randomization)
+                result, cure = f"{name} of shape {jnp.shape(new)}", "keep the shapes of the scenario"
+                raise calls.wrong("randomization", function, result, str(jnp.shape(old)), cure)
+    rewarding.of_step(env.rewards, scenario, simulation, simulation, state.potentials, state.potentials)
     env.ends(scenario, simulation, simulation)
 
 
 def as_termination(value: str | Callable) -> tuple[str, Callable]:
-    """The termination that a value stands for.
-
-    Args:
-        value: a name in ``TERMINATIONS``, or a function (scenario, before, after) -> () bool.
+    """The name and function of a termination: a name in ``TERMINATIONS``, or (scenario, before, after) -> () bool.
 
     Raises:
         InputError: it is neither.

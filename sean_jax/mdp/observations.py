@@ -1,8 +1,8 @@
-"""What the agent sees: terms of an observation, each an array of the robot's frame with bounds.
+"""Observations of the agent: terms, each an array with bounds, in the robot's frame.
 
-A term is an ``ObservationTerm``, and a plain function (scenario, state) -> array is one without bounds of its own. An
-observation is a dict of terms: those of ``OBSERVATIONS`` by their names, and yours beside them. ``delayed`` makes a
-term late, and ``stacked`` gives its last readings together.
+A term is an ``ObservationTerm``, or a plain function (scenario, state) -> array without bounds of its own. An
+observation is a dict of terms: those of ``OBSERVATIONS`` by their names, and yours beside them. ``delayed`` delays a
+term, and ``stacked`` gives its last readings together.
 """
 
 import dataclasses
@@ -43,11 +43,11 @@ class ObservationTerm:
         read: ``(scenario, state, prepared) -> array``, clipped to the bounds.
         low: least number of the array.
         high: greatest number of the array.
-        prepare: ``(scenario, state) -> prepared``, made once at the start of an episode; nothing unless told otherwise.
-        delay: steps of control by which readings are late, (least, most), drawn for each episode.
-        stack: how many readings of different steps an observation holds, newest first, along a first axis; 0 for one
+        prepare: ``(scenario, state) -> prepared``, computed once at the start of an episode.
+        delay: of readings in steps of control, (least, most), drawn for each episode.
+        stack: number of readings of different steps in an observation, newest first, along a first axis; 0 for one
             without that axis.
-        people: whether it tells where people are, so that a table can say what an agent knew.
+        people: whether it tells where people are, for tables of what agents know.
         image: whether it is a picture, (height, width) or with colors, which ``flatten`` leaves out.
     """
 
@@ -62,17 +62,17 @@ class ObservationTerm:
 
     @property
     def definition(self) -> str:
-        """What it is, in a sentence."""
+        """One sentence about it."""
         return inspect.getdoc(getattr(self.read, "func", getattr(self.read, "function", self.read))) or ""
 
     @property
-    def kept(self) -> int:
-        """How many readings have to be kept."""
+    def readings(self) -> int:
+        """The number of readings that are stored."""
         return self.delay[1] + max(self.stack, 1)
 
 
 ObservationLike = ObservationTerm | Callable[[Scenario, State], Array] | str
-"""What is accepted wherever a term is: an ``ObservationTerm``, a function, or a name in ``OBSERVATIONS``."""
+"""An ``ObservationTerm``, a function, or a name in ``OBSERVATIONS``."""
 
 
 # ------------------------------------------------------------------ terms
@@ -120,8 +120,8 @@ def _speeds(scenario: Scenario, state: State, prepared: tuple) -> Array:
 def _time(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """Share of the time limit that has passed, and of the hold at the goal: (2,)."""
     passed = state.tick.astype(float) * scenario.time_step / scenario.time_limit
-    held = state.ticks_at_goal.astype(float) * scenario.time_step / jnp.maximum(scenario.hold_time, scenario.time_step)
-    return jnp.stack([passed, held])
+    hold = state.ticks_at_goal.astype(float) * scenario.time_step / jnp.maximum(scenario.hold_time, scenario.time_step)
+    return jnp.stack([passed, hold])
 
 
 def _situations(scenario: Scenario, state: State, prepared: tuple) -> Array:
@@ -130,14 +130,10 @@ def _situations(scenario: Scenario, state: State, prepared: tuple) -> Array:
 
 
 def people(nearest: int = NEAREST, reach: float = REACH) -> ObservationTerm:
-    """The nearest people, the nearest first.
+    """The nearest people, the nearest first, within ``reach`` m.
 
-    Args:
-        reach: m, within which people are seen.
-
-    Returns:
-        A term of (nearest, 5): where somebody is (x ahead, y to the left) [m], their velocity over the ground [m/s],
-        and 1; all 0 if there is nobody.
+    A term of (nearest, 5): a person's place (x ahead, y to the left) [m], velocity over the ground [m/s], and 1; all 0
+    for nobody.
     """
     return ObservationTerm(functools.partial(_people, nearest, reach), -reach, reach, people=True)
 
@@ -149,22 +145,19 @@ def _people(nearest: int, reach: float, scenario: Scenario, state: State, prepar
     square = jnp.where(persons.present, (gap * gap).sum(1), jnp.inf)
     number = min(nearest, square.shape[0])
     _, index = jax.lax.top_k(-square, number)
-    seen = square[index] <= reach * reach
+    visible = square[index] <= reach * reach
     velocity = jnp.clip(_in_frame(state, persons.velocity[index]), -MAX_SPEED, MAX_SPEED)
     rows = jnp.concatenate([_in_frame(state, gap[index]), velocity, jnp.ones((number, 1), float)], 1)
-    rows = jnp.where(seen[:, None], rows, 0.0)
+    rows = jnp.where(visible[:, None], rows, 0.0)
     return jnp.pad(rows, ((0, nearest - number), (0, 0)))
 
 
 def obstacles(nearest: int = SURFACES, reach: float = 3.0) -> ObservationTerm:
-    """The nearest obstacles, the nearest first, as the robot's map has them.
+    """The nearest obstacles in the robot's map, the nearest first, within ``reach`` m, at most that of the
+    environment's grid.
 
-    Args:
-        reach: m, within which they are seen, at most that of the environment's grid.
-
-    Returns:
-        A term of (nearest, 3): the direction to the nearest point of each (a unit vector) and its distance [m]; all 0
-        but the distance, which is ``reach``, if there is none.
+    A term of (nearest, 3): the direction to the nearest point of each (a unit vector) and its distance [m]; all 0 but
+    the distance, which is ``reach``, if there is none.
     """
     return ObservationTerm(functools.partial(_obstacles, nearest, reach), -reach, reach)
 
@@ -176,21 +169,16 @@ def _obstacles(nearest: int, reach: float, scenario: Scenario, state: State, pre
     distance, nx, ny = from_rectangle(x, y, *(rows[:, column] for column in range(6)))
     number = min(nearest, distance.shape[0])
     near, index = jax.lax.top_k(-distance, number)
-    seen = -near < reach
+    visible = -near < reach
     way = _in_frame(state, -jnp.stack([nx[index], ny[index]], -1))
-    found = jnp.concatenate([jnp.where(seen[:, None], way, 0.0), jnp.minimum(-near, reach)[:, None]], 1)
+    rows = jnp.concatenate([jnp.where(visible[:, None], way, 0.0), jnp.minimum(-near, reach)[:, None]], 1)
     missing = jnp.tile(jnp.array([[0.0, 0.0, reach]], float), (nearest - number, 1))
-    return jnp.concatenate([found, missing])
+    return jnp.concatenate([rows, missing])
 
 
 def plan(points: int = 10, apart: float = 0.5) -> ObservationTerm:
-    """The next points of the shortest path, as a global planner gives them (section V-B).
-
-    Args:
-        apart: m, from one to the next.
-
-    Returns:
-        A term of (points, 2) m.
+    """The next points of the shortest path, ``apart`` m from one to the next, as a global planner gives them (section
+    V-B). A term of (points, 2) m.
     """
     reach = points * apart
     return ObservationTerm(functools.partial(_plan, points, apart), -reach, reach, prepare=_last_arc)
@@ -208,11 +196,7 @@ def _last_arc(scenario: Scenario, state: State) -> Array:
 
 
 def sensor(name: str, low: float, high: float, image: bool = False) -> ObservationTerm:
-    """The reading of one of ``scenario.sensors``, with its noise.
-
-    Args:
-        image: as of ``ObservationTerm``.
-    """
+    """The reading of one of ``scenario.sensors``, with its noise."""
     return ObservationTerm(functools.partial(_sensor, name), low, high, image=image)
 
 
@@ -228,13 +212,7 @@ def _sensor(name: str, scenario: Scenario, state: State, prepared: tuple) -> Arr
 def depth(width: int = WIDTH, height: int = HEIGHT, far: float = 10.0) -> ObservationTerm:
     """The robot's depth camera, without noise; ``sensor("depth", ...)`` is one with noise.
 
-    Args:
-        width: pixels.
-        height: pixels.
-        far: m, beyond which nothing is seen.
-
-    Returns:
-        A term of (height, width) m.
+    A term of (height, width) m, at most ``far`` m.
     """
     return ObservationTerm(functools.partial(_depth, width, height, far), 0.0, far, image=True)
 
@@ -245,15 +223,7 @@ def _depth(width: int, height: int, far: float, scenario: Scenario, state: State
 
 
 def rgb(width: int = WIDTH, height: int = HEIGHT) -> ObservationTerm:
-    """The robot's color camera that looks ahead.
-
-    Args:
-        width: pixels.
-        height: pixels.
-
-    Returns:
-        A term of (height, width, 3) from 0 to 1.
-    """
+    """The robot's color camera that looks ahead: a term of (height, width, 3) from 0 to 1."""
     return ObservationTerm(functools.partial(_rgb, width, height), 0.0, 1.0, image=True)
 
 
@@ -263,14 +233,7 @@ def _rgb(width: int, height: int, scenario: Scenario, state: State, prepared: tu
 
 
 def lidar(rays: int = RAYS, far: float = 6.0) -> ObservationTerm:
-    """The robot's lidar, without noise.
-
-    Args:
-        far: m, beyond which nothing is seen.
-
-    Returns:
-        A term of (rays,) m.
-    """
+    """The robot's lidar, without noise: a term of (rays,) m, at most ``far`` m."""
     return ObservationTerm(functools.partial(_lidar, rays, far), 0.0, far)
 
 
@@ -301,10 +264,8 @@ OBSERVATIONS: dict[str, ObservationTerm] = {
 
 
 def delayed(term: ObservationLike, least: int, most: int | None = None) -> ObservationTerm:
-    """A term whose readings are late.
-
-    Args:
-        most: steps of control; each episode draws its delay. As ``least`` if None.
+    """A term with delayed readings, ``least`` to ``most`` steps of control, drawn for each episode; ``least`` if
+    ``most`` is None.
 
     Raises:
         InputError: it would show the future.
@@ -316,10 +277,7 @@ def delayed(term: ObservationLike, least: int, most: int | None = None) -> Obser
 
 
 def stacked(term: ObservationLike, number: int) -> ObservationTerm:
-    """The last readings of a term together.
-
-    Returns:
-        The term, of (number, ...), newest first.
+    """A term of the last readings together, (number, ...), newest first.
 
     Raises:
         InputError: there is no reading.
@@ -330,10 +288,8 @@ def stacked(term: ObservationLike, number: int) -> ObservationTerm:
 
 
 def as_term(value: ObservationLike) -> ObservationTerm:
-    """The term that a value stands for.
-
-    Args:
-        value: an ``ObservationTerm``, a function (scenario, state) -> array, or a name in ``OBSERVATIONS``.
+    """The term of a value: an ``ObservationTerm``, a function (scenario, state) -> array, or a name in
+    ``OBSERVATIONS``.
 
     Raises:
         InputError: it is none of these.
@@ -366,13 +322,7 @@ Terms = tuple[tuple[str, ObservationTerm], ...]
 
 
 def as_terms(values: Mapping[str, ObservationLike] | tuple[str, ...] | list[str]) -> Terms:
-    """The terms that a dict, or a list of names, stands for.
-
-    Args:
-        values: name -> term, or names in ``OBSERVATIONS``.
-
-    Returns:
-        The terms, in the same order.
+    """The terms of name -> term, or of names in ``OBSERVATIONS``, in the same order.
 
     Raises:
         InputError: there is none, or one is refused by ``as_term``.
@@ -385,38 +335,31 @@ def as_terms(values: Mapping[str, ObservationLike] | tuple[str, ...] | list[str]
 
 
 def begin(terms: Terms, scenario: Scenario, state: State, key: Array) -> tuple[dict[str, Array], PyTree]:
-    """The first observation of an episode: what was before it is taken to be that of now.
-
-    Args:
-        key: () typed PRNG key, which draws the delays.
-
-    Returns:
-        The observation, and the memory for ``observe``.
+    """The first observation of an episode, and the memory for ``observe``; the key draws the delays. Earlier readings
+    are taken to be the first one.
     """
     prepared = {name: term.prepare(scenario, state) for name, term in terms}
     now = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
     lines = {
-        name: jnp.broadcast_to(now[name][None], (term.kept, *now[name].shape)) for name, term in terms if term.kept > 1
+        name: jnp.broadcast_to(now[name][None], (term.readings, *now[name].shape))
+        for name, term in terms
+        if term.readings > 1
     }
-    late = {
+    delays = {
         name: jax.random.randint(jax.random.fold_in(key, number), (), term.delay[0], term.delay[1] + 1, jnp.int32)
         for number, (name, term) in enumerate(terms)
-        if term.kept > 1
+        if term.readings > 1
     }
-    memory = prepared, lines, late
-    return {name: _of_line(term, now[name], name, lines, late) for name, term in terms}, memory
+    memory = prepared, lines, delays
+    return {name: _of_line(term, now[name], name, lines, delays) for name, term in terms}, memory
 
 
 def observe(terms: Terms, scenario: Scenario, state: State, memory: PyTree) -> tuple[dict[str, Array], PyTree]:
-    """The observation of a later state.
-
-    Args:
-        memory: of ``begin``, or of the observation before.
-    """
-    prepared, lines, late = memory
+    """The observation of a later state, and its memory, from the memory of the observation before."""
+    prepared, lines, delays = memory
     now = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
     lines = {name: jnp.concatenate([now[name][None], line[:-1]]) for name, line in lines.items()}
-    return {name: _of_line(term, now[name], name, lines, late) for name, term in terms}, (prepared, lines, late)
+    return {name: _of_line(term, now[name], name, lines, delays) for name, term in terms}, (prepared, lines, delays)
 
 
 def _read(term: ObservationTerm, scenario: Scenario, state: State, prepared: PyTree) -> Array:
@@ -425,20 +368,16 @@ def _read(term: ObservationTerm, scenario: Scenario, state: State, prepared: PyT
     return jnp.clip(jnp.asarray(value, float), term.low, term.high)
 
 
-def _of_line(term: ObservationTerm, now: Array, name: str, lines: dict, late: dict) -> Array:
+def _of_line(term: ObservationTerm, now: Array, name: str, lines: dict, delays: dict) -> Array:
     """What an observation holds of a term."""
     if name not in lines:
         return now[None] if term.stack == 1 else now
-    part = jax.lax.dynamic_slice_in_dim(lines[name], late[name], max(term.stack, 1), 0)
+    part = jax.lax.dynamic_slice_in_dim(lines[name], delays[name], max(term.stack, 1), 0)
     return part if term.stack else part[0]
 
 
 def space(terms: Terms, scenario: Scenario, state: State) -> Dict:
-    """The values that observations may have.
-
-    Args:
-        state: any, or the shapes of one.
-    """
+    """The space of observations; ``state`` may be the shapes of one."""
     shapes = jax.eval_shape(
         lambda scenario, state: begin(terms, scenario, state, jax.random.key(0))[0], scenario, state
     )
@@ -446,10 +385,6 @@ def space(terms: Terms, scenario: Scenario, state: State) -> Dict:
 
 
 def flatten(terms: Terms, observation: Mapping[str, Float[Array, "..."]]) -> Float[Array, "size"]:
-    """The parts of an observation that are no images, as one vector.
-
-    Returns:
-        (size,) in the order of the terms.
-    """
+    """The parts of an observation that are no images, as one vector (size,), in the order of the terms."""
     parts = [jnp.ravel(observation[name]) for name, term in terms if not term.image]
     return jnp.concatenate(parts) if parts else jnp.zeros(0, float)

@@ -1,7 +1,6 @@
 """What differs between episodes: parameters that are drawn for each, and the scenario that they make.
 
-Parameters are plain leaves of the state of an episode. So they can be drawn, looked at, and changed a little, as an
-adversarial curriculum does (``learning.curriculum``).
+Parameters are leaves of the state of an episode, so they can be looked at and mutated (``learning.curriculum``).
 """
 
 from collections.abc import Callable, Mapping
@@ -24,34 +23,20 @@ MUTATION = 0.15  # of a parameter's range, standard deviation of a mutation
 
 @runtime_checkable
 class Randomization(Protocol):
-    """Parameters of episodes, and what they do to a scenario. It is static, so equal ones have to compare equal."""
+    """Parameters of episodes, and how they change a scenario. It is static: equal ones have to compare equal."""
 
     def draw(self, key: Array, scenario: Scenario) -> PyTree:
-        """The parameters of an episode.
-
-        Args:
-            key: () typed PRNG key.
-        """
+        """The parameters of an episode."""
         ...
 
     def apply(self, parameters: PyTree, scenario: Scenario) -> Scenario:
-        """The scenario of an episode. It is made anew in each step, so that a state need not hold it.
-
-        Args:
-            parameters: of ``draw``.
+        """The scenario of an episode with parameters of ``draw``; made anew in each step, so that a state need not hold
+        it.
         """
         ...
 
     def mutate(self, key: Array, parameters: PyTree, scenario: Scenario) -> PyTree:
-        """Parameters near others.
-
-        Args:
-            key: () typed PRNG key.
-            parameters: of ``draw``.
-
-        Returns:
-            Parameters that ``draw`` could have given.
-        """
+        """Parameters near others, which ``draw`` could have drawn."""
         ...
 
 
@@ -66,30 +51,15 @@ class OfKey:
     function: Callable[[Array, Scenario], Scenario]
 
     def draw(self, key: Array, scenario: Scenario) -> Array:
-        """As of a ``Randomization``.
-
-        Args:
-            key: () typed PRNG key.
-            scenario: not used.
-        """
+        """The key itself."""
         return key
 
     def apply(self, parameters: Array, scenario: Scenario) -> Scenario:
-        """As of a ``Randomization``.
-
-        Args:
-            parameters: () typed PRNG key.
-        """
+        """The function's scenario, of a key as parameters."""
         return calls.call("randomization", self.function, "key, scenario", parameters, scenario)
 
     def mutate(self, key: Array, parameters: Array, scenario: Scenario) -> Array:
-        """As of a ``Randomization``.
-
-        Args:
-            key: () typed PRNG key.
-            parameters: not used.
-            scenario: not used.
-        """
+        """Another key."""
         return key
 
 
@@ -190,27 +160,20 @@ PARAMETERS: Mapping[str, Parameter] = MappingProxyType({
     "stay": Parameter(_stay, 0.3, 3.0),
     "waypoints": Parameter(_waypoints, 0.2, 5.0, of_waypoints=True),
 })  # fmt: skip
-"""How people may behave otherwise, by name: factors of what the scenario has, with their usual bounds.
+"""Parameters of people's behavior by name: factors of what the scenario has, with their usual bounds.
 
-Contact between bodies is none of them: the steps in which forces act were chosen for it.
+Contact between bodies is none of them: the time step of forces was chosen for it.
 """
 
 
 @dataclass(frozen=True)
 class BehaviorRandomization:
-    """People behave otherwise in each episode. Made by ``randomize_behavior``."""
+    """People behave differently in each episode. Made by ``randomize_behavior``."""
 
     bounds: tuple[tuple[str, float, float], ...]  # name in ``PARAMETERS``, least and greatest value
 
     def draw(self, key: Array, scenario: Scenario) -> dict[str, Array]:
-        """As of a ``Randomization``.
-
-        Args:
-            key: () typed PRNG key.
-
-        Returns:
-            name -> () number, or (Mw,) of the waypoints.
-        """
+        """Name -> number (), or (Mw,) of the waypoints."""
         drawn = {}
         for index, (name, low, high) in enumerate(self.bounds):
             at = jax.random.uniform(jax.random.fold_in(key, index), _shape(name, scenario), float)
@@ -218,29 +181,20 @@ class BehaviorRandomization:
         return drawn
 
     def apply(self, parameters: dict[str, Array], scenario: Scenario) -> Scenario:
-        """As of a ``Randomization``. What the scenario does not have stays as it is.
-
-        Args:
-            parameters: of ``draw``.
-        """
+        """The scenario of an episode; what the scenario does not have stays as it is."""
         for name, _, _ in self.bounds:
             scenario = PARAMETERS[name].apply(scenario, parameters[name])
         return scenario
 
     def mutate(self, key: Array, parameters: dict[str, Array], scenario: Scenario) -> dict[str, Array]:
-        """As of a ``Randomization``: each parameter moves by a share of its range, and is reflected at its bounds.
-
-        Args:
-            key: () typed PRNG key.
-            parameters: of ``draw``.
-        """
-        moved = {}
+        """Each parameter moves by a share of its range, and is reflected at its bounds."""
+        mutated = {}
         for index, (name, low, high) in enumerate(self.bounds):
             shape = _shape(name, scenario)
             step = MUTATION * jax.random.normal(jax.random.fold_in(key, index), shape, float)
             at = jnp.abs(_share(name, low, high, parameters[name]) + step)
-            moved[name] = _between(name, low, high, jnp.clip(1.0 - jnp.abs(1.0 - at), 0.0, 1.0))
-        return moved
+            mutated[name] = _between(name, low, high, jnp.clip(1.0 - jnp.abs(1.0 - at), 0.0, 1.0))
+        return mutated
 
 
 def _shape(name: str, scenario: Scenario) -> tuple[int, ...]:
@@ -272,28 +226,24 @@ def _share(name: str, low: float, high: float, value: Array) -> Array:
 def randomize_behavior(
     bounds: Mapping[str, tuple[float, float]] | None = None, **further: tuple[float, float]
 ) -> BehaviorRandomization:
-    """People who behave otherwise in each episode: how many, how fast, how far from others and from the robot.
+    """People who behave differently in each episode: how many, how fast, how far from others and from the robot.
 
     Numbers are factors of what the scenario has: ``randomize_behavior(speed=(0.5, 2.0))``. They are drawn evenly
     between their bounds, most of them in the logarithm.
 
     Args:
-        bounds: name in ``PARAMETERS`` -> least and greatest value; all of them with their usual bounds if None and
-            nothing further is given.
-
-    Returns:
-        A randomization for ``make_env``.
+        bounds: name in ``PARAMETERS`` -> least and greatest value; all of them with their usual bounds by default.
 
     Raises:
         InputError: there is no parameter of a name, or bounds are impossible.
     """
-    asked = {**(bounds or {}), **further}
+    ranges = {**(bounds or {}), **further}
     if bounds is None and not further:
-        asked = {name: (each.low, each.high) for name, each in PARAMETERS.items()}
-    if not asked:
+        ranges = {name: (each.low, each.high) for name, each in PARAMETERS.items()}
+    if not ranges:
         raise InputError(f"randomize_behavior: there is no parameter; give some of {', '.join(PARAMETERS)}.")
     checked = []
-    for name, (low, high) in asked.items():
+    for name, (low, high) in ranges.items():
         if name not in PARAMETERS:
             hint = files.suggest(name, PARAMETERS) or "."
             raise InputError(f"randomize_behavior: '{name}' is not one of {', '.join(PARAMETERS)}{hint}")
@@ -310,13 +260,7 @@ RANDOMIZATIONS: Mapping[str, Randomization] = MappingProxyType({"behavior": rand
 
 
 def as_randomization(value: RandomizationLike | None) -> Randomization | None:
-    """The randomization that a value stands for.
-
-    Args:
-        value: a ``Randomization``, a function (key, scenario) -> scenario, or None.
-
-    Returns:
-        A ``Randomization``, or None.
+    """The randomization of a value: a ``Randomization``, a function (key, scenario) -> scenario, or None.
 
     Raises:
         InputError: it is none of these.

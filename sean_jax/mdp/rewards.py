@@ -1,9 +1,9 @@
-"""What the agent is rewarded for: terms of a reward, each a number of one step with a weight.
+"""Rewards of the agent: terms, each a number of one step with a weight.
 
-A term is a ``RewardTerm``, and a plain function (scenario, before, after) -> number is one of weight 1. A reward is a
-dict of terms: those of ``REWARDS`` by their names, with the weight beside them, and yours. The reward of a step is the
-sum of weight times number. Terms that read what a robot's sensors cannot tell, such as where people are whom it does
-not see, are ``privileged``: a simulator may use them to train, and a robot could not compute them.
+A term is a ``RewardTerm``, or a plain function (scenario, before, after) -> number of weight 1. A reward is a dict of
+terms: those of ``REWARDS`` by their names, with the weight beside them, and yours. The reward of a step is the sum of
+weight times number. Terms that read what a robot's sensors cannot tell, such as where unseen people are, are
+``privileged``: a simulator may use them to train, and a robot could not compute them.
 """
 
 import dataclasses
@@ -28,14 +28,14 @@ Potential = Callable[[Scenario, State], Array]  # (scenario, state) -> () number
 
 @dataclasses.dataclass(frozen=True)
 class RewardTerm:
-    """A part of a reward. It has a reward of each step, or a potential.
+    """A part of a reward: either a reward of each step, or a potential.
 
     Args:
         step: ``(scenario, before, after) -> number`` of a step.
         potential: ``(scenario, state) -> number``: the reward of a step is how much it grows. It is computed once a
             step, and leaves the best policy as it is, but for the discount
             (A. Ng et al., "Policy invariance under reward transformations", ICML 1999).
-        weight: by which the number is multiplied.
+        weight: factor of the number.
         privileged: it reads what the robot's sensors cannot tell.
         definition: one sentence; that of the function's docstring if empty.
     """
@@ -54,7 +54,7 @@ class RewardTerm:
 
 
 RewardLike = RewardTerm | Reward | float
-"""What is accepted wherever a term is: a ``RewardTerm``, a function, or the weight of the term of that name."""
+"""A ``RewardTerm``, a function, or the weight of the term of that name."""
 
 Terms = tuple[tuple[str, RewardTerm], ...]
 """Name and term, of each part of a reward."""
@@ -126,13 +126,11 @@ def _o_space(scenario: Scenario, before: State, after: State) -> Array:
 
 
 def of_metric(name: str, metric: metrics.Metric | None = None, weight: float = 1.0) -> RewardTerm:
-    """How much a metric grows in a step: a term for whatever is counted or summed.
+    """How much a metric grows in a step: a term for whatever is counted or summed. It is privileged, for metrics read
+    all people.
 
     Args:
         name: of a metric in ``METRICS``.
-
-    Returns:
-        The term; it is privileged, for metrics read all people.
 
     Raises:
         InputError: there is no metric of that name.
@@ -154,16 +152,13 @@ class _Growth:
 
     def __call__(self, scenario: Scenario, before: State, after: State) -> Array:
         then, now = moment(scenario, before), moment(scenario, after)
-        nothing = self.metric.init(then)
-        grown = self.metric.compute(self.metric.update(nothing, then, now)) - self.metric.compute(nothing)
-        return grown.reshape(-1)[0]
+        zero = self.metric.init(then)
+        growth = self.metric.compute(self.metric.update(zero, then, now)) - self.metric.compute(zero)
+        return growth.reshape(-1)[0]
 
 
 def in_situations(term: RewardTerm, names: Sequence[str]) -> RewardTerm:
-    """A term that counts only while one of some social situations occurs.
-
-    Returns:
-        The term, 0 at steps that end in none of them.
+    """A term that counts only at steps that end in one of some social situations.
 
     Raises:
         InputError: the term has a potential, which cannot be counted at times.
@@ -215,18 +210,15 @@ DEFAULT = {
     "collision_robot_on_person": -20.0,
     "collision_with_obstacle": -10.0,
 }
-"""The weights of a reward where none are given."""
+"""The weights of the default reward."""
 
 
 def as_terms(values: Mapping[str, RewardLike]) -> Terms:
-    """The terms that a dict stands for.
+    """The terms of a dict, in the same order.
 
     Args:
         values: name -> weight of the term of that name in ``REWARDS``, a ``RewardTerm``, or a function
             (scenario, before, after) -> number.
-
-    Returns:
-        The terms, in the same order.
 
     Raises:
         InputError: there is none, or a value is none of these.
@@ -251,7 +243,7 @@ def _as_term(name: str, value: RewardLike) -> RewardTerm:
 
 
 def reweighted(terms: Terms, weights: Mapping[str, Float[Array, ""] | float]) -> Terms:
-    """The terms with other weights, which may be arrays where the terms go no further than a traced function.
+    """The terms with other weights, which may be arrays inside a traced function.
 
     Raises:
         InputError: there is no such term.
@@ -263,11 +255,7 @@ def reweighted(terms: Terms, weights: Mapping[str, Float[Array, ""] | float]) ->
 
 
 def potentials(terms: Terms, scenario: Scenario, state: State) -> dict[str, Float[Array, ""]]:
-    """The potentials of a state.
-
-    Returns:
-        name -> () of the terms that have one.
-    """
+    """Name -> potential () of a state, of the terms that have one."""
     return {
         name: _number(term.potential, "scenario, state", scenario, state)
         for name, term in terms
@@ -284,11 +272,7 @@ def _number(function: Callable, arguments: str, *values: Any) -> Array:
 def of_step(
     terms: Terms, scenario: Scenario, before: State, after: State, then: dict[str, Array], now: dict[str, Array]
 ) -> dict[str, Float[Array, ""]]:
-    """The parts of the reward of a step.
-
-    Returns:
-        name -> () weight times number. Their sum is the reward.
-    """
+    """Name -> weight times number () of a step; their sum is the reward."""
     with jax.named_scope("reward"):
         numbers = {
             name: now[name] - then[name]

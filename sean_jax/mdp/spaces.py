@@ -1,4 +1,4 @@
-"""What values observations and actions may have: a box of numbers, or a dict of boxes."""
+"""Spaces of observations and actions: a box of numbers, or a dict of boxes."""
 
 import dataclasses
 import math
@@ -20,19 +20,11 @@ class Box:
     shape: tuple[int, ...]
 
     def sample(self, key: Array) -> Float[Array, "*shape"]:
-        """Draw an array.
-
-        Args:
-            key: () typed PRNG key.
-        """
+        """A random array of the box."""
         return jax.random.uniform(key, self.shape, float, self.low, self.high)
 
     def contains(self, value: Float[Array, "..."]) -> Array:
-        """Whether a value is of the box.
-
-        Returns:
-            () bool; False for another shape, and for what is not finite.
-        """
+        """Whether a value is in the box, () bool; False for another shape, and for what is not finite."""
         if np.shape(value) != self.shape:
             return jnp.zeros((), bool)
         return ((value >= self.low) & (value <= self.high)).all()
@@ -48,33 +40,21 @@ class Dict:
         return dict(self.spaces)[name]
 
     def items(self) -> tuple[tuple[str, Box], ...]:
-        """The boxes with their names.
-
-        Returns:
-            (name, box) of each, in the order of the dict.
-        """
+        """(name, box) of each, in the order of the dict."""
         return self.spaces
 
     def sample(self, key: Array) -> dict[str, Array]:
-        """Draw a dict of arrays.
-
-        Args:
-            key: () typed PRNG key.
-        """
+        """A random dict of arrays."""
         keys = jax.random.split(key, len(self.spaces))
         return {name: box.sample(own) for own, (name, box) in zip(keys, self.spaces, strict=True)}
 
     def contains(self, value: dict[str, Array]) -> Array:
-        """Whether a dict is of the space.
-
-        Returns:
-            () bool.
-        """
+        """Whether a dict is in the space, () bool."""
         if not isinstance(value, dict) or value.keys() != dict(self.spaces).keys():
             return jnp.zeros((), bool)
         return jnp.stack([box.contains(value[name]) for name, box in self.spaces]).all()
 
     @property
     def size(self) -> int:
-        """How many numbers a dict holds."""
+        """The number of numbers in a dict."""
         return sum(math.prod(box.shape) for _, box in self.spaces)

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 
 from sean_jax import writing
 from sean_jax.config import AblationConfig, CollectConfig, with_defaults
-from sean_jax.learning import protocol
-from sean_jax.learning.protocol import streams
+from sean_jax.learning.collection import check_collection, streams
 from sean_jax.presets import PRESETS
 from sean_jax.studies.experiments import page, parts, pictures, shares, table1
 from sean_jax.studies.experiments.shares import BEHAVIORS
@@ -53,7 +52,7 @@ def run(options: AblationConfig, console: Console | None = None) -> Path:
     policies = table1.policies(options)
     for world in WORLDS:
         for behavior in BEHAVIORS:
-            protocol.check(description(options, world, behavior))
+            check_collection(description(options, world, behavior))
     folder, places = options.folder, Once(functools.partial(_places, options))
     parts.has_started(options)
     sources = {world: {behavior: simulated(options, world, behavior) for behavior in BEHAVIORS} for world in WORLDS}

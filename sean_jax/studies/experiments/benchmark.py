@@ -19,8 +19,7 @@ import numpy as np
 from sean_jax import assembly, components, files, writing
 from sean_jax.config import BenchmarkConfig, Config, Number, OwnPart, RunConfig, Text, validate
 from sean_jax.errors import FileError, IncompleteError, InputError
-from sean_jax.learning import choice
-from sean_jax.learning.agents import AGENTS
+from sean_jax.learning.policy import AGENTS, check_policy, load_policy
 from sean_jax.metrics import Estimate, aggregate, aggregate_ratio, bootstrap
 from sean_jax.policies import POLICIES
 from sean_jax.runner import Runner, Watch
@@ -98,7 +97,7 @@ def run(options: BenchmarkConfig, console: Console | None = None) -> Path:
         text = f"{options.episodes} are more than the {tracks.EPISODES} of a track of protocol {tracks.VERSION}"
         raise InputError(f"--episodes: {text}; ask for fewer.")
     for track in tracks.TRACKS:
-        choice.check(options.policy, tracks.description(track))
+        check_policy(options.policy, tracks.description(track))
     parts.has_started(options)
     with writing.folder_lock(options.folder):
         parts.start(options)
@@ -133,7 +132,7 @@ def _drive(options: BenchmarkConfig, track: str, watch: Callable[[float], None])
     )
     number, most = options.episodes or 1, BATCH.get(jax.default_backend(), BATCH_ELSEWHERE)
     runner = Runner(
-        scenario, choice.policy(options.policy, scenario), math.ceil(number / -(-number // most)), "benchmark"
+        scenario, load_policy(options.policy, scenario), math.ceil(number / -(-number // most)), "benchmark"
     )
     compute, found = jax.jit(jax.vmap(results, (None, 0))), []
     for first in range(0, number, runner.size):
@@ -306,7 +305,7 @@ def policy_digest(policy: str) -> str:
     if isinstance(described, OwnPart):
         return _digest(components.content(described.file).digest, described.name)
     scenario = assembly.build(tracks.description(next(iter(tracks.TRACKS))))[0]
-    numbers = fingerprint(choice.policy(described, scenario).params)
+    numbers = fingerprint(load_policy(described, scenario).params)
     return _digest(numbers, described.kind) if described.kind in POLICIES else numbers
 
 

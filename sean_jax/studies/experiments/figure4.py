@@ -16,8 +16,8 @@ from sean_jax import writing
 from sean_jax.config import CollectConfig, Figure4Config, LearnedConfig, Named, ScenarioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.files import listed
-from sean_jax.learning import choice, protocol
-from sean_jax.learning.protocol import streams
+from sean_jax.learning.collection import check_collection, streams
+from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.studies.experiments import drivers, learners, page, parts, pictures, shares, table1
 from sean_jax.studies.experiments.claims import (
     BALANCED,
@@ -56,9 +56,9 @@ def run(options: Figure4Config, console: Console | None = None) -> Path:
     Source: section V-C, Figure 4.
     """
     for behavior in BEHAVIORS:
-        protocol.check(collection(options, behavior, options.hours))
+        check_collection(collection(options, behavior, options.hours))
     for name in baselines(options):
-        choice.check(name, ScenarioConfig(), "--baselines")
+        check_policy(name, ScenarioConfig(), "--baselines")
     folder = options.folder
     parts.has_started(options)
     with writing.folder_lock(folder):
@@ -118,7 +118,7 @@ def _parts(options: Figure4Config, folder: Path, places: dict[str, list[Scenario
 
     names = {NAVIGATION: "social_costmap", DEMONSTRATOR: options.demonstrator}
     for policy in (DEMONSTRATOR, NAVIGATION, *baselines(options)):
-        alike = functools.partial(choice.policy, names.get(policy, policy))  # the same driver in all episodes
+        alike = functools.partial(load_policy, names.get(policy, policy))  # the same driver in all episodes
         jobs += [drive((Driver(policy, (alike,)),), behavior) for behavior in BEHAVIORS]
     before: tuple[str, ...] = ()
     for policy, learned in taught.items():  # one after the other: orbax mixes up what several threads save

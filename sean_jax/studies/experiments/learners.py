@@ -17,14 +17,14 @@ import numpy as np
 
 from sean_jax import learning
 from sean_jax.config import CollectConfig, ImitationConfig
-from sean_jax.learning.loader import balanced_probabilities
+from sean_jax.learning.examples import balanced_probabilities
 from sean_jax.studies.experiments import parts, shares
 from sean_jax.studies.experiments.claims import Training
 from sean_jax.studies.experiments.drivers import Driver
 
 if TYPE_CHECKING:
     from sean_jax.base import Policy, Scenario
-    from sean_jax.learning.training import TrainState
+    from sean_jax.learning.imitation import TrainState
 
 LOADING = threading.Lock()
 
@@ -88,7 +88,7 @@ def train(learner: Learner, watch: Callable[[float], None]) -> list[Training]:
     if missing:
         asked = [learner.training(network) for network in missing]
         began = time.perf_counter()
-        states = learning.ensemble.train(asked, watch)
+        states = learning.train_ensemble(asked, watch)
         seconds = (time.perf_counter() - began) / len(missing)
         for network, own, state in zip(missing, asked, states, strict=True):
             parts.save(learner.summary(network), _summary(own, state) | {"seconds": seconds})

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING
 from sean_jax import writing
 from sean_jax.config import CollectConfig, LearningCurveConfig
 from sean_jax.flags import number
-from sean_jax.learning import protocol
-from sean_jax.learning.protocol import streams
+from sean_jax.learning.collection import check_collection, streams
 from sean_jax.studies.experiments import drivers, figure4, learners, page, parts, pictures
 from sean_jax.studies.experiments.learners import Learner
 from sean_jax.studies.experiments.shares import BEHAVIORS
@@ -50,7 +49,7 @@ def run(options: LearningCurveConfig, console: Console | None = None) -> Path:
     """
     asked = variants(options)
     for variant in asked:
-        protocol.check(collection(options, variant))
+        check_collection(collection(options, variant))
     folder = options.folder
     parts.has_started(options)
     with writing.folder_lock(folder):

@@ -24,8 +24,8 @@ from sean_jax.config import CollectConfig, ExperimentConfig, ScenarioConfig, Sit
 from sean_jax.errors import InputError
 from sean_jax.files import listed
 from sean_jax.flags import number
-from sean_jax.learning import choice, protocol
-from sean_jax.learning.protocol import streams
+from sean_jax.learning.collection import check_collection, streams
+from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.studies.experiments import page, parts, pictures, recorded, shares
 from sean_jax.studies.experiments.recorded import Recorded
 from sean_jax.studies.experiments.rollouts import MINUTE, Chains, Streams
@@ -85,7 +85,7 @@ def run(options: Table1Config, console: Console | None = None) -> Path:
     jobs = [(behavior, policy, options.people) for policy in drivers for behavior in BEHAVIORS]
     sweep = [(behavior, policy, crowd) for policy in drivers[:1] for crowd in options.crowds for behavior in SWEPT]
     for behavior, _, people in [*jobs, *sweep]:
-        protocol.check(description(options, behavior, people))
+        check_collection(description(options, behavior, people))
     kind = description(options, "random", None).situations[0].kind
     real = recorded.read(listed(options.recordings), options.frame_rate)
     folder, started = options.folder, parts.has_started(options)
@@ -138,7 +138,7 @@ def policies(options: SituationConfig) -> list[str]:
     if not names:
         raise InputError("--policies names no policy; try --policies go_to_goal.")
     for name in names:
-        choice.check(name, ScenarioConfig(), "--policies")
+        check_policy(name, ScenarioConfig(), "--policies")
     return names
 
 
@@ -222,7 +222,7 @@ def cell(
     minutes = max(1, math.ceil(60.0 * options.hours / len(kinds) - 1e-6))
     each = min(CHAIN, minutes)
     chains = seeds * math.ceil(minutes / each)
-    chain = Chains(choice.policy(policy, kinds[0]), further)
+    chain = Chains(load_policy(policy, kinds[0]), further)
     flags, ended = chain.minutes(there, chains, each, watch)
     flags, more = np.split(flags.reshape(-1, MINUTE, flags.shape[-1]), [flags.shape[-1] - len(names)], axis=-1)
     flags = np.moveaxis(flags.reshape(*flags.shape[:2], -1, len(shares.NAMES)), 2, 0)

@@ -1,0 +1,430 @@
+"""The networks: of imitation (section V-C, after [50]), and actor and critic of reinforcement learning.
+
+``Network`` has a local planner and a velocity controller, each with soft attention. Encoders (of 5 depth images, of the
+global plan and, optionally, of the situations) give vectors of one width. The local planner attends to them and
+predicts where the robot will be in 1 to 5 s. Another encoder encodes that plan, and the controller attends to all
+encodings and gives the command. The paper states no layer sizes; these were chosen small enough for one CPU: at 64 x 48
+pixels and width 64 there are 139,825 parameters, 152,691 with situations.
+
+``ActorCritic`` normalizes the numbers of an observation by their running mean and deviation. Images are cut into
+squares and go through dense layers, after distances have become nearness. Its memory is a gated recurrent unit.
+
+[50] A. Pokle et al., "Deep Local Trajectory Replanning and Control for Robot Navigation", ICRA 2019.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pydantic
+from flax import linen as nn
+from flax import struct
+from flax.typing import VariableDict
+from jaxtyping import Bool, Float, UInt16
+
+from sean_jax import files
+from sean_jax.base import Array
+from sean_jax.config import MAX_PIXELS, METHODS
+from sean_jax.errors import FileError, InputError
+from sean_jax.learning.dataset import LOOSE, Names, Side
+from sean_jax.learning.examples import MILLIMETRES, POINTS, SECONDS
+from sean_jax.mdp import observations
+from sean_jax.mdp.spaces import Dict
+
+CONFIG = "config.json"  # the configuration of a network, beside its checkpoints
+
+
+class NetworkConfig(pydantic.BaseModel):
+    """The keys of config.json that are read."""
+
+    model_config = LOOSE
+
+    width: Side  # of encodings and hidden layers
+    flags: bool  # whether the situations are an input
+    image: tuple[Side, Side]  # pixels, height and width of a depth image
+    situations: Names
+
+
+def read_network_config(path: Path) -> NetworkConfig:
+    """The configuration of a trained network.
+
+    Raises:
+        FileError: the file cannot be read or used.
+    """
+
+    def check_size(config: NetworkConfig) -> Iterator[files.Problem]:
+        if config.image[0] * config.image[1] > MAX_PIXELS:
+            yield ("image",), f"has more than {MAX_PIXELS:,} pixels"
+
+    return files.check_json(path, files.read_json(path), NetworkConfig, check_size)
+
+
+def check_supported(folder: Path, saved: dict[str, Any]) -> None:
+    """InputError for an agent whose action noise depends on the state, an option that is gone."""
+    if saved.get("careful"):
+        text = f"{folder} has an agent with the option careful, which this version does not know"
+        raise InputError(f"{text}; train it anew, or use an earlier version.")
+
+
+def read_method(folder: Path) -> str:
+    """The word after ``sean train`` that made a folder; imitation if its config.json does not say.
+
+    Raises:
+        FileError: its config.json cannot be read, or names a method that is none.
+    """
+    path = folder / CONFIG
+    if not path.is_file():
+        return "imitation"
+    data = files.read_json(path)
+    method = data.get("method", "imitation") if isinstance(data, dict) else "imitation"
+    if method not in METHODS:
+        raise FileError(f"{path}: method: {str(method)[:40]!r} is not one of {', '.join(METHODS)}.")
+    return method
+
+
+PATCHES = ((4, 32), (2, 64), (2, 64))  # side of the squares that each layer merges, and its features
+
+
+# ------------------------------------------------------------------ imitation
+
+
+@struct.dataclass
+class Decision:
+    """The network's output and the attention behind it."""
+
+    local_plan: Array  # (5, 2) m, where the robot should be in 1 to 5 s, in its frame
+    command: Array  # (2,) m/s, rad/s; from ``Network`` itself, in units of ``Weights.scale``
+    planner_attention: Array  # (2,) or (3,) shares of image, global plan and, with flags, situations
+    controller_attention: Array  # (3,) or (4,) shares of image, local plan, global plan and, with flags, situations
+
+
+@struct.dataclass
+class Weights:
+    """The variables of a training."""
+
+    parameters: VariableDict  # of the network
+    scale: Array  # (2,) m/s, rad/s: what a command of 1 from the network means
+
+
+class Network(nn.Module):
+    """The network for one example; ``vmap`` its ``apply`` for a batch. Networks of equal sizes are equal values, so
+    compiled programs are reused.
+    """
+
+    width: int = 64  # of encodings and hidden layers
+    flags: bool = False  # whether the situations are an input
+    image: tuple[int, int] = (48, 64)  # pixels, height and width of a depth image
+
+    @property
+    def planner_sources(self) -> tuple[str, ...]:
+        """Names of the shares in ``Decision.planner_attention``."""
+        return ("image", "global_plan", *(("situations",) if self.flags else ()))
+
+    @property
+    def controller_sources(self) -> tuple[str, ...]:
+        """Names of the shares in ``Decision.controller_attention``."""
+        return ("image", "local_plan", "global_plan", *(("situations",) if self.flags else ()))
+
+    def setup(self) -> None:
+        """Make the layers. Their names are those of the parameters in checkpoints."""
+        self.merges = [nn.Dense(features) for _, features in PATCHES]
+        self.seen = nn.Dense(self.width)
+        self.image_encoder = Encoder(self.width)
+        self.plan_encoder = Encoder(self.width)
+        self.local_encoder = Encoder(self.width)
+        self.flag_encoder = Encoder(self.width)
+        self.planner_attention = Attention(len(self.planner_sources))
+        self.controller_attention = Attention(len(self.controller_sources))
+        self.planner = Head(self.width, 2 * SECONDS)
+        self.controller = Head(self.width, 2)
+
+    def encode(self, image: UInt16[Array, "*batch H W"]) -> Float[Array, "*batch F"]:
+        """Encodings of depth images (..., H, W) uint16 mm; a policy keeps them, so each image is encoded once."""
+        nearness = 1.0 / (1.0 + image.astype(jnp.float32) / MILLIMETRES)  # near things matter most
+        values = nearness[..., None]
+        for (side, _), merge in zip(PATCHES, self.merges, strict=True):
+            values = nn.relu(merge(squares(values, side)))
+        return nn.relu(self.seen(values.reshape(*image.shape[:-2], -1)))
+
+    def act(self, encodings: Float[Array, "5 F"], plan: Float[Array, "10 2"], situations: Bool[Array, "S"]) -> Decision:
+        """The decision, with the command in units of ``Weights.scale``.
+
+        Args:
+            encodings: (5, F) of the images of 4, 3, 2, 1 and 0 s ago.
+            plan: (10, 2) m, global plan in the robot's frame.
+            situations: (S,) which social situations occur; ignored without ``flags``.
+        """
+        image, ahead = self.image_encoder(encodings.reshape(-1)), self.plan_encoder(plan.reshape(-1))
+        flags = [self.flag_encoder(situations.astype(jnp.float32))] if self.flags else []
+        context, planner_attention = self.planner_attention(jnp.stack([image, ahead, *flags]))
+        local_plan = self.planner(context).reshape(SECONDS, 2)
+        local = self.local_encoder(local_plan.reshape(-1))
+        context, controller_attention = self.controller_attention(jnp.stack([image, local, ahead, *flags]))
+        return Decision(local_plan, self.controller(context), planner_attention, controller_attention)
+
+    def __call__(
+        self, images: UInt16[Array, "5 H W"], plan: Float[Array, "10 2"], situations: Bool[Array, "S"]
+    ) -> Decision:
+        """``act`` on images (5, H, W) uint16 mm, oldest first."""
+        return self.act(self.encode(images), plan, situations)
+
+
+def squares(values: Float[Array, "*batch H W C"], side: int) -> Float[Array, "*batch rows columns features"]:
+    """Images cut into squares of ``side`` pixels, filled up with zeros at the far edges:
+    (..., ceil(H / side), ceil(W / side), side * side * C).
+
+    A dense layer over the squares is a convolution without overlap, as a product of matrices. Inside a scan, such as an
+    epoch, convolutions ran 5 times slower on a CPU for small images, and an epoch of larger ones took minutes.
+    """
+    *lead, height, width, channels = values.shape
+    rows, columns = -(-height // side), -(-width // side)
+    spare = [(0, 0)] * len(lead) + [(0, rows * side - height), (0, columns * side - width), (0, 0)]
+    parts = jnp.pad(values, spare).reshape(*lead, rows, side, columns, side, channels)
+    return jnp.moveaxis(parts, -4, -3).reshape(*lead, rows, columns, side * side * channels)
+
+
+class Encoder(nn.Module):
+    """Two layers that map any vector to one of the width."""
+
+    width: int
+
+    @nn.compact
+    def __call__(self, values: Float[Array, "K"]) -> Float[Array, "width"]:
+        """The encoding (width,) of values (K,)."""
+        return nn.Dense(self.width)(nn.relu(nn.Dense(self.width)(values)))
+
+
+class Attention(nn.Module):
+    """Soft attention: shares that sum to 1 and depend on all encodings. Layer normalization brings these to one length,
+    so that a share says how much of the sum comes from its source.
+    """
+
+    sources: int
+
+    @nn.compact
+    def __call__(self, encodings: Float[Array, "K F"]) -> tuple[Float[Array, "F"], Float[Array, "K"]]:
+        """The weighted sum (F,) of encodings (K, F), and the shares (K,)."""
+        normalized = nn.LayerNorm()(encodings)
+        hidden = nn.tanh(nn.Dense(encodings.shape[-1])(normalized.reshape(-1)))
+        shares = nn.softmax(nn.Dense(self.sources)(hidden))
+        return shares @ normalized, shares
+
+
+class Head(nn.Module):
+    """One hidden layer and a linear output."""
+
+    width: int
+    size: int
+
+    @nn.compact
+    def __call__(self, values: Float[Array, "F"]) -> Float[Array, "size"]:
+        """The output (size,) of values (F,)."""
+        return nn.Dense(self.size)(nn.relu(nn.Dense(self.width)(nn.relu(values))))
+
+
+def init_weights(network: Network, situations: int, key: Array) -> Weights:
+    """Weights before training, with a scale of 1."""
+    shapes = ((SECONDS, *network.image), jnp.uint16), ((POINTS, 2), jnp.float32), ((situations,), bool)
+    parameters = network.init(key, *(jnp.zeros(*shape) for shape in shapes))
+    return Weights(parameters, jnp.ones(2, jnp.float32))
+
+
+def read_network(folder: Path, situations: list[str]) -> tuple[Network, int]:
+    """The network of a training in a folder, without its weights, and the number of situations of its training.
+
+    Raises:
+        InputError: there is none, or its input is the flags of other situations than these.
+    """
+    if not os.path.lexists(folder / CONFIG):
+        raise InputError(f"{folder} has no trained network; make one with `sean train imitation`.")
+    try:
+        config = read_network_config(folder / CONFIG)
+    except FileError as error:
+        raise InputError(str(error)) from None
+    network = Network(config.width, config.flags, config.image)
+    if network.flags and situations != config.situations:
+        here = ", ".join(situations)
+        raise InputError(f"the network of {folder} knows other situations than {here}; give make the same situations.")
+    return network, len(config.situations)
+
+
+CLIP = 10.0  # deviations, at which normalized numbers are clipped
+INITIAL_LOG_STD = -0.7  # of actions from -1 to 1
+
+
+# ------------------------------------------------------------------ reinforcement learning
+
+
+class NetworkOutput(NamedTuple):
+    """The output of the actor and the critic."""
+
+    mean: Float[Array, "*batch 2"]  # of the action
+    log_std: Float[Array, "*batch 2"]  # of the action
+    value: Float[Array, "*batch"]  # expected return
+    memory: Float[Array, "*batch M"]  # for the next step; M = 0 without a memory
+
+
+class ActorCritic(nn.Module):
+    """An actor and a critic. Networks of equal sizes are equal values, so compiled programs are reused."""
+
+    width: int = 256  # of hidden layers
+    layers: int = 2
+    images: tuple[str, ...] = ()  # names of the parts of the observation that are images
+    recurrent: bool = False
+    private: int = 0  # numbers at the end of the vector, for the critic alone
+    bfloat16: bool = False  # of images
+
+    @property
+    def memory_size(self) -> int:
+        """Numbers that the network remembers."""
+        return self.width if self.recurrent else 0
+
+    @property
+    def image_dtype(self) -> Any:
+        """The type of stored and encoded images."""
+        return jnp.bfloat16 if self.bfloat16 else jnp.float32
+
+    @nn.compact
+    def __call__(
+        self,
+        vector: Float[Array, "*batch F"],
+        images: dict[str, Array],
+        memory: Float[Array, "*batch M"],
+        start: Bool[Array, "*batch"],
+    ) -> NetworkOutput:
+        """The output for observations.
+
+        Args:
+            vector: (..., F) normalized numbers; the last ``private`` ones are for the critic alone.
+            images: name -> (..., H, W) m, or (..., H, W, C).
+            start: (...) whether an episode begins here, which clears the memory.
+        """
+        shared = vector.shape[-1] - self.private
+        vector, private = vector[..., :shared], vector[..., shared:]
+        features = jnp.concatenate(
+            [vector, *(_Images(self.width, self.image_dtype)(images[name]) for name in self.images)], -1
+        )
+        if self.recurrent:
+            memory = jnp.where(start[..., None], 0.0, memory)
+            features = nn.tanh(_dense(self.width)(features))
+            memory, features = nn.GRUCell(self.width)(memory, features)
+        actor, critic = features, jnp.concatenate([features, private], -1)
+        for _ in range(self.layers):
+            actor, critic = nn.tanh(_dense(self.width)(actor)), nn.tanh(_dense(self.width)(critic))
+        mean, value = _dense(2, 0.01)(actor), _dense(1, 1.0)(critic)
+        start_value = nn.initializers.constant(INITIAL_LOG_STD)
+        log_std = jnp.broadcast_to(self.param("log_std", start_value, (2,)), mean.shape)
+        return NetworkOutput(mean, log_std, value[..., 0], memory)
+
+
+class _Images(nn.Module):
+    """(..., H, W) m or (..., H, W, C) to (..., width)."""
+
+    width: int
+    dtype: Any
+
+    @nn.compact
+    def __call__(self, image: Array) -> Array:
+        values = 1.0 / (1.0 + image[..., None]) if image.shape[-1] > 4 else image  # near things matter most
+        for side, features in PATCHES:
+            values = nn.relu(_dense(features, dtype=self.dtype)(squares(values, side)))
+        return nn.relu(_dense(self.width, dtype=self.dtype)(values.reshape(*values.shape[:-3], -1))).astype(jnp.float32)
+
+
+def _dense(features: int, gain: float = np.sqrt(2.0), dtype: Any = jnp.float32) -> nn.Dense:
+    return nn.Dense(features, dtype=dtype, kernel_init=nn.initializers.orthogonal(gain))
+
+
+@struct.dataclass
+class Statistics:
+    """Running mean and variance of the numbers of an observation."""
+
+    mean: Float[Array, "F"]
+    variance: Float[Array, "F"]
+    count: Float[Array, ""]
+
+
+@struct.dataclass
+class Agent:
+    """The variables of a training."""
+
+    parameters: VariableDict
+    statistics: Statistics
+
+
+def init_agent(network: ActorCritic, terms: observations.Terms, space: Dict, key: Array) -> Agent:
+    """The agent before training."""
+    empty = {name: jnp.zeros(box.shape, jnp.float32) for name, box in space.items()}
+    vector = observations.flatten(terms, empty).astype(jnp.float32)
+    start = jnp.ones((), bool)
+    memory = jnp.zeros(network.memory_size, jnp.float32)
+    parameters = network.init(key, vector, {name: empty[name] for name in network.images}, memory, start)
+    statistics = Statistics(jnp.zeros_like(vector), jnp.ones_like(vector), jnp.full((), 1e-4, jnp.float32))
+    return Agent(parameters, statistics)
+
+
+def init_agents(network: ActorCritic, terms: observations.Terms, space: Dict, keys: Array) -> Agent:
+    """Agents (A, ...) before training, of keys (A,), one after another.
+
+    Under ``vmap`` their orthogonal matrices would be factorized in batches, and on a CPU of two cores jaxlib deadlocks
+    when two batches of factorizations run at once.
+    """
+    return jax.lax.map(lambda key: init_agent(network, terms, space, key), keys)
+
+
+def with_noise(agent: Agent, deviation: float) -> Agent:
+    """The agent with another standard deviation of its actions, which are from -1 to 1."""
+    inner = dict(agent.parameters["params"])
+    inner["log_std"] = jnp.full_like(inner["log_std"], np.log(deviation))
+    return Agent({**agent.parameters, "params": inner}, agent.statistics)
+
+
+def apply(
+    network: ActorCritic,
+    agent: Agent,
+    vector: Float[Array, "*batch F"],
+    images: dict[str, Array],
+    memory: Float[Array, "*batch M"],
+    start: Bool[Array, "*batch"],
+) -> NetworkOutput:
+    """The network's output for vectors (..., F) of ``observations.flatten``, normalized by the agent's statistics, and
+    images.
+    """
+    mean, variance = (jnp.broadcast_to(row, vector.shape) for row in (agent.statistics.mean, agent.statistics.variance))
+    scaled = (vector - mean) * jax.lax.rsqrt(variance + 1e-8)
+    call: Callable = network.apply
+    return call(agent.parameters, jnp.clip(scaled, -CLIP, CLIP), images, memory, start)
+
+
+def update_statistics(before: Statistics, vectors: Float[Array, "K F"]) -> Statistics:
+    """Statistics with further observations.
+
+    Source: T. Chan et al., "Updating formulae and a pairwise algorithm for computing sample variances", 1979.
+    """
+    number = jnp.asarray(vectors.shape[0], jnp.float32)
+    mean, variance = vectors.mean(0), vectors.var(0)
+    total = before.count + number
+    gap = mean - before.mean
+    squares_sum = before.variance * before.count + variance * number + gap * gap * before.count * number / total
+    return Statistics(before.mean + gap * number / total, squares_sum / total, total)
+
+
+def draw_action(output: NetworkOutput, key: Array) -> Float[Array, "*batch 2"]:
+    """An action with its noise."""
+    noise = jax.random.normal(key, output.mean.shape, output.mean.dtype)
+    return output.mean + jnp.exp(output.log_std) * noise
+
+
+def log_density(output: NetworkOutput, action: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
+    """Logarithm of the density with which an action is taken."""
+    gap = (action - output.mean) * jnp.exp(-output.log_std)
+    return -(0.5 * gap * gap + output.log_std + 0.5 * np.log(2.0 * np.pi)).sum(-1)
+
+
+def entropy(output: NetworkOutput) -> Float[Array, "*batch"]:
+    """Entropy of the actions."""
+    return (output.log_std + 0.5 * np.log(2.0 * np.pi * np.e)).sum(-1)

@@ -1,0 +1,619 @@
+"""Policies by a name, a folder, FILE.py:NAME, or as a value; trained networks and agents that drive.
+
+Packed agents are small folders, ``config.json`` and ``weights.npz``, read with flax and numpy alone: ``sean export
+agent`` writes them, and those of the package lie in ``agents/``, with names that stand wherever that of a policy can.
+Weights are kept in 16 bits, which changes a command by about a thousandth; the statistics of the observation, whose
+range is wider, in 32. All policies run under ``jit`` and ``vmap``.
+"""
+
+import functools
+import io
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Float, Int, PyTree
+
+from sean_jax import components, episodes, files, navigation, registry, sensors, writing
+from sean_jax.base import Array, Policy, PolicyLike, Scenario, State, as_policy
+from sean_jax.classifiers import SITUATION_SETS
+from sean_jax.config import (
+    METHODS,
+    Component,
+    Named,
+    ReinforcementConfig,
+    RunConfig,
+    ScenarioConfig,
+    present_names,
+    validate,
+)
+from sean_jax.errors import InputError
+from sean_jax.learning.examples import SECONDS, depth_image, plan_ahead
+from sean_jax.learning.networks import (
+    CONFIG,
+    ActorCritic,
+    Agent,
+    Decision,
+    Network,
+    Weights,
+    apply,
+    check_supported,
+    init_agent,
+    init_weights,
+    read_method,
+    read_network,
+)
+from sean_jax.mdp import observations, to_command
+from sean_jax.mdp.spaces import Dict
+from sean_jax.policies import POLICIES
+from sean_jax.scenario import reset
+from sean_jax.versions import versions
+from sean_jax.writing import check_new_folder
+
+
+def load_policy(value: PolicyLike | Component | str, scenario: Scenario, option: str = "policy") -> Policy:
+    """The policy of a value.
+
+    Args:
+        value: a policy, a function, a name of ``POLICIES`` or ``AGENTS``, the folder of a training or a packed agent,
+            FILE.py:NAME, or a description of these.
+
+    Raises:
+        InputError: there is none of that name, or it does not fit the scenario.
+        PartError: a policy of the user's own fails, as ``episodes.check_policy`` finds.
+    """
+    description = _description(value)
+    if isinstance(description, Named) and description.kind not in POLICIES:
+        return load_folder(_agent_folder(description.kind, option), scenario)
+    part = components.resolve(description, POLICIES, option)
+    try:
+        policy = as_policy(part)
+    except TypeError as error:
+        raise InputError(str(error)) from error
+    if not isinstance(description, Named):
+        episodes.check_policy(scenario, policy)
+    return policy
+
+
+def load_folder(folder: Path | str, scenario: Scenario) -> Policy:
+    """The best policy of a training so far, a packed agent, or one that comes with the package.
+
+    Args:
+        folder: that ``sean train`` or ``sean export agent`` has written, or is writing; as text also a name of
+            ``AGENTS``, unless an agent's folder of that name is here, too.
+
+    Raises:
+        InputError: the folder has no trained network, or one that does not fit the scenario.
+        IncompleteError: the checkpoint cannot be read.
+    """
+    if isinstance(folder, str) and folder in AGENTS:
+        folder = _agent_folder(folder, "folder")
+    folder = Path(folder)
+    if is_packed(folder):
+        return agent_policy(*load_packed(folder, scenario), name=folder.name)
+    if read_method(folder) in ("imitation", "dagger"):
+        return load_imitation(folder, scenario)
+    return agent_policy(*load_trained(folder, scenario), name=folder.name)
+
+
+def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, option: str = "policy") -> None:
+    """Refuse what ``load_policy`` would refuse, as far as it can be told before a scenario is made.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    description = _description(value)
+    if not isinstance(description, Named):
+        part = components.resolve(description, {}, option)
+        if not (isinstance(part, Policy) or callable(part)):
+            raise InputError(f"{option}: {description.kind} must be a Policy or a function (scenario, state, key).")
+    elif description.kind not in POLICIES:
+        folder = _agent_folder(description.kind, option)
+        method = read_method(folder)
+        if issubclass(METHODS[method], ReinforcementConfig):
+            agent_terms(read_options(folder))
+        if method != "imitation":
+            return
+        sets = [part.kind for part in config.situations if isinstance(part, Named)]
+        if len(sets) == len(config.situations) == 1 and sets[0] in SITUATION_SETS:
+            read_network(folder, list(SITUATION_SETS[sets[0]]))
+
+
+def _description(value: Any) -> Component:
+    return value if isinstance(value, Component) else validate(RunConfig, {"policy": value}).policy
+
+
+def _agent_folder(name: str, option: str) -> Path:
+    """The folder of an agent of the package, or of one's own; a name that may mean both is refused."""
+    path = Path(name)
+    if name in AGENTS:
+        if (path / CONFIG).is_file():
+            both = f"'{name}' is an agent of the package and a folder here"
+            raise InputError(f"{option}: {both}; write ./{name} for the folder, {AGENTS[name]} for the other.")
+        return AGENTS[name]
+    if not path.is_dir():
+        known = [*POLICIES, *AGENTS]
+        cure = files.suggest(name, known) or ", nor is it a folder that `sean train` has written."
+        raise InputError(f"{option}: '{name}' is not one of {', '.join(known)}{cure}")
+    return path
+
+
+# ------------------------------------------------------------------ agents, packed and in trainings
+
+WEIGHTS = "weights.npz"
+STATISTICS = "statistics/"  # prefix of names of arrays in 32 bits
+MAX_WEIGHTS_BYTES = 100_000_000  # of the weights
+
+AGENTS: dict[str, Path] = {
+    file.parent.name: file.parent for file in sorted((Path(__file__).parent / "agents").glob(f"*/{WEIGHTS}"))
+}
+"""name -> folder of the agents that come with the package"""
+
+
+def is_packed(folder: Path) -> bool:
+    """Whether a folder holds a packed agent, and no training."""
+    return (folder / WEIGHTS).is_file()
+
+
+def read_options(folder: Path) -> ReinforcementConfig:
+    """The options with which the agent in a folder was trained, of a training or packed.
+
+    Raises:
+        InputError: there is none, or this version does not know it.
+    """
+    if not (folder / CONFIG).is_file():
+        raise InputError(f"{folder} has no trained agent; make one with `sean train ppo --out {folder}`.")
+    saved, model = files.read_json(folder / CONFIG), METHODS[read_method(folder)]
+    if not issubclass(model, ReinforcementConfig):
+        raise InputError(f"{folder} has a network that imitates, and no agent; train one with `sean train ppo`.")
+    check_supported(folder, saved)
+    options = {name: value for name, value in present_names(saved).items() if name in model.model_fields}
+    options = components.recorded(folder / CONFIG, options, saved.get("parts"), "parts")
+    try:
+        return validate(model, options, source=folder / CONFIG)
+    except InputError as error:
+        raise InputError(f"{folder / CONFIG}: {error}") from None
+
+
+def agent_terms(options: ReinforcementConfig) -> tuple[observations.Terms, observations.Terms]:
+    """The observation terms of the actor, and the critic's further ones.
+
+    Raises:
+        InputError: there is no term of a name, or the critic's are images or the actor's.
+    """
+    actor_terms = registry.observation_terms(options.observations)
+    private = registry.observation_terms(options.critic, "critic")
+    for name, term in private:
+        if term.image or name in dict(actor_terms):
+            why = "is an image" if term.image else "is what the actor sees already"
+            raise InputError(f"critic: {name} {why}; choose another term.")
+    return actor_terms, private
+
+
+def agent_network(options: ReinforcementConfig, space: Dict) -> ActorCritic:
+    """The network of a description."""
+    actor_terms, private = agent_terms(options)
+    images = tuple(name for name, term in actor_terms if term.image)
+    hidden = sum(math.prod(dict(space.items())[name].shape) for name, _ in private)
+    return ActorCritic(options.width, options.layers, images, options.recurrent, hidden, options.bfloat16)
+
+
+def agent_outline(options: ReinforcementConfig, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
+    """The network, shapes and types of the agent, and the actor's observation terms.
+
+    Raises:
+        InputError: the scenario lacks something that the agent sees.
+    """
+    actor_terms, private = agent_terms(options)
+    everything = (*actor_terms, *private)
+    shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), scenario)
+    space = observations.space(everything, scenario, shapes)
+    actor_critic = agent_network(options, space)
+    return (
+        actor_critic,
+        jax.eval_shape(lambda: init_agent(actor_critic, everything, space, jax.random.key(0))),
+        actor_terms,
+    )
+
+
+def check_sizes(folder: Path, options: ReinforcementConfig, saved: PyTree, expected: Agent) -> None:
+    """Refuse an agent with arrays of other sizes than a scenario's observations need.
+
+    Args:
+        saved: name -> shape, as of ``agent_shapes``.
+
+    Raises:
+        InputError: the shapes differ.
+    """
+    shapes = agent_shapes(expected)
+    if saved == shapes:
+        return
+    mean = f"{STATISTICS}mean"
+    learned, shown = (name.get(mean, (0,))[0] for name in (saved, shapes))
+    what = f"{learned} numbers, and this scenario shows {shown}"
+    if learned == shown:
+        what = "images of another size than this scenario's"
+    named = ", ".join(part.kind for part in options.observations)
+    raise InputError(
+        f"{folder}: its agent sees {what} ({named}); make the scenario with what it was trained in (its {CONFIG})."
+    )
+
+
+def agent_shapes(agent: PyTree) -> dict[str, tuple[int, ...]]:
+    """Name, such as statistics/mean, and shape of each array of an agent, or of its outline."""
+    return {name: tuple(leaf.shape) for name, leaf in _leaves_by_path(agent).items()}
+
+
+def save_agent(folder: Path, agent: Agent, config: dict[str, Any]) -> None:
+    """Write an agent into a folder that exists, with the ``config`` of its training and anything else JSON can hold.
+
+    Raises:
+        InputError: a number is not finite, or too large for 16 bits.
+    """
+    packed = {}
+    for name, leaf in _leaves_by_path(agent).items():
+        kind = np.float32 if name.startswith(STATISTICS) else np.float16
+        if not (np.abs(leaf) <= np.finfo(kind).max).all():
+            raise InputError(f"{name} of the agent has a number that 16 bits cannot hold; train it anew.")
+        packed[name] = np.asarray(leaf, kind)
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **packed)
+    writing.write(folder / WEIGHTS, stream.getvalue())
+    writing.write(folder / CONFIG, json.dumps(config, indent=1) + "\n")
+
+
+def load_packed(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
+    """A packed agent: the network, the agent, and the terms of its observation.
+
+    Raises:
+        InputError: its observations are not of the sizes of the scenario's, or a file cannot be read.
+    """
+    options = read_options(folder)
+    try:
+        actor_critic, expected, terms = agent_outline(options, scenario)
+    except InputError as error:
+        raise InputError(f"{folder / CONFIG}: {error}") from None
+    return actor_critic, restore_agent(folder, options, expected), terms
+
+
+def restore_agent(folder: Path, options: ReinforcementConfig, expected: Agent) -> Agent:
+    """The numbers of a packed agent, in 32 bits, with the shapes that are ``expected``.
+
+    Raises:
+        InputError: it has other shapes, or cannot be read.
+    """
+    arrays = files.read_arrays(folder / WEIGHTS, MAX_WEIGHTS_BYTES, "get the file anew")
+    for name, value in arrays.items():
+        if value.dtype.kind != "f" or not np.isfinite(value).all():
+            raise InputError(f"{folder / WEIGHTS}: {name[:60]} has what is no finite number; pack the agent anew.")
+    check_sizes(folder, options, {name: value.shape for name, value in arrays.items()}, expected)
+    leaves = [jnp.asarray(arrays[name], jnp.float32) for name in _leaves_by_path(expected)]
+    return jax.tree.unflatten(jax.tree.structure(expected), leaves)
+
+
+def describe_agent(folder: Path) -> str:
+    """What a packed agent sees, and where and how long it was trained, in a sentence."""
+    options, saved = read_options(folder), files.read_json(folder / CONFIG)
+    sees, steps = ", ".join(part.kind for part in options.observations), saved.get("agent", {}).get("steps")
+    trained = f" on {steps:,} steps" if isinstance(steps, int) else ""
+    return f"Agent of reinforcement learning, trained{trained} in {', '.join(options.environments)}; it sees {sees}."
+
+
+def _leaves_by_path(agent: PyTree) -> dict[str, Any]:
+    """The leaves by their paths."""
+    leaves, _ = jax.tree.flatten_with_path(agent)
+    return {jax.tree_util.keystr(path, simple=True, separator="/"): leaf for path, leaf in leaves}
+
+
+@struct.dataclass
+class Best:
+    """The agents that did best in an evaluation so far."""
+
+    agent: Agent  # (A, ...)
+    value: Float[Array, "A"]  # return in that evaluation
+    update: Int[Array, "A"]  # after which it was
+
+
+def load_trained(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
+    """The best agent of a training: the network, the agent, and the terms of its observation.
+
+    Raises:
+        InputError: there is no checkpoint, or the agent learned from observations of another size.
+        IncompleteError: the checkpoint cannot be read.
+    """
+    from sean_jax.learning.trainer import Checkpoints  # which needs the extra "learning"
+
+    options, checkpoints = read_options(folder), Checkpoints(folder)
+    network, one, terms = agent_outline(options, scenario)
+    count = len(options.agents)
+    saved = {name: shape for name, shape in checkpoints.shapes("best").items() if name.startswith("agent/")}
+    check_sizes(folder, options, {name[6:]: shape[1:] for name, shape in saved.items()}, one)
+    shape = jax.ShapeDtypeStruct
+    several = jax.tree.map(lambda leaf: shape((count, *leaf.shape), leaf.dtype), one)
+    best = checkpoints.best("best", Best(several, shape((count,), jnp.float32), shape((count,), jnp.int32)))  # pyright: ignore
+    chosen = int(np.argmax(best.value))
+    return network, jax.tree.map(lambda part: part[chosen], best.agent), terms
+
+
+def pack(folder: Path | str, out: Path | str) -> Path:
+    """Write the best agent of a training into a new or empty folder ``out``.
+
+    Files of one's own that the training names, and what they import beside them, are copied into its ``parts``.
+
+    Raises:
+        InputError: there is no agent.
+        WriteError: the folder cannot be written.
+        IncompleteError: the checkpoint cannot be read.
+    """
+    folder, out = Path(folder), Path(out)
+    check_new_folder(out)
+    options = read_options(folder)
+    if is_packed(folder):
+        raise InputError(f"{folder} is packed already; copy it.")
+    components.check_trust(options)
+    _, agent, _ = load_trained(folder, registry.build(options.per_environment[0]).scenario)
+    facts = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
+    with writing.atomic_folder(out) as target:
+        copies, hashes = components.copy(target, options)
+        own = components.relocate(options.identity(), copies) | {"parts": hashes} if copies else {}
+        save_agent(target, agent, {**files.read_json(folder / CONFIG), **own, "agent": facts})
+    return out
+
+
+def _best_evaluation(folder: Path) -> dict[str, Any]:
+    """When the training found its best agent, and what the evaluation then said of all situations together."""
+    from sean_jax.learning.trainer import read_metrics
+
+    evaluations = [
+        (part["return"], line, part)
+        for line in read_metrics(folder)
+        for name, part in line.items()
+        if name == "evaluation" or name.startswith("agent ")  # one of several may be better than all on average
+    ]
+    if not evaluations:
+        return {}
+    _, best, part = max(evaluations, key=lambda each: (each[0], each[1]["epoch"]))
+    figures = {name: value for name, value in part.items() if " in " not in name}
+    return {"updates": best["epoch"], "steps": best["steps"], "evaluation": figures}
+
+
+# ------------------------------------------------------------------ networks that imitate
+
+
+@struct.dataclass
+class PolicyParams:
+    """Parameters of the policy: the weights are leaves, so ``grad`` and ``vmap`` reach them."""
+
+    weights: Weights
+    network: Network = struct.field(pytree_node=False)
+    camera: sensors.Camera = struct.field(pytree_node=False)
+
+
+@struct.dataclass
+class PolicyState:
+    """What the policy remembers of an episode."""
+
+    encodings: Array  # (L, F) of the images of the last 4 s, newest first, one for each control step
+    last_arc: Array  # (V,) int32, ``navigation.last_arc_to_goal``
+    decision: Decision  # the latest; zeros before the first step
+
+
+def network_policy(network: Network, weights: Weights, scenario: Scenario, name: str = "learned") -> Policy:
+    """A policy of a network that imitates, for the robot of a scenario.
+
+    The policy state holds the encodings of the depth images of the last four seconds. The network receives those that
+    are 4, 3, 2, 1 and 0 s old, as in an example. After each step ``state.policy_state.decision`` has the local plan and
+    the attention, which SEAN displays too.
+
+    Raises:
+        InputError: the robot has no depth camera.
+    """
+    height, width = network.image
+    camera = sensors.camera(scenario, "depth", width=width, height=height)
+    return Policy(params=PolicyParams(weights, network, camera), name=name, init=_init_network, apply=_apply_network)
+
+
+def load_imitation(folder: Path | str, scenario: Scenario) -> Policy:
+    """The policy with the lowest validation loss so far; of a training in rounds, that of the last round.
+
+    Raises:
+        InputError: the folder has no trained network, or one that receives the flags of other social situations.
+        IncompleteError: the checkpoint cannot be read.
+    """
+    from sean_jax.learning.trainer import Checkpoints  # which needs the extra "learning"
+
+    name, folder = Path(folder).name, _last_round(Path(folder))
+    network, situations = read_network(folder, [each for each, _ in scenario.situations])
+    shapes = jax.eval_shape(functools.partial(init_weights, network, situations), jax.random.key(0))
+    weights = Checkpoints(folder).best("weights", shapes)
+    return network_policy(network, weights, scenario, name=name)
+
+
+def _last_round(folder: Path) -> Path:
+    """The last network that ``sean train dagger`` has made in a folder; other folders as they are."""
+    if read_method(folder) != "dagger":
+        return folder
+    rounds = [each for each in folder.glob("round-*") if (each / "checkpoints").is_dir()]
+    if not rounds:
+        raise InputError(f"{folder} has no trained network yet; go on with `sean train dagger`.")
+    return max(rounds, key=lambda each: int(each.name.rpartition("-")[2]))
+
+
+def _init_network(scenario: Scenario, params: PolicyParams, state: State) -> PolicyState:
+    """Begin an episode: the images before it are taken to be that of now."""
+    encoding = _encode_image(scenario, params, state)
+    ticks = round(1.0 / scenario.time_step)
+    network = params.network
+    decision = Decision(
+        local_plan=jnp.zeros((SECONDS, 2), jnp.float32),
+        command=jnp.zeros(2, jnp.float32),
+        planner_attention=jnp.zeros(len(network.planner_sources), jnp.float32),
+        controller_attention=jnp.zeros(len(network.controller_sources), jnp.float32),
+    )
+    return PolicyState(
+        encodings=jnp.broadcast_to(encoding[None], ((SECONDS - 1) * ticks + 1, *encoding.shape)),
+        last_arc=navigation.last_arc_to_goal(scenario.navigation, state.task.goal),
+        decision=decision,
+    )
+
+
+def _apply_network(
+    scenario: Scenario, params: PolicyParams, state: State, key: Array
+) -> tuple[Float[Array, "2"], PolicyState]:
+    """The command (2,) [m/s, rad/s] of a control step, and the new policy state."""
+    before: PolicyState = state.policy_state
+    encodings = jnp.concatenate([_encode_image(scenario, params, state)[None], before.encodings[:-1]])
+    each_second = encodings[:: round(1.0 / scenario.time_step)][::-1]
+    plan = plan_ahead(scenario, state, before.last_arc).astype(jnp.float32)  # networks are in 32 bits
+    weights = params.weights
+    inputs = each_second, plan, state.situations
+    output = cast(Decision, params.network.apply(weights.parameters, *inputs, method="act"))
+    decision = replace(output, command=output.command * weights.scale)
+    return decision.command, PolicyState(encodings, before.last_arc, decision)
+
+
+def _encode_image(scenario: Scenario, params: PolicyParams, state: State) -> Array:
+    """(F,) encoding of the present depth image."""
+    image = depth_image(scenario, state, params.camera)
+    return cast(Array, params.network.apply(params.weights.parameters, image, method="encode"))
+
+
+# ------------------------------------------------------------------ agents of reinforcement learning
+
+
+@struct.dataclass
+class AgentParams:
+    """Parameters of the policy: the agent's are leaves, so ``grad`` and ``vmap`` reach them."""
+
+    agent: Agent
+    network: ActorCritic = struct.field(pytree_node=False)
+    terms: observations.Terms = struct.field(pytree_node=False)
+
+
+@struct.dataclass
+class AgentState:
+    """What the policy remembers of an episode."""
+
+    observed: PyTree  # of ``observations.observe``
+    memory: Float[Array, "M"]  # of the network
+    start: Array  # () bool, before the first step
+
+
+def agent_policy(network: ActorCritic, agent: Agent, terms: observations.Terms, name: str = "agent") -> Policy:
+    """A policy of an agent of reinforcement learning: the mean of its actions.
+
+    Its state holds the memory of the observation, so that delays and stacks are as in training, and the network's.
+    """
+    return Policy(params=AgentParams(agent, network, terms), name=name, init=_init_agent, apply=_apply_agent)
+
+
+def _init_agent(scenario: Scenario, params: AgentParams, state: State) -> AgentState:
+    """Begin an episode."""
+    key = jax.random.fold_in(state.streams.policy, 2**31 - 1)  # above any tick
+    _, observed = observations.begin(params.terms, scenario, state, key)
+    return AgentState(observed, jnp.zeros(params.network.memory_size, jnp.float32), jnp.ones((), bool))
+
+
+def _apply_agent(
+    scenario: Scenario, params: AgentParams, state: State, key: Array
+) -> tuple[Float[Array, "2"], AgentState]:
+    """The command (2,) [m/s, rad/s] of a control step, and the new policy state; the key is not used."""
+    before: AgentState = state.policy_state
+    shown, observed = observations.observe(params.terms, scenario, state, before.observed)
+    vector = observations.flatten(params.terms, shown).astype(jnp.float32)
+    vector = jnp.pad(vector, (0, params.network.private))  # the critic's, which is not used
+    images = {name: shown[name].astype(params.network.image_dtype) for name in params.network.images}
+    output = apply(params.network, params.agent, vector, images, before.memory, before.start)
+    after = AgentState(observed, output.memory, jnp.zeros((), bool))
+    return to_command(scenario.robot, output.mean.astype(state.robot.position.dtype)), after
+
+
+# ------------------------------------------------------------------ labels
+
+
+@struct.dataclass
+class LabelledState:
+    """What both remember of an episode, and the latest label."""
+
+    driver: PyTree
+    labeller: PyTree
+    label: Float[Array, "2"]  # m/s, rad/s
+
+
+def labelled(driver: PolicyLike, labeller: PolicyLike) -> Policy:
+    """A policy that drives, with another one that labels: its command is recorded instead.
+
+    Source: S. Ross et al., "A reduction of imitation learning and structured prediction to no-regret online learning",
+    AISTATS 2011.
+    """
+    both = as_policy(driver), as_policy(labeller)
+    return Policy(params=both, name=both[0].name, init=_init_labelled, apply=_apply_labelled)
+
+
+def label(state: State) -> Float[Array, "2"]:
+    """The label (2,) [m/s, rad/s] of the step that led to a state, of a ``labelled`` or ``disturbed`` policy."""
+    return state.policy_state.label
+
+
+def _init_labelled(scenario: Scenario, params: tuple[Policy, Policy], state: State) -> LabelledState:
+    driver, labeller = (policy.init(scenario, policy.params, state) for policy in params)
+    return LabelledState(driver, labeller, jnp.zeros(2, float))
+
+
+def _apply_labelled(
+    scenario: Scenario, params: tuple[Policy, Policy], state: State, key: Array
+) -> tuple[Float[Array, "2"], LabelledState]:
+    (driver, labeller), memory = params, state.policy_state
+    of_driver, of_labeller = replace(state, policy_state=memory.driver), replace(state, policy_state=memory.labeller)
+    label_key = jax.random.fold_in(key, 1)
+    command, driving = episodes.command(scenario, driver, of_driver, key)
+    label, labelling = episodes.command(scenario, labeller, of_labeller, label_key)
+    return command, LabelledState(driving, labelling, label)
+
+
+NOISE_TIME = 0.5  # s, for which the noise of commands stays about the same: shorter ones hardly move the robot
+
+
+@struct.dataclass
+class DisturbedState:
+    """What the driver remembers of an episode, the noise, and the latest command without it."""
+
+    driver: PyTree
+    noise: Float[Array, "2"]  # of the robot's limits, in standard deviations
+    label: Float[Array, "2"]  # m/s, rad/s
+
+
+def disturbed(driver: PolicyLike, deviation: float) -> Policy:
+    """A policy whose commands reach the robot with noise; the commands without it are the labels.
+
+    Args:
+        deviation: of the noise, as a share of the top speed and of the greatest turn rate.
+
+    Source: M. Laskey et al., "DART: Noise injection for robust imitation learning", CoRL 2017.
+    """
+    one = as_policy(driver)
+    params = one, jnp.asarray(deviation, float)
+    return Policy(params=params, name=one.name, init=_init_disturbed, apply=_apply_disturbed)
+
+
+def _init_disturbed(scenario: Scenario, params: tuple[Policy, Array], state: State) -> DisturbedState:
+    driver, _ = params
+    return DisturbedState(driver.init(scenario, driver.params, state), jnp.zeros(2, float), jnp.zeros(2, float))
+
+
+def _apply_disturbed(
+    scenario: Scenario, params: tuple[Policy, Array], state: State, key: Array
+) -> tuple[Float[Array, "2"], DisturbedState]:
+    (driver, deviation), memory = params, state.policy_state
+    command, driving = episodes.command(scenario, driver, replace(state, policy_state=memory.driver), key)
+    stays = math.exp(-scenario.time_step / NOISE_TIME)
+    fresh = jax.random.normal(jax.random.fold_in(key, 1), (2,), memory.noise.dtype)
+    noise = stays * memory.noise + math.sqrt(1.0 - stays * stays) * fresh
+    limits = jnp.stack([scenario.robot.max_speed, scenario.robot.max_turn_rate]).astype(command.dtype)
+    return command + deviation * limits * noise, DisturbedState(driving, noise, command)

@@ -1,0 +1,498 @@
+"""The loop that all trainings share, and their folder: configuration, checkpoints through orbax, and log.
+
+The latest and the best checkpoint are kept, and a half-written one is never read. If only the best were kept, orbax
+would delete the latest, and a training would start anew. The SHA-256 of each field of the state stands beside the loss,
+since orbax restores arrays whose bytes were changed on disk.
+"""
+
+import contextlib
+import functools
+import hashlib
+import io
+import json
+import logging
+import os
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import numpy as np
+import orbax.checkpoint as ocp
+from jax.experimental import multihost_utils
+from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
+
+from sean_jax import files, writing
+from sean_jax.config import present_names
+from sean_jax.errors import FileError, IncompleteError, InputError, SeanError
+from sean_jax.learning.networks import CONFIG, check_supported
+
+METRICS, CURVE = "metrics.jsonl", "curve.png"
+STATE, DIGESTS = "state", "sha256"
+RESERVE = 4_000_000  # bytes that must be free in addition to the size of a checkpoint
+UNCHANGED = "earlier checkpoints are as they were."  # how a message about a failed write ends
+CURE = "remove it to go on from an earlier one."
+ATTEMPTS = 10  # to read while a training replaces checkpoints
+
+Result = TypeVar("Result")
+Tree = TypeVar("Tree")
+
+
+# ------------------------------------------------------------------ the loop
+
+
+class Report(NamedTuple):
+    """What an epoch or update of a training tells its folder and its user."""
+
+    number: int  # epochs or updates done
+    metrics: dict[str, Any]  # a line of metrics.jsonl, but for its time
+    loss: float | None  # by which checkpoints are compared; None: none is due
+    note: str
+
+
+class Loop(NamedTuple):
+    """The functions of a training."""
+
+    advance: Callable[[Any], tuple[Any, Report]]  # one epoch or update of a state
+    is_over: Callable[[Any], bool]
+    done: Callable[[Any], int]  # epochs or updates
+    place: Callable[[Any], Any]  # puts a state on the devices
+    encode: Callable[[Any], Any] = lambda state: state  # a state as checkpoints hold it
+    decode: Callable[[Any, Any], Any] = lambda saved, state: saved  # its inverse, for the structure of a state
+
+
+def fit(folder: Path, config: dict[str, Any], state: Tree, loop: Loop, total: int, tell: Any) -> Tree:
+    """The state at the end of a training in a locked folder, from its latest checkpoint if it has one.
+
+    Args:
+        config: of the folder, as ``check_config`` compares it.
+        state: before the first epoch.
+        total: epochs or updates, for the progress ``tell``.
+
+    Raises:
+        IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
+    """
+    resumes = on_first_process(lambda: check_config(folder, config))
+    if not resumes:
+        on_first_process(lambda: write_config(folder, config))
+    checkpoints = Checkpoints(folder, writes=True)
+    saved = checkpoints.latest(loop.encode(state)) if resumes else None
+    state = loop.place(state if saved is None else loop.decode(saved, state))
+    log = Log(folder, loop.done(state)) if is_first_process() else None
+    tell.start("training", total)
+    try:
+        while not loop.is_over(state):
+            state, report = loop.advance(state)
+            if log is not None:  # before the checkpoint: what follows it is dropped at a restart
+                log.add(report.metrics | {"time": time.time()})
+            if report.loss is not None:
+                checkpoints.save(loop.encode(state), report.number, report.loss)
+                if log is not None and "evaluation" in report.metrics:
+                    draw_curve(folder)
+            if must_stop(report.number):
+                raise KeyboardInterrupt
+            tell.update(report.number, report.note)
+    finally:
+        checkpoints.wait()
+    return state
+
+
+# ------------------------------------------------------------------ several processes
+# Every process computes the same numbers, each on its own devices; process 0 alone has the lock and the log. If one
+# refuses, all must hear of it: the others would wait for it forever.
+
+
+def is_first_process() -> bool:
+    """Whether this process writes."""
+    return jax.process_index() == 0
+
+
+def must_stop(step: int) -> bool:
+    """Whether a process got SIGTERM, as from a scheduler that ends the job; all processes agree on the step.
+
+    ``jax.distributed`` takes that signal for itself, unless its option ``jax_enable_preemption_service`` is off.
+
+    Args:
+        step: greater at each call, and equal in all processes.
+    """
+    listens = jax.config.jax_enable_preemption_service  # pyright: ignore[reportAttributeAccessIssue]
+    return listens and multihost_utils.reached_preemption_sync_point(step)
+
+
+def on_all_processes(work: Callable[[], Result]) -> Result:
+    """The result of work that every process does, after all have done it.
+
+    Raises:
+        InputError: another process refused; the message has its number.
+        SeanError: this process refused.
+    """
+    if jax.process_count() == 1:
+        return work()
+    result, refusal = None, None
+    try:
+        result = work()
+    except SeanError as error:
+        refusal = error
+    refused = np.asarray(multihost_utils.process_allgather(np.asarray(refusal is not None)))
+    if refusal is not None:
+        raise refusal
+    if refused.any():
+        raise InputError(f"process {int(refused.argmax())} of {refused.size} has refused; see its message.")
+    return result  # pyright: ignore[reportReturnType]
+
+
+def on_first_process(work: Callable[[], bool | None]) -> bool:
+    """The result of work that process 0 does alone, while the others wait.
+
+    Raises:
+        InputError: process 0 refused.
+        SeanError: that of the work, in process 0.
+    """
+    result = bool(on_all_processes(work if is_first_process() else lambda: False))
+    return result if jax.process_count() == 1 else bool(multihost_utils.broadcast_one_to_all(np.asarray(result)))
+
+
+# ------------------------------------------------------------------ log
+
+
+class Log:
+    """metrics.jsonl in the folder of a training, and events for TensorBoard if tensorboardX is installed."""
+
+    def __init__(self, folder: Path, epochs: int):
+        """Open a log, and drop the lines of epochs after the last checkpoint, which an interruption left."""
+        self.folder = folder
+        lines = [line for line in read_metrics(folder) if line["epoch"] <= epochs]
+        writing.write(folder / METRICS, "".join(json.dumps(line) + "\n" for line in lines))
+        try:
+            from tensorboardX import SummaryWriter  # pyright: ignore[reportMissingImports]
+
+            self.events = SummaryWriter(str(folder), purge_step=epochs + 1)
+        except ImportError:
+            self.events = None
+
+    def add(self, line: dict[str, Any]) -> None:
+        """Append a line: ``epoch``, ``time`` [s since 1970], and numbers, also in dicts.
+
+        Raises:
+            IncompleteError: the log cannot be written. The checkpoints stay.
+        """
+        try:
+            with (self.folder / METRICS).open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(line) + "\n")
+            if self.events is not None:
+                for name, value in _scalars(line):
+                    self.events.add_scalar(name, value, line["epoch"], line["time"])
+                self.events.flush()
+        except OSError as error:
+            text = f"{self.folder}: {writing.reason(error)}; the checkpoints until then are as they were."
+            raise IncompleteError(text) from error
+
+
+def _scalars(line: dict[str, Any]) -> Iterator[tuple[str, float]]:
+    for name, value in line.items():
+        if isinstance(value, dict):
+            yield from ((f"{name}/{key}", number) for key, number in value.items())
+        elif name not in ("epoch", "time"):
+            yield name, value
+
+
+def read_metrics(folder: Path) -> list[dict[str, Any]]:
+    """The complete lines of a training's log; a kill may have cut the last one."""
+    file, lines = folder / METRICS, []
+    for text in files.read_text(file, files.MAX_RECORD).splitlines() if file.exists() else []:
+        try:
+            line = json.loads(text)
+            lines.append({"epoch": int(line["epoch"]), "time": float(line["time"]), **line})
+        except (ValueError, TypeError, KeyError, RecursionError):
+            break
+    return lines
+
+
+CURVES = (
+    ("return", "return of an episode"),
+    ("completed", "share of tasks completed"),
+    ("intimate_robot_on_person", "intimate, robot on person"),
+)
+"""Name in an evaluation, and title."""
+
+
+def draw_curve(folder: Path) -> None:
+    """Write curve.png: return, completed tasks and violations of evaluations over steps; single agents are pale."""
+    from matplotlib.figure import Figure
+
+    lines = read_metrics(folder)
+    seconds = np.cumsum([line["seconds"] for line in lines])
+    evaluations = [line for line in lines if "evaluation" in line]
+    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+    for axes, (name, title) in zip(figure.subplots(1, 3), CURVES, strict=True):
+        for part in sorted({key for key in evaluations[-1] if key.startswith("agent ")}):
+            axes.plot(*_points(evaluations, part, name), color="#1a6faf", alpha=0.3, linewidth=1.0)
+        axes.plot(*_points(evaluations, "evaluation", name), color="#1a6faf")
+        axes.set(xlabel="million scenario-steps of an agent", title=title)
+        axes.grid(alpha=0.3)
+    figure.suptitle(f"{len(evaluations)} evaluations, {seconds[-1]:,.0f} s of training", fontsize="medium")
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=110, format="png")
+    writing.write(folder / CURVE, picture.getvalue())
+
+
+def _points(lines: list[dict], part: str, name: str) -> tuple[list[float], list[float]]:
+    points = [(line["steps"] / 1e6, line[part][name]) for line in lines if name in line.get(part, {})]
+    return [x for x, _ in points], [y for _, y in points]
+
+
+# ------------------------------------------------------------------ checkpoints
+
+
+@functools.cache
+def _mute_orbax() -> None:
+    """Print no traceback beside the error that is raised: of its tasks, and of threads that find its loop closed."""
+    logging.getLogger("asyncio").addFilter(lambda record: "orbax" not in record.getMessage())
+    hook = sys.unraisablehook
+
+    def unraisable(event: Any) -> None:
+        closed = isinstance(event.exc_value, RuntimeError) and "Event loop is closed" in str(event.exc_value)
+        if not closed or threading.current_thread() is threading.main_thread():
+            hook(event)
+
+    sys.unraisablehook = unraisable
+
+
+def _negative_loss(metrics: dict[str, float]) -> float:
+    return -metrics["loss"]
+
+
+class Checkpoints:
+    """The checkpoints in a folder, each named by its number of epochs.
+
+    If several processes train together, all of them open, save and wait. A writer, or the first of them, must hold the
+    lock of the folder (``writing.folder_lock``), because opening for writing removes what a killed process left: a kill
+    may leave a checkpoint half deleted, which orbax still counts. A reader changes nothing. Only checkpoints that are
+    neither the latest nor the best are ever deleted, and only the latest and the best are read.
+    """
+
+    def __init__(self, folder: Path, writes: bool = False):
+        """Open the checkpoints of a folder; with ``writes`` they may be saved and deleted."""
+        logging.getLogger("absl").setLevel(logging.CRITICAL)  # orbax logs every step
+        _mute_orbax()
+        self.folder = Path(folder).absolute()
+        place = self.folder / "checkpoints"
+        options = ocp.CheckpointManagerOptions(
+            best_fn=_negative_loss,  # decides nothing here, but without it orbax does not store the losses
+            preservation_policy=AnyPreservationPolicy([LatestN(n=1), BestN(get_metric_fn=_negative_loss, n=1)]),
+            cleanup_tmp_directories=writes,
+            create=writes,
+            read_only=not writes,
+        )
+        for name in sorted(os.listdir(place)) if place.is_dir() else []:
+            _check_entries(place / name)
+        with _explained(place):
+            self.manager = _retry(lambda: ocp.CheckpointManager(place, options=options))
+            self.manager.best_step()  # which reads the losses of all
+        if writes:
+            for step in {*self.manager.all_steps()} - {self.manager.latest_step(), self.manager.best_step()}:
+                self.manager.delete(step)
+
+    def save(self, state: Any, epoch: int, loss: float) -> None:
+        """Write a checkpoint in the background.
+
+        Raises:
+            IncompleteError: this checkpoint or the one before could not be written.
+        """
+        size = 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(state)) + RESERVE
+        on_first_process(lambda: self._check_space(size))
+        try:
+            content = ocp.args.Composite(**{STATE: ocp.args.PyTreeSave(state)})  # pyright: ignore
+            metrics = {"loss": loss, DIGESTS: _digests(state)}
+            self.manager.save(epoch, args=content, metrics=metrics, force=True)
+        except (OSError, ValueError) as error:
+            raise IncompleteError(f"{self.folder}: {writing.reason(error)}; {UNCHANGED}") from error
+
+    def _check_space(self, size: int) -> None:
+        if shutil.disk_usage(self.folder).free < size:  # after a failed write, threads of orbax print pages
+            raise IncompleteError(f"{self.folder}: {writing.DISK_FULL}; {UNCHANGED}")
+
+    def wait(self) -> None:
+        """Wait until all checkpoints are on disk.
+
+        Raises:
+            IncompleteError: one could not be written.
+        """
+        try:
+            self.manager.wait_until_finished()
+        except (OSError, ValueError) as error:
+            raise IncompleteError(f"{self.folder}: {writing.reason(error)}; {UNCHANGED}") from error
+
+    def latest(self, like: Tree) -> Tree | None:
+        """The latest checkpoint, of the structure, shapes and types of ``like``; None if there is none.
+
+        Raises:
+            IncompleteError: it cannot be read.
+        """
+        step = self.manager.latest_step()
+        return None if step is None else self._restore(step, like)
+
+    def best(self, part: str, like: Tree) -> Tree:
+        """One field of the checkpoint with the lowest loss, the latest of equals, of the structure of ``like``.
+
+        Raises:
+            InputError: there is no checkpoint.
+            IncompleteError: it cannot be read.
+        """
+        return self._read_best(lambda step: self._restore(step, like, part, finite=True))
+
+    def shapes(self, part: str) -> dict[str, tuple[int, ...]]:
+        """Name, such as statistics/mean, and shape of the arrays of one field of the checkpoint with the lowest loss.
+
+        Raises:
+            InputError: there is no checkpoint.
+            IncompleteError: it cannot be read.
+        """
+
+        def read(step: int) -> dict[str, tuple[int, ...]]:
+            where = self.folder / "checkpoints" / str(step)
+            with _explained(where):
+                tree = ocp.PyTreeCheckpointHandler().metadata(where / STATE).tree[part]  # pyright: ignore
+                leaves, _ = jax.tree.flatten_with_path(tree)
+                return {jax.tree_util.keystr(at, simple=True, separator="/"): tuple(leaf.shape) for at, leaf in leaves}
+
+        return self._read_best(read)
+
+    def _read_best(self, read: Callable[[int], Result]) -> Result:
+        step, previous = self._best_step(), None
+        while step is not None:
+            try:
+                return read(step)
+            except IncompleteError:
+                step, previous = self._best_step(), step
+                if step == previous:
+                    raise  # otherwise a running training has replaced it by a better one
+        raise InputError(f"{self.folder} has no checkpoint; train a network with `sean train imitation`.")
+
+    def _best_step(self) -> int | None:
+        with _explained(self.folder / "checkpoints"):
+            _retry(self.manager.reload)
+            return self.manager.best_step()
+
+    def _restore(self, step: int, like: Tree, part: str | None = None, finite: bool = False) -> Tree:
+        sharding = jax.sharding.SingleDeviceSharding(jax.local_devices()[0])  # each process reads all of it
+        shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), like)
+        target = shapes if part is None else {part: shapes}
+        with _explained(self.folder / "checkpoints" / str(step)):
+            placement = ocp.checkpoint_utils.construct_restore_args(target)
+            request = ocp.args.PyTreeRestore(item=target, restore_args=placement, partial_restore=True)  # pyright: ignore
+            content = self.manager.restore(step, args=ocp.args.Composite(**{STATE: request}))
+            restored = content[STATE]
+            digests = (self.manager.metrics(step) or {}).get(DIGESTS, {})  # earlier versions wrote none
+            if any(digests.get(name, digest) != digest for name, digest in _digests(restored).items()):
+                raise ValueError("other numbers than were saved")
+            result = restored if part is None else restored[part]
+            if finite and not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result)):
+                raise ValueError("a number is not finite")
+            return result
+
+
+def _digests(state: Any) -> dict[str, str]:
+    """Field of a state -> SHA-256 of its arrays; {} if this process has only a share of them."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(state)
+    if any(isinstance(leaf, jax.Array) and not leaf.is_fully_addressable for _, leaf in leaves):
+        return {}
+    digests: dict[str, Any] = {}
+    for name, leaf in sorted((jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in leaves):
+        array = np.ascontiguousarray(leaf)
+        digest = digests.setdefault(name.partition("/")[0], hashlib.sha256())
+        digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
+    return {name: digest.hexdigest() for name, digest in digests.items()}
+
+
+@contextlib.contextmanager
+def _explained(checkpoint: Path) -> Iterator[None]:
+    """Whatever orbax raises about a checkpoint becomes a sentence."""
+    try:
+        yield
+    except IncompleteError:
+        raise
+    except Exception as error:  # which one depends on the byte that is damaged
+        why = error.strerror.lower() if isinstance(error, OSError) and error.strerror else "it is damaged"
+        raise IncompleteError(f"{checkpoint} cannot be read ({why}); {CURE}") from error
+
+
+def _check_entries(checkpoint: Path) -> None:
+    """IncompleteError for what is neither a file nor a folder: orbax would wait for a pipe, and never end a device."""
+    for folder, _, names in os.walk(checkpoint):
+        for name in names:
+            path = Path(folder) / name
+            if not path.is_file() and os.path.lexists(path):
+                raise IncompleteError(f"{checkpoint} cannot be read ({name} is no file); {CURE}")
+
+
+def _retry(read: Callable[[], Result]) -> Result:
+    """The result of ``read``, repeated while a running training removes checkpoints."""
+    for _ in range(ATTEMPTS):
+        try:
+            return read()
+        except FileNotFoundError:
+            continue
+    return read()
+
+
+# ------------------------------------------------------------------ configuration
+
+
+def check_config(folder: Path, config: dict[str, Any]) -> bool:
+    """Whether the folder holds a training of this configuration (JSON values) already.
+
+    ``versions`` and ``command`` may differ from those on disk.
+
+    Raises:
+        InputError: it holds another training, or something else.
+    """
+    file = folder / CONFIG
+    if not file.exists():
+        if writing.contents(folder):
+            raise InputError(f"the folder {folder} holds something else already, choose another with --out.")
+        return False
+    try:
+        saved = files.read_json(file)
+    except FileError as error:
+        raise InputError(f"{str(error).rstrip('.')}; choose another folder with --out.") from None
+    if not isinstance(saved, dict):
+        raise InputError(f"{file} is no configuration of a network; choose another folder with --out.")
+    check_supported(folder, saved)
+    saved = present_names(saved)
+    for name, value in json.loads(json.dumps(config)).items():
+        if name == "parts":
+            _check_parts(file, value, saved.get(name))
+        elif name not in ("versions", "command") and saved.get(name) != value:
+            difference = f"{name.replace('_', ' ')} {_text(saved.get(name))}, not {_text(value)}"
+            raise InputError(f"{folder} has checkpoints of another network, with {difference}; choose another --out.")
+    return True
+
+
+def _check_parts(file: Path, now: dict[str, str], saved: Any) -> None:
+    """Refuse to resume with another content of own files; a training of an earlier version does not have theirs."""
+    for name, digest in now.items():
+        if not isinstance(saved, dict) or saved.get(name) != digest:
+            what = f"{file.parent} was trained with another {name}, or does not record its content"
+            raise InputError(f"{what}; restore the file, or choose another --out.")
+
+
+def write_config(folder: Path, config: dict[str, Any]) -> None:
+    """Write the configuration of a new training.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    try:
+        writing.write(folder / CONFIG, json.dumps(config, indent=1) + "\n")
+    except OSError as error:
+        why = writing.reason(error)
+        raise InputError(f"cannot write {folder}: {why}; choose another folder with --out.") from error
+
+
+def _text(value: Any) -> str:
+    return {True: "on", False: "off"}[value] if isinstance(value, bool) else str(value)
