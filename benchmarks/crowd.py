@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from sean_jax import social_forces
-from sean_jax.bench import programs, timing, workload
+from sean_jax.bench import programs, workload
 from sean_jax.social_forces.forces import term_name
 
 STEP = 0.05  # s
@@ -22,7 +22,7 @@ STEP = 0.05  # s
 def measure(batch: int, people: int, walls: int, preset: str) -> dict:
     """Speed, compile time and peak temporary memory of one size."""
     turns = int(np.clip(4e8 / (batch * people * (min(people, 100) + walls)), 50, 1000))  # fewer would time the dispatch
-    return timing.measure(programs.crowd(people, batch, turns, walls, preset), 5, 0.1)
+    return programs.measure(programs.crowd(people, batch, turns, walls, preset), 5, 0.1)
 
 
 def loop(people: int, walls: int, preset: str, steps: int = 2) -> float:

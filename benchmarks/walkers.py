@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax import obstacle_grid, social_forces
 from sean_jax import scenario as stages
+from sean_jax import social_forces
 from sean_jax.base import Array, ObstacleGrid, Obstacles, Pedestrians, Robot, Scenario
 from sean_jax.behaviors.starts import WalkingGroups
+from sean_jax.geometry import build_obstacle_grid
 
 STEP = 0.05  # s
 WALKING = 0.5  # m/s, slower is standing, as for the recordings
@@ -124,7 +125,7 @@ def doorway(width: float, length: float = 1.0, room: float = 6.0, depth: float =
     ]
     rows = jnp.asarray(np.array(boxes, np.float32))
     obstacles = Obstacles(rows[:, :2], rows[:, 2:], jnp.zeros(5, jnp.float32), jnp.ones(5, jnp.float32))
-    return obstacle_grid.build(obstacles, jnp.asarray([-depth, -room / 2, depth, room / 2], jnp.float32))
+    return build_obstacle_grid(obstacles, jnp.asarray([-depth, -room / 2, depth, room / 2], jnp.float32))
 
 
 @functools.partial(jax.jit, static_argnames=("people", "seconds", "time_step"))

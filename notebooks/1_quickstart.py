@@ -38,7 +38,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import sean_jax
-from sean_jax.drawing import parts, situation_colors
+from sean_jax.drawing import layers, situation_colors
 from sean_jax.policies import POLICIES
 
 PEOPLE = 62  # in the warehouse
@@ -143,7 +143,7 @@ print(f"{distances[0]:.2f} m from the goal at first, {distances[-1]:.2f} m in th
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.2), layout="constrained", width_ratios=[1, 1.6])
 left.plot(distances, "o-", ms=3, color="#f58a07")
 left.set(xlabel="trial", ylabel="distance to the goal after 4 s [m]")
-parts.draw_obstacles(right, scenario.environment)
+layers.draw_obstacles(right, scenario.environment)
 for way, shade in zip(ways, plt.get_cmap("YlOrBr")(np.linspace(0.25, 0.9, len(ways))), strict=True):
     right.plot(*way.T, color=shade)
 end = ways[-1][-1]

@@ -45,7 +45,7 @@ import numpy as np
 import sean_jax
 from sean_jax import PPOConfig, learning, make_env, mdp, metrics
 from sean_jax.base import as_policy
-from sean_jax.drawing import parts
+from sean_jax.drawing import layers
 from sean_jax.learning import networks, policy
 from sean_jax.policies import go_to_goal
 
@@ -172,7 +172,7 @@ drives = {}
 figure, panels = plt.subplots(1, 3, figsize=(12, 3), layout="constrained")
 for panel, (name, driver) in zip(panels, drivers.items(), strict=True):
     final, frames = drives[name] = drive(as_policy(driver), keys)
-    parts.draw_obstacles(panel, scenario.environment)
+    layers.draw_obstacles(panel, scenario.environment)
     for number in range(min(8, EPISODES)):
         way = np.asarray(frames.position[number])[np.asarray(frames.active[number])]
         (line,) = panel.plot(*way.T, lw=1.2)

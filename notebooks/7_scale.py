@@ -46,7 +46,7 @@ import numpy as np
 import sean_jax
 from sean_jax import devices, metrics
 from sean_jax import scenario as stages
-from sean_jax.drawing import parts, pictures
+from sean_jax.drawing import layers
 from sean_jax.policies import go_to_goal
 
 PEOPLE = 12  # in the lab
@@ -80,9 +80,9 @@ x0, y0, x1, y1 = np.asarray(lab.environment.floor)
 found = np.asarray(places)[~np.asarray(over)]
 rows, columns = round(4 * (y1 - y0)), round(4 * (x1 - x0))
 seconds = 0.1 * np.histogram2d(found[:, 1], found[:, 0], (rows, columns), ((y0, y1), (x0, x1)))[0]
-figure, axes = parts.canvas(lab.environment, 6.4, f"where {SCENARIOS} robots were in their first 2 s")
-pictures.draw_heat(axes, lab.environment, seconds * 16, "robot-seconds per m²")  # of cells of 1/16 m2
-parts.draw_obstacles(axes, lab.environment)
+figure, axes = layers.canvas(lab.environment, 6.4, f"where {SCENARIOS} robots were in their first 2 s")
+layers.draw_heat(axes, lab.environment, seconds * 16, "robot-seconds per m²")  # of cells of 1/16 m2
+layers.draw_obstacles(axes, lab.environment)
 figure
 
 # %% [markdown]

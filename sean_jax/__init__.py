@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from sean_jax.replay import view
     from sean_jax.robots import ROBOTS
     from sean_jax.runner import Record, Runner
-    from sean_jax.scenario import next_task, observe, place, reset, results, step
+    from sean_jax.scenario import next_task, observe, reset, results, step, teleport
     from sean_jax.sensors import SENSORS, sense
     from sean_jax.social_forces import PRESETS, Forces, preset
     from sean_jax.studies import inverse_graph, scenes
@@ -95,7 +95,7 @@ _PUBLIC = {
     "replay": "view",
     "robots": "ROBOTS",
     "runner": "Record Runner",
-    "scenario": "next_task observe place reset results step",
+    "scenario": "next_task observe reset results step teleport",
     "sensors": "SENSORS sense",
     "social_forces": "Forces PRESETS preset",
     "studies.prediction": "predict",
@@ -104,7 +104,7 @@ _PUBLIC = {
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
-_RENAMED = {"TrainConfig": "ImitationConfig"}  # former name -> name
+_RENAMED = {"TrainConfig": "ImitationConfig", "place": "teleport"}  # former name -> name
 
 _ROOMS = {  # public as a whole
     **{name: name for name in ("gradients", "mdp", "registry", "sensors")},
@@ -179,7 +179,6 @@ __all__ = [
     "next_task",
     "observe",
     "pedestrians_at",
-    "place",
     "policy_step",
     "predict",
     "preset",
@@ -195,6 +194,7 @@ __all__ = [
     "sensors",
     "simulate",
     "step",
+    "teleport",
     "trust",
     "view",
     "with_task",

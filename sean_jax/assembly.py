@@ -41,7 +41,7 @@ from sean_jax.config import (
 )  # fmt: skip
 from sean_jax.errors import InputError
 from sean_jax.messages import shorten
-from sean_jax.recordings.lines import check_clock
+from sean_jax.recordings import check_clock
 from sean_jax.scenario import direct_pedestrians, measure, move_pedestrians, reset, results
 
 MAX_SITUATIONS = 20  # the time in each of their 2 ** 20 sets is counted

@@ -1,7 +1,7 @@
-"""The data types that all rooms share (section IV-B), and the signatures that a user's own functions must have.
+"""The data types that all rooms share (section IV-B), and the signatures of a user's own functions.
 
-Units are SI, angles are radians, the ground plane is (x, y) with z up. Headings are unit vectors. People who are absent
-are masked by ``present``; NaN never marks anything.
+Units are SI, angles are radians, the ground plane is (x, y) with z up. Headings are unit vectors. Absent people are
+masked by ``present``; NaN never marks anything.
 
 Shapes stand in the annotations, with one letter for each dimension: ``N`` people, ``G`` groups, ``W`` obstacles, ``S``
 situations, ``V`` corner arcs of shortest paths, ``M`` nodes of a behavior graph, ``B`` batch, ``T`` time, ``E``
@@ -50,13 +50,13 @@ class Groups:
 
 @struct.dataclass
 class Robot:
-    """A robot's pose and speed, which stand nowhere else: physics continue from values that are replaced here."""
+    """A robot's pose and speed, and their only place: physics continue from values that are replaced here."""
 
     position: Float[Array, "2"]  # m
-    heading: Float[Array, "2"]  # unit vector; the next step scales any other to length one
+    heading: Float[Array, "2"]  # unit vector; normalised at the next step
     speed: Float[Array, ""]  # m/s, along the heading
     turn_rate: Float[Array, ""]  # rad/s, counter-clockwise
-    drive_state: PyTree  # what else the robot model needs, such as wheel angles, slip and the last command
+    drive_state: PyTree  # more state of the robot model, such as wheel angles, slip and the last command
 
 
 @struct.dataclass
@@ -116,7 +116,7 @@ class Environment:
 
 @struct.dataclass
 class PathsToGoal:
-    """The shortest paths to one goal from each of the V corner arcs of a navigation (``navigation.arcs``)."""
+    """The shortest paths to one goal from each corner arc of a navigation (``navigation.corner_arcs``)."""
 
     distance: Float[Array, "V"]  # m, from the middle of the arc to the goal; inf if no path leads there
     departure_angle: Float[Array, "V"]  # rad, from the middle of the arc to where the path leaves it, along the travel
@@ -139,10 +139,7 @@ class RobotTask:
 
 @struct.dataclass
 class Moment:
-    """A robot among people at one time: everything that situations and metrics read, in arrays alone.
-
-    ``scenario.moment`` makes it from a state; recordings make it as well.
-    """
+    """A robot among people at one time: everything that situations and metrics read, in arrays alone."""
 
     people: Pedestrians
     position: Float[Array, "2"]  # m, of the robot
@@ -206,8 +203,8 @@ class Behavior:
     name: str = struct.field(pytree_node=False)
     reset: Callable = struct.field(pytree_node=False)
     direct: Callable = struct.field(pytree_node=False)
-    companions: Int[Array, "N 2"] | None = None  # with whom each person walks, -1 none; None: all walk alone
-    people: int | None = struct.field(pytree_node=False, default=None)  # N; None: as many as the scenario is made with
+    companions: Int[Array, "N 2"] | None = None  # companions of each person, -1 none; None: all walk alone
+    people: int | None = struct.field(pytree_node=False, default=None)  # N; None: the scenario's number
     move: Callable | None = struct.field(pytree_node=False, default=None)  # None: the scenario's pedestrian model
     offers: tuple[str, ...] = struct.field(pytree_node=False, default=())  # what tasks may need: "groups", ...
 
@@ -277,7 +274,7 @@ class Scenario:
     forces: Any  # social_forces.Forces
     thresholds: Any  # classifiers.Thresholds
     goal_radius: Float[Array, ""]  # m, within which the goal is reached
-    hold_time: Float[Array, ""]  # s, to be spent there to complete the task
+    hold_time: Float[Array, ""]  # s, within goal_radius to complete the task
     task_distance: Float[Array, "2"]  # m, minimum and maximum geodesic distance from start to goal
     robot: RobotModel
     task: Callable = struct.field(pytree_node=False)  # (scenario, pedestrians, groups, memory, key) -> RobotTask
@@ -290,7 +287,7 @@ class Scenario:
     substeps: int = struct.field(pytree_node=False)  # of the social forces in a step of control
     task_name: str = struct.field(pytree_node=False)
     sensors: tuple[Sensor, ...] = ()  # of the robot, read by ``sensors.sense``
-    people_present: Int[Array, ""] | None = None  # the first so many are there, on the graph or anywhere; None: all
+    people_present: Int[Array, ""] | None = None  # how many are present, the first ones; None: all
     warm_up: float = struct.field(pytree_node=False, default=0.0)  # s, for which people walk before there is a robot
 
 
@@ -329,11 +326,11 @@ class Trajectory:
 
 @struct.dataclass
 class Policy:
-    """Who drives the robot: a pure function with its parameters and what it remembers of an episode.
+    """Commands for the robot: a pure function with its parameters and its memory of an episode.
 
-    ``init(scenario, params, state)`` gives the memory at the beginning of an episode, any pytree;
-    ``apply(scenario, params, state, key)`` gives the command (2,) [m/s, rad/s] and the new memory, where
-    ``state.policy_state`` is the memory so far. ``as_policy`` makes one of a plain function.
+    ``init(scenario, params, state)`` gives the memory at the beginning of an episode, any pytree; ``apply(scenario,
+    params, state, key)`` gives the command (2,) [m/s, rad/s] and the new memory; ``state.policy_state`` is the memory
+    so far. ``as_policy`` makes one of a plain function.
     """
 
     params: PyTree  # leaves, such as the weights of a network: to be an argument of jit, grad and vmap
@@ -348,7 +345,7 @@ PolicyLike = Policy | Callable[[Scenario, State, Array], Array]
 
 @dataclass(frozen=True)
 class _Stateless:
-    """``Policy.apply`` of a plain function; equal for equal functions, so that what was compiled is found again."""
+    """``Policy.apply`` of a plain function; equal for equal functions, so that compiled programs are reused."""
 
     function: Callable[[Scenario, State, Array], Array]
     arguments = "scenario, state, key"
@@ -358,29 +355,12 @@ class _Stateless:
 
 
 def no_memory(scenario: Scenario, params: PyTree, state: State) -> tuple:
-    """``Policy.init`` of a policy that remembers nothing.
-
-    Args:
-        scenario, params, state: as of ``Policy.init``.
-
-    Returns:
-        ().
-    """
+    """``Policy.init`` of a policy without memory."""
     return ()
 
 
 def as_policy(policy: PolicyLike) -> Policy:
-    """The policy, made of a plain function if it is one.
-
-    Args:
-        policy: a ``Policy``, or a function (scenario, state, key) -> (2,) command [m/s, rad/s].
-
-    Returns:
-        A ``Policy``; that of a function has no parameters and remembers nothing.
-
-    Raises:
-        TypeError: it is neither.
-    """
+    """A ``Policy``, without parameters and memory if it is made of a plain function; TypeError if it is neither."""
     if isinstance(policy, Policy):
         return policy
     if not callable(policy):

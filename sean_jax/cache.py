@@ -1,7 +1,7 @@
 """Tables in the user's cache folder: what takes seconds to build is built once for all processes.
 
-The key of a table is what it was built from, its inputs and the source of the code that builds it, never a name or a
-time: an edited file cannot leave an old table behind. If the folder cannot be read or written, tables are built anew.
+The key of a table is what it was built from, inputs and source code, never a name or a time: an edited file cannot
+leave an old table behind. If the folder cannot be read or written, tables are built again.
 """
 
 import functools
@@ -29,11 +29,7 @@ _recent: OrderedDict[str, Tables] = OrderedDict()
 
 
 def folder() -> Path:
-    """The package's folder in the user's cache.
-
-    Returns:
-        The folder, which need not exist; one among the temporary files for a user without a home.
-    """
+    """The package's folder in the user's cache, which need not exist; a temporary one for a user without a home."""
     place = os.environ.get("XDG_CACHE_HOME")
     if not place:
         try:
@@ -44,13 +40,13 @@ def folder() -> Path:
 
 
 def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build: Callable[[], Tables]) -> Tables:
-    """Build tables, or load what was built before from the same inputs, in this process or in another.
+    """Build tables (arrays by name), or load what any process has built from the same inputs.
 
     Args:
         code: files and folders of the package, such as ``navigation``, on which the result depends.
-        inputs: numbers and arrays, compared in single precision. Tables that were built in one precision are not used
-            in the other, or results would depend on which of the two ran first.
-        build: gives arrays by name. It runs if there is no table, or if it cannot be read.
+        inputs: numbers and arrays, compared in single precision. Tables of one precision are not used in the other, or
+            results would depend on which of the two ran first.
+        build: runs if there is no table, or if it cannot be read.
     """
     import jax.numpy as jnp  # here, for the command line sets up jax's own cache beside this one before it is imported
 
@@ -61,11 +57,11 @@ def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build
     name = f"{kind}-{digest.hexdigest()[:32]}"
     if name not in _recent:
         path = folder() / "tables" / f"{name}.npz"
-        found = _read(path, name)
-        if found is None:
-            found = dict(build())
-            _write(path, name, found)
-        _recent[name] = found
+        tables = _read(path, name)
+        if tables is None:
+            tables = dict(build())
+            _write(path, name, tables)
+        _recent[name] = tables
     _recent.move_to_end(name)
     while len(_recent) > MAX_RECENT:
         _recent.popitem(last=False)
@@ -74,7 +70,7 @@ def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build
 
 @functools.cache
 def _source(code: tuple[str, ...]) -> str:
-    """Digest of source files, and those in folders, of the package."""
+    """Digest of source files, and of those in folders, of the package."""
     digest = hashlib.sha256()
     for part in code:
         path = PACKAGE / part
@@ -86,13 +82,13 @@ def _source(code: tuple[str, ...]) -> str:
 def _read(path: Path, name: str) -> Tables | None:
     """The arrays of a file that was written completely, under that name; None without one."""
     try:
-        found = files.read_arrays(path)
-        if str(found.pop("name", "")) != f"{name} {_digest(found)}":
+        tables = files.read_arrays(path)
+        if str(tables.pop("name", "")) != f"{name} {_digest(tables)}":
             return None
         os.utime(path)  # the oldest are removed first
     except (FileError, OSError):
         return None
-    return found
+    return tables
 
 
 def _write(path: Path, name: str, tables: Tables) -> None:
@@ -114,7 +110,7 @@ def _write(path: Path, name: str, tables: Tables) -> None:
 
 
 def _digest(tables: Tables) -> str:
-    """Of the names, kinds, shapes and numbers."""
+    """Digest of the names, kinds, shapes and numbers."""
     digest = hashlib.sha256()
     for name in sorted(tables):
         array = np.ascontiguousarray(tables[name])
@@ -123,7 +119,7 @@ def _digest(tables: Tables) -> str:
 
 
 def _remove_oldest(tables: Path) -> None:
-    """Keep to ``MAX_FILES`` files and ``MAX_SIZE`` bytes, and remove unfinished files that nobody writes any more."""
+    """Keep to ``MAX_FILES`` files and ``MAX_SIZE`` bytes, and remove unfinished files an hour after the last write."""
     total, files = 0, []
     for file in tables.iterdir():
         state = file.stat()

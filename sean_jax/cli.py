@@ -162,7 +162,7 @@ def _read(model: type[Config], parsed: Any) -> Any:
 
     base = None
     if getattr(parsed, "config", None) is not None:
-        from sean_jax.evaluation.output import read_config
+        from sean_jax.evaluation.saved import read_config
 
         saved = read_config(parsed.config)
         base = saved.description
@@ -192,7 +192,7 @@ def _run(options: config.RunConfig) -> int:
     _say(console, "report: ", folder / "report.html")
     if len(results.tasks) < options.episodes:
         text = f"stopped; the {len(results.tasks)} finished episodes are in {folder}"
-        return _fail(f"{text}, and the same command with --out {folder} goes on.", STOPPED)
+        return _fail(f"{text}, and the same command with --out {folder} resumes it.", STOPPED)
     return 0
 
 
@@ -350,20 +350,20 @@ def _draw(options: config.DrawConfig) -> int:
 
 def _replay(options: config.ReplayConfig) -> int:
     if (options.folder / "results.json").is_file():
-        from sean_jax.studies.validation import replays as again
+        from sean_jax.studies.validation.replays import write
     else:
-        from sean_jax.evaluation import again
+        from sean_jax.evaluation.replay_command import write
 
     console = _console(options.quiet)
-    _say(console, "replay: ", again.write(options, console))
+    _say(console, "replay: ", write(options, console))
     return 0
 
 
 def _compare(options: config.CompareConfig) -> int:
-    from sean_jax.evaluation import comparison
+    from sean_jax.evaluation import compare
 
     console = _console(options.quiet)
-    _say(console, "page: ", comparison.compare(options, console))
+    _say(console, "page: ", compare.compare(options, console))
     return 0
 
 
@@ -425,9 +425,9 @@ def _import_map(options: config.ImportMapConfig) -> int:
 
 
 def _list(options: config.ListConfig) -> int:
-    from sean_jax.evaluation import choices
+    from sean_jax.evaluation import list_command
 
-    choices.print_choices()
+    list_command.print_choices()
     return 0
 
 

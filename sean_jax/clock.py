@@ -12,33 +12,19 @@ ROUNDING = 4.0  # units in the last place by which a quotient of two rounded tim
 
 
 def ceil_ticks(duration: float, time_step: float) -> int:
-    """The smallest number of time steps that last for a duration; both are known when a program is traced.
-
-    Args:
-        duration: s.
-        time_step: s.
-    """
+    """The smallest number of time steps that last for a duration [s]; both are known when a program is traced."""
     return math.ceil(duration / time_step * (1.0 - 1e-12))
 
 
 def to_ticks(duration: Float[Array, "*shape"], time_step: float) -> Float[Array, "*shape"]:
-    """Durations in time steps, rounded to a whole number where they differ from one by rounding only.
-
-    Args:
-        duration: (...) s.
-        time_step: s.
-    """
+    """Durations [s] in time steps [s], rounded to a whole number where they differ from one by rounding only."""
     exact = duration / time_step
     whole = jnp.round(exact)
     return jnp.where(jnp.abs(exact - whole) <= ROUNDING * jnp.finfo(exact.dtype).eps * whole, whole, exact)
 
 
 def events_per_tick(time_step: float, rate: float = 1.0) -> tuple[int, int]:
-    """Events in one time step as a fraction of small whole numbers, whose products with ticks are exact.
-
-    Args:
-        time_step: s.
-        rate: 1/s, of the events.
+    """Events (``rate`` [1/s]) in one time step [s] as a fraction of small whole numbers: products with ticks are exact.
 
     Raises:
         ValueError: there is less than one event in 1000 steps, which such a fraction cannot represent.

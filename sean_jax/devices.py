@@ -1,9 +1,9 @@
-"""Scenarios spread over devices: one CPU, some GPUs, or those of many hosts, with the same code.
+"""CPU, GPU and several of them: functions in two forms, arrays put on a device, scenarios spread over a mesh.
 
-The mesh has one axis, ``scenarios``. What a scenario draws comes from its number alone, so it does not depend on how
-many devices or hosts there are. Scenarios never speak to one another, so devices exchange nothing, but for whether a
-loop of rays is over where XLA has one: on CPUs, on GPUs before NVIDIA's Hopper, and in double precision.
-(``shard_map``, which would spare that, makes XLA crash while it compiles for two GPUs: seen with jax 0.11.2.)
+A mesh has one axis, ``scenarios``. Random draws of a scenario come from its number alone, so they do not depend on the
+number of devices or hosts. Devices exchange nothing but whether a loop of rays is over, where XLA has one: on CPUs, on
+GPUs before NVIDIA's Hopper, and in double precision. (``shard_map``, which would spare that, makes XLA crash while it
+compiles for two GPUs: seen with jax 0.11.2.)
 """
 
 from collections.abc import Callable, Sequence
@@ -12,35 +12,62 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
-
-from sean_jax.base import Array
 
 AXIS = "scenarios"
 
 
-def mesh(devices: Sequence[object] | None = None) -> Mesh:
-    """A mesh with one axis, ``scenarios``.
+def by_platform(cpu: Callable, default: Callable) -> Callable:
+    """One function with two forms; the platform that it is compiled for chooses ``cpu`` or ``default`` (all others).
 
-    Args:
-        devices: in a row; all devices of all hosts if None.
+    Derivatives take ``cpu`` on all platforms: tracing those of both takes seconds.
     """
+
+    @jax.custom_jvp
+    def function(*arguments: PyTree) -> PyTree:
+        return jax.lax.platform_dependent(*arguments, cpu=cpu, default=default)
+
+    @function.defjvp
+    def _(arguments: tuple, tangents: tuple) -> tuple:
+        return jax.jvp(cpu, arguments, tangents)
+
+    return function
+
+
+def to_device(tree: PyTree) -> PyTree:
+    """The numpy arrays of a pytree on the default device, numbers in the current precision.
+
+    Nothing is compiled, while ``jnp.asarray`` compiles a copy for each new shape.
+    """
+
+    def convert(leaf: Any) -> np.ndarray:
+        array = np.asarray(leaf)
+        return array.astype(float) if np.issubdtype(array.dtype, np.floating) else array
+
+    return jax.device_put(jax.tree.map(convert, tree))
+
+
+def scalar(value: float) -> Any:  # a numpy array, for the fields of dataclasses whose arrays are those of jax
+    """A () float parameter made at import, before the precision is known; programs use it in the default precision."""
+    return np.asarray(value, float)
+
+
+# ------------------------------------------------------------------ several devices
+
+
+def mesh(devices: Sequence[object] | None = None) -> Mesh:
+    """A mesh with one axis, ``scenarios``, over devices in a row; over all devices of all hosts if None."""
     chosen = jax.devices() if devices is None else list(devices)
     return jax.make_mesh((len(chosen),), (AXIS,), axis_types=(AxisType.Auto,), devices=chosen)
 
 
 def keys(over: Mesh, key: Array, number: int) -> Array:
-    """Keys on the devices, one for each scenario.
-
-    Args:
-        key: () typed PRNG key.
-
-    Returns:
-        (number,) typed keys, the i-th ``fold_in(key, i)``.
+    """(number,) typed keys on the devices, one a scenario: the i-th is ``fold_in(key, i)``.
 
     Raises:
-        ValueError: the number is no multiple of that of the devices.
+        ValueError: the number is no multiple of the number of devices.
     """
     if number % over.size or number < 1:
         nearest = max(over.size, number - number % over.size)
@@ -51,22 +78,15 @@ def keys(over: Mesh, key: Array, number: int) -> Array:
 
 
 def replicate(over: Mesh, tree: PyTree) -> PyTree:
-    """A scenario, or any other arrays, on every device of the mesh: what ``shard`` wants as the fixed argument.
-
-    Returns:
-        The same arrays, on all devices.
-    """
+    """A scenario, or any other arrays, on every device of the mesh: the fixed argument of ``shard``."""
     return _put(tree, NamedSharding(over, PartitionSpec()))
 
 
 def split(over: Mesh, tree: PyTree, axis: int = 0) -> PyTree:
-    """Arrays of all scenarios, each device with its own part of them.
+    """Arrays of all scenarios, each device with its part of them.
 
     Args:
-        tree: arrays with an axis of the scenarios, a multiple of the number of devices; the same in every process.
-
-    Returns:
-        The same arrays, split over the devices.
+        tree: arrays with an axis of scenarios, a multiple of the number of devices; the same in every process.
     """
     return _put(tree, NamedSharding(over, PartitionSpec(*axis * (None,), AXIS)))
 
@@ -82,8 +102,8 @@ def _put(tree: PyTree, sharding: NamedSharding) -> PyTree:
     def place(leaf: Array) -> Array:
         if sharding.is_fully_addressable or (isinstance(leaf, jax.Array) and not leaf.is_fully_addressable):
             return jax.device_put(leaf, sharding)
-        own = np.asarray(jnp.asarray(leaf))  # device_put would gather it from all processes, and refuse NaN
-        return jax.make_array_from_callback(own.shape, sharding, lambda index: own[index])
+        array = np.asarray(jnp.asarray(leaf))  # device_put would gather it from all processes, and refuse NaN
+        return jax.make_array_from_callback(array.shape, sharding, lambda index: array[index])
 
     return jax.tree.map(put, tree)
 
@@ -92,9 +112,9 @@ def shard(over: Mesh, function: Callable, donate: bool = False) -> Callable:
     """``jit(vmap(function))`` over all arguments but the first, whose leading axis is split over the devices.
 
     Args:
-        function: ``(fixed, ...)``, such as ``lambda scenario, key: rollout(scenario, policy, key, 100)``. The fixed
-            argument is one that ``replicate`` gave; the others are those of one scenario, as are the results.
-        donate: the memory of all but the first is used for the results, as in ``states = step(scenario, states)``.
+        function: ``(fixed, ...)``, such as ``lambda scenario, key: rollout(scenario, policy, key, 100)``: the fixed
+            argument from ``replicate``, then arguments and results of one scenario.
+        donate: results reuse the memory of all arguments but the first, as in ``states = step(scenario, states)``.
     """
 
     run = shard_jit(over, function, donate)
@@ -102,19 +122,11 @@ def shard(over: Mesh, function: Callable, donate: bool = False) -> Callable:
 
 
 def shard_jit(over: Mesh, function: Callable, donate: bool = False) -> Any:
-    """As ``shard``, but called with all but the first argument in a tuple: what can be lowered and compiled ahead.
-
-    Args:
-        function: as of ``shard``.
-        donate: as of ``shard``.
-
-    Returns:
-        A jitted ``(fixed, (...))``.
-    """
+    """As ``shard``, but a jitted ``(fixed, (...))``, which can be lowered and compiled ahead."""
     split, whole = NamedSharding(over, PartitionSpec(AXIS)), NamedSharding(over, PartitionSpec())
 
     def on_all(fixed: PyTree, others: tuple) -> PyTree:
         return jax.vmap(function, (None, *(0 for _ in others)))(fixed, *others)
 
-    given = (1,) if donate else ()
-    return jax.jit(on_all, in_shardings=(whole, split), out_shardings=split, donate_argnums=given)
+    donated = (1,) if donate else ()
+    return jax.jit(on_all, in_shardings=(whole, split), out_shardings=split, donate_argnums=donated)

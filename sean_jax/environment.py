@@ -1,4 +1,4 @@
-"""Physical environments (section IV-C): the files of a folder as obstacles on a floor, and free places on it."""
+"""Physical environments (section IV-C): the files of a folder as obstacles on a floor, free places, scenery."""
 
 import os
 from importlib import import_module
@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pydantic
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
-from sean_jax import files, obstacle_grid
-from sean_jax.base import Array, Environment, Obstacles, Scenery
+from sean_jax import files
+from sean_jax.base import Array, Environment, Obstacles, Scenery, Solids
+from sean_jax.devices import to_device
 from sean_jax.errors import FileError, InputError
 from sean_jax.files import mjcf
-from sean_jax.geometry import signed_distances, signed_distances_on_host
-from sean_jax.platforms import to_device
+from sean_jax.geometry import build_obstacle_grid, signed_distances, signed_distances_on_host
 from sean_jax.quantities import MAX_COORDINATE, MAX_FLOOR_SIDE, MAX_OBSTACLES, MAX_PEOPLE, Coordinate
-from sean_jax.scenery import scenery_from_mjcf
 
 HERE = Path(__file__).resolve().parent
 # Beside the package in a checkout, inside it once installed.
@@ -32,6 +32,11 @@ EDGE_DEPTH = 10.0  # m, half the depth of an edge of the floor: so deep that its
 MIN_FLOOR_SIDE = 0.5  # m, of a side
 MIN_HALF_SIDE = 5e-4  # m, of a box
 BATCH = 1024  # candidates that free_points tries at a time
+OBSTACLE = (0.62, 0.64, 0.68)  # color of an obstacle that has none
+FLOOR = ((0.78, 0.78, 0.76), (0.74, 0.74, 0.72))
+SKY = ((0.55, 0.70, 0.88), (0.92, 0.95, 0.97))
+SUN = (0.35, -0.25, 0.9)
+SQUARE = 1.0  # m
 
 
 class Settings(pydantic.BaseModel):
@@ -52,10 +57,7 @@ def available() -> list[str]:
 
 
 def find(name_or_path: str | Path) -> Path:
-    """The folder of an environment.
-
-    Args:
-        name_or_path: name of one that comes with the package, or the path of any other.
+    """The folder of an environment: of a name that comes with the package, or a path.
 
     Raises:
         InputError: there is no such environment.
@@ -73,16 +75,9 @@ def find(name_or_path: str | Path) -> Path:
 
 
 def sources(folder: Path) -> list[Path]:
-    """The files that an environment is read from.
-
-    Returns:
-        Their paths; those that the scene reads are among them.
-
-    Raises:
-        FileError: the scene cannot be read.
-    """
-    own = [folder / name for name in (SETTINGS, SCENE, *ANNOTATIONS)]
-    return [path for path in own if path.is_file()] + mjcf.sources(folder / SCENE)
+    """The files that an environment and its scene are read from; FileError if the scene cannot be read."""
+    paths = [folder / name for name in (SETTINGS, SCENE, *ANNOTATIONS)]
+    return [path for path in paths if path.is_file()] + mjcf.sources(folder / SCENE)
 
 
 def default_people(folder: str | Path) -> int:
@@ -91,24 +86,14 @@ def default_people(folder: str | Path) -> int:
 
 
 def floor(folder: str | Path) -> tuple[float, float, float, float]:
-    """The floor of an environment.
-
-    Returns:
-        x_min, y_min, x_max, y_max [m].
-    """
+    """The floor of an environment: x_min, y_min, x_max, y_max [m]."""
     return _settings(Path(folder)).floor
 
 
 def load(name_or_path: str | Path) -> Environment:
-    """Load an environment: its environment.yaml and the upright boxes of its scene.xml.
+    """Load an environment by name or folder: its environment.yaml and the upright boxes of its scene.xml.
 
-    Unless it is open, the edges of the floor are obstacles as well, but for those that obstacles cover anyway.
-
-    Args:
-        name_or_path: name of one that comes with the package, or the folder of any other.
-
-    Returns:
-        The environment on the default device.
+    Unless it is open, edges of the floor are obstacles too, where no other obstacles cover them.
 
     Raises:
         InputError: there is no such environment.
@@ -124,7 +109,7 @@ def load(name_or_path: str | Path) -> Environment:
     return Environment(
         floor=floor,
         obstacles=obstacles,
-        obstacle_grid=obstacle_grid.build(obstacles, floor),
+        obstacle_grid=build_obstacle_grid(obstacles, floor),
         scenery=looks,
         name=settings.name,
         open=settings.open,
@@ -132,28 +117,14 @@ def load(name_or_path: str | Path) -> Environment:
 
 
 def clearance(environment: Environment, points: Float[Array, "P 2"]) -> Float[Array, "P"]:
-    """Distance to the nearest obstacle or edge of the floor.
-
-    Args:
-        points: (P, 2) m.
-
-    Returns:
-        (P,) m, negative inside an obstacle and off the floor.
-    """
+    """Distance [m] to the nearest obstacle or edge of the floor; negative inside an obstacle and off the floor."""
     return jnp.minimum(*signed_distances(environment, points))
 
 
 def free_points(environment: Environment, radius: float, number: int, seed: int = 0) -> np.ndarray:
-    """Draw places, uniform over where a disc touches no obstacle and no edge of the floor.
+    """(number, 2) float32 m: places, uniform over where a disc of ``radius`` [m] touches no obstacle and no edge.
 
-    They are drawn on the host, outside jit. Whether a path leads from one to another is for navigation to tell.
-
-    Args:
-        radius: m, of the disc.
-        seed: the same one gives the same places.
-
-    Returns:
-        (number, 2) float32 m.
+    Drawn on the host, outside jit. Whether a path leads from one to another is up to ``navigation``.
 
     Raises:
         InputError: hardly any place is free.
@@ -192,7 +163,7 @@ def _floor_problems(settings: Settings) -> list[files.Problem]:
 
 
 def _edges(boxes: np.ndarray, floor: tuple[float, ...]) -> np.ndarray:
-    """(E, 6) boxes as of ``_boxes``, without height: beyond the edges of the floor that no boxes (W, 6) cover."""
+    """(E, 6) boxes as in ``_boxes``, without height: beyond the edges of the floor that no boxes (W, 6) cover."""
     lower, upper = np.array(floor[:2]), np.array(floor[2:])
     middle, half = (lower + upper) / 2, (upper - lower) / 2
     cosine, sine = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
@@ -271,3 +242,89 @@ def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
     if top <= 0:
         return "lies below the floor; its top must be above z = 0"
     return ""
+
+
+# ------------------------------------------------------------------ scenery
+
+
+def plain_scenery(obstacles: Obstacles) -> Scenery:
+    """The scenery of obstacles without colors: grey boxes on the default floor, under the default sky."""
+    number = obstacles.height.shape[0]
+    half = jnp.concatenate([obstacles.half_extent, 0.5 * obstacles.height[:, None]], 1)
+    middle = jnp.concatenate([obstacles.center, 0.5 * obstacles.height[:, None]], 1)
+    turn = jnp.stack([jnp.cos(obstacles.yaw), jnp.sin(obstacles.yaw)], -1)
+    color = jnp.broadcast_to(jnp.asarray(OBSTACLE, float), (number, 3))
+    return _scenery(_solids(jnp.concatenate([middle, half, turn], 1), np.zeros((0, 8)), np.zeros((0, 4)), color))
+
+
+def scenery_from_mjcf(model: Any, data: Any, obstacles: list[int]) -> Scenery:
+    """The scenery of a ``mujoco.MjModel`` with its ``mujoco.MjData``; geoms of the indices ``obstacles`` come first."""
+    rest = [index for index in range(model.ngeom) if index not in set(obstacles)]
+    shape = solids_from_mjcf(model, data, [*obstacles, *rest])
+    floor, sky = _texture(model, "2d"), _texture(model, "skybox")
+    sun = -model.light_dir[0] if model.nlight else np.array(SUN)
+    return _scenery(
+        shape, FLOOR if floor is None else (floor[0], floor[-1]), SKY if sky is None else (sky[0], sky[-1]), sun
+    )
+
+
+def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
+    """The bodies of geoms of a ``mujoco.MjModel``, at the positions of its ``mujoco.MjData``.
+
+    A capsule becomes a cylinder of the same extent. Geoms of other kinds and transparent geoms are left out.
+    """
+    kind = import_module("mujoco").mjtGeom
+    boxes, cylinders, spheres = [], [], []
+    colors: tuple[list, list, list] = [], [], []
+    for index in geoms:
+        place, size = data.geom_xpos[index], model.geom_size[index]
+        turn, shade = data.geom_xmat[index].reshape(3, 3), _color(model, index)
+        if shade[3] < 0.5:
+            continue
+        geom_type = kind(int(model.geom_type[index]))
+        if geom_type == kind.mjGEOM_BOX:
+            boxes.append([*place, *size, turn[0, 0], turn[1, 0]])
+            colors[0].append(shade[:3])
+        elif geom_type in (kind.mjGEOM_CYLINDER, kind.mjGEOM_CAPSULE):
+            longer = size[0] if geom_type == kind.mjGEOM_CAPSULE else 0.0
+            cylinders.append([*place, *turn[:, 2], size[0], size[1] + longer])
+            colors[1].append(shade[:3])
+        elif geom_type == kind.mjGEOM_SPHERE:
+            spheres.append([*place, size[0]])
+            colors[2].append(shade[:3])
+    return _solids(boxes, cylinders, spheres, [*colors[0], *colors[1], *colors[2]])
+
+
+def _solids(boxes: ArrayLike, cylinders: ArrayLike, spheres: ArrayLike, color: ArrayLike) -> Solids:
+    shapes = (("boxes", boxes, 8), ("cylinders", cylinders, 8), ("spheres", spheres, 4), ("color", color, 3))
+    return Solids(**{name: to_device(np.asarray(rows, float).reshape(-1, width)) for name, rows, width in shapes})
+
+
+def _scenery(shape: Solids, floor: ArrayLike = FLOOR, sky: ArrayLike = SKY, sun: ArrayLike = SUN) -> Scenery:
+    towards = np.asarray(sun, float)
+    looks = np.asarray(floor), np.asarray(SQUARE), np.asarray(sky)
+    return Scenery(shape, *to_device((*looks, towards / np.linalg.norm(towards))))
+
+
+def _color(model: Any, index: int) -> np.ndarray:
+    """(4,) color of a geom: its material's, if it has one."""
+    material = model.geom_matid[index]
+    return model.geom_rgba[index] if material < 0 else model.mat_rgba[material]
+
+
+def _texture(model: Any, kind: str) -> np.ndarray | None:
+    """(n, 3) colors of the first texture of a kind: a floor's darkest and lightest, or a sky from its top down."""
+    mujoco: Any = import_module("mujoco")
+    texture = {"2d": mujoco.mjtTexture.mjTEXTURE_2D, "skybox": mujoco.mjtTexture.mjTEXTURE_SKYBOX}[kind]
+    for index in range(model.ntex):
+        if model.tex_type[index] == texture:
+            start, channels = model.tex_adr[index], model.tex_nchannel[index]
+            pixels = model.tex_data[start : start + model.tex_height[index] * model.tex_width[index] * channels]
+            pixels = pixels.reshape(model.tex_height[index], -1, channels)
+            pixels = pixels[:, :, :3] if channels >= 3 else np.repeat(pixels[:, :, :1], 3, axis=-1)  # grey
+            if kind == "skybox":
+                return pixels[:, pixels.shape[1] // 2] / 255.0
+            shades = pixels.reshape(-1, 3)
+            light = shades.sum(-1, dtype=np.int32)
+            return shades[[light.argmin(), light.argmax()]] / 255
+    return None

@@ -1,9 +1,9 @@
 """Whole episodes in one call (section IV): a scan over steps, to be vmapped over keys or states.
 
 Episodes end by themselves (``rollout``, ``simulate``) or follow one another (``rollout_autoreset``). A reset inside
-every step would be computed for every scenario at every step, and make stepping three times slower. So an episode that
-has ended is replaced by a copy of one of the starts of a pool. Its chance is its own: the streams of the new episode
-come from the one that ended, so no two episodes are equal although two may begin alike.
+every step would run for every scenario at every step, and make stepping three times slower. So an ended episode is
+replaced by a copy of one of the starts of a pool. Its streams come from the episode that ended, so no two episodes are
+equal although two may begin alike.
 """
 
 from collections.abc import Callable
@@ -34,15 +34,15 @@ def rollout(
 
     Args:
         key: () typed PRNG key of the episode.
-        steps: how many steps of control; static.
-        record: (before, after, action) -> what is kept of a step, a pytree; ``base.Trajectory`` unless told otherwise.
+        steps: number of control steps; static.
+        record: (before, after, action) -> the record of a step, a pytree; ``base.Trajectory`` by default.
         checkpoint_every: steps of a block of which reverse mode keeps only the first state; best a divisor of ``steps``
             near their root. None: reverse mode keeps something of every step, and computes each once.
-        between: state -> state after each step, as ``gradients.truncate``, ``damp`` and ``clip`` are.
+        between: state -> state after each step, such as ``gradients.truncate``, ``damp`` and ``clip``.
 
     Returns:
-        The last state, and what was recorded, stacked (steps, ...). An episode that has ended goes on with its metrics
-        standing still: ``Trajectory.active`` tells.
+        The last state, and the records, stacked (steps, ...). After its end an episode goes on with constant metrics:
+        ``Trajectory.active`` is false then.
 
     Raises:
         InputError: ``checkpoint_every`` is no positive number.
@@ -61,21 +61,7 @@ def simulate(
     checkpoint_every: int | None = None,
     between: Callable[[State], State] | None = None,
 ) -> tuple[State, PyTree]:
-    """As ``rollout``, from a state that holds the memory of the policy.
-
-    Args:
-        state: where to begin; ``init_policy`` puts the memory of a policy there.
-        steps: how many steps of control; static.
-        record: (before, after, action) -> what is kept of a step.
-        checkpoint_every: as in ``rollout``.
-        between: as in ``rollout``.
-
-    Returns:
-        The last state, and what was recorded, stacked (steps, ...).
-
-    Raises:
-        InputError: ``checkpoint_every`` is no positive number.
-    """
+    """As ``rollout``, from a state that has the memory of the policy (``init_policy``)."""
     policy = as_policy(policy)
 
     def one(before: State, _) -> tuple[State, PyTree]:
@@ -86,27 +72,17 @@ def simulate(
 
 
 def init_policy(scenario: Scenario, policy: PolicyLike, state: State) -> State:
-    """The state with the memory of a policy at the beginning of an episode.
-
-    Args:
-        state: the first of the episode, or one from which the policy takes over.
-
-    Returns:
-        The state with a new ``policy_state``.
-    """
+    """The state with a new ``policy_state``: the memory of a policy at the beginning of an episode, or from here on."""
     policy = as_policy(policy)
     memory = calls.call("policy", policy.init, "scenario, params, state", scenario, policy.params, state)
     return replace(state, policy_state=memory)
 
 
 def policy_step(scenario: Scenario, policy: PolicyLike, state: State) -> tuple[State, Array]:
-    """One step of control with the command of a policy, whose chance is a stream of the episode's own.
+    """One control step with the command of a policy: the state, and the command (2,) [m/s, rad/s].
 
     Args:
-        state: that holds the memory of the policy (``init_policy``).
-
-    Returns:
-        The state one step later, and the command (2,) [m/s, rad/s].
+        state: with the memory of the policy (``init_policy``). The policy's randomness is a stream of the episode.
     """
     policy = as_policy(policy)
     key = jax.random.fold_in(state.streams.policy, state.tick)
@@ -115,31 +91,25 @@ def policy_step(scenario: Scenario, policy: PolicyLike, state: State) -> tuple[S
 
 
 def command(scenario: Scenario, policy: Policy, state: State, key: Array) -> tuple[Float[Array, "2"], PyTree]:
-    """What a policy commands, and what it remembers then.
-
-    Args:
-        key: () typed PRNG key.
-
-    Returns:
-        The command (2,) [m/s, rad/s], and the new memory.
+    """The command (2,) [m/s, rad/s] of a policy, and its new memory.
 
     Raises:
-        PartError: a policy of the user's own raised something, or gives no such command or another memory.
+        PartError: a policy of the user's own raised an exception, or gives no such command or another memory.
     """
     apply = policy.apply
-    given = calls.call("policy", apply, "scenario, params, state, key", scenario, policy.params, state, key)
+    output = calls.call("policy", apply, "scenario, params, state, key", scenario, policy.params, state, key)
     cure = "give jnp.stack([speed, turn_rate]), in m/s and rad/s"
-    if not isinstance(given, tuple) or len(given) != 2:
-        found = calls.describe(given)
-        raise calls.wrong("policy", apply, found, "(command, memory)", "give both; the memory is () if there is none")
-    calls.check_array("policy", apply, given[0], float, (2,), cure)
+    if not isinstance(output, tuple) or len(output) != 2:
+        got = calls.describe(output)
+        raise calls.wrong("policy", apply, got, "(command, memory)", "give both; the memory is () if there is none")
+    calls.check_array("policy", apply, output[0], float, (2,), cure)
     if policy.init is not no_memory:
-        calls.check_like("policy", apply, given[1], state.policy_state, "a memory that is")
-    return jnp.asarray(given[0], state.robot.position.dtype), given[1]
+        calls.check_like("policy", apply, output[1], state.policy_state, "a memory that is")
+    return jnp.asarray(output[0], state.robot.position.dtype), output[1]
 
 
 def check_policy(scenario: Scenario, policy: PolicyLike) -> None:
-    """Try a policy by the shapes of its values alone: nothing is compiled.
+    """Try a policy with the shapes of its values alone, without compiling.
 
     Raises:
         PartError: one sentence with file and line of the user's, and the cure.
@@ -159,15 +129,14 @@ _reset = jax.jit(reset)  # whose shapes are traced once for a scenario
 class ResetPool:
     """Starts from which ended episodes go on."""
 
-    starts: State  # (K, ...)
+    starts: State  # (K, ...), or (C, K, ...) of C streams
 
 
 def reset_pool(scenario: Scenario, key: Array, size: int, policy: PolicyLike | None = None) -> ResetPool:
     """A pool of starts; wrap it in ``jax.jit`` with ``size`` static.
 
     Args:
-        key: () typed PRNG key.
-        policy: who will drive, if it remembers anything: each start holds its memory.
+        policy: the driver, if it has memory: each start holds it.
     """
 
     def one(key: Array) -> State:
@@ -177,27 +146,25 @@ def reset_pool(scenario: Scenario, key: Array, size: int, policy: PolicyLike | N
     return ResetPool(jax.vmap(one)(jax.random.split(key, size)))
 
 
-def autoreset(pool: ResetPool, state: State) -> State:
-    """The state; or, if its episode has ended, one of the pool's starts with streams of its own.
-
-    Args:
-        pool: starts of episodes of the same scenario.
-    """
+def autoreset(pool: ResetPool, state: State, stream: Array | None = None) -> State:
+    """The state; or, if its episode has ended, one of the pool's starts with streams of its own (``draw_start``)."""
     choice_key, streams_key = jax.random.split(jax.random.fold_in(state.streams.restart, state.tick))
-    fresh = draw_start(pool, choice_key, streams_key)
+    fresh = draw_start(pool, choice_key, streams_key, stream)
     over = state.completed | state.timed_out
     return jax.tree.map(lambda old, new: jnp.where(over, new, old), state, fresh)
 
 
-def draw_start(pool: ResetPool, choice_key: Array, streams_key: Array) -> State:
-    """One of the pool's starts, with chance of its own.
+def draw_start(pool: ResetPool, choice_key: Array, streams_key: Array, stream: Array | None = None) -> State:
+    """One of the pool's starts, with streams of its own.
 
     Args:
         choice_key: () typed PRNG key that chooses the start.
-        streams_key: () typed PRNG key of what happens in the episode.
+        streams_key: () typed PRNG key of the episode's streams.
+        stream: () int32, whose starts are drawn, if the pool has several streams.
     """
-    chosen = jax.random.randint(choice_key, (), 0, pool.starts.tick.shape[0], jnp.int32)
-    start = jax.tree.map(lambda leaf: leaf[chosen], pool.starts)
+    chosen = jax.random.randint(choice_key, (), 0, pool.starts.tick.shape[-1], jnp.int32)
+    index = chosen if stream is None else (stream, chosen)
+    start = jax.tree.map(lambda leaf: leaf[index], pool.starts)
     return replace(start, streams=prng.streams(streams_key))
 
 
@@ -212,20 +179,10 @@ def rollout_autoreset(
     checkpoint_every: int | None = None,
     between: Callable[[State], State] | None = None,
 ) -> tuple[State, PyTree]:
-    """As ``simulate``, but episodes follow one another: who trains a policy steps like this.
+    """As ``simulate``, but episodes follow one another, for training.
 
-    Args:
-        steps: how many steps of control; static.
-        record: (before, after, action) -> what is kept of a step. It sees the last step of an episode before the reset,
-            so ``after`` tells how it ended; ``Trajectory.active`` is true throughout.
-        checkpoint_every: as in ``rollout``.
-        between: as in ``rollout``.
-
-    Returns:
-        The last state, and what was recorded, stacked (steps, ...).
-
-    Raises:
-        InputError: ``checkpoint_every`` is no positive number.
+    ``record`` sees the last step of an episode before the reset, so ``after`` tells how it ended; ``Trajectory.active``
+    is true throughout.
     """
     policy = as_policy(policy)
 

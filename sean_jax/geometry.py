@@ -1,7 +1,7 @@
-"""Plane geometry in components, with finite gradients everywhere: lengths, angles, upright boxes.
+"""Plane geometry in components, with finite gradients everywhere: lengths, angles, upright boxes, obstacles by cell.
 
-Most functions take scalars, or arrays that broadcast, and not vectors with a trailing axis of two: on a GPU the layout
-decides the speed of a pairwise law.
+Most functions take scalars, or arrays (...) that broadcast, and not vectors with a trailing axis of two: on a GPU the
+layout decides the speed of a pairwise law.
 """
 
 from collections.abc import Sequence
@@ -11,37 +11,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from sean_jax.base import Array, Environment, Obstacles
+from sean_jax.base import Array, Environment, ObstacleGrid, Obstacles
+from sean_jax.devices import to_device
+from sean_jax.errors import InputError
 
 HOST_BATCH = 8192  # points measured at once on the host
 TINY = 1e-24  # a smaller square counts as zero: 1 / sqrt(square) ** 3, in gradients, would overflow
+REACH = 3.0  # m, where exp(-d / 0.2 m) is 3e-7
+MAX_CELLS = 50_000  # larger floors have wider cells
+MAX_ROWS = 5_000_000
+FAR = 1e4  # m, where unused rows lie
 
 
 def length(x: Array, y: Array) -> Array:
-    """Euclidean length of (x, y).
-
-    Args:
-        x: (...) m.
-        y: (...) m, broadcasts with x.
-
-    Returns:
-        (...) m; zero, with zero gradient, below 1e-12 m.
-    """
+    """Euclidean length of (x, y); zero, with zero gradient, below 1e-12."""
     square = x * x + y * y
     zero = square < TINY
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
 
 
 def unit(x: Array, y: Array) -> tuple[Array, Array]:
-    """(x, y) divided by its length.
-
-    Args:
-        x: (...) of any unit.
-        y: (...) of the same unit, broadcasts with x.
-
-    Returns:
-        (...) each; (0, 0), with zero gradient, where the length is below 1e-12.
-    """
+    """(x, y) divided by its length; (0, 0), with zero gradient, where the length is below 1e-12."""
     square = x * x + y * y
     zero = square < TINY
     scale = jnp.where(zero, 0.0, 1.0 / jnp.sqrt(jnp.where(zero, 1.0, square)))
@@ -49,14 +39,7 @@ def unit(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def rotate(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
-    """Rotate (x, y) counter-clockwise.
-
-    Args:
-        x: (...) of any unit.
-        y: (...) of the same unit.
-        cosine: (...) of the angle.
-        sine: (...) of the angle.
-    """
+    """(x, y) turned counter-clockwise by an angle of that cosine and sine."""
     return cosine * x - sine * y, sine * x + cosine * y
 
 
@@ -65,20 +48,13 @@ def sum_vectors(x: Array, y: Array, axis: int) -> tuple[Array, Array]:
 
     XLA fuses this one reduction with the computation of x and y. Two reductions would write x and y to memory first,
     which makes a pairwise law 1.7 times slower on a GPU.
-
-    Args:
-        x: (...) of any unit.
     """
     total = jax.lax.complex(x, y).sum(axis)
     return total.real, total.imag
 
 
 def sum_in_pairs(parts: Sequence[Array], axis: int) -> tuple[Array, ...]:
-    """Sum each of several arrays along an axis, two at a time as ``sum_vectors`` does.
-
-    Args:
-        parts: (...) each, of any unit.
-    """
+    """Sum each of several arrays along an axis, two at a time as ``sum_vectors`` does."""
     parts = tuple(parts)
     sums = [sum_vectors(parts[i], parts[i + 1], axis) for i in range(0, len(parts) - 1, 2)]
     last = (parts[-1].sum(axis),) if len(parts) % 2 else ()
@@ -86,15 +62,7 @@ def sum_in_pairs(parts: Sequence[Array], axis: int) -> tuple[Array, ...]:
 
 
 def unit_vectors(vectors: Float[Array, "*batch 2"], default: Float[Array, "*default 2"]) -> Float[Array, "*batch 2"]:
-    """Scale vectors to length one.
-
-    Args:
-        vectors: (..., 2) of any unit.
-        default: (..., 2) for vectors shorter than 1e-12; broadcasts.
-
-    Returns:
-        (..., 2) unit vectors.
-    """
+    """Vectors scaled to length one; ``default``, which broadcasts, where they are shorter than 1e-12."""
     x, y = vectors[..., 0], vectors[..., 1]
     ux, uy = unit(x, y)
     zero = x * x + y * y < TINY
@@ -102,11 +70,7 @@ def unit_vectors(vectors: Float[Array, "*batch 2"], default: Float[Array, "*defa
 
 
 def angle_between(heading: Float[Array, "*batch 2"], target: Float[Array, "*other 2"]) -> Float[Array, "..."]:
-    """Signed angle from one direction to another, counter-clockwise.
-
-    Returns:
-        (...) rad, in (-pi, pi]; 0 where one of the two is zero.
-    """
+    """Signed angle from one direction to another, counter-clockwise, in (-pi, pi]; 0 where one of the two is zero."""
     cross = heading[..., 0] * target[..., 1] - heading[..., 1] * target[..., 0]
     dot = heading[..., 0] * target[..., 0] + heading[..., 1] * target[..., 1]
     zero = cross * cross + dot * dot < TINY
@@ -114,16 +78,10 @@ def angle_between(heading: Float[Array, "*batch 2"], target: Float[Array, "*othe
 
 
 def from_box(x: Array, y: Array, box: Obstacles) -> tuple[Array, Array, Array]:
-    """Signed distance from an upright box to a point, and the normal of the box there.
+    """Signed distance [m] from an upright box to points x, y [m], negative inside, and the unit normal (x, y) there.
 
-    Args:
-        x: (...) m, of the point.
-        y: (...) m, of the point.
-        box: whose fields broadcast with x and y, for instance one box.
-
-    Returns:
-        (...) m, negative inside; and (...) each, x and y of the unit normal. Outside, it points from the nearest point
-        of the box to the point; inside, out of the nearest side.
+    The box's fields broadcast with x and y. Outside, the normal points from the nearest point of the box to the point;
+    inside, out of the nearest side.
     """
     center, half = box.center, box.half_extent
     return from_rectangle(
@@ -134,21 +92,7 @@ def from_box(x: Array, y: Array, box: Obstacles) -> tuple[Array, Array, Array]:
 def from_rectangle(
     x: Array, y: Array, cx: Array, cy: Array, hx: Array, hy: Array, cosine: Array, sine: Array
 ) -> tuple[Array, Array, Array]:
-    """Signed distance from an upright box in components, and the normal of the box there.
-
-    Args:
-        x: (...) m, of the point.
-        y: (...) m, of the point.
-        cx: (...) m, of the centre of the box.
-        cy: (...) m, of the centre.
-        hx: (...) m, half extent along the first side.
-        hy: (...) m, half extent along the second side.
-        cosine: (...) of the yaw.
-        sine: (...) of the yaw.
-
-    Returns:
-        Distance and normal as in ``from_box``.
-    """
+    """``from_box`` of a box in components: its centre cx, cy, half extent hx, hy [m], cosine and sine of its yaw."""
     u, v = rotate(x - cx, y - cy, cosine, -sine)
     side_u, side_v = jnp.where(u < 0, -1.0, 1.0), jnp.where(v < 0, -1.0, 1.0)
     over_u, over_v = jnp.abs(u) - hx, jnp.abs(v) - hy
@@ -166,15 +110,7 @@ def from_rectangle(
 def signed_distances(
     environment: Environment, points: Float[Array, "P 2"]
 ) -> tuple[Float[Array, "P"], Float[Array, "P"]]:
-    """Signed distances from points to the nearest obstacle and to the edge of the floor.
-
-    Args:
-        points: (P, 2) m.
-
-    Returns:
-        (P,) m to the nearest obstacle, negative inside, inf if there is none; and (P,) m to the edge of the floor,
-        negative beyond it.
-    """
+    """Signed distances [m] to the nearest obstacle (inf without any) and to the edge of the floor, negative beyond."""
     x, y = points[:, 0], points[:, 1]
     each_box = jax.vmap(lambda px, py, box: from_box(px, py, box)[0], in_axes=(None, None, 0))
     to_boxes = jax.vmap(each_box, in_axes=(0, 0, None))(x, y, environment.obstacles)  # (P, W) m
@@ -184,14 +120,7 @@ def signed_distances(
 def signed_distances_on_host(
     environment: Environment, points: np.ndarray
 ) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P"]]:
-    """``signed_distances`` by numpy in double precision. Nothing is compiled for a question that is asked once.
-
-    Args:
-        points: (P, 2) m.
-
-    Returns:
-        As ``signed_distances``.
-    """
+    """``signed_distances`` by numpy in double precision: nothing is compiled for a call that happens once."""
     points, floor = np.asarray(points, float), np.asarray(environment.floor, float)
     boxes = environment.obstacles
     center, half, yaw = (np.asarray(part, float) for part in (boxes.center, boxes.half_extent, boxes.yaw))
@@ -206,48 +135,21 @@ def signed_distances_on_host(
 
 
 def to_edge(environment: Environment, x: Array, y: Array) -> Array:
-    """Signed distance to the nearest edge of the floor.
-
-    Args:
-        x: (...) m.
-        y: (...) m.
-
-    Returns:
-        (...) m, negative beyond the edge.
-    """
+    """Signed distance [m] from (x, y) [m] to the nearest edge of the floor, negative beyond it."""
     x_min, y_min, x_max, y_max = environment.floor
     return jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
 
 
 def to_border(environment: Environment, x: Array, y: Array) -> Array:
-    """Signed distance to the nearest edge of the floor, if the edge stops people and robots.
-
-    Args:
-        x: (...) m.
-        y: (...) m.
-
-    Returns:
-        (...) m; inf where the floor is open.
-    """
+    """``to_edge`` where the edge stops people and robots; inf where the floor is open."""
     return jnp.full_like(x, jnp.inf) if environment.open else to_edge(environment, x, y)
 
 
 def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radius: Array | float) -> Array:
-    """Whether a disc that moves straight from p to q cuts a box. Touching does not count.
+    """Whether a disc (radius [m]) that moves straight from p to q [m] cuts a box (fields broadcast); touching does not.
 
     The test is exact, by separating axes: the nearest pair of points is an end of the segment with a point of the box,
     or a corner of the box with a point between the ends. So three directions decide.
-
-    Args:
-        px: (...) m, of the start.
-        py: (...) m, of the start.
-        qx: (...) m, of the end.
-        qy: (...) m, of the end.
-        box: whose fields broadcast with the components, for instance one box.
-        radius: (...) m, of the disc.
-
-    Returns:
-        (...) bool.
     """
     cosine, sine = jnp.cos(box.yaw), jnp.sin(box.yaw)
     hu, hv = box.half_extent[..., 0], box.half_extent[..., 1]
@@ -267,3 +169,53 @@ def _separated(pu, pv, qu, qv, hu, hv, radius) -> Array:
     square = ou * ou + ov * ov
     limit = radius * jnp.sqrt(square)
     return (square > 0.0) & (square >= limit) & ((qu - nu) * ou + (qv - nv) * ov >= limit)
+
+
+# ------------------------------------------------------------------ obstacles by cell
+
+
+def build_obstacle_grid(
+    obstacles: Obstacles, floor: Float[Array, "4"], cell: float = 1.0, reach: float = REACH
+) -> ObstacleGrid:
+    """Build, on the host, a grid that has for each cell all obstacles within reach of any of its points.
+
+    Args:
+        floor: (4,) m, x_min, y_min, x_max, y_max.
+        cell: m, side of a cell; wider on a floor with more than ``MAX_CELLS`` of them.
+        reach: m.
+
+    Raises:
+        InputError: too many obstacles lie near one place to fit in memory.
+    """
+    lower, upper = np.asarray(floor, float)[:2], np.asarray(floor, float)[2:]
+    cell = max(cell, float(np.sqrt(np.prod(upper - lower) / MAX_CELLS)))
+    count = np.maximum(1, np.ceil((upper - lower) / cell).astype(int))
+    x = lower[0] + (np.arange(count[0]) + 0.5) * cell
+    y = lower[1] + (np.arange(count[1]) + 0.5) * cell
+    center, half = np.asarray(obstacles.center, float), np.asarray(obstacles.half_extent, float)
+    cosine, sine = np.cos(np.asarray(obstacles.yaw, float)), np.sin(np.asarray(obstacles.yaw, float))
+    near = np.zeros((*count, len(center)), bool)
+    for i in range(count[0]):  # by column: large floors would need too much memory at once
+        dx, dy = x[i] - center[:, 0], y[:, None] - center[:, 1]  # (W,), (Y, W)
+        along, across = np.abs(cosine * dx + sine * dy) - half[:, 0], np.abs(cosine * dy - sine * dx) - half[:, 1]
+        near[i] = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0)) <= reach + cell / np.sqrt(2)
+    rows_max = max(1, int(near.sum(-1).max(initial=0)))
+    if count[0] * count[1] * rows_max > MAX_ROWS:
+        raise InputError(f"up to {rows_max} obstacles are within {reach:g} m of one place; use fewer and larger boxes.")
+    rows = np.zeros((*count, rows_max, 6))
+    rows[..., 0], rows[..., 1], rows[..., 4] = FAR, FAR, 1.0
+    table = np.concatenate([center, half, cosine[:, None], sine[:, None]], 1)
+    for i, j in np.argwhere(near.any(-1)):
+        index = np.flatnonzero(near[i, j])
+        rows[i, j, : len(index)] = table[index]
+    return ObstacleGrid(*to_device((rows, lower, np.asarray(cell))))
+
+
+def nearby_obstacles(
+    grid: ObstacleGrid, x: Float[Array, "*places"], y: Float[Array, "*places"]
+) -> Float[Array, "*places K 6"]:
+    """Rows of the grid's cell of each place x, y [m], or of the nearest cell for places off the grid."""
+    max_x, max_y = grid.rows.shape[0] - 1, grid.rows.shape[1] - 1
+    i = jnp.clip(jnp.floor((x - grid.origin[0]) / grid.cell).astype(jnp.int32), 0, max_x)
+    j = jnp.clip(jnp.floor((y - grid.origin[1]) / grid.cell).astype(jnp.int32), 0, max_y)
+    return grid.rows[i, j]

@@ -36,7 +36,7 @@ MAX_DEFAULT_PEOPLE = 60  # the default number of people of a map, at most
 
 
 class MapFile(pydantic.BaseModel):
-    """The keys of a ROS map's YAML file; other keys are for other programs."""
+    """The keys of a ROS map's YAML file; keys for other programs are ignored."""
 
     model_config = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
 
@@ -61,7 +61,7 @@ class Raster:
 
 @dataclasses.dataclass(frozen=True)
 class ImportSummary:
-    """What an import has written."""
+    """Result of an import."""
 
     folder: Path  # of the environment
     boxes: int  # in its scene
@@ -71,11 +71,7 @@ class ImportSummary:
 
 
 def read(path: Path | str) -> Raster:
-    """Read a map: a map_server YAML file and its PGM or PNG image.
-
-    Raises:
-        FileError: a file cannot be used.
-    """
+    """Read a map, a map_server YAML file and its PGM or PNG image; FileError if one cannot be used."""
     path = Path(path)
     if path.is_file() and _is_image(path):
         raise FileError(f"{files.short_name(path)}: is an image; give the map's YAML file, which names it.")
@@ -122,7 +118,7 @@ def _is_image(path: Path) -> bool:
 
 
 def _image(image: Path) -> tuple[np.ndarray, np.ndarray]:
-    """The shades of an image file, as of ``_shades``. Raises FileError."""
+    """The shades of an image file, as in ``_shades``. Raises FileError."""
     content = files.read_bytes(image, MAX_BYTES)
     try:
         with warnings.catch_warnings(), Image.open(io.BytesIO(content), formats=FORMATS) as opened:
@@ -146,7 +142,7 @@ def _image(image: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _shades(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:
-    """(rows, columns) mean of the colors, 0 to 255, and whether the pixel is opaque at all."""
+    """(rows, columns) mean of the colors, 0 to 255, and whether a pixel is opaque at all."""
     if image.mode.startswith("I") or image.mode == "F":  # 16 bits
         values = np.asarray(image, np.float32)
         values = np.where(np.isfinite(values), values, 0.0)
@@ -156,17 +152,14 @@ def _shades(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rectangles(occupied: np.ndarray, spare: int = 0) -> np.ndarray:
-    """Cover cells by few rectangles, which may overlap.
+    """Cover the True cells by few rectangles (B, 4) [column, row, column end, row end), which may overlap.
 
-    From the first cell that is not covered yet, in the order of the rows, it takes the rectangle that covers most new
-    cells. A sliver is a rectangle whose own cells all touch another rectangle.
+    From the first uncovered cell, in the order of the rows, take the rectangle that covers most new cells. A sliver is
+    a rectangle whose own cells all touch another rectangle.
 
     Args:
         occupied: (rows, columns) bool.
         spare: number of cells of slivers that may stay uncovered.
-
-    Returns:
-        (B, 4) int rectangles [column, row, column end, row end).
 
     Raises:
         InputError: more than ``MAX_BOXES`` rectangles are needed.
@@ -193,7 +186,7 @@ def rectangles(occupied: np.ndarray, spare: int = 0) -> np.ndarray:
 
 
 def _best(run: np.ndarray, covered: np.ndarray, row: int, column: int) -> tuple[int, int, int, int]:
-    """The rectangle upwards and to the right of a cell that covers most cells that nothing covers yet."""
+    """The rectangle upwards and to the right of a cell that covers most uncovered cells."""
     depth = int(np.argmin(np.append(run[row:, column] > 0, False)))
     width = np.minimum.accumulate(run[row : row + depth, column])
     new = np.cumsum(covered[row : row + depth, column : column + width[0]] == 0, axis=1)
@@ -214,12 +207,12 @@ def _widen(occupied: np.ndarray, box: tuple[int, int, int, int]) -> tuple[int, i
 
 
 def _without_slivers(boxes: list[tuple[int, int, int, int]], covered: np.ndarray, spare: int) -> list:
-    """The boxes without slivers, until these have ``spare`` cells; obstacles that stand alone stay."""
+    """The boxes without slivers of up to ``spare`` cells in all; obstacles that stand alone stay."""
     rest = []
     for left, low, right, high in sorted(boxes, key=lambda box: (box[2] - box[0]) * (box[3] - box[1])):
         part = covered[low:high, left:right]
-        own = part == 1
-        count = int(own.sum())
+        alone = part == 1
+        count = int(alone.sum())
         if count <= spare:
             part -= 1
             around = np.zeros((high - low + 2, right - left + 2), bool)  # no copy of the whole map for each box
@@ -227,7 +220,7 @@ def _without_slivers(boxes: list[tuple[int, int, int, int]], covered: np.ndarray
             y, x = (1 if low == 0 else 0), (1 if left == 0 else 0)
             around[y : y + window.shape[0], x : x + window.shape[1]] = window
             shifts = [around[a : a + high - low, b : b + right - left] for a in range(3) for b in range(3)]
-            if (np.any(shifts, axis=0) | ~own).all():
+            if (np.any(shifts, axis=0) | ~alone).all():
                 spare -= count
                 continue
             part += 1
@@ -238,15 +231,13 @@ def _without_slivers(boxes: list[tuple[int, int, int, int]], covered: np.ndarray
 def import_map(
     path: Path | str, folder: Path | str, *, people: int | None = None, height: float = 2.0, unknown: str = "obstacle"
 ) -> ImportSummary:
-    """Write the environment of a ROS map to a folder.
-
-    The result is read again and compared with the map, cell by cell.
+    """Write the environment of a ROS map to a folder, read it again, and compare it with the map cell by cell.
 
     Args:
         folder: of the environment; must be new or empty.
         people: default number of people; one for each 25 m2 of free floor if None.
         height: m, of all boxes, since a map has none.
-        unknown: what unknown cells are, ``obstacle`` or ``free``.
+        unknown: what unknown cells become, ``obstacle`` or ``free``.
 
     Raises:
         InputError: a number is out of range, or the map cannot be described by boxes.
@@ -280,14 +271,7 @@ def import_map(
 
 
 def rasterize(obstacles: Obstacles, raster: Raster) -> np.ndarray:
-    """The cells of a map that boxes cover.
-
-    Args:
-        obstacles: boxes without yaw.
-
-    Returns:
-        (rows, columns) bool, whether a cell's middle lies in one of the boxes.
-    """
+    """(rows, columns) bool: cells of a map whose middle lies in one of the boxes, which have no yaw."""
     rows, columns = raster.occupied.shape
     x = raster.origin[0] + (np.arange(columns) + 0.5) * raster.resolution
     y = raster.origin[1] + (np.arange(rows) + 0.5) * raster.resolution

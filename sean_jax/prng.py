@@ -1,6 +1,6 @@
-"""Streams of random numbers by name: every use of a seed, and every use of an episode's key, has a stream of its own.
+"""Streams of random numbers by name: every use of a seed, and every use of an episode's key, has its own stream.
 
-In JAX ``fold_in(key, i)`` and the i-th of ``split(key, n)`` are the same key. So two uses that both number their draws
+In JAX ``fold_in(key, i)`` and the i-th of ``split(key, n)`` are the same key. Two uses that both number their draws
 from one key would share random numbers. Here each number stands for a name, and is far above any count.
 """
 
@@ -41,72 +41,34 @@ USES = (
 
 
 def stream_id(use: str) -> int:
-    """The number that stands for a use.
-
-    Args:
-        use: one of ``USES``.
-
-    Returns:
-        A number of 32 bits.
-
-    Raises:
-        ValueError: there is no such use.
-    """
+    """The number of 32 bits that stands for a use, one of ``USES``; ValueError for another."""
     if use not in USES:
         raise ValueError(f"use: '{use}' is not one of {', '.join(USES)}.")
     return zlib.crc32(use.encode())
 
 
 def key(use: str, seed: int | Array) -> Array:
-    """The key of a use.
-
-    Args:
-        use: one of ``USES``.
-
-    Returns:
-        () typed PRNG key; that of episode ``i``, where a use has episodes, is ``fold_in(key(use, seed), i)``.
-    """
+    """The () typed key of a use, one of ``USES``; that of its episode ``i``, if it has any, is ``fold_in(key, i)``."""
     return jax.random.fold_in(jax.random.key(seed), jnp.uint32(stream_id(use)))
 
 
 def generator(use: str, seed: int, *further: int) -> np.random.Generator:
-    """The numpy generator of a use.
-
-    Args:
-        use: one of ``USES``.
-        *further: numbers, such as that of an epoch, which have streams of their own.
-    """
+    """The numpy generator of a use, one of ``USES``; further numbers, such as an epoch, have streams of their own."""
     return np.random.default_rng((stream_id(use), len(further), seed, *further))  # numpy takes (1, 0) for (1,)
 
 
 def streams(key: Array) -> Streams:
-    """The streams of an episode.
-
-    Args:
-        key: () typed PRNG key, used for nothing else.
-    """
+    """The streams of an episode, from a () typed key that is used for nothing else."""
     return Streams(*jax.random.split(key, 4))
 
 
 def as_numbers(tree: PyTree) -> PyTree:
-    """A tree with its typed keys as plain numbers, which files and quick calls can hold.
-
-    Returns:
-        The same tree with uint32 in place of keys.
-    """
+    """A tree with uint32 in place of its typed keys, which files and quick calls can hold."""
     return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if _is_key(leaf) else leaf, tree)
 
 
 def as_keys(tree: PyTree, like: PyTree) -> PyTree:
-    """The inverse of ``as_numbers``.
-
-    Args:
-        tree: of ``as_numbers``.
-        like: a tree of the same structure, or its shapes, with typed keys.
-
-    Returns:
-        The tree with keys where ``like`` has them.
-    """
+    """The inverse of ``as_numbers``: the tree with keys where ``like``, of the same structure, has them."""
     return jax.tree.map(lambda leaf, one: jax.random.wrap_key_data(leaf) if _is_key(one) else leaf, tree, like)
 
 

@@ -1,4 +1,4 @@
-"""The progress of long work: what is being done, how far it is, and a note, on a console or told to a longer work."""
+"""The progress of long work: its stage, the share that is done, and a note, on a console or for a longer work."""
 
 import contextlib
 import datetime
@@ -14,24 +14,20 @@ INTERVAL = 10.0  # s between two plain lines, at least
 
 
 class Progress:
-    """Tells how far some work is; this one tells nobody."""
+    """Progress of some work; this class ignores it."""
 
     def stage(self, text: str) -> None:
         """Work of unknown length begins."""
 
     def start(self, text: str, total: float) -> None:
-        """Work of known length begins.
-
-        Args:
-            total: its length, in any unit.
-        """
+        """Work of a known length, in any unit, begins."""
 
     def update(self, done: float, note: str = "") -> None:
-        """How far it is."""
+        """The length that is done."""
 
 
 class _Share(Progress):
-    """Tells a function the share that is done, so that the work is a part of a longer one."""
+    """Calls a function with the share that is done, since the work is a part of a longer one."""
 
     def __init__(self, tell: Callable[[float], None]) -> None:
         self._tell, self._total = tell, 1.0
@@ -60,7 +56,7 @@ class _Bar(Progress):
 
 
 class _Lines(Progress):
-    """Plain lines where no bar can be drawn: into a pipe or a file. The longer the work, the rarer they are."""
+    """Plain lines for a pipe or a file, where no bar can be drawn. The longer the work, the rarer they are."""
 
     def __init__(self, console: Any) -> None:
         self._console, self._text, self._total = console, "starting", 0.0
@@ -88,14 +84,11 @@ class _Lines(Progress):
 
 @contextlib.contextmanager
 def progress(console: "Console | Callable[[float], None] | None") -> Iterator[Progress]:
-    """What tells how far the work of the block is.
+    """The progress of the block's work.
 
     Args:
-        console: shows a bar until the block ends, or prints a line now and then if it is no terminal; a function is
-            told the share that is done; None tells nobody.
-
-    Yields:
-        A ``Progress``.
+        console: shows a bar until the block ends, or prints a line now and then if it is no terminal; or a function
+            that is called with the share that is done; or None.
     """
     if console is None:
         yield Progress()

@@ -1,7 +1,7 @@
 """The one runner of episodes: batches of numbered episodes, each until its end, of scenarios in turn (section V).
 
-Episode ``i`` is drawn from ``fold_in(prng.key(use, seed), i)`` alone, so it does not depend on how many others there
-are, on how many devices share the work, or on whether a run was interrupted. What is kept on the way is a ``Record``.
+Episode ``i`` is drawn from ``fold_in(prng.key(use, seed), i)`` alone, so it does not depend on the number of episodes,
+the number of devices or an interruption. A ``Record`` says what is kept of the steps.
 """
 
 import contextlib
@@ -23,20 +23,21 @@ from jaxtyping import PyTree
 from sean_jax import clock, devices, interrupts, prng
 from sean_jax.base import Array, PolicyLike, RobotTask, Scenario, State, as_policy
 from sean_jax.episodes import init_policy, policy_step
-from sean_jax.scenario import reset
+from sean_jax.scenario import reset, results
 
 CHUNK = 10.0  # s, between two looks at the progress
-# What draws starts runs once a batch, so on a CPU it is compiled quickly rather than to be quick.
-ONCE = {"cpu": {"xla_backend_optimization_level": 0}}
+MAX_BATCH, MAX_BATCH_CPU = 4_200, 64  # episodes at once, where no option says how many
+# The program that draws starts runs once a batch, so a CPU compiles it without optimizing.
+QUICK_COMPILE = {"cpu": {"xla_backend_optimization_level": 0}}
 
 
 class Record(NamedTuple):
-    """What is kept while a batch of B episodes runs: a sum over steps, and what is stacked over time.
+    """What is kept while a batch of B episodes runs: a total over steps, and rows that are stacked over time.
 
-    ``init(scenario, states)`` gives the sum before the first step; ``update(scenario, before, after, actions, active,
-    sum)`` gives the new sum and what is stacked, every ``every`` steps of control. ``before`` and ``after`` are states
+    ``init(scenario, states)`` is the total before the first step; ``update(scenario, before, after, actions, active,
+    total)`` gives the new total and a row, every ``every`` steps of control. ``before`` and ``after`` are states
     (B, ...), ``actions`` the commands (every, B, 2) in between, ``active`` (B,) whether an episode had not yet ended.
-    ``command(state)`` tells another command of each step than the one that was given, from the state after it.
+    ``command(state)``, of the state after a step, replaces the command of that step in ``actions``.
     """
 
     init: Callable[[Scenario, State], PyTree]
@@ -45,36 +46,22 @@ class Record(NamedTuple):
     command: Callable[[State], Array] | None = None
 
 
-def nothing(*arguments: PyTree) -> tuple:
-    """The sum of a record that keeps nothing.
-
-    Args:
-        arguments: as of ``Record.init``.
-
-    Returns:
-        ().
-    """
+def no_op(*arguments: PyTree) -> tuple:
+    """The ``init`` of a record that keeps nothing."""
     return ()
 
 
 def no_rows(scenario: Scenario, before: State, after: State, actions: Array, active: Array, total: PyTree) -> tuple:
-    """The update of a record that keeps nothing.
-
-    Args:
-        scenario, before, after, actions, active, total: as of ``Record.update``.
-
-    Returns:
-        Two empty tuples.
-    """
+    """The ``update`` of a record that keeps nothing."""
     return (), ()
 
 
-NO_RECORD = Record(nothing, no_rows)
+NO_RECORD = Record(no_op, no_rows)
 
 
 @struct.dataclass
-class Running:
-    """A batch of B episodes on its way."""
+class LoopState:
+    """The carry of the loop over the steps of B episodes."""
 
     states: State  # (B, ...)
     steps: Array  # (B,) int32, before the episode ended
@@ -83,21 +70,21 @@ class Running:
 
 
 @dataclasses.dataclass
-class Watch:
-    """What is told while episodes run; each field is a function."""
+class Callbacks:
+    """Functions that a runner calls while episodes run."""
 
     compiling: Callable[[str], None] = lambda what: None
     advanced: Callable[[float, float], None] = lambda seconds, simulated: None  # s of each episode, s of all together
-    rows: Callable[[PyTree], None] | None = None  # what the record stacked in a chunk, as numpy arrays (T, ...)
+    rows: Callable[[PyTree], None] | None = None  # the record's rows of a chunk, as numpy arrays (T, ...)
 
 
 class Batch(NamedTuple):
-    """What is left of a batch, of its first ``count`` episodes."""
+    """The end of a batch, of its first ``count`` episodes."""
 
     states: State  # (count, ...), at the end
     steps: np.ndarray  # (count,)
     total: PyTree  # of the record, as numpy arrays
-    rows: list[PyTree]  # of the record, one for each chunk of time, as numpy arrays (T, ...)
+    rows: list[PyTree]  # of the record, for each chunk of time, as numpy arrays (T, ...)
 
 
 class Runner:
@@ -114,16 +101,15 @@ class Runner:
         chunk: float = CHUNK,
         drivers: int | None = None,
     ):
-        """The scenarios may differ in their leaves and in their task, and in nothing else.
+        """Scenarios take turns; they may differ in leaves and in their task, and in nothing else.
 
         Args:
-            scenarios: what is simulated, one or several that take turns.
-            policy: who drives; several of one structure if its leaves have a leading axis of ``drivers``.
-            size: how many episodes at once; more are simulated if devices and drivers cannot share so many evenly.
+            policy: one policy, or ``drivers`` of them along a leading axis of its leaves.
+            size: episodes at once, rounded up to a multiple of the devices and drivers.
             use: of the seed, one of ``prng.USES``.
             mesh: devices that share the work; all if None.
-            chunk: time [s] between two looks at the progress.
-            drivers: D, of whom each has an equal share of a batch, one after the other. None: the policy is one driver.
+            chunk: s between two looks at the progress.
+            drivers: number of policies, each of which drives an equal share of a batch, one after the other.
 
         Raises:
             ValueError: the scenarios differ in more than leaves and task.
@@ -145,7 +131,7 @@ class Runner:
         self._draw, self._begin, self._advance = self._jitted(tasks, begin, advance)
 
     def _jitted(self, tasks: tuple, begin: Callable, advance: Callable) -> tuple[Any, Any, Any]:
-        """The programs; what has an axis B is split over the devices, if there are several."""
+        """The programs; arrays with an axis B are split over the devices, if there are several."""
         if self.mesh.size == 1:
             leaves, structure = jax.tree.flatten(self._places)
             draw = _drawing(
@@ -179,22 +165,22 @@ class Runner:
     def _places(self) -> tuple:
         return self.scenarios[0], self._varying
 
-    def compile(self, watch: Watch) -> None:
+    def compile(self, callbacks: Callbacks) -> None:
         """Compile everything now, in a thread that Ctrl-C need not wait for."""
         began = time.perf_counter()
-        watch.compiling(f"tracing the starts of {self.size} episodes")
+        callbacks.compiling(f"tracing the starts of {self.size} episodes")
         seed, numbers, index = self._arguments()
         counted = jnp.ones((self.size,), bool)
         with _uncollected():
             traced = self._draw.trace(self._places, seed, numbers, index)
-        quickly = ONCE.get(jax.default_backend(), {}) if self.scenarios[0].warm_up == 0.0 else {}
+        quickly = QUICK_COMPILE.get(jax.default_backend(), {}) if self.scenarios[0].warm_up == 0.0 else {}
         starting = _Compiling(traced.lower(), quickly)
-        watch.compiling(f"compiling the starts, tracing {self.chunk} steps of {self.size} episodes")
+        callbacks.compiling(f"compiling the starts, tracing {self.chunk} steps of {self.size} episodes")
         with _uncollected():
             begun = self._begin.trace(self._fixed, traced.out_info, index)
             lowered = self._advance.lower(self._fixed, begun.out_info, index, counted)
         stepping, beginning = _Compiling(lowered), _Compiling(begun.lower(), quickly)
-        watch.compiling(f"compiling {self.chunk} steps of {self.size} episodes")
+        callbacks.compiling(f"compiling {self.chunk} steps of {self.size} episodes")
         self._draw, self._begin, self._advance = starting.result(), beginning.result(), stepping.result()
         self.compile_seconds = time.perf_counter() - began
 
@@ -204,20 +190,19 @@ class Runner:
         first: int,
         count: int | None = None,
         index: np.ndarray | None = None,
-        watch: Watch | None = None,
+        callbacks: Callbacks | None = None,
         keep_rows: bool = True,
     ) -> Batch:
         """The episodes from number ``first`` on until all have ended.
 
         Args:
-            count: how many count; the rest fill the batch. All if None.
-            index: (B,) which scenario each is of; they take turns by number if None.
-            watch: is told how far they are, and what the record stacked.
+            count: episodes that count, the others fill the batch; all if None.
+            index: (B,) index of each episode's scenario; they take turns by number if None.
 
         Raises:
             FloatingPointError: a number is not finite; the message names the episodes.
         """
-        watch, count = watch or Watch(), self.size if count is None else count
+        callbacks, count = callbacks or Callbacks(), self.size if count is None else count
         scenario = self.scenarios[0]
         numbers = np.arange(first, first + self.size)
         turn = numbers % len(self.scenarios) if index is None else np.resize(index, self.size)
@@ -229,8 +214,8 @@ class Runner:
 
         def receive(stacked: PyTree) -> None:
             arrays = jax.tree.map(np.asarray, stacked)
-            if watch.rows is not None:
-                watch.rows(arrays)
+            if callbacks.rows is not None:
+                callbacks.rows(arrays)
             if keep_rows:
                 rows.append(arrays)
 
@@ -238,11 +223,11 @@ class Runner:
             running, kept = self._advance(fixed, running, turns, counted)
             if waiting is not None:  # while the device goes on
                 receive(waiting)
-            waiting = kept if keep_rows or watch.rows is not None else None
+            waiting = kept if keep_rows or callbacks.rows is not None else None
             over = bool(np.all(np.asarray(running.states.completed | running.states.timed_out)))
             simulated = float(np.asarray(running.steps).sum()) * scenario.time_step
             seconds = scenario.time_limit if over else min(done * scenario.time_step, scenario.time_limit)
-            watch.advanced(seconds, simulated)
+            callbacks.advanced(seconds, simulated)
             if over:
                 break
         if waiting is not None:
@@ -253,25 +238,46 @@ class Runner:
         states = running.states if count == self.size else jax.tree.map(lambda leaf: leaf[:count], running.states)
         return Batch(states, steps, jax.tree.map(np.asarray, running.total), rows)
 
+    def measure(self, seed: int, first: int, count: int, tell: Callable[[float], None]) -> dict[str, np.ndarray]:
+        """Results of numbered episodes, in as many batches as they need; ``tell`` is called with the finished share.
+
+        Returns:
+            ``completed``, ``seconds`` [s], and the metrics by name, (count, ...) each.
+
+        Raises:
+            FloatingPointError: a number is not finite; the message names the episodes.
+        """
+        scenario, batches = self.scenarios[0], []
+        compute, starts = jax.jit(jax.vmap(results, (None, 0))), range(first, first + count, self.size)
+        for index, start in enumerate(starts):
+
+            def advanced(seconds: float, _: float, index: int = index) -> None:
+                tell((index + seconds / scenario.time_limit) / len(starts))
+
+            batch = self.run(seed, start, min(self.size, first + count - start), callbacks=Callbacks(advanced=advanced))
+            ended = {"completed": batch.states.completed, "seconds": batch.steps * scenario.time_step}
+            batches.append({**ended, **compute(scenario, batch.states)})
+        return {name: np.concatenate([np.asarray(each[name]) for each in batches]) for name in batches[0]}
+
+
+def max_batch() -> int:
+    """Most episodes at once on this kind of device."""
+    return MAX_BATCH_CPU if jax.default_backend() == "cpu" else MAX_BATCH
+
+
+def even_batch(count: int) -> int:
+    """The size of equal batches that together have ``count`` episodes or a few more."""
+    return math.ceil(count / math.ceil(count / max_batch()))
+
 
 def not_finite(numbers: np.ndarray, count: int) -> str:
-    """The sentence on episodes that hold numbers that are not finite.
-
-    Args:
-        numbers: (F,) of those episodes.
-    """
+    """The sentence on the episodes, of ``count``, that hold numbers that are not finite."""
     names = ", ".join(map(str, numbers[:8])) + (f" and {len(numbers) - 8} more" if len(numbers) > 8 else "")
     return f"{len(numbers)} of {count} episodes hold numbers that are not finite: {names}."
 
 
 def varying_leaves(scenarios: Sequence[Scenario]) -> dict[int, Array]:
-    """The leaves in which scenarios differ.
-
-    Args:
-        scenarios: C of them, which may differ in their leaves and in their task, and in nothing else.
-
-    Returns:
-        Place among the leaves -> (C, ...) its values.
+    """The leaves in which C scenarios differ: index of the leaf -> its values (C, ...).
 
     Raises:
         ValueError: the scenarios differ in more.
@@ -297,7 +303,7 @@ def _select(scenario: Scenario, varying: dict[int, Array], index: Array) -> Scen
 
 
 def _of_each_driver(function: Callable, drivers: int | None) -> Callable:
-    """(policy, rows (B, ...), ...) -> ``function(policy, row, ...)`` of each row, with the driver of its share."""
+    """(policy, rows (B, ...), ...) -> ``function(policy, row, ...)`` of each row, with the policy of its share."""
     if drivers is None:
         return lambda policy, *rows: jax.vmap(functools.partial(function, policy))(*rows)
 
@@ -311,12 +317,9 @@ def _of_each_driver(function: Callable, drivers: int | None) -> Callable:
 
 
 def first_state(tasks: tuple, scenario: Scenario, varying: dict[int, Array], index: Array, key: Array) -> State:
-    """The first state of an episode of one of several scenarios, in one program for all of them.
+    """The first state of an episode of the scenario at ``index``, in one program for all scenarios.
 
-    Args:
-        varying: ``varying_leaves`` of all.
-        index: () int32 which one.
-        key: () typed PRNG key.
+    ``varying`` are the ``varying_leaves`` of all, ``key`` a () typed PRNG key.
     """
 
     def task(scenario: Scenario, *others: PyTree) -> RobotTask:
@@ -325,14 +328,14 @@ def first_state(tasks: tuple, scenario: Scenario, varying: dict[int, Array], ind
     return reset(dataclasses.replace(_select(scenario, varying, index), task=task), key)
 
 
-@functools.lru_cache(8)  # of the last few places, so that a long session does not keep the programs of all
+@functools.lru_cache(8)  # bounded, so that a long session does not keep all programs
 def _drawing(tasks: tuple, use: str, structure: Any, shapes: tuple) -> Any:
-    """One program for all runners of the same places, since to compile a reset takes as long as a step."""
+    """One program for all runners of the same scenarios, since a reset compiles as long as a step."""
     return jax.jit(functools.partial(_draw, tasks, use))
 
 
 def _draw(tasks: tuple, use: str, places: tuple, seed: Array, numbers: Array, index: Array) -> State:
-    """Episodes of those numbers (B,) before anybody drives."""
+    """The reset episodes of these numbers (B,), without the policy's memory."""
     scenario, varying = places
 
     def one(number: Array, turn: Array) -> State:
@@ -341,7 +344,7 @@ def _draw(tasks: tuple, use: str, places: tuple, seed: Array, numbers: Array, in
     return jax.vmap(one)(numbers, index)
 
 
-def _begin(record: Record, drivers: int | None, fixed: tuple, states: State, index: Array) -> Running:
+def _begin(record: Record, drivers: int | None, fixed: tuple, states: State, index: Array) -> LoopState:
     """Episodes before their first step."""
     scenario, varying, policy = fixed
 
@@ -350,13 +353,13 @@ def _begin(record: Record, drivers: int | None, fixed: tuple, states: State, ind
 
     states = _of_each_driver(one, drivers)(policy, states, index)
     steps, faulty = jnp.zeros(index.shape, jnp.int32), jnp.zeros(index.shape, bool)
-    return Running(states, steps, faulty, record.init(scenario, states))
+    return LoopState(states, steps, faulty, record.init(scenario, states))
 
 
 def _advance(
-    record: Record, turns: int, drivers: int | None, fixed: tuple, running: Running, index: Array, counted: Array
+    record: Record, turns: int, drivers: int | None, fixed: tuple, running: LoopState, index: Array, counted: Array
 ) -> tuple:
-    """``turns`` times ``record.every`` steps later; and what the record stacks, (turns, ...)."""
+    """The state ``turns * record.every`` steps later, and the rows of the record, (turns, ...)."""
     scenario, varying, policy = fixed
 
     def step(policy: PyTree, state: State, turn: Array = index[0]) -> tuple[State, Array]:
@@ -365,12 +368,12 @@ def _advance(
 
     def tick(carry: tuple, _: None) -> tuple[tuple, Array]:
         before, steps, faulty = carry
-        rows = (before, index) if varying else (before,)  # what is one for all needs no axis
+        rows = (before, index) if varying else (before,)  # an index that is the same for all needs no axis
         states, actions = _of_each_driver(step, drivers)(policy, *rows)
         active = ~(before.completed | before.timed_out) & counted
         return (states, steps + active.astype(jnp.int32), faulty | (~_sound(states) & active)), actions
 
-    def one(running: Running, _: None) -> tuple[Running, PyTree]:
+    def one(running: LoopState, _: None) -> tuple[LoopState, PyTree]:
         before = running.states
         active = ~(before.completed | before.timed_out) & counted
         carry = before, running.steps, running.faulty
@@ -380,7 +383,7 @@ def _advance(
         else:
             (states, steps, faulty), actions = jax.lax.scan(tick, carry, length=record.every)
         total, kept = record.update(scenario, before, states, actions, active, running.total)
-        return Running(states, steps, faulty, total), kept
+        return LoopState(states, steps, faulty, total), kept
 
     return jax.lax.scan(one, running, length=turns)
 
@@ -394,7 +397,7 @@ def _sound(states: State) -> Array:
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    """Tracing makes millions of objects that stay; to look for cycles among them takes a fifth of its time."""
+    """Without garbage collection, which takes a fifth of the time of tracing and finds nothing."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -405,7 +408,7 @@ def _uncollected() -> Iterator[None]:
 
 
 class _Compiling:
-    """A program that is compiled in a thread of its own, so that Ctrl-C is not kept waiting by the compiler."""
+    """A program that is compiled in a thread of its own, so that Ctrl-C need not wait for the compiler."""
 
     def __init__(self, lowered: Any, options: dict[str, Any] | None = None) -> None:
         self._outcome: Any = None
@@ -414,7 +417,7 @@ class _Compiling:
     def _work(self, lowered: Any, options: dict[str, Any] | None) -> None:
         try:
             self._outcome = lowered.compile(compiler_options=options or None)
-        except Exception as error:  # carried over to the thread that waits
+        except Exception as error:  # raised again in the waiting thread
             self._outcome = error
 
     def result(self) -> Callable:

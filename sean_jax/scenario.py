@@ -12,27 +12,22 @@ from sean_jax.base import Array, Groups, Moment, Observation, Pedestrians, Robot
 from sean_jax.geometry import length, rotate
 
 NOWHERE = 1e4  # m, where the robot is while people warm up
-WARM_UP = 1  # folded into the key of an episode for what follows its warm-up
+WARM_UP = 1  # folded into the key of an episode after its warm-up
 
 
 def reset(scenario: Scenario, key: Array) -> State:
-    """The state before the first step: people at their starts, then a task for the robot among them.
-
-    People walk for ``scenario.warm_up`` seconds before there is a robot.
+    """The state before the first step: people at their starts, who walk for ``scenario.warm_up`` seconds, then a task.
 
     Args:
-        key: () typed PRNG key, from which all chance of the episode comes.
+        key: () typed PRNG key, the source of all randomness of the episode.
 
-    Returns:
-        The first state; its situations and metrics are those of this moment.
     Source: section IV-B.
     """
     people_key, task_key, streams_key = jax.random.split(key, 3)
     begin = scenario.behavior.reset
     people = calls.call("behavior", begin, "scenario, key", scenario, people_key)
     if not isinstance(people, tuple) or len(people) != 3:
-        found = calls.describe(people)
-        raise calls.wrong("behavior", begin, found, "(pedestrians, groups, memory)", "give all three")
+        raise calls.wrong("behavior", begin, calls.describe(people), "(pedestrians, groups, memory)", "give all three")
     pedestrians, groups, memory = people
     calls.check_type("behavior", begin, pedestrians, Pedestrians, N=scenario.people)
     calls.check_type("behavior", begin, groups, Groups)
@@ -43,24 +38,20 @@ def reset(scenario: Scenario, key: Array) -> State:
 
 
 def next_task(scenario: Scenario, state: State, key: Array) -> State:
-    """The first state of the robot's next task, in the crowd as it is: SEAN 2.0's tasks follow one another so.
+    """The first state of the robot's next task, in the present crowd: SEAN 2.0's tasks follow one another so.
 
-    The robot is put at the start of that task, and time and metrics begin anew. The memory of a policy is begun by
-    ``episodes.init_policy``. People of a recording begin at their first moment again.
+    The robot is placed at the start of that task, and time and metrics begin again. ``episodes.init_policy`` renews the
+    memory of a policy. People of a recording begin at their first moment again.
 
     Args:
-        key: () typed PRNG key, from which all further chance comes.
+        key: () typed PRNG key, the source of all further randomness.
     """
     task_key, streams_key = jax.random.split(key)
     return _begin(scenario, state.pedestrians, state.groups, state.memory, task_key, streams_key)
 
 
 def warm_up(scenario: Scenario, state: State) -> State:
-    """The state after people have walked for ``scenario.warm_up`` seconds without a robot.
-
-    Returns:
-        The state with people as they are then; the robot is far away.
-    """
+    """The state after people have walked for ``scenario.warm_up`` seconds, with the robot far away."""
     nowhere = jnp.full(2, NOWHERE, state.robot.position.dtype)
     state = replace(state, robot=scenario.robot.place(scenario.robot, nowhere, state.robot.heading))
 
@@ -76,9 +67,9 @@ def warm_up(scenario: Scenario, state: State) -> State:
 def _begin(
     scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, task_key: Array, streams_key: Array
 ) -> State:
-    """The first state of a task among those people."""
-    given, names = (scenario, pedestrians, groups, memory, task_key), "scenario, pedestrians, groups, memory, key"
-    task = calls.call("task", scenario.task, names, *given)
+    """The first state of a task among given people."""
+    names = "scenario, pedestrians, groups, memory, key"
+    task = calls.call("task", scenario.task, names, scenario, pedestrians, groups, memory, task_key)
     calls.check_type("task", scenario.task, task, RobotTask)
     path = task.start, task.start_heading, task.goal, task.paths_to_goal
     task = replace(task, path_rotation=paths.path_rotation(scenario.navigation, *path))
@@ -104,14 +95,11 @@ def _begin(
 
 
 def step(scenario: Scenario, state: State, action: Array) -> State:
-    """The state one control step later.
+    """The state ``scenario.time_step`` later.
 
     Args:
-        action: (2,) linear [m/s] and angular [rad/s] velocity that the robot is told to take; a command that is not
-            finite is no new one.
+        action: (2,) commanded linear [m/s] and angular [rad/s] velocity; one that is not finite is no new command.
 
-    Returns:
-        The state after ``scenario.time_step``.
     Source: sections III-A, IV-D, IV-E and IV-H.
     """
     key = jax.random.fold_in(state.streams.people, state.tick)
@@ -124,31 +112,29 @@ def step(scenario: Scenario, state: State, action: Array) -> State:
     return finish(scenario, state, after)
 
 
-def place(scenario: Scenario, state: State, position: Array, heading: Array) -> State:
-    """The state with the robot put somewhere else, at rest and without a command; situations are those there.
+def teleport(scenario: Scenario, state: State, position: Array, heading: Array) -> State:
+    """The state with the robot somewhere else, at rest and without a command, and the situations there.
 
-    The task stays as it was, with its start, its goal and how far that was, and so do metrics, for which this is a
-    step of the path. Shortest paths are found from wherever the robot is. Nobody makes room: what the robot overlaps
-    with pushes it out. A policy that remembers is begun again by ``episodes.init_policy``.
+    The task stays, with its start, goal and distance, and so do metrics, for which this is a step of the path. Shortest
+    paths begin at the robot's position. Nobody makes room: people and boxes that overlap push the robot out.
+    ``episodes.init_policy`` renews the memory of a policy.
 
     Args:
         position: (2,) m.
-        heading: (2,) where it looks, of any length; along x if it is zero.
+        heading: (2,) of any length; along x if it is zero.
     """
-    there, looking = (jnp.asarray(part, state.robot.position.dtype) for part in (position, heading))
-    robot = scenario.robot.place(scenario.robot, there, looking)
+    position, heading = (jnp.asarray(part, state.robot.position.dtype) for part in (position, heading))
+    robot = scenario.robot.place(scenario.robot, position, heading)
     return classify(scenario, replace(state, robot=robot, ticks_at_goal=jnp.zeros((), jnp.int32)))
 
 
 @jax.named_scope("direct_pedestrians")
 def direct_pedestrians(scenario: Scenario, state: State, key: Array) -> State:
-    """Who goes where: the pedestrian behavior.
+    """The pedestrian behavior: new desired velocities, members of groups and memory.
 
     Args:
         key: () typed PRNG key of this tick.
 
-    Returns:
-        The state with new desired velocities, members of groups and memory of the behavior.
     Source: section IV-D, high level.
     """
     direct = scenario.behavior.direct
@@ -159,12 +145,7 @@ def direct_pedestrians(scenario: Scenario, state: State, key: Array) -> State:
 
 @jax.named_scope("move_pedestrians")
 def move_pedestrians(scenario: Scenario, state: State) -> State:
-    """How people get there: the pedestrian model.
-
-    Returns:
-        The state with people one control step later.
-    Source: section IV-D, low level.
-    """
+    """The pedestrian model: people one control step later. Source: section IV-D, low level."""
     people = calls.call("model", scenario.move, "scenario, state", scenario, state)
     calls.check_like("model", scenario.move, people, state.pedestrians, "people whose")
     return replace(state, pedestrians=people)
@@ -172,65 +153,45 @@ def move_pedestrians(scenario: Scenario, state: State) -> State:
 
 @jax.named_scope("move_robot")
 def move_robot(scenario: Scenario, state: State, action: Array) -> State:
-    """The robot's dynamics, with people where they are after their step.
-
-    Args:
-        action: (2,) m/s and rad/s, the command.
-
-    Returns:
-        The state with the robot one control step later.
-    Source: Fig. 3.
-    """
+    """The robot's dynamics under a command (2,) [m/s, rad/s], among people after their step. Source: Fig. 3."""
     return replace(state, robot=scenario.robot.drive(scenario, state, action))
 
 
 @jax.named_scope("classify")
 def classify(scenario: Scenario, state: State) -> State:
-    """The social situations that occur now.
-
-    Returns:
-        The state with its situations (S,).
-    Source: section III-A.
-    """
+    """The state with the social situations (S,) that occur now. Source: section III-A."""
     now = moment(scenario, state)
     return replace(state, situations=jnp.stack([holds(now, scenario.thresholds) for _, holds in scenario.situations]))
 
 
 @jax.named_scope("measure")
 def measure(scenario: Scenario, before: State, after: State) -> State:
-    """Metrics one step later; they stand still once the episode has ended.
-
-    Returns:
-        ``after`` with new metrics.
-    Source: section IV-H.
-    """
-    then, now = moment(scenario, before), moment(scenario, after)
-    over = before.completed | before.timed_out
+    """``after`` with new metrics; they do not change once the episode has ended. Source: section IV-H."""
+    earlier, now = moment(scenario, before), moment(scenario, after)
+    done = before.completed | before.timed_out
     values = {
-        name: calls.call("metrics", metric.update, "value, before, after", before.metrics[name], then, now)
+        name: calls.call("metrics", metric.update, "value, before, after", before.metrics[name], earlier, now)
         for name, metric in scenario.metrics
     }
     for name, metric in scenario.metrics:
         calls.check_like("metrics", metric.update, values[name], before.metrics[name], "a value that is")
-    values = jax.tree.map(lambda old, new: jnp.where(over, old, new), before.metrics, values)
+    values = jax.tree.map(lambda old, new: jnp.where(done, old, new), before.metrics, values)
     return replace(after, metrics=values)
 
 
 def finish(scenario: Scenario, before: State, after: State) -> State:
-    """Whether the task is completed, the goal having been held, or the time is over; both stay once they are.
+    """``after`` with ``completed`` (the goal was held), ``timed_out`` and ``ticks_at_goal``; the first two are latched.
 
-    Returns:
-        ``after`` with ``completed``, ``timed_out`` and ``ticks_at_goal``.
     Source: section IV-E.
     """
     gap = after.robot.position - after.task.goal
     inside = length(gap[0], gap[1]) <= scenario.goal_radius
-    held = jnp.where(inside, before.ticks_at_goal + 1, 0)
-    wanted = clock.to_ticks(scenario.hold_time, scenario.time_step)
+    ticks_at_goal = jnp.where(inside, before.ticks_at_goal + 1, 0)
+    needed = clock.to_ticks(scenario.hold_time, scenario.time_step)
     last = clock.ceil_ticks(scenario.time_limit, scenario.time_step)
-    completed = before.completed | (~before.timed_out & inside & (held.astype(wanted.dtype) >= wanted))
+    completed = before.completed | (~before.timed_out & inside & (ticks_at_goal.astype(needed.dtype) >= needed))
     timed_out = before.timed_out | (~completed & (after.tick >= last))
-    return replace(after, ticks_at_goal=held, completed=completed, timed_out=timed_out)
+    return replace(after, ticks_at_goal=ticks_at_goal, completed=completed, timed_out=timed_out)
 
 
 def moment(scenario: Scenario, state: State) -> Moment:
@@ -259,13 +220,8 @@ def moment(scenario: Scenario, state: State) -> Moment:
 
 
 def results(scenario: Scenario, state: State) -> dict[str, Array]:
-    """The metrics of the episode so far.
+    """The metrics of the episode so far: name -> () or (1 + S,), the overall value before those by situation.
 
-    Args:
-        state: at the end of an episode, or before.
-
-    Returns:
-        name -> () or (1 + S,), the overall figure before those by situation.
     Source: section IV-H.
     """
     return {
@@ -274,10 +230,7 @@ def results(scenario: Scenario, state: State) -> dict[str, Array]:
 
 
 def observe(scenario: Scenario, state: State) -> Observation:
-    """What the robot perceives and plans with, in its own frame.
-
-    It is apart from the step, so that nobody pays for an observation that is not used.
-    """
+    """What the robot perceives and plans with, in its own frame; apart from the step, which does not need it."""
     robot, people = state.robot, state.pedestrians
     hx, hy = robot.heading[0], robot.heading[1]
 
@@ -299,11 +252,7 @@ def observe(scenario: Scenario, state: State) -> Observation:
 
 
 def frame(before: State, after: State, action: Array) -> Trajectory:
-    """What a rollout keeps of a step.
-
-    Args:
-        action: (2,) m/s and rad/s, the command that led there.
-    """
+    """The record of a step, after the command (2,) [m/s, rad/s] that led there."""
     robot, people = after.robot, after.pedestrians
     return Trajectory(
         position=robot.position,

@@ -1,8 +1,7 @@
 """Trajectories in files that other programs read: tables as CSV or Parquet.
 
-A table has a row for each frame of the robot and of each person who is there then, so that pandas, PedPy or a database
-can take it as it is; ``COLUMNS`` says what they are. A ``TrajectoryWriter`` adds episode after episode, of which one is
-in memory at a time.
+A table has a row for each frame of the robot and of each person present, for pandas, PedPy or a database; ``COLUMNS``
+says what they hold. A ``TrajectoryWriter`` adds episode after episode, one in memory at a time.
 """
 
 import contextlib
@@ -11,7 +10,7 @@ import json
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, BinaryIO
 
 import jax
 import numpy as np
@@ -43,14 +42,14 @@ COLUMNS = {
     "active": "1 until the episode has ended",
     "situation_NAME": "1 while that social situation holds",
 }
-"""Column of a table -> what it is."""
+"""Column of a table -> its meaning."""
 
 PERSON = ("x", "y", "vx", "vy", "heading_x", "heading_y")
 OF_ROBOT = ("goal_x", "goal_y", "command_speed", "command_turn_rate", "active")
 NUMBERS = ("episode", "frame", "id", "group")  # columns of whole numbers
 SITUATION = "situation_"  # how the columns of situations begin
 SUFFIXES = (".csv", ".parquet")
-GROUP_ROWS = 2**18  # of a table, that Parquet stores together: episodes are gathered until there are so many
+GROUP_ROWS = 2**18  # of a table, that Parquet stores together: episodes are gathered until they have as many
 BLOCK_ROWS = 2**16  # of a table, that are read at once
 MAX_ROWS = 10**8
 KEY = "sean_jax"  # of the header beside the columns
@@ -68,7 +67,7 @@ LIMITS = {
 
 
 class Header(pydantic.BaseModel):
-    """What stands beside the columns."""
+    """What a file holds beside the columns."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
@@ -88,24 +87,21 @@ def save_trajectory(
     time_step: float = 0.1,
     situations: Sequence[str] | None = None,
 ) -> None:
-    """Write what a rollout recorded.
-
-    A table leaves out people who are absent; read again, they are at (0, 0) there.
+    """Write what a rollout recorded, without absent people: read again, they are at (0, 0).
 
     Args:
-        trajectory: (T, ...) frames of an episode, or (E, T, ...) of several. Headings are unit vectors or zero, places
-            lie within 10 km of the origin.
-        path: to be written: ``.csv`` or ``.parquet`` (extra ``lerobot``).
+        trajectory: (T, ...) frames of an episode, or (E, T, ...) of several. Headings are unit vectors or zero,
+            positions within 10 km of the origin.
+        path: a file that ends in ``.csv`` or ``.parquet`` (extra ``lerobot``).
         time_step: s, between two frames.
-        situations: their names, as of the scenario; numbers if None.
+        situations: their names, as in the scenario; numbers if None.
 
     Raises:
-        InputError: the path has another ending, there are not as many names as situations, or a value is out of range.
+        InputError: the path has another ending, names and situations differ in number, or a value is out of range.
         WriteError: another process writes the file.
     """
     path = Path(path)
-    _check_suffix(path)
-    check_packages(path.suffix)
+    writer = _writer(path)
     arrays = {name: np.asarray(value) for name, value in vars(trajectory).items()}
     if arrays["active"].ndim not in (1, 2):
         raise InputError(f"trajectory: frames with {arrays['active'].ndim} leading axes; give (T, ...) or (E, T, ...).")
@@ -121,23 +117,16 @@ def save_trajectory(
         table.pop("episode")
     _check_rows(path, table, header, 1)
     with writing.atomic_file(path) as stream:
-        if path.suffix == ".csv":
-            stream.write(_csv(table, header, first=True))
-        else:
-            _arrow()[1].write_table(_arrow_table(table, header), stream)
+        file = writer(stream, header)
+        file.write(table)
+        file.close()
 
 
 def load_trajectory(path: Path | str) -> Trajectory:
-    """Read what ``save_trajectory`` wrote.
-
-    Args:
-        path: of the file; 10 GB and 100 million rows at most.
-
-    Returns:
-        (T, ...) or (E, T, ...), as it was saved, as numpy arrays.
+    """Read a file of ``save_trajectory`` (10 GB and 100 million rows at most): (T, ...) or (E, T, ...) numpy arrays.
 
     Raises:
-        InputError: it is none, it is damaged, or a value is out of range (``COLUMNS``).
+        InputError: it is no such file, it is damaged, or a value is out of range (``COLUMNS``).
     """
     path = Path(path)
     _check_suffix(path)
@@ -162,14 +151,7 @@ def load_trajectory(path: Path | str) -> Trajectory:
 
 
 def check_packages(suffix: str) -> None:
-    """Refuse a format whose package is missing.
-
-    Args:
-        suffix: one of ``SUFFIXES``.
-
-    Raises:
-        InputError: it names the package and the cure.
-    """
+    """Raise InputError if the package of a format (one of ``SUFFIXES``) is missing."""
     if suffix == ".parquet":
         _arrow()
 
@@ -177,102 +159,52 @@ def check_packages(suffix: str) -> None:
 class TrajectoryWriter:
     """A file of many episodes that grows by one at a time; made by ``trajectory_writer``."""
 
-    def __init__(self, path: Path, header: Header, steps: int, first: int, stream: Any):
-        self.path, self.header, self.steps, self.first = path, header, steps, first
-        self.added = 0
-        self._stream = stream
-        self._table: Any = None  # the writer of a Parquet file
-        self._waiting: list[dict[str, np.ndarray]] = []
+    def __init__(self, file: "_CsvWriter | _ParquetWriter", header: Header, steps: int, episode: int):
+        self._file, self.header, self.steps = file, header, steps
+        self.episode = episode  # the number of the next one
 
     def add(self, trajectory: Trajectory) -> None:
-        """Write the next episode.
-
-        Args:
-            trajectory: (T, ...) its frames; those after ``steps`` are left out.
-        """
-        arrays = {name: np.asarray(value)[: self.steps] for name, value in vars(trajectory).items()}
-        table = _table({name: value[None] for name, value in arrays.items()}, self.header)
-        table["episode"] = table["episode"] + (self.first + self.added)
-        if self.path.suffix == ".csv":
-            self._stream.write(_csv(table, self.header, first=not self.added))
-        else:
-            self._waiting.append(table)
-            if sum(len(each["frame"]) for each in self._waiting) >= GROUP_ROWS:
-                self._write_group()
-        self.added += 1
-
-    def _write_group(self) -> None:
-        pq = _arrow()[1]
-        rows = {name: np.concatenate([each[name] for each in self._waiting]) for name in self._waiting[0]}
-        made = _arrow_table(rows, self.header)
-        if self._table is None:
-            self._table = pq.ParquetWriter(self._stream, made.schema)
-        self._table.write_table(made)
-        self._waiting = []
-
-    def close(self) -> None:
-        """Write what waits; the file is whole."""
-        if self._waiting:
-            self._write_group()
-        if self._table is not None:
-            self._table.close()
+        """Write the next episode, frames (T, ...); those after ``steps`` are left out."""
+        arrays = {name: np.asarray(value)[None, : self.steps] for name, value in vars(trajectory).items()}
+        table = _table(arrays, self.header)
+        table["episode"] = table["episode"] + self.episode
+        self._file.write(table)
+        self.episode += 1
 
 
 @contextlib.contextmanager
 def trajectory_writer(
     path: Path | str, *, time_step: float = 0.1, situations: Sequence[str], people: int, steps: int, first: int = 0
 ) -> Iterator[TrajectoryWriter]:
-    """Write episodes one after another; the file is there when the block ends, and as it was if anything is raised.
+    """Write episodes one after another; the file is there when the block ends, and as before if anything is raised.
 
     Args:
-        path: to be written, as of ``save_trajectory``.
+        path: as in ``save_trajectory``.
         time_step: s, between two frames.
         people: N, of each episode.
+        first: number of the first episode.
 
     Raises:
         InputError: the path has another ending, or a package is missing.
         WriteError: another process writes the file.
     """
     path = Path(path)
-    _check_suffix(path)
-    check_packages(path.suffix)
+    writer = _writer(path)
     header = Header(time_step=time_step, situations=tuple(situations), people=people)
     with writing.atomic_file(path) as stream:
-        writer = TrajectoryWriter(path, header, steps, first, stream)
-        yield writer
-        writer.close()
+        file = writer(stream, header)
+        yield TrajectoryWriter(file, header, steps, first)
+        file.close()
 
 
 def join_trajectories(parts: Sequence[Path], path: Path) -> None:
-    """One file of several that ``trajectory_writer`` wrote, whose episodes follow one another.
-
-    Args:
-        path: to be written, in the same format.
+    """Write one file of several of the same format whose episodes follow one another.
 
     Raises:
         WriteError: another process writes the file.
     """
     with writing.atomic_file(path) as stream:
-        if path.suffix == ".csv":
-            for place, part in enumerate(parts):
-                with part.open("rb") as rows:
-                    for _ in range(2 if place else 0):  # the header and the names of the columns
-                        rows.readline()
-                    shutil.copyfileobj(rows, stream)
-            return
-        pq = _arrow()[1]
-        cure = "remove it, and the same command makes it anew"
-        with files.sentence(parts[0], cure):
-            schema = pq.read_schema(parts[0])
-        with pq.ParquetWriter(stream, schema) as table:
-            for part in parts:
-                with files.sentence(part, cure):
-                    groups = pq.ParquetFile(part)
-                with groups:
-                    for k in range(groups.num_row_groups):
-                        with files.sentence(part, cure):
-                            rows = groups.read_row_group(k)
-                        table.write_table(rows)
+        _writer(path).join(parts, stream)
 
 
 def _check_suffix(path: Path) -> None:
@@ -280,14 +212,21 @@ def _check_suffix(path: Path) -> None:
         raise InputError(f"{path}: its name must end in {', '.join(SUFFIXES)}.")
 
 
+def _writer(path: Path) -> "type[_CsvWriter] | type[_ParquetWriter]":
+    """The writer of a file's format; InputError if there is none, or its package is missing."""
+    _check_suffix(path)
+    check_packages(path.suffix)
+    return _CsvWriter if path.suffix == ".csv" else _ParquetWriter
+
+
 # ------------------------------------------------------------------ arrays and columns
 
 
 def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarray]:
-    """Columns of all rows: of each frame the robot's, then those of the people who are there."""
+    """Columns of all rows: for each frame the robot's row, then those of the people present."""
     episodes, steps = arrays["active"].shape
     present = np.concatenate([np.ones((episodes, steps, 1), bool), arrays["present"]], -1)
-    episode, frame, who = np.nonzero(present)
+    episode, frame, column_of = np.nonzero(present)
 
     def both(robot: np.ndarray, people: np.ndarray) -> np.ndarray:
         return np.concatenate([robot[:, :, None], people], 2)[present]
@@ -300,35 +239,35 @@ def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarra
         "episode": episode,
         "frame": frame,
         "time": (frame + 1) * header.time_step,
-        "id": who - 1,
+        "id": column_of - 1,
         **{name: part for name, part in zip(PERSON, (*place.T, *velocity.T, *heading.T), strict=True)},
         "group": group,
     }
-    robots = np.where(who == 0)[0]
-    own = (*np.moveaxis(arrays["goal"], -1, 0), *np.moveaxis(arrays["action"], -1, 0), arrays["active"])
+    robots = np.where(column_of == 0)[0]
+    robot_columns = (*np.moveaxis(arrays["goal"], -1, 0), *np.moveaxis(arrays["action"], -1, 0), arrays["active"])
     flags = np.moveaxis(arrays["situations"], -1, 0)
     labels = [*OF_ROBOT, *(f"{SITUATION}{name}" for name in header.situations)]
-    for name, values in zip(labels, (*own, *flags), strict=True):
-        column = np.full(len(who), np.nan, np.float32)
+    for name, values in zip(labels, (*robot_columns, *flags), strict=True):
+        column = np.full(len(column_of), np.nan, np.float32)
         column[robots] = values.reshape(-1)
         columns[name] = column
     return columns
 
 
 def _check_columns(path: Path, names: Iterable[str], header: Header) -> None:
-    """FileError unless these are the columns of a table; they may stand in any order."""
-    there = {*names}
+    """FileError unless these are the columns of a table, in any order."""
+    columns = {*names}
     needed = [name for name in COLUMNS if name not in ("episode", "situation_NAME")]
     needed += [f"{SITUATION}{name}" for name in header.situations]
     for name in needed:
-        if name not in there:
+        if name not in columns:
             raise FileError(f"{files.short_name(path)}: has no column {name}; {CURE}.")
-    for name in sorted(there - {*needed, "episode"}):
+    for name in sorted(columns - {*needed, "episode"}):
         raise FileError(f"{files.short_name(path)}: column {name[:60]!r} is not known; {CURE}.")
 
 
 def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, first: int) -> None:
-    """FileError for a value that its column cannot have; ``first`` is the number of the first row."""
+    """FileError for a value out of its column's range; ``first`` is the number of the first row."""
 
     def refuse(wrong: np.ndarray, name: str, rule: str) -> None:
         if wrong.any():
@@ -360,9 +299,9 @@ def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, firs
 
 
 def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Trajectory:
-    """The arrays of all columns."""
+    """The arrays of all columns; FileError if rows are missing or double."""
     batched = "episode" in table
-    frame, who = table["frame"], table["id"]
+    frame, ids = table["frame"], table["id"]
     episode = table["episode"] if batched else np.zeros(len(frame), int)
     episodes, steps, people = int(episode.max()) + 1, int(frame.max()) + 1, header.people
     what = f"{files.short_name(path)}: {len(frame):,} rows"
@@ -370,8 +309,8 @@ def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Traject
         size = f"{episodes:,} episodes of {steps:,} frames with {people:,} people"
         raise FileError(f"{what} are too few for {size}; {CURE}.")
     names = [f"{SITUATION}{name}" for name in header.situations]
-    robot, person = who == ROBOT, who != ROBOT
-    at_robot, at_person = (episode[robot], frame[robot]), (episode[person], frame[person], who[person])
+    robot, person = ids == ROBOT, ids != ROBOT
+    at_robot, at_person = (episode[robot], frame[robot]), (episode[person], frame[person], ids[person])
     driven = np.zeros((episodes, steps), bool)
     driven[at_robot] = True
     if not driven[:, 0].all() or (driven[:, 1:] & ~driven[:, :-1]).any() or not driven[at_person[:2]].all():
@@ -412,15 +351,32 @@ def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Traject
 # ------------------------------------------------------------------ CSV
 
 
-def _csv(table: dict[str, np.ndarray], header: Header, first: bool) -> bytes:
-    """Rows as text; the first of a file come after the header and the names of the columns."""
-    lines = [f"# {KEY} {header.text()}", ",".join(table)] if first else []
-    lines += [",".join(row) for row in zip(*map(_texts, table.values()), strict=True)]
-    return ("\n".join(lines) + "\n").encode("utf-8")
+class _CsvWriter:
+    """Rows as text, after a line with the header and a line with the names of the columns."""
+
+    def __init__(self, stream: BinaryIO, header: Header):
+        self._stream, self._head = stream, f"# {KEY} {header.text()}"
+
+    def write(self, table: dict[str, np.ndarray]) -> None:
+        lines = [self._head, ",".join(table)] if self._head else []
+        self._head = ""
+        lines += [",".join(row) for row in zip(*map(_texts, table.values()), strict=True)]
+        self._stream.write(("\n".join(lines) + "\n").encode("utf-8"))
+
+    def close(self) -> None:
+        pass
+
+    @staticmethod
+    def join(parts: Sequence[Path], stream: BinaryIO) -> None:
+        for number, part in enumerate(parts):
+            with part.open("rb") as rows:
+                for _ in range(2 if number else 0):
+                    rows.readline()
+                shutil.copyfileobj(rows, stream)
 
 
 def _texts(values: np.ndarray) -> list[str]:
-    """As few digits as tell a number from all others; nothing for NaN."""
+    """As few digits as distinguish a number from all others; nothing for NaN."""
     if values.dtype.kind in "iub":
         return [str(int(value)) for value in values]
     return ["" if value != value else np.format_float_positional(value, trim="-") for value in values]
@@ -431,20 +387,20 @@ def _csv_blocks(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
     first, names = next(rows, [""]), next(rows, [])
     if not first[0].startswith(f"# {KEY} "):
         raise FileError(f"{files.short_name(path)}: does not begin with '# {KEY} '; {CURE}.")
-    return _header(path, first[0][len(KEY) + 3 :]), _blocks(path, names, rows)
 
+    def blocks() -> Iterator[dict[str, np.ndarray]]:
+        done = 0
+        while block := list(itertools.islice(rows, BLOCK_ROWS)):
+            numbers = np.array([_numbers(path, done + k, row) for k, row in enumerate(block, 1)])
+            done += len(block)
+            yield dict(zip(names, numbers.T, strict=True))
 
-def _blocks(path: Path, names: list[str], rows: Iterator[list[str]]) -> Iterator[dict[str, np.ndarray]]:
-    done = 0
-    while block := list(itertools.islice(rows, BLOCK_ROWS)):
-        numbers = np.array([_numbers(path, done + k, row) for k, row in enumerate(block, 1)])
-        done += len(block)
-        yield dict(zip(names, numbers.T, strict=True))
+    return _header(path, first[0][len(KEY) + 3 :]), blocks()
 
 
 def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
     try:
-        if "_" in "".join(row):  # which Python takes for a number's
+        if "_" in "".join(row):  # which Python allows in numbers
             raise ValueError
         return [float(cell) if cell else np.nan for cell in row]
     except ValueError:
@@ -470,17 +426,56 @@ def _header(path: Path, text: str | bytes) -> Header:
 # ------------------------------------------------------------------ Parquet
 
 
-def _arrow_table(table: dict[str, np.ndarray], header: Header) -> Any:
-    pa = _arrow()[0]
-    made = pa.table({name: pa.array(values, from_pandas=True) for name, values in table.items()})
-    return made.replace_schema_metadata({KEY: header.text()})
+class _ParquetWriter:
+    """Groups of rows, written as soon as they have ``GROUP_ROWS``; the header is metadata of the schema."""
+
+    def __init__(self, stream: BinaryIO, header: Header):
+        self._stream, self._header = stream, header
+        self._file: Any = None
+        self._tables: list[dict[str, np.ndarray]] = []
+
+    def write(self, table: dict[str, np.ndarray]) -> None:
+        self._tables.append(table)
+        if sum(len(each["frame"]) for each in self._tables) >= GROUP_ROWS:
+            self._write_group()
+
+    def _write_group(self) -> None:
+        pa, pq = _arrow()
+        columns = {name: np.concatenate([each[name] for each in self._tables]) for name in self._tables[0]}
+        group = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+        group = group.replace_schema_metadata({KEY: self._header.text()})
+        if self._file is None:
+            self._file = pq.ParquetWriter(self._stream, group.schema)
+        self._file.write_table(group)
+        self._tables = []
+
+    def close(self) -> None:
+        if self._tables:
+            self._write_group()
+        if self._file is not None:
+            self._file.close()
+
+    @staticmethod
+    def join(parts: Sequence[Path], stream: BinaryIO) -> None:
+        pq, cure = _arrow()[1], "remove it, and the same command makes it anew"
+        with files.sentence(parts[0], cure):
+            schema = pq.read_schema(parts[0])
+        with pq.ParquetWriter(stream, schema) as table:
+            for part in parts:
+                with files.sentence(part, cure):
+                    groups = pq.ParquetFile(part)
+                with groups:
+                    for k in range(groups.num_row_groups):
+                        with files.sentence(part, cure):
+                            rows = groups.read_row_group(k)
+                        table.write_table(rows)
 
 
 def _parquet_blocks(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
     pa, pq = _arrow()
     with files.open_file(path, files.MAX_TABLE) as stream, files.sentence(path, CURE), pq.ParquetFile(stream) as table:
         schema, rows, size = table.schema_arrow, table.metadata.num_rows, path.stat().st_size
-        if rows > min(MAX_ROWS, 1_000_000 + 10 * size):  # those of the same numbers are as good as free
+        if rows > min(MAX_ROWS, 1_000_000 + 10 * size):  # equal numbers take almost no space
             raise FileError(f"{files.short_name(path)}: {rows:,} rows in {size:,} bytes are too many; {CURE}.")
         for field in schema:
             if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
@@ -488,15 +483,18 @@ def _parquet_blocks(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]
         if len(set(schema.names)) < len(schema.names):
             raise FileError(f"{files.short_name(path)}: names a column twice; {CURE}.")
         header = _header(path, (schema.metadata or {}).get(KEY.encode(), b""))
-    return header, _batches(path)
 
+    def blocks() -> Iterator[dict[str, np.ndarray]]:
+        with (
+            files.open_file(path, files.MAX_TABLE) as stream,
+            files.sentence(path, CURE),
+            pq.ParquetFile(stream) as table,
+        ):
+            for batch in table.iter_batches(BLOCK_ROWS):
+                columns = zip(batch.schema.names, batch.columns, strict=True)
+                yield {name: column.to_numpy(zero_copy_only=False).astype(float) for name, column in columns}
 
-def _batches(path: Path) -> Iterator[dict[str, np.ndarray]]:
-    _, pq = _arrow()
-    with files.open_file(path, files.MAX_TABLE) as stream, files.sentence(path, CURE), pq.ParquetFile(stream) as table:
-        for batch in table.iter_batches(BLOCK_ROWS):
-            columns = zip(batch.schema.names, batch.columns, strict=True)
-            yield {name: column.to_numpy(zero_copy_only=False).astype(float) for name, column in columns}
+    return header, blocks()
 
 
 def _arrow() -> tuple[Any, Any]:

@@ -1,21 +1,21 @@
 """Writing results: whole or not at all, and by one process at a time.
 
-A file is written under another name and renamed. A folder that is worked in holds a ``.lock`` meanwhile, which says by
-whom; the kernel frees it however its process ends, so it is never stale. Readers write nothing, and hold no lock for
-longer than a look.
+A file is written under another name and renamed. While a process works in a folder, the folder holds a ``.lock`` that
+names the process; the kernel frees the lock however the process ends, so it is never stale. Readers write nothing.
 """
 
 import contextlib
 import datetime
 import errno
+import json
 import os
 import shutil
 import socket
 import stat
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from sean_jax.errors import InputError, WriteError
 
@@ -27,14 +27,12 @@ except ImportError:  # Windows, where folders are not locked
 LOCK = ".lock"
 DISK_FULL = "the disk is full"
 LINK = "is a link or no regular file, through which nothing is written; remove it."
-PATIENCE = 0.1  # s, for which one who wants to write waits for those who look
+PATIENCE = 0.1  # s that a writer waits for processes that only look at a lock (``is_locked``)
 
 
 @contextlib.contextmanager
 def atomic_file(file: Path) -> Iterator[BinaryIO]:
-    """A stream whose content becomes the file when the block ends, for good.
-
-    If anything is raised or this is killed, the file is as it was.
+    """A stream whose content becomes the file when the block ends; after an error or a kill the file is as before.
 
     Raises:
         WriteError: another process writes the file, or its temporary name is that of a link.
@@ -58,11 +56,7 @@ def atomic_file(file: Path) -> Iterator[BinaryIO]:
 
 
 def sync(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on disk for good.
-
-    Args:
-        path: of the file or folder.
-    """
+    """Wait until a file, or the names in a folder, are on disk for good."""
     if path.is_dir() and os.name != "posix":
         return
     descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
@@ -72,46 +66,51 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def write(file: Path, content: str | bytes) -> None:
-    """Write a file: it is as it was or new, whenever this is interrupted, and new for good when it returns.
-
-    Args:
-        content: text, as UTF-8, or bytes.
+def write(file: Path, content: Any) -> None:
+    """Write a file, whole or not at all: text as UTF-8, bytes, or anything else as JSON, in which NaN is refused.
 
     Raises:
         WriteError: another process writes the file.
     """
+    if not isinstance(content, str | bytes):
+        content = json.dumps(content, indent=1, allow_nan=False) + "\n"
     with atomic_file(file) as stream:
         stream.write(content.encode("utf-8") if isinstance(content, str) else content)
 
 
-@contextlib.contextmanager
-def folder_lock(folder: Path) -> Iterator[None]:
-    """A lock on a folder, which is made if need be: until the block ends nobody else writes there.
-
-    If the folder is empty at the end, what was made for it vanishes again.
-
-    Args:
-        folder: to be written; of a symbolic link, the folder that it leads to.
-
-    Yields:
-        None.
+def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
+    """Write arrays as a compressed .npz file, whole or not at all.
 
     Raises:
-        WriteError: another process holds the folder, or it cannot be written.
+        WriteError: another process writes the file.
+    """
+    import numpy as np
+
+    with atomic_file(file) as stream:
+        np.savez_compressed(stream, **arrays)  # pyright: ignore[reportArgumentType]
+
+
+@contextlib.contextmanager
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Make and lock a folder, or the folder that a symbolic link leads to, until the block ends.
+
+    If the folder is empty at the end, the folders that were made are removed.
+
+    Raises:
+        WriteError: another process holds the lock, or the folder cannot be written.
     """
     folder = Path(os.path.realpath(folder))
     if os.path.exists(folder) and not os.path.isdir(folder):
         raise WriteError(f"{folder} is a file, give the name of a folder with --out.")
     made = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
     if os.path.isdir(folder) and _names(folder) == [LOCK]:
-        made = [folder]  # all that is left of one who was killed
+        made = [folder]  # left by a process that was killed
     lock = folder / LOCK
     try:
         descriptor = None
         while descriptor is None:
             folder.mkdir(parents=True, exist_ok=True)
-            with contextlib.suppress(FileNotFoundError):  # the folder vanished with who held it
+            with contextlib.suppress(FileNotFoundError):  # another process removed the folder with its lock
                 descriptor = _lock(lock)
     except BlockingIOError:
         raise WriteError(
@@ -134,15 +133,12 @@ def folder_lock(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def atomic_folder(folder: Path) -> Iterator[Path]:
-    """A new folder that becomes ``folder`` when the block ends, or vanishes if anything is raised.
+    """A new folder that becomes ``folder`` when the block ends, or is removed if anything is raised.
 
     After a kill it lies in ``.NAME.unfinished`` until the next process that writes ``folder``.
 
-    Args:
-        folder: to be written; of a symbolic link, the folder that it leads to.
-
     Raises:
-        WriteError: ``folder`` holds something already, or cannot be written.
+        WriteError: ``folder`` is not empty, or cannot be written.
     """
     folder = Path(os.path.realpath(folder))
     unfinished = folder.with_name(f".{folder.name}.unfinished")
@@ -170,33 +166,19 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
 
 
 def contents(folder: Path) -> list[str]:
-    """Names in a folder, in order, but for a lock and half-written files.
-
-    Args:
-        folder: that may not be there.
-
-    Returns:
-        The names; none if there is no such folder.
-    """
+    """Sorted names in a folder without its lock and half-written files; none if there is no such folder."""
     return sorted(
         name for name in _names(folder) if name != LOCK and not (name.startswith(".") and name.endswith(".new"))
     )
 
 
 def is_locked(folder: Path) -> bool:
-    """Whether a process writes in the folder now. This writes nothing.
-
-    Args:
-        folder: that may not be there.
-
-    Returns:
-        True or False.
-    """
+    """Whether a process writes in the folder now; the folder may be missing. This writes nothing."""
     if fcntl is None:
         return False
     try:
         descriptor = os.open(folder / LOCK, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
-    except OSError:  # there is none, or it is somebody else's
+    except OSError:  # no lock, or no permission to read it
         return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -210,14 +192,7 @@ def is_locked(folder: Path) -> bool:
 
 
 def reason(error: Exception) -> str:
-    """The cause of an error, in a few words.
-
-    Args:
-        error: of the system, or of a package that wraps one in its own.
-
-    Returns:
-        ``DISK_FULL`` if that is the cause, else the error's own words in one line.
-    """
+    """The cause of an error in one line: ``DISK_FULL``, also where a package wraps it, or the error's own words."""
     text = str(error).strip().split("\n")[0].rstrip(".")
     if getattr(error, "errno", None) == errno.ENOSPC or "No space left" in str(error):
         return DISK_FULL
@@ -225,19 +200,15 @@ def reason(error: Exception) -> str:
 
 
 def broken(error: OSError) -> str:
-    """The cause of an error, with the name of its file.
-
-    Returns:
-        The cause in a few words, and the file in brackets if there is one.
-    """
+    """The cause of an error in a few words, and its file in brackets."""
     return reason(error) + (f" ({error.filename})" if error.filename else "")
 
 
 def _lock(file: Path) -> int:
-    """A descriptor of the file, made if need be, that nobody else gets until it is closed.
+    """An exclusively locked descriptor of a file, which is made if it is missing.
 
-    Raises BlockingIOError if another has it for longer than a look, WriteError if it is a link or no regular file, as
-    somebody may put there so that another file is overwritten, OSError if it cannot be had.
+    Raises BlockingIOError if another process keeps the lock, WriteError for a link or anything but a regular file,
+    through which another file would be overwritten, and OSError if the file cannot be opened.
     """
     if file.is_symlink():
         raise WriteError(f"{file} {LINK}")
@@ -253,7 +224,7 @@ def _lock(file: Path) -> int:
             if os.path.samestat(status, file.lstat()):
                 return descriptor
         except FileNotFoundError:
-            pass  # who had it renamed or removed it in between
+            pass  # another process renamed or removed it meanwhile
         except BlockingIOError:
             if time.monotonic() > until:
                 os.close(descriptor)
@@ -266,7 +237,7 @@ def _lock(file: Path) -> int:
 
 
 def _check_vacant(folder: Path, remove: bool = False) -> None:
-    """Refuse a folder that holds something, or is being written; what a kill left there may go with the folder."""
+    """Refuse a folder that is not empty or is being written; ``remove`` it with what a killed process left there."""
     if not folder.is_dir():
         return
     with folder_lock(folder):
@@ -297,7 +268,7 @@ def _remove_empty(folders: list[Path]) -> None:
 
 
 def check_new_folder(folder: Path, option: str = "--out") -> None:
-    """Refuse a folder that cannot be made: one that holds something, or is no folder.
+    """Refuse a path that is not a new or empty folder.
 
     Raises:
         InputError: the sentence names the option, the folder and the cure.
@@ -311,10 +282,7 @@ def check_new_folder(folder: Path, option: str = "--out") -> None:
 
 
 def check_file(path: Path, suffixes: Collection[str], option: str = "--out") -> None:
-    """Refuse a file that cannot be written, or whose name ends in no known way; one that is there is written anew.
-
-    Args:
-        suffixes: that are known, such as .png.
+    """Refuse a file that cannot be written, or whose suffix is not one of these; an existing file is replaced.
 
     Raises:
         InputError: the sentence names the option, the file and the cure.

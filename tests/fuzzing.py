@@ -305,16 +305,16 @@ def batch(folder: Path) -> dict[str, bytes]:
     import numpy as np
 
     from sean_jax.config import RunConfig
-    from sean_jax.evaluation.tally import Finished, Tally
-    from sean_jax.evaluation.unfinished import Unfinished
+    from sean_jax.evaluation.accumulate import FinishedBatch, Totals
+    from sean_jax.evaluation.resume import RunFolder
 
     counts = np.arange(6, dtype=np.int32).reshape(2, 3)
-    both = Tally(counts, np.eye(2, dtype=np.int32), counts[:, :2], np.arange(4, dtype=np.int32), np.float32(0.1),
+    both = Totals(counts, np.eye(2, dtype=np.int32), counts[:, :2], np.arange(4, dtype=np.int32), np.float32(0.1),
                  np.ones(1, np.int32))  # fmt: skip
     metrics = {"path_length": np.ones(2, np.float32), "time_in_situation": np.ones((2, 3), np.float32)}
     ended = np.array([True, False]), np.array([False, True]), np.array([8, 7], np.int32)
     shown = [jax.tree.map(lambda leaf: leaf[k], frames()) for k in range(2)]  # noqa: B023
-    Unfinished(folder, RunConfig()).save(0, Finished(*ended, metrics, both, shown, 1.5))
+    RunFolder(folder, RunConfig()).save(0, FinishedBatch(*ended, metrics, both, shown, 1.5))
     return {"batch.npz": (folder / "unfinished" / "batch-00000000-2.npz").read_bytes()}
 
 
@@ -322,11 +322,11 @@ def load_batch(folder: Path) -> Any:
     import numpy as np
 
     from sean_jax.config import RunConfig
-    from sean_jax.evaluation.unfinished import PLACE, Unfinished
+    from sean_jax.evaluation.resume import PLACE, RunFolder
 
     (folder / PLACE).mkdir(exist_ok=True)
     shutil.copytree(folder, run := folder / "run", ignore=shutil.ignore_patterns(PLACE, "batch.npz"))
-    kept = Unfinished(run, RunConfig())
+    kept = RunFolder(run, RunConfig())
     kept.place.mkdir()
     if os.path.lexists(folder / "batch.npz"):
         (folder / "batch.npz").rename(kept._file(0, 2))
@@ -335,12 +335,12 @@ def load_batch(folder: Path) -> Any:
         raise Refused("there is none")
     assert found.completed.shape == found.timed_out.shape == found.steps.shape == (2,)
     assert found.completed.dtype == found.timed_out.dtype == bool and (found.steps >= 0).all() and found.seconds >= 0
-    assert all(len(values) == 2 for values in found.metrics.values()) and (found.tally.heat >= 0).all()
+    assert all(len(values) == 2 for values in found.metrics.values()) and (found.totals.heat >= 0).all()
     for each in found.frames:
         steps, people = each.present.shape
         assert each.people.shape == (steps, people, 2) and each.position.shape == (steps, 2) == each.action.shape
         assert each.active.shape == (steps,) and each.active.dtype == bool and each.group.dtype.kind == "i"
-    return [each.replace(action=np.zeros(2)) for each in found.frames], found.tally
+    return [each.replace(action=np.zeros(2)) for each in found.frames], found.totals
 
 
 def table(folder: Path) -> dict[str, bytes]:
@@ -391,15 +391,15 @@ def run(folder: Path) -> dict[str, bytes]:
 def load_run(folder: Path) -> Any:
     import csv
 
-    from sean_jax.evaluation import comparison
+    from sean_jax.evaluation import compare
 
-    found = comparison.read(folder)
+    found = compare.read(folder)
     rows = list(csv.DictReader((folder / "episodes.csv").read_text(encoding="utf-8-sig").splitlines()))
     assert [int(float(row["episode"])) for row in rows] == list(range(len(found.tasks)))
     for row, seconds, done in zip(rows, found.columns["seconds"], found.columns["completed"], strict=True):
         assert 0 <= float(row["seconds"]) == seconds <= 86_400 and done in (0, 1)
     assert (found.shown is None) == bool(found.unseen)
-    comparison.page(comparison.differences(found, found), (found, found), comparison.told(found, found))
+    compare.page(compare.differences(found, found), (found, found), compare.told(found, found))
     if found.unseen:
         raise Refused(found.unseen)
     return None

@@ -12,9 +12,10 @@ import pytest
 from fuzzing import BOMB, MERGES, check_error, hall, image, walks
 
 import sean_jax
-from sean_jax import cli, environment, maps, navigation, obstacle_grid, quantities, recordings, robots
+from sean_jax import cli, environment, maps, navigation, quantities, recordings, robots
 from sean_jax.errors import FileError, InputError
 from sean_jax.files import mjcf
+from sean_jax.geometry import MAX_ROWS, nearby_obstacles
 from sean_jax.learning.dataset import open_dataset
 from sean_jax.learning.networks import read_network_config
 
@@ -315,9 +316,9 @@ def test_an_image_is_measured_before_it_is_unpacked(tmp_path):
 def test_a_floor_of_kilometres_has_a_table_of_bounded_size(tmp_path):
     text = "name: field\nfloor: [-2000, -2000, 2000, 2000]\npeople: 4\n"
     table = environment.load(write(tmp_path, {"environment.yaml": text})).obstacle_grid
-    assert table.rows.size <= 6 * obstacle_grid.MAX_ROWS and float(table.cell) > 1.0
+    assert table.rows.size <= 6 * MAX_ROWS and float(table.cell) > 1.0
     x, y = jnp.float32(1.5), jnp.float32(0.9)  # within the box in the middle, whose row must be among those near
-    found = np.asarray(obstacle_grid.lookup(table, x, y))
+    found = np.asarray(nearby_obstacles(table, x, y))
     assert (np.abs(found[:, :2] - [1.0, 0.0]).max(-1) < 1e-6).any()
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from sean_jax import cli
 from sean_jax.bench import page
-from sean_jax.bench.timing import Row
+from sean_jax.bench.cases import Row
 from sean_jax.config import BenchConfig
 
 ABOUT = {
@@ -68,12 +68,12 @@ def test_what_cannot_be_measured_is_refused(arguments, words, capsys, tmp_path, 
 
 @pytest.mark.slow
 def test_sean_bench_measures(tmp_path, monkeypatch, capsys):
-    from sean_jax.bench import parts
+    from sean_jax.bench import cases
 
-    monkeypatch.setattr(parts, "SIZES", ((8, 6), (16, 12)))
-    monkeypatch.setattr(parts, "IMAGE", (8, 6))
-    monkeypatch.setattr(parts, "CROWDS", (8, 300))
-    monkeypatch.setattr(parts, "turns", lambda batch: 2)
+    monkeypatch.setattr(cases, "SIZES", ((8, 6), (16, 12)))
+    monkeypatch.setattr(cases, "IMAGE", (8, 6))
+    monkeypatch.setattr(cases, "CROWDS", (8, 300))
+    monkeypatch.setattr(cases, "turns", lambda batch: 2)
     arguments = ["--environment", "lab", "--people", "4", "--dynamics", "twin", "--batches", "1", "2"]
     timing = ["--only", "step,images,crowd", "--repeats", "1", "--seconds", "0.01", "--out", str(tmp_path / "found")]
     assert cli.main(["bench", *arguments, *timing]) == 0
@@ -89,6 +89,6 @@ def test_sean_bench_measures(tmp_path, monkeypatch, capsys):
 
 
 def test_the_default_measures_all():
-    from sean_jax.bench import parts
+    from sean_jax.bench import cases
 
-    assert BenchConfig().parts == list(parts.MEASURES)
+    assert BenchConfig().parts == list(cases.CASES)

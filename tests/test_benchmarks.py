@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -130,6 +132,49 @@ def test_curriculum(tmp_path, capsys):
     kept = json.loads((tmp_path / "situations.json").read_text())
     assert kept["worst"] == "seldom" and kept["situations"]["by seed"] == pytest.approx([0.0, 0.8])
     assert (tmp_path / "situations.png").stat().st_size > 0
+
+
+def test_goldens(tmp_path, monkeypatch, capsys):
+    """Equal records give exit code 0; a changed, missing or further one gives 1, with what changed."""
+    program = importlib.import_module("goldens")
+
+    def compared(*after: dict[str, str]) -> tuple[int, str]:
+        for name, texts in zip(("before", "after"), after, strict=True):
+            monkeypatch.setitem(program.WRITERS, "schema", lambda _, texts=texts: texts)
+            monkeypatch.setitem(program.WRITERS, "jaxprs", lambda _, texts=texts: {"step": texts["a b"]})
+            program.write(tmp_path / name, ["schema", "jaxprs"])
+        capsys.readouterr()
+        monkeypatch.setattr("sys.argv", ["goldens.py", "compare", str(tmp_path / "before"), str(tmp_path / "after")])
+        return program.main(), capsys.readouterr().out
+
+    first = {"a b": "one\ntwo\n", "c": "three\n"}
+    assert compared(first, first) == (0, "jaxprs: 0 of 1 differ\nschema: 0 of 2 differ\n")
+    code, said = compared(first, first | {"a b": "one\n2\n"})
+    assert code == 1 and said.count("a b: differs") == said.count("step: differs") == 1
+    assert said.count("    -two\n    +2\n") == 2 and "schema: 1 of 2 differ" in said
+    code, said = compared(first, {"a b": first["a b"]})
+    assert code == 1 and f"c: not in {tmp_path / 'after'}" in said
+    kept = tmp_path / "before" / "goldens.json"
+    assert program.compare(kept, kept) == 0 and program.compare(kept, tmp_path / "after") == 1
+    assert len({program.file_of(tmp_path, "bad_input", line) for line in program.CASES["bad_input"].splitlines()}) > 60
+
+
+def test_goldens_of_a_program():
+    """Names of functions do not matter, their operations and constants do."""
+    program = importlib.import_module("goldens")
+
+    def one(x):
+        return jnp.where(x > 0, x, 2.0) + jnp.arange(20.0)
+
+    def two(x):
+        return jnp.where(x > 0, x, 3.0) + jnp.arange(20.0)
+
+    def other(name, function):
+        function.__name__ = name
+        return program.program(jax.make_jaxpr(jax.jit(function))(1.0))
+
+    assert other("same", one) == other("another", one) != other("same", two)
+    assert "another" not in other("another", one) and "0x" not in other("same", one)
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py")))

@@ -12,7 +12,7 @@ from sean_jax import FileError, InputError, preset
 from sean_jax.config import CalibrateConfig
 from sean_jax.social_forces import PRESETS, build, presets
 from sean_jax.studies import calibration
-from sean_jax.studies.calibration import parameters, recorded
+from sean_jax.studies.calibration import fitting, windows
 from sean_jax.studies.calibration.fitting import HABITS, Fit
 from sean_jax.studies.prediction import predict
 
@@ -88,41 +88,41 @@ def test_a_wrong_file_of_constants_is_refused(tmp_path, content, message):
 
 
 def test_parameters_stay_between_their_bounds_and_come_back():
-    names = list(parameters.BOUNDS)
-    low, high = np.array(list(parameters.BOUNDS.values())).T
+    names = list(fitting.BOUNDS)
+    low, high = np.array(list(fitting.BOUNDS.values())).T
     free = np.random.default_rng(0).normal(0.0, 4.0, (200, len(names)))
-    values = np.asarray(parameters.from_free(names, jnp.asarray(free)))
+    values = np.asarray(fitting.from_free(names, jnp.asarray(free)))
     slack = 1e-5 * (np.abs(low) + np.abs(high))
     assert (values >= low - slack).all() and (values <= high + slack).all()
-    middle = np.asarray(parameters.from_free(names, jnp.asarray(np.clip(free, -3.0, 3.0))))
-    again = parameters.from_free(names, parameters.to_free(names, jnp.asarray(middle)))
+    middle = np.asarray(fitting.from_free(names, jnp.asarray(np.clip(free, -3.0, 3.0))))
+    again = fitting.from_free(names, fitting.to_free(names, jnp.asarray(middle)))
     np.testing.assert_allclose(again, middle, rtol=2e-3, atol=1e-3)
-    assert np.isfinite(parameters.to_free(names, jnp.asarray(low * 0.0))).all()
+    assert np.isfinite(fitting.to_free(names, jnp.asarray(low * 0.0))).all()
 
 
 def test_what_a_fit_may_find_can_be_used():
     """Constants at both ends of what is fitted, alone and together, lie within the limits of the terms."""
     for name in PRESETS:
         forces = preset(name)
-        names = parameters.names_of(forces)
+        names = fitting.names_of(forces)
         for end in (0, 1):
-            build(forces.tree_replace({each: parameters.BOUNDS[each][end] for each in names}))
+            build(forces.tree_replace({each: fitting.BOUNDS[each][end] for each in names}))
             for each in names:
-                build(forces.tree_replace({each: parameters.BOUNDS[each][end]}))
+                build(forces.tree_replace({each: fitting.BOUNDS[each][end]}))
 
 
 def test_which_parameters_are_fitted():
-    assert "repulsion.anticipation" not in parameters.names_of(preset("helbing2000"))  # its law is circular
-    usual = parameters.names_of(preset("helbing1995"))
+    assert "repulsion.anticipation" not in fitting.names_of(preset("helbing2000"))  # its law is circular
+    usual = fitting.names_of(preset("helbing1995"))
     assert {"repulsion.anticipation", "sidestep.preference", "walls.range"} <= set(usual)
     assert not any(name.startswith("headway") for name in usual)
-    assert parameters.names_of(plain(), NAMES[::-1]) == NAMES
+    assert fitting.names_of(plain(), NAMES[::-1]) == NAMES
     with pytest.raises(InputError, match="fit: 'repulsion.size' is not one of"):
-        parameters.names_of(plain(), ["repulsion.size"])
+        fitting.names_of(plain(), ["repulsion.size"])
     with pytest.raises(InputError, match="fit: the forces have no walls.range"):
-        parameters.names_of(plain(), ["walls.range"])
-    forces = parameters.with_values(plain(), NAMES, jnp.asarray([0.7, 3.0, 0.2]))
-    np.testing.assert_allclose(parameters.values_of(forces, NAMES), [0.7, 3.0, 0.2], rtol=1e-6)
+        fitting.names_of(plain(), ["walls.range"])
+    forces = fitting.with_values(plain(), NAMES, jnp.asarray([0.7, 3.0, 0.2]))
+    np.testing.assert_allclose(fitting.values_of(forces, NAMES), [0.7, 3.0, 0.2], rtol=1e-6)
 
 
 # ------------------------------------------------------------------ recordings
@@ -145,7 +145,7 @@ def write(path, tracks, first=0, step=10, velocities=True):
 def people_who_meet(seed, people=4):
     """Tracks of people of known constants who walk to one place from all sides."""
     random = np.random.default_rng(seed)
-    forces = parameters.with_values(plain(), NAMES, jnp.asarray([TRUE[name] for name in NAMES]))
+    forces = fitting.with_values(plain(), NAMES, jnp.asarray([TRUE[name] for name in NAMES]))
     angle = np.linspace(0.0, 2 * np.pi, people, endpoint=False) + random.normal(0.0, 0.3, people)
     velocity = -1.3 * np.stack([np.cos(angle), np.sin(angle)], -1)
     middle = -velocity * 6.5 * random.uniform(0.9, 1.1, (people, 1)) + random.normal(0.0, 0.4, (people, 2))
@@ -169,10 +169,10 @@ def test_corridors_are_windows_between_walls(tmp_path):
     y = np.where((moments >= late) & (y > -5.5), y, np.nan)
     tracks = np.stack([np.where(np.isfinite(y), x, np.nan), y], -1)
     write(tmp_path / "uo-180-180-090.csv", tracks, step=4, velocities=False)
-    prediction, corridors = recorded.find(tmp_path)
+    prediction, corridors = windows.find(tmp_path)
     assert not prediction and list(corridors) == ["uo-180-180-090"]
-    found = recorded.corridor_scenes(corridors)
-    assert found.seen.shape[1] == 2 and found.after.shape[1] == recorded.CORRIDOR_STEPS
+    found = windows.corridor_scenes(corridors)
+    assert found.seen.shape[1] == 2 and found.after.shape[1] == windows.CORRIDOR_STEPS
     assert (found.known[:, -1].sum(1) >= 2).all()
     np.testing.assert_allclose(np.linalg.norm(found.direction[found.known[:, -1]], axis=-1), 1.0, atol=1e-6)
     assert (found.direction[found.known[:, -1]][:, 1] < -0.9).all()
@@ -189,9 +189,9 @@ def test_corridors_are_windows_between_walls(tmp_path):
 
 def test_there_must_be_recordings(tmp_path):
     with pytest.raises(InputError, match="data: .* has no recordings"):
-        recorded.find(tmp_path)
+        windows.find(tmp_path)
     with pytest.raises(InputError, match="data: .* is no folder"):
-        recorded.find(tmp_path / "nowhere")
+        windows.find(tmp_path / "nowhere")
 
 
 # ------------------------------------------------------------------ the fit
@@ -205,14 +205,14 @@ def test_known_constants_are_found_again():
     speed = float(np.mean(HABITS.speed))  # where fits begin
     seen = begin[:, None] + np.array([-STEP, 0.0])[:, None, None] * (direction * speed)[:, None]
     known = np.ones((8, 2, 2), bool)
-    true = parameters.with_values(plain(), NAMES, jnp.asarray([TRUE[name] for name in NAMES]))
+    true = fitting.with_values(plain(), NAMES, jnp.asarray([TRUE[name] for name in NAMES]))
     after = np.asarray(predict(true, seen, STEP, 6, desired_velocity=direction * speed))
-    kind = recorded.Scenes(
+    kind = windows.Scenes(
         seen=seen, known=known, after=after, counted=np.ones((8, 6, 2), bool), scene=np.arange(8) % 2,
         direction=direction, others=None, walls=None, reference=np.ones((2, 2)), names=("north", "south"),
         time_step=STEP,
     )  # fmt: skip
-    wrong = parameters.with_values(plain(), NAMES, jnp.asarray([0.3, 1.5, 0.2]))
+    wrong = fitting.with_values(plain(), NAMES, jnp.asarray([0.3, 1.5, 0.2]))
     fit = Fit(wrong, NAMES, [kind], 40, 4)
     descent = fit.start(2, 1, 0)
     for step in range(40):
@@ -238,7 +238,7 @@ def test_the_command_writes_constants_figures_and_a_report(scenes, tmp_path):
     results = json.loads((folder / "results.json").read_text())
     fitted = build(str(folder / "forces.yaml"))
     for name in NAMES[1:]:
-        assert float(parameters.values_of(fitted, [name])[0]) == pytest.approx(
+        assert float(fitting.values_of(fitted, [name])[0]) == pytest.approx(
             results["parameters"]["all"][name], rel=1e-5
         )
     assert set(results["scores"]["north (recorded)"]) == {"constant velocity", "before", "all scenes", "left out"}

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from sean_jax import assembly, bench, cache, cli, compiler, interrupts, learning
 from sean_jax import progress as progress_of
-from sean_jax.bench import page, parts
+from sean_jax.bench import cases, page
 
 SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
 WRAPPED = ValueError("an interrupt, as code in C passes it on")
@@ -377,7 +377,7 @@ def test_a_full_disk_leaves_what_a_benchmark_measured(monkeypatch, capsys, tmp_p
 
     monkeypatch.setattr(bench, "_prepare", lambda options: (None, {}))
     monkeypatch.setattr(page, "title", lambda about: "")
-    monkeypatch.setattr(parts, "MEASURES", dict.fromkeys(parts.MEASURES, measures))
+    monkeypatch.setattr(cases, "CASES", dict.fromkeys(cases.CASES, measures))
     assert cli.main(["bench", "--out", str(tmp_path / "made")]) == 1
     said = f"the disk is full; what was measured until then is in {tmp_path / 'made'}."
     assert said in capsys.readouterr().err

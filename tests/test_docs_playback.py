@@ -11,16 +11,16 @@ PAGE = (Path(__file__).resolve().parent.parent / "docs" / "playback.md").read_te
 
 
 def test_columns_and_formats_are_those_of_the_reader():
-    from sean_jax.recordings import lines
+    from sean_jax.recordings import reading
 
     section = PAGE.split("## The file\n")[1].split("## The clock")[0]
     rows = [line.split("|")[1:3] for line in section.splitlines() if line.startswith("| `")]
     columns = {name: needed.strip() for names, needed in rows for name in re.findall(r"`(\w+)`", names)}
-    assert set(columns) == {name for names in lines.NAMES.values() for name in names}
-    needed = {name for key in lines.NEEDED for name in lines.NAMES[key]}
+    assert set(columns) == {name for names in reading.NAMES.values() for name in names}
+    needed = {name for key in reading.NEEDED for name in reading.NAMES[key]}
     assert {name for name, word in columns.items() if word == "yes"} == needed
     formats = re.findall(r"^\| `(\w+)` \|", PAGE.split("## The clock\n")[1].split("## What people do")[0], re.M)
-    assert tuple(formats) == tuple(lines.FORMATS)
+    assert tuple(formats) == tuple(reading.FORMATS)
 
 
 def test_the_example_runs(tmp_path, monkeypatch, capsys):

@@ -12,9 +12,9 @@ from PIL import Image
 
 from sean_jax import drawing
 from sean_jax.base import Environment, Obstacles, Trajectory
-from sean_jax.drawing import colors, parts
+from sean_jax.drawing import colors, layers
+from sean_jax.environment import plain_scenery
 from sean_jax.errors import InputError
-from sean_jax.scenery import plain_scenery
 
 STEPS, PEOPLE = 41, 3
 
@@ -76,7 +76,7 @@ def shade_at(figure: Any, x: float, y: float) -> str:
 
 
 def test_step_colors_take_the_first_situation_that_holds():
-    shades = parts.step_colors(frames(), tuple(colors.SITUATION_COLORS))
+    shades = layers.step_colors(frames(), tuple(colors.SITUATION_COLORS))
     assert shades[0] == colors.SITUATION_COLORS["empty"]
     assert shades[27] == colors.SITUATION_COLORS["cross_path"]
     assert shades[35] == colors.NO_SITUATION
@@ -113,12 +113,12 @@ def test_frames_of_the_users_situations_are_drawn_with_their_names(tmp_path):
         with pytest.raises(InputError, match=rf"situations: {number} names for frames with 7 situations; give one"):
             drawing.top_down(environment(), frames=mine, situations=["x"] * number)
     none = frames().replace(situations=np.zeros((STEPS, 0), bool))
-    assert parts.step_colors(none, ()) == [colors.NO_SITUATION] * STEPS
+    assert layers.step_colors(none, ()) == [colors.NO_SITUATION] * STEPS
     drawing.animate(environment(), none, tmp_path / "none.gif", every=20, size=100)
 
 
 def test_episode_is_cut_after_its_last_active_step():
-    assert len(parts.one_episode(frames()).active) == 36
+    assert len(layers.one_episode(frames()).active) == 36
 
 
 def test_top_down_puts_the_marks_where_the_frames_say():
@@ -173,8 +173,8 @@ def test_animation_shows_every_nth_frame_and_the_last(tmp_path):
         gif.seek(count - 1)
         last = gif.convert("RGB")
     assert count == 8  # frames 0, 5, ..., 30 and 35
-    x, scale = frames().position[35][0] - 0.08, 600 / (12.0 * (1 + 2 * parts.MARGIN))  # pixels a metre
-    there = (round((x + 6.0 + 12.0 * parts.MARGIN) * scale), round((5.0 + 12.0 * parts.MARGIN) * scale))
+    x, scale = frames().position[35][0] - 0.08, 600 / (12.0 * (1 + 2 * layers.MARGIN))  # pixels a metre
+    there = (round((x + 6.0 + 12.0 * layers.MARGIN) * scale), round((5.0 + 12.0 * layers.MARGIN) * scale))
     orange = np.array([0xF5, 0x8A, 0x07])
     assert np.abs(np.array(last.getpixel(there)) - orange).max() < 40
     assert np.abs(np.array(first.getpixel(there)) - orange).max() > 100

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax import cli, episodes, prng, writing
+from sean_jax import cli, episodes, prng
+from sean_jax import runner as runners
 from sean_jax.base import as_policy
 from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import AblationConfig, CollectConfig, Figure4Config, Table1Config, validate
@@ -21,10 +22,11 @@ from sean_jax.errors import FileError, InputError
 from sean_jax.learning.collection import streams
 from sean_jax.metrics import METRICS
 from sean_jax.policies import POLICIES, go_to_goal
-from sean_jax.runner import Runner
+from sean_jax.runner import Runner, even_batch
 from sean_jax.scenario import results
-from sean_jax.studies.experiments import ablation, drivers, figure4, rollouts, shares, table1, together
+from sean_jax.studies.experiments import ablation, chains, figure4, scheduler, shares, table1
 from sean_jax.studies.experiments.shares import BEHAVIORS
+from sean_jax.workspace import Workspace, identity
 
 
 def test_entropy_is_that_of_the_papers_rows():
@@ -37,7 +39,7 @@ def test_entropy_is_that_of_the_papers_rows():
 
 def test_ways_of_counting():
     flags = np.zeros((2, 4, 5), bool)
-    flags[0, 0, :2] = True  # cross and down path together
+    flags[0, 0, :2] = True  # cross and down path scheduler
     flags[0, 1, 4] = flags[0, 2, 4] = flags[1, 0, 4] = True
     found = shares.count(flags)
     each = np.array([1, 1, 0, 0, 3])
@@ -82,7 +84,7 @@ def test_other_tables_have_not():
 
 
 def test_claims_of_figure_4():
-    from sean_jax.studies.experiments.claims import Results, claims
+    from sean_jax.studies.experiments.measures import Results, claims
 
     def cell(wait: float, harm: float, done: float) -> dict:
         names = ("time_not_moving", wait), ("violations", harm), ("completed", done), ("collisions", 0.0)
@@ -153,39 +155,39 @@ def test_what_cannot_be_asked_is_refused(given, words, tmp_path):
 
 
 def test_a_folder_of_another_experiment_is_refused(tmp_path):
-    from sean_jax.studies.experiments import parts
-
     options = Table1Config(quick=True, out=tmp_path / "here")
-    assert not parts.has_started(options)
-    with writing.folder_lock(options.folder):
-        parts.start(options)
-    assert parts.has_started(options)
-    with pytest.raises(InputError, match="begun with --seed 0, not 1"):
-        parts.has_started(Table1Config(quick=True, seed=1, out=tmp_path / "here"))
-    kept = parts.load(tmp_path / "here" / parts.OPTIONS)
-    parts.save(tmp_path / "here" / parts.OPTIONS, {**kept, "versions": {**kept["versions"], "jax": "0.1"}})
-    with pytest.raises(InputError, match="begun with jax 0.1, not .*; go on with the same"):
-        parts.has_started(options)
+    work = Workspace(options.folder, identity(options))
+    assert not work.begun()
+    with work.open():
+        work.begin()
+    assert work.begun()
+    other = Table1Config(quick=True, seed=1, out=tmp_path / "here")
+    with pytest.raises(InputError, match="was begun with --seed 0, not 1; ask for the same or choose another --out"):
+        Workspace(other.folder, identity(other)).begun()
+    before = work.load(work.file)
+    work.save(work.file, {**before, "versions": {**before["versions"], "jax": "0.1"}})
+    with pytest.raises(InputError, match="was begun with jax 0.1, not .*; ask for the same"):
+        work.begun()
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("dear")
     with pytest.raises(InputError, match="holds something else"):
-        parts.has_started(Table1Config(out=tmp_path / "full"))
+        Workspace(tmp_path / "full", identity(options)).begun()
     for content in ("{", '{"options": []}'):
-        (tmp_path / "here" / parts.OPTIONS).write_text(content)
+        (tmp_path / "here" / work.file).write_text(content)
         with pytest.raises(InputError, match="damaged"):
-            parts.has_started(options)
+            work.begun()
 
 
 def test_a_damaged_cell_is_named(tmp_path):
     options, unasked = Table1Config(quick=True, out=tmp_path), cast(Any, None)
     (tmp_path / "random-expert.npz").write_text("half of it")
     with pytest.raises(FileError, match="random-expert.npz: is damaged; remove it, and the same command"):
-        table1._cell(options, tmp_path, "random", "expert", None, unasked, unasked)
+        table1._cell(options, Workspace(tmp_path, {}), "random", "expert", None, unasked, unasked)
 
 
 def test_parts_wait_for_what_they_need_and_are_the_same_in_threads(monkeypatch):
     order, made, both = [], [], threading.Barrier(2, timeout=20)
-    shared = together.Once(lambda name: made.append(name) or object())
+    shared = scheduler.cached(lambda name: made.append(name) or object())
 
     def work(name: str, meet: bool, tell):
         if meet:
@@ -195,14 +197,14 @@ def test_parts_wait_for_what_they_need_and_are_the_same_in_threads(monkeypatch):
         return name, shared("place")
 
     def parts(meet: bool) -> list:
-        alone = [together.Part(name, functools.partial(work, name, meet)) for name in "ab"]
-        return [*alone, together.Part("c", functools.partial(work, "c", False), ("a", "b"))]
+        alone = [scheduler.Part(name, functools.partial(work, name, meet)) for name in "ab"]
+        return [*alone, scheduler.Part("c", functools.partial(work, "c", False), ("a", "b"))]
 
-    monkeypatch.setattr(together, "workers", lambda: 3)
-    found = together.together(parts(True), None, "at work")
+    monkeypatch.setattr(scheduler, "workers", lambda: 3)
+    found = scheduler.run_parts(parts(True), None, "at work")
     assert order[2] == "c" and made == ["place"]
-    monkeypatch.setattr(together, "workers", lambda: 1)
-    assert together.together(parts(False), None, "at work") == found and order[3:] == ["a", "b", "c"]
+    monkeypatch.setattr(scheduler, "workers", lambda: 1)
+    assert scheduler.run_parts(parts(False), None, "at work") == found and order[3:] == ["a", "b", "c"]
 
 
 @pytest.mark.parametrize("error", [FloatingPointError, KeyboardInterrupt])
@@ -215,7 +217,7 @@ def test_a_failure_stops_the_other_parts_and_is_raised(error, monkeypatch):
             for _ in range(2000):
                 time.sleep(0.01)
                 tell(0.1)
-        except together.Stopped:
+        except scheduler.Stopped:
             stopped.append(True)
             raise
 
@@ -223,40 +225,41 @@ def test_a_failure_stops_the_other_parts_and_is_raised(error, monkeypatch):
         began.wait(20)
         raise error("a robot is nowhere")
 
-    parts = [together.Part("lasting", lasting), together.Part("failing", failing)]
-    parts.append(together.Part("after", never.append, ("failing",)))
-    monkeypatch.setattr(together, "workers", lambda: 2)
+    parts = [scheduler.Part("lasting", lasting), scheduler.Part("failing", failing)]
+    parts.append(scheduler.Part("after", never.append, ("failing",)))
+    monkeypatch.setattr(scheduler, "workers", lambda: 2)
     with pytest.raises(error, match="nowhere"):
-        together.together(parts, None, "at work")
+        scheduler.run_parts(parts, None, "at work")
     assert stopped == [True] and not never
 
 
 def test_several_devices_or_few_cores_work_one_by_one(monkeypatch):
-    monkeypatch.setattr(together.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
-    monkeypatch.setattr(together, "_memory", lambda: 64.0)
-    assert together.workers() == 8
+    monkeypatch.setattr(scheduler.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
+    monkeypatch.setattr(scheduler.os, "sysconf", {"SC_PHYS_PAGES": 64_000_000, "SC_PAGE_SIZE": 1000}.get)
+    assert scheduler.workers() == 8
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert together.workers() == 16
-    monkeypatch.setattr(together, "_memory", lambda: 16.0)
-    assert together.workers() == 5
+    assert scheduler.workers() == 16
+    monkeypatch.setattr(scheduler.os, "sysconf", {"SC_PHYS_PAGES": 16_000_000, "SC_PAGE_SIZE": 1000}.get)
+    assert scheduler.workers() == 5
     monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
-    monkeypatch.setattr(together.os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
-    assert together.workers() == 1
-    monkeypatch.setattr(together.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
+    monkeypatch.setattr(scheduler.os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+    assert scheduler.workers() == 1
+    monkeypatch.setattr(scheduler.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
     monkeypatch.setattr(jax, "devices", lambda: ["one", "another"])
-    assert together.workers() == 1
+    assert scheduler.workers() == 1
 
 
 @pytest.mark.slow
-def test_numbered_episodes_are_those_of_their_streams():
+def test_numbered_episodes_are_those_of_their_streams(monkeypatch):
     """Of five streams in one batch: as rolled out alone, from the key of the number, with the stream's scenario."""
     # Three seconds: later on, rounding decides who gives way to whom.
     asked = CollectConfig(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=3.0)
     metrics = (("path_length", METRICS["path_length"]),)
     kinds = [dataclasses.replace(kind, metrics=metrics) for kind in streams(asked).values()]
     told = []
-    runner = Runner(kinds, go_to_goal, drivers.even(7, 5), "figure4")
-    found = drivers.measure(runner, 3, 0, 7, told.append)
+    monkeypatch.setattr(runners, "max_batch", lambda: 5)
+    runner = Runner(kinds, go_to_goal, even_batch(7), "figure4")
+    found = runner.measure(3, 0, 7, told.append)
     assert len(found["seconds"]) == 7 and 0 < found["seconds"].min() and found["seconds"].max() <= 3.0 + 1e-3
     assert told == sorted(told) and told[-1] <= 1.0
 
@@ -276,7 +279,7 @@ def test_numbered_episodes_are_those_of_their_streams():
 def test_chains_restart_from_their_own_stream():
     asked = CollectConfig(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=20.0)
     kinds = list(streams(asked).values())
-    there = rollouts.Streams(kinds, 3, 3)
+    there = chains.Streams(kinds, 3, 3)
     pools = there.starts()
     assert there.starts() is pools
     for index, kind in enumerate(kinds):  # as each stream alone would draw them
@@ -284,7 +287,11 @@ def test_chains_restart_from_their_own_stream():
         alone = jax.jit(episodes.reset_pool, static_argnums=2)(kind, key, 3).starts
         np.testing.assert_allclose(pools.robot.position[index], alone.robot.position, atol=1e-5)
         np.testing.assert_allclose(pools.pedestrians.position[index], alone.pedestrians.position, atol=1e-5)
-    starts = jax.vmap(rollouts._start, (None, 0, 0))
+
+    def starts(pools, stream, key):
+        return episodes.draw_start(episodes.ResetPool(pools), *jax.random.split(key), stream)
+
+    starts = jax.vmap(starts, (None, 0, 0))
     stream = jnp.repeat(jnp.arange(5, dtype=jnp.int32), 8)
     drawn = starts(pools, stream, jax.random.split(jax.random.key(1), 40))
     for each, place in zip(np.asarray(stream), np.asarray(drawn.robot.position), strict=True):
@@ -300,8 +307,7 @@ def test_further_situations_are_noted_beside_the_scenarios_own():
     further = tuple(kinds[0].situations[::2])
 
     def minutes(*more):
-        chains = rollouts.Chains(as_policy(go_to_goal), *more)
-        return chains.minutes(rollouts.Streams(kinds, 0, 4), 2, 1, lambda _: None)
+        return chains.Chains(as_policy(go_to_goal), *more).minutes(chains.Streams(kinds, 0, 4), 2, 1, lambda _: None)
 
     alone, ended = minutes()
     both, again = minutes(further)
@@ -318,7 +324,7 @@ SMALL = ["--environment", "lab", "--quick", "--people", "4", "--dynamics", "twin
 @pytest.mark.slow
 def test_table1(tmp_path, monkeypatch):
     """With three parts at once, and what is missing one by one, to the same bytes."""
-    monkeypatch.setattr(together, "workers", lambda: 3)
+    monkeypatch.setattr(scheduler, "workers", lambda: 3)
     out = tmp_path / "table1"
     given = [*SMALL, "--hours", "0.0167", "--seeds", "1", "--policies", "go_to_goal", "--out", str(out)]
     assert cli.main(["experiment", "table1", *given]) == 0
@@ -351,7 +357,7 @@ def test_table1(tmp_path, monkeypatch):
     with np.load(old) as cell:
         kept = {name: cell[name] for name in ("flags", "people", "ended")}
     np.savez_compressed(old, **kept)
-    monkeypatch.setattr(together, "workers", lambda: 1)
+    monkeypatch.setattr(scheduler, "workers", lambda: 1)
     assert cli.main(["experiment", "table1", *given]) == 0
     after = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".csv"}
     assert all(before[name] == content for name, content in after.items())
@@ -360,7 +366,7 @@ def test_table1(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_figure4(tmp_path, monkeypatch):
     """With four parts at once, and some of it anew one by one, to the same bytes."""
-    monkeypatch.setattr(together, "workers", lambda: 4)
+    monkeypatch.setattr(scheduler, "workers", lambda: 4)
     out = tmp_path / "figure4"
     given = [*SMALL, "--hours", "0.0167", "--episodes", "5", "--epochs", "2", "--demonstrator", "go_to_goal"]
     given += ["--trainings", "2", "--baselines", "still"]
@@ -380,7 +386,7 @@ def test_figure4(tmp_path, monkeypatch):
         (out / missing).unlink()
     for missing in ("demonstrations-random", "policy-random-0-1"):
         shutil.rmtree(out / missing)
-    monkeypatch.setattr(together, "workers", lambda: 1)
+    monkeypatch.setattr(scheduler, "workers", lambda: 1)
     assert cli.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
     assert all((out / name).read_bytes() == content for name, content in before.items())
 

@@ -5,9 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax import geometry, obstacle_grid
+from sean_jax import geometry
 from sean_jax.base import Obstacles
-from sean_jax.platforms import by_platform
+from sean_jax.devices import by_platform
+from sean_jax.geometry import FAR, REACH, build_obstacle_grid, nearby_obstacles
 
 
 def draw_boxes(random, number, widest=2.0):
@@ -177,11 +178,11 @@ def test_around_holds_every_obstacle_within_reach():
     center, half, yaw = draw_boxes(random, 30, 1.0)
     center = center * 3
     floor = jnp.array([-10.0, -8.0, 11.5, 9.25])
-    table = obstacle_grid.build(as_boxes(center, half, yaw), floor)
+    table = build_obstacle_grid(as_boxes(center, half, yaw), floor)
     low, high = np.asarray(floor[:2]), np.asarray(floor[2:])
     points = random.uniform(low, high, (400, 2)).astype(np.float32)
     points[:4] = [low, high, [low[0], high[1]], (low + high) / 2]
-    rows = np.asarray(jax.jit(obstacle_grid.lookup)(table, jnp.asarray(points[:, 0]), jnp.asarray(points[:, 1])))
+    rows = np.asarray(jax.jit(nearby_obstacles)(table, jnp.asarray(points[:, 0]), jnp.asarray(points[:, 1])))
     assert rows.shape[1] < 30  # or the table would be no use
     felt = 0
     for point, found in zip(points, rows, strict=True):
@@ -189,7 +190,7 @@ def test_around_holds_every_obstacle_within_reach():
         for k in range(30):
             turn = np.array([[np.cos(yaw[k]), -np.sin(yaw[k])], [np.sin(yaw[k]), np.cos(yaw[k])]])
             gap = np.linalg.norm(np.maximum(np.abs((point - center[k]) @ turn) - half[k], 0))
-            if gap < obstacle_grid.REACH:
+            if gap < REACH:
                 felt += 1
                 assert tuple(np.round(center[k].astype(np.float32), 4)) in here
                 assert (
@@ -197,20 +198,20 @@ def test_around_holds_every_obstacle_within_reach():
                     < 1e-6
                 )
     assert felt > 400
-    away = np.unique(rows[..., 0][rows[..., 0] >= obstacle_grid.FAR])
-    np.testing.assert_array_equal(away, [obstacle_grid.FAR])
+    away = np.unique(rows[..., 0][rows[..., 0] >= FAR])
+    np.testing.assert_array_equal(away, [FAR])
 
 
 def test_around_off_the_grid_and_without_obstacles():
     boxes = as_boxes(np.array([[-9.0, -9.0], [9.0, 9.0]]), np.ones((2, 2)), np.zeros(2))
-    table = obstacle_grid.build(boxes, jnp.array([-10.0, -10.0, 10.0, 10.0]))
-    rows = obstacle_grid.lookup(table, jnp.array([-50.0, 50.0]), jnp.array([-50.0, 12.0]))
+    table = build_obstacle_grid(boxes, jnp.array([-10.0, -10.0, 10.0, 10.0]))
+    rows = nearby_obstacles(table, jnp.array([-50.0, 50.0]), jnp.array([-50.0, 12.0]))
     np.testing.assert_allclose(rows[:, 0, 0], [-9, 9])
-    none = obstacle_grid.build(
+    none = build_obstacle_grid(
         as_boxes(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)), jnp.array([0.0, 0.0, 2.0, 2.0])
     )
-    rows = obstacle_grid.lookup(none, jnp.array([1.0]), jnp.array([1.0]))
-    assert rows.shape == (1, 1, 6) and float(rows[0, 0, 0]) == obstacle_grid.FAR
+    rows = nearby_obstacles(none, jnp.array([1.0]), jnp.array([1.0]))
+    assert rows.shape == (1, 1, 6) and float(rows[0, 0, 0]) == FAR
 
 
 def test_a_function_in_two_forms_differentiates_as_the_first():

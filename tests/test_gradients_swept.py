@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import classifiers, episodes, geometry, metrics, navigation, obstacle_grid, sensors, social_forces
+from sean_jax import classifiers, episodes, geometry, metrics, navigation, sensors, social_forces
 from sean_jax.base import Moment, Obstacles, Pedestrians, Policy
 from sean_jax.classifiers import more_situations, predicates
+from sean_jax.geometry import build_obstacle_grid
 from sean_jax.metrics import proximity
 from sean_jax.pedestrian_models import MODELS, best_velocity, half_plane
 from sean_jax.policies import POLICIES, social_costmap
@@ -367,7 +368,7 @@ def laws() -> dict[str, Any]:
         *(jnp.asarray(part) for part in ([[0.75, 0.0], [-0.75, 0.0]], [[0.5, 3.0]] * 2, [0.0] * 2, [1.0] * 2))
     )
     floor = jnp.array([-5.0, -5.0, 5.0, 5.0])
-    between = obstacle_grid.build(gap, floor)  # half a metre, too narrow for anybody
+    between = build_obstacle_grid(gap, floor)  # half a metre, too narrow for anybody
     found = {
         "length": lambda d, v: geometry.length(*d),
         "unit": lambda d, v: geometry.unit(*d),
@@ -389,7 +390,7 @@ def laws() -> dict[str, Any]:
         "from_path": lambda d, v: distance_to_path(d[:1], d[1:], *jnp.array([[0, 0.5, 0.5], [0, 0, 0.0]])),
         "arcs": lambda d, v: arc_trajectories(v[:1], v[1:]),
     }
-    wide = obstacle_grid.build(Obstacles(jnp.zeros((1, 2)), jnp.full((1, 2), 50.0), jnp.zeros(1), jnp.ones(1)), floor)
+    wide = build_obstacle_grid(Obstacles(jnp.zeros((1, 2)), jnp.full((1, 2), 50.0), jnp.zeros(1), jnp.ones(1)), floor)
     for name in PRESETS:
         one = social_forces.preset(name)
         law, push = one.repulsion, one.walls

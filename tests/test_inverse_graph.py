@@ -17,7 +17,7 @@ from sean_jax.errors import InputError
 from sean_jax.graph import annotation
 from sean_jax.graph.behavior_graph import cheapest_paths, hop_log_chances, routes
 from sean_jax.studies import inverse_graph
-from sean_jax.studies.inverse_graph import annotating, fitting, flow_model, measuring
+from sean_jax.studies.inverse_graph import fitting, flow_model, measuring
 
 COLD = 1e-3  # m, at which route choice is the cheapest path
 
@@ -289,7 +289,7 @@ def test_calls_to_groups_are_those_that_people_follow():
     assert (calls.chance_sent.sum(1) <= 1.0).all() and (calls.chance_replaced <= 1.0).all()
     begun = calls.sent.sum() - calls.replaced.sum()
     assert begun > 30 and begun == pytest.approx(len(measured.stays[0]), abs=4)
-    left = (calls.asked + calls.kept.sum(1)).sum()
+    left = (calls.candidates + calls.continued.sum(1)).sum()
     assert left == pytest.approx(measured.edges.sum(), rel=0.2)  # who turns round at once walks no edge
     both = calls + calls
     np.testing.assert_array_equal(both.sent, 2 * calls.sent)
@@ -328,8 +328,8 @@ def test_graphs_are_written_as_they_are_read(place, tmp_path):
     stay, capacity = np.array([[2.0, 6.5], [np.nan, np.nan]]), np.array([3, 0])
     fit = inverse_graph.GraphFit(fit_weights, flows, stay, capacity, (1.3, 0.2), np.zeros(1))
     for closed in (True, False):
-        fitted = annotating.fitted(words, fit, closed, "a test: with 'quotes'")
-        (tmp_path / "graph.yaml").write_text(annotating.text(fitted), encoding="utf-8")
+        fitted = fitting.annotate(words, fit, closed, "a test: with 'quotes'")
+        (tmp_path / "graph.yaml").write_text(fitting.graph_yaml(fitted), encoding="utf-8")
         again = files.load(tmp_path / "graph.yaml", annotation.Annotation, annotation.check)
         assert again == fitted
         built = annotation.build(again, place)
@@ -464,7 +464,7 @@ def test_weights_of_simulated_people_are_found_again(tmp_path):
     }
     edges = [edge.model_copy(update={"flow": "forward"}) if k == 2 else edge for k, edge in enumerate(words.edges)]
     words = words.model_copy(update={"nodes": nodes, "edges": edges})
-    (tmp_path / "ring" / "graph.yaml").write_text(annotating.text(words), encoding="utf-8")
+    (tmp_path / "ring" / "graph.yaml").write_text(fitting.graph_yaml(words), encoding="utf-8")
     options = FitGraphConfig(
         environment=str(tmp_path / "ring"), simulate=True, people=10, minutes=60.0, out=tmp_path / "out"
     )

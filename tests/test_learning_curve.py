@@ -13,11 +13,13 @@ from sean_jax.config import Figure4Config, LearningCurveConfig
 from sean_jax.errors import InputError
 from sean_jax.learning.dataset import open_dataset
 from sean_jax.learning.policy import check_policy
-from sean_jax.studies.experiments import drivers, figure4, learning_curve, together, variants
+from sean_jax.studies.experiments import figure4, learning_curve, measures, scheduler
+from sean_jax.studies.experiments.measures import Curve, Variant, comparisons
 from sean_jax.studies.experiments.shares import BEHAVIORS
-from sean_jax.studies.experiments.variants import Curve, Variant, comparisons
+from sean_jax.workspace import Workspace
 
 ASKED = LearningCurveConfig()
+WORK = Workspace(ASKED.folder, {})
 
 
 def test_what_is_compared():
@@ -33,8 +35,8 @@ def test_what_is_compared():
 
 def test_the_first_variant_is_column_g_of_figure_4():
     """The same demonstrations and the same network, but for names of folders."""
-    paper = figure4.learner(Figure4Config(out=ASKED.folder), "G")
-    taught = {each.name: learning_curve.learner(ASKED, each) for each in learning_curve.variants(ASKED)}
+    paper = figure4.learner(Figure4Config(out=ASKED.folder), WORK, "G")
+    taught = {each.name: learning_curve.learner(ASKED, WORK, each) for each in learning_curve.variants(ASKED)}
     one = taught["1h"]
     assert one.datasets == 3 and len(one.networks) == 3
     assert one.data.identity() == paper.data.identity() and (one.data.hours, paper.data.hours) == (3.0, 10.0)
@@ -51,7 +53,7 @@ def test_the_first_variant_is_column_g_of_figure_4():
 
 def test_the_optimizer_makes_no_more_steps_than_asked_for():
     for variant, updates in itertools.product(learning_curve.variants(ASKED), (1, 500, 20_000)):
-        training = learning_curve.learner(ASKED.replace(updates=updates), variant).training((0, 0))
+        training = learning_curve.learner(ASKED.replace(updates=updates), WORK, variant).training((0, 0))
         steps = int(np.ceil(0.9 * 3600 * variant.hours * variant.rate / 1024))
         assert training.epochs == max(1, min(1000, updates // steps))
     assert training.epochs == 1000, "an hour stops by itself"
@@ -83,7 +85,7 @@ def test_verdicts_are_those_of_known_episodes():
     assert 0.05 < perhaps["share"] < 0.95 and perhaps["difference"].low < 0 < perhaps["difference"].high
     assert not told["1 h with flags", "completed"]["holds"], "equally many are not more"
     apart = curve.differences(asked[1], asked[0])
-    np.testing.assert_allclose([apart[b]["completed"].mean for b in (*BEHAVIORS, variants.MEAN)], [1, 2, 3, 2])
+    np.testing.assert_allclose([apart[b]["completed"].mean for b in (*BEHAVIORS, measures.MEAN)], [1, 2, 3, 2])
     assert curve.cells["1h"]["graph"]["completed"].mean == pytest.approx(50 * base.mean())
 
 
@@ -108,7 +110,7 @@ SMALL = ["--environment", "lab", "--people", "4", "--dynamics", "twin", "--quiet
 @pytest.mark.slow
 def test_learning_curve(tmp_path, monkeypatch):
     """With three parts at once, and what is missing one by one, to the same bytes."""
-    monkeypatch.setattr(together, "workers", lambda: 3)
+    monkeypatch.setattr(scheduler, "workers", lambda: 3)
     out = tmp_path / "curve"
     given = [
         *SMALL,
@@ -144,7 +146,7 @@ def test_learning_curve(tmp_path, monkeypatch):
         (out / missing).unlink()
     for missing in ("demonstrations-0.04h", "policy-0.04h-0-1"):
         shutil.rmtree(out / missing)
-    monkeypatch.setattr(together, "workers", lambda: 1)
+    monkeypatch.setattr(scheduler, "workers", lambda: 1)
     assert cli.main(["experiment", "learning_curve", *given]) == 0
     assert {path.name: path.read_bytes() for path in out.glob("*.csv")} == before
 
@@ -180,11 +182,11 @@ def test_columns_of_figure_4_are_folders_of_other_trainings(tmp_path, monkeypatc
     assert figure4.baselines(options) == ["runs/dagger", "runs/apg"]
     description = figure4.collection(options, "graph", options.hours)
     places = dict.fromkeys(BEHAVIORS, list(figure4.streams(description).values()))
-    jobs = {part.name: part.work for part in figure4._parts(options, options.folder, places)}
+    jobs = {part.name: part.work for part in figure4._parts(options, Workspace(options.folder, {}), places)}
     options.folder.mkdir()
     for name in figure4.baselines(options):
         check_policy(name, description, "--baselines")
         found = jobs[f"{name} in graph"](lambda share: None)[name]
         assert len(found["completed"]) == 3 and max(found["seconds"]) <= 3.0 + 1e-3
         assert (options.folder / f"episodes-{name.replace('/', '-')}-graph.json").is_file()
-    assert drivers.file_name("./my.py:drive") == "my.py-drive" and sean_jax.POLICIES.get("runs/apg") is None
+    assert figure4.file_name("./my.py:drive") == "my.py-drive" and sean_jax.POLICIES.get("runs/apg") is None

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sean_jax import cli, maps, scenery
+from sean_jax import cli, environment, maps
 from sean_jax import environment as environments
 from sean_jax.errors import FileError
 
@@ -220,6 +220,6 @@ def test_a_floor_has_its_darkest_and_lightest_color():
         '<mujoco><asset><texture name="t" type="2d" builtin="checker" width="8" height="8" '
         'rgb1="0.2 1 1" rgb2="0.4 0 0"/></asset></mujoco>'
     )
-    found = scenery._texture(model, "2d")
+    found = environment._texture(model, "2d")
     assert found is not None
     np.testing.assert_allclose(found, [[0.4, 0, 0], [0.2, 1, 1]], atol=0.01)

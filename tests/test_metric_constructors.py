@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 from test_metrics import SITUATIONS, STEP, at
-from test_report import page, results
+from test_report import evaluation, page
 
 from sean_jax import metrics
-from sean_jax.evaluation import output, statistics, table
+from sean_jax.evaluation import results
 from sean_jax.metrics import Metric, as_metric
 
 X = [0.0, 1.0, 3.0, 2.0, 2.0, -1.0, 4.0, 0.5]  # m, of the robot at ticks 0, 1, ...
@@ -132,7 +132,7 @@ def test_what_is_no_metric_is_refused_in_one_sentence(call, words):
 
 def test_a_metric_and_a_situation_of_a_user_are_in_table_csv_and_report(tmp_path):
     """Nothing but the scenario's tuples knows of them; a count is whole, a share is in percent."""
-    given = results()
+    given = evaluation()
     own = {
         "near_misses": metrics.count_onsets(right, title="near misses", definition="Times that it was close."),
         "time_right": as_metric(right, "time_right"),
@@ -144,19 +144,19 @@ def test_a_metric_and_a_situation_of_a_user_are_in_table_csv_and_report(tmp_path
     values = np.arange(number * 6).reshape(number, 6) / 64
     given.metrics |= {"near_misses": np.floor(values), "time_right": values, "share_right": values, "mean_x": values}
     given.definitions |= own
-    summary = statistics.aggregate(given)
-    rows = {row.name: row for row in table.rows(summary, given.definitions, complete=True)}
+    summary = results.aggregate_episodes(given)
+    rows = {row.name: row for row in results.table_rows(summary, given.definitions, complete=True)}
     assert list(rows)[-4:] == list(own), "rows stand in the scenario's order"
     assert (rows["near_misses"].title, rows["near_misses"].definition) == ("near misses", "Times that it was close.")
     assert rows["share_right"].unit == "%" and rows["mean_x"].unit == "m/s²" and rows["time_right"].unit == "s"
     assert rows["share_right"].cells[0] == f"{100 * values[:, 0].mean():.1f}"
     assert rows["mean_x"].cells[5] == f"{values[:, 5].mean():.3f}"
     console = Console(width=120, file=io.StringIO())
-    table.print_table(console, summary, given.definitions, "runs", 0.25)
+    results.print_table(console, summary, given.definitions, "runs", 0.25)
     text = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
     assert all(words in text for words in ("near misses", "time right s", "mean <x> m/s²", "own"))
     assert "share right" not in text, "it is no headline"
-    output.write_episodes(tmp_path / "episodes.csv", given)
+    results.write_episodes(tmp_path / "episodes.csv", given)
     header, first = (tmp_path / "episodes.csv").read_text().splitlines()[:2]
     cells = dict(zip(header.split(","), first.split(","), strict=True))
     assert cells["near_misses__my_own"] == "0" and cells["mean_x__my_own"] == f"{values[0, 5]:.6f}"
@@ -166,12 +166,12 @@ def test_a_metric_and_a_situation_of_a_user_are_in_table_csv_and_report(tmp_path
 
 
 def test_without_the_time_in_situations_figures_that_depend_on_it_are_left_out():
-    given, full = results(), statistics.aggregate(results())
+    given, full = evaluation(), results.aggregate_episodes(evaluation())
     del given.metrics["time_in_situation"]
-    summary = statistics.aggregate(given)
+    summary = results.aggregate_episodes(given)
     assert summary["situations"] == dict.fromkeys(given.situations)
     for name in ("completed", "path_efficiency"):
         assert summary["metrics"][name] == {"overall": full["metrics"][name]["overall"]}
     assert summary["metrics"]["intimate_robot_on_person"] == full["metrics"]["intimate_robot_on_person"]
-    rows = table.rows(summary, given.definitions, complete=True)
+    rows = results.table_rows(summary, given.definitions, complete=True)
     assert rows[0].cells == ["100.0", "", "", "", "", ""] and rows[1].cells[1:] == [""] * 5

@@ -11,11 +11,12 @@ import shortest_paths as oracle
 from quick import quick
 
 from sean_jax import environment as environments
-from sean_jax import navigation, obstacle_grid
+from sean_jax import navigation
 from sean_jax.base import Environment, Obstacles
+from sean_jax.environment import plain_scenery
+from sean_jax.geometry import build_obstacle_grid
 from sean_jax.graph import annotation
 from sean_jax.navigation import Navigation
-from sean_jax.scenery import plain_scenery
 
 RADIUS = 0.25  # m
 KURI, WARTHOG = 0.16, 0.95  # m
@@ -38,7 +39,7 @@ def yard(rows, floor=(-8.0, -8.0, 8.0, 8.0)) -> Environment:
     return Environment(
         floor=edges,
         obstacles=obstacles,
-        obstacle_grid=obstacle_grid.build(obstacles, edges),
+        obstacle_grid=build_obstacle_grid(obstacles, edges),
         scenery=plain_scenery(obstacles),
         name="yard",
     )

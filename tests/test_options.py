@@ -83,7 +83,7 @@ FITTING = {"thresholds": None, "task_distance": (1.0, 2.0), "time_step": 0.1, "t
 @pytest.mark.parametrize(
     ("word", "fixed"),
     [
-        ("run", {**FITTING, "camera": None, "renderer": None, "live": False}),
+        ("run", {**FITTING, "camera": None, "live": False}),
         (
             "collect",
             {**FITTING, "behavior": "random", "task": None, "width": 30, "height": 20, "metrics": (), "rate": 5},
@@ -176,8 +176,6 @@ run --policy go_to_gaol | policy: 'go_to_gaol'; did you mean 'go_to_goal'
 run --policy runs/nope | policy: 'runs/nope'; sean train
 run --policy full | full has no trained network; sean train imitation
 run --camera first_persn | camera: robot 'kuri' has no 'first_persn'; did you mean 'first_person'
-run --camera depth --renderer unity | --renderer: 'unity' is not one of rays, mujoco
-run --renderer mujoco | --renderer; add --camera first_person
 run --out file | --out; file is a file; new folder
 run --out full | --out; the folder full is not empty; new folder
 run --out . | --out
@@ -425,9 +423,9 @@ def test_numbers_of_numpy_are_numbers():
 
 
 def test_every_choice_is_explained_by_a_whole_sentence_of_its_own():
-    from sean_jax.evaluation import choices
+    from sean_jax.evaluation import list_command
 
-    for option, offered in choices.offered():
+    for option, offered in list_command.offered():
         assert len(set(offered.values())) == len(offered), option
         for name, line in offered.items():
             assert line[0].isupper() and line.endswith(".") and "``" not in line, (option, name, line)

@@ -21,12 +21,11 @@ import sean_jax
 from sean_jax import cli, components, config, flags, learning
 from sean_jax.config import BenchmarkConfig, CollectConfig, Figure4Config, RunConfig, Table1Config, ValidateConfig
 from sean_jax.errors import InputError
-from sean_jax.evaluation.output import read_config
+from sean_jax.evaluation.saved import read_config
 from sean_jax.learning import dataset
 from sean_jax.learning.policy import AGENTS
-from sean_jax.studies import validation
-from sean_jax.studies.experiments import parts
-from sean_jax.studies.validation import results
+from sean_jax.studies.validation import check, results
+from sean_jax.workspace import Workspace, identity
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -288,19 +287,19 @@ def test_what_was_begun_with_another_file_is_not_gone_on_with(place):
                       (BenchmarkConfig, {"policy": "my.py:f"})]:  # fmt: skip
         options = kind(**own, out=place / kind.__name__)
         options.folder.mkdir()
-        parts.start(options)
-        assert parts.has_started(options)
+        Workspace(options.folder, identity(options)).begin()
+        assert Workspace(options.folder, identity(options)).begun()
         (place / "my.py").write_text("f = 2\n")
-        with pytest.raises(InputError, match="was begun with another my.py; restore it, or choose another --out"):
-            parts.has_started(options)
+        with pytest.raises(InputError, match="was begun with another my.py; ask for the same or choose another --out"):
+            Workspace(options.folder, identity(options)).begun()
         (place / "my.py").write_text("f = 1\n")
     (place / "figure4").mkdir()
     for others in ("none", "none,more.py:f"):
         options = Figure4Config(baselines=others, out=place / "figure4")
-        parts.start(options)
+        Workspace(options.folder, identity(options)).begin()
     (place / "more.py").write_text("f = 2\n")
     with pytest.raises(InputError, match="was begun with another more.py"):
-        parts.start(options)
+        Workspace(options.folder, identity(options)).begin()
 
 
 def test_a_row_of_a_validation_is_that_of_the_force_of_now(place):
@@ -321,7 +320,7 @@ f = [*sean_jax.preset("helbing1995"), Law()]
     laws = set()
     for number in ("1.0", "2.0"):
         (place / "my.py").write_text(law.replace("NUMBER", number))
-        (model,) = validation.models_of("my.py:f")
+        (model,) = check.models_of("my.py:f")
         laws.add(json.dumps(results._made_with(model, ValidateConfig())))
     assert len(laws) == 2
 

@@ -10,7 +10,7 @@ import pytest
 import sean_jax
 from sean_jax.drawing import view
 from sean_jax.policies import go_to_goal
-from sean_jax.recordings import tracks
+from sean_jax.recordings import reading
 
 RATE = 2.5  # frames a second, as of a recording at every tenth of 25 frames
 WALKS = {  # id: (first frame, last frame, place at the first, velocity [m/s])
@@ -122,7 +122,7 @@ def test_whoever_is_not_seen_for_long_has_left(tmp_path):
     path = tmp_path / "gap.csv"
     rows = [(frame, 0.1 * frame) for frame in (*range(10), *range(40, 50), 53)]
     path.write_text("frame,ped_id,x_m,y_m\n" + "".join(f"{frame},a,{x},0\n" for frame, x in rows))
-    table = tracks.read(path, frame_rate=10.0, time_step=0.1)
+    table = reading.read(path, frame_rate=10.0, time_step=0.1)
     there = np.asarray(table.present)[:, 0]
     assert there.tolist() == [True] * 10 + [False] * 30 + [True] * 14  # a short gap is bridged
     np.testing.assert_allclose(np.asarray(table.position)[50:54, 0, 0], [5.0, 5.1, 5.2, 5.3][:4], atol=0.01)
@@ -135,7 +135,7 @@ def test_a_gap_of_two_seconds_is_bridged_wherever_it_is(tmp_path, rate):
     for first in (0, 1, 7, 1001, 12345, 999_999):
         rows = "".join(f"{frame},a,{0.1 * k},0\n" for k, frame in enumerate((first, first + gap, first + gap + 1)))
         path.write_text("frame,id,x,y\n" + rows)
-        assert np.asarray(tracks.read(path, frame_rate=rate, time_step=0.1).present)[:20].all(), first
+        assert np.asarray(reading.read(path, frame_rate=rate, time_step=0.1).present)[:20].all(), first
 
 
 def test_columns_are_those_of_first_fit():
@@ -143,32 +143,32 @@ def test_columns_are_those_of_first_fit():
     generator = np.random.default_rng(0)
     for _ in range(50):
         begins = np.sort(generator.integers(0, 60, 80)).tolist()
-        walks = [tracks.Walk(begin, np.zeros((int(generator.integers(2, 25)), 2)), 0) for begin in begins]
+        walks = [reading.Walk(begin, np.zeros((int(generator.integers(2, 25)), 2)), 0) for begin in begins]
         plain: list = []
         for walk in walks:
             column = next((each for each in plain if each[-1].begin + len(each[-1].places) < walk.begin), None)
             if column is None:
                 plain.append(column := [])
             column.append(walk)
-        found = tracks._columns(walks, Path("people.csv"))
+        found = reading._columns(walks, Path("people.csv"))
         assert [[id(walk) for walk in column] for column in found] == [
             [id(walk) for walk in column] for column in plain
         ]
 
 
 def test_more_people_at_once_than_there_can_be_are_refused(monkeypatch):
-    monkeypatch.setattr(tracks, "MAX_PEOPLE", 3)
-    walks = [tracks.Walk(0, np.zeros((5, 2)), 0)] * 4
-    assert len(tracks._columns(walks[:3], Path("people.csv"))) == 3
+    monkeypatch.setattr(reading, "MAX_PEOPLE", 3)
+    walks = [reading.Walk(0, np.zeros((5, 2)), 0)] * 4
+    assert len(reading._columns(walks[:3], Path("people.csv"))) == 3
     with pytest.raises(ValueError, match="people.csv: more than 3 people are there at once; cut the recording"):
-        tracks._columns(walks, Path("people.csv"))
+        reading._columns(walks, Path("people.csv"))
 
 
 def test_a_recording_of_many_people_is_read(tmp_path):
     path = tmp_path / "many.csv"
     lines = [f"{2 * person + k},{person},{0.1 * k:.1f},0" for person in range(20_000) for k in range(5)]
     path.write_text("frame,id,x,y\n" + "\n".join(lines) + "\n")
-    assert np.asarray(tracks.read(path, frame_rate=10.0, time_step=0.1).present).sum() == 100_000
+    assert np.asarray(reading.read(path, frame_rate=10.0, time_step=0.1).present).sum() == 100_000
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_a_recording_that_cannot_be_used_is_refused(tmp_path, text, words):
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=words):
-        tracks.read(path, frame_rate=25.0, time_step=0.1)
+        reading.read(path, frame_rate=25.0, time_step=0.1)
 
 
 @pytest.mark.parametrize(

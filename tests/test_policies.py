@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 import sean_jax
 from sean_jax import cli, episodes, navigation, robots
 from sean_jax.base import Groups, Policy
-from sean_jax.evaluation.choices import offered
+from sean_jax.evaluation.list_command import choices
 from sean_jax.learning.policy import AGENTS
 from sean_jax.pedestrian_models import walk
 from sean_jax.policies import POLICIES, cost_to_go, prediction, social_costmap
@@ -456,7 +456,7 @@ def test_plans_keep_to_the_limits_of_every_robot():
 
 
 def test_each_is_documented_and_on_the_list():
-    lines = dict(offered())["policy"]
+    lines = dict(choices())["policy"]
     assert set(lines) == {*POLICIES, *AGENTS}
     assert {"go_to_goal", "social_costmap", "orca", "expert", "sensing_expert", "move_base", "ppo"} <= set(lines)
     assert all(line for line in lines.values())

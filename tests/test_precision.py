@@ -123,7 +123,7 @@ def test_situations_are_classified(small, state, name):
     rules, values = classifiers.SITUATION_SETS[name], classifiers.THRESHOLD_SETS[name]()
     other = small.replace(situations=tuple(rules.items()), thresholds=values)
     assert all_double(values)
-    found = jax.eval_shape(lambda state: sean_jax.place(other, state, jnp.zeros(2), jnp.ones(2)), state)
+    found = jax.eval_shape(lambda state: sean_jax.teleport(other, state, jnp.zeros(2), jnp.ones(2)), state)
     assert found.situations.shape == (len(rules),)
 
 
@@ -145,7 +145,7 @@ def test_gradients_are_double(small):
     eye, start = sensors.camera(small, "depth", width=8, height=6), jax.random.key(0)
 
     def seen(spot):
-        return jnp.mean(sensors.depth(small, sean_jax.place(small, sean_jax.reset(small, start), spot, spot), eye))
+        return jnp.mean(sensors.depth(small, sean_jax.teleport(small, sean_jax.reset(small, start), spot, spot), eye))
 
     traced(jax.grad(seen), ACTION)
     for dynamics in robots.DYNAMICS:

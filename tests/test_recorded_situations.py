@@ -11,7 +11,7 @@ from sean_jax.classifiers import MORE_SITUATIONS, OBJECT_SITUATIONS, SITUATIONS
 from sean_jax.config import Table1Config
 from sean_jax.errors import FileError
 from sean_jax.metrics import bootstrap
-from sean_jax.studies.experiments import recorded, shares, table1
+from sean_jax.studies.experiments import shares, table1
 
 STEP = 0.4  # s
 SPEEDS = (1.4, 1.0, 0.4)
@@ -61,9 +61,9 @@ def by_hand(robot: int, row: int, speed: float, leave=frozenset()) -> list[bool]
 
 
 def test_everybody_plays_the_robot(tmp_path):
-    people = recorded.read([str(recording(tmp_path / "walk.csv"))], 1 / STEP)["walk"]
+    people = shares.read_recordings([str(recording(tmp_path / "walk.csv"))], 1 / STEP)["walk"]
     told = []
-    found = recorded.count("walk", people, SPEEDS, told.append)
+    found = shares.count_recording("walk", people, SPEEDS, told.append)
     assert told == [0.2, 0.4, 0.6, 0.8, 1.0] and found.people == 5
     rows = [(robot, row) for robot, (_, _, first, last) in enumerate(WALKS) for row in range(first, last + 1)]
     assert found.person.tolist() == [robot for robot, _ in rows]
@@ -100,8 +100,8 @@ def test_everybody_plays_the_robot(tmp_path):
 
 
 def test_groups_are_told_where_they_are_annotated(tmp_path):
-    people = recorded.read([str(recording(tmp_path / "walk.csv", groups=True))], 1 / STEP)["walk"]
-    found = recorded.count("walk", people, SPEEDS)
+    people = shares.read_recordings([str(recording(tmp_path / "walk.csv", groups=True))], 1 / STEP)["walk"]
+    found = shares.count_recording("walk", people, SPEEDS)
     assert {"join_group", "leave_group"} <= found.known and found.flags[0, :, 2].any()
 
 
@@ -109,10 +109,10 @@ def test_companions_are_not_met(tmp_path):
     """Of four in two lines that share somebody; what others meet stays."""
     path = recording(tmp_path / "walk.csv")
     path.with_suffix(".groups.txt").write_text(" 3 4\n\n 5\n6 4\n", encoding="utf-8")
-    read = recorded.read([str(path)], 1 / STEP)
+    read = shares.read_recordings([str(path)], 1 / STEP)
     assert list(read) == ["walk", "walk without companions"]
     assert read["walk without companions"].companions.tolist() == [0, 0, -1, 0, -1]
-    whole, without = (recorded.count(name, people, (1.0,)) for name, people in read.items())
+    whole, without = (shares.count_recording(name, people, (1.0,)) for name, people in read.items())
     rows = [(robot, row) for robot, (_, _, first, last) in enumerate(WALKS) for row in range(first, last + 1)]
     together = {0, 1, 3}
     expected = [by_hand(*each, 1.0, leave=together if each[0] in together else set()) for each in rows]
@@ -122,13 +122,13 @@ def test_companions_are_not_met(tmp_path):
     assert without.flags[0, :, 4].sum() > whole.flags[0, :, 4].sum()
     path.with_suffix(".groups.txt").write_text("3 4\n5 9\n", encoding="utf-8")
     with pytest.raises(FileError, match=r"walk.groups.txt:2: '9' is the number of nobody in the recording"):
-        recorded.read([str(path)], 1 / STEP)
+        shares.read_recordings([str(path)], 1 / STEP)
 
 
 def test_sean2_has_its_own_directions(tmp_path):
     """Who comes against the robot is in down path by SEAN's code, and not as printed."""
-    people = recorded.read([str(recording(tmp_path / "walk.csv"))], 1 / STEP)["walk"]
-    printed, coded = (recorded.count("walk", people, (0.4,), kind=kind) for kind in ("paper", "sean2"))
+    people = shares.read_recordings([str(recording(tmp_path / "walk.csv"))], 1 / STEP)["walk"]
+    printed, coded = (shares.count_recording("walk", people, (0.4,), kind=kind) for kind in ("paper", "sean2"))
     assert (coded.flags[0, :, 1] & ~printed.flags[0, :, 1]).any()
     np.testing.assert_array_equal(coded.more, printed.more)
 
@@ -160,7 +160,7 @@ def test_recordings_alone(tmp_path):
     assert cli.main([*given, "--quiet", "--out", str(out), "--speeds", *map(str, SPEEDS)]) == 0
     rows = [line.split(",") for line in (out / "recordings.csv").read_text(encoding="utf-8").splitlines()]
     assert rows[0] == ["recording", "people", "V", "counting", "situation", "share", "low", "high"]
-    found = recorded.count("walk", recorded.read([str(walk)], 1 / STEP)["walk"], SPEEDS)
+    found = shares.count_recording("walk", shares.read_recordings([str(walk)], 1 / STEP)["walk"], SPEEDS)
     for speed, (_, flags) in zip(SPEEDS, enumerate(found.flags), strict=True):
         for k, name in enumerate(SITUATIONS):
             share = {
@@ -201,15 +201,15 @@ def test_recordings_of_one_name_keep_their_paths(tmp_path):
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         paths.append(str(recording(tmp_path / folder / "walk.csv")))
-    assert list(recorded.read([*paths, str(recording(tmp_path / "x.csv"))], 2.5)) == [*paths, "x"]
+    assert list(shares.read_recordings([*paths, str(recording(tmp_path / "x.csv"))], 2.5)) == [*paths, "x"]
 
 
 def test_shares_of_people_recorded_in_zurich_and_nicosia(request):
     """The figures of docs/situations.md."""
     folder = request.getfixturevalue("recordings") / "eth_ucy"
     for name, people, down, empty in (("eth", 360, 0.714, 0.284), ("zara01", 148, 0.802, 0.197)):
-        people_there = recorded.read([str(folder / f"{name}.csv")])[name]
-        found = recorded.count(name, people_there, (1.4, 0.4))
+        people_there = shares.read_recordings([str(folder / f"{name}.csv")])[name]
+        found = shares.count_recording(name, people_there, (1.4, 0.4))
         share = found.shares().of("flags")[0]
         print(name, np.round(100 * share, 2), np.round(100 * found.further().examples[0], 2))
         assert found.people == people and share.sum() == pytest.approx(1.0)

@@ -8,7 +8,7 @@ import pytest
 from sean_jax import classifiers, recordings
 from sean_jax.base import Obstacles
 from sean_jax.errors import FileError
-from sean_jax.recordings import lines
+from sean_jax.recordings import reading
 
 fit = jax.jit(recordings.fit_motion, static_argnums=(2, 3))
 
@@ -244,28 +244,28 @@ def test_fitted_velocities_agree_with_the_published_ones(request):
 def test_a_person_is_one_whatever_digits_their_number_has(tmp_path):
     """1, 1.0 and 01 are one person; words are as they are."""
     text = "frame,id,x,y\n0,1,0,0\n1,1.0,0.1,0\n2,01,0.2,0\n0,-0,3,0\n1,0,3.1,0\n"
-    found = lines.read(write(tmp_path / "a.csv", text), frame_rate=10.0)
+    found = reading.read_lines(write(tmp_path / "a.csv", text), frame_rate=10.0)
     assert found.number.tolist() == [0, 1] and found.person.tolist() == [1, 1, 1, 0, 0]
-    words = lines.read(write(tmp_path / "b.csv", text.replace(",01,", ",ann,")), frame_rate=10.0)
+    words = reading.read_lines(write(tmp_path / "b.csv", text.replace(",01,", ",ann,")), frame_rate=10.0)
     assert words.number.tolist() == [0, 1, 2] and words.person.tolist() == [1, 1, 2, 0, 0]
     with pytest.raises(FileError, match="a.csv:3: the person is already there in frame 0"):
-        lines.read(write(tmp_path / "a.csv", "frame,id,x,y\n0,1,0,0\n0,1.0,0.1,0\n"), frame_rate=10.0)
+        reading.read_lines(write(tmp_path / "a.csv", "frame,id,x,y\n0,1,0,0\n0,1.0,0.1,0\n"), frame_rate=10.0)
 
 
 def test_so_many_lines_are_read_and_no_more(tmp_path, monkeypatch):
     text = "frame,id,x,y\n" + "".join(f"{k},1,0,0\n" for k in range(6))
     path = write(tmp_path / "a.csv", text)
-    monkeypatch.setattr(lines, "MAX_LINES", 6)
-    assert len(lines.read(path, frame_rate=10.0).line) == 6
-    monkeypatch.setattr(lines, "MAX_LINES", 5)
+    monkeypatch.setattr(reading, "MAX_LINES", 6)
+    assert len(reading.read_lines(path, frame_rate=10.0).line) == 6
+    monkeypatch.setattr(reading, "MAX_LINES", 5)
     with pytest.raises(FileError, match="a.csv:7: is beyond the 5 lines that are read; cut the file"):
-        lines.read(path, frame_rate=10.0)
+        reading.read_lines(path, frame_rate=10.0)
 
 
 def test_the_clock_is_checked_in_a_sentence():
-    lines.check_clock(None, None)
-    lines.check_clock("juelich", 25.0)
+    reading.check_clock(None, None)
+    reading.check_clock("juelich", 25.0)
     with pytest.raises(ValueError, match=r"^recording_format: 'juelch' is not one of .*; did you mean 'juelich'\?$"):
-        lines.check_clock("juelch", None)
+        reading.check_clock("juelch", None)
     with pytest.raises(ValueError, match="^frame_rate: 0.0 must be from 0.001 to 10,000 frames a second.$"):
-        lines.check_clock("csv", 0.0)
+        reading.check_clock("csv", 0.0)

@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console
 from test_drawing import Graph, environment, frames
 
-from sean_jax import replay, report
-from sean_jax.evaluation import Evaluation, output, statistics, table
+from sean_jax import pages, replay, report
+from sean_jax.evaluation import Evaluation, results
 from sean_jax.metrics import METRICS
 
 NAMES = ("cross_path", "down_path", "join_group", "leave_group", "empty")
@@ -19,7 +19,7 @@ EPISODES = 12
 MEASURED = ("path_efficiency", "time_in_situation", "intimate_robot_on_person", "min_distance_to_people")
 
 
-def results() -> Evaluation:
+def evaluation() -> Evaluation:
     draw = np.random.default_rng(3)
     spent = draw.uniform(0, 5, (EPISODES, 5)).astype(np.float32)
     spent[:, 1] = 0.0  # nobody walked down the robot's path
@@ -56,7 +56,7 @@ def results() -> Evaluation:
 
 
 def test_means_equal_plain_ones():
-    found, given = statistics.aggregate(results()), results()
+    found, given = results.aggregate_episodes(evaluation()), evaluation()
     spent = given.metrics["time_in_situation"].astype(float)
     assert found["situations"]["cross_path"]["mean"] == pytest.approx(spent[:, 1].sum() / spent[:, 0].sum())
     efficiency = given.metrics["path_efficiency"]
@@ -74,7 +74,7 @@ def test_means_equal_plain_ones():
 
 
 def test_exclusive_shares_divide_shared_time_and_add_up_to_one():
-    shares = statistics.exclusive_shares(results())  # 1 s of none, 2 s of the first, 4 s of the first two
+    shares = evaluation().exclusive_shares()  # 1 s of none, 2 s of the first, 4 s of the first two
     assert shares["cross_path"] == pytest.approx(4 / 7) and shares["down_path"] == pytest.approx(2 / 7)
     assert shares["none"] == pytest.approx(1 / 7) and sum(shares.values()) == pytest.approx(1.0)
 
@@ -83,11 +83,11 @@ def test_exclusive_shares_divide_shared_time_and_add_up_to_one():
 def test_terminal_table_holds_every_situation_at_any_width(width):
     """Where it is too narrow, tables follow each other: no column is cut, none is left out."""
     console = Console(width=width, file=io.StringIO())
-    found = {"situations": {}, "metrics": statistics.aggregate(results())["metrics"]}
+    found = {"situations": {}, "metrics": results.aggregate_episodes(evaluation())["metrics"]}
     names = [*NAMES, "frontal_approach", "a_situation_of_mine", *(f"situation_{k}" for k in range(7))]
     for k, name in enumerate(names):
         found["situations"][name] = {"mean": 0.01 * (k + 30) + 1e-4, "interval": [0.0, 1.0]}
-    table.print_table(console, found, results().definitions, "runs", 0.25)
+    results.print_table(console, found, evaluation().definitions, "runs", 0.25)
     said = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
     assert max(len(line) for line in said.splitlines()[:-1]) <= width and "…" not in said
     shares = [cell for line in said.splitlines() if "share of robot time" in line for cell in line.split()[5:]]
@@ -97,15 +97,15 @@ def test_terminal_table_holds_every_situation_at_any_width(width):
 
 def test_episodes_file_is_the_same_bytes_again_and_reads_back(tmp_path):
     for name in ("one.csv", "two.csv"):
-        output.write_episodes(tmp_path / name, results())
+        results.write_episodes(tmp_path / name, evaluation())
     assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "two.csv").read_bytes()
     lines = (tmp_path / "one.csv").read_text().splitlines()
     rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
     assert len(rows) == EPISODES and rows[3]["task"] == "leave_group" and rows[3]["completed"] == "False"
-    assert float(rows[5]["seconds"]) == pytest.approx(results().seconds[5], abs=1e-3)
+    assert float(rows[5]["seconds"]) == pytest.approx(evaluation().seconds[5], abs=1e-3)
     assert rows[0]["time_in_situation__down_path"] == "0.000000"
     assert rows[4]["min_distance_to_people"] == ""
-    counts = results().metrics["intimate_robot_on_person"]
+    counts = evaluation().metrics["intimate_robot_on_person"]
     assert [int(row["intimate_robot_on_person__empty"]) for row in rows] == counts[:, 5].tolist()
 
 
@@ -135,7 +135,7 @@ class Reader(html.parser.HTMLParser):
 
 def page(given: Evaluation) -> str:
     """The report of those results."""
-    found = statistics.aggregate(given)
+    found = results.aggregate_episodes(given)
     return report.html(
         report.Report(
             title="yard <1>",
@@ -144,8 +144,8 @@ def page(given: Evaluation) -> str:
             environment=environment(),
             graph=Graph,
             situations=given.situations,
-            rows=[dataclasses.asdict(row) for row in table.rows(found, given.definitions, complete=True)],
-            shares=statistics.exclusive_shares(given),
+            rows=[dataclasses.asdict(row) for row in results.table_rows(found, given.definitions, complete=True)],
+            shares=given.exclusive_shares(),
             heat=given.heat,
             walks=given.walks,
             tasks=given.tasks,
@@ -168,8 +168,8 @@ def page(given: Evaluation) -> str:
 
 
 def test_report_is_whole_and_refers_to_nothing_outside():
-    given = results()
-    rows = table.rows(statistics.aggregate(given), given.definitions, complete=True)
+    given = evaluation()
+    rows = results.table_rows(results.aggregate_episodes(given), given.definitions, complete=True)
     text = page(given)
     reader = Reader()
     reader.feed(text)
@@ -185,3 +185,16 @@ def test_report_is_whole_and_refers_to_nothing_outside():
     assert [each.startswith(" open") for each in topics].count(True) == 2 < len(topics)
     ids = [part.split('"')[0] for part in text.split(' id="')[1:]]
     assert len(set(ids)) == len(ids)
+
+
+def test_pages_escape_every_text_and_mark_cells():
+    rows = [[pages.Cell("<name>", "small & print"), "a<b", pages.Cell("3", kind="ours")]]
+    parts = pages.table(["", "<head>", ""], rows), pages.note("<note>"), pages.facts({"<key>": "<value>"}), "<raw>"
+    text = pages.page("<title>", "<kicker>", [pages.section("<part>", *parts), pages.origin("sean --a '<b>'", {})])
+    body = text.split("</style>")[1]
+    for word in ("name", "head", "note", "key", "value", "raw", "title", "kicker", "part", "b"):
+        assert f"<{word}>" not in body and f"&lt;{word}&gt;" in body, word
+    assert "<th>&lt;name&gt;<small>small &amp; print</small></th><td>a&lt;b</td><td class=ours>3</td>" in body
+    reader = Reader()
+    reader.feed(text)
+    assert not reader.open

@@ -118,7 +118,7 @@ def test_a_robot_is_placed_at_rest_and_its_task_goes_on(scenario):
     going = replace(state, robot=replace(state.robot, speed=jnp.float32(0.5)), ticks_at_goal=jnp.int32(7))
     spots = jnp.asarray([[1.0, 2.0], [-3.0, 0.5], [0.0, 0.0]])
     heading = jnp.asarray([[0.0, -2.0], [0.6, 0.8], [0.0, 0.0]])
-    place = jax.jit(jax.vmap(lambda spot, heading: sean_jax.place(scenario, going, spot, heading)))
+    place = jax.jit(jax.vmap(lambda spot, heading: sean_jax.teleport(scenario, going, spot, heading)))
     placed = place(spots, heading)
     np.testing.assert_array_equal(placed.robot.position, spots)
     np.testing.assert_allclose(placed.robot.heading, [[0.0, -1.0], [0.6, 0.8], [1.0, 0.0]], atol=1e-6)
@@ -127,7 +127,7 @@ def test_a_robot_is_placed_at_rest_and_its_task_goes_on(scenario):
     assert not placed.ticks_at_goal.any()
     jax.tree.map(lambda old, new: np.testing.assert_array_equal(old[None], new[:1]), going.task, placed.task)
     jax.tree.map(lambda old, new: np.testing.assert_array_equal(old[None], new[:1]), going.metrics, placed.metrics)
-    slope = jax.jit(jax.jacobian(lambda turn: sean_jax.place(scenario, going, spots[0], turn).robot.heading))
+    slope = jax.jit(jax.jacobian(lambda turn: sean_jax.teleport(scenario, going, spots[0], turn).robot.heading))
     np.testing.assert_allclose(slope(jnp.asarray([0.0, 2.0])), [[0.5, 0.0], [0.0, 0.0]], atol=1e-6)
     assert np.isfinite(slope(jnp.zeros(2))).all()
 

@@ -16,9 +16,8 @@ from test_raycast import mujoco_distances, mujoco_hits
 import sean_jax
 from sean_jax import robots, sensors
 from sean_jax.base import Obstacles, Sensor
-from sean_jax.environment import ENVS
+from sean_jax.environment import ENVS, plain_scenery
 from sean_jax.errors import InputError
-from sean_jax.scenery import plain_scenery
 from sean_jax.sensors import cameras, pictures
 
 LEVEL = (0.0, 0.0, -1.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # axes of a camera that looks straight ahead

@@ -19,10 +19,11 @@ from flax import struct
 from scipy import stats
 
 import sean_jax
-from sean_jax import obstacle_grid, social_forces
+from sean_jax import social_forces
 from sean_jax.base import Groups, ObstacleGrid, Obstacles, Pedestrians, Robot
 from sean_jax.bench import workload
 from sean_jax.errors import InputError
+from sean_jax.geometry import build_obstacle_grid
 from sean_jax.policies import go_to_goal
 from sean_jax.social_forces import Contact, Crowd, Pair, model, terms
 from sean_jax.social_forces.model import move, pair_forces
@@ -73,7 +74,7 @@ def scene(*boxes) -> tuple[ObstacleGrid, tuple[np.ndarray, ...]]:
     rows = np.array(boxes, np.float32)
     center, half, yaw = rows[:, :2], rows[:, 2:4], np.deg2rad(rows[:, 4]).astype(np.float32)
     obstacles = Obstacles(*(jnp.asarray(part) for part in (center, half, yaw, np.ones(len(rows), np.float32))))
-    return obstacle_grid.build(obstacles, jnp.asarray(FLOOR)), tuple(part.astype(float) for part in (center, half, yaw))
+    return build_obstacle_grid(obstacles, jnp.asarray(FLOOR)), tuple(part.astype(float) for part in (center, half, yaw))
 
 
 def clearance(position, boxes) -> np.ndarray:

@@ -170,11 +170,11 @@ def test_an_environment_is_the_place(path):
 
 
 def test_optional_packages_stay_in_their_rooms():
-    """orbax belongs to learning, optax to whatever fits, Gymnasium and its like to adapters; mujoco has five rooms."""
+    """orbax belongs to learning, optax to whatever fits, Gymnasium and its like to adapters; mujoco has three rooms."""
     rooms = {
         "optax": {"learning", "studies"},
         "orbax": {"learning"},
-        "mujoco": {"files", "environment", "scenery", "robots", "drawing"},
+        "mujoco": {"files", "environment", "robots"},
     }
     rooms |= dict.fromkeys(("gymnasium", "brax", "rclpy", "stable_baselines3", "torch"), {"adapters"})
     for path in MODULES:
@@ -271,7 +271,7 @@ def test_files_of_others_are_opened_in_one_place():
     )
     for path in MODULES:
         module = dotted(path)
-        if room(module) not in {"files", "writing"} and module != "sean_jax.drawing.gl_scene":
+        if room(module) not in {"files", "writing"}:
             found = opens.search(path.read_text(encoding="utf-8"))
             assert not found, f"{module}: {found} belongs to sean_jax.files"
 

@@ -15,21 +15,10 @@ from sean_jax.config import ValidateConfig
 from sean_jax.recordings import Tracks
 from sean_jax.studies import validation
 from sean_jax.studies.scenes import Gate, model
-from sean_jax.studies.validation import (
-    CHECKS,
-    GATES,
-    Finding,
-    Laboratory,
-    Skipped,
-    figures,
-    guidelines,
-    page,
-    plans,
-    results,
-    suite,
-)
-from sean_jax.studies.validation.check import Check
-from sean_jax.studies.validation.crossings import crossing_times, flow, trajectory_data, vanishing_times
+from sean_jax.studies.validation import checks, guidelines, page, plans, results
+from sean_jax.studies.validation.check import Check, CheckContext, CheckResult, Curve, Row, Skipped
+from sean_jax.studies.validation.checks import CHECKS, GATES
+from sean_jax.studies.validation.measures import crossing_times, flow, trajectory_data, vanishing_times
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -67,8 +56,8 @@ def tracks_of(position: np.ndarray, present: np.ndarray | None = None) -> Any:
     return Tracks(position, facing, group, there, number, np.arange(len(there)), time_step=0.1)  # pyright: ignore
 
 
-def finding(name: str, moved_by) -> Finding:
-    return CHECKS[name].function(Laboratory(model(moved_by), quick=True))
+def finding(name: str, moved_by) -> CheckResult:
+    return CHECKS[name].function(CheckContext(model(moved_by), quick=True))
 
 
 # ------------------------------------------------------------------ descriptions
@@ -80,10 +69,10 @@ def test_every_check_is_described_and_belongs_to_a_gate():
         for text in (check.title, check.setup, check.measure, check.criterion, check.source):
             assert text and text == text.strip(), name
         assert callable(check.function)
-    found = [name for gate in GATES for pattern in gate.checks for name in suite.matches(pattern)]
+    found = [name for gate in GATES for pattern in gate.checks for name in checks.matches(pattern)]
     assert len(found) == len(set(found))
     for gate in GATES:
-        assert gate.title and gate.promise and any(suite.matches(pattern) for pattern in gate.checks), gate.title
+        assert gate.title and gate.promise and any(checks.matches(pattern) for pattern in gate.checks), gate.title
 
 
 def test_the_tests_of_the_guidelines_are_all_there():
@@ -94,14 +83,14 @@ def test_the_tests_of_the_guidelines_are_all_there():
 
 
 def test_checks_are_chosen_by_name_and_by_the_beginning_of_a_name():
-    assert [check.name for check in suite.chosen("nist-2.1,rimea-1")] == ["rimea-1", "nist-2.1"]
-    assert {check.name for check in suite.chosen("iso-*")} == {"iso-12", "iso-13", "iso-16"}
-    quick = {check.name for check in suite.chosen(None, True)}
+    assert [check.name for check in checks.select("nist-2.1,rimea-1")] == ["rimea-1", "nist-2.1"]
+    assert {check.name for check in checks.select("iso-*")} == {"iso-12", "iso-13", "iso-16"}
+    quick = {check.name for check in checks.select(None, True)}
     assert quick < set(CHECKS) and "rimea-9" not in quick
-    assert "rimea-9" not in {check.name for check in suite.chosen("rimea-*", True)}
-    assert [check.name for check in suite.chosen("rimea-9", True)] == ["rimea-9"]
+    assert "rimea-9" not in {check.name for check in checks.select("rimea-*", True)}
+    assert [check.name for check in checks.select("rimea-9", True)] == ["rimea-9"]
     with pytest.raises(InputError, match="--only: 'rimea-99'"):
-        suite.chosen("rimea-99")
+        checks.select("rimea-99")
 
 
 def test_plans_have_the_people_and_doors_that_they_say():
@@ -177,7 +166,7 @@ def test_a_picture_has_the_room_around_people_but_no_wall_far_away():
     room = plans.full_room()
     scene = replace(room, walls=np.concatenate([np.asarray(room.walls), away]))
     path = np.linspace([1.0, 1.0], [7.0, 4.0], 30)[:, None]
-    (axes,) = figures.trajectories(scene, tracks_of(path)).axes
+    (axes,) = page.trajectories(scene, tracks_of(path)).axes
     outer = np.abs(np.asarray(room.walls)[:, :2]).max() + np.asarray(room.walls)[:, 2:4].max()
     lower, upper = np.transpose([axes.get_xlim(), axes.get_ylim()])
     assert (lower < 0.0).all() and (upper > [8.0, 5.0]).all() and (upper < outer + 3.0).all()
@@ -230,22 +219,24 @@ def table(monkeypatch) -> dict[str, list[str]]:
     """Three checks in place of all: one passes, one fails, one cannot be done; and who was asked, by model."""
     asked: dict[str, list[str]] = {}
 
-    def passes(laboratory):
-        asked.setdefault("rimea-1", []).append(laboratory.model.name)
-        (tracks,) = laboratory.simulate(replace(plans.one_walker(1.0), seconds=1.0), "a <step>")
-        curve = validation.Curve("speed", (0.0, 1.0), (1.0, float("nan")))
-        return Finding(True, "fine", numbers={"rows": float(len(tracks.frame)), "none": float("inf")}, curves=(curve,))
+    def passes(context):
+        asked.setdefault("rimea-1", []).append(context.model.name)
+        (tracks,) = context.simulate(replace(plans.one_walker(1.0), seconds=1.0), "a <step>")
+        curve = Curve("speed", (0.0, 1.0), (1.0, float("nan")))
+        return CheckResult(
+            True, "fine", numbers={"rows": float(len(tracks.frame)), "none": float("inf")}, curves=(curve,)
+        )
 
-    def fails(laboratory):
-        asked.setdefault("rimea-4", []).append(laboratory.model.name)
-        return Finding(False, "3 m", "3 m & more")
+    def fails(context):
+        asked.setdefault("rimea-4", []).append(context.model.name)
+        return CheckResult(False, "3 m", "3 m & more")
 
-    def cannot(laboratory):
-        asked.setdefault("prediction", []).append(laboratory.model.name)
-        laboratory.recordings()
+    def cannot(context):
+        asked.setdefault("prediction", []).append(context.model.name)
+        context.recordings()
 
     made = {check.name: check for check in map(_check, ("rimea-1", "rimea-4", "prediction"), (passes, fails, cannot))}
-    monkeypatch.setattr(suite, "CHECKS", made)
+    monkeypatch.setattr(checks, "CHECKS", made)
     return asked
 
 
@@ -291,21 +282,21 @@ def test_a_file_of_constants_in_another_folder_moves_people(table, tmp_path):
 
 
 def test_a_stopped_run_goes_on(table, tmp_path, monkeypatch):
-    def stop(laboratory):
+    def stop(context):
         raise KeyboardInterrupt
 
-    whole = dict(suite.CHECKS)
-    monkeypatch.setitem(suite.CHECKS, "rimea-4", _check("rimea-4", stop))
+    whole = dict(checks.CHECKS)
+    monkeypatch.setitem(checks.CHECKS, "rimea-4", _check("rimea-4", stop))
     arguments = ["validate", "--models", "constant_velocity", "--out", str(tmp_path / "out"), "--quiet"]
     assert cli.main(arguments) == 130
-    monkeypatch.setattr(suite, "CHECKS", whole)
+    monkeypatch.setattr(checks, "CHECKS", whole)
     assert cli.main(arguments) == 0
     assert cli.main([*arguments, "--strict"]) == 1
     assert len(table["rimea-1"]) == 1
 
 
 def test_guidelines_that_share_a_test_share_its_simulation(table, tmp_path, monkeypatch):
-    monkeypatch.setitem(suite.CHECKS, "imo-1", _check("imo-1", suite.CHECKS["rimea-1"].function))
+    monkeypatch.setitem(checks.CHECKS, "imo-1", _check("imo-1", checks.CHECKS["rimea-1"].function))
     validation.run(ValidateConfig(models="constant_velocity", out=tmp_path / "out"))
     assert table["rimea-1"] == ["constant_velocity"]
     rows = json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
@@ -314,11 +305,11 @@ def test_guidelines_that_share_a_test_share_its_simulation(table, tmp_path, monk
 
 def test_gates_are_what_their_checks_are(monkeypatch):
     names = ("rimea-1", "rimea-4", "doors")
-    monkeypatch.setattr(suite, "CHECKS", {name: _check(name, None) for name in names})
+    monkeypatch.setattr(checks, "CHECKS", {name: _check(name, None) for name in names})
 
     def verdicts(**kinds: str) -> dict[str, str]:
         rows = [
-            results.Row(name.replace("_", "-"), "m", verdict, "1 m", "why", {}, (), ("", ""), (), 0.0)
+            Row(name.replace("_", "-"), "m", verdict, "1 m", "why", {}, (), ("", ""), (), 0.0)
             for name, verdict in kinds.items()
         ]
         return {title: verdict for title, _, verdict, _ in page.gates(rows, "m")}
@@ -346,7 +337,7 @@ def test_what_cannot_be_asked_is_told_before_anything_is_written(tmp_path):
     with pytest.raises(InputError, match="something else"):
         validation.run(ValidateConfig(only="rimea-1", out=tmp_path / "full"))
     with pytest.raises(Skipped, match="--data"):
-        Laboratory(model(straight)).recordings()
+        CheckContext(model(straight)).recordings()
 
 
 def test_the_page_of_the_docs_has_every_check_and_only_those():
@@ -363,7 +354,7 @@ def test_the_quick_suite_of_the_default_people(tmp_path):
     """Whatever a gate promises is kept, or its row says why not; and no check breaks."""
     validation.run(ValidateConfig(quick=True, out=tmp_path / "out"))
     rows = json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
-    assert [row["check"] for row in rows] == [check.name for check in suite.chosen(None, True)]
+    assert [row["check"] for row in rows] == [check.name for check in checks.select(None, True)]
     for row in rows:
         assert row["measured"] or row["verdict"] == "skipped", row
         assert row["verdict"] == "passes" or row["reason"], row

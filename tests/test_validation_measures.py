@@ -7,8 +7,9 @@ import pytest
 
 from sean_jax import recordings as recorded
 from sean_jax.studies.scenes import Gate
-from sean_jax.studies.validation import crossing_times, diagrams, flow, measures
-from sean_jax.studies.validation.lanes import recorded_order
+from sean_jax.studies.validation import crowds, measures
+from sean_jax.studies.validation.crowds import recorded_order
+from sean_jax.studies.validation.measures import crossing_times, flow
 
 DOOR = Gate((0.0, 0.6), (0.0, -0.6))  # crossed along +x
 
@@ -118,14 +119,14 @@ def test_a_lattice_that_moves_has_its_density_and_speed():
     assert nobody.density == 0.0 and np.isnan(nobody.speed)
 
 
-@pytest.mark.parametrize("run", diagrams.STEADY)
+@pytest.mark.parametrize("run", crowds.STEADY)
 def test_recorded_corridors_have_their_published_density_and_speed(recordings, run):
     """PedPy's figures of the same runs at 16 frames a second; here there are 4."""
     pytest.importorskip("pedpy")
     tracks = read(recordings, run)
     with (recordings / "fundamental_diagram" / "fd_means_uo180.csv").open() as file:
         known = next(row for row in csv.DictReader(file) if row["exp"] == run)
-    rows = slice(*np.searchsorted(np.asarray(tracks.frame), diagrams.STEADY[run]))
+    rows = slice(*np.searchsorted(np.asarray(tracks.frame), crowds.STEADY[run]))
     means = measures.area_means(tracks, (0.0, -4.0, 1.8, 4.0), (0.0, -2.0, 1.8, 0.0), rows)
     assert means.density == pytest.approx(float(known["rho"]), rel=0.01)
     assert means.speed == pytest.approx(float(known["v"]), rel=0.04)

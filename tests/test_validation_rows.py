@@ -8,12 +8,13 @@ import pytest
 
 from sean_jax import social_forces
 from sean_jax.studies.prediction.benchmark import Scores
-from sean_jax.studies.prediction.left_out import fitted_without
 from sean_jax.studies.scenes import model
-from sean_jax.studies.validation import Laboratory, Skipped, diagrams, doorways, encounters, forecasts, groups, lanes
-from sean_jax.studies.validation.group_occupancy import group_occupancy
+from sean_jax.studies.validation import crowds, individuals
+from sean_jax.studies.validation.check import CheckContext, Skipped
+from sean_jax.studies.validation.individuals import fitted_without
+from sean_jax.studies.validation.measures import group_occupancy
 
-AREA = diagrams.PERIOD * diagrams.WIDTH  # m2, of the corridor of the fundamental diagram
+AREA = crowds.PERIOD * crowds.WIDTH  # m2, of the corridor of the fundamental diagram
 
 
 def moved(people, velocity, time_step):
@@ -38,7 +39,7 @@ def by_density(scenario, state):
     """Walks as fast as people in Juelich do at the density of everybody, who are there twice: with their images."""
     people = state.pedestrians
     density = people.present.astype(float).sum() / (2.0 * AREA)
-    known = np.array([(rho, row[0]) for rho, row in diagrams.JUELICH.items()])
+    known = np.array([(rho, row[0]) for rho, row in crowds.JUELICH.items()])
     speed = jnp.interp(density, jnp.asarray(known[:, 0]), jnp.asarray(known[:, 1]))
     way = people.desired_velocity / people.preferred_speed[:, None]
     return moved(people, speed * way, scenario.time_step)
@@ -48,7 +49,7 @@ def in_lanes(scenario, state):
     """Walks to the right side of the corridor."""
     people = state.pedestrians
     along = people.desired_velocity[:, 0]
-    side = jnp.where(along > 0.0, 0.25, 0.75) * lanes.WIDTH
+    side = jnp.where(along > 0.0, 0.25, 0.75) * crowds.LANE_WIDTH
     side = jnp.clip(side - people.position[:, 1], -0.3, 0.3)
     return moved(people, jnp.stack([along, side], -1), scenario.time_step)
 
@@ -65,102 +66,102 @@ def waiting(scenario, state):
     return moved(state.pedestrians, jnp.zeros_like(state.pedestrians.velocity), scenario.time_step)
 
 
-def laboratory(function, **more):
-    return Laboratory(model(function), quick=True, **more)
+def context(function, **more):
+    return CheckContext(model(function), quick=True, **more)
 
 
 def test_speeds_of_juelich_pass_and_free_speeds_do_not():
     pytest.importorskip("pedpy")
-    found = diagrams.corridor_diagram(laboratory(by_density))
+    found = crowds.corridor_diagram(context(by_density))
     assert found.passed, found.reason
-    for density, (speed, _, _) in list(diagrams.JUELICH.items())[:5]:
+    for density, (speed, _, _) in list(crowds.JUELICH.items())[:5]:
         assert found.numbers[f"speed_{density:g}"] == pytest.approx(speed, rel=0.01)
         assert found.numbers[f"density_{density:g}"] == pytest.approx(density, rel=0.2)
-    free = diagrams.corridor_diagram(laboratory(straight))
+    free = crowds.corridor_diagram(context(straight))
     assert not free.passed and "not falling" in free.measured
     assert free.numbers["speed_1"] == pytest.approx(1.55, abs=0.1)
 
 
 def test_what_needs_pedpy_is_skipped_without(monkeypatch):
     monkeypatch.setitem(sys.modules, "pedpy", None)
-    monkeypatch.setattr(Laboratory, "simulate", lambda *_: pytest.fail("nothing should be simulated first"))
-    for check in (diagrams.corridor_diagram, diagrams.weidmann_diagram):
+    monkeypatch.setattr(CheckContext, "simulate", lambda *_: pytest.fail("nothing should be simulated first"))
+    for check in (crowds.corridor_diagram, crowds.weidmann_diagram):
         with pytest.raises(Skipped, match="pip install"):
-            check(laboratory(straight))
+            check(context(straight))
 
 
 def test_a_single_file_that_walks_freely_fails():
-    found = diagrams.single_file_diagram(laboratory(straight))
+    found = crowds.single_file_diagram(context(straight))
     assert not found.passed and found.numbers["speed_1.875"] == pytest.approx(1.34, abs=0.08)
 
 
 def test_lanes_pass_and_a_mix_does_not():
-    found = lanes.lanes(laboratory(in_lanes))
+    found = crowds.lanes(context(in_lanes))
     assert found.passed and min(found.numbers.values()) > 0.99
-    mixed = lanes.lanes(laboratory(straight))
+    mixed = crowds.lanes(context(straight))
     assert not mixed.passed and max(mixed.numbers.values()) < 0.6
 
 
 def test_doors_pass_whoever_walks_through_and_fail_who_slows_down_or_waits():
-    assert doorways.doors(laboratory(straight)).passed
-    slow = doorways.doors(laboratory(held_up))
+    assert crowds.doors(context(straight)).passed
+    slow = crowds.doors(context(held_up))
     assert not slow.passed and slow.numbers["least_speed_1.2"] == pytest.approx(1.34 / 3, rel=1e-3)
-    shy = doorways.doors(laboratory(waiting))
-    assert not shy.passed and not any(shy.numbers[f"through_{width:g}"] for width in doorways.DOORS)
+    shy = crowds.doors(context(waiting))
+    assert not shy.passed and not any(shy.numbers[f"through_{width:g}"] for width in crowds.DOORS)
 
 
 def test_a_crowd_that_walks_through_itself_leaves_a_door_too_fast():
-    found = doorways.bottleneck(laboratory(straight))
+    found = crowds.bottleneck(context(straight))
     assert not found.passed and found.numbers["flow_0.8"] > 5.0
 
 
 def test_pairs_who_walk_through_each_other_fail_and_who_turn_aside_pass():
-    for check in (encounters.head_on, encounters.crossing):
-        broken, right = check(laboratory(straight)), check(laboratory(shifted))
+    for check in (individuals.head_on, individuals.crossing):
+        broken, right = check(context(straight)), check(context(shifted))
         assert not broken.passed and broken.numbers["gap"] == pytest.approx(-0.4, abs=1e-3)
         assert broken.numbers["overlapping"] == 1.0  # all would pass within 0.3 m, and bodies are 0.4 m wide
         assert right.passed and right.numbers["gap"] > 0.4
 
 
 def test_a_robot_touches_whoever_does_not_give_way():
-    broken = encounters.passing_a_robot(laboratory(straight))
+    broken = individuals.passing_a_robot(context(straight))
     assert not broken.passed
-    assert broken.numbers["touched"] == pytest.approx(0.36 / encounters.MISS, abs=0.15)
-    assert broken.numbers["clearance"] == pytest.approx(encounters.MISS / 2, abs=0.06)
-    right = encounters.passing_a_robot(laboratory(shifted))
+    assert broken.numbers["touched"] == pytest.approx(0.36 / individuals.MISS, abs=0.15)
+    assert broken.numbers["clearance"] == pytest.approx(individuals.MISS / 2, abs=0.06)
+    right = individuals.passing_a_robot(context(shifted))
     assert right.passed and right.numbers["touched"] < 0.05
 
 
 def test_a_robot_in_a_stream_touches_as_many_as_geometry_says():
     """Of people whom it would miss by less than 0.6 m, if nobody gives way; across the seam of the stream as well."""
-    broken = encounters.passing_in_a_stream(laboratory(straight))
+    broken = individuals.passing_in_a_stream(context(straight))
     assert not broken.passed
-    assert broken.numbers["touched"] == pytest.approx(0.36 / encounters.MISS, abs=0.2)
-    assert broken.numbers["clearance"] == pytest.approx(encounters.MISS / 2, abs=0.08)
-    assert encounters.passing_in_a_stream(laboratory(waiting)).numbers["clearance"] > 0.8
+    assert broken.numbers["touched"] == pytest.approx(0.36 / individuals.MISS, abs=0.2)
+    assert broken.numbers["clearance"] == pytest.approx(individuals.MISS / 2, abs=0.08)
+    assert individuals.passing_in_a_stream(context(waiting)).numbers["clearance"] > 0.8
 
 
 def test_predictions_pass_only_with_small_errors_in_every_scene_and_few_collisions():
     mark = {"one": Scores(0.5, 1.2, 0.04, 900), "two": Scores(0.3, 0.6, 0.02, 400)}
     good = {"one": Scores(0.49, 1.19, 0.0, 900), "two": Scores(0.3, 0.6, 0.0006, 400)}
-    assert forecasts.compare(good, mark, mark).passed
-    assert forecasts.compare(mark, mark, mark).reason  # as many collisions
+    assert individuals.compare_scores(good, mark, mark).passed
+    assert individuals.compare_scores(mark, mark, mark).reason  # as many collisions
     worse = good | {"two": Scores(0.2, 0.61, 0.0, 400)}
-    found = forecasts.compare(worse, mark, mark)
+    found = individuals.compare_scores(worse, mark, mark)
     assert not found.passed and "worse: two" in found.reason
     slower = mark | {"one": Scores(0.48, 1.17, 0.04, 900)}  # the habit alone is better
-    assert "worse: one" in forecasts.compare(good, mark, slower).reason
+    assert "worse: one" in individuals.compare_scores(good, mark, slower).reason
 
 
 def test_prediction_needs_recordings(tmp_path):
     with pytest.raises(Skipped, match="--data"):
-        forecasts.prediction(laboratory(straight))
+        individuals.prediction(context(straight))
     with pytest.raises(Skipped, match="eth_ucy"):
-        forecasts.prediction(laboratory(straight, data=tmp_path))
+        individuals.prediction(context(straight, data=tmp_path))
 
 
 def test_prediction_row_is_the_benchmark_of_recordings(recordings):
-    found = forecasts.prediction(laboratory("constant_velocity", data=recordings))
+    found = individuals.prediction(context("constant_velocity", data=recordings))
     assert not found.passed and "worse: eth, hotel, zara01" in found.reason  # than constant velocity times 0.98
     assert found.numbers["ade_hotel"] == pytest.approx(0.323, abs=0.01)
     assert found.numbers["fde_hotel"] == pytest.approx(0.617, abs=0.01)
@@ -180,7 +181,7 @@ def test_a_scene_judges_constants_that_have_not_seen_it():
 @pytest.mark.slow
 def test_the_default_crowd_predicts_as_well_as_constant_velocity(recordings):
     """Without the habit of slowing down; with it, see docs/validation.md."""
-    found = forecasts.prediction(laboratory("calibrated", data=recordings))
+    found = individuals.prediction(context("calibrated", data=recordings))
     for ours, mark in zip(found.curves[:2], found.curves[2:], strict=True):
         assert all(own <= other for own, other in zip(ours.y, mark.y, strict=True)), found.measured
 
@@ -194,7 +195,7 @@ def test_groups_pass_that_are_full_and_whose_members_change():
         for k, times in enumerate(seats):
             for number, (begin, end) in enumerate(times):
                 group[begin:end, 20 * k + number] = 0
-        return groups.compare({"here": (group_occupancy(group, np.array([2]), 0.1, warm_up=0.0), drawn)})
+        return individuals.compare_occupancy({"here": (group_occupancy(group, np.array([2]), 0.1, warm_up=0.0), drawn)})
 
     stays = [(k, k + 80) for k in range(0, 1600, 80)]
     right = found(stays, [(begin + 15, end) for begin, end in stays])
@@ -209,5 +210,5 @@ def test_groups_pass_that_are_full_and_whose_members_change():
 def test_weidmann_is_a_formula_of_its_own():
     density = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 5.0])
     known = [1.298, 1.058, 0.606, 0.331, 0.156, 0.037]  # of the printed table
-    np.testing.assert_allclose(diagrams.weidmann(density), known, atol=2e-3)
-    assert diagrams.weidmann(5.4) == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(crowds.weidmann(density), known, atol=2e-3)
+    assert crowds.weidmann(5.4) == pytest.approx(0.0, abs=1e-9)

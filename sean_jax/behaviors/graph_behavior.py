@@ -34,12 +34,12 @@ from sean_jax.behaviors.starts import (
     present_people,
     walk_abreast,
 )
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph, annotation
 from sean_jax.graph.behavior_graph import add_congestion_cost, edge_densities
 from sean_jax.graph.formation import formation, reach
-from sean_jax.platforms import to_device
 from sean_jax.social_forces import draw_traits
 
 SEATED = 0.25  # m from a seat, where the walk ends and the stay begins

@@ -17,8 +17,7 @@ from sean_jax import clock
 from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
 from sean_jax.behaviors.starts import Place, no_groups
 from sean_jax.errors import InputError
-from sean_jax.recordings import motion_between_rows, read
-from sean_jax.recordings.lines import check_clock
+from sean_jax.recordings import check_clock, motion_between_rows, read
 from sean_jax.social_forces import draw_traits
 
 

@@ -31,9 +31,9 @@ from sean_jax.behaviors.starts import (
     present_people,
     walk_abreast,
 )
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
-from sean_jax.platforms import to_device
 from sean_jax.social_forces import draw_traits
 
 ARRIVED = 1.0  # m from the goal (SEAN 2.0)
@@ -114,8 +114,9 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         preferred_speed=group_speeds(scenario, walking_group, preferred_speed),
         robot_distance=robot_distance,
     )
+    groups = no_groups()
     goal = paths.draw_places(tables.navigation, goal_key, people)
-    return pedestrians, no_groups(), Memory(*follow_leaders(walking_group, goal))
+    return pedestrians, groups, Memory(*follow_leaders(walking_group, goal))
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from sean_jax.base import Scenario
-    from sean_jax.bench.timing import Row, Setup
+    from sean_jax.bench.cases import Row, Setup
 
 __all__ = ["run"]
 
@@ -41,7 +41,7 @@ def run(options: BenchConfig, console: Console) -> Path:
     with writing.folder_lock(folder):
         check_new_folder(folder)
         with console.status("importing JAX and preparing the scenario"):
-            from sean_jax.bench import page, parts
+            from sean_jax.bench import cases, page
 
             _check(options)
             scenario, setup = _prepare(options)
@@ -50,7 +50,7 @@ def run(options: BenchConfig, console: Console) -> Path:
         try:
             for part in options.parts:
                 with console.status(f"compiling and timing: {part}"):
-                    for row in parts.MEASURES[part](options, scenario):
+                    for row in cases.CASES[part](options, scenario):
                         rows.append(row)
                         _print(console, page.line(row))
                         _save(folder, rows, setup)

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from sean_jax.bench.timing import Row, Setup
+from sean_jax.bench.cases import Row, Setup
 from sean_jax.drawing import colors
 
 HEAD = f"{'part':<9}{'B':>7}{'people':>8}{'pixels':>9}{'devices':>8}{'per second':>13}  {'of':<27}{'us a call':>11}" + (

@@ -1,17 +1,21 @@
 """The timed programs: the step with restarts, the step with a depth image, images alone, and the crowd alone.
 
-Each scenario is reset with a key of its own. The robot gets a constant command and drives in circles.
+Each scenario is reset with its own key. The robot gets a constant command and drives in circles.
 """
 
+import dataclasses
+import time
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from sean_jax import devices, episodes, prng, sensors, social_forces
 from sean_jax.base import Array, Scenario, State
 from sean_jax.bench import workload
-from sean_jax.bench.timing import Program
 from sean_jax.config import DEFAULT_FORCES
 from sean_jax.geometry import rotate
 from sean_jax.scenario import reset
@@ -22,30 +26,65 @@ CROWD_STEP = 0.05  # s
 LOOKING = 0.8, 0.6  # cosine and sine of the angle by which robots turn between two images
 
 
-def circles(scenario: Scenario, state: State, key: Array) -> Array:
-    """A constant command, as a policy.
+@dataclasses.dataclass(frozen=True)
+class Program:
+    """A jitted function ``run(*fixed, carried) -> carried`` that computes ``count`` units ``turns`` times in a row."""
 
-    Args:
-        scenario: not used.
-        state: not used.
-        key: not used.
+    run: Callable
+    fixed: tuple
+    carried: Any
+    count: int
+    turns: int
+
+
+def measure(program: Program, repeats: int, seconds: float) -> dict[str, float]:
+    """Compile a program and time it ``repeats`` times for about so many seconds, after a warm-up.
 
     Returns:
-        (2,) 0.4 m/s and 0.3 rad/s.
+        ``per_second``, ``microseconds`` and ``compile_seconds`` as of a row of ``sean bench``, and ``bytes``, the state
+        and the temporary memory of the whole batch (NaN if the compiler does not report it).
     """
+    began = time.perf_counter()
+    compiled = program.run.lower(*program.fixed, program.carried).compile()
+    compiling = time.perf_counter() - began
+    memory = compiled.memory_analysis()
+    # Donated arguments count once: the results lie where the arguments were.
+    used = memory.temp_size_in_bytes + _size(program.carried) if memory else float("nan")
+    carried = jax.block_until_ready(compiled(*program.fixed, program.carried))
+    began = time.perf_counter()
+    carried = jax.block_until_ready(compiled(*program.fixed, carried))
+    calls = max(1, round(seconds / max(time.perf_counter() - began, 1e-6)))
+    spent = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        for _ in range(calls):
+            carried = compiled(*program.fixed, carried)
+        jax.block_until_ready(carried)
+        spent.append((time.perf_counter() - began) / calls / program.turns)
+    each = float(np.median(spent))
+    return {
+        "per_second": program.count / each,
+        "microseconds": 1e6 * each,
+        "compile_seconds": compiling,
+        "bytes": used,
+    }
+
+
+def _size(tree: Any) -> int:
+    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree) if hasattr(leaf, "itemsize"))
+
+
+def circles(scenario: Scenario, state: State, key: Array) -> Array:
+    """A policy with the constant command 0.4 m/s, 0.3 rad/s."""
     return jnp.asarray([0.4, 0.3], float)
 
 
 def stepping(
     scenario: Scenario, batch: int, turns: int, image: tuple[int, int] | None = None, number: int = 1
 ) -> Program:
-    """Control steps with restarts.
+    """Control steps with restarts on ``number`` devices; the unit is one step of one scenario.
 
-    Args:
-        image: width and height [px] of a depth image of each scenario after each step; None for no images.
-
-    Returns:
-        The program, whose unit is one step of one scenario.
+    ``image`` is the width and height [px] of a depth image of each scenario after each step.
     """
     over = devices.mesh(jax.devices()[:number])
     starts = jax.jit(episodes.reset_pool, static_argnums=2)(scenario, prng.key("bench starts", 0), min(STARTS, batch))
@@ -70,15 +109,9 @@ def stepping(
 
 
 def images(scenario: Scenario, name: str, batch: int, width: int, height: int, turns: int = 1) -> Program:
-    """Images alone; the robots turn between two images.
+    """Images of ``width`` x ``height`` [px] alone; the unit is one image. Robots turn between two images.
 
-    Args:
-        name: of the camera; "depth" gives depth images, any other color images.
-        width: of an image [px].
-        height: of an image [px].
-
-    Returns:
-        The program, whose unit is one image.
+    The camera "depth" gives depth images, any other color images.
     """
     camera = sensors.camera(scenario, name, width=width, height=height)
     states = jax.jit(jax.vmap(reset, (None, 0)))(scenario, jax.random.split(prng.key("bench", 0), batch))
@@ -104,16 +137,10 @@ def images(scenario: Scenario, name: str, batch: int, width: int, height: int, t
 
 
 def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = DEFAULT_FORCES) -> Program:
-    """Steps of 0.05 s of the social forces alone, in a hall with walls.
+    """Steps of 0.05 s of the social forces alone, in a hall with 0 or at least 4 walls; the unit is a person's step.
 
     Each call begins with the same crowds. Otherwise they would meet in the middle of the hall, and the result would
     depend on the length of the measurement. Large crowds look for neighbors every second step, as in a control step.
-
-    Args:
-        walls: obstacles in the hall, 0 or at least 4.
-
-    Returns:
-        The program, whose unit is one step of one person.
     """
     parameters = social_forces.preset(preset)
     single, grid, _ = workload.crowd(people, walls)

@@ -1,4 +1,4 @@
-"""The crowd of benchmarks and tests: people start on a jittered grid and cross a square hall with shelves."""
+"""The crowd of benchmarks and tests: people who start on a jittered grid and cross a square hall with shelves."""
 
 from dataclasses import replace
 
@@ -6,33 +6,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import obstacle_grid, prng
+from sean_jax import prng
 from sean_jax.base import ObstacleGrid, Obstacles, Pedestrians
-from sean_jax.geometry import rotate
+from sean_jax.geometry import build_obstacle_grid, rotate
 
 DENSITY = 0.1  # people per m2
 
 
 def side(people: int) -> float:
-    """Side of the square hall.
-
-    Args:
-        people: in the hall, at ``DENSITY``.
-
-    Returns:
-        Length in m.
-    """
+    """Side [m] of the square hall for so many people."""
     return float(np.sqrt(people / DENSITY))
 
 
 def boxes(people: int, walls: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Obstacles of the hall: four thin outer walls, and shelves on a lattice.
+    """Centers (W, 2) [m], half extents (W, 2) [m] and yaws (W,) [rad] of the hall's 0 or at least 4 obstacles.
 
-    Args:
-        walls: obstacles W, outer walls and shelves together; 0 or at least 4.
-
-    Returns:
-        Centers (W, 2) [m], half extents (W, 2) [m] and yaws (W,) [rad].
+    The first four are thin outer walls, the others shelves on a lattice.
     """
     if walls == 0:
         return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
@@ -49,11 +38,7 @@ def boxes(people: int, walls: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, ObstacleGrid | None, dict[str, np.ndarray]]:
-    """A crowd outside the shelves, in which each person walks toward the center of the hall.
-
-    Args:
-        people: N.
-        walls: obstacles W, 0 or at least 4.
+    """A crowd outside the shelves whose N people walk toward the center of the hall.
 
     Returns:
         The people (N), the obstacle grid (None without walls), and the same numbers in float64 by name.
@@ -98,18 +83,11 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Obstacle
     )  # fmt: skip
     half = side(people) / 2 + 1.0
     floor = jnp.asarray([-half, -half, half, half], float)
-    return pedestrians, obstacle_grid.build(obstacles, floor) if walls else None, exact
+    return pedestrians, build_obstacle_grid(obstacles, floor) if walls else None, exact
 
 
 def repeat(people: Pedestrians, size: int) -> Pedestrians:
-    """Copies of a crowd, with velocities turned by a different angle in each copy.
-
-    Args:
-        people: one crowd (N).
-
-    Returns:
-        The crowds (B, N).
-    """
+    """Copies (size, N) of a crowd (N,), with velocities turned by a different angle in each copy."""
     angle = jnp.linspace(0.0, 0.3, size, dtype=float)[:, None]
     many = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size, *leaf.shape)), people)
     vx, vy = rotate(many.velocity[..., 0], many.velocity[..., 1], jnp.cos(angle), jnp.sin(angle))

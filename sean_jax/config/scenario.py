@@ -181,8 +181,6 @@ class RunConfig(ScenarioConfig):
     """Largest number of episodes that are simulated at once."""
     camera: Annotated[fields.Text | None, Option(affects_results=False)] = None
     """Also write camera.gif, the first episode as first_person, third_person, overhead or depth sees it."""
-    renderer: Annotated[Literal["rays", "mujoco"] | None, Option(affects_results=False)] = None
-    """Renderer of camera.gif: rays, the default, or mujoco, which needs OpenGL."""
     trajectories: Literal["csv", "parquet"] | None = None
     """Also write the frames of all episodes, robot and people, as trajectories.csv or .parquet."""
     live: Annotated[bool, Option(affects_results=False)] = False
@@ -194,10 +192,18 @@ class RunConfig(ScenarioConfig):
     which is resumed."""
     quiet: fields.Quiet = False
 
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _drop_renderer(cls, data: object) -> object:
+        """Files of version 0.2 may name a renderer of camera.gif: rays, or one that is gone."""
+        if not isinstance(data, Mapping) or "renderer" not in data:
+            return data
+        if data["renderer"] not in (None, "rays"):
+            raise ValueError("renderer: there is only one, which draws camera.gif by rays; leave the option out")
+        return {name: value for name, value in data.items() if name != "renderer"}
+
     @pydantic.model_validator(mode="after")
-    def _check_renderer(self) -> "RunConfig":
-        if self.renderer is not None and self.camera is None:
-            raise ValueError("renderer: it draws camera.gif, which needs a camera: add --camera first_person")
+    def _check_live(self) -> "RunConfig":
         if self.live and self.quiet:
             raise ValueError("live: its address is printed, which --quiet forbids; leave one of the two out")
         return self

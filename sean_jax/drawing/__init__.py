@@ -5,17 +5,21 @@ Situations and policies may have any names. Nothing here touches pyplot's global
 when something is drawn.
 """
 
-from sean_jax.drawing.animation import animate
 from sean_jax.drawing.colors import policy_colors, situation_colors
-from sean_jax.drawing.pictures import congestion_map, empty_floor, heat_map, top_down, view
-from sean_jax.drawing.sheets import graph_sheet, handcrafted_sheet
-from sean_jax.drawing.videos import RENDERERS, check_renderer, video
+from sean_jax.drawing.gifs import animate, video
+from sean_jax.drawing.pictures import (
+    congestion_map,
+    empty_floor,
+    graph_sheet,
+    handcrafted_sheet,
+    heat_map,
+    top_down,
+    view,
+)
 from sean_jax.graph import graph_of
 
 __all__ = [
-    "RENDERERS",
     "animate",
-    "check_renderer",
     "congestion_map",
     "empty_floor",
     "graph_of",

@@ -50,21 +50,13 @@ def policy_colors(names: Sequence[str]) -> list[str]:
 
 
 def category_colors(names: Sequence[str], reserved: Mapping[str, str]) -> list[str]:
-    """Colors of any categories, by name.
-
-    Args:
-        reserved: colors of names that always have the same one.
-
-    Returns:
-        One color for each name. Other names than the reserved ones get the spare colors in turn, and then hues between
-        them.
-    """
+    """One color for each name: the reserved one, or the spare colors in turn, then hues between them."""
     others = list(dict.fromkeys(name for name in names if name not in reserved))
     taken = {*reserved.values()}
     spare = [color for color in SPARE_COLORS if color not in taken]
     spare += [_hue(index) for index in range(len(others) - len(spare))]
-    own = dict(zip(others, spare, strict=False))
-    return [reserved[name] if name in reserved else own[name] for name in names]
+    others_colors = dict(zip(others, spare, strict=False))
+    return [reserved[name] if name in reserved else others_colors[name] for name in names]
 
 
 def _hue(index: int) -> str:

@@ -1,28 +1,37 @@
-"""Stills: an episode from above, where people spent their time, and how they crowd (section IV-D)."""
+"""Stills: an episode from above, maps of where people are, and sheets of a graph or handcrafted sets (IV-D)."""
 
 from __future__ import annotations
 
+import functools
 import io
+import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import obstacle_grid
-from sean_jax.base import Environment, Obstacles, Scenario, Trajectory
-from sean_jax.drawing import animation, colors, parts
-from sean_jax.graph import BehaviorGraph, graph_of
-from sean_jax.scenery import plain_scenery
+from sean_jax import navigation as paths
+from sean_jax import prng
+from sean_jax.base import Array, Environment, Groups, Obstacles, Scenario, Trajectory
+from sean_jax.drawing import colors, gifs, layers
+from sean_jax.environment import plain_scenery
+from sean_jax.geometry import build_obstacle_grid
+from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
+from sean_jax.graph.formation import formation
+from sean_jax.handcrafted import Sets
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
-MAX_BAND = 0.45, 0.024  # of the nodes' mean radius, and of the floor's width: the band of the edge with most people
-MIN_BAND = 0.002  # of the floor's width: the bands of edges with hardly any people
+COLUMNS = 5
+PANEL_MARGIN = 2.0  # m, shown around the points of a set
+MIN_PANEL = 11.0  # m, shown from side to side at least
+MAX_CORNERS = 24  # of a path that is drawn
+MIN_RADIUS = 0.2  # m, of a person
 
 
 def top_down(
@@ -32,38 +41,35 @@ def top_down(
     frames: Trajectory | None = None,
     situations: Sequence[str] | None = None,
     time_step: float = 0.1,
-    robot_radius: float = parts.ROBOT_RADIUS,
+    robot_radius: float = layers.ROBOT_RADIUS,
     trail: float = 40.0,
     width: float = 6.4,
     title: str = "",
 ) -> Figure:
-    """Draw an environment from above, with one episode.
-
-    The episode is drawn as people's trails, their places at its end, and the robot's path in the colors of the
-    situations.
+    """Draw an environment from above, and one episode: trails of people, their last positions, the robot's path.
 
     Args:
-        frames: (T, ...) of one episode, if there is one.
-        situations: names of the frames' situations, any names; the paper's five, or numbers, if None.
+        frames: (T, ...) of one episode, or None.
+        situations: names of the frames' situations; the paper's five, or numbers, if None.
         time_step: s, between two frames.
         robot_radius: m.
-        trail: s, of people's trails.
+        trail: s, length of people's trails.
 
     Raises:
         InputError: the frames have a batch axis, or another number of situations.
     """
-    figure, axes = parts.canvas(environment, width, title)
-    parts.draw_obstacles(axes, environment)
+    figure, axes = layers.canvas(environment, width, title)
+    layers.draw_obstacles(axes, environment)
     if graph is not None:
-        parts.draw_graph(axes, graph, alone=frames is None)
+        layers.draw_graph(axes, graph, alone=frames is None)
     if frames is not None:
-        frames = parts.one_episode(frames)
-        situations = parts.situation_names(frames, situations)
-        parts.draw_trails(axes, frames, round(trail / time_step))
-        parts.draw_people(axes, frames)
-        parts.draw_robot(axes, frames, situations, robot_radius)
-    parts.draw_legend(axes, graph is not None, frames, situations or ())
-    parts.draw_scale(axes, environment)
+        frames = layers.one_episode(frames)
+        situations = layers.situation_names(frames, situations)
+        layers.draw_trails(axes, frames, round(trail / time_step))
+        layers.draw_people(axes, frames)
+        layers.draw_robot(axes, frames, situations, robot_radius)
+    layers.draw_legend(axes, graph is not None, frames, situations or ())
+    layers.draw_scale(axes, environment)
     return figure
 
 
@@ -71,15 +77,14 @@ def heat_map(environment: Environment, seconds: np.ndarray, *, width: float = 6.
     """Draw where people spent their time.
 
     Args:
-        seconds: (rows, columns) s, the time that people spent in each of the equal cells that cover the floor, row 0
-            at its lowest y.
+        seconds: (rows, columns) s, the time spent in equal cells that cover the floor, row 0 at its lowest y.
     """
-    figure, axes = parts.canvas(environment, width, title)
+    figure, axes = layers.canvas(environment, width, title)
     x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
     density = np.asarray(seconds, float) * seconds.size / ((x1 - x0) * (y1 - y0))
-    draw_heat(axes, environment, density, "person-seconds per m²")
-    parts.draw_obstacles(axes, environment)
-    parts.draw_scale(axes, environment)
+    layers.draw_heat(axes, environment, density, "person-seconds per m²")
+    layers.draw_obstacles(axes, environment)
+    layers.draw_scale(axes, environment)
     return figure
 
 
@@ -94,98 +99,23 @@ def congestion_map(
 ) -> Figure:
     """Draw people's density over the floor, and over it the edges of a graph as wide as their flow.
 
-    Each direction of an edge has a band of its own, on the right as one walks, with its tip in that direction. Edges
-    that nobody walked are left out.
+    Each direction of an edge has its own band, on the right as one walks. Edges without people are left out.
 
     Args:
         density: (rows, columns) people per m2, row 0 at the lowest y.
         flow: (M, M) people per minute from the row's node to the column's.
     """
-    figure, axes = parts.canvas(environment, width, title)
-    draw_heat(axes, environment, np.asarray(density, float), "people per m²")
-    parts.draw_obstacles(axes, environment)
+    figure, axes = layers.canvas(environment, width, title)
+    layers.draw_heat(axes, environment, np.asarray(density, float), "people per m²")
+    layers.draw_obstacles(axes, environment)
     if graph is not None and flow is not None:
-        draw_flow(axes, environment, graph, np.asarray(flow, float))
-    parts.draw_scale(axes, environment)
+        layers.draw_flow(axes, environment, graph, np.asarray(flow, float))
+    layers.draw_scale(axes, environment)
     return figure
 
 
-def draw_heat(axes: Axes, environment: Environment, density: np.ndarray, label: str) -> None:
-    """Draw values over the floor, with their scale below it; the 3 % highest share one color.
-
-    Args:
-        density: (rows, columns) values, row 0 at the lowest y.
-    """
-    from matplotlib.colors import LinearSegmentedColormap, PowerNorm
-    from matplotlib.ticker import MaxNLocator
-
-    x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
-    busy = density[density > 0]
-    highest = float(np.quantile(busy, 0.97)) if busy.size else 1.0
-    image = axes.imshow(
-        density,
-        extent=(x0, x1, y0, y1),
-        origin="lower",
-        cmap=LinearSegmentedColormap.from_list("heat", colors.HEAT),
-        norm=PowerNorm(0.5, 0.0, highest),
-        interpolation="nearest",
-        aspect="auto",
-        zorder=1,
-    )
-    span = x1 - x0
-    below = axes.inset_axes((x1 - 0.38 * span, y0 - 0.034 * span, 0.38 * span, 0.014 * span), transform=axes.transData)
-    bar = axes.get_figure().colorbar(image, cax=below, orientation="horizontal", extend="max", ticks=MaxNLocator(3))  # pyright: ignore[reportOptionalMemberAccess]
-    bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
-    below.tick_params(size=0, labelsize=7.5, labelcolor=colors.MUTED, pad=2)
-    place = (x1 - 0.40 * span, y0 - 0.027 * span)
-    axes.text(*place, label, fontsize=7.5, color=colors.MUTED, ha="right", va="center")
-
-
-def draw_flow(axes: Axes, environment: Environment, graph: BehaviorGraph, flow: np.ndarray) -> None:
-    """Draw a band for each directed edge that was walked, as wide as its flow, with its tip where it leads.
-
-    Args:
-        flow: (M, M) people per minute.
-    """
-    from matplotlib.collections import PolyCollection
-
-    x0, y0, x1, _ = (float(v) for v in np.asarray(environment.floor))
-    span, flow_max = x1 - x0, float(flow.max(initial=0.0))
-    position, widest = (
-        np.asarray(graph.position, float),
-        min(MAX_BAND[0] * float(np.mean(graph.radius)), MAX_BAND[1] * span),
-    )
-    bands = []
-    for u, v in np.argwhere(flow > 0):
-        wide = max(widest * float(flow[u, v]) / flow_max, MIN_BAND * span)
-        bands.append(_band(position[u], position[v], wide))
-    corner = np.array([x0 + 0.19 * span, y0 - 0.027 * span + 0.5 * widest])
-    bands.append(_band(corner, corner + np.array([0.05 * span, 0.0]), widest))
-    collection = PolyCollection(
-        bands, facecolors=colors.FLOW, edgecolors=colors.FLOOR, linewidths=0.5, alpha=0.7, zorder=4
-    )
-    collection.set_clip_on(False)
-    axes.add_collection(collection)
-    axes.plot(*position.T, linestyle="", marker="o", markersize=3.5, color=colors.FLOW_EDGE, zorder=5)
-    place = (x0 + 0.25 * span, y0 - 0.027 * span)
-    axes.text(*place, f"{flow_max:.3g} people a minute", fontsize=7.5, color=colors.MUTED, ha="left", va="center")
-
-
-def _band(start: np.ndarray, end: np.ndarray, wide: float) -> np.ndarray:
-    """(5, 2) m corners of a band on the right of the way from start to end, with its tip at the end."""
-    along = end - start
-    long = max(float(np.hypot(*along)), 1e-9)
-    along = along / long
-    right = np.array([along[1], -along[0]]) * wide
-    tip = end - along * min(1.5 * wide, 0.5 * long)
-    return np.stack([start, start + right, tip + right, end, end])
-
-
 def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool = False) -> Any:
-    """Draw a trajectory for a notebook.
-
-    The behavior graph is drawn if the scenario has one. Without a scenario, people and robot are drawn on an empty
-    floor.
+    """Draw a trajectory for a notebook, with the scenario's behavior graph; on an empty floor without a scenario.
 
     Args:
         trajectory: (T, ...) frames; of a batch (B, T, ...) the first episode.
@@ -201,23 +131,19 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
     else:
         environment, graph, time_step = scenario.environment, graph_of(scenario), scenario.time_step
         names = tuple(name for name, _ in scenario.situations)
-    radius = parts.ROBOT_RADIUS if scenario is None else scenario.robot.radius
+    radius = layers.ROBOT_RADIUS if scenario is None else scenario.robot.radius
     shown: dict[str, Any] = dict(graph=graph, situations=names, time_step=time_step, robot_radius=radius)
     if not animate:
         return top_down(environment, frames=frames, **shown)
     from IPython.display import Image
 
     stream = io.BytesIO()
-    animation.animate(environment, frames, stream, **shown)
+    gifs.animate(environment, frames, stream, **shown)
     return Image(data=stream.getvalue(), format="gif")
 
 
 def empty_floor(frames: Trajectory) -> Environment:
-    """A floor without obstacles that contains all positions, with 2 m around them.
-
-    Args:
-        frames: (T, ...).
-    """
+    """A floor without obstacles that contains all positions of the frames, with 2 m around them."""
     places = np.concatenate([np.asarray(frames.people).reshape(-1, 2), np.asarray(frames.position).reshape(-1, 2)])
     floor = jnp.asarray(np.concatenate([places.min(0) - 2.0, places.max(0) + 2.0]), float)
     none, pairs = jnp.zeros(0, float), jnp.zeros((0, 2), float)
@@ -225,7 +151,245 @@ def empty_floor(frames: Trajectory) -> Environment:
     return Environment(
         floor=floor,
         obstacles=obstacles,
-        obstacle_grid=obstacle_grid.build(obstacles, floor),
+        obstacle_grid=build_obstacle_grid(obstacles, floor),
         scenery=plain_scenery(obstacles),
         name="empty floor",
     )
+
+
+# ------------------------------------------------------------------ contact sheets
+
+
+class _Starts(NamedTuple):
+    """Where each of the H sets begins: 5 starts and goals of the robot, and N people."""
+
+    start: Array  # (H, 5, 2) m
+    goal: Array  # (H, 5, 2) m
+    people: Array  # (H, N, 2) m
+    people_heading: Array  # (H, N, 2) unit vector
+    path: Array  # (H, 5, 5, MAX_CORNERS, 2) m, shortest paths from each start to each goal
+    start_heading: Array  # (H, 5, 2) unit vector
+    goal_heading: Array  # (H, 5, 2) unit vector
+    leg: Array  # (H, L, K, MAX_CORNERS, 2) m, people's ways from each waypoint to the next
+
+
+def handcrafted_sheet(scenario: Scenario, *, panel: float = 3.2, seed: int = 0) -> Figure:
+    """Draw every handcrafted set of a scenario, one panel each: people, loops, the robot's starts, goals and paths.
+
+    Args:
+        scenario: with behavior and task ``handcrafted``.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    sets: Sets = scenario.behavior.data
+    starts = jax.tree.map(np.asarray, jax.jit(_starts)(scenario, prng.key("draw", seed)))
+    table = jax.tree.map(np.asarray, replace(sets, ways=None))
+    floor = np.asarray(scenario.environment.floor, float)
+    windows = []
+    for row in range(len(sets.names)):
+        people, waypoints = starts.people[row][table.present[row]], table.waypoint[row][np.isfinite(table.walked[row])]
+        windows.append(_window(floor, np.concatenate([starts.start[row], starts.goal[row], people, waypoints])))
+    tall = max((window[3] - window[1]) / (window[2] - window[0]) for window in windows)
+    columns = min(COLUMNS, len(sets.names) + 1)
+    rows = math.ceil((len(sets.names) + 1) / columns)
+    size = columns * panel, rows * (panel * tall + 0.36) + 0.4
+    figure = Figure(figsize=size, facecolor=colors.PAPER)
+    FigureCanvasAgg(figure)
+    title = f"Handcrafted sets: {scenario.environment.name}"
+    figure.text(0.12 / size[0], 1 - 0.2 / size[1], title, fontsize=13, color=colors.INK, weight="bold", va="center")
+    for index, window in enumerate((*windows, None)):
+        row, column = divmod(index, columns)
+        bottom = size[1] - 0.34 - (row + 1) * (panel * tall + 0.36)
+        box = ((column * panel + 0.08) / size[0], bottom / size[1], (panel - 0.16) / size[0], panel * tall / size[1])
+        axes = figure.add_axes(box)
+        axes.set_axis_off()
+        if window is None:
+            _key(axes)
+            continue
+        _panel(axes, scenario.environment, window, *jax.tree.map(lambda leaf, i=index: leaf[i], (starts, table)))
+        present = int(table.present[index].sum())
+        axes.set_title(f"{sets.names[index]}  ", fontsize=9, color=colors.INK, loc="left", pad=4)
+        axes.set_title(f"{present} people", fontsize=8, color=colors.MUTED, loc="right", pad=4)
+    return figure
+
+
+def graph_sheet(environment: Environment, graph: BehaviorGraph, *, width: float = 9.0, seed: int = 0) -> Figure:
+    """Draw the behavior graph with its names, flows and one-way edges, and with full groups; the floor is cut to it."""
+    floor = np.asarray(environment.floor, float)
+    place, radius = np.asarray(graph.position, float), np.asarray(graph.radius, float)[:, None]
+    low, high = (place - radius).min(0) - 6.0, (place + radius).max(0) + 6.0
+    low[0], high[0] = min(low[0], high[0] - 0.5 * (high[1] - low[1])), max(high[0], low[0] + 0.5 * (high[1] - low[1]))
+    low, high = np.maximum(low, floor[:2]), np.minimum(high, floor[2:])
+    part = replace(environment, floor=jnp.asarray([*low, *high], float))
+    figure, axes = layers.canvas(part, width, f"Behavior graph: {environment.name}")
+    layers.draw_obstacles(axes, environment)
+    for collection in axes.collections:
+        collection.set_clip_path(axes.patches[0])
+    layers.draw_graph(axes, graph, alone=True)
+    groups = np.asarray(graph.groups)
+    if len(groups):
+        center = graph.position[graph.groups]
+        form = jax.jit(formation)(prng.key("draw", seed), graph.capacity[graph.groups], center, graph.seat_group)
+        seat, heading, _, opening = (np.asarray(part) for part in form)
+        radius = max(0.0035 * (high[0] - low[0]), MIN_RADIUS)
+        layers.draw_discs(axes, seat, heading, np.ones(len(seat), bool), radius, 0.7)
+        axes.plot(*opening.T, linestyle="", marker="o", markersize=5, color=colors.MEMBER, fillstyle="none", zorder=6)
+    axes.legend(
+        *_graph_key(graph), loc="lower right", bbox_to_anchor=(1.0 - layers.MARGIN, 0.0), ncols=3, fontsize=8,
+        frameon=False, labelcolor=colors.INK, handlelength=1.4, columnspacing=1.4, borderpad=0.1, labelspacing=0.35,
+    )  # fmt: skip
+    layers.draw_scale(axes, part)
+    return figure
+
+
+def _starts(scenario: Scenario, key: Array) -> _Starts:
+    """The starts of all sets."""
+    sets: Sets = scenario.behavior.data
+
+    def of_set(row: Array) -> _Starts:
+        chosen = jnp.arange(sets.odds.shape[0]) == row
+        odds = jnp.where(chosen[:, None, None], sets.odds, 0.0)
+        one_set = replace(scenario, behavior=replace(scenario.behavior, data=replace(sets, odds=odds)))
+        people, groups, _ = scenario.behavior.reset(one_set, key)
+        ends = []
+        for place, group in ((sets.start, sets.start_group), (sets.goal, sets.goal_group)):
+            index = group[row]
+            ends.append(jnp.where(index[:, None] >= 0, groups.opening[jnp.maximum(index, 0)], place[row]))
+        headings = [_facing(sets.start_heading[row], sets.start_group[row], groups, ends[0])]
+        headings.append(_facing(sets.goal_heading[row], sets.goal_group[row], groups, ends[1]))
+        all_paths = jax.vmap(jax.vmap(_path, in_axes=(None, None, 0)), in_axes=(None, 0, None))
+        path = all_paths(scenario.navigation, *ends)
+        leg = _legs(sets, row)
+        return _Starts(ends[0], ends[1], people.position, people.heading, path, headings[0], headings[1], leg)
+
+    return jax.lax.map(of_set, jnp.arange(sets.odds.shape[0], dtype=jnp.int32))
+
+
+def _legs(sets: Sets, row: Array) -> Array:
+    """(L, K, MAX_CORNERS, 2) m: paths from each waypoint of a set's loops to the next one."""
+    waypoint, count = sets.waypoint[row], sets.waypoints[row][:, None]
+    number = jnp.arange(1, waypoint.shape[1] + 1)[None, :] % count  # (L, K)
+    following = jnp.take_along_axis(waypoint, number[..., None], axis=1)
+    if sets.ways is None:
+        between = jnp.linspace(0.0, 1.0, MAX_CORNERS)[None, None, :, None]
+        return waypoint[:, :, None] + between * (following - waypoint)[:, :, None]
+    one = functools.partial(_path, sets.ways.navigation)
+    return jax.vmap(lambda a, b: jax.lax.map(lambda ends: one(*ends), (a, b)))(waypoint, following)
+
+
+def _facing(heading: Array, group: Array, groups: Groups, place: Array) -> Array:
+    """(5, 2) the headings, or from a place in a group to its center."""
+    inward = groups.center[jnp.maximum(group, 0)] - place
+    inward = inward / jnp.sqrt((inward * inward).sum(-1, keepdims=True) + 1e-9)
+    return jnp.where(group[:, None] >= 0, inward, heading)
+
+
+def _path(navigation: paths.Navigation, start: Array, goal: Array) -> Array:
+    """(MAX_CORNERS, 2) m: the start, each corner of the shortest path, and the goal in all other rows."""
+    paths_to_goal = paths.build_paths_to_goal(navigation, goal)
+
+    def step(place: Array, _: None) -> tuple[Array, Array]:
+        return paths.next_point(navigation, place, goal, paths_to_goal), place
+
+    return jax.lax.scan(step, start, length=MAX_CORNERS)[1]
+
+
+def _window(floor: np.ndarray, points: np.ndarray) -> tuple[float, float, float, float]:
+    """x_min, y_min, x_max, y_max [m]: a square around points (P, 2), or the floor where it is smaller."""
+    low, high = points.min(0) - PANEL_MARGIN, points.max(0) + PANEL_MARGIN
+    side = max(MIN_PANEL, *(high - low))
+    extent = np.minimum(side, floor[2:] - floor[:2])
+    low = np.clip((low + high - extent) / 2, floor[:2], floor[2:] - extent)
+    return low[0], low[1], low[0] + extent[0], low[1] + extent[1]
+
+
+def _panel(axes: Axes, environment: Environment, window: tuple, starts: _Starts, sets: Sets) -> None:
+    """Draw one set: floor, obstacles, paths, loops, people, poses."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.patches import Rectangle
+
+    x0, y0, x1, y1 = window
+    side = x1 - x0
+    axes.set_xlim(x0, x1)
+    axes.set_ylim(y0, y1)
+    axes.set_aspect("equal", anchor="N")
+    axes.add_patch(Rectangle((x0, y0), side, y1 - y0, facecolor=colors.FLOOR, edgecolor=colors.MUTED, zorder=0))
+    layers.draw_obstacles(axes, environment)
+    lines = list(np.asarray(starts.path).reshape(-1, *starts.path.shape[2:]))
+    axes.add_collection(LineCollection(lines, colors=colors.ROBOT, linewidths=0.5, alpha=0.55, zorder=3))
+    for leg, count, walked in zip(starts.leg, sets.waypoints, sets.walked, strict=True):
+        if np.isfinite(walked).any():
+            both = (sets.way[sets.present & (sets.loop >= 0)] < 0).any()
+            _draw_loop(axes, np.asarray(leg)[:count], side, bool(both))
+    present, radius = sets.present, max(0.012 * side, MIN_RADIUS)
+    people, heading = starts.people[present], starts.people_heading[present]
+    layers.draw_discs(axes, np.asarray(people), np.asarray(heading), np.asarray(sets.group[present] >= 0), radius, 0.7)
+    tick = 0.04 * side
+    for places, headings, face in (
+        (starts.start, starts.start_heading, colors.PAPER),
+        (starts.goal, starts.goal_heading, colors.ROBOT),
+    ):
+        ends = np.stack([places, places + tick * headings], 1)
+        axes.add_collection(LineCollection(list(ends), colors=colors.ROBOT_EDGE, linewidths=0.8, zorder=8))
+        axes.plot(
+            *places.T, linestyle="", marker="s" if face == colors.PAPER else "o", markersize=4.2, zorder=9,
+            markerfacecolor=face, markeredgecolor=colors.ROBOT_EDGE, markeredgewidth=0.8,
+        )  # fmt: skip
+    bar = max(size for size in (1.0, 2.0, 5.0, 10.0, 20.0) if size <= 0.3 * side)
+    y = y0 + 0.03 * side
+    axes.plot([x0 + 0.03 * side, x0 + 0.03 * side + bar], [y, y], color=colors.INK, linewidth=1.4, zorder=12)
+    axes.text(x0 + 0.03 * side, y + 0.012 * side, f"{bar:g} m", fontsize=7, color=colors.INK, va="bottom", zorder=12)
+
+
+def _draw_loop(axes: Axes, legs: np.ndarray, side: float, both: bool) -> None:
+    """Draw the legs (K, P, 2) [m] of a loop, with one or two arrows in the middle of each straight one."""
+    axes.plot(*legs.reshape(-1, 2).T, color=colors.TRAIL, linewidth=1.2, zorder=4, solid_joinstyle="round")
+    for a, b in zip(legs[:, 0], legs[:, -1], strict=True):
+        gap = float(np.hypot(*(b - a)))
+        if gap < 0.12 * side:
+            continue
+        along = (b - a) / gap
+        for sign in (1.0, -1.0) if both else (1.0,):
+            tip = 0.5 * (a + b) + sign * (0.02 * side + 0.03 * side * both) * along
+            arrow = dict(arrowstyle="-|>", color=colors.TRAIL, mutation_scale=9, linewidth=0)
+            axes.annotate("", xy=tuple(tip), xytext=tuple(tip - 1e-2 * sign * along), arrowprops=arrow, zorder=4)
+
+
+def _graph_key(graph: BehaviorGraph) -> tuple[list, list[str]]:
+    """Marks of a behavior graph and their meaning, for the flows that it has."""
+    from matplotlib.lines import Line2D
+
+    flows = {FLOWS[flow] for flow in np.unique(np.asarray(graph.flow)) if flow != NO_EDGE}
+    line: Any = dict(color=colors.EDGE, linewidth=1.2)
+    entries = {
+        "waypoint": layers.mark("o", "#e9ecf2", colors.EDGE, 8),
+        "group": layers.mark("o", "#e2f4f9", colors.MEMBER, 8),
+        "member": layers.mark("o", colors.MEMBER, colors.PERSON_EDGE),
+        "place left open": layers.mark("o", "none", colors.MEMBER, 5),
+        "both ways": Line2D([], [], **line),
+        "one way": Line2D([], [], marker=">", markersize=5, **line),
+        "high flow": Line2D([], [], **line | {"linewidth": 2.6}),
+        "low flow": Line2D([], [], linestyle=(0, (1, 1.6)), **line),
+    }
+    present = {"one way": "forward" in flows, "high flow": "high" in flows, "low flow": "low" in flows}
+    entries = {name: mark for name, mark in entries.items() if present.get(name, True)}
+    return list(entries.values()), list(entries)
+
+
+def _key(axes: Axes) -> None:
+    """Draw the meaning of the marks."""
+    from matplotlib.lines import Line2D
+
+    entries = {
+        "robot's start": layers.mark("s", colors.PAPER, colors.ROBOT_EDGE),
+        "robot's goal": layers.mark("o", colors.ROBOT, colors.ROBOT_EDGE),
+        "robot's shortest paths": Line2D([], [], color=colors.ROBOT, linewidth=1.0),
+        "people's loop": Line2D([], [], color=colors.TRAIL, linewidth=1.4, marker=">", markersize=5),
+        "person at the start": layers.mark("o", colors.PERSON, colors.PERSON_EDGE),
+        "member of a group": layers.mark("o", colors.MEMBER, colors.PERSON_EDGE),
+    }
+    axes.legend(
+        list(entries.values()), list(entries), loc="upper left", fontsize=9, frameon=False, labelcolor=colors.INK,
+        handlelength=1.6, labelspacing=0.7,
+    )  # fmt: skip

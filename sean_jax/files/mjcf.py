@@ -1,7 +1,6 @@
 """MJCF files, checked before MuJoCo compiles them, since it accepts any size, and NaN for a number.
 
-Elements that a scene or a robot of this package has no use for, and larger numbers than any of them needs, are refused
-at their line.
+Elements without use in a scene or a robot, and larger numbers than any of them needs, are refused at their line.
 """
 
 import math
@@ -39,10 +38,7 @@ WORDS = ("name", "class", "childclass", "file", "filename", "model", "prefix")  
 
 
 def read(path: Path) -> Any:
-    """Read an MJCF file.
-
-    Returns:
-        Its ``mujoco.MjModel``, in which every number is finite.
+    """The ``mujoco.MjModel`` of an MJCF file, in which every number is finite.
 
     Raises:
         FileError: one sentence that names the file, the line where there is one, and the cure.
@@ -74,11 +70,7 @@ def read(path: Path) -> Any:
 
 
 def sources(path: Path) -> list[Path]:
-    """The files that an MJCF file reads: those that it includes, meshes and images.
-
-    Raises:
-        FileError: an element is refused, or a file cannot be read.
-    """
+    """The files that an MJCF file reads: includes, meshes and images; FileError if an element or a file is refused."""
     scan = _Scan(path)
     scan.run(path, read_text(path, MAX_TEXT))
     scan.check_assets()
@@ -97,11 +89,7 @@ class _Scan:
         self.place = ""  # "file:line" of the current element
 
     def run(self, path: Path, content: str, including: tuple[Path, ...] = (), times: int = 1) -> None:
-        """Check the text of a file.
-
-        Raises:
-            FileError: an element is refused, or the file is not XML.
-        """
+        """Check the text of a file, its content made ``times``; FileError if it is not XML or an element is refused."""
         parser = expat.ParserCreate("utf-8")
         above = [times]  # of each open element: how often its content is made
 
@@ -140,11 +128,7 @@ class _Scan:
             raise FileError(f"{place}: is not XML: {expat.ErrorString(error.code)}.") from None
 
     def element(self, name: str, attributes: dict[str, str], times: int) -> int:
-        """Check an element.
-
-        Raises:
-            _ElementError: it is refused.
-        """
+        """Check an element; returns how often its content is made. Raises _ElementError."""
         if name == "robot":
             raise _ElementError("is URDF and not MJCF; write it as MJCF, as envs/robots/kuri.xml is")
         if name in REFUSED:
@@ -171,11 +155,7 @@ class _Scan:
         return max(1, int((_numbers(attributes.get("count", "")) or [1])[0])) if name == "replicate" else 1
 
     def count_images(self, name: str, attributes: dict[str, str]) -> None:
-        """Count the pixels that MuJoCo paints for an element, and collect the names of the files that it reads.
-
-        Raises:
-            _ElementError: there are too many pixels.
-        """
+        """Count the pixels that MuJoCo paints for an element, and collect its files. Raises _ElementError."""
         cube = name == "texture" and attributes.get("type", "cube") in ("cube", "skybox")
         if name in ("texture", "hfield"):
             sides = ("width", "height") if name == "texture" else ("nrow", "ncol")
@@ -188,7 +168,7 @@ class _Scan:
                 self.assets.append((self.place, names, 6 if cube and "gridsize" not in attributes else 1))
 
     def check_assets(self) -> None:
-        """Count the pixels of the files of all assets, in whichever of the folders they are. Raises FileError."""
+        """Count the pixels of the files of all assets, in all folders where they may be. Raises FileError."""
         pixels: dict[Path, int] = {}
         for place, names, many in self.assets:
             largest = 0
@@ -204,11 +184,7 @@ class _Scan:
                 raise FileError(f"{place}: {str(error).rstrip('.')}.") from None
 
     def count_pixels(self, pixels: float) -> None:
-        """Add pixels to the total.
-
-        Raises:
-            _ElementError: there are too many.
-        """
+        """Add pixels to the total; _ElementError if there are too many."""
         self.pixels += pixels
         if self.pixels > MAX_PIXELS:
             raise _ElementError(

@@ -1,8 +1,7 @@
-"""Reading of files from outside the package: regular files of bounded size, as bytes, text, JSON, rows or arrays.
+"""Reading of all files from outside the package: regular files of bounded size, as bytes, text, JSON, rows or arrays.
 
-Every reader of the package opens its files here. Folders, pipes and devices are refused without waiting for them, and
-a file that is too large for its kind is refused before memory is used for it. Whatever another package raises about
-the content becomes a sentence.
+Folders, pipes and devices are refused without waiting for them, and a file that is too large for its kind is refused
+before memory is used for it. Whatever another package raises about the content becomes a sentence.
 """
 
 import contextlib
@@ -29,20 +28,13 @@ MAX_DEPTH = 60  # of values within values
 
 
 def short_name(path: Path) -> str:
-    """A file's name as messages give it."""
+    """A file's name in messages."""
     return "/".join(part for part in (path.parent.name, path.name) if part)
 
 
 @contextlib.contextmanager
 def open_file(path: Path | str, max_bytes: int = MAX_BYTES) -> Iterator[BinaryIO]:
-    """A regular file, open for reading.
-
-    Args:
-        max_bytes: that it may have.
-
-    Raises:
-        FileError: there is no such file, or it cannot be read, or is too large.
-    """
+    """A regular file of at most ``max_bytes``, open for reading; FileError if it is missing, unreadable or larger."""
     path = Path(path)
     with contextlib.ExitStack() as stack:
         try:
@@ -67,14 +59,7 @@ def open_file(path: Path | str, max_bytes: int = MAX_BYTES) -> Iterator[BinaryIO
 
 
 def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
-    """Read a regular file.
-
-    Args:
-        max_bytes: that it may have.
-
-    Raises:
-        FileError: there is no such file, or it cannot be read, or is too large.
-    """
+    """The content of a regular file of at most ``max_bytes``; FileError as in ``open_file``."""
     with open_file(path, max_bytes) as stream:
         try:
             data = stream.read(max_bytes + 1)
@@ -92,16 +77,10 @@ def _too_large(path: Path, size: int, max_bytes: int) -> FileError:
 
 @contextlib.contextmanager
 def sentence(path: Path | str, cure: str) -> Iterator[None]:
-    """Whatever another package raises in this block about a file's content becomes a ``FileError``.
+    """Turn whatever another package raises in this block about a file's content into a ``FileError``.
 
     Args:
         cure: the end of the sentence, such as ``get it anew``.
-
-    Yields:
-        None.
-
-    Raises:
-        FileError: the block has raised.
     """
     try:
         yield
@@ -117,17 +96,7 @@ def sentence(path: Path | str, cure: str) -> Iterator[None]:
 
 
 def read_text(path: Path | str, max_bytes: int = MAX_BYTES) -> str:
-    """Read a UTF-8 file.
-
-    Args:
-        max_bytes: that it may have.
-
-    Returns:
-        Its text, without a byte-order mark.
-
-    Raises:
-        FileError: there is no such file, or it cannot be read, is too large, or is not UTF-8.
-    """
+    """The text of a UTF-8 file, without a byte-order mark; FileError as in ``open_file``, or if it is not UTF-8."""
     path = Path(path)
     data = read_bytes(path, max_bytes)
     try:
@@ -140,14 +109,7 @@ def read_text(path: Path | str, max_bytes: int = MAX_BYTES) -> str:
 
 
 def read_json(path: Path | str, max_bytes: int = MAX_RECORD) -> Any:
-    """Read a JSON file; NaN and infinities are not JSON.
-
-    Args:
-        max_bytes: that it may have.
-
-    Raises:
-        FileError: there is no such file, or it cannot be read, is too large, or is not JSON.
-    """
+    """The content of a JSON file, without NaN and infinities; FileError if it cannot be read or is not JSON."""
     path = Path(path)
     text = read_text(path, max_bytes)
 
@@ -179,18 +141,11 @@ def _similar_file(path: Path) -> str:
 
 
 def read_rows(path: Path | str, max_bytes: int = MAX_TABLE) -> Iterator[list[str]]:
-    """Read a CSV file row by row.
-
-    Args:
-        max_bytes: that it may have.
-
-    Yields:
-        The cells of each row, the names of the columns first. A first line that begins with # comes before them, as one
-        cell.
+    """The cells of each row of a CSV file, names of columns first; a first line with # comes before, as one cell.
 
     Raises:
-        FileError: there is no such file, or it cannot be read, is too large, is no CSV, names a column twice, or has a
-            row of another number of cells than there are columns.
+        FileError: the file cannot be read, is too large, is no CSV, names a column twice, or has another number of
+            cells in a row than columns.
     """
     path = Path(path)
     with open_file(path, max_bytes) as stream:
@@ -246,13 +201,13 @@ def _lines(path: Path, stream: io.TextIOWrapper) -> Iterator[str]:
 def read_arrays(
     path: Path | str, max_bytes: int = MAX_ARRAYS, cure: str = "remove it, and the same command makes it anew"
 ) -> dict[str, Any]:
-    """Read a .npz file of numbers and words.
+    """The arrays of a .npz file of numbers and words, of ``max_bytes`` at most, packed and unpacked.
 
     Args:
-        max_bytes: that it may have, and may unpack to.
+        cure: the end of the sentence if it is damaged.
 
     Raises:
-        FileError: there is no such file, or it cannot be read, is too large, or is damaged.
+        FileError: the file cannot be read, is too large, or is damaged.
     """
     import numpy as np  # here, as the command line reads its options without it
 
@@ -272,7 +227,7 @@ def read_arrays(
 
 
 def _check_array(packed: Any, size: int) -> None:
-    """ValueError unless an array is as large as its head says; numpy makes room for what the head says."""
+    """ValueError unless an array is as large as its head says, for which numpy makes room."""
     import numpy as np
 
     version = np.lib.format.read_magic(packed)

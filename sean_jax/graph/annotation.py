@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float
 
 from sean_jax import cache, files
 from sean_jax.base import Array, Environment
+from sean_jax.devices import to_device
 from sean_jax.geometry import crosses_box, signed_distances_on_host
 from sean_jax.graph.behavior_graph import FLOWS, NO_EDGE, BehaviorGraph, routes
 from sean_jax.graph.formation import reach
-from sean_jax.platforms import to_device
 from sean_jax.quantities import Coordinate, Duration, Radius, RelativeChance
 
 NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge

@@ -16,11 +16,11 @@ from scipy.spatial import KDTree
 
 from sean_jax import cache, files
 from sean_jax.base import Array, Environment
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.geometry import crosses_box, signed_distances_on_host
 from sean_jax.graph.annotation import PERSON
 from sean_jax.graph.formation import reach
-from sean_jax.platforms import to_device
 from sean_jax.quantities import Coordinate, Degrees
 
 FILE = "handcrafted.yaml"

@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float, Int
 from sean_jax import cache
 from sean_jax import navigation as paths
 from sean_jax.base import Array, PathsToGoal
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.handcrafted.annotation import POSES, Set
-from sean_jax.platforms import to_device
 
 
 @struct.dataclass

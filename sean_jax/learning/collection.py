@@ -33,7 +33,7 @@ from sean_jax.learning.dataset import Dataset, EpisodeBatch, stream_seconds
 from sean_jax.learning.examples import Row, row
 from sean_jax.learning.policy import check_policy, disturbed, label, labelled, load_policy
 from sean_jax.progress import progress
-from sean_jax.runner import Record, Runner, Watch, not_finite
+from sean_jax.runner import Callbacks, Record, Runner, not_finite
 from sean_jax.versions import fingerprint, version_mismatch, versions
 
 if TYPE_CHECKING:
@@ -127,9 +127,9 @@ def simulate_shard(
     Raises:
         FloatingPointError: a number is not finite; the message names the episodes.
     """
-    callbacks = Watch(advanced=lambda seconds, simulated: watch(round(seconds)) if watch is not None else None)
+    callbacks = Callbacks(advanced=lambda seconds, simulated: watch(round(seconds)) if watch is not None else None)
     first = shard * runner.size
-    batch = runner.run(seed, first, index=np.full(runner.size, stream), watch=callbacks)
+    batch = runner.run(seed, first, index=np.full(runner.size, stream), callbacks=callbacks)
     scenario = runner.scenarios[0]
     rate = round(1.0 / scenario.time_step) // runner.record.every
     most = rate * math.ceil(scenario.time_limit - 1e-6)

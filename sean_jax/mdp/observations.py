@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, PyTree
 
-from sean_jax import calls, files, navigation, obstacle_grid, sensors
+from sean_jax import calls, files, navigation, sensors
 from sean_jax.base import Array, Scenario, State
 from sean_jax.errors import InputError
-from sean_jax.geometry import from_rectangle, length, rotate
+from sean_jax.geometry import from_rectangle, length, nearby_obstacles, rotate
 from sean_jax.mdp.spaces import Box, Dict
 
 NEAREST = 12  # people of the term "people"
@@ -165,7 +165,7 @@ def obstacles(nearest: int = SURFACES, reach: float = 3.0) -> ObservationTerm:
 def _obstacles(nearest: int, reach: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
     """The nearest obstacles: direction and distance of each, (k, 3) of a unit vector and m."""
     x, y = state.robot.position[0], state.robot.position[1]
-    rows = obstacle_grid.lookup(scenario.environment.obstacle_grid, x, y)
+    rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
     distance, nx, ny = from_rectangle(x, y, *(rows[:, column] for column in range(6)))
     number = min(nearest, distance.shape[0])
     near, index = jax.lax.top_k(-distance, number)

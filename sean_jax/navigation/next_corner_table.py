@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from sean_jax import cache
 from sean_jax.base import Array, PathsToGoal
+from sean_jax.devices import to_device
 from sean_jax.geometry import from_box, length
 from sean_jax.navigation.arcs import (
     ANGLE,
@@ -24,7 +25,6 @@ from sean_jax.navigation.arcs import (
 )
 from sean_jax.navigation.shortest_paths import last_arcs
 from sean_jax.navigation.tables import CELL, CODE, Navigation, inputs
-from sean_jax.platforms import to_device
 
 CLOSE = 0.8  # of the radius: bodies of people have 0.2 m, their paths are for 0.25 m
 MIN_AHEAD = 0.5  # m ahead: the nearest place that people aim at
@@ -193,8 +193,8 @@ def _best(navigation: Navigation, points: Array) -> tuple:
     """
     none, obstacles, radius = navigation.arcs.side.shape[0], navigation.obstacles, navigation.radius
     distance, last, departure_angle = jax.vmap(last_arcs, in_axes=(None, 0))(navigation, points)
-    own = jnp.arange(none, dtype=jnp.int32)[None, :]
-    next_arc = jnp.where(last == own, none, navigation.next_arc[own, last].astype(jnp.int32)).astype(jnp.int16)
+    first = jnp.arange(none, dtype=jnp.int32)[None, :]
+    next_arc = jnp.where(last == first, none, navigation.next_arc[first, last].astype(jnp.int32)).astype(jnp.int16)
     ends, end_radius = jax.vmap(push_out_of_obstacles, in_axes=(None, 0, None))(obstacles, points, radius)
 
     def from_cell(cell: Array) -> Array:

@@ -16,11 +16,11 @@ from scipy.spatial import KDTree
 
 from sean_jax import cache
 from sean_jax.base import Array, Environment
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.geometry import signed_distances_on_host
 from sean_jax.navigation.arcs import SLACK, pairs_are_free
 from sean_jax.navigation.tables import CODE, Navigation, inputs
-from sean_jax.platforms import to_device
 
 MESH_RADIUS = 0.5  # m, distance of edges of SEAN's mesh from obstacles; a larger robot's radius instead
 MESH_EDGE = 0.25  # m, from a point to the nearest edge of the mesh, at least (SEAN 2.0)

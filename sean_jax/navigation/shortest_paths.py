@@ -146,7 +146,7 @@ def last_arcs(navigation: Navigation, goal: Float[Array, "2"]) -> ArcsToGoal:
     far, angle, x, y, on_arc = tangents(navigation.arcs, end, radius, False)
     clear = segments_are_free(navigation.obstacles, end, x, y, free_radius)
     rest = jnp.where(on_arc & clear, far + radius * angle, jnp.inf)
-    own = jnp.arange(rest.shape[0], dtype=jnp.int32)
+    first = jnp.arange(rest.shape[0], dtype=jnp.int32)
 
     def by(best: tuple[Array, Array], arc: tuple[Array, ...]) -> tuple[tuple[Array, Array], None]:
         index, distance, arrival, angle, rest = arc
@@ -155,9 +155,9 @@ def last_arcs(navigation: Navigation, goal: Float[Array, "2"]) -> ArcsToGoal:
         return (jnp.where(shorter, total, best[0]), jnp.where(shorter, index, best[1])), None
 
     # In a loop: XLA on a CPU takes 30 times longer for an argmin over a square of arcs.
-    rows = own, navigation.distance.T, navigation.arrival_angle.T, angle, rest
-    (total, last), _ = jax.lax.scan(by, (jnp.full_like(rest, jnp.inf), own), rows)
-    return ArcsToGoal(total, last, jnp.where(last == own, angle[last], navigation.departure_angle[own, last]))
+    rows = first, navigation.distance.T, navigation.arrival_angle.T, angle, rest
+    (total, last), _ = jax.lax.scan(by, (jnp.full_like(rest, jnp.inf), first), rows)
+    return ArcsToGoal(total, last, jnp.where(last == first, angle[last], navigation.departure_angle[first, last]))
 
 
 def last_arc_to_goal(navigation: Navigation, goal: Float[Array, "2"]) -> Int[Array, "V"]:

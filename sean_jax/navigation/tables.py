@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from sean_jax import cache
 from sean_jax import environment as environments
 from sean_jax.base import Array, Environment, Obstacles
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.navigation.arcs import (
     ANGLE,
@@ -25,7 +26,6 @@ from sean_jax.navigation.arcs import (
     segments_are_free,
     tangents,
 )
-from sean_jax.platforms import to_device
 
 CODE = "navigation", "environment", "geometry"  # on which the tables depend
 FIELDS = "corner", "middle", "side", "first", "last"
@@ -151,8 +151,8 @@ def _shortest_chains(number: int, links: CommonTangents, radius: float) -> dict[
     distance, arrival = np.full((number, number), np.inf), np.full((number, number), -np.inf)
     departure, rotation = np.zeros((number, number)), np.zeros((number, number))
     next_arc = np.zeros((number, number), int)
-    own = np.arange(number)
-    distance[own, own], next_arc[own, own] = 0.0, own
+    first = np.arange(number)
+    distance[first, first], next_arc[first, first] = 0.0, first
     order = np.argsort(links.target, kind="stable")
     source, target_of, leave, enter = (
         part[order] for part in (links.source, links.target, links.departure_angle, links.arrival_angle)
@@ -170,7 +170,7 @@ def _shortest_chains(number: int, links: CommonTangents, radius: float) -> dict[
             feasible = arrival[:, before] <= leave[into] + STRAIGHT
             total = np.where(feasible, distance[:, before] + cost[into], np.inf)
             best = np.argmin(total, axis=1)
-            rows = np.flatnonzero(total[own, best] < distance[:, target] - 1e-9)
+            rows = np.flatnonzero(total[first, best] < distance[:, target] - 1e-9)
             if len(rows) == 0:
                 continue
             changed, best = True, best[rows]

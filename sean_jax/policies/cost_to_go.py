@@ -9,9 +9,8 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax import obstacle_grid
 from sean_jax.base import Array, PathsToGoal, Scenario, State
-from sean_jax.geometry import from_rectangle, length
+from sean_jax.geometry import from_rectangle, length, nearby_obstacles
 from sean_jax.navigation import segment_is_free
 from sean_jax.navigation.arcs import ANGLE, CornerArcs, tangents
 from sean_jax.navigation.shortest_paths import last_arcs
@@ -38,8 +37,8 @@ def corner_successors(scenario: Scenario, state: State) -> Int[Array, "V"]:
     Costly, for it needs paths between all corners: call it once in an episode.
     """
     last = last_arcs(scenario.navigation, state.task.goal)[1]
-    own = jnp.arange(last.shape[0], dtype=jnp.int32)
-    return scenario.navigation.next_arc[own, last].astype(jnp.int32)
+    first = jnp.arange(last.shape[0], dtype=jnp.int32)
+    return scenario.navigation.next_arc[first, last].astype(jnp.int32)
 
 
 def build_cost_to_go(
@@ -105,7 +104,7 @@ def _push_out(scenario: Scenario, x: Array, y: Array) -> tuple[Array, Array]:
     Gradients are those of the places themselves.
     """
     stop = jax.lax.stop_gradient
-    rows = obstacle_grid.lookup(scenario.environment.obstacle_grid, stop(x), stop(y))
+    rows = nearby_obstacles(scenario.environment.obstacle_grid, stop(x), stop(y))
     parts = (rows[..., part] for part in range(6))
     distance, nx, ny = from_rectangle(stop(x)[:, None], stop(y)[:, None], *parts)
     nearest = jnp.argmin(distance, axis=1, keepdims=True)

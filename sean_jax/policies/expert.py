@@ -18,11 +18,10 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax import obstacle_grid
 from sean_jax.base import Array, ObstacleGrid, Policy, Scenario, State
-from sean_jax.geometry import from_rectangle, length, to_border
+from sean_jax.devices import scalar
+from sean_jax.geometry import from_rectangle, length, nearby_obstacles, to_border
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
-from sean_jax.platforms import scalar
 from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal
 from sean_jax.policies.prediction import (
     PeopleMotion,
@@ -251,7 +250,7 @@ def obstacle_distance(
     grid: ObstacleGrid, x: Float[Array, "*shape"], y: Float[Array, "*shape"]
 ) -> Float[Array, "*shape"]:
     """Distance [m] from places (x, y) [m] to the nearest obstacle within reach of the grid."""
-    rows = obstacle_grid.lookup(grid, x, y)
+    rows = nearby_obstacles(grid, x, y)
     return jnp.min(from_rectangle(x[..., None], y[..., None], *(rows[..., part] for part in range(6)))[0], -1)
 
 
@@ -295,10 +294,10 @@ def group_rate(
     """Cost [1/s] of being in o-spaces, at (x, y) [m]; less far in those of groups that the task joins or leaves."""
     groups, task = state.groups, state.task
     index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
-    own = (index == task.goal_group) | (index == task.start_group)
+    is_task_group = (index == task.goal_group) | (index == task.start_group)
     cx, cy = groups.center[None, None, :, 0], groups.center[None, None, :, 1]
     away = length(x[..., None] - cx, y[..., None] - cy)
-    size = jnp.where(own, 0.5, 1.2) * jnp.maximum(groups.radius, 1e-3)
+    size = jnp.where(is_task_group, 0.5, 1.2) * jnp.maximum(groups.radius, 1e-3)
     depth = jnp.clip(1.0 - away / size[None, None, :], 0.0, 1.0)
     return weights.o_space * jnp.where(groups.present[None, None, :], depth, 0.0).sum(-1)
 

@@ -10,9 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax import obstacle_grid
 from sean_jax.base import Array, Observation, Scenario, State
-from sean_jax.geometry import angle_between, from_rectangle, length
+from sean_jax.geometry import angle_between, from_rectangle, length, nearby_obstacles
 from sean_jax.pedestrian_models import UNBOUNDED, best_velocity, half_plane
 from sean_jax.policies.prediction import nearest_people
 from sean_jax.robots.limits import clip_speeds, clip_turn_rate
@@ -87,7 +86,7 @@ def _obstacle_half_planes(scenario: Scenario, state: State) -> tuple[Array, Arra
     Only the speed moves a disc, not how it turns: n . h v >= -gap / horizon for the normal n away from an obstacle.
     """
     (x, y), heading = state.robot.position, state.robot.heading
-    rows = obstacle_grid.lookup(scenario.environment.obstacle_grid, x, y)
+    rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
     distance, nx, ny = from_rectangle(x, y, *(rows[:, part] for part in range(6)))
     _, index = jax.lax.top_k(-jax.lax.stop_gradient(distance), min(MAX_OBSTACLES, distance.shape[0]))
     gap = jnp.maximum(distance[index] - scenario.robot.radius - OBSTACLE_MARGIN, 0.0)

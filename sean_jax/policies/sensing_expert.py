@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from sean_jax import sensors
 from sean_jax.base import Array, Policy, Scenario, State
 from sean_jax.clock import to_ticks
-from sean_jax.platforms import scalar
+from sean_jax.devices import scalar
 from sean_jax.policies.expert import MAX_PEOPLE, STEPS, TIME_STEP, ExpertMemory, ExpertParams, expert, plan
 from sean_jax.policies.prediction import nearest_people, predict_straight
 

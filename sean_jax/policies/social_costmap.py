@@ -34,10 +34,10 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int
 
-from sean_jax import clock, obstacle_grid
+from sean_jax import clock
 from sean_jax.base import Array, Pedestrians, Policy, RobotModel, Scenario, State
-from sean_jax.geometry import from_rectangle, length, to_border
-from sean_jax.platforms import scalar
+from sean_jax.devices import scalar
+from sean_jax.geometry import from_rectangle, length, nearby_obstacles, to_border
 from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal
 from sean_jax.policies.prediction import nearest_people, to_world
 from sean_jax.robots.limits import clip_turn_rate, reachable
@@ -231,7 +231,7 @@ def cell_costs(
     """Costs of places (x, y) [m], by all layers."""
     shape, radius = x.shape, scenario.robot.radius
     x, y = x.ravel(), y.ravel()
-    rows = obstacle_grid.lookup(scenario.environment.obstacle_grid, x, y)
+    rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
     walls = from_rectangle(x[:, None], y[:, None], *(rows[..., part] for part in range(6)))[0]
     edge = to_border(scenario.environment, x, y)
     gap = jnp.minimum(jnp.min(walls, 1), edge) - radius

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from sean_jax.base import Array
+from sean_jax.devices import by_platform
 from sean_jax.geometry import length
-from sean_jax.platforms import by_platform
 from sean_jax.raycast import bodies, kernel
 from sean_jax.raycast.bodies import Vector, View
 from sean_jax.raycast.kernel import Family

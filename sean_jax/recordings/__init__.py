@@ -4,14 +4,30 @@ A recording serves as evidence for the situations of section III, which speak of
 velocities "provided in simulation or estimated in the real world".
 """
 
-from sean_jax.recordings.companions import read_companions
-from sean_jax.recordings.moments import moments_along, moments_of
-from sean_jax.recordings.motion import fit_motion, headings, motion_between_rows, windowed_mean
-from sean_jax.recordings.tracks import READERS, Tracks, read, read_csv, read_eth_ucy, read_groups, read_juelich
+from sean_jax.recordings.motion import (
+    fit_motion,
+    headings,
+    moments_along,
+    moments_of,
+    motion_between_rows,
+    windowed_mean,
+)
+from sean_jax.recordings.reading import (
+    READERS,
+    Tracks,
+    check_clock,
+    read,
+    read_companions,
+    read_csv,
+    read_eth_ucy,
+    read_groups,
+    read_juelich,
+)
 
 __all__ = [
     "READERS",
     "Tracks",
+    "check_clock",
     "fit_motion",
     "headings",
     "moments_along",

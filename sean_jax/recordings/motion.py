@@ -1,16 +1,24 @@
-"""Velocities and headings from noisy positions: a straight line fitted to each stretch of a track.
+"""Motion in recordings (section III): velocities and headings from noisy positions, and moments for classifiers.
 
-SEAN 2.0 does the same for its classifiers, by ordinary least squares over a pedestrian's last poses. Here the stretch
-lies around the moment, as a recording allows, so that nothing lags behind.
+A straight line is fitted to each stretch of a track. SEAN 2.0 does the same for its classifiers, by ordinary least
+squares over a pedestrian's last poses. Here the stretch lies around the moment, so that nothing lags. In a moment one
+of the people, or a given path, plays the robot among the others. Moments have a leading axis T:
+``jax.vmap(holds, in_axes=(0, None))(moments, thresholds)`` classifies them all.
 """
+
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
-from sean_jax.base import Array
-from sean_jax.recordings.tracks import Tracks
+from sean_jax.base import Array, Moment, Obstacles, Pedestrians
+from sean_jax.geometry import length
+from sean_jax.recordings.reading import Tracks
+
+BODY = 0.2  # m, radius of a person
+GOAL_GROUP, START_GROUP = 0, 1  # names of the groups that the robot's goal and start belong to
 
 
 def fit_motion(
@@ -18,21 +26,21 @@ def fit_motion(
 ) -> tuple[Float[Array, "T N 2"], Float[Array, "T N 2"]]:
     """Least-squares line through each person's positions at the 2 window + 1 times around each.
 
-    Times at which the person is absent are left out. With one time alone the position stays and the velocity is zero.
+    Times at which the person is absent are left out. With a single time, the position stays and the velocity is zero.
 
     Args:
         position: (T, N, 2) m.
         time_step: s between rows.
 
     Returns:
-        Position (T, N, 2) m on the line, and velocity (T, N, 2) m/s; where absent, the argument's and zero.
+        Position [m] on the line, and velocity [m/s]; where absent, the argument's and zero.
     Source: SEAN 2.0's classifiers, which fit a line to a person's last poses.
     """
     count, first, second, value, product = (jnp.zeros((), position.dtype),) * 5
     for shift in range(-window, window + 1):
-        there = _shifted(present, shift, False).astype(position.dtype)
-        offset = (_shifted(position, shift, 0.0) - position) * there[..., None]
-        count, first, second = count + there, first + there * shift, second + there * shift**2
+        weight = _shifted(present, shift, False).astype(position.dtype)
+        offset = (_shifted(position, shift, 0.0) - position) * weight[..., None]
+        count, first, second = count + weight, first + weight * shift, second + weight * shift**2
         value, product = value + offset, product + offset * shift
     determinant = count * second - first * first
     usable = present & (determinant > 0.5)  # it is a whole number
@@ -43,14 +51,11 @@ def fit_motion(
 
 
 def headings(velocity: Float[Array, "T N 2"], present: Bool[Array, "T N"], still: float = 0.1) -> Float[Array, "T N 2"]:
-    """The direction of motion, and for who stands the last direction before, else the next after.
+    """The direction of motion; for a standing person the last direction before, or else the next one after.
 
     Args:
         velocity: (T, N, 2) m/s.
-        still: m/s, below which a direction says nothing; who never moves faster looks along x.
-
-    Returns:
-        (T, N, 2) unit vectors.
+        still: m/s, at or below which a direction is unknown; people who never move faster look along x.
     """
     speed = jnp.sqrt(jnp.maximum((velocity * velocity).sum(-1), 1e-12))
     moving = present & (speed > still)
@@ -72,26 +77,23 @@ def headings(velocity: Float[Array, "T N 2"], present: Bool[Array, "T N"], still
 
 
 def windowed_mean(values: Float[Array, "T N 2"], present: Bool[Array, "T N"], window: int = 1) -> Float[Array, "T N 2"]:
-    """The mean of each person's values over the 2 window + 1 times around, absent ones left out."""
+    """The mean of each person's values over the 2 window + 1 times around, without absent ones."""
     total, count = jnp.zeros_like(values), jnp.zeros(present.shape, values.dtype)
     for shift in range(-window, window + 1):
-        there = _shifted(present, shift, False).astype(values.dtype)
-        total, count = total + _shifted(values, shift, 0.0) * there[..., None], count + there
+        weight = _shifted(present, shift, False).astype(values.dtype)
+        total, count = total + _shifted(values, shift, 0.0) * weight[..., None], count + weight
     return total / jnp.maximum(count, 1.0)[..., None]
 
 
 def motion_between_rows(tracks: Tracks, walking: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
-    """The velocity by which people came to each row, and where they look: the last direction in which they walked.
+    """Velocity (T, N, 2) [m/s] from the row before, and heading (T, N, 2): the last direction of walking.
 
-    Runs on the host, in the precision of the positions. In a column, each person is separated from the next by a row
-    without anybody, as in a sampled recording.
+    Runs on the host, in the precision of the positions. In a column, a row without anybody separates each person from
+    the next, as in a sampled recording. An absent person has zero velocity and the heading of the next person; the
+    velocity in a person's first row is that of the second.
 
     Args:
-        walking: m/s, at or below which the direction of motion says nothing.
-
-    Returns:
-        Velocity (T, N, 2) m/s, zero of who is absent and in a person's first row as in the second; and heading
-        (T, N, 2) unit vectors, of who is absent as of who comes next.
+        walking: m/s, at or below which the direction of motion is unknown.
     """
     position, present = np.asarray(tracks.position), np.asarray(tracks.present)
     velocity, heading = np.zeros_like(position), np.zeros_like(position)
@@ -110,7 +112,7 @@ def motion_between_rows(tracks: Tracks, walking: float = 0.1) -> tuple[np.ndarra
 
 
 def _last_directions(velocity: np.ndarray, walking: float) -> np.ndarray:
-    """(T, 2) direction of the last velocity that was fast enough, or the first one that is, or along x."""
+    """(T, 2) direction of the last velocity that was fast enough, or of the first one, or along x."""
     speed = np.linalg.norm(velocity, axis=-1)
     fast = np.flatnonzero(speed > walking)
     if not len(fast):
@@ -126,3 +128,137 @@ def _shifted(rows: Shaped[Array, "T ..."], shift: int, fill: float | bool) -> Sh
         return rows
     spare = jnp.full((min(abs(shift), rows.shape[0]), *rows.shape[1:]), fill, rows.dtype)
     return jnp.concatenate([rows[shift:], spare]) if shift > 0 else jnp.concatenate([spare, rows[:shift]])
+
+
+def moments_of(
+    tracks: Tracks,
+    robot: Int[Array, ""] | int,
+    *,
+    group: Int[Array, "T N"] | None = None,
+    facing: Float[Array, "T N 2"] | None = None,
+    obstacles: Obstacles | None = None,
+    window: int = 2,
+    still: float = 0.1,
+) -> tuple[Moment, Bool[Array, "T"]]:
+    """Moments (T, ...) with a recorded person as the robot, from the first recorded position to the last.
+
+    Args:
+        robot: () int32 column of that person; may be traced.
+        group: (T, N) int32 group of each person, -1 none; those of the recording if None. Without annotation,
+            ``classifiers.o_space_groups`` of each row gives them.
+        facing: (T, N, 2) unit headings; directions of motion if None.
+        obstacles: W boxes, if known.
+        still: m/s, below which the direction of motion is unknown.
+
+    Returns:
+        Moments, and (T,) whether the robot was recorded; other moments are meaningless.
+    """
+    index = jnp.asarray(robot, jnp.int32)
+    everybody = jnp.arange(tracks.present.shape[1], dtype=jnp.int32)
+    people, group = _people(tracks, group, facing, window, still)
+    recorded = tracks.present[:, index]
+    others = replace(people, present=people.present & (everybody != index)[None, :])
+    robot_motion = people.position[:, index], people.velocity[:, index], people.heading[:, index]
+    return _moments(tracks, others, group, group[:, index], *robot_motion, recorded, obstacles), recorded
+
+
+def moments_along(
+    tracks: Tracks,
+    path: Float[Array, "T 2"],
+    *,
+    group: Int[Array, "T N"] | None = None,
+    facing: Float[Array, "T N 2"] | None = None,
+    obstacles: Obstacles | None = None,
+    window: int = 2,
+    still: float = 0.1,
+) -> Moment:
+    """Moments (T, ...) of a robot on a path (T, 2) [m] among recorded people, who ignore it. It is in no group.
+
+    Other arguments are those of ``moments_of``.
+    """
+    people, group = _people(tracks, group, facing, window, still)
+    present = jnp.ones((path.shape[0], 1), bool)
+    _, velocity = fit_motion(path[:, None, :], present, tracks.time_step, window)
+    heading = headings(velocity, present, still)[:, 0]
+    nobody = jnp.full(path.shape[:1], -1, jnp.int32)
+    return _moments(tracks, people, group, nobody, path, velocity[:, 0], heading, present[:, 0], obstacles)
+
+
+def _people(
+    tracks: Tracks,
+    group: Int[Array, "T N"] | None,
+    facing: Float[Array, "T N 2"] | None,
+    window: int,
+    still: float,
+) -> tuple[Pedestrians, Int[Array, "T N"]]:
+    """The recorded people, fields (T, N, ...), and their groups, from the file or the caller."""
+    position, velocity = fit_motion(tracks.position, tracks.present, tracks.time_step, window)
+    speed, count = length(velocity[..., 0], velocity[..., 1]), jnp.maximum(tracks.present.sum(0, dtype=jnp.int32), 1)
+    usual = jnp.where(tracks.present, speed, 0.0).sum(0) / count.astype(speed.dtype)
+    people = Pedestrians(
+        position=position,
+        velocity=velocity,
+        heading=headings(velocity, tracks.present, still) if facing is None else facing,
+        desired_velocity=velocity,
+        group=jnp.full(tracks.present.shape, -1, jnp.int32),
+        walking_group=jnp.full(tracks.present.shape, -1, jnp.int32),
+        present=tracks.present,
+        preferred_speed=jnp.broadcast_to(usual[None, :], tracks.present.shape),
+        robot_distance=jnp.zeros_like(speed),
+    )
+    return people, tracks.group if group is None else group
+
+
+def _moments(
+    tracks: Tracks,
+    people: Pedestrians,
+    group: Int[Array, "T N"],
+    robot_group: Int[Array, "T"],
+    position: Float[Array, "T 2"],
+    velocity: Float[Array, "T 2"],
+    heading: Float[Array, "T 2"],
+    recorded: Bool[Array, "T"],
+    obstacles: Obstacles | None,
+) -> Moment:
+    """Moments of a robot. ``group`` (T, N) and ``robot_group`` (T,) name groups anew in each row; start and goal stay.
+
+    People with whom the robot stood at its goal are ``GOAL_GROUP``, those at its start alone ``START_GROUP``, in every
+    row in which they stand with anybody; one person cannot be both.
+    """
+    times = recorded.shape[0]
+    first = jnp.argmax(recorded)
+    last = times - 1 - jnp.argmax(recorded[::-1])
+    with_start = (robot_group[first] >= 0) & (group[first] == robot_group[first])
+    with_goal = (robot_group[last] >= 0) & (group[last] == robot_group[last])
+    joined = jnp.where(with_goal, GOAL_GROUP, jnp.where(with_start, START_GROUP, -1)).astype(jnp.int32)
+    named = jnp.where(group >= 0, joined[None, :], -1)
+    unchanged = (robot_group[first] >= 0) & (robot_group[last] >= 0) & (with_start == with_goal).all()
+    start_group = jnp.where(robot_group[first] >= 0, jnp.where(unchanged, GOAL_GROUP, START_GROUP), -1)
+    goal_group = jnp.where(robot_group[last] >= 0, GOAL_GROUP, -1)
+    start, goal = position[first], position[last]
+    straight = length(goal[0] - start[0], goal[1] - start[1])
+
+    def always(value: Array) -> Array:
+        return jnp.broadcast_to(value[None], (times, *value.shape))
+
+    boxes = None
+    if obstacles is not None:
+        fields = (obstacles.center, obstacles.half_extent, obstacles.yaw, obstacles.height)
+        boxes = Obstacles(*(always(field) for field in fields))
+    return Moment(
+        people=replace(people, group=named),
+        position=position,
+        heading=heading,
+        velocity=velocity,
+        start=always(start),
+        goal=always(goal),
+        start_group=always(start_group.astype(jnp.int32)),
+        goal_group=always(goal_group.astype(jnp.int32)),
+        geodesic=always(straight),
+        situations=jnp.zeros((times, 0), bool),
+        tick=jnp.arange(times, dtype=jnp.int32),
+        robot_radius=jnp.full(times, BODY, float),
+        person_radius=jnp.full(times, BODY, float),
+        time_step=tracks.time_step,
+        obstacles=boxes,
+    )

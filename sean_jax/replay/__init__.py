@@ -16,17 +16,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import drawing, files, navigation, writing
+from sean_jax import drawing, files, navigation, pages, writing
 from sean_jax.base import Environment, Scenario, Trajectory
 from sean_jax.drawing import colors
-from sean_jax.drawing.parts import one_episode, situation_names
+from sean_jax.drawing.layers import one_episode, situation_names
 from sean_jax.errors import InputError
 from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
 from sean_jax.replay.encoding import encode
 
 VERSION = 1
-HERE = Path(__file__).parent
+TEMPLATE = "replay/page.html"
 PLAN_POINTS, PLAN_SPACING = 24, 0.5  # of the planned path; m
 NOBODY = 20.0  # m, drawn as the distance of the nearest person where there is none
 KINDS = {
@@ -48,7 +48,7 @@ OF_PEOPLE = (
 
 @dataclasses.dataclass(frozen=True)
 class Episode:
-    """An episode and what is said of it."""
+    """An episode, its title and its outcome."""
 
     frames: Trajectory  # (T, ...)
     title: str
@@ -67,17 +67,13 @@ def recording(
     time_step: float = 0.1,
     robot: bool = True,
 ) -> dict[str, Any]:
-    """What the page is given: JSON that ``web/src/recording.ts`` describes.
+    """The content of the page as JSON values, which ``web/src/recording.ts`` describes.
 
     Args:
         episodes: one or more, with as many situations each.
         scenario: for the robot's size and sensors; without it, they are not drawn.
         situations: their names; the paper's five, or numbers, if None.
-        time_step: s, between two frames.
         robot: whether there is one; else only people are drawn.
-
-    Returns:
-        A value for ``json.dumps``.
 
     Raises:
         InputError: there is no episode, or one has a batch axis or other situations.
@@ -85,20 +81,16 @@ def recording(
     if not episodes:
         raise InputError("replay: there is no episode; give one or more.")
     names = situation_names(episodes[0].frames, situations)
-    told = _content(environment, title, graph, scenario, names, time_step, robot)
-    return told | {"episodes": [encoded(each, names, robot) for each in episodes]}
+    content = _content(environment, title, graph, scenario, names, time_step, robot)
+    return content | {"episodes": [encoded(each, names, robot) for each in episodes]}
 
 
 def awaited(scenario: Scenario, title: str = "") -> dict[str, Any]:
-    """A recording without episodes, of which the page asks for the frames.
-
-    Returns:
-        A value for ``json.dumps``.
-    """
+    """A recording without episodes, for a page that asks for the frames."""
     names = [name for name, _ in scenario.situations]
     graph = graph_of(scenario)
-    told = _content(scenario.environment, title, graph, scenario, names, scenario.time_step, True)
-    return told | {"episodes": []}
+    content = _content(scenario.environment, title, graph, scenario, names, scenario.time_step, True)
+    return content | {"episodes": []}
 
 
 def _content(
@@ -126,13 +118,7 @@ def _content(
 
 
 def of_scenario(scenario: Scenario, episodes: Sequence[Episode], title: str = "") -> dict[str, Any]:
-    """A recording of episodes of a scenario, with planned paths.
-
-    Args:
-        episodes: one or more.
-
-    Returns:
-        A value for ``json.dumps``.
+    """A recording of one or more episodes of a scenario, with planned paths.
 
     Raises:
         InputError: there is no episode, or one has a batch axis.
@@ -146,14 +132,7 @@ def of_scenario(scenario: Scenario, episodes: Sequence[Episode], title: str = ""
 
 
 def plans(scenario: Scenario, frames: Trajectory) -> np.ndarray:
-    """The shortest path that is left, once a second.
-
-    Args:
-        frames: (T, ...) of one episode.
-
-    Returns:
-        (T, K, 2) m, points from the robot on; from the goal on, the goal.
-    """
+    """(T, K, 2) m, the remaining shortest path of an episode's frames (T, ...), once a second; beyond it, the goal."""
     every = max(1, round(1.0 / scenario.time_step))
     some = np.arange(0, len(frames.active), every)
     table = scenario.navigation
@@ -212,13 +191,7 @@ def _robot(scenario: Scenario | None) -> dict[str, Any]:
 
 
 def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[str, Any]:
-    """An episode as the page reads it.
-
-    Args:
-        episode: or a part of one.
-
-    Returns:
-        A value for ``json.dumps``.
+    """An episode, or a part of one, as JSON values for the page.
 
     Raises:
         InputError: it has a batch axis or other situations.
@@ -226,8 +199,8 @@ def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[
     frames: Any = one_episode(episode.frames)  # numpy arrays
     situation_names(frames, names)  # refuses another number
     columns = {
-        "person x": _held(frames.people[..., 0], frames.present),
-        "person y": _held(frames.people[..., 1], frames.present),
+        "person x": _filled(frames.people[..., 0], frames.present),
+        "person y": _filled(frames.people[..., 1], frames.present),
         "person heading": _coarse(_angle(frames.people_heading)),
         "person group": frames.group,
         "person present": frames.present,
@@ -271,81 +244,52 @@ def _coarse(angle: np.ndarray) -> np.ndarray:
     return np.round(angle / level) * level
 
 
-def _held(values: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Places of those who are absent: the last one where they were, or where they will appear."""
+def _filled(values: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """Positions, for absent people their last one, or the one where they will appear."""
     frames = np.arange(len(values))[:, None]
     last = np.maximum.accumulate(np.where(present, frames, -1), 0)
     first = np.where(present.any(0), present.argmax(0), 0)
-    held = np.take_along_axis(values, np.where(last < 0, first[None], last), 0)
-    return np.where(present.any(0), held, 0.0)
+    filled = np.take_along_axis(values, np.where(last < 0, first[None], last), 0)
+    return np.where(present.any(0), filled, 0.0)
 
 
 def element(content: dict[str, Any], name: str = "replay", linked: bool = True, program: bool = True) -> str:
-    """A player inside a page.
+    """A player of a recording inside a page.
 
     Args:
-        content: of ``recording``.
         program: whether the script follows; a page of several players has it once, after the last of them.
     """
-    text = embedded(content)
-    name, link = markup.escape(name), "" if linked else ' data-linked="no"'
-    held = f'<div data-replay="{name}"{link}></div>\n<script type="application/json" id="{name}">{text}</script>'
-    return f"{held}\n<script>{script()}</script>" if program else held
+    return pages.macro("replay/player.html", "player", name, embedded(content), linked, script() if program else "")
 
 
 def embedded(content: Any) -> str:
-    """JSON for a page's script element, whatever its texts are: it has no "<", and so neither an end nor a comment.
-
-    Args:
-        content: a value for ``json.dumps``.
-    """
+    """JSON for a page's script element: it has no "<", so it can neither end the element nor begin a comment."""
     return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def script() -> str:
     """The page's program."""
-    return files.read_text(HERE / "page.js")
-
-
-def style() -> str:
-    """The rules of the player's looks, light and dark."""
-    return files.read_text(HERE / "page.css")
+    return files.read_text(Path(__file__).with_name("page.js"))
 
 
 def html(content: dict[str, Any], picture: str = "", linked: bool = True) -> str:
-    """A page of its own.
+    """A page with one player of a recording.
 
     Args:
-        content: of ``recording``.
         picture: HTML that stands for it where there is no JavaScript.
     """
     instead = f"<noscript>{picture or 'This page needs JavaScript.'}</noscript>"
-    return _page(content["title"], f"{element(content, linked=linked)}\n{instead}")
+    players = [("", element(content, linked=linked))]
+    return pages.render(TEMPLATE, title=content["title"], kicker="", players=players, instead=instead, script="")
 
 
 def html_of_several(players: Sequence[tuple[str, dict[str, Any]]], title: str = "") -> str:
-    """A page of several players, one below the other.
-
-    Args:
-        players: caption and content of each, as of ``recording``.
-    """
-    parts = [
-        f"<h2>{markup.escape(caption)}</h2>{element(content, f'replay-{k}', linked=False, program=False)}"
+    """A page of several players, captions and recordings, one below the other."""
+    elements = [
+        (caption, element(content, f"replay-{k}", linked=False, program=False))
         for k, (caption, content) in enumerate(players)
     ]
-    return _page(title, "\n".join([*parts, f"<script>{script()}</script>"]))
-
-
-def _page(title: str, body: str) -> str:
-    title = markup.escape(title)
-    head = f"<h1>{title}</h1>" if title else ""
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><link rel="icon" href="data:,">'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title or "Replay"}</title>'
-        f"<style>\n{style()}body{{margin:0 auto;max-width:1180px;padding:14px;background:var(--page);color:var(--ink);"
-        "font:15px/1.5 system-ui,sans-serif}h1{font-size:20px;margin:0 0 10px}h2{font-size:16px;margin:20px 0 6px}"
-        f"</style></head>\n<body>{head}{body}</body></html>\n"
-    )
+    return pages.render(TEMPLATE, title=title, kicker="", players=elements, instead="", script=script())
 
 
 class Replay:
@@ -382,13 +326,10 @@ class Replay:
 
 
 def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool = False) -> Any:
-    """Show a trajectory in a notebook, with a timeline to play it by.
+    """Show a trajectory (T, ...) in a notebook, with a timeline to play it; of a batch (B, T, ...) the first episode.
 
     The behavior graph, the robot's camera and its planned path are drawn if the scenario is given. Without a scenario,
     people and robot are drawn on an empty floor.
-
-    Args:
-        trajectory: (T, ...) frames; of a batch (B, T, ...) the first episode.
 
     Returns:
         A ``Replay``, whose ``figure`` is the picture from above and whose ``save`` writes the page; with ``animate`` a

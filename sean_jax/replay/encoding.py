@@ -19,15 +19,11 @@ LOWEST = -300.0  # m: 655 m from there on are what places in whole centimetres c
 
 
 def encode(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> dict[str, Any]:
-    """Columns of an episode.
+    """Columns of an episode, (T,) or (T, K) by name, as the list of (name, count, scale, offset) and base64 data.
 
     Args:
-        columns: name -> (T,) or (T, K) numbers.
         kinds: name -> ``place`` [m], to a centimetre; ``angle`` [rad]; ``index``, whole numbers from -1 on; any other
-            name is of ``number``, whose range is divided into 65,535 levels.
-
-    Returns:
-        ``columns``, the list of (name, count, scale, offset), and ``data``, base64.
+            name is a number, whose range is divided into 65,535 levels.
     """
     heads, levels = [], []
     for name, given in columns.items():
@@ -58,14 +54,7 @@ def _scale(values: np.ndarray, kind: str) -> tuple[float, float]:
 
 
 def decode(encoded: Mapping[str, Any], frames: int) -> dict[str, np.ndarray]:
-    """What the page gets out of ``encode``.
-
-    Args:
-        encoded: what ``encode`` gave.
-
-    Returns:
-        name -> (T, K) numbers, as far as they are kept.
-    """
+    """The inverse of ``encode``: name -> (T, K) numbers, as far as the encoding is exact."""
     halves = np.frombuffer(zlib.decompress(base64.b64decode(encoded["data"])), np.uint8)
     low, high = halves.reshape(2, -1).astype(np.uint16)
     rows = np.cumsum((low + 256 * high).reshape(-1, frames), axis=1, dtype=np.uint16).astype(float)

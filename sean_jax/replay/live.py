@@ -36,11 +36,7 @@ class Live:
         self._lock = threading.Lock()
 
     def add(self, chunk: Trajectory) -> None:
-        """Take the next chunk of time.
-
-        Args:
-            chunk: (T, B, ...) frames, of which those of the first episode are served until its end.
-        """
+        """Take the next chunk of frames (T, B, ...); the first episode is served until its end."""
         frames = jax.tree.map(lambda leaf: np.asarray(leaf)[:, 0], chunk)
         length = int(frames.active.sum())
         if self._over or length == 0:
@@ -56,14 +52,10 @@ class Live:
             self._over, self._outcome = True, outcome
 
     def since(self, first: int) -> str:
-        """What the page is told.
-
-        Returns:
-            JSON, of which ``web/src/stream.ts`` tells the layout.
-        """
+        """The chunks from an index on as JSON, whose layout is in ``web/src/stream.ts``."""
         with self._lock:
-            told = f'"over":{json.dumps(self._over)},"outcome":{json.dumps(self._outcome)}'
-            return f'{{"chunks":[{",".join(self._chunks[first:])}],{told}}}'
+            end = f'"over":{json.dumps(self._over)},"outcome":{json.dumps(self._outcome)}'
+            return f'{{"chunks":[{",".join(self._chunks[first:])}],{end}}}'
 
 
 class _Server(ThreadingHTTPServer):

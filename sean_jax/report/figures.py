@@ -7,18 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from sean_jax import pages
 from sean_jax.drawing import colors
 
 
 def svg(figure: Any, name: str) -> str:
-    """A figure as inline SVG in the colors of the page, light or dark.
-
-    Args:
-        name: of the figure on the page, which makes its ids unique.
-
-    Returns:
-        An ``svg`` element.
-    """
+    """A figure as inline SVG in the colors of the page, light or dark; its name makes ids unique."""
     import matplotlib
 
     stream = io.StringIO()
@@ -45,38 +39,15 @@ def svg(figure: Any, name: str) -> str:
 
 
 def durations(completed: np.ndarray, seconds: np.ndarray, time_limit: float) -> str:
-    """Histogram of the episodes' durations as SVG, completed ones below and the others on top.
-
-    Args:
-        completed: (E,) bool.
-        seconds: (E,) s, durations.
-        time_limit: s, end of the axis.
-
-    Returns:
-        An ``svg`` element.
-    """
+    """Histogram of the episodes' durations (E,) s as SVG, up to the time limit; completed ones stand below."""
     edges = np.linspace(0.0, time_limit, 25)
-    counts = [np.histogram(np.minimum(seconds[mask], time_limit), edges)[0]
-              for mask in (completed, ~completed)]  # fmt: skip
-    highest = max(1, int((counts[0] + counts[1]).max()))
-    width, height, left, base = 720.0, 200.0, 36.0, 160.0
-    step = (width - left - 16) / len(counts[0])
-    shapes = [f'<line x1="{left}" x2="{width - 16}" y1="{base}" y2="{base}" stroke="var(--muted)"/>']
-    for k, (done, late) in enumerate(zip(*counts, strict=True)):
-        x, lower, upper = left + k * step, 140.0 * done / highest, 140.0 * late / highest
-        for y, h, kind in ((base - lower, lower, "done"), (base - lower - upper, upper, "late")):
-            if h:
-                shapes.append(
-                    f'<rect class={kind} x="{x + 1:.1f}" y="{y:.1f}" width="{step - 2:.1f}" height="{h:.1f}"/>'
-                )
-    for k in range(0, len(edges), 4):
-        shapes.append(f'<text x="{left + k * step:.1f}" y="{base + 16}" text-anchor="middle">{edges[k]:g}</text>')
-    shapes.append(f'<text x="{left - 6}" y="24" text-anchor="end">{highest}</text>')
-    shapes.append(f'<text x="{left - 6}" y="{base}" text-anchor="end">0</text>')
-    shapes.append(f'<text x="{(left + width) / 2}" y="{height - 6}" text-anchor="middle">seconds</text>')
-    keys = (("done", "completed", 60.0), ("late", "out of time", 150.0))
-    for kind, label, x in keys:
-        shapes.append(f'<rect class={kind} x="{x}" y="{height - 16}" width="10" height="10"/>')
-        shapes.append(f'<text x="{x + 15}" y="{height - 7}">{label}</text>')
-    label = 'role="img" aria-label="durations of the episodes"'
-    return f'<svg class=histogram viewBox="0 0 {width:g} {height:g}" {label}>{"".join(shapes)}</svg>'
+    done, late = (np.histogram(np.minimum(seconds[mask], time_limit), edges)[0] for mask in (completed, ~completed))
+    highest = max(1, int((done + late).max()))
+    left, base, step, scale = 36.0, 160.0, 668.0 / len(done), 140.0 / highest
+    bars = []
+    for k, (lower, upper) in enumerate(zip(scale * done, scale * late, strict=True)):
+        for kind, top, height in (("done", base - lower, lower), ("late", base - lower - upper, upper)):
+            if height:
+                bars.append((kind, left + k * step + 1.0, top, step - 2.0, height))
+    ticks = [(left + k * step, f"{edges[k]:g}") for k in range(0, len(edges), 4)]
+    return pages.render("report/durations.html", bars=bars, ticks=ticks, highest=highest)

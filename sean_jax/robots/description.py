@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import quantities, scenery
+from sean_jax import environment, quantities
 from sean_jax.base import Mount, Solids
 from sean_jax.errors import FileError
 from sean_jax.files import mjcf
@@ -128,7 +128,7 @@ def _solids(model: Any, data: Any) -> Solids:
     frame = base_rotation(model, data)
     data.geom_xpos[:] = to_base(model, data, data.geom_xpos)
     data.geom_xmat[:] = (frame.T @ data.geom_xmat.reshape(-1, 3, 3)).reshape(-1, 9)
-    return scenery.solids_from_mjcf(model, data, list(range(model.ngeom)))
+    return environment.solids_from_mjcf(model, data, list(range(model.ngeom)))
 
 
 def _numerics(path: Path, model: Any) -> dict[str, float]:

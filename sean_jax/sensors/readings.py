@@ -21,8 +21,8 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from sean_jax import calls, clock, files
 from sean_jax.base import Array, RobotModel, Scenario, Sensor, State
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
-from sean_jax.platforms import to_device
 from sean_jax.sensors.cameras import Camera, camera, depth
 from sean_jax.sensors.lidars import Lidar, lidar, scan
 from sean_jax.sensors.pictures import render

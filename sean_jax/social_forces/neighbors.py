@@ -20,8 +20,8 @@ from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax.base import Array
+from sean_jax.devices import by_platform
 from sean_jax.geometry import sum_in_pairs
-from sean_jax.platforms import by_platform
 from sean_jax.social_forces.linear import linear_call
 
 ABSENT = 1e7  # all rows of a person who is not there: far from everybody, and of no group

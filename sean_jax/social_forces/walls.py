@@ -15,10 +15,9 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float
 
-from sean_jax import obstacle_grid
 from sean_jax.base import Array, ObstacleGrid
-from sean_jax.geometry import from_rectangle, sum_vectors
-from sean_jax.platforms import by_platform
+from sean_jax.devices import by_platform
+from sean_jax.geometry import from_rectangle, nearby_obstacles, sum_vectors
 from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Forces, Pair
 from sean_jax.social_forces.walking import Walking
 
@@ -58,7 +57,7 @@ def distances(
     px: Float[Array, "N"], py: Float[Array, "N"], grid: ObstacleGrid
 ) -> tuple[Float[Array, "N K"], Float[Array, "N K"], Float[Array, "N K"]]:
     """Signed distances [m] of people from the surfaces of the obstacles near them, and the unit normals there."""
-    rows = obstacle_grid.lookup(grid, px, py)
+    rows = nearby_obstacles(grid, px, py)
     return from_rectangle(px[:, None], py[:, None], *(rows[..., column] for column in range(6)))
 
 
@@ -78,7 +77,7 @@ def wall_forces(
         size = jnp.where(distance < perception, size, 0.0)
         return size * nx, size * ny
 
-    return _sum(push, px, py, obstacle_grid.lookup(grid, px, py), (), (parameters, perception))
+    return _sum(push, px, py, nearby_obstacles(grid, px, py), (), (parameters, perception))
 
 
 def project_velocity(
@@ -106,7 +105,7 @@ def project_velocity(
         radius: m, of the bodies.
         friction: s/m, kappa / k of [H00]; None without friction.
     """
-    rows = obstacle_grid.lookup(grid, px, py)
+    rows = nearby_obstacles(grid, px, py)
 
     def excess(distance, nx, ny, vx, vy, radius, time_step):
         return jnp.maximum((radius - distance) / time_step - (nx * vx + ny * vy), 0.0)

@@ -1,13 +1,11 @@
 """``sean calibrate``: the constants of the social forces, fitted by gradient to recorded people.
 
-One fit sees all scenes. Each other one leaves out a scene of prediction, and is judged by it. What is measured of
-crowds (fundamental diagrams, flows, lanes) is not fitted: ``sean validate`` judges by it. Importing this imports no
-JAX.
+One fit is to all scenes. Each other one leaves out a scene of prediction, which tests it. Measurements of crowds
+(fundamental diagrams, flows, lanes) are not fitted: ``sean validate`` tests them. Importing this imports no JAX.
 """
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,9 +14,9 @@ from sean_jax import files, writing
 from sean_jax.config import CalibrateConfig
 from sean_jax.errors import InputError
 from sean_jax.files import listed, unknown_name
-from sean_jax.flags import flag
 from sean_jax.progress import progress
-from sean_jax.versions import version_mismatch, versions
+from sean_jax.versions import versions
+from sean_jax.workspace import Workspace, identity
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,41 +34,35 @@ EVERY = 10.0  # s between two savings of an unfinished fit
 def run(options: CalibrateConfig, console: Console | None = None) -> Path:
     """Fit, and write forces.yaml, one such file for each scene left out, results.json and report.html.
 
-    An unfinished fit is kept every 10 s, and the same command goes on with it.
-
-    Args:
-        options: what is fitted to what, and where the results go.
+    An unfinished fit is saved every 10 s, and the same command resumes it.
 
     Raises:
         InputError: there are no recordings, a name does not exist, or the folder holds something else.
         WriteError: the folder cannot be written.
     """
     folder = options.folder
-    _check_folder(folder, options)
-    with writing.folder_lock(folder), progress(console) as bar:
-        _check_folder(folder, options)
+    with _workspace(options).open() as work, progress(console) as bar:
         bar.stage("reading the recordings")
         from sean_jax.social_forces import build
-        from sean_jax.studies.calibration import page, recorded
-        from sean_jax.studies.calibration.fitting import Fit
-        from sean_jax.studies.calibration.parameters import names_of
+        from sean_jax.studies.calibration import page, windows
+        from sean_jax.studies.calibration.fitting import Fit, names_of
 
         forces = build(options.forces)
         names = names_of(forces, listed(options.fit))
-        prediction, corridors = recorded.find(options.data)
+        prediction, corridors = windows.find(options.data)
         left_out = _left_out(options, list(prediction))
-        kinds = [recorded.prediction_scenes(prediction)] if prediction else []
-        kinds += [recorded.corridor_scenes(corridors)] if corridors else []
-        _write_json(folder / OPTIONS, {"options": options.identity(), "versions": versions()})
+        kinds = [windows.prediction_scenes(prediction)] if prediction else []
+        kinds += [windows.corridor_scenes(corridors)] if corridors else []
+        writing.write(folder / OPTIONS, {**work.identity, "versions": versions()})
         fit = Fit(forces, names, kinds, options.steps, options.batch)
         descent, history = _descend(fit, options, left_out, bar)
         bar.stage("judging by all windows")
-        results = _judge(fit, descent, left_out, history, prediction)
+        results = _evaluate(fit, descent, left_out, history, prediction)
         for what, values in results["parameters"].items():
             if what != "before":
                 file = FORCES if what == "all" else f"forces-without-{what}.yaml"
                 writing.write(folder / file, _constants(options, what, values, results))
-        _write_json(folder / RESULTS, results)
+        writing.write(folder / RESULTS, results)
         writing.write(folder / REPORT, page.html(options, results))
         (folder / UNFINISHED).unlink(missing_ok=True)
     return folder
@@ -109,12 +101,13 @@ def _descend(fit: Fit, options: CalibrateConfig, left_out: list, bar: Any) -> tu
     return descent, np.stack(history)
 
 
-def _judge(fit: Fit, descent: Descent, left_out: list, history: np.ndarray, files: dict[str, Path]) -> dict[str, Any]:
+def _evaluate(
+    fit: Fit, descent: Descent, left_out: list, history: np.ndarray, recordings: dict[str, Path]
+) -> dict[str, Any]:
     """The best start of each fit, and how good its constants are in all scenes."""
     import numpy as np
 
-    from sean_jax.studies.calibration.fitting import COLLISIONS, parts_of
-    from sean_jax.studies.calibration.parameters import BOUNDS, values_of
+    from sean_jax.studies.calibration.fitting import BOUNDS, COLLISIONS, parts_of, values_of
     from sean_jax.studies.prediction import evaluate, read_windows
 
     error, near = fit.errors(descent.mean)  # (F, K, E), (F, K)
@@ -124,12 +117,12 @@ def _judge(fit: Fit, descent: Descent, left_out: list, history: np.ndarray, file
     chosen = np.asarray(descent.mean)[np.arange(len(best)), best]
     before, _ = fit.errors(fit.start(1, 1, 0).free[0])
     labels = ["all" if name is None else name for name in left_out]
-    found = {"before": np.asarray(values_of(fit.forces, fit.names))}
+    parameters = {"before": np.asarray(values_of(fit.forces, fit.names))}
     fits = {label: parts_of(fit.forces, fit.names, each) for label, each in zip(labels, chosen, strict=True)}
-    found |= {label: np.asarray(values_of(forces, fit.names)) for label, (forces, _) in fits.items()}
+    parameters |= {label: np.asarray(values_of(forces, fit.names)) for label, (forces, _) in fits.items()}
     errors = {"before": before[0]} | {label: error[k, best[k]] for k, label in enumerate(labels)}
     scores: dict[str, Any] = {}
-    for scene, file in files.items():
+    for scene, file in recordings.items():
         for clock in ("social_gan", "recorded"):
             windows = read_windows(file, clock)
             own = {
@@ -144,7 +137,7 @@ def _judge(fit: Fit, descent: Descent, left_out: list, history: np.ndarray, file
     return {
         "names": list(fit.names),
         "bounds": {name: BOUNDS[name] for name in fit.names},
-        "parameters": {what: _floats(fit.names, values) for what, values in found.items()},
+        "parameters": {what: _floats(fit.names, values) for what, values in parameters.items()},
         "habits": {label: _floats(habits._fields, habits) for label, (_, habits) in fits.items()},
         "errors": {what: _floats(fit.scenes, values) for what, values in errors.items()},
         "scores": scores,
@@ -175,24 +168,15 @@ def _floats(names: Any, values: Any) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
-# ------------------------------------------------------------------ what is kept
+# ------------------------------------------------------------------ the folder
 
 
-def _check_folder(folder: Path, options: CalibrateConfig) -> None:
-    """Refuse a folder that holds something else, or a fit of other options."""
-    if not folder.is_dir() or not writing.contents(folder):
-        return
-    try:
-        content = files.read_json(folder / OPTIONS)
-        previous, current = content["options"], options.identity()
-        names = [name for name in current if current[name] != previous.get(name)]
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"the folder {folder} holds something else already, choose another with --out.") from None
-    if names:
-        text = f"{flag(names[0])} {previous.get(names[0])}, not {current[names[0]]}"
-        raise InputError(f"{folder} was begun with {text}; ask for the same or choose another --out.")
-    if (folder / UNFINISHED).exists() and (other := version_mismatch(content.get("versions"))) is not None:
-        raise InputError(f"{folder} was begun with {other}; go on with the same, or choose another --out.")
+def _workspace(options: CalibrateConfig) -> Workspace:
+    """The folder of a fit; only an unfinished one needs the same versions."""
+    about = identity(options)
+    if not (options.folder / UNFINISHED).exists():
+        del about["versions"]
+    return Workspace(options.folder, about, OPTIONS)
 
 
 def _save(descent: Descent, history: list, file: Path) -> None:
@@ -205,7 +189,7 @@ def _save(descent: Descent, history: list, file: Path) -> None:
 
 
 def _resume(descent: Descent, file: Path) -> tuple[Descent, list]:
-    """The descent that a file holds; the given one if there is none."""
+    """The saved descent and its history; the start without a file."""
     import jax
     import jax.numpy as jnp
 
@@ -213,17 +197,13 @@ def _resume(descent: Descent, file: Path) -> tuple[Descent, list]:
         return descent, []
     leaves, structure = jax.tree.flatten(descent)
     try:
-        kept = files.read_arrays(file)
-        found = [kept[f"leaf{index}"] for index in range(len(leaves))]
-        history = list(kept["history"])
-        if [each.shape for each in found] != [leaf.shape for leaf in leaves]:
+        arrays = files.read_arrays(file)
+        restored = [arrays[f"leaf{index}"] for index in range(len(leaves))]
+        history = list(arrays["history"])
+        if [each.shape for each in restored] != [leaf.shape for leaf in leaves]:
             raise ValueError
     except (ValueError, KeyError, TypeError):
         raise InputError(f"{file} is damaged; remove it to begin anew.") from None
     return structure.unflatten(
-        [jnp.asarray(each, leaf.dtype) for each, leaf in zip(found, leaves, strict=True)]
+        [jnp.asarray(each, leaf.dtype) for each, leaf in zip(restored, leaves, strict=True)]
     ), history
-
-
-def _write_json(file: Path, content: Any) -> None:
-    writing.write(file, json.dumps(content, indent=1, allow_nan=False) + "\n")

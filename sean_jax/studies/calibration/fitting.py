@@ -1,7 +1,7 @@
 """The fit: errors of predicted people as a loss, and its descent from many starts side by side.
 
 Each of F fits leaves other scenes out; each has K starts. All descend together, by one program, on the same windows:
-the first start of each from the constants given, the others from anywhere within the bounds.
+the first start from the preset's constants, the others drawn within the bounds.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,12 +17,96 @@ from jaxtyping import Float, Int
 
 from sean_jax import prng
 from sean_jax.base import Array, ObstacleGrid
+from sean_jax.errors import InputError
+from sean_jax.files import unknown_name
 from sean_jax.geometry import length
 from sean_jax.social_forces import Forces
-from sean_jax.studies.calibration.parameters import from_free, to_free, values_of
-from sean_jax.studies.calibration.recorded import Scenes
+from sean_jax.social_forces.forces import term_name
+from sean_jax.studies.calibration.windows import Scenes
 from sean_jax.studies.prediction import predict
 from sean_jax.studies.prediction.forecast import grid_around
+
+BOUNDS: dict[str, tuple[float, float]] = {
+    "walking.relaxation_time": (0.1, 1.0),  # s; measured starts and stops take .2 to .6
+    "repulsion.strength": (0.1, 20.0),  # m/s2
+    "repulsion.range": (0.05, 0.6),  # m
+    "repulsion.anticipation": (0.0, 3.0),  # s
+    "repulsion.back_weight": (0.0, 1.0),
+    "headway.length": (-0.5, 0.4),  # m; below zero there is some way yet to go when bodies touch
+    "headway.range": (0.05, 3.0),  # m
+    "headway.width": (0.1, 0.6),  # m
+    "evasion.strength": (0.1, 8.0),  # m/s2
+    "evasion.gain": (0.1, 12.0),
+    "evasion.horizon": (0.5, 6.0),  # s
+    "evasion.width": (0.3, 2.0),  # m
+    "sidestep.preference": (0.0, 0.5),  # m/s2
+    "walls.strength": (0.1, 20.0),  # m/s2
+    "walls.range": (0.03, 0.5),  # m
+}
+"""term.parameter -> the least and the greatest value; terms that a model lacks are left out"""
+
+INERT = {"circular": {"repulsion.anticipation", "repulsion.own_motion"}}
+"""name of a law of repulsion -> parameters that it does not read"""
+
+EDGE = 1e-3  # share of the scale, next to a bound, in which no fit starts
+
+
+def names_of(forces: Forces, chosen: Sequence[str] = ()) -> list[str]:
+    """The parameters to be fitted: names of ``BOUNDS``; all that the forces have and read if ``chosen`` is empty.
+
+    Raises:
+        InputError: a name is not in the table, or the forces have no such term.
+    """
+    there = {term_name(term): term for term in forces}
+    law = getattr(getattr(there.get("repulsion"), "law", None), "__name__", "")
+    for name in chosen:
+        if name not in BOUNDS:
+            raise InputError(unknown_name("fit", name, BOUNDS))
+        if name.partition(".")[0] not in there:
+            raise InputError(f"fit: the forces have no {name}; there are the terms {', '.join(sorted(there))}.")
+    usual = [name for name in BOUNDS if name.partition(".")[0] in there and name not in INERT.get(law, ())]
+    return [name for name in BOUNDS if name in chosen] if chosen else usual
+
+
+def values_of(forces: Forces, names: Sequence[str]) -> Float[Array, "P"]:
+    """(P,) parameters of forces, each in its unit."""
+    return jnp.stack([jnp.asarray(getattr(getattr(forces, a), b), float) for a, b in _split(names)])
+
+
+def with_values(forces: Forces, names: Sequence[str], values: Float[Array, "P"]) -> Forces:
+    """Forces with other parameters (P,), which may be traced."""
+    return forces.tree_replace({name: values[index] for index, name in enumerate(names)})
+
+
+def to_free(names: Sequence[str], values: Float[Array, "*batch P"]) -> Float[Array, "*batch P"]:
+    """Parameters (..., P) as unbounded numbers; values outside their bounds are moved to them first."""
+    low, high, logarithmic = _scales(names, values.ndim)
+    safe = jnp.where(logarithmic, low, 1.0)
+    by_logarithm = jnp.log(jnp.maximum(values, 1e-9) / safe) / jnp.log(jnp.where(logarithmic, high / safe, 2.0))
+    share = jnp.where(logarithmic, by_logarithm, (values - low) / (high - low))
+    share = jnp.clip(share, EDGE, 1.0 - EDGE)
+    return jnp.log(share) - jnp.log1p(-share)
+
+
+def from_free(names: Sequence[str], free: Float[Array, "*batch P"]) -> Float[Array, "*batch P"]:
+    """The inverse of ``to_free``: (..., P) parameters within their bounds."""
+    low, high, logarithmic = _scales(names, free.ndim)
+    share = jax.nn.sigmoid(free)
+    ratio = jnp.where(logarithmic, high / jnp.where(logarithmic, low, 1.0), 1.0)
+    return jnp.where(logarithmic, low * ratio**share, low + (high - low) * share)
+
+
+def _scales(names: Sequence[str], ndim: int) -> tuple[Array, Array, Array]:
+    """Bounds (1, ..., P), and whether the scale is logarithmic."""
+    bounds = np.array([BOUNDS[name] for name in names]).T.reshape((2,) + (1,) * (ndim - 1) + (-1,))
+    return jnp.asarray(bounds[0], float), jnp.asarray(bounds[1], float), jnp.asarray(bounds[0] > 0.0)
+
+
+def _split(names: Sequence[str]) -> list[tuple[str, str]]:
+    return [(name.partition(".")[0], name.partition(".")[2]) for name in names]
+
+
+# ------------------------------------------------------------------ the fit
 
 MARGIN = 0.4  # m: a predicted pair nearer than this costs something, quadratically
 COLLISIONS = 1.0  # weight of that cost, in shares of the error of constant velocity
@@ -32,7 +116,7 @@ EMPTY = -1  # in place of a window
 
 
 class Habits(NamedTuple):
-    """What people desire, as far as recordings do not tell; fitted along."""
+    """Desired velocities, which recordings do not have; fitted along."""
 
     speed: Float[Array, ""]  # m/s, in corridors, where the direction is known
     persistence: Float[Array, ""]  # share of the velocity last seen that people desire elsewhere
@@ -62,22 +146,18 @@ class Descent:
 
 
 def losses(forces: Forces, scenes: Scenes, rows: Int[Array, "W"], grid: ObstacleGrid | None, habits: Habits) -> Losses:
-    """How far predictions are from what was recorded.
-
-    Args:
-        rows: (W,) which windows, ``EMPTY`` for none.
-    """
+    """The errors of predictions of the windows ``rows`` (W,), ``EMPTY`` for none."""
     there = rows != EMPTY
     pick = lambda leaf: jnp.asarray(leaf)[jnp.maximum(rows, 0)]  # noqa: E731
     seen, known, after, counted = map(pick, (scenes.seen, scenes.known, scenes.after, scenes.counted))
     counted = counted & there[:, None, None]
     wish = None if scenes.direction is None else pick(scenes.direction) * habits.speed
-    found = predict(
+    predicted = predict(
         forces, seen, scenes.time_step, after.shape[1], present=known, walls=grid, desired_velocity=wish,
         others=None if scenes.others is None else pick(scenes.others), weights=habits.persistence[None],
         settled=habits.settled,
     )  # fmt: skip
-    dx, dy = found[..., 0] - after[..., 0], found[..., 1] - after[..., 1]
+    dx, dy = predicted[..., 0] - after[..., 0], predicted[..., 1] - after[..., 1]
     away = jnp.sqrt(dx * dx + dy * dy + SMOOTH) - SMOOTH**0.5
     away, ends = jnp.where(counted, away, 0.0), counted[:, -1].astype(float)
     scene, number = pick(scenes.scene), len(scenes.names)
@@ -87,7 +167,10 @@ def losses(forces: Forces, scenes: Scenes, rows: Int[Array, "W"], grid: Obstacle
     mean_error = total(away.sum((1, 2))) / reference[:, 0]
     last_error = total(away[:, -1].sum(1)) / reference[:, 1]
     share = jnp.where(last > 0.0, count / jnp.where(last > 0.0, last, 1.0), 0.0)
-    gap = length(found[:, :, :, None, 0] - found[:, :, None, :, 0], found[:, :, :, None, 1] - found[:, :, None, :, 1])
+    gap = length(
+        predicted[:, :, :, None, 0] - predicted[:, :, None, :, 0],
+        predicted[:, :, :, None, 1] - predicted[:, :, None, :, 1],
+    )
     both = known[:, -1][:, :, None] & known[:, -1][:, None, :] & there[:, None, None]
     both = (both & ~jnp.eye(known.shape[2], dtype=bool)[None])[:, None]
     near = jnp.where(both, jnp.maximum(1.0 - gap / MARGIN, 0.0), 0.0) ** 2
@@ -102,35 +185,23 @@ def objective(
     forces: Forces,
     names: Sequence[str],
 ) -> tuple[Float[Array, ""], Float[Array, "E"]]:
-    """The loss of one fit.
+    """The loss of one fit, by its parameters (P,), the three habits at the end.
 
     Args:
-        free: (P,) the parameters, as ``to_free`` has them, and at the end the habits.
-        weights: (E,) of all scenes, zero for those left out.
-        parts: what gives the losses of the scenes of each kind.
-
-    Returns:
-        The loss, and the error of each scene (E,) in shares of that of constant velocity.
+        kinds: scenes of different shapes, their windows (rows), and their walls.
+        weights: (E,) of all scenes, 0 for the scene that is left out.
     """
     mine, habits = parts_of(forces, names, free)
-    found = [part(mine, habits) for part in parts]
-    error = jnp.concatenate([each.error / jnp.maximum(each.weight, 1.0) for each in found])
-    seen = jnp.concatenate([(each.weight > 0.0).astype(float) for each in found]) * weights
-    collisions = sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in found)
-    loss = (seen * error).sum() / jnp.maximum(seen.sum(), 1e-9) + COLLISIONS * collisions
+    losses_of = [part(mine, habits) for part in parts]
+    error = jnp.concatenate([each.error / jnp.maximum(each.weight, 1.0) for each in losses_of])
+    counted = jnp.concatenate([(each.weight > 0.0).astype(float) for each in losses_of]) * weights
+    collisions = sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in losses_of)
+    loss = (counted * error).sum() / jnp.maximum(counted.sum(), 1e-9) + COLLISIONS * collisions
     return loss, error
 
 
 def parts_of(forces: Forces, names: Sequence[str], free: Float[Array, "*batch P"]) -> tuple[Forces, Habits]:
-    """The forces and habits that free numbers stand for.
-
-    Args:
-        forces: all constants that are not fitted.
-        free: (..., P) as ``to_free`` has them, the habits at the end.
-
-    Returns:
-        Forces, and habits (...).
-    """
+    """Forces and habits of unbounded parameters (P,), the three habits at the end."""
     number = len(HABITS)
     values = from_free(names, free[..., :-number])
     shares = jax.nn.sigmoid(free[..., -number:])
@@ -150,15 +221,11 @@ class Fit:
         self._losses = jax.jit(self._losses_of, static_argnums=2)
 
     def start(self, fits: int, starts: int, seed: int) -> Descent:
-        """Where the descent begins.
-
-        Args:
-            starts: K; the first of each fit has the constants of the forces.
-        """
+        """The start of F fits with K starts each: the first from the constants, the others drawn within the bounds."""
         random = prng.generator("calibrate", seed)
-        given = np.append(np.asarray(to_free(self.names, values_of(self.forces, self.names))), np.zeros(len(HABITS)))
+        first = np.append(np.asarray(to_free(self.names, values_of(self.forces, self.names))), np.zeros(len(HABITS)))
         free = np.where(
-            np.arange(starts)[None, :, None] == 0, given, random.normal(0.0, 1.2, (fits, starts, len(given)))
+            np.arange(starts)[None, :, None] == 0, first, random.normal(0.0, 1.2, (fits, starts, len(first)))
         )
         free = jnp.asarray(free, float)
         with jax.numpy_dtype_promotion("standard"):
@@ -166,14 +233,14 @@ class Fit:
         return Descent(free=free, mean=free, optimizer=state, step=jnp.zeros((), jnp.int32))
 
     def rows(self, seed: int, step: int) -> list[np.ndarray]:
-        """The windows of a step: as many of each scene, drawn anew."""
+        """Newly drawn windows of a step, as many of each scene."""
         random = prng.generator("calibrate windows", seed, step)
-        found = []
+        batches = []
         for kind in self.kinds:
             each = max(1, self.batch // (1 if kind.walls is None else 16))
             own = [np.flatnonzero(kind.scene == index) for index in range(len(kind.names))]
-            found.append(np.concatenate([random.choice(rows, each, len(rows) < each) for rows in own]))
-        return found
+            batches.append(np.concatenate([random.choice(rows, each, len(rows) < each) for rows in own]))
+        return batches
 
     def descend(self, descent: Descent, weights: np.ndarray, rows: list[np.ndarray]) -> tuple[Descent, np.ndarray]:
         """One step of all fits.
@@ -196,7 +263,7 @@ class Fit:
         Returns:
             (..., E) errors in shares of those of constant velocity, and (...) cost of near pairs.
         """
-        found: list[Losses] = []
+        totals: list[Losses] = []
         for index, kind in enumerate(self.kinds):
             crowded = kind.walls is not None
             each, size = max(1, most // (4 if crowded else 1)), max(1, chunk // (8 if crowded else 1))
@@ -206,9 +273,9 @@ class Fit:
             )
             order = np.pad(order, (0, -len(order) % size), constant_values=EMPTY)
             parts = [self._losses(free, jnp.asarray(rows, jnp.int32), index) for rows in order.reshape(-1, size)]
-            found.append(jax.tree.map(lambda *leaves: sum(leaves), *parts))
-        error = np.concatenate([np.asarray(each.error / jnp.maximum(each.weight, 1.0)) for each in found], -1)
-        return error, np.asarray(sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in found))
+            totals.append(jax.tree.map(lambda *leaves: sum(leaves), *parts))
+        error = np.concatenate([np.asarray(each.error / jnp.maximum(each.weight, 1.0)) for each in totals], -1)
+        return error, np.asarray(sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in totals))
 
     def _parts(self, rows: Sequence[Array]) -> list[Callable[[Forces, Habits], Losses]]:
         return [partial(_part, kind, own, grid) for kind, own, grid in zip(self.kinds, rows, self.grids, strict=True)]

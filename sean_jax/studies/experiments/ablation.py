@@ -1,7 +1,7 @@
-"""Table I in several worlds: this package's, SEAN 2.0's, and this package's with one of SEAN's switches at a time.
+"""Table I under several conditions: this package's, SEAN 2.0's, and this package's with one switch of SEAN 2.0 each.
 
 So each cell, and each of the paper's orderings, is traced to the switch that moves it. The switches are the options of
-preset ``sean2`` whose values are others than by default.
+preset ``sean2`` that differ from the defaults.
 """
 
 from __future__ import annotations
@@ -15,15 +15,14 @@ from sean_jax import writing
 from sean_jax.config import AblationConfig, CollectConfig, with_defaults
 from sean_jax.learning.collection import check_collection, streams
 from sean_jax.presets import PRESETS
-from sean_jax.studies.experiments import page, parts, pictures, shares, table1
-from sean_jax.studies.experiments.shares import BEHAVIORS
-from sean_jax.studies.experiments.table1 import Cell
-from sean_jax.studies.experiments.together import Once, Part, together
+from sean_jax.studies.experiments import page, pictures, shares, table1
+from sean_jax.studies.experiments.chains import Streams
+from sean_jax.studies.experiments.scheduler import Part, cached, run_parts
+from sean_jax.studies.experiments.shares import BEHAVIORS, Cell
+from sean_jax.workspace import Workspace, identity
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from sean_jax.studies.experiments.rollouts import Streams
 
 DEFAULT, ALL = "default", "sean2"
 SWITCHES = {
@@ -32,14 +31,11 @@ SWITCHES = {
     if name not in CollectConfig.model_fields or CollectConfig.model_fields[name].get_default() != value
 }
 WORLDS = (DEFAULT, *SWITCHES, ALL)
-"""The package's world, that world with one switch each, and SEAN 2.0's, which has them all."""
+"""The conditions: the defaults, the defaults with one switch each, and SEAN 2.0's with all switches."""
 
 
 def run(options: AblationConfig, console: Console | None = None) -> Path:
     """Simulate what the folder lacks, and write the report.
-
-    Args:
-        console: shows progress; None shows nothing.
 
     Raises:
         InputError: the options are wrong, or the folder holds another experiment.
@@ -53,48 +49,31 @@ def run(options: AblationConfig, console: Console | None = None) -> Path:
     for world in WORLDS:
         for behavior in BEHAVIORS:
             check_collection(description(options, world, behavior))
-    folder, places = options.folder, Once(functools.partial(_places, options))
-    parts.has_started(options)
+    places = cached(functools.partial(_places, options))
     sources = {world: {behavior: simulated(options, world, behavior) for behavior in BEHAVIORS} for world in WORLDS}
     cells_of = {
         world: [(by[behavior], policy, behavior) for policy in policies for behavior in BEHAVIORS]
         for world, by in sources.items()
     }
     jobs = dict.fromkeys(job for each in cells_of.values() for job in each)
-    with writing.folder_lock(folder):
-        parts.start(options)
-        work = [Part(" · ".join(job), functools.partial(_cell, options, *job, places)) for job in jobs]
-        cells = together(work, console, "ablation")
-        write(options, folder, {world: [cells[" · ".join(job)] for job in each] for world, each in cells_of.items()})
-    return folder
+    with Workspace(options.folder, identity(options)).open() as work:
+        work.begin()
+        parts = [Part(" · ".join(job), functools.partial(_cell, options, work, *job, places)) for job in jobs]
+        cells = run_parts(parts, console, "ablation")
+        write(options, {world: [cells[" · ".join(job)] for job in each] for world, each in cells_of.items()})
+    return options.folder
 
 
 def description(options: AblationConfig, world: str, behavior: str) -> CollectConfig:
-    """What is simulated in a world with people of a behavior.
-
-    Args:
-        world: one of ``WORLDS``.
-        behavior: random, handcrafted or graph.
-
-    Returns:
-        The description. A switch that people of that behavior do not have changes nothing.
-    """
+    """The scenario of one of ``WORLDS`` with people of a behavior, which may not have its switch."""
     chosen = SWITCHES if world == ALL else {name: value for name, value in SWITCHES.items() if name == world}
     return CollectConfig(**with_defaults(CollectConfig, table1.fields(options, behavior, options.people), chosen))
 
 
 def simulated(options: AblationConfig, world: str, behavior: str) -> str:
-    """The world that is simulated for a world: the default one if the switch changes nothing for people of a behavior.
-
-    Args:
-        world: one of ``WORLDS``.
-        behavior: random, handcrafted or graph.
-
-    Returns:
-        That world or the default.
-    """
-    own, usual = (description(options, each, behavior).identity() for each in (world, DEFAULT))
-    return DEFAULT if own == usual else world
+    """The world that is simulated for a world: the default if the switch changes nothing for people of the behavior."""
+    own, default = (description(options, each, behavior).identity() for each in (world, DEFAULT))
+    return DEFAULT if own == default else world
 
 
 def _places(options: AblationConfig, world: str, behavior: str) -> Streams:
@@ -102,20 +81,25 @@ def _places(options: AblationConfig, world: str, behavior: str) -> Streams:
 
 
 def _cell(
-    options: AblationConfig, world: str, policy: str, behavior: str, places: Once, watch: Callable[[float], None]
+    options: AblationConfig,
+    work: Workspace,
+    world: str,
+    policy: str,
+    behavior: str,
+    places: Callable[..., Streams],
+    tell: Callable[[float], None],
 ) -> Cell:
-    file = options.folder / f"{world}-{behavior}-{policy}.npz"
-    make = functools.partial(places, world, behavior)
-    return table1.cell(options, file, behavior, policy, make, watch)
+    file = f"{world}-{behavior}-{policy}.npz"
+    return table1.cell(options, work, file, behavior, policy, functools.partial(places, world, behavior), tell)
 
 
-def write(options: AblationConfig, folder: Path, by_world: dict[str, list[Cell]]) -> None:
+def write(options: AblationConfig, by_world: dict[str, list[Cell]]) -> None:
     """Write ablation.csv, orderings.csv, the figure and report.html.
 
     Raises:
         WriteError: another process writes one of the files.
     """
-    lines = ["world,policy,behavior,counting,situation,share,low,high"]
+    folder, lines = options.folder, ["world,policy,behavior,counting,situation,share,low,high"]
     verdicts = ["world,policy,counting,ordering,hard,statement,holds,share_of_resamples"]
     for world, cells in by_world.items():
         for cell in cells:
@@ -132,8 +116,8 @@ def write(options: AblationConfig, folder: Path, by_world: dict[str, list[Cell]]
                 for row in shares.orderings(by_behavior, counting):
                     verdicts.append(f'{world},{policy},{counting},{row["name"]},{row["hard"]},"{row["statement"]}",'
                                     f"{row['holds']},{row['share']:.4f}")  # fmt: skip
-    parts.save(folder / "ablation.csv", "\n".join(lines) + "\n")
-    parts.save(folder / "orderings.csv", "\n".join(verdicts) + "\n")
+    writing.write(folder / "ablation.csv", "\n".join(lines) + "\n")
+    writing.write(folder / "orderings.csv", "\n".join(verdicts) + "\n")
     figure = pictures.ablation(by_world)
     pictures.save(folder, {"ablation": figure})
-    parts.save(folder / "report.html", page.ablation(options, by_world, figure))
+    writing.write(folder / "report.html", page.ablation(options, by_world, figure))

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 
 from sean_jax import writing
 from sean_jax.drawing import colors
-from sean_jax.report.figures import svg
 from sean_jax.studies.experiments import shares
 from sean_jax.studies.experiments.shares import BEHAVIORS
 
@@ -20,9 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from sean_jax.config import Table1Config
-    from sean_jax.studies.experiments.claims import Results
-    from sean_jax.studies.experiments.table1 import Cell
-    from sean_jax.studies.experiments.variants import Curve, Variant
+    from sean_jax.studies.experiments.measures import Curve, Results, Variant
+    from sean_jax.studies.experiments.shares import Cell
 
 
 def shades() -> list[str]:
@@ -42,16 +40,8 @@ def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Figur
     return figure, axes
 
 
-def embed(figure: Figure, name: str) -> str:
-    """A figure to stand in a page."""
-    return f"<figure>{svg(figure, name)}</figure>"
-
-
 def save(folder: Path, figures: dict[str, Figure]) -> None:
-    """Write figures as PNG files.
-
-    Args:
-        figures: by name of the file without its ending.
+    """Write figures, by name of the file without its ending, as PNG files.
 
     Raises:
         WriteError: another process writes one of the files.
@@ -62,14 +52,7 @@ def save(folder: Path, figures: dict[str, Figure]) -> None:
 
 
 def table1(options: Table1Config, cells: list[Cell], swept: list[Cell]) -> dict[str, Figure]:
-    """The figures of Table I; a sweep is drawn if the options have one.
-
-    Args:
-        cells: of each policy and behavior, with the experiment's number of people.
-
-    Returns:
-        Figures by name of the file without its ending.
-    """
+    """The figures of Table I, by name of the file without its ending; sweeps are drawn if the options have them."""
     if not cells:
         return {}
     figures = {"table1-bars": bars(cells)}
@@ -81,11 +64,7 @@ def table1(options: Table1Config, cells: list[Cell], swept: list[Cell]) -> dict[
 
 
 def bars(cells: list[Cell]) -> Figure:
-    """Shares of each policy and behavior as bars with intervals, and the paper's as ticks.
-
-    Args:
-        cells: of each policy and behavior, with the experiment's number of people.
-    """
+    """Shares of each policy and behavior as bars with intervals, and the paper's as ticks."""
     policies = list(dict.fromkeys(cell.policy for cell in cells))
     figure, axes = _figure(3.6 * len(BEHAVIORS), 2.1 * len(policies) + 0.3, len(policies), len(BEHAVIORS))
     for cell in cells:
@@ -111,11 +90,7 @@ def bars(cells: list[Cell]) -> Figure:
 
 
 def speeds(options: Table1Config, cells: list[Cell]) -> Figure:
-    """Entropy and share of cross path by the walking speed V; one line for each behavior and policy.
-
-    Args:
-        cells: of each policy and behavior, with the experiment's number of people.
-    """
+    """Entropy and share of cross path by the walking speed V; one line for each behavior and policy."""
     policies = list(dict.fromkeys(cell.policy for cell in cells))
     figure, axes = _figure(10.8, 2.8, 1, 2)
     kinds: dict[str, str] = dict(
@@ -142,11 +117,7 @@ def speeds(options: Table1Config, cells: list[Cell]) -> Figure:
 
 
 def crowds(cells: list[Cell], swept: list[Cell]) -> Figure:
-    """Entropy and share of each situation by the number of people, for one policy.
-
-    Args:
-        cells: of each policy and behavior, with the experiment's number of people.
-    """
+    """Entropy and share of each situation by the number of people, for one policy."""
     first = [cell for cell in cells if cell.policy == swept[0].policy]
     kinds = list(dict.fromkeys(cell.behavior for cell in swept))
     figure, axes = _figure(5.0 * len(kinds), 2.8, 1, len(kinds))
@@ -226,8 +197,7 @@ def _grid(spot: Axes, values: np.ndarray, policies: tuple[str, ...], title: str,
 def learning_curve(curve: Curve) -> Figure:
     """Measures by hours of demonstrations: a line with intervals, and points for other rates and for flags.
 
-    Returns:
-        The figure, a row for each measure and a column for each scenario, and their mean.
+    A row for each measure, and a column for each scenario and their mean.
     """
     names = {"completed": "completed, %", "time_not_moving": "not moving, s", "violations": "violations"}
     plain = [each for each in curve.variants if each.rate == 1 and not each.flags]

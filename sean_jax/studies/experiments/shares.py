@@ -1,16 +1,34 @@
-"""Shares of social situations (Table I): ways of counting, entropy, intervals, and the orderings of the paper.
+"""Shares of social situations (Table I), in simulation and in recordings of people.
 
 Examples are taken once a second, and each situation that holds is a flag of the example. Intervals come from the
 bootstrap of ``metrics.bootstrap`` over blocks of a minute (Kuensch 1989), because successive seconds are alike.
 Entropies are divided by ln 5, that of five equal shares; they are the same for all ways of counting.
+
+In a recording each person in turn plays the robot (section III), and every row in which the person is present is an
+example. Intervals are from a bootstrap over these persons. A robot walks alone; so where companions are annotated,
+examples are also counted without them.
 """
 
-import dataclasses
-from typing import TypedDict
+from __future__ import annotations
 
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, TypedDict
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from sean_jax import classifiers, recordings
+from sean_jax.classifiers import MORE_SITUATIONS, OBJECT_SITUATIONS, SITUATIONS
 from sean_jax.metrics import bootstrap
+
+if TYPE_CHECKING:
+    from sean_jax.base import Array
+    from sean_jax.classifiers import Situation
+    from sean_jax.recordings import Tracks
 
 NAMES = ("cross_path", "down_path", "join_group", "leave_group", "empty")
 BEHAVIORS = ("random", "handcrafted", "graph")  # in the order of Table I
@@ -26,6 +44,7 @@ COUNTINGS = {
     "situated_examples": "share of the examples in some situation",
 }
 """Ways of counting, the first of which makes rows add up to 1 as two of the paper's do."""
+GROUPS = "join_group", "leave_group"  # unknown where groups are not annotated
 
 
 class Ordering(TypedDict):
@@ -47,14 +66,7 @@ class Shares:
     seconds: int  # examples
 
     def of(self, counting: str) -> np.ndarray:
-        """The shares by one way of counting.
-
-        Args:
-            counting: one of ``COUNTINGS``.
-
-        Returns:
-            (1 + R, S) from 0 to 1; 0 where there is nothing to divide by.
-        """
+        """The shares by one of ``COUNTINGS``, (1 + R, S) from 0 to 1; 0 where the divisor is 0."""
         flags = self.examples.sum(1)
         whole = {
             "flags": flags,
@@ -65,20 +77,14 @@ class Shares:
         return self.examples / np.where(whole > 0, whole, 1.0)[:, None]
 
     def entropy(self) -> np.ndarray:
-        """Normalised entropy of the shares.
-
-        Returns:
-            (1 + R,), from 0 to 1.
-        """
+        """Normalised entropy of the shares, (1 + R,) from 0 to 1."""
         return normalised_entropy(self.examples)
 
 
 def count(flags: np.ndarray, seed: int = 0, streams: int = 1) -> Shares:
-    """Shares of the situations and their bootstrap resamples.
+    """Shares of the situations and their bootstrap resamples, from flags (blocks, seconds, S) bool.
 
-    Args:
-        flags: (blocks, seconds, S) bool, the situations that hold in each second of each block.
-        streams: of equally many blocks, one after another; a resample draws as many of each, for the protocol fixes it.
+    The blocks are those of ``streams`` of equal length, one after another; a resample draws equally many of each.
     """
     each = [seed + 1000 * stream for stream in range(streams)]
     drawn = [bootstrap.resamples(len(flags) // streams, seed, bootstrap.RESAMPLES) for seed in each]
@@ -88,14 +94,9 @@ def count(flags: np.ndarray, seed: int = 0, streams: int = 1) -> Shares:
 
 
 def count_by_person(flags: np.ndarray, person: np.ndarray, seed: int = 0) -> Shares:
-    """Shares of the situations of recorded people, and resamples of people.
+    """Shares of the situations in examples (E, S) bool of recorded ``person`` (E,), and resamples of persons.
 
-    Args:
-        flags: (E, S) bool, the situations that hold in each example.
-        person: (E,) whose example it is; people may have different numbers of them.
-
-    Returns:
-        The shares, where a resample has all examples of the people whom it drew.
+    A resample has all examples of its persons; persons may have different numbers of them.
     """
     people, index = np.unique(person, return_inverse=True)
     counts = np.zeros((len(people), flags.shape[1] + 2))  # of each situation, of none, and of all
@@ -106,13 +107,9 @@ def count_by_person(flags: np.ndarray, person: np.ndarray, seed: int = 0) -> Sha
 
 
 def normalised_entropy(shares: np.ndarray) -> np.ndarray:
-    """Entropy of shares, divided by that of equal shares.
+    """Entropy (...,) of shares (..., K), which need not add up to one, divided by that of equal shares.
 
-    Args:
-        shares: (..., K), which need not add up to one.
-
-    Returns:
-        (...,) from 0 to 1; 0 if all shares are zero.
+    It is from 0 to 1, and 0 if all shares are zero.
     """
     total = shares.sum(-1, keepdims=True)
     p = np.where(total > 0, shares / np.where(total > 0, total, 1), 0)
@@ -120,28 +117,12 @@ def normalised_entropy(shares: np.ndarray) -> np.ndarray:
 
 
 def interval(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """95 % bootstrap interval of a figure.
-
-    Args:
-        samples: (1 + R, ...), the estimate and its resamples.
-
-    Returns:
-        Lower and upper end, (...) each.
-    """
+    """Lower and upper end (...) of the 95 % bootstrap interval of an estimate and its resamples, (1 + R, ...)."""
     return bootstrap.interval(samples[1:])
 
 
 def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[Ordering]:
-    """The orderings that the paper's table shows, and how sure they are here.
-
-    Args:
-        counting: one of ``COUNTINGS``.
-
-    Returns:
-        For each ordering its name, its statement, whether it is expected with any policy (hard), whether it holds, and
-        the share of the resamples in which it does.
-    Source: Table I.
-    """
+    """Test the orderings of the paper's table by one of ``COUNTINGS``. Source: Table I."""
     r, h, g = (by_behavior[name].of(counting) for name in ("random", "handcrafted", "graph"))
     hr, hh, hg = (normalised_entropy(each) for each in (r, h, g))
     cross, down, join, leave, empty = range(5)
@@ -171,10 +152,138 @@ def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[O
 
 
 def paper() -> dict[str, np.ndarray]:
-    """The shares that the paper prints, divided by their sum: 100.00 % in two rows, 105.63 % in random's.
+    """behavior -> the shares (5,) that the paper prints, divided by their sum (105.63 % for random, else 100 %).
 
-    Returns:
-        behavior -> (5,) from 0 to 1.
     Source: Table I.
     """
     return {name: np.array(row) / sum(row) for name, row in PAPER.items()}
+
+
+# ------------------------------------------------------------------ simulated
+
+
+@dataclasses.dataclass
+class Cell:
+    """Examples with one behavior, one policy and one number of people."""
+
+    behavior: str
+    policy: str
+    people: int
+    flags: np.ndarray  # (V, blocks, 60, 5) bool
+    more: np.ndarray  # (blocks, 60, M) bool, the further situations, which do not depend on V
+    ended: np.ndarray  # (2,) episodes completed and not
+    streams: int  # of the protocol, each with as many blocks
+
+    def shares(self, speed: int = 0) -> Shares:
+        """Shares of the paper's situations."""
+        return count(self.flags[speed], streams=self.streams)
+
+    def further(self) -> Shares:
+        """Shares of the situations beyond the paper's five."""
+        return count(self.more, streams=self.streams)
+
+
+# ------------------------------------------------------------------ recorded
+
+
+@dataclasses.dataclass
+class Recorded:
+    """The examples of one recording."""
+
+    name: str
+    person: np.ndarray  # (E,) int, the person who plays the robot
+    flags: np.ndarray  # (V, E, 5) bool
+    more: np.ndarray  # (E, M) bool
+    known: frozenset[str]  # situations that the recording can tell
+
+    @property
+    def people(self) -> int:
+        """How many play the robot."""
+        return len(np.unique(self.person))
+
+    def shares(self, speed: int = 0) -> Shares:
+        """Shares of the paper's situations."""
+        return count_by_person(self.flags[speed], self.person)
+
+    def further(self) -> Shares:
+        """Shares of the situations beyond the paper's five."""
+        return count_by_person(self.more, self.person)
+
+
+class People(NamedTuple):
+    """A recording, and the companions of its people."""
+
+    tracks: Tracks
+    companions: np.ndarray  # (N,) int32, people of one number are left out of each other's examples; -1: nobody is
+
+
+def read_recordings(paths: Sequence[str], frame_rate: float | None = None) -> dict[str, People]:
+    """The recordings in files, by name, or by path where two have one name.
+
+    NAME.groups.txt beside NAME.csv tells companions and gives a second entry without them. ``frame_rate`` [1/s] is that
+    of their formats if None.
+
+    Raises:
+        FileError: one sentence that names the file and the cure.
+    """
+    people = {}
+    stems = [Path(path).stem for path in paths]
+    names = [stem if stems.count(stem) == 1 else path for stem, path in zip(stems, paths, strict=True)]
+    for name, path in zip(names, paths, strict=True):
+        tracks = recordings.read(path, frame_rate=frame_rate)
+        people[name] = People(tracks, np.full(tracks.present.shape[1], -1, np.int32))
+        groups = Path(path).with_suffix(".groups.txt")
+        if groups.is_file():
+            people[f"{name} without companions"] = People(tracks, recordings.read_companions(groups, tracks))
+    return people
+
+
+def count_recording(
+    name: str,
+    people: People,
+    speeds: Sequence[float],
+    tell: Callable[[float], None] = lambda _: None,
+    kind: str = "paper",
+) -> Recorded:
+    """The examples of everybody in a recording, one for each person and row in which the person is present.
+
+    Args:
+        speeds: walking speeds V, m/s.
+        tell: called with the finished share.
+        kind: of the five situations, a key of ``SITUATION_SETS``: paper or sean2.
+    """
+    tracks = people.tracks
+    present = np.asarray(tracks.present)
+    robots = np.flatnonzero(present.any(0))
+    values, longest = jnp.asarray(speeds, float), int(present.sum(0).max())  # rows of one person
+    flags, more, person = [], [], []
+    for index, robot in enumerate(robots):
+        rows = np.flatnonzero(present[:, robot])
+        padded = np.pad(rows, (0, longest - len(rows)), "edge").astype(np.int32)
+        five, further = _flags(kind, people, np.int32(robot), padded, values)
+        flags.append(np.asarray(five)[:, : len(rows)])
+        more.append(np.asarray(further)[: len(rows)])
+        person.append(np.full(len(rows), robot))
+        tell((index + 1) / len(robots))
+    unknown = {*OBJECT_SITUATIONS, *(() if (np.asarray(tracks.group) >= 0).any() else GROUPS)}
+    known = frozenset({*SITUATIONS, *MORE_SITUATIONS} - unknown)
+    return Recorded(name, np.concatenate(person), np.concatenate(flags, 1), np.concatenate(more), known)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _flags(kind: str, people: People, robot: Array, rows: Array, speeds: Array) -> tuple[Array, Array]:
+    """(V, K, 5) and (K, M) situations of a person who plays the robot, in K rows."""
+    moments, _ = recordings.moments_of(people.tracks, robot)
+    moments = jax.tree.map(lambda leaf: leaf[rows], moments)
+    own = people.companions[robot]
+    met = ~((people.companions == own) & (own >= 0))
+    others = dataclasses.replace(moments.people, present=moments.people.present & met[None, :])
+    moments = dataclasses.replace(moments, people=others)
+    usual = classifiers.THRESHOLD_SETS[kind]()
+
+    def at(situations: dict[str, Situation], speed: Array) -> Array:
+        rules = functools.partial(classifiers.classify, situations=tuple(situations.items()))
+        return jax.vmap(rules, (0, None))(moments, dataclasses.replace(usual, walking=speed))
+
+    five = jax.vmap(functools.partial(at, classifiers.SITUATION_SETS[kind]))(speeds)
+    return five, at(MORE_SITUATIONS, usual.walking)

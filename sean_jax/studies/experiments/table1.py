@@ -1,9 +1,8 @@
-"""Table I: how much of the time a robot is in each social situation, with people of three behaviors (section V-B).
+"""Table I: the share of time of a robot in each social situation, with people of three behaviors (section V-B).
 
 Each behavior and policy is simulated for an hour or more by the paper's protocol, with several seeds, and compared with
 the paper's row. Sweeps vary the number of people and the speed V above which people count as walking, since the paper's
-1.4 m/s is faster than most people walk. Situations beyond the paper's five are counted besides, and all of them in
-recordings of people.
+1.4 m/s is faster than most people walk. Further situations are counted too, and all of them in recordings of people.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ from sean_jax.files import listed
 from sean_jax.flags import number
 from sean_jax.learning.collection import check_collection, streams
 from sean_jax.learning.policy import check_policy, load_policy
-from sean_jax.studies.experiments import page, parts, pictures, recorded, shares
-from sean_jax.studies.experiments.recorded import Recorded
-from sean_jax.studies.experiments.rollouts import MINUTE, Chains, Streams
-from sean_jax.studies.experiments.shares import BEHAVIORS, Shares
-from sean_jax.studies.experiments.together import Once, Part, together
+from sean_jax.studies.experiments import page, pictures, shares
+from sean_jax.studies.experiments.chains import MINUTE, Chains, Streams
+from sean_jax.studies.experiments.scheduler import Part, cached, run_parts
+from sean_jax.studies.experiments.shares import BEHAVIORS, Cell, Recorded
+from sean_jax.workspace import REMAKE, Workspace, identity
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -40,85 +39,47 @@ if TYPE_CHECKING:
 
 SWEPT = "random", "graph"  # behaviors whose number of people can be chosen
 CHAIN = 6  # minutes of a chain, which an hour, a half and a fifth of it are multiples of
-TOLD = "environment", "robot", "dynamics", "time_limit"  # options that scenarios have as well
-FURTHER = tuple(MORE_SITUATIONS.items())
+SHARED = "environment", "robot", "dynamics", "time_limit"  # options of the experiment and of its scenarios
+MORE = tuple(MORE_SITUATIONS.items())
 STARTS = 64  # of each stream and seed, from which its chains restart
-
-
-@dataclasses.dataclass
-class Cell:
-    """Examples with one behavior, one policy and one number of people."""
-
-    behavior: str
-    policy: str
-    people: int
-    flags: np.ndarray  # (V, blocks, 60, 5) bool
-    more: np.ndarray  # (blocks, 60, M) bool, the further situations, which do not depend on V
-    ended: np.ndarray  # (2,) episodes completed and not
-    streams: int  # of the protocol, each with as many blocks
-
-    def shares(self, speed: int = 0) -> Shares:
-        """Shares of the situations."""
-        return shares.count(self.flags[speed], streams=self.streams)
-
-    def further(self) -> Shares:
-        """Shares of the situations beyond the paper's five."""
-        return shares.count(self.more, streams=self.streams)
 
 
 def run(options: Table1Config, console: Console | None = None) -> Path:
     """Simulate what the folder lacks, and write the report.
 
-    Args:
-        console: shows progress; None shows nothing.
-
     Raises:
         InputError: the options are wrong, or the folder holds another experiment.
-        FileError: a recording cannot be read.
+        FileError: a recording cannot be read, or a file in the folder is damaged.
         WriteError: another process writes in the folder.
-        FileError: a file in the folder is damaged.
         FloatingPointError: a position is not finite. Finished cells stay.
 
     Source: section V-B, Table I.
     """
-    drivers = [] if listed(options.policies) == ["none"] and listed(options.recordings) else policies(options)
-    jobs = [(behavior, policy, options.people) for policy in drivers for behavior in BEHAVIORS]
-    sweep = [(behavior, policy, crowd) for policy in drivers[:1] for crowd in options.crowds for behavior in SWEPT]
+    names = [] if listed(options.policies) == ["none"] and listed(options.recordings) else policies(options)
+    jobs = [(behavior, policy, options.people) for policy in names for behavior in BEHAVIORS]
+    sweep = [(behavior, policy, crowd) for policy in names[:1] for crowd in options.crowds for behavior in SWEPT]
     for behavior, _, people in [*jobs, *sweep]:
         check_collection(description(options, behavior, people))
     kind = description(options, "random", None).situations[0].kind
-    real = recorded.read(listed(options.recordings), options.frame_rate)
-    folder, started = options.folder, parts.has_started(options)
-    places = Once(functools.partial(_places, options))
-    with writing.folder_lock(folder):
-        for behavior, _, people in [] if started else dict.fromkeys([*jobs, *sweep]):
+    real = shares.read_recordings(listed(options.recordings), options.frame_rate)
+    with Workspace(options.folder, identity(options)).open() as work:
+        places = cached(functools.partial(_places, options))
+        for behavior, _, people in [] if work.begun() else dict.fromkeys([*jobs, *sweep]):
             places(behavior, people)  # so that wrong options are refused before anything is written
-        parts.start(options)
-        counted = [
-            Part(name, functools.partial(recorded.count, name, each, options.speeds, kind=kind))
+        work.begin()
+        counting = [
+            Part(name, functools.partial(shares.count_recording, name, each, options.speeds, kind=kind))
             for name, each in real.items()
         ]
-        found = together(counted, console, "counting")
-        _run(options, folder, console, places, jobs, sweep, [found[name] for name in real])
-    return folder
-
-
-def _run(
-    options: Table1Config,
-    folder: Path,
-    console: Console | None,
-    places: Once,
-    jobs: list,
-    sweep: list,
-    real: list[Recorded],
-) -> None:
-    parts_of = [
-        Part(_part_name(*job), functools.partial(_cell, options, folder, *job, places))
-        for job in dict.fromkeys([*jobs, *sweep])
-    ]
-    results = together(parts_of, console, "driving")
-    cells, swept = ([results[_part_name(*job)] for job in each] for each in (jobs, sweep))
-    write(options, folder, cells, swept, real)
+        recordings = run_parts(counting, console, "counting")
+        driving = [
+            Part(_part_name(*job), functools.partial(_cell, options, work, *job, places))
+            for job in dict.fromkeys([*jobs, *sweep])
+        ]
+        results = run_parts(driving, console, "driving")
+        cells, swept = ([results[_part_name(*job)] for job in each] for each in (jobs, sweep))
+        write(options, cells, swept, [recordings[name] for name in real])
+    return options.folder
 
 
 def _part_name(behavior: str, policy: str, people: int | None) -> str:
@@ -126,10 +87,7 @@ def _part_name(behavior: str, policy: str, people: int | None) -> str:
 
 
 def policies(options: SituationConfig) -> list[str]:
-    """Who drives.
-
-    Returns:
-        Names or folders, each once.
+    """The policies, names or folders, each once.
 
     Raises:
         InputError: there is none, or no policy of that name.
@@ -143,24 +101,17 @@ def policies(options: SituationConfig) -> list[str]:
 
 
 def description(options: Table1Config, behavior: str, people: int | None) -> CollectConfig:
-    """What is simulated with people of a behavior.
-
-    Args:
-        behavior: random, handcrafted or graph.
-        people: how many; None for as many as the environment says, and with handcrafted people.
-    """
+    """The scenario with so many people of a behavior: random, handcrafted or graph."""
     return CollectConfig(preset=options.preset, **fields(options, behavior, people))
 
 
 def fields(options: ExperimentConfig, behavior: str, people: int | None) -> dict[str, Any]:
-    """What an experiment was told of its scenarios; a preset may fill in the rest.
+    """The options of an experiment's scenarios; a preset may fill in the rest.
 
-    Args:
-        behavior: random, handcrafted or graph.
-        people: how many; None for as many as the environment says, and with handcrafted people.
+    ``people`` None is the environment's number; handcrafted people have their own.
     """
-    told = {name: getattr(options, name) for name in TOLD if name in options.model_fields_set}
-    return told | {"behavior": behavior, "people": None if behavior == "handcrafted" else people}
+    chosen = {name: getattr(options, name) for name in SHARED if name in options.model_fields_set}
+    return chosen | {"behavior": behavior, "people": None if behavior == "handcrafted" else people}
 
 
 def _places(options: Table1Config, behavior: str, people: int | None) -> Streams:
@@ -171,65 +122,64 @@ def _places(options: Table1Config, behavior: str, people: int | None) -> Streams
 
 
 def with_starts(options: SituationConfig, kinds: list[Scenario]) -> Streams:
-    """The streams of the protocol, with as many starts as the experiment needs."""
+    """The streams of the protocol with their starts."""
     return Streams(kinds, options.seed, STARTS * options.seeds)
 
 
 def _cell(
     options: Table1Config,
-    folder: Path,
+    work: Workspace,
     behavior: str,
     policy: str,
     people: int | None,
-    places: Once,
-    watch: Callable[[float], None],
+    places: Callable[..., Streams],
+    tell: Callable[[float], None],
 ) -> Cell:
-    file = folder / f"{behavior}-{policy}{'' if people is None else f'-{people}'}.npz"
-    return cell(options, file, behavior, policy, lambda: places(behavior, people), watch, FURTHER)
+    file = f"{behavior}-{policy}{'' if people is None else f'-{people}'}.npz"
+    return cell(options, work, file, behavior, policy, lambda: places(behavior, people), tell, MORE)
 
 
 def cell(
     options: SituationConfig,
-    file: Path,
+    work: Workspace,
+    file: str,
     behavior: str,
     policy: str,
     places: Callable[[], Streams],
-    watch: Callable[[float], None],
-    further: tuple[tuple[str, Situation], ...] = (),
+    tell: Callable[[float], None],
+    more: tuple[tuple[str, Situation], ...] = (),
 ) -> Cell:
     """A cell from its file, or simulated.
 
     Args:
-        places: the streams of the protocol. Their situations may be those of several walking speeds, one after another.
-        watch: called with the finished share.
-        further: names and functions of situations that are noted besides. A file without them is made anew.
+        places: gives the streams of the protocol, with situations of one or several walking speeds.
+        tell: called with the finished share.
+        more: names and functions of further situations. A file without them is made anew.
 
     Raises:
         FileError: the file is damaged.
         FloatingPointError: a position is not finite.
     """
-    names = tuple(name for name, _ in further)
-    if file.is_file():
-        arrays = files.read_arrays(file)
-        with files.sentence(file, "remove it, and the same command makes it anew"):
+    names = tuple(name for name, _ in more)
+    arrays = work.load(file)
+    if arrays is not None:
+        with files.sentence(work.folder / file, REMAKE):
             flags = np.unpackbits(arrays["flags"], axis=-1, count=len(shares.NAMES)).astype(bool)
-            if not further or tuple(arrays["names"] if "names" in arrays else ()) == names:
-                more = np.unpackbits(arrays["more"], axis=-1, count=len(names)).astype(bool)
+            if not more or tuple(arrays["names"] if "names" in arrays else ()) == names:
+                others = np.unpackbits(arrays["more"], axis=-1, count=len(names)).astype(bool)
                 number = int(arrays["streams"]) if "streams" in arrays else len(places().scenarios)
-                return Cell(behavior, policy, int(arrays["people"]), flags, more, arrays["ended"], number)
-    there, seeds = places(), options.seeds
-    kinds = there.scenarios
+                return Cell(behavior, policy, int(arrays["people"]), flags, others, arrays["ended"], number)
+    pool, seeds = places(), options.seeds
+    kinds = pool.scenarios
     minutes = max(1, math.ceil(60.0 * options.hours / len(kinds) - 1e-6))
     each = min(CHAIN, minutes)
     chains = seeds * math.ceil(minutes / each)
-    chain = Chains(load_policy(policy, kinds[0]), further)
-    flags, ended = chain.minutes(there, chains, each, watch)
-    flags, more = np.split(flags.reshape(-1, MINUTE, flags.shape[-1]), [flags.shape[-1] - len(names)], axis=-1)
+    flags, ended = Chains(load_policy(policy, kinds[0]), more).minutes(pool, chains, each, tell)
+    flags, others = np.split(flags.reshape(-1, MINUTE, flags.shape[-1]), [flags.shape[-1] - len(names)], axis=-1)
     flags = np.moveaxis(flags.reshape(*flags.shape[:2], -1, len(shares.NAMES)), 2, 0)
-    packed = {"flags": np.packbits(flags, axis=-1), "more": np.packbits(more, axis=-1), "names": np.array(names, str)}
-    with writing.atomic_file(file) as stream:
-        np.savez_compressed(stream, **packed, people=kinds[0].people, ended=ended, streams=len(kinds))
-    return Cell(behavior, policy, kinds[0].people, flags, more, ended, len(kinds))
+    packed = {"flags": np.packbits(flags, axis=-1), "more": np.packbits(others, axis=-1), "names": np.array(names, str)}
+    work.save(file, packed | {"people": kinds[0].people, "ended": ended, "streams": len(kinds)})
+    return Cell(behavior, policy, kinds[0].people, flags, others, ended, len(kinds))
 
 
 def _at_speeds(scenario: Scenario, speeds: tuple[float, ...]) -> tuple:
@@ -245,19 +195,15 @@ def _at(holds: Callable, speed: float, moment: Moment, thresholds: Thresholds) -
     return holds(moment, dataclasses.replace(thresholds, walking=jnp.asarray(speed, float)))
 
 
-def write(
-    options: Table1Config, folder: Path, cells: list[Cell], swept: list[Cell], real: list[Recorded] | None = None
-) -> None:
+def write(options: Table1Config, cells: list[Cell], swept: list[Cell], real: list[Recorded]) -> None:
     """Write shares.csv, more.csv, entropies.csv, orderings.csv, recordings.csv, the figures and report.html.
 
-    Args:
-        cells: of each policy and behavior, with the experiment's number of people.
-        real: recordings, none by default.
+    ``cells`` have the experiment's number of people, ``swept`` other numbers.
 
     Raises:
         WriteError: another process writes one of the files.
     """
-    lines = ["policy,behavior,people,V,counting,situation,share,low,high"]
+    folder, lines = options.folder, ["policy,behavior,people,V,counting,situation,share,low,high"]
     more = ["policy,behavior,people,situation,share,low,high"]
     entropies = ["policy,behavior,people,V,entropy,low,high,examples,none,completed,not_completed"]
     for cell in [*cells, *swept]:
@@ -272,11 +218,11 @@ def write(
             rest = f"{estimate.seconds},{estimate.none[0]:.5f},{cell.ended[0]},{cell.ended[1]}"
             head = f"{cell.policy},{cell.behavior},{cell.people},{number(speed)}"
             entropies.append(f"{head},{entropy[0]:.5f},{ends[0]:.5f},{ends[1]:.5f},{rest}")
-    parts.save(folder / "shares.csv", "\n".join(lines) + "\n")
-    parts.save(folder / "more.csv", "\n".join(more) + "\n")
-    parts.save(folder / "entropies.csv", "\n".join(entropies) + "\n")
+    writing.write(folder / "shares.csv", "\n".join(lines) + "\n")
+    writing.write(folder / "more.csv", "\n".join(more) + "\n")
+    writing.write(folder / "entropies.csv", "\n".join(entropies) + "\n")
     if real:
-        parts.save(folder / "recordings.csv", "\n".join(_recorded(options, real)) + "\n")
+        writing.write(folder / "recordings.csv", "\n".join(_recorded(options, real)) + "\n")
     ordering_lines = ["policy,V,counting,ordering,hard,statement,holds,share_of_resamples"]
     for policy in dict.fromkeys(cell.policy for cell in cells):
         for index, speed in enumerate(options.speeds):
@@ -285,10 +231,10 @@ def write(
                 for row in shares.orderings(by_behavior, counting):
                     ordering_lines.append(f'{policy},{number(speed)},{counting},{row["name"]},{row["hard"]},"{row["statement"]}",'
                                 f"{row['holds']},{row['share']:.4f}")  # fmt: skip
-    parts.save(folder / "orderings.csv", "\n".join(ordering_lines) + "\n")
+    writing.write(folder / "orderings.csv", "\n".join(ordering_lines) + "\n")
     figures = pictures.table1(options, cells, swept)
     pictures.save(folder, figures)
-    parts.save(folder / "report.html", page.table1(options, cells, figures, real or []))
+    writing.write(folder / "report.html", page.table1(options, cells, figures, real))
 
 
 def _rows(head: str, names: Sequence[str], samples: np.ndarray, known: Collection[str] | None = None) -> list[str]:

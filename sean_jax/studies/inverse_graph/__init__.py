@@ -8,9 +8,8 @@ the same (``fitting``).
 from sean_jax.studies.inverse_graph.command import run
 from sean_jax.studies.inverse_graph.fitting import GraphFit, fit_flows, flow_error
 from sean_jax.studies.inverse_graph.flow_model import FlowWeights, expected_flows, layout, weights_of
-from sean_jax.studies.inverse_graph.measuring import FlowMeasure, measure_flows
+from sean_jax.studies.inverse_graph.measuring import Calls, FlowMeasure, measure_flows, people_alone, people_called
 from sean_jax.studies.inverse_graph.proposal import propose
-from sean_jax.studies.inverse_graph.simulating import Calls, people_alone, people_called
 
 __all__ = [
     "Calls",

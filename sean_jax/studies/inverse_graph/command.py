@@ -1,6 +1,8 @@
-"""What ``sean fit-graph`` does: read or simulate people, fit a graph to them, and check it on others."""
+"""``sean fit-graph``: read or simulate people, fit a graph to them, and check it on other people."""
 
+import csv
 import functools
+import io
 import json
 import operator
 from collections.abc import Callable
@@ -8,26 +10,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
+import matplotlib
 import numpy as np
 
 from sean_jax import assembly, files, prng, writing
 from sean_jax import environment as environments
 from sean_jax.base import Environment, Scenario
 from sean_jax.config import FitGraphConfig, GraphBehavior, Named, ScenarioConfig
+from sean_jax.drawing import colors, layers
 from sean_jax.errors import InputError
 from sean_jax.files.mjcf import MAX_TEXT
 from sean_jax.flags import command
 from sean_jax.graph import BehaviorGraph, annotation, graph_of
 from sean_jax.progress import Progress, progress
 from sean_jax.recordings import read
-from sean_jax.studies.inverse_graph import annotating, page
-from sean_jax.studies.inverse_graph.fitting import GraphFit, fit_flows, flow_error
-from sean_jax.studies.inverse_graph.measuring import FlowMeasure, measure_flows
+from sean_jax.studies.inverse_graph.fitting import GraphFit, annotate, fit_flows, flow_error, graph_yaml
+from sean_jax.studies.inverse_graph.measuring import Calls, FlowMeasure, measure_flows, people_called
 from sean_jax.studies.inverse_graph.proposal import propose
-from sean_jax.studies.inverse_graph.simulating import Calls, people_called
 from sean_jax.versions import versions
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from rich.console import Console
 
 GRAPH = "graph.yaml"
@@ -38,10 +42,11 @@ HELD_OUT = "held out"
 FEWEST = 20  # walks along edges, from which anything is fitted
 ROUNDS = 2  # of simulating how a fitted graph calls people to its groups, and fitting it again
 SEEN, OTHERS, ANEW, CALLED = range(4)  # each simulation has its own chance; of the rounds each, from CALLED on
+WIDEST = 7.0  # points, of the arrow of the greatest flow
 
 
 class Evidence(NamedTuple):
-    """What people did: the part to which weights are fitted, and another by which they are judged."""
+    """What people did: the part to which weights are fitted, and another that tests them."""
 
     seen: FlowMeasure
     held_out: FlowMeasure
@@ -60,8 +65,8 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
     """
     source = environments.find(options.environment)
     environment = environments.load(source)
-    with progress(console) as told, writing.atomic_folder(options.folder) as folder:
-        words = _words(options, source, environment, told)
+    with progress(console) as bar, writing.atomic_folder(options.folder) as folder:
+        words = _words(options, source, environment, bar)
         for name in (environments.SETTINGS, environments.SCENE):
             writing.write(folder / name, files.read_bytes(source / name, MAX_TEXT))
         graph = annotation.build(words, environment)
@@ -70,36 +75,36 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
             _write(folder / GRAPH, words)
             return lines
         closed = options.recording is None
-        evidence = _simulated(options, told) if closed else _recorded(options, graph, told)
+        evidence = _simulated(options, bar) if closed else _recorded(options, graph, bar)
         walks = float(evidence.seen.edges.sum())
         if walks < FEWEST:
             what = f"people walk {walks:.0f} times along edges of the graph, and {FEWEST} are the fewest to fit it to"
             raise InputError(f"{options.recording or options.environment}: {what}; look at --graph and at the units.")
         what = f"recording {options.recording.name}" if options.recording else "people simulated on its own graph"
         source = f"fitted by sean fit-graph to {what}"
-        fit = fit_flows(graph, evidence.seen, closed, options.temperature, progress=told)
-        _write(folder / GRAPH, annotating.fitted(words, fit, closed, source))
+        fit = fit_flows(graph, evidence.seen, closed, options.temperature, progress=bar)
+        _write(folder / GRAPH, annotate(words, fit, closed, source))
         for turn in range(ROUNDS if closed and graph.groups.shape[0] else 0):
             title = "simulating how groups call people"
-            _, calls = _episodes(_scenario(options, folder), options, CALLED + turn, told, title)
-            fit = fit_flows(graph, evidence.seen, closed, options.temperature, calls, progress=told)
-            _write(folder / GRAPH, annotating.fitted(words, fit, closed, source))
+            _, calls = _episodes(_scenario(options, folder), options, CALLED + turn, bar, title)
+            fit = fit_flows(graph, evidence.seen, closed, options.temperature, calls, progress=bar)
+            _write(folder / GRAPH, annotate(words, fit, closed, source))
         panels = _panels(evidence, fit)
         if closed:
-            again, _ = _episodes(_scenario(options, folder), options, ANEW, told, "simulating the fit")
+            again, _ = _episodes(_scenario(options, folder), options, ANEW, bar, "simulating the fit")
             panels["simulated anew"] = again.flow
         errors = {name: flow_error(flow, panels[HELD_OUT]) for name, flow in panels.items() if name != HELD_OUT}
         lines += [f"{name}, against people held out: flows differ by {100 * e:.1f} %" for name, e in errors.items()]
-        lines += page.findings(graph, fit)
+        lines += _report(graph, fit)
         title = f"{environment.name}: {what}"
         with writing.atomic_file(folder / "flows.png") as stream:
-            page.picture(environment, graph, panels, title).savefig(stream, dpi=130, format="png")
-        writing.write(folder / "flows.csv", page.table(graph, panels))
+            picture(environment, graph, panels, title).savefig(stream, dpi=130, format="png")
+        writing.write(folder / "flows.csv", _table(graph, panels))
         writing.write(folder / "fit.json", json.dumps(_summary(options, graph, fit, errors), indent=2) + "\n")
         return lines
 
 
-def _words(options: FitGraphConfig, source: Path, environment: Environment, told: Progress) -> annotation.Annotation:
+def _words(options: FitGraphConfig, source: Path, environment: Environment, bar: Progress) -> annotation.Annotation:
     """The annotation whose nodes and edges are taken."""
     file = options.graph or source / GRAPH
     people = options.recording is not None or options.simulate
@@ -107,7 +112,7 @@ def _words(options: FitGraphConfig, source: Path, environment: Environment, told
         return files.load(
             file, annotation.Annotation, annotation.check, lambda graph: annotation.check_against(graph, environment)
         )
-    told.stage("proposing a graph")
+    bar.stage("proposing a graph")
     ends = None
     if options.recording is not None:
         tracks = read(options.recording, options.recording_format, options.frame_rate, ROW)
@@ -118,9 +123,9 @@ def _words(options: FitGraphConfig, source: Path, environment: Environment, told
     return propose(environment, ends)
 
 
-def _recorded(options: FitGraphConfig, graph: BehaviorGraph, told: Progress) -> Evidence:
-    """Every other person of a recording, and those between."""
-    told.stage("reading the recording")
+def _recorded(options: FitGraphConfig, graph: BehaviorGraph, bar: Progress) -> Evidence:
+    """The even and the odd people of a recording."""
+    bar.stage("reading the recording")
     tracks = read(options.recording or "", options.recording_format, options.frame_rate, ROW)
     position, present, person = (np.asarray(part) for part in (tracks.position, tracks.present, tracks.person))
     _, order = np.unique(person, return_inverse=True)
@@ -128,11 +133,11 @@ def _recorded(options: FitGraphConfig, graph: BehaviorGraph, told: Progress) -> 
     return Evidence(*(measure_flows(graph, position, present & part, ROW) for part in (even, ~even)))
 
 
-def _simulated(options: FitGraphConfig, told: Progress) -> Evidence:
+def _simulated(options: FitGraphConfig, bar: Progress) -> Evidence:
     """Episodes on the environment's own graph, and as many others."""
     scenario = _scenario(options, environments.find(options.environment))
-    seen, _ = _episodes(scenario, options, SEEN, told, "simulating people")
-    held_out, _ = _episodes(scenario, options, OTHERS, told, "simulating people to check it by")
+    seen, _ = _episodes(scenario, options, SEEN, bar, "simulating people")
+    held_out, _ = _episodes(scenario, options, OTHERS, bar, "simulating people to check it by")
     return Evidence(seen, held_out)
 
 
@@ -155,7 +160,7 @@ def _number(options: FitGraphConfig) -> int:
 
 
 def _episodes(
-    scenario: Scenario, options: FitGraphConfig, part: int, told: Progress, words: str
+    scenario: Scenario, options: FitGraphConfig, part: int, bar: Progress, words: str
 ) -> tuple[FlowMeasure, Calls]:
     """What people do in the episodes of one part, and how they are called to groups."""
     graph = graph_of(scenario)
@@ -163,14 +168,14 @@ def _episodes(
     number, steps = _number(options), round(min(EPISODE, options.minutes * 60.0) / scenario.time_step)
     simulate: Callable = jax.jit(lambda key: people_called(scenario, graph, key, steps, EVERY))
     key = jax.random.fold_in(prng.key("fit-graph", options.seed), part)
-    found: list[tuple[FlowMeasure, Calls]] = []
-    told.start(words, number)
+    measures: list[tuple[FlowMeasure, Calls]] = []
+    bar.start(words, number)
     for episode in range(number):
         position, present, calls = simulate(jax.random.fold_in(key, episode))
         measured = measure_flows(graph, np.asarray(position), np.asarray(present), scenario.time_step * EVERY)
-        found.append((measured, calls))
-        told.update(episode + 1)
-    flows, called = zip(*found, strict=True)
+        measures.append((measured, calls))
+        bar.update(episode + 1)
+    flows, called = zip(*measures, strict=True)
     return functools.reduce(operator.add, flows), functools.reduce(operator.add, called)
 
 
@@ -182,7 +187,7 @@ def _panels(evidence: Evidence, fit: GraphFit) -> dict[str, np.ndarray]:
 
 
 def _write(file: Path, words: annotation.Annotation) -> None:
-    writing.write(file, annotating.text(words))
+    writing.write(file, graph_yaml(words))
 
 
 def _summary(options: FitGraphConfig, graph: BehaviorGraph, fit: GraphFit, errors: dict[str, float]) -> dict:
@@ -201,3 +206,90 @@ def _summary(options: FitGraphConfig, graph: BehaviorGraph, fit: GraphFit, error
         "loss": [plain(value) for value in fit.loss[:: max(1, len(fit.loss) // 50)]],
         "versions": versions(),
     }
+
+
+# ------------------------------------------------------------------ pictures and tables
+
+
+def picture(
+    environment: Environment, graph: BehaviorGraph, panels: dict[str, np.ndarray], title: str, width: float = 5.0
+) -> "Figure":
+    """Draw flows as arrows along the edges, a panel for each measure, and compare the others with the first one.
+
+    Args:
+        panels: title -> (M, M) people per minute.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
+    x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
+    tall = float(np.clip(width * (y1 - y0) / (x1 - x0), 1.6, 2 * width))
+    with matplotlib.rc_context({"font.size": 9, "axes.edgecolor": colors.MUTED}):
+        figure = Figure(figsize=(width * (len(panels) + 1), tall + 0.6), layout="constrained", facecolor=colors.PAPER)
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(1, len(panels) + 1)
+    figure.suptitle(title, fontsize=10, color=colors.INK)
+    greatest = max(float(flow.max(initial=0.0)) for flow in panels.values())
+    for own, (name, flow) in zip(axes, panels.items(), strict=False):
+        own.set_title(name, loc="left", color=colors.INK)
+        own.set_xlim(x0, x1)
+        own.set_ylim(y0, y1)
+        own.set_aspect("equal")
+        own.set_axis_off()
+        own.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, color=colors.FLOOR, zorder=0))
+        layers.draw_obstacles(own, environment)
+        layers.draw_graph(own, graph, alone=False)
+        _arrows(own, graph, flow, greatest)
+    _compare(axes[-1], panels, greatest)
+    return figure
+
+
+def _arrows(axes: "Axes", graph: BehaviorGraph, flow: np.ndarray, greatest: float) -> None:
+    """Draw each direction of an edge on its right, as wide as its flow."""
+    position = np.asarray(graph.position, float)
+    low, high = np.asarray(axes.dataLim.intervalx)
+    aside = 0.006 * (high - low)
+    for u, v in np.argwhere(flow > 0.005 * greatest):
+        along = (position[v] - position[u]) / max(float(np.linalg.norm(position[v] - position[u])), 1e-9)
+        right = aside * np.array([along[1], -along[0]])
+        width = WIDEST * flow[u, v] / greatest
+        arrow = dict(arrowstyle="-|>", color=colors.FLOW, linewidth=width, mutation_scale=5 + 1.5 * width, alpha=0.8)
+        axes.annotate("", xy=position[v] + right, xytext=position[u] + right, arrowprops=arrow, zorder=5)
+
+
+def _compare(axes: "Axes", panels: dict[str, np.ndarray], greatest: float) -> None:
+    """Plot the flows of all panels against the first one."""
+    names = list(panels)
+    first = panels[names[0]]
+    shades = [*colors.SITUATION_COLORS.values()]
+    for name, shade in zip(names[1:], shades, strict=False):
+        counts = (first > 0) | (panels[name] > 0)
+        axes.plot(first[counts], panels[name][counts], "o", ms=4, color=shade, alpha=0.8, label=name)
+    axes.plot([0, greatest], [0, greatest], color=colors.MUTED, lw=0.8)
+    axes.set_xlabel(f"{names[0]}, people per minute", color=colors.MUTED)
+    axes.set_ylabel("people per minute", color=colors.MUTED)
+    axes.set_title("edge by edge", loc="left", color=colors.INK)
+    if len(names) > 1:
+        axes.legend(frameon=False)
+
+
+def _table(graph: BehaviorGraph, panels: dict[str, np.ndarray]) -> str:
+    """The flow [people per minute] along each directed edge in each panel (M, M), as CSV."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["from", "to", *(f"{name} [1/min]" for name in panels)])
+    for u, v in np.argwhere(np.isfinite(np.asarray(graph.edge_cost))):
+        writer.writerow([graph.names[u], graph.names[v], *(f"{flow[u, v]:.3f}" for flow in panels.values())])
+    return stream.getvalue()
+
+
+def _report(graph: BehaviorGraph, fit: GraphFit) -> list[str]:
+    """The fit in words."""
+    mean, deviation = fit.speed
+    lines = [f"preferred speed: {mean:.2f} m/s, standard deviation {deviation:.2f} m/s"] if np.isfinite(mean) else []
+    for number, node in enumerate(np.asarray(graph.groups)):
+        shortest, longest = fit.stay[number]
+        stays = f"stays of {shortest:.1f} to {longest:.1f} s" if np.isfinite(shortest) else "hardly any stay was seen"
+        lines.append(f"group {graph.names[node]}: {stays}, {fit.capacity[number]} people")
+    return lines

@@ -1,10 +1,11 @@
 """Weights, stays and preferred speeds of a graph, fitted to what people did on it.
 
 Weights follow the gradient of the likelihood of what was measured (``flow_model``), with a temperature that falls from
-several metres to a fraction of one: at first all ways say what they would change, and in the end people walk as the
-behavior has them walk. Stays and speeds need no gradient: their distributions are told by a few numbers.
+several metres to a fraction of one: at first all ways contribute gradients, and in the end people choose ways as
+in the behavior. Stays and speeds need no gradient: a few numbers describe their distributions.
 """
 
+import json
 from dataclasses import dataclass, replace
 
 import jax
@@ -14,6 +15,7 @@ from jaxtyping import Float
 
 from sean_jax.base import Array
 from sean_jax.graph import BehaviorGraph
+from sean_jax.graph.annotation import Annotation, Edge, Node
 from sean_jax.progress import Progress
 from sean_jax.studies.inverse_graph.flow_model import (
     SELDOM,
@@ -25,17 +27,16 @@ from sean_jax.studies.inverse_graph.flow_model import (
     log_odds,
     weights_of,
 )
-from sean_jax.studies.inverse_graph.measuring import FlowMeasure
-from sean_jax.studies.inverse_graph.simulating import Calls
+from sean_jax.studies.inverse_graph.measuring import Calls, FlowMeasure
 
 WARM = 4.0  # m, temperature at the beginning
 TEMPERATURE = 0.25  # m, in the end
 LEARNING_RATE = 0.05
 STEPS = 600
-PARTS = 12  # after each of which progress is told
-PLAIN = 2e-3  # by which factors are drawn to 1, and weights to one another: of what no walk tells anything
+PARTS = 12  # progress is shown after each
+PLAIN = 2e-3  # by which factors are drawn to 1, and weights to one another, where there are no walks
 HELD = 0.5  # share of the time for which a group holds as many members as its capacity
-FEWEST_STAYS = 5  # from which a distribution is told
+FEWEST_STAYS = 5  # for a distribution
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class GraphFit:
     weights: FlowWeights
     flows: Flows  # that these weights make, for one walk from a start to a goal
     stay: Float[np.ndarray, "G 2"]  # s, minimum and maximum; NaN of a group where hardly any stay was seen
-    capacity: np.ndarray  # (G,) people who stand there at once; 0 where none were seen
+    capacity: np.ndarray  # (G,) people at once; 0 where nobody stood
     speed: tuple[float, float]  # m/s, mean and standard deviation of the preferred speeds; NaN without walkers
     loss: Float[np.ndarray, "K"]  # minus the log likelihood, in the course of the fit
 
@@ -74,7 +75,7 @@ def fit_flows(
     replaced = None if calls is None else calls.chance_replaced
     edges, turns = (jnp.asarray(part, float) for part in (measured.edges, measured.turns))
     count = edges.shape[0]
-    if closed:  # who enters or leaves does so because the measurement begins or ends
+    if closed:  # people enter and leave only because the measurement begins and ends
         turns = turns.at[count].set(0.0).at[:, :, count].set(0.0)
     joined = np.isfinite(np.asarray(place.length))
     part = max(1, steps // PARTS)
@@ -129,8 +130,8 @@ def fit_flows(
 def _groups(measured: FlowMeasure) -> tuple[np.ndarray, np.ndarray]:
     """(G, 2) s stays, and (G,) capacities.
 
-    Stays are uniform between two times: those are the median and the distance of the quartiles to either side. Stays
-    that were broken off, or that ended late, change them less than they would change the shortest or the longest stay.
+    Stays are uniform between two times, by the median and the interquartile range: stays that were broken off, or that
+    ended late, bias these less than the extremes.
     """
     stays = [_limits(each) if len(each) >= FEWEST_STAYS else (np.nan, np.nan) for each in measured.stays]
     capacity = [
@@ -146,16 +147,89 @@ def _limits(stays: np.ndarray) -> tuple[float, float]:
 
 
 def flow_error(expected: np.ndarray, measured: np.ndarray) -> float:
-    """By how much flows differ: the sum of all differences over the sum of what was measured, both as shares.
+    """The total variation of flows (M, M) in any units: sum of absolute differences of their shares, from 0 to 2.
 
-    Args:
-        expected: (M, M) walks along each edge, in any unit.
-        measured: (M, M) likewise, in any other.
-
-    Returns:
-        0 if they are in the same proportions, 2 if no edge has walks in both; NaN if one has none at all.
+    NaN if one has no walks at all.
     """
     totals = float(np.sum(expected)), float(np.sum(measured))
     if not min(totals) > 0.0:
         return float("nan")
     return float(np.abs(expected / totals[0] - measured / totals[1]).sum())
+
+
+# ------------------------------------------------------------------ graph.yaml
+
+MEDIUM = 0.02  # by which both factors of an edge may differ from 1 and still be "medium"
+
+
+def annotate(annotation: Annotation, fit: GraphFit, closed: bool, source: str) -> Annotation:
+    """An annotation with the weights, stays and capacities of a fit.
+
+    Factors are relative to the median edge, because only their ratios matter.
+
+    Args:
+        closed: whether people were in a closed population; otherwise where they enter becomes ``spawn``.
+    """
+    names = list(annotation.nodes)
+    is_group = np.array([node.kind == "group" for node in annotation.nodes.values()])
+    weight = _relative(np.asarray(fit.weights.goal, float), ~is_group)
+    spawn = _relative(np.asarray(fit.weights.start, float), np.ones(len(names), bool))
+    group_of = {name: number for number, name in enumerate(np.array(names)[is_group])}
+    nodes: dict[str, Node] = {}
+    for number, (name, node) in enumerate(annotation.nodes.items()):
+        changes: dict[str, object] = {}
+        if not closed:
+            changes["spawn"] = spawn[number]
+        if node.kind == "waypoint":
+            changes["weight"] = weight[number]
+        else:
+            stay, capacity = fit.stay[group_of[name]], int(fit.capacity[group_of[name]])
+            if np.isfinite(stay).all():
+                changes["stay"] = (round(float(stay[0]), 1), round(float(stay[1]), 1))
+            if capacity >= 2:
+                changes["capacity"] = capacity
+        nodes[name] = node.model_copy(update=changes)
+    factor = np.asarray(fit.weights.factor, float)
+    index = {name: number for number, name in enumerate(names)}
+    ends = [[index[name] for name in edge.between] for edge in annotation.edges]
+    middle = np.median([factor[a, b] for pair in ends for a, b in (pair, pair[::-1])]) if ends else 0.0
+    edges = []
+    for edge, (a, b) in zip(annotation.edges, ends, strict=True):
+        there, back = (_digits(np.clip(np.exp(value - middle), 1e-3, 1e3)) for value in (factor[a, b], factor[b, a]))
+        plain = max(abs(there - 1.0), abs(back - 1.0)) <= MEDIUM
+        edges.append(Edge(between=edge.between, weights=None if plain else (there, back)))
+    return annotation.model_copy(update={"nodes": nodes, "edges": edges, "source": source})
+
+
+def graph_yaml(annotation: Annotation) -> str:
+    """An annotation without mistakes as graph.yaml, a node and an edge a line."""
+    lines = [f"version: {annotation.version}", f"source: {json.dumps(annotation.source)}"]
+    lines += [f"c_min: {annotation.c_min:g}", f"c_max: {annotation.c_max:g}", "", "nodes:"]
+    for name, node in annotation.nodes.items():
+        parts = [f"kind: {node.kind}", f"position: {_list(node.position)}", f"radius: {node.radius:.9g}"]
+        parts += [f"{key}: {getattr(node, key):.9g}" for key in ("id",) if getattr(node, key) is not None]
+        parts.append(f"spawn: {node.spawn:.9g}")
+        if node.weight is not None:
+            parts.append(f"weight: {node.weight:.9g}")
+        if node.kind == "group" and node.capacity is not None and node.stay is not None:
+            parts += [f"capacity: {node.capacity}", f"stay: {_list(node.stay)}"]
+        lines.append(f"  {json.dumps(name)}: {{{', '.join(parts)}}}")
+    lines += ["", "edges:" if annotation.edges else "edges: []"]
+    for edge in annotation.edges:
+        flow = f"weights: {_list(edge.weights)}" if edge.weights is not None else f"flow: {edge.flow or 'medium'}"
+        lines.append(f"  - {{between: [{', '.join(json.dumps(name) for name in edge.between)}], {flow}}}")
+    return "\n".join(lines) + "\n"
+
+
+def _list(values: tuple[float, ...]) -> str:
+    return "[" + ", ".join(f"{value:.9g}" for value in values) + "]"
+
+
+def _relative(logarithm: np.ndarray, counted: np.ndarray) -> list[float]:
+    """Weights with a mean of 1 over the counted ones, to three digits."""
+    value = np.exp(logarithm - logarithm[counted].max())
+    return [float(_digits(each)) for each in np.clip(value / value[counted].mean(), 0.0, 1e6)]
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.3g}")

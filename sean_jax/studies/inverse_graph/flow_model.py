@@ -1,7 +1,7 @@
 """The flows that a graph makes people have: a Markov chain of people with goals, differentiable by its weights.
 
-A person at a node has a goal and goes on to it as ``graph.behavior_graph`` says, with a temperature. Whoever is at the
-goal draws another one, and whoever is at any waypoint may be sent to a group instead. On the way there somebody else
+A person at a node has a goal and goes on to it by ``graph.behavior_graph``, with a temperature. At the goal another one
+is drawn, and at any waypoint the person may be sent to a group instead. On the way there somebody else
 may take the place; then a goal is drawn at the next node. So the expected number of walks along each edge, and of each
 turn, follows from linear equations. The behavior ``graph`` is this chain with temperature 0: how often somebody is sent
 to a group comes of the time for which people stay there.
@@ -23,7 +23,7 @@ from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph
 from sean_jax.graph.behavior_graph import cheapest_paths, hop_log_chances
 
-RARE = 1e-6  # share of walks that no model explains, such as of somebody who turned round on the way
+RARE = 1e-6  # share of walks that no model explains, such as turning round on the way
 SELDOM = -3.0  # logarithm of the odds with which somebody at a node is sent to a group, before anything is known
 
 
@@ -45,7 +45,7 @@ class Flows(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """What the flows on a graph depend on and its weights do not tell."""
+    """The geometry that the flows on a graph depend on, besides its weights."""
 
     length: Float[Array, "M M"]  # m, of each edge, inf without one
     is_group: Bool[Array, "M"]
@@ -82,16 +82,13 @@ def expected_flows(
     closed: bool = True,
     replaced: Float[Array, "M G"] | None = None,
 ) -> Flows:
-    """The flows that people have in the long run.
+    """The stationary flows of walks along each edge and of turns.
 
     Args:
         temperature: m, of ``route_choice``.
         closed: whether people go on from goal to goal, or enter and leave.
-        replaced: (M, G) with what chance somebody who comes to a node on the way to a group is not wanted there any
-            more, in a closed population; never if None.
-
-    Returns:
-        Expected numbers of walks along each edge and of turns.
+        replaced: (M, G) the probability that somebody who comes to a node on the way to a group is replaced by another,
+            in a closed population; never if None.
     """
     joined = jnp.isfinite(place.length)
     edge_cost = jnp.where(joined, jnp.where(joined, place.length, 1.0) * jnp.exp(weights.factor), jnp.inf)
@@ -108,7 +105,7 @@ def _open(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"]) ->
     count = place.is_group.shape[0]
     trips = jax.nn.softmax(weights.start)[:, None] * _goal_chances(place, weights.goal)
     trips = trips / jnp.maximum(jnp.sum(trips), 1e-30)
-    # People who set out from u on the way to h: those who begin there, and those who pass on that way.
+    # Departures from u on the way to h: people who begin there, and people who pass.
     balance = jnp.eye(count)[None] - onward.transpose(0, 2, 1)
     leaving = jnp.linalg.solve(balance, trips.T[:, :, None])[..., 0]  # (goal, node)
     walks = leaving[:, :, None] * onward
@@ -136,7 +133,7 @@ def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"], 
     arrivals = jnp.einsum("huv,hub->hvb", onward, departures)  # (goal, node, node where it began)
 
     # Goals reached or given up, from one to the next: the stationary state of a chain of nodes.
-    begins = drawn * keeps[:, None]  # (node, goal) of who has reached the node
+    begins = drawn * keeps[:, None]  # (node, goal) of arrivals at the node
     met = jnp.einsum("hvb,bh->vb", arrivals, begins)  # waypoints met on the way to the next goal, that one included
     called = jnp.where(group[:, None], jnp.eye(count), met)  # (node, node where it began): chances to be sent there
     again = jnp.einsum("vh,hwv,hw->wv", sent, arrivals, gives_up)  # (node, node where they were sent before)
@@ -153,47 +150,40 @@ def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"], 
     walks = leaving[:, :, None] * onward  # (goal, node, next)
     arriving = jnp.diagonal(walks, axis1=0, axis2=2)  # (node before, node that was the goal)
     given_up = jnp.einsum("huv,hv->uv", walks, gives_up)  # (node before, node)
-    free = jnp.sum(jnp.where(group[:, None, None], 0.0, walks), axis=0) + given_up  # of those without a group to go to
-    asked = jnp.where(group[None, :], arriving, free)
+    free = jnp.sum(jnp.where(group[:, None, None], 0.0, walks), axis=0) + given_up  # of people without a group to go to
+    candidates = jnp.where(group[None, :], arriving, free)
     turns = jnp.einsum("huv,hv,hvw->uvw", walks, passes, onward)
     turns = turns + (arriving + given_up)[:, :, None] * jnp.einsum("vh,hvw->vw", begins, onward)[None]
-    turns = turns + asked[:, :, None] * jnp.einsum("vh,hvw->vw", sent, onward)[None]
-    whole = jnp.zeros((count + 1, count, count + 1)).at[:count, :, :count].set(turns)
-    return Flows(jnp.sum(walks, axis=0), whole)
+    turns = turns + candidates[:, :, None] * jnp.einsum("vh,hvw->vw", sent, onward)[None]
+    all_turns = jnp.zeros((count + 1, count, count + 1)).at[:count, :, :count].set(turns)
+    return Flows(jnp.sum(walks, axis=0), all_turns)
 
 
 def _goal_chances(place: Layout, log_weight: Float[Array, "M"]) -> Float[Array, "M M"]:
-    """(M, M) with what chance who is at the row's node draws the column's as the next goal."""
+    """(M, M) the probability of the column's node as the next goal at the row's node."""
     weight = jnp.exp(log_weight - jnp.max(log_weight))
     odds = jnp.where(place.trips, weight[None, :], 0.0)
     return odds / jnp.maximum(jnp.sum(odds, axis=1, keepdims=True), 1e-30)
 
 
 def _sent_chances(place: Layout, log_odds: Float[Array, "M G"]) -> Float[Array, "M M"]:
-    """(M, M) with what chance who is at the row's node is sent to the column's, which is a group."""
+    """(M, M) the probability at the row's node of being sent to the column's, which is a group."""
     count = place.is_group.shape[0]
     odds = jnp.where(place.trips[:, place.groups], jnp.exp(log_odds), 0.0)
     return jnp.zeros((count, count)).at[:, place.groups].set(odds / (1.0 + jnp.sum(odds, axis=1, keepdims=True)))
 
 
 def log_odds(chances: Float[Array, "M G"]) -> Float[Array, "M G"]:
-    """The logarithms of odds, against being sent nowhere, of which ``FlowWeights.sent`` consists.
-
-    Returns:
-        (M, G) odds; of chances of 0 they are as small as can be.
-    """
+    """(M, G) logarithms of odds against being sent nowhere, as in ``FlowWeights.sent``; tiny odds for chances of 0."""
     rest = jnp.maximum(1.0 - jnp.sum(chances, axis=1, keepdims=True), RARE)
     return jnp.log(jnp.maximum(chances, RARE) / rest)
 
 
 def log_likelihood(flows: Flows, edges: Float[Array, "M M"], turns: Float[Array, "U M U"]) -> Float[Array, ""]:
-    """How likely measured turns and walks are, a mean of each: of a multinomial draw from the expected ones.
+    """The multinomial log-likelihood of measured turns plus that of walks, each a mean over its counts.
 
     Args:
-        turns: (M + 1, M, M + 1) turns that were measured. In a closed population leave out who enters or leaves.
-
-    Returns:
-        () natural logarithm, for one turn and one walk.
+        turns: (M + 1, M, M + 1) measured turns; in a closed population without entering and leaving.
     """
 
     def mean_log(expected: Array, counted: Array) -> Array:

@@ -1,18 +1,23 @@
-"""What people do on a graph, told from where they are alone: ways, stays at groups, and the speeds that they prefer.
+"""Ways, stays at groups and preferred speeds of people on a graph, measured from their positions alone.
 
 The same is measured of simulated and of recorded people. A person has walked the edge from u to v as ``congestion``
-counts it. What they do next at v, which is a *turn*, tells more than the flow of edges does: who turns round there had
-v as a goal.
+counts it. The next edge from v, a *turn*, has more information than the flow of edges: a person who turns round had v
+as a goal.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from flax import struct
+from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax.base import Array
+from sean_jax import prng
+from sean_jax import scenario as stages
+from sean_jax.base import Array, Scenario, State
+from sean_jax.behaviors.graph_choices import Memory
 from sean_jax.crowding import NO_NODE, track_nodes
 from sean_jax.graph import BehaviorGraph
 
@@ -22,18 +27,18 @@ SPEED_TIME = 0.5  # s, over which a speed is measured
 SHORTEST_STAY = 1.0  # s; a shorter one is a hesitation
 SHIFT = 1.5  # s, for which somebody in a group may move, to make room for another, and still stay
 UNHINDERED = 0.7  # share of the time walked at less than the preferred speed, for others are in the way at times
-MIN_WALK = 3.0  # s, of walking from which a preferred speed is told
+MIN_WALK = 3.0  # s, of walking for a preferred speed
 
 
 @dataclass(frozen=True)
 class FlowMeasure:
-    """What people did on a graph of M nodes with G groups. Two of them add up to that of both."""
+    """What people did on a graph of M nodes with G groups. Measures add up."""
 
     edges: Float[np.ndarray, "M M"]  # people who walked from the row's node to the column's
     turns: Float[np.ndarray, "U M U"]  # people who came from the first node over the second to the third, U = M + 1:
-    # index M stands for somebody who has just come into being, or who is gone afterwards
-    stays: tuple[np.ndarray, ...]  # (K,) s, of each group: stays that were seen from begin to end
-    members: tuple[np.ndarray, ...]  # (K,) s, of each group: for how long so many stood there, from 0 on
+    # index M stands for entering or leaving
+    stays: tuple[np.ndarray, ...]  # (K,) s, of each group: stays observed from begin to end
+    members: tuple[np.ndarray, ...]  # (K,) s, of each group: the time with 0, 1, 2, ... members
     speeds: Float[np.ndarray, "P"]  # m/s, the preferred speed of each person who walked for long enough
     seconds: float  # measured
 
@@ -59,12 +64,10 @@ def measure_flows(
     present: Bool[np.ndarray, "T N"],
     time_step: float,
 ) -> FlowMeasure:
-    """Ways, stays and speeds of people on a graph.
+    """Ways, stays and speeds of people on a graph, from positions (T, N, 2) m, ``time_step`` s apart.
 
     Args:
-        position: (T, N, 2) m, of a simulation's frames or of a recording.
-        present: (T, N) who is there; whoever is absent for a row is somebody else afterwards.
-        time_step: s, between rows.
+        present: (T, N); whoever is absent for a row is somebody else afterwards.
     """
     last, walked = (np.asarray(part) for part in _nodes(graph, jnp.asarray(position, float), jnp.asarray(present)))
     edges, turns = _ways(last, walked, present, len(graph.names))
@@ -137,7 +140,7 @@ def _speeds(position: np.ndarray, present: np.ndarray, time_step: float) -> np.n
 
 
 def _joined(here: np.ndarray, within: np.ndarray, longest: int) -> np.ndarray:
-    """(T, N) who is here, or was and will be and is within reach (T, N) in the meantime, for so many rows at most."""
+    """(T, N) presence with gaps of at most ``longest`` rows closed, if people stay within reach (T, N)."""
     joined = here.copy()
     for column in range(here.shape[1]):
         for begin, end in _runs(~here[:, column]):
@@ -148,28 +151,118 @@ def _joined(here: np.ndarray, within: np.ndarray, longest: int) -> np.ndarray:
 
 def _stays(here: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
     """(K,) s, for how long people stood; without stays that had begun before, or ended after, what was measured."""
-    found = []
+    stays = []
     for column in range(here.shape[1]):
         for begin, end in _runs(here[:, column]):
-            whole = begin > 0 and end < len(here) and present[begin - 1, column] and present[end, column]
-            if whole and (end - begin) * time_step >= SHORTEST_STAY:
-                found.append((end - begin) * time_step)
-    return np.array(found)
+            complete = begin > 0 and end < len(here) and present[begin - 1, column] and present[end, column]
+            if complete and (end - begin) * time_step >= SHORTEST_STAY:
+                stays.append((end - begin) * time_step)
+    return np.array(stays)
 
 
 def _preferred(speed: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
-    """(P,) m/s, of each person at whose walking speeds most of the time is spent."""
-    found = []
+    """(P,) m/s, the preferred speed of each person: a high quantile of walking speeds."""
+    speeds = []
     for column in range(speed.shape[1]):
         for begin, end in _runs(present[:, column]):
             walking = speed[begin:end, column]
             walking = walking[walking > WALKING]
             if len(walking) * time_step >= MIN_WALK:
-                found.append(np.quantile(walking, UNHINDERED))
-    return np.array(found)
+                speeds.append(np.quantile(walking, UNHINDERED))
+    return np.array(speeds)
 
 
 def _added(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The sum of two arrays, of which the shorter has zeros at its end."""
     size = max(len(a), len(b))
     return np.pad(a, (0, size - len(a))) + np.pad(b, (0, size - len(b)))
+
+
+# ------------------------------------------------------------------ simulation
+
+FAR = 1e3  # m, at which the robot stands
+
+
+@struct.dataclass
+class Calls:
+    """How often people at each of M nodes were called to each of G groups. Measures add up."""
+
+    candidates: Float[Array, "M"]  # departures of people who were not on the way to a group
+    sent: Float[Array, "M G"]  # of these, people sent to a group
+    continued: Float[Array, "M G"]  # departures on the way to the same group
+    replaced: Float[Array, "M G"]  # people on the way there in whose place somebody else is sent
+
+    def __add__(self, other: "Calls") -> "Calls":
+        return jax.tree.map(jnp.add, self, other)
+
+    @property
+    def chance_sent(self) -> Float[Array, "M G"]:
+        """(M, G) the probability at a node of being sent to a group."""
+        return self.sent / jnp.maximum(self.candidates, 1.0)[:, None]
+
+    @property
+    def chance_replaced(self) -> Float[Array, "M G"]:
+        """(M, G) the probability that somebody who comes to a node on the way to a group is replaced by another."""
+        return self.replaced / jnp.maximum(self.continued + self.replaced, 1.0)
+
+
+def people_alone(
+    scenario: Scenario, key: Array, steps: int, every: int = 1
+) -> tuple[Float[Array, "T N 2"], Bool[Array, "T N"]]:
+    """Positions (T, N, 2) m and presence (T, N) of people without a robot, a row each ``every`` steps."""
+
+    position, present, _ = _simulate(scenario, key, steps, every, lambda before, after: None)
+    return position, present
+
+
+def people_called(
+    scenario: Scenario, graph: BehaviorGraph, key: Array, steps: int, every: int = 1
+) -> tuple[Float[Array, "T N 2"], Bool[Array, "T N"], Calls]:
+    """As ``people_alone``, and how people were called to groups in all steps."""
+    count, groups = graph.radius.shape[0], graph.groups.shape[0]
+    group_of = jnp.full(count, groups).at[graph.groups].set(jnp.arange(groups))  # of a node; G is none
+
+    def calls(before: Memory, after: Memory) -> Calls:
+        onward = after.hop != before.hop
+        target = jnp.where(before.stay > 0, groups, group_of[before.goal])
+        heads, same = target < groups, after.goal == before.goal
+
+        def counted(who: Bool[Array, "N"], group: Array) -> Array:
+            return jnp.zeros((count, groups + 1)).at[before.hop, group].add(who.astype(float))
+
+        return Calls(
+            candidates=counted(onward & ~heads, target)[:, groups],
+            sent=counted(onward & ~heads, group_of[after.goal])[:, :groups],
+            continued=counted(onward & heads & same, target)[:, :groups],
+            replaced=counted(heads & ~same, target)[:, :groups],
+        )
+
+    position, present, counted = _simulate(scenario, key, steps, every, calls)
+    return position, present, jax.tree.map(lambda part: part.sum((0, 1)), counted)
+
+
+def _simulate(
+    scenario: Scenario, key: Array, steps: int, every: int, look: Callable
+) -> tuple[Float[Array, "T N 2"], Bool[Array, "T N"], PyTree]:
+    """Positions and presence in rows, and ``look(memory before, memory after)`` of all steps, by row."""
+
+    def one(state: State, _: None) -> tuple[State, PyTree]:
+        before = state.memory
+        state = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
+        seen = look(before, state.memory)
+        return replace(stages.move_pedestrians(scenario, state), tick=state.tick + 1), seen
+
+    def row(state: State, _: None) -> tuple[State, tuple]:
+        state, seen = jax.lax.scan(one, state, length=every)
+        return state, (state.pedestrians.position, state.pedestrians.present, seen)
+
+    return jax.lax.scan(row, begin_alone(scenario, key), length=steps // every)[1]
+
+
+def begin_alone(scenario: Scenario, key: Array) -> State:
+    """A state with people at their starts and the robot far away, without a task, which would take long to compile."""
+    blank = jax.eval_shape(lambda key: stages.reset(scenario, key), key)
+    state = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), blank.replace(streams=None))
+    pedestrians, groups, memory = scenario.behavior.reset(scenario, key)
+    robot = state.robot.replace(position=jnp.full(2, FAR), heading=jnp.asarray([1.0, 0.0]))
+    return state.replace(streams=prng.streams(key), pedestrians=pedestrians, groups=groups, memory=memory, robot=robot)

@@ -38,10 +38,7 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     """A graph of waypoints for an environment.
 
     Args:
-        ends: (K, 2) m, where people come from and go to, if that is known: where many are, there is a node.
-
-    Returns:
-        The annotation, which ``annotation.build`` makes a graph of.
+        ends: (K, 2) m, where people come from and go to, if known: where many are, there is a node.
 
     Raises:
         InputError: there is no room for a person, or the floor is too winding.
@@ -51,7 +48,7 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     sight = max(SIGHT, SIGHT_SHARE * math.sqrt((x1 - x0) * (y1 - y0)))
     nodes: list[int] = []  # cells
     sights: list[np.ndarray] = []  # of each node, (cells,) whether it sees them
-    near: list[np.ndarray] = []  # likewise, those that are near it too
+    near: list[np.ndarray] = []  # of each node, cells that it sees and is near to
 
     def add(cell: int) -> None:
         if len(nodes) == MAX_NODES:
@@ -70,13 +67,13 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
         UNSEEN * len(cells)
     ):
         add(int(rest[np.argmax(np.minimum(clearance[rest], MAX_RADIUS) + 1e-2 * clearance[rest])]))
-    kept = _connect(clearance, beside, nodes, sights, add)
-    kept = _needed(kept, len(named), clearance, nodes, sights, near)
-    position = cells[[nodes[k] for k in kept]]
-    ends_first = sum(k < len(named) for k in kept)
-    names = [f"end_{k + 1}" if k < ends_first else f"place_{k + 1 - ends_first}" for k in range(len(kept))]
-    visible = np.array([[sights[a][nodes[b]] or sights[b][nodes[a]] for b in kept] for a in kept])
-    return _annotation(environment, names, position, clearance[[nodes[k] for k in kept]], visible)
+    chosen = _connect(clearance, beside, nodes, sights, add)
+    chosen = _needed(chosen, len(named), clearance, nodes, sights, near)
+    position = cells[[nodes[k] for k in chosen]]
+    ends_first = sum(k < len(named) for k in chosen)
+    names = [f"end_{k + 1}" if k < ends_first else f"place_{k + 1 - ends_first}" for k in range(len(chosen))]
+    visible = np.array([[sights[a][nodes[b]] or sights[b][nodes[a]] for b in chosen] for a in chosen])
+    return _annotation(environment, names, position, clearance[[nodes[k] for k in chosen]], visible)
 
 
 def _cells(environment: Environment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -100,15 +97,15 @@ def _cells(environment: Environment) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 def _clusters(ends: np.ndarray) -> list[np.ndarray]:
     """(2,) m the middle of each place where many of the ends (K, 2) [m] are, the fullest first."""
-    found, rest = [], ends
-    while len(rest) and len(found) < MAX_NODES // 2:
+    middles, rest = [], ends
+    while len(rest) and len(middles) < MAX_NODES // 2:
         near = np.linalg.norm(rest[:, None] - rest[None, :], axis=-1) < MERGE
         fullest = near[np.argmax(near.sum(1))]
         if fullest.sum() < max(2, MIN_SHARE * len(ends)):
             break
-        found.append(rest[fullest].mean(0))
-        rest = rest[np.linalg.norm(rest - found[-1], axis=-1) >= MERGE]
-    return found
+        middles.append(rest[fullest].mean(0))
+        rest = rest[np.linalg.norm(rest - middles[-1], axis=-1) >= MERGE]
+    return middles
 
 
 def _connect(
@@ -141,22 +138,22 @@ def _connect(
 
 
 def _needed(
-    kept: list[int],
+    chosen: list[int],
     named: int,
     clearance: np.ndarray,
     nodes: list[int],
     sights: list[np.ndarray],
     near: list[np.ndarray],
 ) -> list[int]:
-    """The nodes without those, the narrowest first, that others make up for: what they see, and what they join."""
-    seen = np.sum([near[k] for k in kept], axis=0)
-    spare = UNSEEN * len(clearance) - np.sum(seen == 0)
-    for k in sorted(kept, key=lambda k: clearance[nodes[k]]):
-        rest = [other for other in kept if other != k]
-        lost = int(np.sum(near[k] & (seen == 1)))
-        if k >= named and rest and lost <= spare and len(_pieces(nodes, sights, rest)) == 1:
-            kept, seen, spare = rest, seen - near[k], spare - lost
-    return kept
+    """The nodes without redundant ones, the narrowest first: others see the same cells and join the same nodes."""
+    views = np.sum([near[k] for k in chosen], axis=0)
+    spare = UNSEEN * len(clearance) - np.sum(views == 0)
+    for k in sorted(chosen, key=lambda k: clearance[nodes[k]]):
+        rest = [other for other in chosen if other != k]
+        unseen = int(np.sum(near[k] & (views == 1)))
+        if k >= named and rest and unseen <= spare and len(_pieces(nodes, sights, rest)) == 1:
+            chosen, views, spare = rest, views - near[k], spare - unseen
+    return chosen
 
 
 def _pieces(nodes: list[int], sights: list[np.ndarray], among: list[int] | None = None) -> list[list[int]]:

@@ -1,4 +1,4 @@
-"""Prediction: recorded people handed to any pedestrian model, and how far it is from where they really went."""
+"""Prediction: recorded people predicted by any pedestrian model, and the errors."""
 
 from sean_jax.studies.prediction.benchmark import Scores, Windows, cut_windows, evaluate, read_windows, score
 from sean_jax.studies.prediction.forecast import HABITS, observed_people, predict

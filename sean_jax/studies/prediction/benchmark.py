@@ -1,7 +1,7 @@
-"""The usual benchmark of prediction: 8 moments seen, 12 predicted, 0.4 s apart (ETH and UCY recordings).
+"""The usual benchmark of prediction: 8 observed moments, 12 predicted ones, 0.4 s apart (ETH and UCY recordings).
 
 [G18] A. Gupta, J. Johnson, L. Fei-Fei, S. Savarese & A. Alahi, "Social GAN", CVPR 2018: windows of 20 moments, one
-beginning at each moment, of all who are there throughout, if these are two or more. Errors are means over the tracks
+beginning at each moment, of the people present throughout, if these are two or more. Errors are means over the tracks
 of all windows. [S20] C. Schoeller, V. Aravantinos, F. Lay & A. Knoll, IEEE RA-L 5(2), 2020: constant velocity in the
 same windows, the mark to beat.
 """
@@ -16,7 +16,8 @@ from jaxtyping import Bool, Float
 
 from sean_jax.errors import InputError
 from sean_jax.files import short_name
-from sean_jax.recordings import Tracks, lines, read
+from sean_jax.recordings import Tracks, read
+from sean_jax.recordings.reading import read_lines
 from sean_jax.studies.prediction.forecast import Model, predict
 
 SEEN, PREDICTED, TIME_STEP = 8, 12, 0.4  # moments, moments, s
@@ -26,7 +27,7 @@ TOUCH = 0.2  # m: a predicted pair nearer than this has collided
 
 @struct.dataclass
 class Windows:
-    """B windows of a recording: T moments of up to N people who are there throughout."""
+    """B windows of a recording: T moments of up to N people who are present throughout."""
 
     position: Float[np.ndarray, "B T N 2"]  # m; of nobody zero
     present: Bool[np.ndarray, "B N"]
@@ -43,13 +44,11 @@ class Scores(NamedTuple):
 
 
 def read_windows(path: str | Path, clock: str = "social_gan", seen: int = SEEN, predicted: int = PREDICTED) -> Windows:
-    """The windows of a recording in the format of ETH and UCY.
+    """The windows of a recording in the format of ETH and UCY: CSV with frame, ped_id, x_m and y_m.
 
     Args:
-        path: of a CSV file with frame, ped_id, x_m and y_m.
         clock: ``social_gan``: moments are ten frames apart and count as 0.4 s, as in [G18]. That holds for UCY and
-            hotel; in eth ten frames are 0.67 s, so that people there seem to be fast. ``recorded``: moments are 0.4 s
-            apart in all.
+            hotel; in eth ten frames are 0.67 s, so that people there seem fast. ``recorded``: moments are 0.4 s apart.
 
     Raises:
         FileError: the file cannot be read.
@@ -72,13 +71,10 @@ def read_windows(path: str | Path, clock: str = "social_gan", seen: int = SEEN, 
 
 
 def cut_windows(tracks: Tracks, length: int, stride: int = 1) -> Windows:
-    """The windows of any recording.
+    """The windows of any recording in which two people or more are present throughout.
 
     Args:
-        stride: moments from the beginning of one window to that of the next.
-
-    Returns:
-        Windows in which two people or more are there throughout.
+        stride: moments from the beginning of one window to the beginning of the next.
     """
     there = np.asarray(tracks.present)
     places = np.where(there[..., None], np.asarray(tracks.position, float), np.nan)
@@ -86,11 +82,10 @@ def cut_windows(tracks: Tracks, length: int, stride: int = 1) -> Windows:
 
 
 def evaluate(model: Model, windows: Windows, seen: int = SEEN, chunk: int = 256, **options) -> Scores:
-    """Predict what windows hold and compare.
+    """Predict the later moments of windows and compare.
 
     Args:
-        model: whatever ``predict`` takes.
-        seen: moments that are shown to the model; the others are predicted.
+        seen: observed moments; the others are predicted.
         **options: of ``predict``.
     """
     steps = windows.position.shape[1] - seen
@@ -102,23 +97,17 @@ def evaluate(model: Model, windows: Windows, seen: int = SEEN, chunk: int = 256,
         some = np.pad(some, ((0, missing), (0, 0), (0, 0), (0, 0)))
         there = np.pad(there, ((0, missing), (0, 0)))
         shown = np.broadcast_to(there[:, None], (len(some), seen, there.shape[1]))
-        found = predict(
+        predicted = predict(
             model, jnp.asarray(some[:, :seen]), windows.time_step, steps, present=jnp.asarray(shown), **options
         )
-        parts.append(np.asarray(found)[: chunk - missing])
+        parts.append(np.asarray(predicted)[: chunk - missing])
     return score(np.concatenate(parts), np.asarray(windows.position)[:, seen:], np.asarray(windows.present))
 
 
 def score(
     predicted: Float[np.ndarray, "B S N 2"], recorded: Float[np.ndarray, "B S N 2"], present: Bool[np.ndarray, "B N"]
 ) -> Scores:
-    """Errors and collisions of predictions, at the predicted moments themselves.
-
-    Args:
-        predicted: (B, S, N, 2) m.
-        recorded: (B, S, N, 2) m.
-        present: (B, N) whose tracks count.
-    """
+    """Errors and collisions of predictions (B, S, N, 2) m, at the predicted moments, of the tracks (B, N) present."""
     predicted, recorded, present = np.asarray(predicted, float), np.asarray(recorded, float), np.asarray(present)
     away = np.linalg.norm(predicted - recorded, axis=-1)  # (B, S, N)
     number = present.shape[1]
@@ -139,8 +128,8 @@ def score(
 
 
 def _every_ten_frames(path: Path) -> np.ndarray:
-    """(T, N, 2) m at frames 0, 10, 20, ..., NaN of who is absent: people begin at the one before their first line."""
-    recorded = lines.read(path, "eth_ucy")
+    """(T, N, 2) m at frames 0, 10, 20, ..., NaN of absent people, who begin at the moment before their first line."""
+    recorded = read_lines(path, "eth_ucy")
     order = np.lexsort((recorded.values["frame"], recorded.person))
     frame, x, y = (recorded.values[name][order] for name in ("frame", "x", "y"))
     ends = np.flatnonzero(np.diff(recorded.person[order])) + 1
@@ -159,15 +148,15 @@ def _every_ten_frames(path: Path) -> np.ndarray:
 
 
 def _cut(places: np.ndarray, length: int, time_step: float, stride: int = 1) -> Windows:
-    """Windows of (T, N, 2) m, NaN of who is absent."""
+    """Windows of (T, N, 2) m, NaN of absent people."""
     there = np.asarray(np.isfinite(places).all(-1))
-    found = []
+    windows = []
     for begin in range(0, len(places) - length + 1, stride):
         columns = np.flatnonzero(there[begin : begin + length].all(0))
         if len(columns) >= 2:
-            found.append(places[begin : begin + length, columns])
-    people = max((each.shape[1] for each in found), default=0)
-    position, present = np.zeros((len(found), length, people, 2)), np.zeros((len(found), people), bool)
-    for row, each in enumerate(found):
+            windows.append(places[begin : begin + length, columns])
+    people = max((each.shape[1] for each in windows), default=0)
+    position, present = np.zeros((len(windows), length, people, 2)), np.zeros((len(windows), people), bool)
+    for row, each in enumerate(windows):
         position[row, :, : each.shape[1]], present[row, : each.shape[1]] = each, True
     return Windows(position=position, present=present, time_step=time_step)

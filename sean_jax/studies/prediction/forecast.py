@@ -1,7 +1,7 @@
-"""Predicted people: seen positions in, the tracks of a pedestrian model out (section IV-D, low level).
+"""Predicted people: observed positions in, the tracks of a pedestrian model out (section IV-D, low level).
 
-What people want is not recorded. A person goes on as they were last seen to go: their velocity, and the one that they
-desire, is that of the last step seen, or a weighted mean of the last few. The model does the rest.
+Desired velocities are not recorded: a person has and desires the velocity of the last observed step, or a weighted mean
+of the last few. The model does the rest.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 
-from sean_jax import obstacle_grid, social_forces
+from sean_jax import social_forces
 from sean_jax.base import (
     Array,
     Behavior,
@@ -32,7 +32,7 @@ from sean_jax.base import (
 from sean_jax.config import DEFAULT_FORCES
 from sean_jax.errors import InputError
 from sean_jax.files import unknown_name
-from sean_jax.geometry import length
+from sean_jax.geometry import build_obstacle_grid, length
 from sean_jax.pedestrian_models import MODELS
 from sean_jax.people import pedestrians_at
 from sean_jax.social_forces import PRESETS, SUBSTEP, Cohesion, Forces, Term, presets
@@ -64,32 +64,29 @@ def predict(
     others: Float[Array, "*batch moments M 2"] | None = None,
     settled: Float[Array, ""] | float = 0.0,
 ) -> Float[Array, "*batch steps N 2"]:
-    """Where recorded people go by a pedestrian model.
+    """Predict recorded people with a pedestrian model.
 
-    Differentiable by the positions, by the weights, and by the parameters of forces, step by step computed again on the
-    way back. Batch axes are scenes that know nothing of each other.
+    Differentiable by positions, weights, and parameters of forces, with checkpointing. Batch axes are independent
+    scenes.
 
     Args:
-        model: a key of ``PRESETS``, a YAML file of constants, or forces of one's own; a key of ``MODELS``, or a
-            function (scenario, state) -> Pedestrians as they are.
-        seen: (..., T, N, 2) m, in the order of time; NaN where somebody was not seen.
-        time_step: s between the seen positions, and between the predicted ones.
-        present: (..., T, N) who was seen, if NaN does not tell.
-        walls: obstacles around the people; none if None.
-        weights: (K,) of the velocities in the last K steps, the latest first. What was not seen does not count. People
-            start with the mean of these, and desire it times the sum of the weights: ``(0.97,)`` are people who get a
-            little slower.
-        least_speed: m/s, the preferred speed of slower people, which limits how fast they can give way.
-        desired_velocity: (..., N, 2) m/s, what people want, where it is known; else it is the velocity seen.
-        others: (..., steps + 1, M, 2) m, at the last moment seen and those predicted: people who are not predicted but
-            walk as they were recorded, such as those who come later; NaN where they are absent.
-        settled: share of what the model makes people do at the last moment seen that is taken for what they were
-            doing anyway: those who follow somebody, or walk side by side, go as they are seen to *because* of that,
-            and desire another velocity, which differs by a tenth at most. Zero: what is seen is what they desire. Of
-            social forces alone.
+        model: a key of ``PRESETS``, a YAML file of constants, or forces; a key of ``MODELS``, or a function (scenario,
+            state) -> Pedestrians.
+        seen: (..., T, N, 2) m, in the order of time; NaN where somebody was not observed.
+        time_step: s between observed positions, and between predicted ones.
+        present: (..., T, N) who was observed, besides NaN.
+        weights: (K,) of the velocities in the last K steps, the latest first; unobserved steps do not count. People
+            start with their weighted mean, and desire it times the sum of the weights: ``(0.97,)`` slows people down.
+        least_speed: m/s, lower bound of the preferred speed, which limits how fast people give way.
+        desired_velocity: (..., N, 2) m/s, where it is known; by default the observed velocity.
+        others: (..., steps + 1, M, 2) m, at the last observed and the predicted moments: people who walk as recorded,
+            such as later arrivals; NaN where they are absent.
+        settled: share, from 0 to 1, of the model's acceleration at the last observed moment that is already part of the
+            observed velocity (following, walking side by side): the desired velocity is corrected by it, by a tenth at
+            most. Social forces only.
 
     Returns:
-        (..., steps, N, 2) m. Who was not seen at the last moment stays as given there.
+        (..., steps, N, 2) m. People who were not observed at the last moment stay as given there.
 
     Raises:
         InputError: no model has that name, or the terms do not make forces.
@@ -125,17 +122,14 @@ def observed_people(
     weights: Float[Array, "K"] | tuple[float, ...] = (1.0,),
     least_speed: Float[Array, ""] | float = 0.0,
 ) -> Pedestrians:
-    """People as they were last seen, who desire to go on like that.
+    """N people with the velocity of their last observed steps, which they also desire.
+
+    People are present if they were observed at the last moment [T]; with one observation they stand.
 
     Args:
-        seen: (T, N, 2) m.
-        time_step: s between the moments.
-        weights: (K,) of the velocities in the last K steps, the latest first. What was not seen does not count. People
-            start with the mean of these, and desire it times the sum of the weights.
-        least_speed: m/s, the preferred speed of slower people.
-
-    Returns:
-        N people; there are those who were seen at the last moment. Who was not seen before it stands.
+        seen: (T, N, 2) m, ``time_step`` s apart.
+        weights: (K,) of the velocities in the last K steps, the latest first, as in ``predict``.
+        least_speed: m/s, lower bound of the preferred speed.
     """
     weights = jnp.asarray(weights, float)
     count = min(weights.shape[0], seen.shape[0] - 1)
@@ -159,16 +153,12 @@ def observed_people(
 def walking_companions(
     seen: Float[Array, "T N 2"], present: Bool[Array, "T N"], time_step: float
 ) -> tuple[Int[Array, "N"], Int[Array, "N 2"]]:
-    """Who walks with whom: people who stayed near one another and walked alike whenever both were seen.
+    """Walking groups: people who stayed near one another and walked alike whenever both were observed.
 
-    Those who walk together do not repel or evade one another, as walking groups in simulations.
-
-    Args:
-        seen: (T, N, 2) m.
-        time_step: s between the moments.
+    Companions do not repel or evade one another, as walking groups in simulations.
 
     Returns:
-        (N,) the lowest index of one's group, -1 for who walks alone; and (N, 2) indices of two companions, -1 none.
+        (N,) the lowest index of the group, -1 alone; and (N, 2) indices of two companions, -1 none.
     """
     count = seen.shape[1]
     place = jnp.where(present[..., None], jax.lax.stop_gradient(seen), 0.0)
@@ -201,7 +191,7 @@ def grid_around(obstacles: Obstacles) -> ObstacleGrid:
     """The grid of some walls on a floor with much room around them. Runs on the host."""
     reach = jnp.hypot(obstacles.half_extent[:, 0], obstacles.half_extent[:, 1])[:, None]
     lower, upper = (obstacles.center - reach).min(0), (obstacles.center + reach).max(0)
-    return obstacle_grid.build(obstacles, jnp.concatenate([lower - MARGIN, upper + MARGIN]))
+    return build_obstacle_grid(obstacles, jnp.concatenate([lower - MARGIN, upper + MARGIN]))
 
 
 def _resolve(model: Model) -> tuple[Callable[[Scenario, State], Pedestrians], Forces]:
@@ -243,8 +233,8 @@ def _walk(
     label, companions = walking_companions(seen, present, time_step)
     people = replace(people, walking_group=label)
     if forces.get(Cohesion) is not None:  # what draws companions together in simulations is in their tracks already
-        kept = {f"cohesion.{name}": 0.0 for name in ("gaze", "attraction", "repulsion")}
-        forces = forces.tree_replace(kept)
+        off = {f"cohesion.{name}": 0.0 for name in ("gaze", "attraction", "repulsion")}
+        forces = forces.tree_replace(off)
     tracks = None
     if others is not None:
         there = jnp.isfinite(others).all(-1)

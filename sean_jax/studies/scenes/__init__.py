@@ -8,12 +8,11 @@
     )
     tracks = simulate(scene)[0]
 
-The people are those of the ordinary simulator, moved by any forces or pedestrian model; there need be no robot.
+People move by the ordinary simulator, with any forces or pedestrian model; a robot is optional.
 """
 
 from sean_jax.studies.scenes.floor_plan import box, corridor, environment, room, wall
-from sean_jax.studies.scenes.periodic import Periodic
-from sean_jax.studies.scenes.scene import Model, Scene, model, scenario_of, stage
+from sean_jax.studies.scenes.scene import Model, Periodic, Scene, model, scenario_of, stage
 from sean_jax.studies.scenes.simulation import Moving, simulate
 from sean_jax.studies.scenes.walkers import Gate, Walkers, join, source, spread, walkers, walkers_behavior
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from sean_jax import obstacle_grid
 from sean_jax.base import Environment, ObstacleGrid, Obstacles
+from sean_jax.devices import to_device
+from sean_jax.environment import plain_scenery
 from sean_jax.errors import InputError
-from sean_jax.platforms import to_device
-from sean_jax.scenery import plain_scenery
+from sean_jax.geometry import build_obstacle_grid
 
 Point = tuple[float, float]  # m
 
@@ -28,25 +28,13 @@ FAR = 1e4  # m, where padding lies
 
 
 def box(lower: Point, upper: Point) -> Float[np.ndarray, "1 5"]:
-    """A box whose sides are along x and y.
-
-    Args:
-        lower: its corner with the smallest x and y [m].
-        upper: its corner with the largest ones [m].
-    """
+    """A box along x and y, from the corner with the smallest coordinates to the corner with the largest [m]."""
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     return np.array([[*(low + high) / 2, *(high - low) / 2, 0.0]])
 
 
 def wall(*points: Point) -> Float[np.ndarray, "W 5"]:
-    """A thin wall along a line of segments.
-
-    Args:
-        *points: two or more [m].
-
-    Returns:
-        (W, 5) plan, a box for each segment, 0.02 m thick and as long as the segment.
-    """
+    """A thin wall (0.02 m) along a line of two or more points [m], a box for each segment."""
     rows = []
     for begin, end in zip(points, points[1:], strict=False):
         begin, end = np.asarray(begin, float), np.asarray(end, float)
@@ -56,11 +44,9 @@ def wall(*points: Point) -> Float[np.ndarray, "W 5"]:
 
 
 def room(lower: Point, upper: Point, doors: Iterable[tuple[Point, Point]] = ()) -> Float[np.ndarray, "W 5"]:
-    """The four walls around a rectangle, with doors in them.
+    """The four walls around a rectangle from ``lower`` to ``upper`` [m], with doors in them.
 
     Args:
-        lower: its corner with the smallest x and y [m].
-        upper: its corner with the largest ones [m].
         doors: the two ends of each opening, on a side of the rectangle [m].
 
     Raises:
@@ -86,11 +72,9 @@ def room(lower: Point, upper: Point, doors: Iterable[tuple[Point, Point]] = ()) 
 
 
 def corridor(length: float, width: float, margin: float = 0.0) -> Float[np.ndarray, "2 5"]:
-    """The two walls of a corridor along x, which begins at (0, 0) and whose ends are open.
+    """The two walls of a corridor along x from (0, 0), y from 0 to the width [m], with open ends.
 
     Args:
-        length: m.
-        width: m, free between the walls: y from 0 to the width.
         margin: by which the walls go on at both ends [m]; half a period of a periodic corridor.
     """
     return np.concatenate(
@@ -99,15 +83,9 @@ def corridor(length: float, width: float, margin: float = 0.0) -> Float[np.ndarr
 
 
 def environment(plan: Float[np.ndarray, "W 5"], name: str = "scene") -> Environment:
-    """The environment of a plan, open at its edges.
+    """The environment of a plan (W, 5), open at its edges, on the default device.
 
-    Its arrays are padded with obstacles far away, so that most plans have arrays of the same shapes.
-
-    Args:
-        plan: (W, 5) boxes.
-
-    Returns:
-        The environment on the default device.
+    Arrays are padded with obstacles far away, so that most plans have equal shapes.
 
     Raises:
         InputError: there are too many boxes, in all or near one place.
@@ -139,7 +117,7 @@ def _grid(plan: np.ndarray, floor: Any) -> ObstacleGrid:
     """The grid of obstacles with ``CELLS`` by ``CELLS`` cells and a padded number of rows in each."""
     obstacles = Obstacles(plan[:, :2], plan[:, 2:4], plan[:, 4], np.full(len(plan), HEIGHT))  # pyright: ignore
     cell = max(1.0, float((floor[2:] - floor[:2]).max()) / CELLS + 1e-6)
-    grid = obstacle_grid.build(obstacles, floor, cell)
+    grid = build_obstacle_grid(obstacles, floor, cell)
     rows = np.asarray(grid.rows)
     near = next((near for near, walls in SIZES if near >= rows.shape[2] and walls >= len(plan)), None)
     if near is None:
@@ -148,5 +126,5 @@ def _grid(plan: np.ndarray, floor: Any) -> ObstacleGrid:
     padded[..., 0], padded[..., 1], padded[..., 4] = FAR, FAR, 1.0
     padded[:, :, : rows.shape[2]] = rows
     missing = [(0, CELLS - count) for count in rows.shape[:2]]
-    padded = np.pad(padded, [*missing, (0, 0), (0, 0)], mode="edge")  # places off the floor have those of its edge
+    padded = np.pad(padded, [*missing, (0, 0), (0, 0)], mode="edge")  # places off the floor have the rows of its edge
     return ObstacleGrid(*to_device((padded, np.asarray(grid.origin), np.asarray(grid.cell))))

@@ -17,13 +17,12 @@ from sean_jax.files import unknown_name
 from sean_jax.social_forces import presets
 from sean_jax.social_forces.forces import Forces, Term
 from sean_jax.studies.scenes.floor_plan import environment
-from sean_jax.studies.scenes.periodic import Periodic
 from sean_jax.studies.scenes.walkers import NEVER, Gate, Walkers, walkers_behavior
 
 TIME_STEP = 0.1  # s
 AWAY = 1e3  # m, where the robot of a scene without one stands
 PEOPLE = 16, 64, 128, 256, 512, 1024, 2048, 4096  # sizes to which crowds are padded
-GATES, LEGS = 32, 8  # likewise gates, and gates of one route
+GATES, LEGS = 32, 8  # sizes to which gates, and gates of one route, are padded
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ class Scene:
     seconds: float = 60.0  # at most; it ends when everybody has vanished
     period: float | None = None  # m along x, of a periodic scene
     exits: tuple[int, ...] = ()  # gates between which people choose
-    robot: tuple[tuple[float, float], tuple[float, float]] | None = None  # place [m] and velocity [m/s], kept for good
+    robot: tuple[tuple[float, float], tuple[float, float]] | None = None  # place [m] and velocity [m/s], constant
     seed: int = 0  # of what the simulation draws
 
 
@@ -54,11 +53,8 @@ def model(what: Any = None, name: str | None = None) -> Model:
 
     Args:
         what: a key of ``PRESETS`` or of ``MODELS``, a YAML file of constants, terms, or a function (scenario, state) ->
-            Pedestrians; the default forces if None.
-        name: of the column in tables; that of what is given if None.
-
-    Returns:
-        The model. A function has the default forces, which say how large bodies are.
+            Pedestrians; the default forces if None. A function has the radii of the default forces.
+        name: of the column in tables; by default that of the model.
 
     Raises:
         InputError: there is none of that name, or the terms do not make forces.
@@ -82,22 +78,41 @@ def model(what: Any = None, name: str | None = None) -> Model:
     raise InputError(f"model: {what!r:.60} is no name, no list of terms and no function (scenario, state).")
 
 
+@dataclass(frozen=True)
+class Periodic:
+    """A pedestrian model in a world that is periodic along x; equal for equal models, so that programs are shared.
+
+    Each person has an image one period away, across the nearer seam: two people see each other over the shorter way if
+    that is less than half a period. People are at x from 0 to the period; walls must go on for half a period at both
+    ends.
+    """
+
+    move: Callable[[Scenario, State], Pedestrians]
+
+    def __call__(self, scenario: Scenario, state: State) -> Pedestrians:
+        """N people one control step later, none of whom walks in company."""
+        people, period = state.pedestrians, scenario.behavior.data.period
+        number = people.group.shape[0]
+        side = jnp.where(people.position[:, 0] < 0.5 * period, period, -period)
+        images = replace(people, position=people.position.at[:, 0].add(side))
+        both = jax.tree.map(lambda one, other: jnp.concatenate([one, other]), people, images)
+        after = self.move(replace(scenario, people=2 * number), replace(state, pedestrians=both))
+        after = jax.tree.map(lambda leaf: leaf[:number], after)
+        x = after.position[:, 0]
+        return replace(after, position=after.position.at[:, 0].set(x - period * jnp.floor(x / period)))
+
+
 @functools.cache
 def _robot(x64: bool) -> RobotModel:
     return robots.load("kuri", "twin")
 
 
 def scenario_of(scene: Scene, moved_by: Model | None = None, people: int | None = None) -> Scenario:
-    """The scenario of a scene: of its people alone, without task, situations and metrics.
-
-    Its arrays are padded to sizes that many scenes have in common.
+    """The scenario of a scene: people alone, without task, situations and metrics, padded to shared sizes.
 
     Args:
-        moved_by: who moves people; the default forces if None.
+        moved_by: the default forces if None.
         people: N, to which the crowd is padded with absent people; the next of ``PEOPLE`` if None.
-
-    Returns:
-        A scenario for ``stage`` and for the stages of people.
 
     Raises:
         InputError: a route names a gate that does not exist, or there are too many walls, gates or people.
@@ -143,12 +158,7 @@ def scenario_of(scene: Scene, moved_by: Model | None = None, people: int | None 
 
 
 def stage(scenario: Scenario, scene: Scene) -> State:
-    """The first state of a scene. Nothing of a robot's task is in it.
-
-    Args:
-        scenario: of ``scenario_of``.
-        scene: the same one.
-    """
+    """The first state of a scene in its scenario, without a robot task."""
     place, velocity = scene.robot or ((AWAY, AWAY), (0.0, 0.0))
     return _first_state(
         scenario, prng.key("scene", scene.seed), jnp.asarray(place, float), jnp.asarray(velocity, float)
@@ -179,7 +189,7 @@ def _first_state(scenario: Scenario, key: Array, place: Array, velocity: Array) 
 
 
 def _padded(people: Walkers, size: int) -> Walkers:
-    """``size`` walkers, of whom those beyond N never enter."""
+    """``size`` walkers; walkers beyond N never enter."""
     number = len(people.start)
     more = size - number
     if more < 0:

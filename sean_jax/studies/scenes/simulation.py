@@ -1,7 +1,7 @@
 """Scenes simulated: the two people stages of the ordinary step, in spans that all scenes of one size share.
 
-Small scenes run side by side. Of a large crowd those who have left are dropped between two spans, so that what is left
-of it costs no more than a small one.
+Small scenes run side by side. People who have left a large crowd are dropped between two spans, so that the rest costs
+no more than a small crowd.
 """
 
 import functools
@@ -33,59 +33,44 @@ class Moving:
     velocity: tuple[float, float]  # m/s
 
     def at(self, time: np.ndarray) -> np.ndarray:
-        """Where it is.
-
-        Args:
-            time: (T,) s.
-
-        Returns:
-            (T, 2) m.
-        """
+        """(T, 2) m at times (T,) s."""
         return np.asarray(self.place) + np.asarray(time)[:, None] * np.asarray(self.velocity)
 
 
 def simulate(
     scenes: Scene | Sequence[Scene],
     moved_by: Model | str | None = None,
-    tell: Callable[[float], None] | None = None,
+    report: Callable[[float], None] | None = None,
 ) -> list[Tracks]:
-    """Simulate scenes until everybody has vanished or their time is over.
+    """Simulate scenes until everybody has vanished or their time is over; scenes of one size run side by side.
 
     Args:
-        scenes: one or several; those of one size run side by side.
-        moved_by: who moves people; the default forces if None.
-        tell: is told the share that is done.
+        moved_by: the default forces if None.
+        report: called with the finished share.
 
     Returns:
-        For each scene T moments 0.1 s apart, from the start on, of its N people, as numpy arrays. The group of a person
-        is -1, and a person's number the column. In a periodic scene x is from 0 to the period.
+        For each scene T moments 0.1 s apart, from the start on, of its N people, as numpy arrays. Groups are -1, a
+        person's number is the column. In a periodic scene x is from 0 to the period.
     """
     chosen = moved_by if isinstance(moved_by, Model) else model(moved_by)
-    listed = [scenes] if isinstance(scenes, Scene) else list(scenes)
-    found: list[Tracks | None] = [None] * len(listed)
+    several = [scenes] if isinstance(scenes, Scene) else list(scenes)
+    tracks_of: list[Tracks | None] = [None] * len(several)
     done = 0
-    for group in _batches(listed, chosen):
-        part = None if tell is None else functools.partial(_tell_part, tell, done, len(group), len(listed))
-        for index, tracks in zip(group, _together([listed[index] for index in group], chosen, part), strict=True):
-            found[index] = tracks
+    for group in _batches(several, chosen):
+        part = None if report is None else functools.partial(_report_part, report, done, len(group), len(several))
+        for index, tracks in zip(group, _together([several[index] for index in group], chosen, part), strict=True):
+            tracks_of[index] = tracks
         done += len(group)
-    return [tracks for tracks in found if tracks is not None]
+    return [tracks for tracks in tracks_of if tracks is not None]
 
 
-def _tell_part(tell: Callable[[float], None], before: int, number: int, total: int, share: float) -> None:
+def _report_part(report: Callable[[float], None], before: int, number: int, total: int, share: float) -> None:
     """Tells the share that is done when so many scenes are over and this share of some more is."""
-    tell((before + share * number) / total)
+    report((before + share * number) / total)
 
 
 def advance(scenario: Scenario, state: State) -> State:
-    """One control step of people alone; a robot goes on as it goes.
-
-    Args:
-        scenario: of ``scenario_of``.
-
-    Returns:
-        The state 0.1 s later.
-    """
+    """The state one control step (0.1 s) later: people move, a robot goes straight on."""
     key = jax.random.fold_in(state.streams.people, state.tick)
     state = steps.direct_pedestrians(scenario, state, key)
     state = steps.move_pedestrians(scenario, state)
@@ -127,7 +112,7 @@ def _size(people: int) -> int:
     return next((each for each in PEOPLE if each >= people), people)
 
 
-def _together(scenes: list[Scene], chosen: Model, tell: Callable[[float], None] | None) -> list[Tracks]:
+def _together(scenes: list[Scene], chosen: Model, report: Callable[[float], None] | None) -> list[Tracks]:
     """Scenes of one size, side by side."""
     scenarios = [scenario_of(scene, chosen) for scene in scenes]
     shapes = {tuple(np.shape(leaf) for leaf in jax.tree.leaves(each)) for each in scenarios}
@@ -135,7 +120,7 @@ def _together(scenes: list[Scene], chosen: Model, tell: Callable[[float], None] 
         return [_together([scene], chosen, None)[0] for scene in scenes]
     states = [stage(scenario, scene) for scenario, scene in zip(scenarios, scenes, strict=True)]
     if len(scenes) == 1:
-        return [_one(scenes[0], scenarios[0], states[0], tell)]
+        return [_one(scenes[0], scenarios[0], states[0], report)]
     number = next(each for each in BATCHES if each >= len(scenes))
     filled = [*range(len(scenes)), *([0] * (number - len(scenes)))]
     scenario, state = (
@@ -145,8 +130,8 @@ def _together(scenes: list[Scene], chosen: Model, tell: Callable[[float], None] 
     seconds = max(scene.seconds for scene in scenes)
     for number in range(_spans(seconds)):
         state, span = _side_by_side(scenario, state)
-        if tell is not None:
-            tell((number + 1) / _spans(seconds))
+        if report is not None:
+            report((number + 1) / _spans(seconds))
         frames += [tuple(np.moveaxis(np.asarray(part), 1, 0) for part in span)]
         if not _left(state):
             break
@@ -156,7 +141,7 @@ def _together(scenes: list[Scene], chosen: Model, tell: Callable[[float], None] 
     ]
 
 
-def _one(scene: Scene, scenario: Scenario, state: State, tell: Callable[[float], None] | None) -> Tracks:
+def _one(scene: Scene, scenario: Scenario, state: State, report: Callable[[float], None] | None) -> Tracks:
     """One scene, whose crowd shrinks as people leave."""
     number = len(scene.walkers.start)
     columns = np.arange(scenario.people)
@@ -166,8 +151,8 @@ def _one(scene: Scene, scenario: Scenario, state: State, tell: Callable[[float],
     frames.append((position, facing, np.array(state.pedestrians.present[:number])))
     for turn in range(_spans(scene.seconds)):
         state, span = _alone(scenario, state)
-        if tell is not None:
-            tell((turn + 1) / _spans(scene.seconds))
+        if report is not None:
+            report((turn + 1) / _spans(scene.seconds))
         index = np.flatnonzero(columns < number)
         for places, headings, present in zip(*(np.asarray(part) for part in span), strict=True):
             position, facing, there = frames[-1][0].copy(), frames[-1][1].copy(), np.zeros(number, bool)
@@ -181,7 +166,7 @@ def _one(scene: Scene, scenario: Scenario, state: State, tell: Callable[[float],
 
 
 def _shrunk(scene: Scene, scenario: Scenario, state: State, columns: np.ndarray) -> tuple[Scenario, State, np.ndarray]:
-    """The same without those who have left, if the crowd then fits the next smaller size."""
+    """Without people who have left, if the crowd then fits the next smaller size."""
     number = len(scene.walkers.start)
     late = columns < number
     gone = np.asarray(state.memory.entered) & ~np.asarray(state.pedestrians.present)
@@ -230,7 +215,7 @@ def _tracks(scene: Scene, position: np.ndarray, facing: np.ndarray, present: np.
     last = min(len(position), int(round(scene.seconds / TIME_STEP)) + 1)
     position, facing, present = position[:last], facing[:last], present[:last]
     number = np.broadcast_to(np.arange(present.shape[1], dtype=np.int32), present.shape)
-    made: Any = dict(
+    fields: Any = dict(
         position=position,
         facing=facing,
         group=np.full(present.shape, -1, np.int32),
@@ -238,4 +223,4 @@ def _tracks(scene: Scene, position: np.ndarray, facing: np.ndarray, present: np.
         person=np.where(present, number, -1),
         frame=np.arange(last, dtype=np.int32),
     )
-    return Tracks(**made, time_step=TIME_STEP)
+    return Tracks(**fields, time_step=TIME_STEP)

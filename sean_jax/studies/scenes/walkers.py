@@ -1,7 +1,7 @@
 """Walkers: people who start somewhere, at some time, and pass one gate after the other, until they vanish.
 
 A pedestrian behavior (section IV-D, high level) of a few arrays. A source is a number of walkers who enter as soon as
-it is their time and there is room; a sink is the last gate of a route. Who can choose between exits takes the one
+it is their time and there is room; a sink is the last gate of a route. People with a choice of exits take the one
 through which they expect to be out first.
 """
 
@@ -32,11 +32,11 @@ PATIENCE = 0.8  # share of the expected time that another exit must promise, for
 TURNS = 10  # ticks in which everybody looks once at the other exits
 SPEED = 1.34, 0.26  # m/s, mean and deviation: Helbing & Molnar, Phys. Rev. E 51, 4282 (1995)
 TRIES = 20_000  # places tried by ``spread`` at a time
-NEVER = 1e9  # s, when who pads the arrays enters
+NEVER = 1e9  # s, entry time of padding
 
 
 class Gate(NamedTuple):
-    """A line to walk through. Whoever walks through it has one end on the left hand and one on the right hand."""
+    """A line to walk through, with the ends on the left and on the right hand."""
 
     left: Point
     right: Point
@@ -44,7 +44,7 @@ class Gate(NamedTuple):
 
 @struct.dataclass
 class Walkers:
-    """N people and what they are to do. Those of a ``Scene`` are numpy arrays."""
+    """N people and their routes; numpy arrays in a ``Scene``."""
 
     start: Float[Array, "N 2"]  # m
     velocity: Float[Array, "N 2"]  # m/s, when they enter
@@ -86,17 +86,15 @@ def walkers(
     reaction_time: float | Float[np.ndarray, "N"] = 0.0,
     together: bool = False,
 ) -> Walkers:
-    """People of one route.
+    """People of one route, who start at (N, 2) m, such as ``spread`` draws.
 
     Args:
-        start: (N, 2) m, such as ``spread`` gives.
         route: indices of gates, in their order; people vanish at the last one. Without a route they stand.
         speed: preferred speed [m/s], one for all or (N,); drawn from N(1.34, 0.26) if None.
         velocity: at the start [m/s].
-        entry_time: s, one for all or (N,).
-        reaction_time: s, likewise.
-        together: whether they are a walking group: each keeps to those before and after, and all prefer the speed of
-            the slowest.
+        entry_time: s, one for all or (N,); likewise ``reaction_time``.
+        together: whether they are a walking group: each walks beside the one before and the one after, and all prefer
+            the speed of the slowest.
     """
     start = np.asarray(start, float).reshape(-1, 2)
     number = len(start)
@@ -106,7 +104,7 @@ def walkers(
     if together:
         speed = float(np.min(speed))
         companion[1:, 0], companion[:-1, 1] = np.arange(number - 1), np.arange(1, number)
-    made: Any = dict(
+    fields: Any = dict(
         start=start,
         velocity=np.broadcast_to(np.asarray(velocity, float), (number, 2)),
         preferred_speed=np.broadcast_to(np.asarray(speed, float), (number,)),
@@ -115,33 +113,28 @@ def walkers(
         route=np.broadcast_to(np.asarray(route, np.int32), (number, len(route))),
         companion=companion,
     )
-    return Walkers(**made)
+    return Walkers(**fields)
 
 
 def join(*parts: Walkers) -> Walkers:
-    """People of several routes.
-
-    Args:
-        *parts: of ``walkers``.
-    """
+    """People of several routes, as one crowd."""
     legs = max(part.route.shape[1] for part in parts)
-    found: list[Walkers] = []
+    crowds: list[Walkers] = []
     before = 0
     for part in parts:
         route = np.pad(np.asarray(part.route), ((0, 0), (0, legs - part.route.shape[1])), constant_values=-1)
         companion = np.where(np.asarray(part.companion) >= 0, np.asarray(part.companion) + before, -1)
-        found.append(replace(part, route=route, companion=companion))
+        crowds.append(replace(part, route=route, companion=companion))
         before += len(part.start)
-    return jax.tree.map(lambda *rows: np.concatenate(rows), *found)
+    return jax.tree.map(lambda *rows: np.concatenate(rows), *crowds)
 
 
 def source(
     gate: Gate, number: int, rate: float, *, route: Sequence[int], speed: float | None = None, seed: int = 0
 ) -> Walkers:
-    """People who enter through a gate, one after the other.
+    """People who enter through a gate one after the other, ``rate`` a second, at first straight across it.
 
     Args:
-        gate: through which they enter; their first velocity is across it.
         speed: preferred speed [m/s]; drawn if None.
     """
     generator = np.random.default_rng([seed, 11])
@@ -155,18 +148,9 @@ def source(
 
 
 def spread(lower: Point, upper: Point, number: int, seed: int = 0, apart: float = 0.42) -> Float[np.ndarray, "N 2"]:
-    """Random places in a rectangle, no two of them too near to each other.
+    """(N, 2) m: random places in a rectangle from ``lower`` to ``upper`` [m], at least ``apart`` m from each other.
 
-    If the rectangle is too full for a random draw, they lie on a grid, moved at random.
-
-    Args:
-        lower: corner with the smallest x and y [m].
-        upper: corner with the largest ones [m].
-        seed: the same one gives the same places.
-        apart: m, least distance of two places; smaller if they do not fit otherwise.
-
-    Returns:
-        (N, 2) m.
+    If the rectangle is too full for a random draw, places are a grid with random displacements, nearer if need be.
     """
     generator = np.random.default_rng([seed, 3])
     low, high = np.asarray(lower, float), np.asarray(upper, float)
@@ -197,14 +181,11 @@ def walkers_behavior(
     period: float = 0.0,
     sources: bool | None = None,
 ) -> Behavior:
-    """The behavior of walkers.
+    """The behavior of walkers; its companions are None if nobody walks in company.
 
     Args:
         exits: indices of gates between which people choose.
-        sources: whether somebody enters later than at the start; found out if None.
-
-    Returns:
-        The behavior; its companions are None if nobody walks in company.
+        sources: whether somebody enters later than at the start; by default from the entry times.
 
     Raises:
         InputError: a route names a gate that does not exist.
@@ -230,14 +211,7 @@ def walkers_behavior(
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
-    """Everybody at the start; those are present who enter at once.
-
-    Args:
-        key: of the draw of how far people keep from a moving robot.
-
-    Returns:
-        N people, no groups, and how far each is on the route.
-    """
+    """N people at the start, present if they enter at once, no groups, and the memory of their routes."""
     people: Walkers = scenario.behavior.data.walkers
     present = people.entry_time <= 0.0
     pedestrians = pedestrians_at(
@@ -261,14 +235,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
-    """Who has passed a gate walks to the next; who has passed the last one vanishes; who is due enters.
-
-    Args:
-        key: not used.
-
-    Returns:
-        The state with new desired velocities, present people and memory.
-    """
+    """Send people from gate to gate: they vanish at their last one, and enter when they are due."""
     plan: Plan = scenario.behavior.data
     people, memory, table = state.pedestrians, state.memory, plan.walkers
     time = state.tick.astype(float) * scenario.time_step
@@ -299,29 +266,13 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
 
 
 def passed(gate: Float[Array, "N 2 2"], position: Float[Array, "N 2"]) -> Bool[Array, "N"]:
-    """Whether people are behind the line of a gate.
-
-    Args:
-        gate: (N, 2, 2) m, of each person.
-        position: (N, 2) m.
-
-    Returns:
-        (N,) true a little beside the ends as well, where a crowd may have pushed somebody.
-    """
+    """(N,) whether people are behind the line of their gate (N, 2, 2) m, by its width and ``MARGIN`` to both sides."""
     along, across, wide = _in_frame_of(gate, position)
     return (across > 0.0) & (across < DEPTH) & (along > -MARGIN) & (along < wide + MARGIN)
 
 
 def aim_at(gate: Float[Array, "N 2 2"], position: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
-    """Where people aim: at the nearest point of their gate, a little behind its line.
-
-    Args:
-        gate: (N, 2, 2) m, of each person.
-        position: (N, 2) m.
-
-    Returns:
-        (N, 2) m; not nearer than ``MARGIN`` to the ends, in the middle of a gate that is too narrow for that.
-    """
+    """(N, 2) m: the nearest point of each gate (N, 2, 2) m, ``AHEAD`` behind its line and ``MARGIN`` from its ends."""
     along, _, wide = _in_frame_of(gate, position)
     margin = jnp.minimum(MARGIN, 0.5 * wide)
     along = jnp.clip(along, margin, wide - margin)
@@ -332,13 +283,10 @@ def aim_at(gate: Float[Array, "N 2 2"], position: Float[Array, "N 2"]) -> Float[
 
 
 def choose_exit(plan: Plan, people: Pedestrians, gate: Int[Array, "N"], tick: Int[Array, ""]) -> Int[Array, "N"]:
-    """The exit through which each expects to be out first: after the walk there, or after those who are nearer to it.
+    """(N,) the exit through which each expects to be out first: by the walk, or by the queue of people nearer to it.
 
-    Everybody looks once in ``TURNS`` ticks, and turns only for a clear gain, so that crowds do not swing to and fro.
-
-    Args:
-        gate: (N,) to which they walk now; only those who walk to an exit choose.
-        tick: () of the episode.
+    Everybody looks once in ``TURNS`` ticks, and changes only for a clear gain, so that crowds do not oscillate. Only
+    people on their way to an exit choose.
     """
     number, gates = gate.shape[0], plan.gates.shape[0]
     own = jnp.arange(number, dtype=jnp.int32)
@@ -347,7 +295,7 @@ def choose_exit(plan: Plan, people: Pedestrians, gate: Int[Array, "N"], tick: In
     gap = aim - people.position[:, None]
     far = length(gap[..., 0], gap[..., 1])  # (N, G)
     there = (gate[:, None] == jnp.arange(gates, dtype=jnp.int32)[None]) & people.present[:, None]
-    queue = jnp.sort(jnp.where(there, far, jnp.inf), axis=0)  # distances of those who walk to each gate
+    queue = jnp.sort(jnp.where(there, far, jnp.inf), axis=0)  # distances of the people on their way to each gate
     ahead = jax.vmap(lambda row, mine: jnp.searchsorted(row, mine), in_axes=1, out_axes=1)(queue, far)
     side = plan.gates[:, 1] - plan.gates[:, 0]
     wide = length(side[:, 0], side[:, 1])
@@ -369,7 +317,7 @@ def _in_frame_of(gate: Array, position: Array) -> tuple[Array, Array, Array]:
 
 
 def _heading(plan: Plan) -> Array:
-    """(N, 2) along the velocity at the start; of who stands, towards the first gate."""
+    """(N, 2) along the velocity at the start; of standing people, towards the first gate."""
     people = plan.walkers
     first = people.route[:, 0] if people.route.shape[1] else jnp.full(people.start.shape[0], -1, jnp.int32)
     way = (
@@ -384,7 +332,7 @@ def _heading(plan: Plan) -> Array:
 
 
 def _enters(table: Walkers, people: Pedestrians, entered: Array, time: Array) -> Array:
-    """(N,) who enters now: whose time it is, if nobody is there and nobody before them waits for the same place."""
+    """(N,) whether people enter now: they are due, nobody is there and nobody before them waits for the place."""
     due = ~entered & (table.entry_time <= time)
     gap_x = table.start[:, None, 0] - people.position[None, :, 0]
     gap_y = table.start[:, None, 1] - people.position[None, :, 1]
@@ -397,7 +345,7 @@ def _enters(table: Walkers, people: Pedestrians, entered: Array, time: Array) ->
 
 
 def _leaders(companions: Array) -> Array:
-    """(N,) the lowest index of each chain of companions, -1 of who walks alone."""
+    """(N,) the lowest index of each chain of companions, -1 alone."""
     number = companions.shape[0]
     own = jnp.arange(number, dtype=jnp.int32)
     lowest = jnp.where((companions >= 0).any(1), own, number)

@@ -1,17 +1,19 @@
-"""What a validation test is: a description, a function that simulates and measures, a finding.
+"""A check of ``sean validate``: its description, the function that simulates and measures, and its result.
 
-A check is one entry of a table (``suite``). Its function is given a ``Laboratory``, which simulates scenes with the
-model that is validated, and gives a ``Finding``. Nothing is tuned for a check: the laboratory knows models, not checks.
+A check's function simulates scenes of its ``CheckContext`` with the validated model and returns a ``CheckResult``.
+Nothing is tuned for a check: the context knows models only.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
+from sean_jax.config import OwnPart, is_own_part, validate
+from sean_jax.files import listed
 from sean_jax.recordings import Tracks
-from sean_jax.studies.scenes import Model, Scene, simulate
+from sean_jax.studies.scenes import Model, Scene, model, simulate
+
+PASSES, FAILS, SKIPPED = "passes", "fails", "skipped"
 
 
 @dataclass(frozen=True)
@@ -26,8 +28,8 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Finding:
-    """What a check has found about a model."""
+class CheckResult:
+    """The result of a check for a model."""
 
     passed: bool
     measured: str  # the measured values, in words and numbers with units
@@ -48,38 +50,53 @@ class Check:
     name: str  # such as rimea-1
     title: str
     setup: str  # geometry and people
-    measure: str  # what is measured
+    measure: str
     criterion: str  # when it passes
     source: str
-    function: Callable[["Laboratory"], Finding]
+    function: Callable[["CheckContext"], CheckResult]
     quick: bool = True  # whether ``--quick`` has it
 
 
+@dataclass(frozen=True)
+class Row:
+    """A check done for a model, as it is saved."""
+
+    check: str
+    model: str
+    verdict: str  # passes, fails or skipped
+    measured: str
+    reason: str
+    numbers: dict[str, float]
+    curves: tuple[Curve, ...]
+    axes: tuple[str, str]
+    pictures: tuple[tuple[str, str], ...]  # captions and SVG
+    seconds: float  # s that it took
+
+
 @dataclass
-class Laboratory:
-    """What a check may use: the model, a place to simulate in, and the recordings, if there are any."""
+class CheckContext:
+    """What a check may use: the model, the recordings, if there are any, and a simulator of scenes."""
 
     model: Model
     data: Path | None = None  # folder of recordings
     quick: bool = False  # fewer seeds and people where a check says so
-    tell: Callable[[float], None] | None = None  # is told the share of a simulation that is done
-    shown: list[tuple[str, Scene, Tracks]] = field(default_factory=list)  # of what is simulated, for the report
+    report: Callable[[float], None] | None = None  # called with the share of a simulation that is done
+    pictures: list[tuple[str, Scene, Tracks]] = field(default_factory=list)  # for the report, with captions
 
     def simulate(self, scenes: Scene | Sequence[Scene], show: str | Sequence[str] = "") -> list[Tracks]:
-        """Simulate scenes with the model; those of one size run side by side.
+        """Simulate scenes with the model; scenes of one size run side by side.
 
         Args:
-            scenes: one or several.
-            show: captions of those that the report shows, the first ones.
+            show: captions of the first scenes; scenes without one are not shown.
 
         Returns:
             For each scene T moments 0.1 s apart of its N people, as numpy arrays.
         """
-        listed = [scenes] if isinstance(scenes, Scene) else list(scenes)
-        found = simulate(listed, self.model, self.tell)
+        several = [scenes] if isinstance(scenes, Scene) else list(scenes)
+        tracks = simulate(several, self.model, self.report)
         captions = [show] if isinstance(show, str) else list(show)
-        self.shown += [part for part in zip(captions, listed, found, strict=False) if part[0]]
-        return found
+        self.pictures += [part for part in zip(captions, several, tracks, strict=False) if part[0]]
+        return tracks
 
     def recordings(self) -> Path:
         """The folder of recordings.
@@ -92,24 +109,33 @@ class Laboratory:
         return self.data
 
 
-def judge(passed: bool, measured: str, criterion: str, **more) -> Finding:
-    """A finding whose reason, if it has not passed, is the criterion that is missed.
+def result(passed: bool, measured: str, criterion: str, **fields) -> CheckResult:
+    """A result whose reason, if it has not passed, is the missed criterion.
 
     Args:
-        **more: further fields of ``Finding``.
+        **fields: further ones of ``CheckResult``.
     """
-    return Finding(bool(passed), measured, "" if passed else f"measured {measured}; wanted {criterion}", **more)
+    return CheckResult(bool(passed), measured, "" if passed else f"measured {measured}; wanted {criterion}", **fields)
 
 
-def speeds(tracks: Tracks) -> np.ndarray:
-    """Speeds between moments.
+def models_of(names: str | None, source: Path | None = None) -> list[Model]:
+    """The models of a list of names.
 
     Args:
-        tracks: T moments of N people, not of a periodic scene.
+        names: separated by commas: presets, files of constants, pedestrian models, FILE.py:NAME; the default forces if
+            None.
+        source: the file that holds the names; None for names of the command line.
 
-    Returns:
-        (T - 1, N) m/s, NaN where a person is absent at one of both moments.
+    Raises:
+        InputError: there is none of a name, or a file gives no model.
     """
-    position, present = np.asarray(tracks.position), np.asarray(tracks.present)
-    step = np.linalg.norm(np.diff(position, axis=0), axis=-1) / tracks.time_step
-    return np.where(present[1:] & present[:-1], step, np.nan)
+    models = []
+    for name in listed(names):
+        if is_own_part(name):
+            from sean_jax.components import load
+
+            part = validate(OwnPart, {"kind": name}, source=source)
+            models.append(model(load(part, "models"), part.name))
+        else:
+            models.append(model(name))
+    return models or [model()]

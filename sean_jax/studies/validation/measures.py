@@ -1,21 +1,116 @@
-"""What is measured of tracks besides crossings: density and speed of an area, lanes, single files, closest approaches.
+"""Measures of recorded or simulated tracks: crossings and flow, density and speed, lanes, approaches, group occupancy.
 
-Recorded and simulated people are measured by the same functions. Density and speed of an area are those of Voronoi
-cells, by PedPy (extra ``validation``): B. Steffen & A. Seyfried, Physica A 389, 1902 (2010).
+Density and speed of an area are those of Voronoi cells, by PedPy (extra ``validation``): B. Steffen & A. Seyfried,
+Physica A 389, 1902 (2010).
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from sean_jax.recordings import Tracks
-from sean_jax.studies.validation.crossings import pedpy, trajectory_data
+from sean_jax.studies.scenes import Gate
+from sean_jax.studies.validation.check import Skipped
 
 LANE = 0.3  # m, people within that distance across a corridor walk in one lane
 SPEED_SPAN = 0.5  # s before and after, over which a speed is a difference of positions
 
 Bounds = tuple[float, float, float, float]  # m: x_min, y_min, x_max, y_max
+
+
+def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
+    """(N,) s when each person first crosses a gate in its direction, interpolated between moments; inf if never.
+
+    People who vanish there cross at that moment.
+    """
+    position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
+    left, right = np.asarray(gate.left, float), np.asarray(gate.right, float)
+    side = right - left
+    wide = np.hypot(*side)
+    ux, uy = side / wide
+    gap = position - left
+    behind = gap[..., 1] * ux - gap[..., 0] * uy  # (T, N) m
+    along = gap[..., 0] * ux + gap[..., 1] * uy
+    there = present | np.concatenate([np.zeros((1, present.shape[1]), bool), present[:-1]])
+    step = (behind[:-1] <= 0.0) & (behind[1:] > 0.0) & there[1:] & present[:-1]
+    step &= (along[1:] > -0.5) & (along[1:] < wide + 0.5)
+    first = np.where(step.any(0), step.argmax(0), -1)
+    own = np.arange(position.shape[1])
+    before, after = behind[first, own], behind[np.minimum(first + 1, len(behind) - 1), own]
+    share = np.where(first >= 0, -before / np.where(after > before, after - before, 1.0), 0.0)
+    return np.where(first >= 0, (first + share) * tracks.time_step, np.inf)
+
+
+def vanishing_times(tracks: Tracks) -> Float[np.ndarray, "N"]:
+    """(N,) s when each person vanishes for good; inf if present at the end, or never."""
+    present = np.asarray(tracks.present)
+    last = len(present) - 1 - present[::-1].argmax(0)
+    return np.where(present.any(0) & ~present[-1], (last + 1) * tracks.time_step, np.inf)
+
+
+def flow(times: Float[np.ndarray, "N"], shares: tuple[float, float] = (0.2, 0.8)) -> float:
+    """The mean flow [people/s] between two of the crossing times (N,) s; NaN with fewer than 3 crossings.
+
+    Args:
+        times: inf of people who never cross.
+        shares: of all crossings, between which it is measured.
+    """
+    crossed = np.sort(times[np.isfinite(times)])
+    if len(crossed) < 3:
+        return float("nan")
+    first, last = (int(round(share * (len(crossed) - 1))) for share in shares)
+    return (last - first) / max(float(crossed[last] - crossed[first]), 1e-9)
+
+
+def pedpy() -> Any:
+    """The package PedPy.
+
+    Raises:
+        Skipped: it is not installed.
+    """
+    try:
+        import pedpy
+    except ImportError:
+        raise Skipped('PedPy is not installed; pip install "sean_jax[validation]".') from None
+    return pedpy
+
+
+def trajectory_data(tracks: Tracks, period: float | None = None) -> Any:
+    """``pedpy.TrajectoryData`` of tracks, with the columns id, frame, x and y [m].
+
+    Args:
+        period: m along x, of a periodic scene: whoever comes around is another person from then on.
+
+    Raises:
+        Skipped: PedPy is not installed.
+    """
+    import pandas
+
+    position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
+    person = np.asarray(tracks.person).astype(int)
+    if period is not None:
+        around = np.abs(np.diff(position[..., 0], axis=0)) > period / 2
+        rounds = np.concatenate([np.zeros((1, person.shape[1]), int), np.cumsum(around, 0)])
+        person = person + rounds * (int(person.max(initial=0)) + 1)
+    time, column = np.nonzero(present)
+    table = pandas.DataFrame(
+        {
+            "id": person[time, column],
+            "frame": time,
+            "x": position[time, column, 0],
+            "y": position[time, column, 1],
+        }
+    )
+    return pedpy().TrajectoryData(data=table, frame_rate=1.0 / tracks.time_step)
+
+
+def speeds(tracks: Tracks) -> np.ndarray:
+    """(T - 1, N) m/s between moments, NaN where a person is absent at one of both; not of a periodic scene."""
+    position, present = np.asarray(tracks.position), np.asarray(tracks.present)
+    step = np.linalg.norm(np.diff(position, axis=0), axis=-1) / tracks.time_step
+    return np.where(present[1:] & present[:-1], step, np.nan)
 
 
 class AreaMeans(NamedTuple):
@@ -28,13 +123,10 @@ class AreaMeans(NamedTuple):
 def area_means(
     tracks: Tracks, floor: Bounds, area: Bounds, rows: slice = slice(None), period: float | None = None
 ) -> AreaMeans:
-    """Voronoi density and speed in an area.
+    """Voronoi density and speed in an area, means over moments; the speed over moments with somebody in the area.
 
     Args:
-        floor: to which cells are cut; who is off it is left out.
-
-    Returns:
-        Means over the moments; the speed over those with somebody in the area.
+        floor: to which cells are cut; people off it are left out.
 
     Raises:
         Skipped: PedPy is not installed.
@@ -72,19 +164,15 @@ def lane_order(
     present: Bool[np.ndarray, "T N"],
     width: float = LANE,
 ) -> Float[np.ndarray, "T"]:
-    """How well people who walk in two directions are sorted into lanes.
+    """(T,) from 0 to 1: how well people who walk in two directions are sorted into lanes; NaN where nobody is.
 
-    The mean over people of ((s - o) / n)^2, where of the n people within ``width`` across the corridor, themselves
+    The mean over people of ((s - o) / n)^2, where of the n people within ``width`` m across the corridor, themselves
     included, s walk in their direction and o in the other. It is 1 in lanes, and about 1 / n in a random mix.
 
     Args:
         across: (T, N) m, position across the corridor.
         direction: (N,) +1 or -1.
-        present: (T, N) who is there.
-        width: m.
 
-    Returns:
-        (T,) from 0 to 1; NaN where nobody is.
     Source:
         S. Nowak & A. Schadschneider, Phys. Rev. E 85, 066128 (2012), who count in the lanes of a lattice.
     """
@@ -100,16 +188,12 @@ def lane_order(
 def single_file(
     along: Float[np.ndarray, "T N"], velocity: Float[np.ndarray, "T N"], length: float
 ) -> tuple[Float[np.ndarray, "T N"], Float[np.ndarray, "T N"]]:
-    """Density and speed of everybody in a single file around a loop: Voronoi cells in one dimension.
+    """Density (T, N) 1/m and speed (T, N) m/s in a single file around a loop, in the order along it.
+
+    The density is that of Voronoi cells in one dimension: one over half the distance between both neighbors.
 
     Args:
-        along: (T, N) m, position along the loop.
-        velocity: (T, N) m/s along the loop.
-        length: m, of the loop.
-
-    Returns:
-        (T, N) 1/m, one over half the distance from who walks ahead to who walks behind; and (T, N) m/s; both in the
-        order along the loop.
+        along: (T, N) m, position along the loop, whose length is in m.
     """
     along = np.asarray(along, float) % length
     order = np.argsort(along, axis=1)
@@ -122,15 +206,7 @@ def single_file(
 def separation(
     one: Float[np.ndarray, "T *shape 2"], other: Float[np.ndarray, "T *shape 2"]
 ) -> Float[np.ndarray, "*shape"]:
-    """How near two bodies come to each other; between moments both move straight on.
-
-    Args:
-        one: (T, ..., 2) m.
-        other: (T, ..., 2) m.
-
-    Returns:
-        (...) m, the least distance of their middles.
-    """
+    """(...) m: the least distance of two bodies (T, ..., 2) m; between moments both move straight on."""
     gap = np.asarray(one, float) - np.asarray(other, float)
     step = np.diff(gap, axis=0)
     squared = (step**2).sum(-1)
@@ -142,3 +218,50 @@ def separation(
 def _corners(bounds: Bounds) -> list[tuple[float, float]]:
     x0, y0, x1, y1 = bounds
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+
+
+@dataclass(frozen=True)
+class GroupOccupancy:
+    """Occupancy of G conversational groups (section IV-D) over time, and the stays that ended."""
+
+    mean: Float[np.ndarray, "G"]  # members over capacity, from 0 to 1
+    full: Float[np.ndarray, "G"]  # share of the time with all members
+    empty: Float[np.ndarray, "G"]  # share of the time without any
+    largest: Int[np.ndarray, "G"]  # most members at once
+    stays: tuple[Float[np.ndarray, "K"], ...]  # s, of each group: stays that were measured as a whole
+
+
+def group_occupancy(
+    group: Int[np.ndarray, "*B T N"],
+    capacity: Int[np.ndarray, "G"],
+    time_step: float,
+    warm_up: float = 20.0,
+) -> GroupOccupancy:
+    """How full groups are, and how long their members stay.
+
+    Args:
+        group: (..., T, N) the group in which each person is at each step, -1 none; of one or more episodes.
+        capacity: (G,) people that each group is for.
+        warm_up: s, at the beginning of each episode, that do not count.
+    """
+    group = np.asarray(group)
+    group = group.reshape(-1, *group.shape[-2:])[:, round(warm_up / time_step) :]
+    capacity = np.asarray(capacity)
+    members = np.stack([(group == g).sum(-1) for g in range(len(capacity))], -1).reshape(-1, len(capacity))
+    return GroupOccupancy(
+        mean=members.mean(0) / capacity,
+        full=(members >= capacity).mean(0),
+        empty=(members == 0).mean(0),
+        largest=members.max(0),
+        stays=tuple(_stays(group == g) * time_step for g in range(len(capacity))),
+    )
+
+
+def _stays(inside: np.ndarray) -> np.ndarray:
+    """(K,) steps of each whole stay in (B, T, N); stays cut by the beginning or the end do not count."""
+    outside = np.zeros((len(inside), 1, inside.shape[-1]), bool)
+    padded = np.concatenate([outside, inside, outside], axis=1).swapaxes(1, 2)  # (B, N, T + 2)
+    change = np.diff(padded.astype(np.int8), axis=-1)
+    began, ended = np.nonzero(change == 1)[-1], np.nonzero(change == -1)[-1]  # in pairs, as people come in their order
+    complete = (began > 0) & (ended < inside.shape[1])
+    return (ended - began)[complete]

@@ -1,55 +1,53 @@
 """What ``sean validate`` shows: a line for each row, the gates, and a page with set-up, paths, curves and verdicts."""
 
 import dataclasses
-import html as markup
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from sean_jax import report
+import numpy as np
+
+from sean_jax import pages
 from sean_jax.config import ValidateConfig
+from sean_jax.drawing import colors
 from sean_jax.flags import command
-from sean_jax.studies.scenes import Model
-from sean_jax.studies.validation import figures
-from sean_jax.studies.validation.check import Check
-from sean_jax.studies.validation.results import FAILS, PASSES, SKIPPED, Row
-from sean_jax.studies.validation.suite import GATES, matches
+from sean_jax.recordings import Tracks
+from sean_jax.report.figures import svg
+from sean_jax.studies.scenes import Model, Scene
+from sean_jax.studies.validation.check import FAILS, PASSES, SKIPPED, Check, Curve, Row
+from sean_jax.studies.validation.checks import GATES, matches
 from sean_jax.versions import versions
 
-STYLE = (
-    "td,th{white-space:normal;text-align:left}td:nth-child(2){font-weight:400}"
-    "b.passes{color:#228833}b.fails{color:#cc3344}b.skipped{color:var(--muted)}b.partly{color:#aa7700}"
-)
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PATHS = 60  # of people who are drawn
+STRIDE = 5  # moments between two points of a path
+RADIUS = 0.2  # m, of the discs at the last moment that is drawn
+BORDER = 1.5  # m of floor around people
+NEAR = 3.0  # m from people within which corners of walls are shown
+WIDTH, TALLEST = 6.4, 6.4  # inches
 
 
 def line(row: Row, checks: Sequence[Check], models: Sequence[Model]) -> str:
-    """A row for the terminal.
-
-    Args:
-        models: likewise; a single one is not named.
-    """
+    """A row for the terminal; a single model is not named."""
     wide = max(len(check.name) for check in checks)
     who = f"{row.model:<{max(len(each.name) for each in models)}}  " if len(models) > 1 else ""
     return f"{row.check:<{wide}}  {who}{row.verdict:<7}  {row.reason or row.measured}"
 
 
 def gate_lines(rows: Sequence[Row], model: Model) -> list[str]:
-    """The gates for the terminal.
-
-    Returns:
-        A heading and a line for each gate of which something was checked; empty if there is none.
-    """
-    found = [(title, verdict, why) for title, _, verdict, why in gates(rows, model.name) if verdict != SKIPPED or why]
-    if not found:
+    """A heading and a line for each gate of which something was checked, for the terminal; or nothing."""
+    table = [(title, verdict, why) for title, _, verdict, why in gates(rows, model.name) if verdict != SKIPPED or why]
+    if not table:
         return []
-    wide = max(len(title) for title, *_ in found)
-    return [f"gates of {model.name}:"] + [f"  {title:<{wide}}  {verdict:<7}  {why}" for title, verdict, why in found]
+    wide = max(len(title) for title, *_ in table)
+    return [f"gates of {model.name}:"] + [f"  {title:<{wide}}  {verdict:<7}  {why}" for title, verdict, why in table]
 
 
 def gates(rows: Sequence[Row], model: str) -> list[tuple[str, str, str, str]]:
-    """What has become of each gate.
+    """Each gate's title, promise, verdict, and what was measured or which checks fail.
 
-    Returns:
-        For each gate its title, its promise, the verdict (passes, fails, partly if a part was skipped or left out, or
-        skipped), and what was measured or which checks fail.
+    The verdict is passes, fails, partly if a part was skipped or left out, or skipped.
     """
     of_model = {row.check: row for row in rows if row.model == model}
     table = []
@@ -76,16 +74,12 @@ def gates(rows: Sequence[Row], model: str) -> list[tuple[str, str, str, str]]:
 
 
 def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Row]) -> str:
-    """The table as docs/validation.md has it.
-
-    Returns:
-        A table of Markdown, and one of the gates of the first model.
-    """
-    found = {(row.check, row.model): row for row in rows}
+    """The table as docs/validation.md has it, and one of the gates of the first model."""
+    by_name = {(row.check, row.model): row for row in rows}
     names = [model.name for model in models]
     lines = ["| check | " + " | ".join(names) + " |", "|---" * (1 + len(names)) + "|"]
     for check in checks:
-        cells = (found[check.name, name] for name in names)
+        cells = (by_name[check.name, name] for name in names)
         texts = (f"{row.verdict}: {row.reason or row.measured}".replace("|", "/") for row in cells)
         lines.append(f"| {check.name} | " + " | ".join(texts) + " |")
     lines += ["", f"| gate | promise | {names[0]} |", "|---|---|---|"]
@@ -96,77 +90,129 @@ def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Ro
 
 def html(options: ValidateConfig, checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Row]) -> str:
     """The report."""
-    found = {(row.check, row.model): row for row in rows}
-    sections = [
-        _section("Verdicts", _verdicts(checks, models, found)),
-        _section(f"Gates of {markup.escape(models[0].name)}", _gates(rows, models[0].name)),
-        *(_section(markup.escape(f"{check.name} · {check.title}"), _check(check, models, found)) for check in checks),
-        _section(
-            "How to get this again", f"<pre>{markup.escape(command('validate', options))}</pre>" + _facts(versions())
-        ),
-    ]
-    return report.page("Validation of the people", "sean_jax · sean validate", sections, STYLE)
-
-
-def _section(title: str, body: str) -> str:
-    return f"<section><h2>{title}</h2>\n{body}</section>"
-
-
-def _facts(facts: dict[str, str]) -> str:
-    rows = (f"<dt>{markup.escape(name)}</dt><dd>{markup.escape(text)}</dd>" for name, text in facts.items())
-    return f"<dl>{''.join(rows)}</dl>"
-
-
-def _verdict(word: str) -> str:
-    return f"<b class={word}>{word}</b>"
-
-
-def _verdicts(checks: Sequence[Check], models: Sequence[Model], found: dict) -> str:
-    head = "".join(f"<th>{markup.escape(model.name)}</th>" for model in models)
-    body = []
+    by_name = {(row.check, row.model): row for row in rows}
+    verdicts = []
     for check in checks:
-        cells = ""
-        for model in models:
-            row = found[check.name, model.name]
-            cells += f"<td>{_verdict(row.verdict)}<small>{markup.escape(row.reason or row.measured)}</small></td>"
-        criterion = f"<td>{markup.escape(check.criterion)}</td>"
-        body.append(f"<tr><th>{check.name}<br><small>{markup.escape(check.title)}</small></th>{criterion}{cells}</tr>")
-    table = f"<table><thead><tr><th></th><th>criterion</th>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
-    return f"<div class=wide>{table}</div><p class=note>Nothing is tuned for a check.</p>"
-
-
-def _gates(rows: Sequence[Row], model: str) -> str:
-    body = "".join(
-        f"<tr><th>{markup.escape(title)}</th><td>{markup.escape(promise)}</td><td>{_verdict(verdict)}"
-        f"<small>{markup.escape(why)}</small></td></tr>"
-        for title, promise, verdict, why in gates(rows, model)
-    )
-    return f"<div class=wide><table><tbody>{body}</tbody></table></div>"
-
-
-def _check(check: Check, models: Sequence[Model], found: dict) -> str:
-    facts = {
-        "set-up": check.setup,
-        "measured": check.measure,
-        "passes if": check.criterion,
-        "source": check.source,
-    }
-    for model in models:
-        row = found[check.name, model.name]
-        facts[model.name] = f"{row.verdict}: {row.reason or row.measured}"
-    rows = [found[check.name, model.name] for model in models]
-    pictures = [
-        f"<figure>{picture}<figcaption>{markup.escape(f'{row.model}: {caption}')}</figcaption></figure>"
-        for row in rows
-        for caption, picture in row.pictures
+        cells = [
+            _verdict(row.verdict, row.reason or row.measured) for row in (by_name[check.name, m.name] for m in models)
+        ]
+        verdicts.append([pages.Cell(check.name, check.title), check.criterion, *cells])
+    promises = [
+        [title, promise, _verdict(verdict, why)] for title, promise, verdict, why in gates(rows, models[0].name)
     ]
+    head = ["", "criterion", *(model.name for model in models)]
+    sections = [
+        pages.section("Verdicts", pages.table(head, verdicts, "words"), pages.note("Nothing is tuned for a check.")),
+        pages.section(f"Gates of {models[0].name}", pages.table([], promises, "words")),
+        *(_check(check, [by_name[check.name, model.name] for model in models]) for check in checks),
+        pages.origin(command("validate", options), versions()),
+    ]
+    return pages.page("Validation of the people", "sean_jax · sean validate", sections)
+
+
+def _verdict(verdict: str, reason: str) -> pages.Cell:
+    return pages.Cell(verdict, reason, verdict)
+
+
+def _check(check: Check, rows: Sequence[Row]) -> str:
+    """The section of a check, with a row for each model."""
+    facts = {"set-up": check.setup, "measured": check.measure, "passes if": check.criterion, "source": check.source}
+    facts |= {row.model: f"{row.verdict}: {row.reason or row.measured}" for row in rows}
+    pictures = [pages.figure(picture, f"{row.model}: {caption}") for row in rows for caption, picture in row.pictures]
     curves = {}
     for row in rows:
+        several = len({one.name for one in row.curves if not one.reference}) > 1
         for curve in row.curves:
-            several = len({one.name for one in row.curves if not one.reference}) > 1
             name = curve.name if curve.reference else f"{row.model}: {curve.name}" if several else row.model
             curves[name, curve.reference] = dataclasses.replace(curve, name=name)
     if curves:
-        drawn = figures.svg(figures.plot(list(curves.values()), rows[0].axes), f"{check.name}-curves")
-        pictures.append(f"<figure>{drawn}</figure>")
-    return _facts(facts) + (f"<p></p><div class=grid>{''.join(pictures)}</div>" if pictures else "")
+        drawing = svg(plot(list(curves.values()), rows[0].axes), f"{check.name}-curves")
+        pictures.append(pages.figure(drawing))
+    parts = [pages.facts(facts), pages.grid(pictures)] if pictures else [pages.facts(facts)]
+    return pages.section(f"{check.name} · {check.title}", *parts)
+
+
+# ------------------------------------------------------------------ pictures
+
+
+def trajectories(scene: Scene, tracks: Tracks) -> "Figure":
+    """Walls, gates, the paths of some people, and everybody half way through the time."""
+    from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+    from matplotlib.figure import Figure
+
+    position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
+    seen = position[present]
+    lower, upper = (seen.min(0), seen.max(0)) if len(seen) else (np.zeros(2), np.ones(2))
+    boxes = np.asarray(scene.walls).reshape(-1, 5)
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * boxes[:, None, 2:4]
+    cosine, sine = np.cos(boxes[:, None, 4]), np.sin(boxes[:, None, 4])
+    x, y = corners[..., 0] * cosine - corners[..., 1] * sine, corners[..., 0] * sine + corners[..., 1] * cosine
+    corners = np.stack([x, y], -1) + boxes[:, None, :2]
+    near = corners[((corners > lower - NEAR) & (corners < upper + NEAR)).all(-1)]
+    lower, upper = lower - BORDER, upper + BORDER
+    lower, upper = np.min([lower, *near], axis=0), np.max([upper, *near], axis=0)
+    wide, tall = upper - lower
+    height = min(max(WIDTH * tall / wide, 0.8), TALLEST)
+    figure = Figure(figsize=(WIDTH, height), facecolor=colors.PAPER)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_xlim(lower[0], upper[0])
+    axes.set_ylim(lower[1], upper[1])
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    axes.add_collection(PolyCollection(list(corners), facecolors=colors.OBSTACLE))
+    gates = [gate for gate in scene.gates if np.abs(np.asarray(gate)).max() < 1e3]
+    axes.add_collection(LineCollection(gates, colors=colors.FLOW, linewidths=1.6, linestyles="dashed", zorder=2))
+    shown = np.linspace(0, present.shape[1] - 1, min(PATHS, present.shape[1])).astype(int)
+    for person in shown:
+        path = position[:, person].copy()
+        path[~present[:, person]] = np.nan
+        path = path[::STRIDE]
+        jump = np.linalg.norm(np.diff(path, axis=0, prepend=path[:1]), axis=1) > STRIDE  # around a period
+        path[jump] = np.nan
+        axes.plot(*path.T, color=colors.TRAIL, linewidth=0.9, alpha=0.7, zorder=3, rasterized=True)
+    there = present.any(1)
+    moment = int(np.flatnonzero(there)[there.sum() // 2]) if there.any() else 0
+    spots = position[moment][present[moment]]
+    size = np.full(len(spots), 2 * RADIUS)
+    discs = EllipseCollection(
+        size, size, np.zeros_like(size), units="xy", offsets=spots, offset_transform=axes.transData,
+        facecolors=colors.PERSON, edgecolors=colors.PERSON_EDGE, linewidths=0.6, zorder=4,
+    )  # fmt: skip
+    axes.add_collection(discs)
+    if scene.robot is not None:
+        place, velocity = (np.asarray(part) for part in scene.robot)
+        path = place + np.array([0.0, (len(position) - 1) * tracks.time_step])[:, None] * velocity
+        axes.plot(*path.T, color=colors.ROBOT, linewidth=2.0, zorder=5)
+    return figure
+
+
+def plot(curves: Sequence[Curve], axes: tuple[str, str]) -> "Figure":
+    """Curves of all models, and in grey reference curves, with the quantities and units of both axes."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, 3.6), layout="constrained", facecolor=colors.PAPER)
+    axis = figure.add_subplot()
+    names = list(dict.fromkeys(curve.name for curve in curves if not curve.reference))
+    shades = dict(zip(names, colors.policy_colors(names), strict=True))
+    for curve in curves:
+        color = colors.MUTED if curve.reference else shades[curve.name]
+        axis.plot(
+            curve.x,
+            curve.y,
+            color=color,
+            linestyle="none" if curve.points else "--" if curve.reference else "-",
+            marker="o" if curve.points or not curve.reference else "",
+            markersize=4,
+            linewidth=1.6,
+            label=curve.name,
+        )
+    axis.set_xlabel(axes[0], color=colors.MUTED)
+    axis.set_ylabel(axes[1], color=colors.MUTED)
+    axis.tick_params(colors=colors.MUTED)
+    axis.set_facecolor(colors.PAPER)
+    axis.grid(True, color="#e4e8ef", linewidth=0.8)
+    axis.set_axisbelow(True)
+    for side in ("top", "right"):
+        axis.spines[side].set_visible(False)
+    axis.legend(frameon=False)
+    return figure

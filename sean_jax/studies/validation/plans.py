@@ -1,6 +1,6 @@
-"""The scenes of the guidelines: corridors, a corner, cabins, rooms with doors, and who is in them.
+"""The scenes of the guidelines: corridors, a corner, cabins, rooms with doors, and their people.
 
-RiMEA, IMO, NIST and ISO share most of these. Dimensions are those of the guidelines.
+RiMEA, IMO, NIST and ISO share most of these, with these dimensions.
 """
 
 from collections.abc import Sequence
@@ -17,27 +17,14 @@ SECONDARY = 4, 5, 10, 11  # cabins whose people leave by the secondary exit: 5, 
 
 
 def one_walker(speed: float, begin: float = 0.0, length: float = 40.0) -> Scene:
-    """One person in a corridor 2 m wide.
-
-    Args:
-        speed: preferred [m/s].
-        begin: x of the start [m].
-        length: x of the end [m], where the person vanishes.
-    """
+    """One person of a preferred speed [m/s] in a corridor 2 m wide, from x = ``begin`` to ``length`` [m]."""
     gate = Gate((length, 2.0), (length, 0.0))
     people = walkers(np.array([[begin, 1.0]]), route=(0,), speed=speed)
     return Scene(walls=corridor(length, 2.0, 10.0), gates=(gate,), walkers=people, seconds=120.0)
 
 
 def ring(length: float, width: float, number: int, seconds: float, speed: float | None = None, seed: int = 0) -> Scene:
-    """A periodic corridor in which all walk the same way.
-
-    Args:
-        length: of the period [m].
-        width: m.
-        seconds: s.
-        speed: preferred [m/s]; drawn if None.
-    """
+    """A periodic corridor (length, width in m) in which all walk the same way; preferred speed [m/s] drawn if None."""
     start = spread((0.0, 0.22), (length, width - 0.22), number, seed)
     return Scene(
         walls=corridor(length, width, length / 2),
@@ -58,11 +45,7 @@ def reactions(seed: int = 0) -> Scene:
 
 
 def corner(seed: int = 0) -> Scene:
-    """Twenty people walk around a left-hand corner of a corridor 2 m wide.
-
-    Returns:
-        The scene; the block inside the corner is x from 0 to 10 and y from 2 to 12.
-    """
+    """Twenty people walk around a left-hand corner of a corridor 2 m wide, with x 0 to 10, y 2 to 12 m inside."""
     walls = np.concatenate(
         [box((-1.0, 2.0), (10.0, 12.0)), box((-1.0, -0.5), (12.0, 0.0)), box((12.0, -0.5), (12.5, 12.0))]
     )
@@ -72,14 +55,7 @@ def corner(seed: int = 0) -> Scene:
 
 
 def population(speed: np.ndarray) -> Scene:
-    """People who walk 40 m side by side, two metres apart, so that nobody hinders anybody.
-
-    Args:
-        speed: (N,) preferred [m/s].
-
-    Returns:
-        The scene, without walls.
-    """
+    """People of preferred speeds (N,) m/s who walk 40 m side by side, two metres apart, without walls."""
     number = len(speed)
     start = np.stack([np.zeros(number), 2.0 * np.arange(number)], 1)
     gate = Gate((40.0, 2.0 * number), (40.0, -2.0))
@@ -87,11 +63,7 @@ def population(speed: np.ndarray) -> Scene:
 
 
 def hall(number: int, doors: int, seed: int = 0) -> Scene:
-    """A hall of 30 by 20 m, full but for 2 m along the walls, whose people choose between its doors of 1 m.
-
-    Args:
-        doors: 4, or 2: those in the upper wall.
-    """
+    """A hall of 30 by 20 m with 4 doors of 1 m, or 2 in the upper wall; people start 2 m from the walls, and choose."""
     gates = tuple(Gate(*ends) for ends in EXITS[:doors])
     start = spread((2.0, 2.0), (28.0, 18.0), number, seed)
     middle = np.array([np.mean(gate, axis=0) for gate in gates])
@@ -112,11 +84,7 @@ def hall(number: int, doors: int, seed: int = 0) -> Scene:
 
 
 def two_exits(number: int, exits: Sequence[tuple[float, float]], seed: int = 0) -> Scene:
-    """A hall of 30 by 20 m with people on the left and two exits in the upper wall; all begin towards the first.
-
-    Args:
-        exits: ends of both on the x axis [m].
-    """
+    """A hall of 30 by 20 m, people on the left, two exits at x [m] in the upper wall; all begin towards the first."""
     gates = tuple(Gate((begin, 20.0), (end, 20.0)) for begin, end in exits)
     start = spread((1.0, 1.0), (13.0, 19.0), number, seed)
     return Scene(
@@ -129,11 +97,7 @@ def two_exits(number: int, exits: Sequence[tuple[float, float]], seed: int = 0) 
 
 
 def equal_exits(number: int, seed: int = 0) -> Scene:
-    """A room of 20 by 10 m with people in the middle and an exit of 1 m in each of the short walls.
-
-    Args:
-        number: of people, all of whom begin towards the left exit.
-    """
+    """A room of 20 by 10 m with people in the middle, exits of 1 m in both short walls; all begin towards the left."""
     gates = Gate((0.0, 4.5), (0.0, 5.5)), Gate((20.0, 5.5), (20.0, 4.5))
     start = spread((5.0, 1.0), (15.0, 9.0), number, seed)
     people = walkers(start, route=(0,), seed=seed)
@@ -143,11 +107,8 @@ def equal_exits(number: int, seed: int = 0) -> Scene:
 def cabins() -> Scene:
     """Twelve cabins of 3 by 5 m on both sides of a corridor 1.2 m wide, with 23 people.
 
-    Those of cabins 5, 6, 11 and 12 are to leave by the secondary exit at the right end, the others by the main one at
-    the left. Cabins 1 to 6 lie above the corridor and 7 to 12 below it, from left to right.
-
-    Returns:
-        The scene; gate 12 is the main exit and gate 13 the secondary one.
+    People of cabins 5, 6, 11 and 12 are to leave by the secondary exit (gate 13) at the right end, the others by the
+    main one (gate 12) at the left. Cabins 1 to 6 lie above the corridor and 7 to 12 below it, from left to right.
     """
     wide, deep, way, half = 3.0, 5.0, 1.2, 0.45
     long, top = 6 * wide, way + deep
@@ -172,13 +133,9 @@ def cabins() -> Scene:
 
 
 def two_rooms(passage: float, seed: int = 0) -> Scene:
-    """Two rooms of 10 by 10 m with a passage 5 m long between them, 150 people in the first, an exit of 1 m.
+    """Two rooms of 10 by 10 m, a passage of a width [m] 5 m long between them, 150 people in the first, an exit of 1 m.
 
-    Args:
-        passage: its width [m].
-
-    Returns:
-        The scene; gate 0 is the beginning of the passage, gate 1 its end, gate 2 the exit.
+    Gate 0 is the beginning of the passage, gate 1 its end, gate 2 the exit.
     """
     low, high = 5.0 - passage / 2, 5.0 + passage / 2
     first, last = Gate((10.0, high), (10.0, low)), Gate((15.0, high), (15.0, low))
@@ -198,8 +155,7 @@ def two_rooms(passage: float, seed: int = 0) -> Scene:
 def counterflow(against: int, seed: int = 0) -> Scene:
     """Two rooms of 10 by 10 m, a corridor of 10 by 2 m between them; 100 people go from the first to the second.
 
-    Returns:
-        The scene, with the 100 first; people vanish at the far walls. Gate 1 is the end of the corridor for the 100.
+    The 100 are the first people; all vanish at the far walls. Gate 1 is the end of the corridor for the 100.
     """
     gates = (
         Gate((10.0, 6.0), (10.0, 4.0)),
@@ -225,14 +181,7 @@ def counterflow(against: int, seed: int = 0) -> Scene:
 
 
 def full_room(door: float = 1.0, number: int = 100, seed: int = 0) -> Scene:
-    """A room of 8 by 5 m with a door in the middle of a 5 m wall.
-
-    Args:
-        door: its width [m].
-
-    Returns:
-        The scene, whose people vanish 0.7 m behind the door.
-    """
+    """A room of 8 by 5 m with a door (width in m) in the middle of a 5 m wall; people vanish 0.7 m behind it."""
     ends = (8.0, 2.5 + door / 2), (8.0, 2.5 - door / 2)
     start = spread((0.3, 0.3), (7.5, 4.7), number, seed)
     gate = Gate(*ends)
@@ -269,8 +218,7 @@ def wide_ways() -> dict[str, Scene]:
 def group() -> Scene:
     """Five people who walk together from one end of a corridor 4 m wide to the other: one at .5 m/s, four at 1.25.
 
-    Returns:
-        The scene, without walls: nothing but the group itself keeps it together.
+    The walls are far: only the group itself keeps it together.
     """
     start = np.stack([np.zeros(5), 0.8 * np.arange(5) + 0.4], 1)
     speed = np.array([1.25, 1.25, 0.5, 1.25, 1.25])

@@ -16,16 +16,15 @@ from sean_jax.files import listed
 from sean_jax.progress import progress
 from sean_jax.recordings import Tracks
 from sean_jax.studies.scenes import Scene
-from sean_jax.studies.validation import models_of
-from sean_jax.studies.validation.check import Laboratory, Skipped
+from sean_jax.studies.validation.check import CheckContext, Skipped, models_of
+from sean_jax.studies.validation.checks import CHECKS
 from sean_jax.studies.validation.results import RESULTS
-from sean_jax.studies.validation.suite import CHECKS
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 NEAR, BORDER = 3.0, 1.5  # m from people within which walls are shown; of floor around them
-HEIGHT = 2.0  # m, drawn as that of walls, which a plan does not tell
+HEIGHT = 2.0  # m, drawn as that of walls, which a plan does not have
 
 
 def write(options: ReplayConfig, console: "Console") -> Path:
@@ -52,33 +51,29 @@ def write(options: ReplayConfig, console: "Console") -> Path:
     for name in names:
         if name not in known:
             raise InputError(f"only: '{name}' is none of the tests in {folder}: {', '.join(known)}.")
-    made = flags.read(ValidateConfig, flags.parse("validate", ValidateConfig, words[2:]))
-    moved_by = models_of(made.models, folder / RESULTS)[0]
+    command_options = flags.read(ValidateConfig, flags.parse("validate", ValidateConfig, words[2:]))
+    model = models_of(command_options.models, folder / RESULTS)[0]
     players: list[tuple[str, dict[str, Any]]] = []
     with progress(console) as bar:
         for number, name in enumerate(names):
             bar.start(name, len(names))
-            laboratory = Laboratory(moved_by, made.data, made.quick)
+            context = CheckContext(model, command_options.data, command_options.quick)
             try:
-                CHECKS[name].function(laboratory)
+                CHECKS[name].function(context)
             except Skipped as error:
                 raise InputError(f"{name}: {error}") from None
-            bar.update(number + 1, laboratory.model.name)
-            if not laboratory.shown:
+            bar.update(number + 1, context.model.name)
+            if not context.pictures:
                 raise InputError(f"{name}: shows no scene, only figures; they are in {folder / 'report.html'}.")
             players += [
-                (f"{name} · {caption}", recording(scene, tracks)) for caption, scene, tracks in laboratory.shown
+                (f"{name} · {caption}", recording(scene, tracks)) for caption, scene, tracks in context.pictures
             ]
     writing.write(path, replay.html_of_several(players, folder.resolve().name))
     return path
 
 
 def recording(scene: Scene, tracks: Tracks) -> dict[str, Any]:
-    """What the page is given of a scene.
-
-    Returns:
-        As of ``replay.recording``; without a robot, unless the scene has one.
-    """
+    """A scene as ``replay.recording``; without a robot, unless the scene has one."""
     frames = trajectory(scene, tracks)
     episode = replay.Episode(frames, "scene")
     where = place(scene, frames)
@@ -86,11 +81,7 @@ def recording(scene: Scene, tracks: Tracks) -> dict[str, Any]:
 
 
 def trajectory(scene: Scene, tracks: Tracks) -> Trajectory:
-    """People of a scene as frames.
-
-    Returns:
-        (T, ...) frames. Whoever goes around a periodic scene is absent for a moment, as nobody walks back through it.
-    """
+    """People of a scene as frames (T, ...); whoever goes around a periodic scene is absent for a moment."""
     people, present = np.asarray(tracks.position, float), np.array(tracks.present)
     if scene.period is not None:
         around = np.abs(np.diff(people[..., 0], axis=0)) > scene.period / 2.0
@@ -119,11 +110,7 @@ def trajectory(scene: Scene, tracks: Tracks) -> Trajectory:
 
 
 def place(scene: Scene, frames: Trajectory) -> Environment:
-    """The floor around a scene's people, with the walls near them.
-
-    Args:
-        frames: (T, ...) of it.
-    """
+    """The floor around a scene's people, with the walls near them."""
     seen = np.asarray(frames.people)[np.asarray(frames.present)]
     if scene.robot is not None:
         seen = np.concatenate([seen, np.asarray(frames.position)])

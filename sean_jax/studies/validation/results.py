@@ -1,9 +1,8 @@
-"""Results of checks: done, kept one by one, and read again if nothing that decides them has changed."""
+"""Rows of checks, saved one by one, and loaded again if nothing that affects them has changed."""
 
 import dataclasses
 import functools
 import hashlib
-import json
 import math
 import re
 import time
@@ -13,72 +12,40 @@ from typing import Any
 
 from sean_jax import files, writing
 from sean_jax.config import ValidateConfig
-from sean_jax.errors import InputError
 from sean_jax.flags import command
+from sean_jax.report.figures import svg
 from sean_jax.studies.scenes import Model
-from sean_jax.studies.validation import figures
-from sean_jax.studies.validation.check import Check, Curve, Laboratory, Skipped
+from sean_jax.studies.validation import page
+from sean_jax.studies.validation.check import FAILS, PASSES, SKIPPED, Check, CheckContext, Curve, Row, Skipped
 from sean_jax.versions import fingerprint, versions
 
 RESULTS, PARTS = "results.json", "parts"
 OURS = {RESULTS, PARTS, "report.html", "table.md"}
-PASSES, FAILS, SKIPPED = "passes", "fails", "skipped"
 
 
-@dataclasses.dataclass(frozen=True)
-class Row:
-    """A check done for a model."""
-
-    check: str
-    model: str
-    verdict: str  # passes, fails or skipped
-    measured: str
-    reason: str
-    numbers: dict[str, float]
-    curves: tuple[Curve, ...]
-    axes: tuple[str, str]
-    pictures: tuple[tuple[str, str], ...]  # captions and SVG
-    seconds: float  # s that it took
-
-
-def find(check: Check, laboratory: Laboratory) -> Row:
+def do(check: Check, context: CheckContext) -> Row:
     """Do a check."""
     begin = time.monotonic()
     measured, reason, numbers, curves, axes = "", "", {}, (), ("", "")
     try:
-        finding = check.function(laboratory)
-        verdict, measured, reason = PASSES if finding.passed else FAILS, finding.measured, finding.reason
-        numbers, curves, axes = finding.numbers, finding.curves, finding.axes
+        result = check.function(context)
+        verdict, measured, reason = PASSES if result.passed else FAILS, result.measured, result.reason
+        numbers, curves, axes = result.numbers, result.curves, result.axes
     except Skipped as error:
         verdict, reason = SKIPPED, str(error)
     pictures = tuple(
-        (caption, figures.svg(figures.trajectories(scene, tracks), f"{check.name}-{laboratory.model.name}-{k}"))
-        for k, (caption, scene, tracks) in enumerate(laboratory.shown)
+        (caption, svg(page.trajectories(scene, tracks), f"{check.name}-{context.model.name}-{k}"))
+        for k, (caption, scene, tracks) in enumerate(context.pictures)
     )
     seconds = time.monotonic() - begin
-    return Row(check.name, laboratory.model.name, verdict, measured, reason, numbers, curves, axes, pictures, seconds)
+    return Row(check.name, context.model.name, verdict, measured, reason, numbers, curves, axes, pictures, seconds)
 
 
-def check_folder(folder: Path) -> None:
-    """Refuse a folder that holds something else.
-
-    Raises:
-        InputError: it is not empty and holds no results of this command.
-    """
-    found = set(writing.contents(folder)) if folder.is_dir() else set()
-    if found and not found <= OURS:
-        raise InputError(f"the folder {folder} holds something else already, choose another with --out.")
-
-
-def load(folder: Path, check: Check, moved_by: Model, options: ValidateConfig) -> Row | None:
-    """The row of an earlier run with the same code, versions and model.
-
-    Returns:
-        The row; None if there is none, if it was skipped, or if something has changed since.
-    """
+def load(folder: Path, check: Check, model: Model, options: ValidateConfig) -> Row | None:
+    """The row of an earlier run with the same code, versions and model; None without one, or if it was skipped."""
     try:
-        content = files.read_json(_part(folder, check, moved_by))
-        if content.pop("made_with") != _made_with(moved_by, options) or content["verdict"] == SKIPPED:
+        content = files.read_json(_part(folder, check, model))
+        if content.pop("made_with") != _made_with(model, options) or content["verdict"] == SKIPPED:
             return None
         content["curves"] = tuple(Curve(**curve) for curve in content["curves"])
         for name in ("axes", "pictures"):
@@ -88,11 +55,11 @@ def load(folder: Path, check: Check, moved_by: Model, options: ValidateConfig) -
         return None
 
 
-def save(folder: Path, check: Check, moved_by: Model, options: ValidateConfig, row: Row) -> None:
+def save(folder: Path, check: Check, model: Model, options: ValidateConfig, row: Row) -> None:
     """Keep a row."""
     (folder / PARTS).mkdir(exist_ok=True)
-    content = {"made_with": _made_with(moved_by, options), **_finite(dataclasses.asdict(row))}
-    writing.write(_part(folder, check, moved_by), json.dumps(content, indent=1, allow_nan=False) + "\n")
+    content = {"made_with": _made_with(model, options), **_finite(dataclasses.asdict(row))}
+    writing.write(_part(folder, check, model), content)
 
 
 def write(folder: Path, options: ValidateConfig, rows: Sequence[Row]) -> None:
@@ -100,20 +67,20 @@ def write(folder: Path, options: ValidateConfig, rows: Sequence[Row]) -> None:
     left_out = ("curves", "axes", "pictures")
     table = [{name: part for name, part in dataclasses.asdict(row).items() if name not in left_out} for row in rows]
     content = {"command": command("validate", options), "versions": versions(), "rows": _finite(table)}
-    writing.write(folder / RESULTS, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    writing.write(folder / RESULTS, content)
 
 
-def _part(folder: Path, check: Check, moved_by: Model) -> Path:
-    model = re.sub(r"[^\w.-]", "-", moved_by.name)  # a path, where a file of constants or of one's own moves people
+def _part(folder: Path, check: Check, model: Model) -> Path:
+    model = re.sub(r"[^\w.-]", "-", model.name)  # a path, where a file of constants or of one's own moves people
     return folder / PARTS / f"{check.name}--{model}.json"
 
 
-def _made_with(moved_by: Model, options: ValidateConfig) -> dict[str, Any]:
-    """All that decides a row."""
-    who = f"{getattr(moved_by.move, '__module__', '')}.{getattr(moved_by.move, '__qualname__', '')}"
-    terms = [f"{type(term).__module__}.{type(term).__name__}" for term in moved_by.forces]  # own ones have their digest
+def _made_with(model: Model, options: ValidateConfig) -> dict[str, Any]:
+    """All that affects a row."""
+    who = f"{getattr(model.move, '__module__', '')}.{getattr(model.move, '__qualname__', '')}"
+    terms = [f"{type(term).__module__}.{type(term).__name__}" for term in model.forces]  # own ones have their digest
     return {
-        "model": [who, *terms, fingerprint(moved_by.forces)],
+        "model": [who, *terms, fingerprint(model.forces)],
         "quick": options.quick,
         "data": None if options.data is None else str(options.data),
         "code": _code(),
@@ -125,13 +92,13 @@ def _made_with(moved_by: Model, options: ValidateConfig) -> dict[str, Any]:
 def _code() -> str:
     """A digest of the package's own modules."""
     digest = hashlib.sha256()
-    for file in sorted(Path(__file__).parent.parent.rglob("*.py")):
+    for file in sorted(Path(__file__).parents[2].rglob("*.py")):
         digest.update(files.read_bytes(file))
     return digest.hexdigest()[:16]
 
 
 def _finite(value: Any) -> Any:
-    """The same with plain numbers, and None for those that are not finite, which JSON does not have."""
+    """The same with plain numbers; None for numbers that are not finite, which JSON does not have."""
     if isinstance(value, dict):
         return {name: _finite(part) for name, part in value.items()}
     if isinstance(value, list | tuple):

@@ -1,0 +1,277 @@
+"""``sean replay``: simulate episodes of a run, a dataset or a training again, and write a page that plays them.
+
+An episode is drawn from a seed and its number, so any of them can be played. Alone, it may be rounded otherwise than in
+a batch; if it then ends at another time than in the folder, the page gives the cause that versions and fingerprints
+show.
+"""
+
+import functools
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.text import Text
+
+from sean_jax import assembly, files, flags, replay, writing
+from sean_jax.base import Array, Policy, Scenario, State, Trajectory
+from sean_jax.config import CollectConfig, ReplayConfig, RunConfig, validate
+from sean_jax.errors import InputError
+from sean_jax.evaluation import accumulate, results, saved
+from sean_jax.learning.collection import streams
+from sean_jax.learning.networks import CONFIG, read_method
+from sean_jax.learning.policy import disturbed, labelled, load_folder, load_policy, read_options
+from sean_jax.progress import progress
+from sean_jax.runner import Callbacks, Record, Runner
+from sean_jax.versions import fingerprint, version_mismatch
+
+MANIFEST = "dataset.json"
+CURE = "give a folder that `sean run`, `collect`, `train` or `validate` has written."
+
+
+@dataclass(frozen=True)
+class Source:
+    """The episodes of a folder; a ``Runner`` simulates them by number."""
+
+    scenarios: list[Scenario]
+    policy: Policy
+    use: str  # of the seed
+    seed: int
+    record: Record
+    number: Callable[[int], int]  # the user's number of an episode -> the number that draws it
+    turn: Callable[[int], int]  # the user's number of an episode -> index of its scenario
+    title: Callable[[int], str]
+    deviation: Callable[[int, int], str] = lambda number, steps: ""  # note if the folder has other than so many steps
+    changes: Sequence[str] = ()  # a sentence on each file that has changed
+
+
+def write(options: ReplayConfig, console: Console) -> Path:
+    """Simulate the episodes and write the page.
+
+    Raises:
+        InputError: the folder has no episodes, or none of that number.
+        FloatingPointError: a number is not finite.
+    """
+    folder, numbers = options.folder, list(dict.fromkeys(options.episodes))
+    if options.only is not None:
+        raise InputError(f"only: {folder} holds no tests of `sean validate`; name episodes with --episodes.")
+    readers = {"config.yaml": _of_run, MANIFEST: _of_dataset, CONFIG: _of_training}
+    file = next((name for name in readers if (folder / name).is_file()), None)
+    if file is None:
+        raise InputError(f"{folder}: holds no {', '.join(readers)}; {CURE}")
+    path = options.out or folder / "replay.html"
+    writing.check_file(path, (".html",))
+    with console.status("preparing the scenario"):
+        source = readers[file](folder, numbers)
+    for sentence in source.changes:
+        console.print(Text(sentence), soft_wrap=True)
+    shown = []
+    scenario = source.scenarios[source.turn(numbers[0])]
+    runner = Runner(source.scenarios, source.policy, 1, source.use, source.record)
+    with progress(console) as bar:
+        runner.compile(Callbacks(compiling=bar.stage))
+        bar.start("simulating", len(numbers) * scenario.time_limit)
+        for done, number in enumerate(numbers):
+
+            def advanced(seconds: float, _: float, done: int = done, number: int = number) -> None:
+                bar.update(done * scenario.time_limit + seconds, f"episode {number}")
+
+            index = np.full(runner.size, source.turn(number))
+            batch = runner.run(source.seed, source.number(number), 1, index, Callbacks(advanced=advanced))
+            (frames,) = accumulate.episode_frames(batch.rows, 1)
+            seconds = len(frames.active) * scenario.time_step
+            if len(frames.active) < batch.steps[0]:
+                outcome = f"ended in {seconds:.1f} s by a termination of the training"
+            else:
+                outcome = results.outcome(bool(batch.states.completed[0]), seconds)
+            outcome += source.deviation(number, len(frames.active))
+            shown.append(replay.Episode(frames, source.title(number), outcome))
+    content = replay.of_scenario(scenario, shown, folder.resolve().name)
+    writing.write(path, replay.html(content))
+    return path
+
+
+def _check(numbers: list[int], count: int, folder: Path) -> None:
+    for number in numbers:
+        if number >= count:
+            raise InputError(f"episodes: {number} is none of the {count} of {folder}; they begin at 0.")
+
+
+def _title(number: int, name: str) -> str:
+    return f"episode {number} · {name.replace('_', ' ')}"
+
+
+# ------------------------------------------------------------------ a run
+
+
+def _of_run(folder: Path, numbers: list[int]) -> Source:
+    """The episodes of ``sean run``, from its config.yaml."""
+    path = folder / "config.yaml"
+    before = saved.read_config(path)
+    config = validate(RunConfig, before.description, source=path)
+    _check(numbers, config.episodes, folder)
+    scenarios = assembly.build(config)
+    policy = load_policy(config.policy, scenarios[0])
+    ended, step = _ended(folder / "episodes.csv"), scenarios[0].time_step
+    cause = _cause(before.versions, before.fingerprint, fingerprint(scenarios[0], policy.params))
+
+    def turn(number: int) -> int:
+        return number % len(scenarios)
+
+    def deviation(number: int, steps: int) -> str:
+        if number not in ended or abs(ended[number] - steps * step) <= 0.5 * step:
+            return ""
+        return f" ({ended[number]:.1f} s in the run: {cause})"
+
+    return Source(
+        scenarios=scenarios,
+        policy=policy,
+        use="run",
+        seed=config.seed,
+        record=accumulate.record(scenarios[0], 1),
+        number=lambda number: number,
+        turn=turn,
+        title=lambda number: _title(number, scenarios[turn(number)].task_name),
+        deviation=deviation,
+        changes=before.changes,
+    )
+
+
+def _cause(versions: Any, then: str, now: str) -> str:
+    """Why an episode differs, by the versions and the fingerprints of scenario and policy then and now."""
+    if (other := version_mismatch(versions)) is not None:
+        return f"it was made with {other}"
+    if not then:
+        return "the folder has no fingerprint of its scenario"
+    return "its rounding differs" if then == now else "its scenario or its policy was another"
+
+
+def _ended(path: Path) -> dict[int, float]:
+    """Episode -> s, of the finished episodes."""
+    try:
+        return dict(enumerate(saved.read_episodes(path)[1]["seconds"].tolist()))
+    except InputError:
+        return {}
+
+
+# ------------------------------------------------------------------ a dataset
+
+
+def _of_dataset(folder: Path, numbers: list[int]) -> Source:
+    """The episodes of ``sean collect``, from its manifest; they count through all shards."""
+    from sean_jax.learning.dataset import open_dataset  # which needs the extra "learning"
+
+    data = open_dataset(folder)
+    manifest, size, config = data.manifest, data.batch, data.description()
+    _check(numbers, size * len(manifest["shards"]), folder)
+    parts = streams(config)
+    names, scenarios = list(parts), list(parts.values())
+    policy = load_policy(config.policy, scenarios[0])
+    if config.noise is not None:
+        policy = disturbed(policy, config.noise)
+    if config.labels is not None:
+        policy = labelled(policy, load_policy(config.labels, scenarios[0], "labels"))
+    now = fingerprint(scenarios[0], [scenario.behavior for scenario in scenarios], policy.params)
+    cause = _cause(manifest.get("versions"), manifest.get("content", ""), now)
+    every = round(1.0 / scenarios[0].time_step) // config.rate
+
+    def turn(number: int) -> int:
+        return manifest["shards"][number // size]["stream"]
+
+    def deviation(number: int, steps: int) -> str:
+        rows = manifest["shards"][number // size]["lengths"][number % size]
+        if rows == -(-steps // every):
+            return ""
+        return f" ({rows / config.rate:.0f} s in the dataset: {cause})"
+
+    return Source(
+        scenarios=scenarios,
+        policy=policy,
+        use="collect",
+        seed=config.seed,
+        record=accumulate.record(scenarios[0], 1),
+        number=lambda number: number,
+        turn=turn,
+        title=lambda number: _title(number, names[turn(number)]),
+        deviation=deviation,
+    )
+
+
+# ------------------------------------------------------------------ a training
+
+
+def _of_training(folder: Path, numbers: list[int]) -> Source:
+    """The evaluation episodes of a training, with its best network or agent as the policy."""
+    if read_method(folder) in ("imitation", "dagger"):
+        return _of_imitation(folder)
+    from sean_jax.learning import reinforcement  # which needs the extra "learning"
+
+    options = read_options(folder)
+    scenarios, envs, _ = reinforcement.build(options)
+    turns = {number % len(envs) for number in numbers}
+    if len(turns) > 1:
+        names = " and ".join(scenarios[each].environment.name for each in sorted(turns))
+        raise InputError(
+            f"episodes: they take turns in {len(envs)} environments, and those are in {names}; ask for one's."
+        )
+    place = turns.pop()
+    scenario, mdp_env = scenarios[place], envs[place]
+    record = accumulate.record(scenario, 1)
+    return Source(
+        scenarios=[scenario],
+        policy=load_folder(folder, scenario),
+        use="evaluation",  # whose i-th key of a split is that of a number
+        seed=options.seed,
+        record=_until_terminated(record, mdp_env.ends) if mdp_env.terminations else record,
+        number=lambda number: number // len(envs),
+        turn=lambda number: 0,
+        title=lambda number: _title(number, scenario.task_name),
+    )
+
+
+def _of_imitation(folder: Path) -> Source:
+    """Other episodes of the scenarios of a network's demonstrations; such a network is evaluated by examples."""
+    content = files.read_json(folder / CONFIG)
+    dataset = content.get("dataset", {}) if isinstance(content, dict) else {}
+    words = shlex.split(str(dataset.get("command", "")))
+    if words[:2] != ["sean", "collect"]:
+        raise InputError(
+            f"{folder / CONFIG}: its demonstrations were not made by `sean collect`; use `sean run` for it."
+        )
+    config = flags.read(CollectConfig, flags.parse("collect", CollectConfig, words[2:]))
+    config = validate(CollectConfig, config.model_dump(mode="json"), source=folder / CONFIG)
+    parts = streams(config)
+    names, scenarios = list(parts), list(parts.values())
+    return Source(
+        scenarios=scenarios,
+        policy=load_folder(folder, scenarios[0]),
+        use="evaluation",
+        seed=config.seed,
+        record=accumulate.record(scenarios[0], 1),
+        number=lambda number: number,
+        turn=lambda number: number % len(scenarios),
+        title=lambda number: _title(number, names[number % len(names)]),
+    )
+
+
+def _until_terminated(record: Record, ends: Callable) -> Record:
+    """A record whose frames are active until a termination of the training ends the episode."""
+
+    def init(scenario: Scenario, states: State) -> tuple[Any, Array]:
+        return record.init(scenario, states), jnp.zeros(states.tick.shape, bool)
+
+    def update(
+        scenario: Scenario, before: State, after: State, actions: Array, active: Array, total: tuple
+    ) -> tuple[tuple, Trajectory]:
+        inner, done = total
+        ended = jax.vmap(functools.partial(ends, scenario))(before, after)
+        inner, frames = record.update(scenario, before, after, actions, active, inner)
+        frames = frames.replace(active=frames.active & ~done[: frames.active.shape[0]])
+        return (inner, done | jnp.stack(ended).any(0)), frames
+
+    return Record(init, update)

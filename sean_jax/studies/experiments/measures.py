@@ -1,0 +1,320 @@
+"""The numbers of Figure 4 and of the learning curve (section V-C): measures with intervals, and claims about them."""
+
+import dataclasses
+import functools
+import itertools
+import math
+from typing import ClassVar, TypedDict
+
+import numpy as np
+
+from sean_jax.flags import number
+from sean_jax.metrics import Estimate, aggregate, aggregate_ratio
+from sean_jax.metrics.bootstrap import hierarchical_resamples, of_share, with_estimate
+from sean_jax.studies.experiments import shares
+from sean_jax.studies.experiments.shares import BEHAVIORS
+
+INTIMATE = "intimate_robot_on_person", "intimate_person_on_robot"
+METRIC_NAMES = (
+    "completed", "seconds", "time_not_moving", *INTIMATE, "collision_robot_on_person", "collision_person_on_robot",
+)  # fmt: skip
+MEASURES = {
+    "completed": "completed tasks",
+    "time_not_moving": "time not moving, s",
+    "violations": "intimate distance violations",
+    "collisions": "collisions with people",
+}
+"""Measure -> its title."""
+
+Columns = dict[str, list]  # metric -> E values, or E lists of them
+LEARNED = {"G": "graph", "R": "random", "H": "handcrafted"}
+BALANCED, NAVIGATION, DEMONSTRATOR = "B", "N", "E"
+FOUR = (*LEARNED, NAVIGATION)  # of the paper
+
+
+def episode_measures(columns: Columns) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """The ``MEASURES`` (E,) of episodes, and the violations (E, S) in each situation.
+
+    Violations and collisions are those of the robot and of people together.
+    """
+    values = {name: np.asarray(value, float) for name, value in columns.items()}
+    violations = values[INTIMATE[0]] + values[INTIMATE[1]]
+    collisions = values["collision_robot_on_person"] + values["collision_person_on_robot"]
+    waiting = values["time_not_moving"]
+    return {
+        "completed": values["completed"],
+        "time_not_moving": waiting[:, 0] if waiting.ndim == 2 else waiting,
+        "violations": violations[:, 0],
+        "collisions": collisions[:, 0] if collisions.ndim == 2 else collisions,
+    }, violations[:, 1:]
+
+
+class Training(TypedDict):
+    """A network's training, as trained-NAME.json has it, or the means over those of a policy."""
+
+    examples: float
+    entropy: float  # of the situations in the examples, from 0 to 1
+    epochs: float
+    best_epoch: float
+    loss: float  # in validation, of the best epoch
+    seconds: float
+
+
+class Claim(TypedDict):
+    """A statement of the paper, tested."""
+
+    statement: str
+    paper: str  # the paper's numbers
+    ours: str
+    holds: bool
+    share: float  # of the resamples in which it holds
+
+
+@dataclasses.dataclass
+class Results:
+    """Measures of every policy in every scenario. All intervals use the same resamples of the numbered episodes.
+
+    Episodes are in the order of the datasets, seeds of training and numbers; N and E, which are not trained, drive the
+    same episodes. A resample draws datasets, with all networks and episodes of each; or seeds, if there is one dataset.
+    """
+
+    MEASURES: ClassVar[dict[str, str]] = MEASURES
+    policies: tuple[str, ...]
+    sizes: tuple[int, int, int]  # datasets of each behavior, trainings on each, episodes of each network
+    values: dict[str, dict[str, dict[str, np.ndarray]]]  # policy -> behavior -> measure -> (E,)
+    situations: dict[str, dict[str, np.ndarray]]  # policy -> behavior -> (E, 5) violations in each situation
+    training: dict[str, Training]
+    claims: list[Claim] = dataclasses.field(default_factory=list)
+
+    @functools.cached_property
+    def resamples(self) -> np.ndarray:
+        """(R, E) number of times that each episode is in each resample."""
+        return hierarchical_resamples(self.sizes)
+
+    @property
+    def episodes(self) -> int:
+        """Episodes of each policy in each scenario."""
+        return math.prod(self.sizes)
+
+    @functools.cached_property
+    def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:
+        """policy -> behavior -> measure -> mean with interval; of completed tasks the number."""
+        return {p: {b: self._estimates(each) for b, each in by.items()} for p, by in self.values.items()}
+
+    @functools.cached_property
+    def means(self) -> dict[str, dict[str, Estimate]]:
+        """policy -> measure -> over the three scenarios."""
+        return {policy: self._estimates(over_behaviors(by)) for policy, by in self.values.items()}
+
+    @functools.cached_property
+    def more(self) -> dict[str, dict[str, Estimate]]:
+        """behavior, or mean -> measure -> difference of the balanced policy and G, in the same episodes."""
+        ours, theirs = ({**by, "mean": over_behaviors(by)} for by in (self.values[BALANCED], self.values["G"]))
+        return {b: self._estimates({name: ours[b][name] - theirs[b][name] for name in ours[b]}) for b in ours}
+
+    @functools.cached_property
+    def harm(self) -> dict[str, Estimate]:
+        """behavior -> violations, the mean over the paper's four policies."""
+        return {b: self._estimate(np.mean([self.values[p][b]["violations"] for p in FOUR], 0)) for b in BEHAVIORS}
+
+    @functools.cached_property
+    def waiting(self) -> dict[str, dict[str, Estimate]]:
+        """policy -> behavior -> time not moving [s] in completed episodes; ``episodes`` is 0 if there are none."""
+        return {
+            p: {b: self._of_completed(each["time_not_moving"], each["completed"]) for b, each in by.items()}
+            for p, by in self.values.items()
+        }
+
+    @functools.cached_property
+    def by_situation(self) -> dict[str, dict[str, Estimate]]:
+        """policy -> behavior -> (5,) violations per episode."""
+        return {p: {b: self._estimate(each) for b, each in by.items()} for p, by in self.situations.items()}
+
+    @functools.cached_property
+    def balancing(self) -> dict[str, Estimate]:
+        """behavior -> (5,) difference of violations per episode of the balanced policy and G, in the same episodes."""
+        return {b: self._estimate(self.situations[BALANCED][b] - self.situations["G"][b]) for b in BEHAVIORS}
+
+    def _estimates(self, values: dict[str, np.ndarray]) -> dict[str, Estimate]:
+        each = {name: self._estimate(value) for name, value in values.items()}
+        return each | {"completed": _scaled(of_share(each["completed"]), self.episodes)}
+
+    def _of_completed(self, values: np.ndarray, completed: np.ndarray) -> Estimate:
+        return aggregate_ratio(values * completed, completed, weights=self.resamples)
+
+    def _estimate(self, values: np.ndarray) -> Estimate:
+        return aggregate(values, weights=self.resamples)
+
+
+def over_behaviors(by_behavior: dict[str, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """measure -> mean (E,) over the three scenarios, episode by episode, from behavior -> measure -> (E,)."""
+    return {name: np.mean([by_behavior[b][name] for b in BEHAVIORS], 0) for name in by_behavior[BEHAVIORS[0]]}
+
+
+def _scaled(estimate: Estimate, by: float) -> Estimate:
+    return estimate._replace(mean=estimate.mean * by, low=estimate.low * by, high=estimate.high * by)
+
+
+def claims(results: Results) -> list[Claim]:
+    """Test the paper's statements about its figure. Source: section V-C, Figure 4."""
+    weights = with_estimate(results.resamples)
+
+    def of(policy: str, behavior: str, name: str) -> np.ndarray:
+        return weights @ results.values[policy][behavior][name]
+
+    wait = {p: np.mean([of(p, b, "time_not_moving") for b in BEHAVIORS], 0) for p in results.policies}
+    harm = {b: np.mean([of(p, b, "violations") for p in FOUR], 0) for b in BEHAVIORS}
+    done = {p: results.episodes * np.mean([of(p, b, "completed") for b in BEHAVIORS], 0) for p in results.policies}
+    paths = np.mean([weights @ results.situations[p]["graph"][:, :2].sum(1) for p in FOUR], 0)
+    paths = paths / np.maximum(harm["graph"], 1e-9)
+    worst = int(results.by_situation["G"]["graph"].mean.argmax())
+    worse, mended = (weights @ results.situations[p]["graph"][:, worst] for p in ("G", BALANCED))
+    less = 1 - of("G", "graph", "time_not_moving") / np.maximum(of("H", "graph", "time_not_moving"), 1e-9)
+    statements: list[tuple] = [
+        ("N stands longest, s", "28.7 against 11 to 22", _listed(wait),
+         wait["N"] > np.max([wait[p] for p in LEARNED], 0)),
+        ("G stands less than R, s", "11 < 16.3", f"{wait['G'][0]:.1f}, {wait['R'][0]:.1f}", wait["G"] < wait["R"]),
+        ("R stands less than H, s", "16.3 < 22", f"{wait['R'][0]:.1f}, {wait['H'][0]:.1f}", wait["R"] < wait["H"]),
+        ("in graph, G stands less than H by half", "-55 %", _percent(-less), less >= 0.5),
+        ("violations: graph at least random", "2.5, 1.9", f"{harm['graph'][0]:.2f}, {harm['random'][0]:.2f}",
+         harm["graph"] >= harm["random"]),
+        ("violations: random above handcrafted", "1.9, 1.0", f"{harm['random'][0]:.2f}, {harm['handcrafted'][0]:.2f}",
+         harm["random"] > harm["handcrafted"]),
+        ("violations in graph are mostly in cross or down path", "mainly", f"{100 * paths[0]:.0f} %", paths > 0.5),
+        ("G and H complete equally many, within 5 %", "112.7, 112.7", f"{done['G'][0]:.1f}, {done['H'][0]:.1f}",
+         np.abs(done["G"] - done["H"]) <= 0.05 * results.episodes),
+        ("the learned complete 80 % of what the demonstrator does", "not reported", _listed(done),
+         np.min([done[p] for p in LEARNED], 0) >= 0.8 * done[DEMONSTRATOR]),
+        ("balanced examples lower the violations in G's worst situation", "suggested",
+         f"{shares.NAMES[worst].replace('_', ' ')}: {worse[0]:.2f} to {mended[0]:.2f}", mended < worse),
+    ]  # fmt: skip
+    return [
+        {"statement": words, "paper": paper, "ours": ours, "holds": bool(holds[0]), "share": float(holds[1:].mean())}
+        for words, paper, ours, holds in statements
+    ]
+
+
+def _percent(values: np.ndarray) -> str:
+    low, high = shares.interval(values)
+    return f"{100 * values[0]:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def _listed(values: dict[str, np.ndarray]) -> str:
+    return ", ".join(f"{name} {each[0]:.1f}" for name, each in values.items())
+
+
+# ------------------------------------------------------------------ the learning curve
+
+MEAN = "mean"  # over the three scenarios
+BETTER = {"completed": 1.0, "time_not_moving": -1.0, "violations": -1.0}  # the sign of an improvement
+CURVE_MEASURES = {**MEASURES, "completed": "completed tasks, %"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Variant:
+    """The demonstrations of networks, and whether the situations are an input."""
+
+    hours: float
+    rate: int = 1  # examples a second
+    flags: bool = False
+
+    @property
+    def data(self) -> str:
+        """A name of the demonstrations."""
+        return f"{number(self.hours)}h" + (f"-{self.rate}hz" if self.rate != 1 else "")
+
+    @property
+    def name(self) -> str:
+        """A name for files."""
+        return self.data + ("-flags" if self.flags else "")
+
+    @property
+    def title(self) -> str:
+        """A name for people."""
+        more = (f" at {self.rate} Hz" if self.rate != 1 else "") + (" with flags" if self.flags else "")
+        return f"{number(self.hours)} h{more}"
+
+    @property
+    def examples(self) -> float:
+        """Their number, not counting the excess of the last episodes."""
+        return 3600.0 * self.hours * self.rate
+
+
+class Verdict(TypedDict):
+    """Whether one variant is better than another, over the three scenarios."""
+
+    variant: str
+    other: str
+    measure: str
+    difference: Estimate
+    holds: bool
+    share: float  # of the resamples in which it holds
+
+
+@dataclasses.dataclass
+class Curve:
+    """Measures of every variant in every scenario. All intervals use the same resamples of the numbered episodes.
+
+    A resample draws datasets, with all networks and episodes of each, as in Figure 4.
+    """
+
+    variants: tuple[Variant, ...]
+    sizes: tuple[int, int, int]  # datasets, trainings on each, episodes of each network
+    values: dict[str, dict[str, dict[str, np.ndarray]]]  # variant -> behavior -> measure -> (E,), of completed percent
+    training: dict[str, Training]
+
+    def __post_init__(self) -> None:
+        """Add the means over the scenarios."""
+        self.values = {name: {**by, MEAN: over_behaviors(by)} for name, by in self.values.items()}
+
+    @functools.cached_property
+    def resamples(self) -> np.ndarray:
+        """(R, E) number of times that each episode is in each resample."""
+        return hierarchical_resamples(self.sizes)
+
+    @functools.cached_property
+    def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:
+        """variant -> behavior or mean -> measure -> estimate."""
+        return {
+            name: {
+                b: {m: aggregate(value, weights=self.resamples) for m, value in each.items()} for b, each in by.items()
+            }
+            for name, by in self.values.items()
+        }
+
+    def differences(self, one: Variant, other: Variant) -> dict[str, dict[str, Estimate]]:
+        """behavior or mean -> measure -> difference ``one - other`` in the same episodes."""
+        ours, theirs = self.values[one.name], self.values[other.name]
+        return {b: {m: aggregate(ours[b][m] - theirs[b][m], weights=self.resamples) for m in ours[b]} for b in ours}
+
+    @functools.cached_property
+    def verdicts(self) -> list[Verdict]:
+        """Whether each comparison is for the better."""
+        weights, verdicts = with_estimate(self.resamples), list[Verdict]()
+        for one, other in comparisons(self.variants):
+            differences = self.differences(one, other)[MEAN]
+            for measure, sign in BETTER.items():
+                both = (self.values[each.name][MEAN][measure] for each in (one, other))
+                better = sign * (weights @ np.subtract(*both)) > 0.0
+                verdicts.append({
+                    "variant": one.title, "other": other.title, "measure": measure, "difference": differences[measure],
+                    "holds": bool(better[0]), "share": float(better[1:].mean()),
+                })  # fmt: skip
+        return verdicts
+
+
+def comparisons(variants: tuple[Variant, ...]) -> list[tuple[Variant, Variant]]:
+    """The pairs of variants that are compared.
+
+    These are each amount and the next smaller one; other rates and flags and the variant without them; and a rate and
+    the amount at one example a second with as many examples, if there is one.
+    """
+    plain = [each for each in variants if each.rate == 1 and not each.flags]
+    pairs = [(more, less) for less, more in itertools.pairwise(plain)]
+    for each in variants:
+        if each not in plain:
+            pairs.append((each, Variant(each.hours)))
+            pairs += [
+                (each, as_many) for as_many in plain if each.rate > 1 and math.isclose(as_many.examples, each.examples)
+            ]
+    return pairs

@@ -1,0 +1,371 @@
+"""Checks of individuals: pairs of people, a robot that does not react, conversational groups, and prediction.
+
+[V17] C. Vassallo et al., Gait & Posture 51, 97 (2017): people pass a robot that crosses their way at 0.83 ± 0.27 m.
+[G18] A. Gupta et al., "Social GAN", CVPR 2018: windows, errors. [S20] C. Schoeller et al., IEEE RA-L 5(2), 2020:
+constant velocity.
+"""
+
+import itertools
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax import assembly, environment, prng, social_forces
+from sean_jax.base import Array, Scenario
+from sean_jax.behaviors.graph_choices import MAX_WAIT
+from sean_jax.recordings import Tracks
+from sean_jax.robots import load
+from sean_jax.scenario import reset
+from sean_jax.social_forces import Forces, move, preset
+from sean_jax.studies.prediction import HABITS, Scores, evaluate, read_windows
+from sean_jax.studies.scenes import Gate, Moving, Scene, join, spread, walkers
+from sean_jax.studies.scenes.simulation import advance
+from sean_jax.studies.validation.check import CheckContext, CheckResult, Curve, Skipped, result
+from sean_jax.studies.validation.measures import GroupOccupancy, group_occupancy, separation
+from sean_jax.versions import fingerprint
+
+BEFORE = 4.0  # s, after which two would be nearest if they went straight on
+SPEEDS = (1.34, 1.34), (0.9, 1.7), (1.55, 1.2)  # m/s
+OFFSETS = 0.0, 0.02, 0.1, -0.1, 0.2, 0.3, -0.3  # m, at which they would then pass
+ANGLES = 45.0, 60.0, 90.0, 120.0, 135.0  # degrees between crossing ways
+TOLERANCE = 1e-3  # m, of bodies that touch
+ROBOT_SPEED = 1.0  # m/s
+MISS = 0.6  # m, within which person and robot would pass
+CLEARANCE = 0.83, 0.27  # m [V17]
+TOUCHED = 0.05
+STREAM, STREAM_DENSITY = (16.0, 5.0), 0.35  # m along and across, 1/m2
+NO_WALLS = np.zeros((0, 5))
+FAR = 1e4  # m
+
+
+def two(angle: float, offset: float, speeds: tuple[float, float]) -> Scene:
+    """Two people who would pass each other at an offset [m], positive on the right; the angle [rad] of their ways.
+
+    Speeds are in m/s. The scene has no walls, and lasts twice as long as it takes them to meet.
+    """
+    ways = np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)]])
+    drift = speeds[0] * ways[0] - speeds[1] * ways[1]
+    aside = np.array([drift[1], -drift[0]]) / np.hypot(*drift)
+    start = -BEFORE * np.array(speeds)[:, None] * ways + 0.5 * offset * np.array([aside, -aside])
+    both = [walkers(start[k : k + 1], route=(k,), speed=speeds[k], velocity=tuple(speeds[k] * ways[k])) for k in (0, 1)]
+    return Scene(NO_WALLS, join(*both), tuple(_far(way) for way in ways), 2.0 * BEFORE + 2.0)
+
+
+def _far(way: np.ndarray) -> Gate:
+    """A gate so far away and so wide that people walk straight on to it."""
+    middle, left = FAR * way, FAR * np.array([-way[1], way[0]])
+    return Gate(tuple(middle + left), tuple(middle - left))
+
+
+def pairs(context: CheckContext, angles: tuple[float, ...], name: str) -> CheckResult:
+    """Whether the bodies of two people ever overlap, at some angles between their ways [degrees]."""
+    cases = list(itertools.product(angles, OFFSETS, SPEEDS))
+    scenes = [two(np.deg2rad(angle), offset, speeds) for angle, offset, speeds in cases]
+    shown = {(angle, OFFSETS[1], SPEEDS[0]): f"{name}, {angle:g} degrees" for angle in angles}
+    recorded = context.simulate(scenes, [shown.get(case, "") for case in cases])
+    bodies = 2.0 * float(context.model.forces.walking.radius)
+    positions = [np.asarray(tracks.position) for tracks in recorded]
+    gap = np.array([separation(each[:, 0], each[:, 1]) for each in positions]) - bodies
+    late = np.array([_lost(scene, tracks) for scene, tracks in zip(scenes, recorded, strict=True)])
+    worst = int(gap.argmin())
+    by_angle = gap.reshape(len(angles), -1).min(1)
+    angle, offset, speeds = cases[worst]
+    return result(
+        bool((gap >= -TOLERANCE).all()),
+        f"least gap of bodies {100 * gap[worst]:.0f} cm (at {angle:g} degrees, {offset:g} m aside, {speeds[0]:g} and "
+        f"{speeds[1]:g} m/s); at most {late.max():.1f} s lost",
+        "bodies never overlap",
+        numbers={"gap": float(gap.min()), "lost": float(late.max()), "overlapping": float((gap < -TOLERANCE).mean())},
+        curves=(
+            Curve("model", angles, tuple(by_angle), points=len(angles) == 1),
+            Curve("bodies touch", (min(angles) - 5.0, max(angles) + 5.0), (0.0, 0.0), reference=True),
+        ),
+        axes=("angle between the ways [degrees]", "least gap of bodies [m]"),
+    )
+
+
+def _lost(scene: Scene, tracks: Tracks) -> float:
+    """By how many seconds the later of two is late at the end."""
+    position, speed = np.asarray(tracks.position), np.asarray(scene.walkers.preferred_speed)
+    way = np.asarray(scene.walkers.velocity) / speed[:, None]
+    gone = ((position[-1] - position[0]) * way).sum(-1)
+    return float((tracks.time_step * (len(position) - 1) - gone / speed).max())
+
+
+def head_on(context: CheckContext) -> CheckResult:
+    """Two people who meet head-on."""
+    return pairs(context, (180.0,), "head-on")
+
+
+def crossing(context: CheckContext) -> CheckResult:
+    """Two people whose ways cross."""
+    return pairs(context, (60.0, 90.0, 120.0) if context.quick else ANGLES, "crossing")
+
+
+def passing_scenes(number: int, seed: int = 0) -> list[Scene]:
+    """Encounters of a person with a robot that crosses their way at a right angle, from the right, and does not react.
+
+    Drawn: the speed of the person from N(1.34, 0.26) m/s, and by how much the two would miss each other.
+    """
+    random = np.random.default_rng([seed, 29])
+    scenes = []
+    for k in range(number):
+        speed = float(np.clip(random.normal(1.34, 0.26), 0.5, 2.2))
+        drift = np.array([speed, -ROBOT_SPEED])
+        aside = np.array([-drift[1], drift[0]]) / np.hypot(*drift)
+        start = np.array([-BEFORE * speed, 0.0]) + random.uniform(-MISS, MISS) * aside
+        person = walkers(start[None], route=(0,), speed=speed, velocity=(speed, 0.0))
+        robot = (0.0, -BEFORE * ROBOT_SPEED), (0.0, ROBOT_SPEED)
+        scenes.append(Scene(NO_WALLS, person, (_far(np.array([1.0, 0.0])),), 2.0 * BEFORE, robot=robot, seed=k))
+    return scenes
+
+
+def passing_a_robot(context: CheckContext) -> CheckResult:
+    """How far a person keeps from a robot that crosses their way and does not react, and how often it touches them."""
+    scenes = passing_scenes(64 if context.quick else 256)
+    recorded = context.simulate(scenes, [f"encounter {k + 1}" for k in range(3)] + [""] * (len(scenes) - 3))
+    nearest = [_nearest(scene, tracks)[0] for scene, tracks in zip(scenes, recorded, strict=True)]
+    return _clearance(context, np.array(nearest))
+
+
+def stream_scenes(number: int, seed: int = 0) -> list[Scene]:
+    """A robot that walks through a stream of people, across it."""
+    people, robot = round(STREAM_DENSITY * STREAM[0] * STREAM[1]), ((STREAM[0] / 2, -3.0), (0.0, ROBOT_SPEED))
+    scenes = []
+    for k in range(seed, seed + number):
+        start = spread((0.0, 0.0), STREAM, people, k, apart=0.8)
+        crowd = walkers(start, route=(0,), seed=k)
+        crowd = replace(crowd, velocity=np.asarray(crowd.preferred_speed)[:, None] * np.array([1.0, 0.0]))
+        gate = _far(np.array([1.0, 0.0]))
+        scenes.append(Scene(NO_WALLS, crowd, (gate,), STREAM[1] + 6.0, STREAM[0], robot=robot, seed=k))
+    return scenes
+
+
+def passing_in_a_stream(context: CheckContext) -> CheckResult:
+    """How far people in a stream keep from a robot that crosses it, and how often it touches them.
+
+    People count if the robot would miss them by less than ``MISS`` with everybody going straight on.
+    """
+    scenes = stream_scenes(16 if context.quick else 64)
+    recorded = context.simulate(scenes, ["a stream"])
+    nearest = []
+    for scene, tracks in zip(scenes, recorded, strict=True):
+        start, velocity = np.asarray(scene.walkers.start), np.asarray(scene.walkers.velocity)
+        straight = replace(tracks, position=start + _times(tracks)[:, None, None] * velocity)
+        nearest.append(_nearest(scene, tracks)[_nearest(scene, straight) < MISS])
+    return _clearance(context, np.concatenate(nearest))
+
+
+def _nearest(scene: Scene, tracks: Tracks) -> np.ndarray:
+    """(N,) m, how near the robot of a scene comes to each person; in a periodic scene, any image of it."""
+    assert scene.robot is not None
+    position, robot = np.asarray(tracks.position), Moving(*scene.robot).at(_times(tracks))[:, None]
+    if scene.period is None:
+        return separation(position, np.broadcast_to(robot, position.shape))
+    step = np.diff(position[..., 0], axis=0)
+    step -= scene.period * np.round(step / scene.period)
+    x = np.concatenate([position[:1, :, 0], position[:1, :, 0] + np.cumsum(step, 0)])
+    position = np.stack([x, position[..., 1]], -1)
+    images = range(int(np.floor(x.min() / scene.period)) - 1, int(np.ceil(x.max() / scene.period)) + 1)
+    moved = [np.broadcast_to(robot + np.array([k * scene.period, 0.0]), position.shape) for k in images]
+    return np.min([separation(position, each) for each in moved], axis=0)
+
+
+def _clearance(context: CheckContext, nearest: np.ndarray) -> CheckResult:
+    """The finding of the least distances in encounters of a person and a robot."""
+    bodies = float(context.model.forces.walking.radius) + load("kuri", "twin").radius
+    touched, clearance = float((nearest < bodies).mean()), float(nearest.mean())
+    low, high = CLEARANCE[0] - CLEARANCE[1], CLEARANCE[0] + CLEARANCE[1]
+    ranked = np.sort(nearest)
+    return result(
+        touched <= TOUCHED and low <= clearance <= high,
+        f"touched in {100 * touched:.1f} % of {len(nearest)}; nearest {clearance:.2f} ± {nearest.std():.2f} m",
+        f"touched in {100 * TOUCHED:.0f} % at most; nearest {CLEARANCE[0]:g} ± {CLEARANCE[1]:g} m on average",
+        numbers={"touched": touched, "clearance": clearance, "clearance_deviation": float(nearest.std())},
+        curves=(
+            Curve("model", tuple(ranked), tuple((np.arange(len(ranked)) + 1.0) / len(ranked))),
+            Curve("bodies touch", (bodies, bodies), (0.0, 1.0), reference=True),
+            Curve("people, 0.83 m", (CLEARANCE[0],) * 2, (0.0, 1.0), reference=True),
+        ),
+        axes=("least distance of the middles [m]", "share of encounters"),
+    )
+
+
+def _times(tracks: Tracks) -> np.ndarray:
+    return tracks.time_step * np.arange(len(tracks.present))
+
+
+# ------------------------------------------------------------------ groups
+
+GROUP_MEMBERS, GROUP_FULL = 0.8, 0.5  # of the capacity on average; of the time
+GROUP_SECONDS, GROUP_EPISODES = 300.0, 16
+GROUP_QUICK = 120.0, 4  # s, episodes
+AWAY = 1e3  # m, where the robot stands
+
+
+def occupancy(context: CheckContext) -> CheckResult:
+    """How full the groups of the Behavior Graph are in each environment."""
+    names = ["warehouse"] if context.quick else environment.available()
+    by_name: dict[str, tuple[GroupOccupancy, np.ndarray]] = {}
+    for done, name in enumerate(names):
+        by_name[name] = in_environment(
+            context, name, *(GROUP_QUICK if context.quick else (GROUP_SECONDS, GROUP_EPISODES))
+        )
+        if context.report is not None:
+            context.report((done + 1) / len(names))
+    return compare_occupancy(by_name)
+
+
+def in_environment(
+    context: CheckContext, name: str, seconds: float, episodes: int
+) -> tuple[GroupOccupancy, np.ndarray]:
+    """The occupancy of groups in episodes after 20 s, and (G, 2) s, shortest and longest stay that are drawn."""
+    model = context.model
+    scenario = assembly.make(name, behavior="graph", task="random_ab_nav", robot="kuri", dynamics="twin")
+    substeps = social_forces.substeps(model.forces, scenario.time_step)
+    scenario = replace(scenario, forces=model.forces, move=model.move, substeps=substeps)
+    keys = jax.random.split(prng.key("groups", 0), episodes)
+    group = np.asarray(_groups(round(seconds / scenario.time_step), scenario, keys))
+    graph = jax.tree.map(np.asarray, scenario.behavior.data.graph)
+    return group_occupancy(group, graph.capacity[graph.groups], scenario.time_step), graph.stay[graph.groups]
+
+
+@partial(jax.jit, static_argnums=0)
+@partial(jax.vmap, in_axes=(None, None, 0))
+def _groups(steps: int, scenario: Scenario, key: Array) -> Array:
+    """(steps, N) the group in which each person is, in an episode in which no robot is near."""
+    state = reset(scenario, key)
+    away = replace(state.robot, position=jnp.full(2, AWAY, float))
+
+    def step(state, _):
+        state = advance(scenario, state)
+        return state, state.pedestrians.group
+
+    return jax.lax.scan(step, replace(state, robot=away), length=steps)[1]
+
+
+def compare_occupancy(by_name: dict[str, tuple[GroupOccupancy, np.ndarray]]) -> CheckResult:
+    """The result of occupancies by environment, of ``in_environment``."""
+    members = np.concatenate([each.mean for each, _ in by_name.values()])
+    full = np.concatenate([each.full for each, _ in by_name.values()])
+    stays = np.array([stays.mean() if len(stays) else np.inf for each, _ in by_name.values() for stays in each.stays])
+    shortest, longest = np.concatenate([drawn for _, drawn in by_name.values()]).T
+    changes = bool(((stays >= shortest) & (stays <= (shortest + longest) / 2 + MAX_WAIT)).all())
+    names = [f"{name} {k + 1}" for name, (each, _) in by_name.items() for k in range(len(each.mean))]
+    number = tuple(np.arange(1.0, len(names) + 1.0))
+    measured = {"members": members, "full": full, "stay": stays}
+    return result(
+        bool((members >= GROUP_MEMBERS).all() and (full >= GROUP_FULL).all() and changes),
+        f"{100 * members.min():.0f} % of the members on average at least, full {100 * full.min():.0f} % of the time at "
+        f"least, mean stays of {stays.min():.1f} to {stays.max():.1f} s",
+        f"{100 * GROUP_MEMBERS:.0f} % of the members, full {100 * GROUP_FULL:.0f} % of the time, stays as drawn",
+        numbers={f"{what}_{name}": float(each[k]) for what, each in measured.items() for k, name in enumerate(names)},
+        curves=(
+            Curve("members, share of the capacity", number, tuple(members), points=True),
+            Curve("full, share of the time", number, tuple(full), points=True),
+            Curve("members wanted", (number[0], number[-1]), (GROUP_MEMBERS,) * 2, reference=True),
+            Curve("full wanted", (number[0], number[-1]), (GROUP_FULL,) * 2, reference=True),
+        ),
+        axes=("group: " + ", ".join(names), "share"),
+    )
+
+
+# ------------------------------------------------------------------ prediction
+
+FEWER = 50.0  # times fewer collisions than with constant velocity
+
+
+def prediction(context: CheckContext) -> CheckResult:
+    """Errors and collisions in each recorded scene, beside constant velocity.
+
+    Raises:
+        Skipped: there are no recordings.
+    """
+    paths = _recordings(context.recordings())
+    if not paths:
+        raise Skipped("no recordings in eth_ucy; give a folder with eth_ucy/eth.csv and others with --data.")
+    model = context.model
+    own: dict[str, Scores] = {}
+    mark: dict[str, Scores] = {}
+    slower: dict[str, Scores] = {}
+    for done, path in enumerate(paths):
+        windows = read_windows(path)
+        if model.move is move:
+            forces, habits = fitted_without(path.stem, model.forces) or (model.forces, HABITS)
+            own[path.stem] = evaluate(forces, windows, **habits)
+        else:
+            own[path.stem] = evaluate(model.move, windows)
+        mark[path.stem] = evaluate("constant_velocity", windows)
+        slower[path.stem] = evaluate("constant_velocity", windows, weights=HABITS["weights"])
+        if context.report is not None:
+            context.report((done + 1) / len(paths))
+    return compare_scores(own, mark, slower)
+
+
+def compare_scores(own: dict[str, Scores], mark: dict[str, Scores], slower: dict[str, Scores]) -> CheckResult:
+    """The result of the errors of a model in several scenes.
+
+    Args:
+        mark: of constant velocity in the same scenes.
+        slower: likewise, of constant velocity times the habit of slowing down.
+    """
+    worse = [
+        name
+        for name, each in own.items()
+        if any(each.ade > other[name].ade or each.fde > other[name].fde for other in (mark, slower))
+    ]
+    collisions, usual = (np.mean([each.collisions for each in scores.values()]) for scores in (own, mark))
+    words = "; ".join(
+        f"{name} {each.ade:.3f}/{each.fde:.3f} (constant velocity {mark[name].ade:.3f}/{mark[name].fde:.3f}, "
+        f"times {HABITS['weights'][0]:g} {slower[name].ade:.3f}/{slower[name].fde:.3f})"
+        for name, each in own.items()
+    )
+    numbers = {f"{key}_{name}": float(getattr(each, key)) for name, each in own.items() for key in Scores._fields[:3]}
+    number = tuple(float(k) for k in range(1, len(own) + 1))
+    return result(
+        not worse and bool(collisions * FEWER <= usual),
+        f"{words}; {100 * collisions:.2f} % of tracks collide (constant velocity {100 * usual:.2f} %)",
+        f"at most the errors of both constant velocities{' (worse: ' + ', '.join(worse) + ')' if worse else ''}, "
+        f"{FEWER:g} times fewer collisions",
+        numbers=numbers,
+        curves=(
+            Curve("ADE", number, tuple(each.ade for each in own.values())),
+            Curve("FDE", number, tuple(each.fde for each in own.values())),
+            Curve("ADE, constant velocity", number, tuple(each.ade for each in mark.values()), reference=True),
+            Curve("FDE, constant velocity", number, tuple(each.fde for each in mark.values()), reference=True),
+        ),
+        axes=("scene: " + ", ".join(f"{k + 1} {name}" for k, name in enumerate(own)), "error [m]"),
+    )
+
+
+def _recordings(folder: Path) -> list[Path]:
+    return sorted((folder / "eth_ucy").glob("*.csv"))
+
+
+_FITTED = (
+    "walking.relaxation_time", "repulsion.strength", "repulsion.range", "evasion.strength", "evasion.gain",
+    "evasion.horizon", "evasion.width", "walls.strength", "walls.range",
+)  # fmt: skip
+_WITHOUT = {
+    "eth": (0.2002, 5.504, 0.08717, 5.322, 5.108, 2.102, 0.7204, 1.999, 0.1080),
+    "hotel": (0.1876, 5.559, 0.08085, 4.971, 5.470, 2.240, 0.7715, 1.705, 0.09483),
+    "zara01": (0.2238, 6.119, 0.09279, 5.616, 5.702, 2.097, 0.7639, 2.301, 0.09072),
+}
+_HABITS = {"eth": (0.972, 0.724), "hotel": (0.964, 0.560), "zara01": (0.965, 0.381)}  # weights, settled
+
+
+def fitted_without(scene: str, forces: Forces) -> tuple[Forces, dict[str, Any]] | None:
+    """Constants of ``calibrated`` fitted without a scene such as eth, and arguments of ``predict``.
+
+    None for other forces and for scenes that were not fitted to. docs/calibration.md has the command.
+    """
+    if scene not in _WITHOUT or fingerprint(forces) != fingerprint(preset("calibrated")):
+        return None
+    weight, settled = _HABITS[scene]
+    constants: dict[str, Any] = dict(zip(_FITTED, _WITHOUT[scene], strict=True))
+    return forces.tree_replace(constants), {"weights": (weight,), "settled": settled}
