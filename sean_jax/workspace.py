@@ -43,8 +43,7 @@ class Workspace:
         if had is None:
             refuse_others(self.folder)
             return False
-        if (text := difference(had, self.identity)) is not None:
-            raise InputError(f"{self.folder} was begun {text}; {CURE}")
+        refuse_difference(self.folder, had, self.identity)
         return True
 
     def begin(self) -> None:
@@ -137,7 +136,7 @@ def difference(had: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
             continue
         if name not in before:
             return f"without {name}"
-        if name.startswith(CONTENT):
+        if name.startswith(CONTENT) or (isinstance(value, dict | list) and not name.startswith("--")):
             return f"with another {name.removeprefix(CONTENT)}"
         return f"with {name.removeprefix(VERSION)} {value_text(before[name])}, not {value_text(value)}"
     return None
@@ -162,8 +161,20 @@ def value_text(value: Any) -> str:
     if isinstance(value, dict):
         rest = " ".join(f"{flag(name)} {value_text(each)}" for name, each in value.items() if name != "kind")
         return f"{value.get('kind', '')} {rest}".strip()
+    if isinstance(value, bool):
+        return "on" if value else "off"
     each = value if isinstance(value, list | tuple) else [value]
     return " ".join(value_text(one) if isinstance(one, dict) else number(one) for one in each)
+
+
+def refuse_difference(folder: Path, had: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Refuse to resume a folder that was begun with another identity.
+
+    Raises:
+        InputError: the first difference and the cure.
+    """
+    if (text := difference(had, now)) is not None:
+        raise InputError(f"{folder} was begun {text}; {CURE}")
 
 
 def refuse_others(folder: Path, names: Collection[str] = ()) -> None:

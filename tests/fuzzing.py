@@ -398,10 +398,10 @@ def load_run(folder: Path) -> Any:
     assert [int(float(row["episode"])) for row in rows] == list(range(len(found.tasks)))
     for row, seconds, done in zip(rows, found.columns["seconds"], found.columns["completed"], strict=True):
         assert 0 <= float(row["seconds"]) == seconds <= 86_400 and done in (0, 1)
-    assert (found.shown is None) == bool(found.unseen)
-    compare.page(compare.differences(found, found), (found, found), compare.told(found, found))
-    if found.unseen:
-        raise Refused(found.unseen)
+    assert (found.replay is None) == bool(found.no_replay)
+    compare.page(compare.differences(found, found), (found, found), compare.summarize(found, found))
+    if found.no_replay:
+        raise Refused(found.no_replay)
     return None
 
 

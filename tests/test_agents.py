@@ -18,6 +18,7 @@ import sean_jax
 from sean_jax import cli, learning
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_packed, load_policy, save_agent
+from sean_jax.learning.trainer import check_config
 
 WITHOUT = """
 import sys
@@ -71,6 +72,15 @@ def test_it_is_refused_where_it_sees_something_else(lab, tmp_path):
     save_agent(tmp_path, learning.load("ppo", lab).params.agent, config | {"observations": ["goal", "situations"]})
     with pytest.raises(InputError, match="agent sees 80 numbers, and this scenario shows 7 .goal, situations.; make"):
         learning.load(tmp_path, lab)
+
+
+def test_noise_that_depends_on_the_state_is_refused(lab, tmp_path):
+    """Trainings of earlier versions had an option for it."""
+    config = json.loads((AGENTS["ppo"] / "config.json").read_text())
+    save_agent(tmp_path, learning.load("ppo", lab).params.agent, config | {"careful": True})
+    for refused in (lambda: learning.load(tmp_path, lab), lambda: check_config(tmp_path, config)):
+        with pytest.raises(InputError, match="the option careful, which this version does not know; train it anew"):
+            refused()
 
 
 def test_damaged_weights_are_told(lab, tmp_path):

@@ -42,7 +42,7 @@ def test_figures_are_means_over_all_tracks():
     measured = {"a": columns(random, 300), "b": columns(random, 300)}
     found = tracks.scores(measured)
     both = {name: np.concatenate([measured["a"][name], measured["b"][name]]) for name in measured["a"]}
-    good = [both["completed"][i] and not any(both[name][i, 0] for name in benchmark.ROBOTS_FAULT) for i in range(600)]
+    good = [both["completed"][i] and not any(both[name][i, 0] for name in tracks.ROBOTS_FAULT) for i in range(600)]
     assert found.figures["polite"].mean == pytest.approx(100 * np.mean(good))
     assert found.figures["seconds"].mean == pytest.approx(both["seconds"].mean())
     whole = both["seconds"].sum()

@@ -92,5 +92,5 @@ def test_parts_of_a_dataset_share_its_episodes_evenly(data, tmp_path):
     assert not all(jax.tree.leaves(alike))
     with pytest.raises(InputError, match="episodes in part 1 of 16, too few"):
         imitation.train(options(data, tmp_path / "few", part=(1, 16)))
-    with pytest.raises(ValueError, match="part: 3 of 2 is none; give a first number of 2 or less"):
+    with pytest.raises(ValueError, match="part: 3 2, but there are only 2 parts; give a smaller first number"):
         options(data, tmp_path / "none", part=(3, 2))

@@ -444,7 +444,7 @@ def test_what_cannot_be_fitted_is_refused_and_leaves_no_trace(tmp_path):
     with pytest.raises(InputError, match="one.csv: people walk . times along edges of the graph, and 20"):
         inverse_graph.run(options, Console(quiet=True))
     assert not (tmp_path / "out").exists()
-    with pytest.raises(ValueError, match="a recording is given as well"):
+    with pytest.raises(ValueError, match="--simulate and --recording exclude each other"):
         FitGraphConfig(environment="lab", recording=tmp_path / "one.csv", simulate=True)
 
 

@@ -402,12 +402,12 @@ def test_what_the_options_stand_for_must_not_have_changed(data):
     parts, _ = learning_data.setting()
     asked = learning_data.options(data.folder, 0.06)
     others = {name: dataclasses.replace(part, goal_radius=part.goal_radius * 2) for name, part in parts.items()}
-    with pytest.raises(InputError, match="was begun with another content of scenario or policy; restore it"):
+    with pytest.raises(InputError, match="was begun with another scenario and policy; ask for the same"):
         learning_data.begin(asked, others)
     before = data.manifest
     for name, value, message in (
         ("versions", {**before["versions"], "jax": "0.1"}, "begun with jax 0.1, not "),
-        ("people", 3, "begun with another people"),
+        ("people", 3, "begun with people 3, not"),
         ("robot", {**before["robot"], "max_speed": 9.0}, "begun with another robot"),
         ("camera", {**before["camera"], "far": 1.0}, "begun with another camera"),
         ("situations", before["situations"][::-1], "begun with another situations"),
@@ -481,4 +481,4 @@ def test_an_environment_that_was_edited_ends_a_collection_before_it_is_mixed(tmp
     box = '<geom type="box" pos="0.5 0.5 0.5" size="0.1 0.1 0.5"/></worldbody>'
     scene.write_text(scene.read_text().replace("</worldbody>", box))
     assert cli.main(command) == 2
-    assert "was begun with another content of scenario or policy" in capsys.readouterr().err
+    assert "was begun with another scenario and policy" in capsys.readouterr().err

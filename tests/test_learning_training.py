@@ -230,12 +230,12 @@ def test_checkpoints_of_another_network_are_refused(data, trained, tmp_path, cap
         ({"flags": True}, "flags off, not on"),
         ({"seed": 1}, "seed 0, not 1"),
     ):
-        with pytest.raises(InputError, match=f"has checkpoints of another network, with {message}"):
+        with pytest.raises(InputError, match=f"was begun with {message}"):
             imitation.train(options(data, folder, **others))
     command = ["train", "imitation", str(data.folder), "--width", "24", "--out", str(folder)]
     assert cli.main(command) == 2
     error = capsys.readouterr().err
-    assert error.startswith("sean: ") and "another network" in error and len(error.splitlines()) == 1
+    assert error.startswith("sean: ") and "was begun with width 16, not 24" in error and len(error.splitlines()) == 1
     with pytest.raises(InputError, match="has no trained network"):
         load_imitation(tmp_path, learning_data.setting()[0]["join_group"])
 

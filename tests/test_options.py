@@ -425,7 +425,7 @@ def test_numbers_of_numpy_are_numbers():
 def test_every_choice_is_explained_by_a_whole_sentence_of_its_own():
     from sean_jax.evaluation import list_command
 
-    for option, offered in list_command.offered():
+    for option, offered in list_command.choices():
         assert len(set(offered.values())) == len(offered), option
         for name, line in offered.items():
             assert line[0].isupper() and line.endswith(".") and "``" not in line, (option, name, line)

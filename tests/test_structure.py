@@ -155,7 +155,7 @@ def test_circles_are_found(back, found):
     assert bool(circle(modules)) is found
 
 
-TRAINERS = ("ppo.py", "shac.py", "rollouts.py", "reinforcement.py", "curriculum.py", "dagger.py", "policy.py")
+TRAINERS = ("ppo.py", "shac.py", "rollouts.py", "reinforcement.py", "curriculum.py", "dagger.py")
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: dotted(path))

@@ -100,7 +100,8 @@ def _validate(path: Path, data: Any, model: type[Model], checks: Iterable[Callab
             return value
         problems, more = problems[:MAX_ERRORS], len(problems[MAX_ERRORS:])
     if root is None:
-        raise FileError(_limited(path, [f"{short_name(path)}: {_sentence(*problem)}" for problem in problems], more))
+        messages = [f"{short_name(path)}: {_sentence(loc, clause)}" for loc, clause in problems]
+        raise FileError(_limited(path, messages, more))
     marked = []
     for loc, clause in problems:
         keys, mark = _locate(root, loc, loc in unknown)

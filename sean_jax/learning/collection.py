@@ -28,19 +28,20 @@ from sean_jax import assembly, components, devices, navigation, prng, robots, se
 from sean_jax.base import Array, Policy, Scenario, State
 from sean_jax.config import MAX_PIXELS, CollectConfig, HandcraftedBehavior, OwnPart, Value, present_names
 from sean_jax.errors import InputError
-from sean_jax.flags import command, flag, number
+from sean_jax.flags import command, number
 from sean_jax.learning.dataset import Dataset, EpisodeBatch, stream_seconds
 from sean_jax.learning.examples import Row, row
 from sean_jax.learning.policy import check_policy, disturbed, label, labelled, load_policy
 from sean_jax.progress import progress
 from sean_jax.runner import Callbacks, Record, Runner, not_finite
-from sean_jax.versions import fingerprint, version_mismatch, versions
+from sean_jax.versions import fingerprint, versions
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 from sean_jax.learning import dataset
 from sean_jax.scenario import reset, step
+from sean_jax.workspace import CONTENT, refuse_difference, refuse_others
 
 # ------------------------------------------------------------------ schedule of streams
 
@@ -297,8 +298,7 @@ def _open(config: CollectConfig, parts: dict[str, Scenario], policy: Policy, cam
     check_folder(folder)
     if (folder / dataset.MANIFEST).exists():
         data = dataset.open_dataset(folder)
-        _check_same(config, data)
-        _check_content(data, manifest)
+        _check_same(config, data, manifest)
         if config.hours > data.manifest["hours"]:
             data.save({**data.manifest, "command": _command(config, data.batch), "hours": config.hours})
         return data
@@ -312,16 +312,21 @@ def check_folder(folder: Path) -> None:
         InputError: it holds something else.
     """
     if not any((folder / name).is_file() for name in (dataset.MANIFEST, "zarr.json")):
-        if not set(writing.contents(folder)) <= set(dataset.fields(1, 1, 1)):
-            raise InputError(f"the folder {folder} holds something else already, choose another with --out.")
+        refuse_others(folder, dataset.fields(1, 1, 1))
 
 
-def _check_same(config: CollectConfig, data: Dataset) -> None:
-    options, had = config.identity(), {"rate": 1, **present_names(data.manifest["options"])}
-    for name in options:
-        if options[name] != had.get(name):
-            text = f"{flag(name)} {_short(had.get(name))}, not {_short(options[name])}"
-            raise InputError(f"{data.folder} was begun with {text}; ask for the same or choose another --out.")
+def _check_same(config: CollectConfig, data: Dataset, manifest: dict[str, Any]) -> None:
+    """Refuse to resume with other options, versions or content: it would be two datasets in one.
+
+    Content that the manifest of an earlier version does not have is not compared.
+    """
+    had = {**data.manifest, "options": {"rate": 1, **present_names(data.manifest["options"])}}
+    now = {name: manifest[name] for name in ("environment", "people", "robot", "camera", "situations") if name in had}
+    if "content" in had:
+        content = CONTENT + "scenario and policy"
+        had, now = had | {content: had["content"]}, now | {content: manifest["content"]}
+    now = {"options": config.identity(), "versions": versions(), **now, "parts": manifest["parts"]}
+    refuse_difference(data.folder, had, now)
     if config.batch not in (None, data.batch):
         raise InputError(f"{data.folder} was begun with --batch {data.batch}, not {config.batch}; ask for the same.")
     if config.hours < data.manifest["hours"]:
@@ -329,29 +334,6 @@ def _check_same(config: CollectConfig, data: Dataset) -> None:
         raise InputError(
             f"{data.folder} was begun with --hours {had_hours}, not {asked_hours}; ask for as much or more."
         )
-
-
-def _check_content(data: Dataset, now: dict[str, Any]) -> None:
-    """Refuse to resume an equal description with other content: it would be two datasets in one.
-
-    Content that the manifest of an earlier version does not have is not compared.
-    """
-    had = data.manifest
-    if (other := version_mismatch(had.get("versions"))) is not None:
-        raise InputError(f"{data.folder} was begun with {other}; go on with the same, or choose another --out.")
-    for name in ("environment", "people", "robot", "camera", "situations", "parts", "content"):
-        if name in had and had[name] != now[name]:
-            what = {"content": "content of scenario or policy", "parts": "file of your own"}.get(name, name)
-            raise InputError(f"{data.folder} was begun with another {what}; restore it, or choose another --out.")
-
-
-def _short(value: Any) -> str:
-    """An option's value in a message."""
-    if isinstance(value, dict):
-        rest = " ".join(f"{flag(name)} {_short(each)}" for name, each in value.items() if name != "kind")
-        return f"{value.get('kind')} {rest}".strip()
-    values = value if isinstance(value, list) else [value]
-    return " ".join(_short(each) if isinstance(each, dict) else number(each) for each in values)
 
 
 def _manifest(

@@ -372,7 +372,11 @@ class Dataset:
         Raises:
             IncompleteError: a file is missing or damaged.
         """
-        return recording_of(self.read(episodes), [episode.length for episode in episodes], self.rate)
+        lengths = np.array([episode.length for episode in episodes], np.int64)
+        ends = np.cumsum(lengths)
+        first, end = (np.repeat(rows, lengths).astype(np.int32) for rows in (ends - lengths, ends))
+        rows: Any = Row(**self.read(episodes))  # pyright: ignore[reportArgumentType]
+        return Recording(rows, first, end, self.rate)  # pyright: ignore[reportArgumentType]
 
     def commit(self, stream: int, batch: EpisodeBatch, shard: int | None = None) -> None:
         """Write a batch of episodes as a shard, then name it in the manifest.
@@ -435,15 +439,6 @@ class Dataset:
         if self._size(name, shard, dimensions) != self.manifest["shards"][shard]["bytes"][name]:
             file = shard_file(self.folder, name, shard, dimensions)
             raise IncompleteError(f"the file {file} is missing or damaged; {CURE}")
-
-
-def recording_of(fields: dict[str, np.ndarray], lengths: list[int], rate: int = 1) -> Recording:
-    """A recording of fields, name -> (R, ...), of whole episodes one after the other; ``rate`` in rows a second."""
-    each = np.array(lengths, np.int64)
-    ends = np.cumsum(each)
-    first, end = np.repeat(ends - each, each), np.repeat(ends, each)
-    rows: Any = Row(**fields)  # pyright: ignore[reportArgumentType]
-    return Recording(rows, first.astype(np.int32), end.astype(np.int32), rate)  # pyright: ignore[reportArgumentType]
 
 
 def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[int, ...], str]]:

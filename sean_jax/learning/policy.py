@@ -269,7 +269,7 @@ def save_agent(folder: Path, agent: Agent, config: dict[str, Any]) -> None:
 
 
 def load_packed(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
-    """A packed agent: the network, the agent, and the terms of its observation.
+    """A packed agent: the network, the agent in 32 bits, and the terms of its observation.
 
     Raises:
         InputError: its observations are not of the sizes of the scenario's, or a file cannot be read.
@@ -279,22 +279,13 @@ def load_packed(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, o
         actor_critic, expected, terms = agent_outline(options, scenario)
     except InputError as error:
         raise InputError(f"{folder / CONFIG}: {error}") from None
-    return actor_critic, restore_agent(folder, options, expected), terms
-
-
-def restore_agent(folder: Path, options: ReinforcementConfig, expected: Agent) -> Agent:
-    """The numbers of a packed agent, in 32 bits, with the shapes that are ``expected``.
-
-    Raises:
-        InputError: it has other shapes, or cannot be read.
-    """
     arrays = files.read_arrays(folder / WEIGHTS, MAX_WEIGHTS_BYTES, "get the file anew")
     for name, value in arrays.items():
         if value.dtype.kind != "f" or not np.isfinite(value).all():
             raise InputError(f"{folder / WEIGHTS}: {name[:60]} has what is no finite number; pack the agent anew.")
     check_sizes(folder, options, {name: value.shape for name, value in arrays.items()}, expected)
     leaves = [jnp.asarray(arrays[name], jnp.float32) for name in _leaves_by_path(expected)]
-    return jax.tree.unflatten(jax.tree.structure(expected), leaves)
+    return actor_critic, jax.tree.unflatten(jax.tree.structure(expected), leaves), terms
 
 
 def describe_agent(folder: Path) -> str:

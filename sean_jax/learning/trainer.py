@@ -28,8 +28,9 @@ from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, L
 
 from sean_jax import files, writing
 from sean_jax.config import present_names
-from sean_jax.errors import FileError, IncompleteError, InputError, SeanError
+from sean_jax.errors import IncompleteError, InputError, SeanError
 from sean_jax.learning.networks import CONFIG, check_supported
+from sean_jax.workspace import CONTENT, read_identity, refuse_difference, refuse_others
 
 METRICS, CURVE = "metrics.jsonl", "curve.png"
 STATE, DIGESTS = "state", "sha256"
@@ -451,34 +452,20 @@ def check_config(folder: Path, config: dict[str, Any]) -> bool:
     Raises:
         InputError: it holds another training, or something else.
     """
-    file = folder / CONFIG
-    if not file.exists():
-        if writing.contents(folder):
-            raise InputError(f"the folder {folder} holds something else already, choose another with --out.")
+    saved = read_identity(folder / CONFIG)
+    if saved is None:
+        refuse_others(folder)
         return False
-    try:
-        saved = files.read_json(file)
-    except FileError as error:
-        raise InputError(f"{str(error).rstrip('.')}; choose another folder with --out.") from None
-    if not isinstance(saved, dict):
-        raise InputError(f"{file} is no configuration of a network; choose another folder with --out.")
     check_supported(folder, saved)
-    saved = present_names(saved)
-    for name, value in json.loads(json.dumps(config)).items():
-        if name == "parts":
-            _check_parts(file, value, saved.get(name))
-        elif name not in ("versions", "command") and saved.get(name) != value:
-            difference = f"{name.replace('_', ' ')} {_text(saved.get(name))}, not {_text(value)}"
-            raise InputError(f"{folder} has checkpoints of another network, with {difference}; choose another --out.")
+    refuse_difference(folder, _identity(present_names(saved)), _identity(config))
     return True
 
 
-def _check_parts(file: Path, now: dict[str, str], saved: Any) -> None:
-    """Refuse to resume with another content of own files; a training of an earlier version does not have theirs."""
-    for name, digest in now.items():
-        if not isinstance(saved, dict) or saved.get(name) != digest:
-            what = f"{file.parent} was trained with another {name}, or does not record its content"
-            raise InputError(f"{what}; restore the file, or choose another --out.")
+def _identity(config: dict[str, Any]) -> dict[str, Any]:
+    """The entries that a training must have in common with its folder, with the digests of own files."""
+    entries = {name.replace("_", " "): value for name, value in config.items()}
+    parts = {CONTENT + name: digest for name, digest in entries.pop("parts", {}).items()}
+    return {name: value for name, value in entries.items() if name not in ("versions", "command")} | parts
 
 
 def write_config(folder: Path, config: dict[str, Any]) -> None:

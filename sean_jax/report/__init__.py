@@ -5,6 +5,9 @@ It shows the scenario's situations and metrics, the user's own included.
 """
 
 import dataclasses
+import html as markup
+import io
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +15,6 @@ import numpy as np
 from sean_jax import drawing, metrics, pages, replay
 from sean_jax.base import Environment, Trajectory
 from sean_jax.drawing import colors
-from sean_jax.report import figures
 
 if TYPE_CHECKING:
     from sean_jax.graph.behavior_graph import BehaviorGraph
@@ -70,7 +72,7 @@ def html(report: Report) -> str:
         open_topics=OPEN,
         episodes=_episodes(report),
         people=_people(report),
-        durations=figures.durations(report.completed, report.seconds, report.time_limit),
+        durations=_durations(report.completed, report.seconds, report.time_limit),
         checks=_checks(report),
         definitions={row["title"] + units[row["name"]]: row["definition"] for row in report.rows},
     )
@@ -90,7 +92,7 @@ def _episodes(report: Report) -> list[tuple[str, str]]:
         )
         task, outcome = report.tasks[i].replace("_", " "), "completed" if report.completed[i] else "not completed"
         caption = f"Episode {i} · {task} · {outcome} in {report.seconds[i]:.1f} s"
-        pictures.append((figures.svg(figure, f"episode-{i}"), caption))
+        pictures.append((svg(figure, f"episode-{i}"), caption))
     return pictures
 
 
@@ -103,11 +105,11 @@ def _people(report: Report) -> list[tuple[str, str]]:
     crowds = drawing.congestion_map(report.environment, density, graph=report.graph, flow=flow)
     caption = "Where people were, mean over all episodes"
     if report.graph is None:
-        return [(figures.svg(crowds, "congestion"), caption)]
+        return [(svg(crowds, "congestion"), caption)]
     caption += "; bands are as wide as the flow each way along an edge"
-    graph = figures.svg(drawing.top_down(report.environment, graph=report.graph), "behavior-graph")
+    graph = svg(drawing.top_down(report.environment, graph=report.graph), "behavior-graph")
     name = report.environment.name.replace("_", " ")
-    return [(figures.svg(crowds, "congestion"), caption), (graph, f"Behavior graph of the {name}")]
+    return [(svg(crowds, "congestion"), caption), (graph, f"Behavior graph of the {name}")]
 
 
 def _checks(report: Report) -> dict[str, str]:
@@ -120,3 +122,45 @@ def _checks(report: Report) -> dict[str, str]:
         "time taken": f"{report.timing['compile_seconds']:.1f} s to compile, "
         f"{report.timing['run_seconds']:.1f} s to run",
     }
+
+
+def svg(figure: Any, name: str) -> str:
+    """A figure as inline SVG in the colors of the page, light or dark; its name makes ids unique."""
+    import matplotlib
+
+    stream = io.StringIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
+        figure.savefig(stream, format="svg", dpi=170, metadata={"Date": None})
+    text = stream.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text)
+    text = re.sub(r'<svg([^>]*?) width="[^"]*"', r"<svg\1", text, count=1)
+    text = re.sub(r'<svg([^>]*?) height="[^"]*"', r"<svg\1", text, count=1)
+    text = re.sub(r'(id="|url\(#|href="#)', rf"\g<1>{name}-", text)
+    for shade, variable in (
+        (colors.PAPER, "paper"),
+        (colors.FLOOR, "floor"),
+        (colors.INK, "ink"),
+        (colors.MUTED, "muted"),
+        (colors.TRAIL, "trail"),
+        (colors.FAINT_EDGE, "faint"),
+        (colors.OBSTACLE, "obstacle"),
+    ):
+        text = text.replace(shade, f"var(--{variable})")
+    return text.replace("<svg", f'<svg role="img" aria-label="{markup.escape(name)}"', 1)
+
+
+def _durations(completed: np.ndarray, seconds: np.ndarray, time_limit: float) -> str:
+    """Histogram of the episodes' durations (E,) s as SVG, up to the time limit; completed ones stand below."""
+    edges = np.linspace(0.0, time_limit, 25)
+    done, late = (np.histogram(np.minimum(seconds[mask], time_limit), edges)[0] for mask in (completed, ~completed))
+    highest = max(1, int((done + late).max()))
+    left, base, step, scale = 36.0, 160.0, 668.0 / len(done), 140.0 / highest
+    bars = []
+    for k, (lower, upper) in enumerate(zip(scale * done, scale * late, strict=True)):
+        for kind, top, height in (("done", base - lower, lower), ("late", base - lower - upper, upper)):
+            if height:
+                bars.append((kind, left + k * step + 1.0, top, step - 2.0, height))
+    ticks = [(left + k * step, f"{edges[k]:g}") for k in range(0, len(edges), 4)]
+    return pages.render("report/durations.html", bars=bars, ticks=ticks, highest=highest)

@@ -19,7 +19,7 @@ from sean_jax.config import (
 )
 from sean_jax.flags import command, number
 from sean_jax.pages import Cell, figure, note, section, table
-from sean_jax.report.figures import svg
+from sean_jax.report import svg
 from sean_jax.studies.experiments import pictures, shares
 from sean_jax.studies.experiments.measures import CURVE_MEASURES, comparisons
 from sean_jax.studies.experiments.shares import BEHAVIORS

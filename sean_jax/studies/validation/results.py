@@ -13,7 +13,7 @@ from typing import Any
 from sean_jax import files, writing
 from sean_jax.config import ValidateConfig
 from sean_jax.flags import command
-from sean_jax.report.figures import svg
+from sean_jax.report import svg
 from sean_jax.studies.scenes import Model
 from sean_jax.studies.validation import page
 from sean_jax.studies.validation.check import FAILS, PASSES, SKIPPED, Check, CheckContext, Curve, Row, Skipped
@@ -71,8 +71,8 @@ def write(folder: Path, options: ValidateConfig, rows: Sequence[Row]) -> None:
 
 
 def _part(folder: Path, check: Check, model: Model) -> Path:
-    model = re.sub(r"[^\w.-]", "-", model.name)  # a path, where a file of constants or of one's own moves people
-    return folder / PARTS / f"{check.name}--{model}.json"
+    name = re.sub(r"[^\w.-]", "-", model.name)  # a path, where a file of constants or of one's own moves people
+    return folder / PARTS / f"{check.name}--{name}.json"
 
 
 def _made_with(model: Model, options: ValidateConfig) -> dict[str, Any]:
