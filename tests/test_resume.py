@@ -104,7 +104,7 @@ def full(*arguments, **others):
     raise OSError(28, "No space left on device", "somewhere")
 
 
-KEPT = "the 2 episodes finished until then are"
+KEPT = "the 2 finished episodes are"
 
 
 def stopped(kind):
@@ -134,11 +134,14 @@ def stopped_at_the_report(patched):
         pytest.param(stopped(signal.SIGTERM), 143, f"stopped; {KEPT} in", True, id="SIGTERM"),
         pytest.param(with_nan, 1, "1 of 2 episodes hold numbers that are not finite: 3. The 2", False, id="NaN"),
         pytest.param(with_a_full_disk, 1, KEPT, False, marks=pytest.mark.slow, id="full"),
+        pytest.param(with_a_full_disk_at_the_report, 1, "the 5 finished episodes are kept", False, id="full report"),
         pytest.param(
-            with_a_full_disk_at_the_report, 1, "the 5 episodes finished until then are kept", False, id="full report"
-        ),
-        pytest.param(
-            stopped_at_the_report, 130, "stopped; the 5 episodes", False, marks=pytest.mark.slow, id="Ctrl-C, report"
+            stopped_at_the_report,
+            130,
+            "stopped; the 5 finished episodes",
+            False,
+            marks=pytest.mark.slow,
+            id="Ctrl-C, report",
         ),
     ],
 )

@@ -71,7 +71,7 @@ def test_unfinished_folders_of_earlier_versions_are_resumed(tmp_path):
     assert resume.RunFolder(tmp_path / "run", config).work.begun()
     with pytest.raises(InputError, match="run was begun with --seed 3, not 4"):
         resume.RunFolder(tmp_path / "run", RunConfig(seed=4))
-    options = CalibrateConfig(out=tmp_path / "fit")
+    options = CalibrateConfig(data=tmp_path, out=tmp_path / "fit")
     content = {name: value for name, value in identity(options).items() if name != "parts"}
     (tmp_path / "fit").mkdir()
     writing.write(tmp_path / "fit" / "calibration.json", content)

@@ -145,8 +145,7 @@ class RunFolder:
         if not self.episodes:
             return "nothing was written, for no batch of episodes was finished."
         return (
-            f"the {self.episodes} episodes finished until then are kept, "
-            f"and the same command with --out {self.folder} resumes it."
+            f"the {self.episodes} finished episodes are kept, and the same command with --out {self.folder} resumes it."
         )
 
     def _file(self, base: int, count: int) -> Path:
