@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from sean_jax import classifiers
-from sean_jax.base import Moment, Obstacles, Pedestrians
+from sean_jax.base import Obstacles, Pedestrians, Snapshot
 
 RIGHT, UP, LEFT = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)
 ROBOT, PERSON, WALL = "#f58a07", "#4477aa", "#8d99b3"
@@ -48,7 +48,7 @@ def members(center) -> list:
     return [((center[0] + GROUP * np.cos(a), center[1] + GROUP * np.sin(a)), (0.0, 0.0)) for a in angles]
 
 
-def moment(heading, people, boxes, center=None) -> Moment:
+def snapshot(heading, people, boxes, center=None) -> Snapshot:
     """The example as arrays: the robot at the origin, 0.5 m/s fast; with a group around a center."""
     grouped = [] if center is None else members(center)
     heads = [each[2] if len(each) > 2 else np.zeros(2) for each in people]
@@ -73,7 +73,7 @@ def moment(heading, people, boxes, center=None) -> Moment:
     nowhere, none = np.full(2, 50.0, np.float32), np.int32(-1)
     opening = None if center is None else np.array(center, np.float32) * np.float32(1 - GROUP / abs(center[0]))
     joins, leaves = (center is not None and side * center[0] > 0 for side in (1, -1))
-    here = Moment(
+    here = Snapshot(
         people=persons,
         position=np.zeros(2, np.float32),
         heading=robot,
@@ -123,7 +123,7 @@ def draw(axes, name, heading, people, boxes, center=None) -> None:
 
 def check(name, example, laws) -> None:
     """Stop if a classifier gives another situation than that of the example's name."""
-    here, values = moment(*example, CENTER.get(name)), classifiers.thresholds()
+    here, values = snapshot(*example, CENTER.get(name)), classifiers.thresholds()
     situations = {other for other, law in laws.items() if bool(jax.jit(law)(here, values))}
     if situations != {name}:
         raise SystemExit(f"{name}: the classifiers give {sorted(situations)}.")

@@ -42,7 +42,7 @@ import numpy as np
 
 import sean_jax
 from sean_jax import classifiers, metrics, recordings
-from sean_jax.base import Moment, Pedestrians
+from sean_jax.base import Pedestrians, Snapshot
 from sean_jax.classifiers import predicates
 from sean_jax.drawing import situation_colors
 from sean_jax.policies import POLICIES
@@ -92,14 +92,14 @@ for panel, (title, holds) in zip(axes, panels.items(), strict=True):
     panel.set_title(title, fontsize=10)
 
 # %% [markdown]
-# ## A moment
-# Classifiers read a `Moment`: a robot among people as arrays, whether they come from a simulation, from sensors or
+# ## A snapshot
+# Classifiers read a `Snapshot`: a robot among people as arrays, whether they come from a simulation, from sensors or
 # from your hand. This one has the robot at the origin; people are (position, orientation in degrees, speed, group), and
 # the group is -1 for who stands in none. *Member* is given: here it is the number of the group.
 
 
 # %%
-def scene(*people, start_group=-1, goal_group=-1, goal=(9.0, 0.0)) -> Moment:
+def scene(*people, start_group=-1, goal_group=-1, goal=(9.0, 0.0)) -> Snapshot:
     """A robot at the origin that looks along x, and people around it."""
     places, degrees, speeds, groups = (np.array(part, np.float32) for part in zip(*people, strict=True))
     facing = np.stack([np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))], -1).astype(np.float32)
@@ -115,7 +115,7 @@ def scene(*people, start_group=-1, goal_group=-1, goal=(9.0, 0.0)) -> Moment:
         preferred_speed=jnp.ones(number),
         robot_distance=jnp.zeros(number),
     )
-    return Moment(
+    return Snapshot(
         people=persons,
         position=jnp.zeros(2),
         heading=jnp.array([1.0, 0.0]),
@@ -133,7 +133,7 @@ def scene(*people, start_group=-1, goal_group=-1, goal=(9.0, 0.0)) -> Moment:
     )
 
 
-classify = jax.jit(lambda moment: classifiers.classify(moment, thresholds))
+classify = jax.jit(lambda snapshot: classifiers.classify(snapshot, thresholds))
 two_talking = (((1.6, 0.5), 200, 0.0, 0), ((0.9, 1.5), 280, 0.0, 0))
 examples = [
     scene(((1.5, -0.8), 90, 1.5, -1)),
@@ -142,23 +142,23 @@ examples = [
     scene(*two_talking, start_group=0),
     scene(((2.6, 0.6), 180, 1.5, -1)),
 ]
-for moment in examples:
-    print([name for name, holds in zip(NAMES, classify(moment), strict=True) if holds])
+for snapshot in examples:
+    print([name for name, holds in zip(NAMES, classify(snapshot), strict=True) if holds])
 
 # %% [markdown]
 # ## The five situations
-# The same moments, drawn: the robot is the orange square, people are discs with their orientation, the arrow of who
+# The same snapshots, drawn: the robot is the orange square, people are discs with their orientation, the arrow of who
 # moves is a second's walk, members of a group are blue, and the circle is D. The titles are what the classifiers say.
 
 
 # %%
-def draw(panel, moment):
+def draw(panel, snapshot):
     """One panel: robot, people, and the name of what holds, in its colour."""
-    names = [name for name, holds in zip(NAMES, classify(moment), strict=True) if holds]
+    names = [name for name, holds in zip(NAMES, classify(snapshot), strict=True) if holds]
     panel.add_patch(plt.Circle((0, 0), float(thresholds.near), fill=False, linestyle=":", color="#6c7589"))
     panel.add_patch(plt.Rectangle((-0.16, -0.16), 0.32, 0.32, color="#f58a07"))
     panel.annotate("", (0.5, 0), (0.16, 0), arrowprops={"arrowstyle": "->", "color": "#5e3200"})
-    people = moment.people
+    people = snapshot.people
     for place, velocity, facing, group in zip(
         people.position, people.velocity, people.heading, people.group, strict=True
     ):
@@ -167,16 +167,16 @@ def draw(panel, moment):
         panel.add_patch(plt.Circle(place, 0.2, facecolor=face, edgecolor="#2b3448", zorder=3))
         if jnp.any(velocity != 0):
             panel.annotate("", place + velocity, place, arrowprops={"arrowstyle": "->", "color": "#2b3448"}, zorder=4)
-    if moment.goal_group >= 0:
-        panel.add_patch(plt.Circle(moment.goal, 0.16, fill=False, color="#f58a07", linewidth=2))
+    if snapshot.goal_group >= 0:
+        panel.add_patch(plt.Circle(snapshot.goal, 0.16, fill=False, color="#f58a07", linewidth=2))
     panel.set(xlim=(-2.7, 3.2), ylim=(-2.7, 2.7), aspect="equal", xticks=[], yticks=[])
     color = situation_colors((names[0],))[0] if names else "#5a6274"
     panel.set_title(" and ".join(names).replace("_", " ") or "none", color=color, fontsize=11, weight="bold")
 
 
 figure, axes = plt.subplots(1, 5, figsize=(14, 2.9), layout="constrained")
-for panel, moment in zip(axes, examples, strict=True):
-    draw(panel, moment)
+for panel, snapshot in zip(axes, examples, strict=True):
+    draw(panel, snapshot)
 
 # %% [markdown]
 # Three things to notice. *Down path* does not ask the person to walk, and somebody who comes the other way is in no
@@ -237,15 +237,15 @@ print(len(rows), "lines, such as", rows[0])
 # %%
 tracks = recordings.read_csv("people.csv", seconds=0.1)
 path = trajectory.position[0, shown]  # any path (T, 2) can play the robot
-moments = recordings.moments_along(tracks, path, window=1)  # lines through three frames
-flags = np.asarray(jax.jit(jax.vmap(lambda moment: classifiers.classify(moment, thresholds)))(moments))
+snapshots = recordings.snapshots_along(tracks, path, window=1)  # lines through three frames
+flags = np.asarray(jax.jit(jax.vmap(lambda snapshot: classifiers.classify(snapshot, thresholds)))(snapshots))
 simulated = np.asarray(trajectory.situations[0, shown])
 for k, name in enumerate(NAMES):
     print(f"{name:12} {flags[:, k].mean():6.1%} recorded {simulated[:, k].mean():6.1%} simulated, "
           f"equal in {(flags[:, k] == simulated[:, k]).mean():6.1%} of the frames")  # fmt: skip
 
 # %% [markdown]
-# A table of positions does not tell who belongs to a group, so nothing is joined in the recording. `moments_of`, in
+# A table of positions does not tell who belongs to a group, so nothing is joined in the recording. `snapshots_of`, in
 # which a recorded person plays the robot, takes groups where they are annotated, and `classifiers.o_space_groups`
 # estimates them from positions and facing.
 #
@@ -270,7 +270,7 @@ plt.show()
 # %%
 for name, laws in classifiers.SITUATION_SETS.items():
     values, chosen = classifiers.THRESHOLD_SETS[name](), tuple(laws.items())
-    told = jax.jit(jax.vmap(lambda moment: classifiers.classify(moment, values, chosen)))(moments)  # noqa: B023
+    told = jax.jit(jax.vmap(lambda snapshot: classifiers.classify(snapshot, values, chosen)))(snapshots)  # noqa: B023
     print(name + ":", ", ".join(f"{law} {share:.0%}" for law, share in zip(laws, told.mean(0), strict=True)))
 
 # %% [markdown]
@@ -284,35 +284,37 @@ for k, name in enumerate(NAMES):
 
 # %% [markdown]
 # ## Your own
-# A situation of yours is a function of a moment. A metric of yours is a function in the constructor of its kind: the
+# A situation of yours is a function of a snapshot. A metric of yours is a function in the constructor of its kind: the
 # time during which a condition holds, how often it begins to hold, the sum or the mean of an amount, an extreme of a
 # quantity ([docs/metrics.md](../docs/metrics.md)). Both work on the recording and in a scenario alike.
 
 
 # %%
-def watched(moment, thresholds):
+def watched(snapshot, thresholds):
     """A person within 3.6 m looks at the robot, to within the angle A."""
 
     def looks(person):
-        toward = predicates.cosine(person.heading, moment.position - person.position)
-        near = predicates.near(moment.position, person.position, thresholds.reach)
+        toward = predicates.cosine(person.heading, snapshot.position - person.position)
+        near = predicates.near(snapshot.position, person.position, thresholds.reach)
         return near & (toward >= jnp.cos(thresholds.angle))
 
-    return predicates.any_person(moment, looks)
+    return predicates.any_person(snapshot, looks)
 
 
-def watched_now(moment):
+def watched_now(snapshot):
     """A person looks at the robot."""
-    return watched(moment, thresholds)
+    return watched(snapshot, thresholds)
 
 
 own = (("time_watched", metrics.duration(watched_now)), ("times_watched", metrics.count_onsets(watched_now)))
 
 
 @jax.jit
-def measure(moments):
+def measure(snapshots):
     """Our metrics along a recording."""
-    first, before, after = (jax.tree.map(lambda x, part=part: x[part], moments) for part in (0, np.s_[:-1], np.s_[1:]))
+    first, before, after = (
+        jax.tree.map(lambda x, part=part: x[part], snapshots) for part in (0, np.s_[:-1], np.s_[1:])
+    )
 
     def update(values, pair):
         return {name: metric.update(values[name], *pair) for name, metric in own}, None
@@ -321,7 +323,7 @@ def measure(moments):
     return {name: metric.compute(values[name]) for name, metric in own}
 
 
-found = measure(moments)
+found = measure(snapshots)
 print(f"in the recording: watched {found['times_watched'][0]:.0f} times, for {found['time_watched'][0]:.1f} s")
 mine = scenario.replace(situations=(*scenario.situations, ("watched", watched)), metrics=(*scenario.metrics, *own))
 print("in a scenario:", ", ".join(name for name, _ in mine.situations), "and", len(mine.metrics), "metrics")

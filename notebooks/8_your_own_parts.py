@@ -71,14 +71,14 @@ class Distancing:
 
 # %% [markdown]
 # ## A metric
-# A condition of one moment becomes a time: how long somebody was within a metre of the robot, overall and in each
+# A condition of one snapshot becomes a time: how long somebody was within a metre of the robot, overall and in each
 # social situation.
 
 
 # %%
-def near(moment):
-    gap = moment.people.position - moment.position[None, :]
-    return (moment.people.present & ((gap * gap).sum(-1) < 1.0)).any()
+def near(snapshot):
+    gap = snapshot.people.position - snapshot.position[None, :]
+    return (snapshot.people.present & ((gap * gap).sum(-1) < 1.0)).any()
 
 
 near_time = metrics.duration(near, title="time near people", definition="Somebody is within 1 m of the robot.")

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
         Behavior,
         Environment,
         Groups,
-        Moment,
         Observation,
         Pedestrians,
         Policy,
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
         RobotTask,
         Scenario,
         Sensor,
+        Snapshot,
         State,
         Trajectory,
         as_policy,
@@ -76,8 +76,8 @@ __version__ = "0.2.0"
 # Where each public name lives; read on first use, so that `sean --help` need not import JAX.
 _PUBLIC = {
     "assembly": "make with_task",
-    "base": "Behavior Environment Groups Moment Observation Pedestrians Policy Robot RobotModel RobotTask "
-    "Scenario Sensor State Trajectory as_policy",
+    "base": "Behavior Environment Groups Observation Pedestrians Policy Robot RobotModel RobotTask "
+    "Scenario Sensor Snapshot State Trajectory as_policy",
     "behaviors": "BEHAVIORS Place",
     "classifiers": "SITUATIONS SITUATION_SETS Thresholds",
     "components": "trust",
@@ -104,7 +104,7 @@ _PUBLIC = {
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
-_RENAMED = {"TrainConfig": "ImitationConfig", "place": "teleport"}  # former name -> name
+_RENAMED = {"Moment": "Snapshot", "TrainConfig": "ImitationConfig", "place": "teleport"}  # former name -> name
 
 _ROOMS = {  # public as a whole
     **{name: name for name in ("gradients", "mdp", "registry", "sensors")},
@@ -133,7 +133,6 @@ __all__ = [
     "METRICS",
     "MODELS",
     "Metric",
-    "Moment",
     "Observation",
     "POLICIES",
     "PPOConfig",
@@ -158,6 +157,7 @@ __all__ = [
     "ScenarioConfig",
     "SeanError",
     "Sensor",
+    "Snapshot",
     "State",
     "TASKS",
     "Thresholds",

@@ -1,8 +1,10 @@
-"""From a description to a scenario (section IV-B): ``make``; says what does not exist and what does not go together."""
+"""From options to a scenario (section IV-B): ``make``; refuses what does not exist and what does not fit together."""
 
+import contextlib
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,11 +40,11 @@ from sean_jax.config import (
     validate,
 )  # fmt: skip
 from sean_jax.errors import InputError
+from sean_jax.messages import shorten
 from sean_jax.recordings import check_clock
 from sean_jax.scenario import direct_pedestrians, measure, move_pedestrians, reset, results
 
-MAX_SITUATIONS = 20  # times of all 2 ** 20 sets of them are counted
-NEEDS_POSES = "task: 'custom' needs a start and a goal; give both, x and y in metres."
+MAX_SITUATIONS = 20  # the time in each of their 2 ** 20 sets is counted
 PERSON_CLEARANCE = 0.25  # m: people's paths stand off from obstacles by a body of 0.2 m and some room
 
 
@@ -50,9 +52,9 @@ def make(environment: str | Path | ScenarioConfig = "warehouse", **options: Any)
     """A scenario (section IV-B) of its parts.
 
     Args:
-        environment: name of an environment, the folder of one, or a whole description.
+        environment: name of an environment, the folder of one, or all options.
         options: the other fields of ``ScenarioConfig``: behavior, task, robot, people, model, forces, situations,
-            metrics, sensors, times and distances. A part is a name (``behavior="graph"``), a description
+            metrics, sensors, times and distances. A part is a name (``behavior="graph"``), a component
             (``behavior=GraphBehavior(routing="edge")``, or ``behavior="graph", routing="edge"``), a file
             (``"my.py:thing"``) or the part itself.
 
@@ -70,54 +72,55 @@ def make(environment: str | Path | ScenarioConfig = "warehouse", **options: Any)
     return build(config)[0]
 
 
-def build(config: ScenarioConfig) -> list[Scenario]:
-    """The scenarios of a description, which differ in their task alone.
-
-    Raises:
-        InputError: one sentence that names the value and the cure.
-    """
+@contextlib.contextmanager
+def _one_sentence() -> Iterator[None]:
+    """Raise a ValueError of the block as an InputError."""
     try:
-        return _build(config)
+        yield
     except InputError:
         raise
     except ValueError as error:
         raise InputError(str(error)) from error
 
 
-def _build(config: ScenarioConfig) -> list[Scenario]:
-    folder = check(config)
-    situations, thresholds = _situations(config)
-    scene, robot = environments.load(folder), _robot(config)
-    forces = _forces(config)
+@_one_sentence()
+def build(config: ScenarioConfig) -> list[Scenario]:
+    """The scenarios of a description, which differ in their task alone.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    parts = check(config)
+    scene, robot = environments.load(parts.folder), _robot(config)
     robots.physics_steps(robot, config.time_step)  # refuses a control step that is no multiple
     walking = navigation.build(scene, PERSON_CLEARANCE)
     driving = walking if robot.radius <= PERSON_CLEARANCE else navigation.build(scene, robot.radius)
     draw = navigation.PLACES[config.goal_sampling]
     walking, driving = draw(scene, walking), draw(scene, driving)
-    place = behaviors.Place(folder, scene, walking, config.time_step)
+    place = behaviors.Place(parts.folder, scene, walking, config.time_step)
     behavior = _behavior(config, place)
     people = behavior.people
     if people is None:
         people = place.default_people if config.people is None else config.people
-    model = components.resolve(config.model, pedestrian_models.MODELS, "model")
+    forces, substeps = parts.forces, config.substeps
     scenario = Scenario(
         environment=scene,
         navigation=driving,
         behavior=behavior,
         forces=forces,
-        thresholds=thresholds,
+        thresholds=parts.thresholds,
         goal_radius=jnp.asarray(config.goal_radius, float),
         hold_time=jnp.asarray(config.hold_time, float),
         task_distance=jnp.asarray(config.task_distance, float),
         robot=robot,
         task=tasks.TASKS["random_ab_nav"],
-        move=behavior.move or model,
-        situations=situations,
-        metrics=_metrics(config),
+        move=behavior.move or parts.model,
+        situations=parts.situations,
+        metrics=parts.metrics,
         time_step=config.time_step,
         time_limit=config.time_limit,
         people=people,
-        substeps=social_forces.substeps(forces, config.time_step) if config.substeps is None else config.substeps,
+        substeps=social_forces.substeps(forces, config.time_step) if substeps is None else substeps,
         task_name="",
         sensors=_sensors(config, robot),
         warm_up=config.warm_up,
@@ -134,7 +137,7 @@ def _is_own(value: Any) -> bool:
 
 
 def _try_parts(scenario: Scenario, own: set[str]) -> None:
-    """Try the parts of a user's own by the shapes of their values alone: nothing is compiled."""
+    """Try the user's own parts with shapes alone: nothing is compiled."""
 
     def try_parts(scenario: Scenario, key: Array) -> None:
         state = reset(scenario, key)
@@ -163,9 +166,7 @@ def with_task(scenario: Scenario, task: Any) -> Scenario:
     if not isinstance(task, Component):
         task = validate(ScenarioConfig, {"task": task}).tasks[0]
     _check_task(task, scenario.behavior.name)
-    if isinstance(task, CustomTask):
-        if task.start is None or task.goal is None:
-            raise InputError(NEEDS_POSES)
+    if isinstance(task, CustomTask) and task.start and task.goal:
         scenario = dataclasses.replace(scenario, task_name=task.kind)
         return dataclasses.replace(scenario, task=tasks.poses(scenario, task.start, task.goal))
     name, function = _name(task), components.resolve(task, tasks.TASKS, "task")
@@ -178,57 +179,63 @@ def with_task(scenario: Scenario, task: Any) -> Scenario:
     return scenario
 
 
-# ------------------------------------------------------------------ what cannot be, told before anything is made
+# ------------------------------------------------------------------ checks before anything is compiled or tabulated
 
 
-def check(config: ScenarioConfig) -> Path:
-    """Refuse what ``build`` would refuse, as far as it can be told in a moment: nothing is compiled or tabulated.
+class Parts(NamedTuple):
+    """The parts of a scenario that need neither compiling nor tables."""
+
+    folder: Path  # of the environment
+    forces: social_forces.Forces
+    situations: tuple
+    thresholds: classifiers.Thresholds
+    metrics: tuple
+    model: Any
+
+
+@_one_sentence()
+def check(config: ScenarioConfig) -> Parts:
+    """Refuse what cannot be built, as far as it shows in a moment: nothing is compiled or tabulated.
 
     Raises:
         InputError: one sentence that names the value and the cure.
     """
     components.check_trust(config)
-    try:
-        if isinstance(config.behavior, Named):
-            components.resolve(config.behavior, behaviors.BEHAVIORS, "behavior")
-        for task in config.tasks:
-            _check_task(task, config.behavior.kind)
-            if isinstance(task, CustomTask) and (task.start is None or task.goal is None):
-                raise InputError(NEEDS_POSES)
-        if isinstance(config.behavior, GraphBehavior | RandomBehavior):
-            behaviors.count_walking_groups(0, config.behavior.walking_groups)
-        _situations(config)
-        components.resolve(config.model, pedestrian_models.MODELS, "model")
-        _metrics(config)
-        for part in config.sensors:
-            sensors.check_sensor(components.resolve(part, _ANY, "sensors"))
-        if config.behavior.kind == "playback" and config.model.kind != "social_forces":
-            name = config.model.kind
-            raise InputError(f"model: '{name}' moves nobody in behavior 'playback', where people walk as recorded.")
-        if config.behavior.kind == "playback" and config.warm_up:
-            raise InputError(
-                f"warm_up: {config.warm_up:g} s, but a recording begins with its own people; leave it out."
-            )
-        if not isinstance(config.robot, OwnPart | Value):
-            robots.find(config.robot.kind, config.dynamics)
-        folder = environments.find(config.environment)
-        _check_people(config, folder)
-        if isinstance(config.behavior, PlaybackBehavior):
-            _check_recording(config.behavior)
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError(str(error)) from error
-    return folder
+    behavior = config.behavior
+    if isinstance(behavior, Named):
+        components.resolve(behavior, behaviors.BEHAVIORS, "behavior")
+    for task in config.tasks:
+        _check_task(task, behavior.kind)
+    if isinstance(behavior, GraphBehavior | RandomBehavior):
+        behaviors.count_walking_groups(0, behavior.walking_groups)
+    situations, thresholds = _situations(config)
+    model = components.resolve(config.model, pedestrian_models.MODELS, "model")
+    measured = _metrics(config)
+    for part in config.sensors:
+        sensors.check_sensor(components.resolve(part, _ANY, "sensors"))
+    if behavior.kind == "playback" and config.model.kind != "social_forces":
+        name = config.model.kind
+        raise InputError(f"model: '{name}' moves nobody in behavior 'playback', where people walk as recorded.")
+    if behavior.kind == "playback" and config.warm_up:
+        raise InputError(f"warm_up: {config.warm_up:g} s, but a recording begins with its own people; leave it out.")
+    if not isinstance(config.robot, OwnPart | Value):
+        robots.find(config.robot.kind, config.dynamics)
+    folder, forces = environments.find(config.environment), _forces(config)
+    _check_people(config, folder, float(forces.walking.radius))
+    if isinstance(behavior, PlaybackBehavior):
+        _check_recording(behavior)
+    return Parts(folder, forces, situations, thresholds, measured, model)
 
 
 def _check_task(task: Component, behavior: str) -> None:
-    """That there is such a task, and that it fits to that behavior."""
+    """Refuse an unknown task, and one that does not fit to the behavior."""
+    if isinstance(task, CustomTask) and (task.start is None or task.goal is None):
+        raise InputError("task: 'custom' needs a start and a goal; give both, x and y in metres.")
     if not isinstance(task, Named):
         return
     needed = tasks.requirement(components.resolve(task, tasks.TASKS, "task"))
     if needed is None or needed.offer in behaviors.OFFERS.get(behavior, (needed.offer,)):
-        return  # what a behavior of one's own offers is known when it is built
+        return  # the offers of a user's own behavior are known when it is built
     if needed.offer == "groups":
         own = "handcrafted" if behavior == "handcrafted" else "random_ab_nav"
         why = "needs groups, which only behavior 'graph' has"
@@ -238,8 +245,7 @@ def _check_task(task: Component, behavior: str) -> None:
         raise InputError(f"task: '{task.kind}' needs {why}, not '{behavior}'; choose behavior 'handcrafted' with it.")
 
 
-def _check_people(config: ScenarioConfig, folder: Path) -> None:
-    radius = float(_forces(config).walking.radius)
+def _check_people(config: ScenarioConfig, folder: Path, radius: float) -> None:
     quantities.check_number("forces.walking.radius", radius, 0.01, 10.0, "m")
     people = config.people
     if people is None:
@@ -272,11 +278,10 @@ def _behavior(config: ScenarioConfig, place: behaviors.Place) -> Behavior:
         part = components.resolve(description, {}, "behavior")
         behavior = part if isinstance(part, Behavior) else _build_own(part, place, config.people)
     else:
-        given = {name: getattr(description, name) for name in type(description).model_fields if name != "kind"}
-        build = behaviors.BEHAVIORS[description.kind]
-        behavior = build(place, config.people, **{name: value for name, value in given.items() if value is not None})
+        options = {name: value for name, value in description if name != "kind" and value is not None}
+        behavior = behaviors.BEHAVIORS[description.kind](place, config.people, **options)
     if not isinstance(behavior, Behavior):
-        what = f"{description.kind} gives {quantities.short_repr(behavior)}"
+        what = f"{description.kind} gives {shorten(repr(behavior))}"
         raise InputError(f"behavior: {what}, not a Behavior; give one, or a function (place, people) -> Behavior.")
     return behavior
 
@@ -287,10 +292,10 @@ def _build_own(part: Any, place: behaviors.Place, people: int | None) -> Any:
 
 def _robot(config: ScenarioConfig) -> RobotModel:
     robot = components.resolve(config.robot, _ANY, "robot")
-    if isinstance(robot, str | Path):  # a file of one's own may name the MJCF file beside it
+    if isinstance(robot, str | Path):  # a user's file may name the MJCF file beside it
         robot = robots.load(robot, config.dynamics)
     if not isinstance(robot, RobotModel):
-        raise InputError(f"robot: {quantities.short_repr(robot)} is no RobotModel; give one, or an MJCF file.")
+        raise InputError(f"robot: {shorten(repr(robot))} is no RobotModel; give one, or an MJCF file.")
     return robot
 
 
@@ -306,7 +311,7 @@ def _forces(config: ScenarioConfig) -> social_forces.Forces:
 
 
 def _situations(config: ScenarioConfig) -> tuple[tuple, classifiers.Thresholds]:
-    """((name, function), ...) and their thresholds: those of the first set, but for what the description says."""
+    """((name, function), ...), and thresholds: those of the first set, with changes by the options."""
     known = {name: function for each in classifiers.SITUATION_SETS.values() for name, function in each.items()}
     chosen: dict[str, Any] = {}
     usual = None
@@ -320,7 +325,7 @@ def _situations(config: ScenarioConfig) -> tuple[tuple, classifiers.Thresholds]:
         else:
             chosen[_name(part)] = classifiers.as_situation(components.resolve(part, {}, "situations"), _name(part))
     if not chosen:
-        raise InputError("situations: none is given; give at least one, or a name like 'paper'.")
+        raise InputError("situations: there are none; give at least one, or a name like 'paper'.")
     if len(chosen) > MAX_SITUATIONS:
         raise InputError(f"situations: {len(chosen)} are more than {MAX_SITUATIONS}; give fewer.")
     thresholds = (usual or classifiers.thresholds)()
@@ -353,12 +358,12 @@ def _sensors(config: ScenarioConfig, robot: RobotModel) -> tuple:
 
 
 def _name(part: Component) -> str:
-    """What a part is called in results."""
+    """The name of a part in results."""
     return part.name if isinstance(part, OwnPart | Value) else part.kind
 
 
 class _Any(dict):
-    """A family whose names are the parts themselves: what they stand for is found later."""
+    """A family in which each name is its own part, looked up later."""
 
     def __contains__(self, name: object) -> bool:
         return True

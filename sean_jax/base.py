@@ -138,7 +138,7 @@ class RobotTask:
 
 
 @struct.dataclass
-class Moment:
+class Snapshot:
     """A robot among people at one time: everything that situations and metrics read, in arrays alone."""
 
     people: Pedestrians
@@ -279,7 +279,7 @@ class Scenario:
     robot: RobotModel
     task: Callable = struct.field(pytree_node=False)  # (scenario, pedestrians, groups, memory, key) -> RobotTask
     move: Callable = struct.field(pytree_node=False)  # (scenario, state) -> Pedestrians: the pedestrian model
-    situations: tuple = struct.field(pytree_node=False)  # ((name, (moment, thresholds) -> () bool), ...)
+    situations: tuple = struct.field(pytree_node=False)  # ((name, (snapshot, thresholds) -> () bool), ...)
     metrics: tuple = struct.field(pytree_node=False)  # ((name, metrics.Metric), ...)
     time_step: float = struct.field(pytree_node=False)  # s, of control
     time_limit: float = struct.field(pytree_node=False)  # s

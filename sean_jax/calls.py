@@ -1,7 +1,7 @@
-"""Calls of functions that may be a user's own: what they raise, or give in a wrong shape, becomes one sentence.
+"""Calls of functions that may be the user's: errors and wrong results become one sentence.
 
-The sentence names the part, file and line of the innermost frame of the user's, and the cure. It is made while a
-program is traced, so nothing has been compiled by then. Errors of the package's own functions stay as they are.
+The sentence names the part, the file and line of the innermost frame of the user's code, and the cure. It is made
+during tracing, before anything is compiled. Errors in the package's own functions are left alone.
 """
 
 import dataclasses
@@ -34,14 +34,10 @@ KINDS = {bool: "bool", float: "float"}  # of the elements of an array, as messag
 
 
 def call(part: str, function: Callable, arguments: str, *values: Any) -> Any:
-    """What a function of a part gives.
-
-    Args:
-        part: the part, such as policy, with which a message begins.
-        function: of the package or of a user.
+    """The result of a function of a part; ``part``, such as policy, begins the message.
 
     Raises:
-        PartError: the function is a user's and raised something, or takes other arguments.
+        PartError: the function is the user's and raises an error, or takes other arguments.
     """
     try:
         return function(*values)
@@ -57,11 +53,7 @@ def call(part: str, function: Callable, arguments: str, *values: Any) -> Any:
 def check_array(
     part: str, function: Callable, value: Any, kind: type | None, shape: tuple[int, ...] | None, cure: str
 ) -> None:
-    """Refuse what is no array of that kind and shape.
-
-    Args:
-        kind: ``bool``, ``float``, or any kind of number if None.
-        shape: that it must have; any if None.
+    """Refuse a value that is no array of a kind (``bool``, ``float``, or any number if None) and shape (any if None).
 
     Raises:
         PartError: it is none.
@@ -72,12 +64,12 @@ def check_array(
         dtype = jnp.result_type(value)
         right = jnp.issubdtype(dtype, {bool: np.bool_, float: np.floating}[kind]) if kind else _is_number(dtype)
     if not right:
-        wanted = " ".join([KINDS.get(kind, "an array of numbers"), *([] if shape is None else [str(shape)])])
-        raise wrong(part, function, describe(value), wanted, cure)
+        expected = " ".join([KINDS.get(kind, "an array of numbers"), *([] if shape is None else [str(shape)])])
+        raise wrong(part, function, describe(value), expected, cure)
 
 
 def check_type(part: str, function: Callable, value: Any, kind: type, **sizes: int) -> None:
-    """Refuse what is not of a data type, or whose fields have not the shapes of its annotations.
+    """Refuse a value of another type, or with fields of other shapes than in the annotations.
 
     Raises:
         PartError: it is not.
@@ -89,45 +81,38 @@ def check_type(part: str, function: Callable, value: Any, kind: type, **sizes: i
         field = getattr(value, name)
         right = isinstance(field, jax.Array | np.ndarray | np.generic) and jnp.ndim(field) == len(dims)
         if right:
-            wanted = [
+            expected = [
                 int(dim) if dim.isdigit() else known.setdefault(dim, size)
                 for dim, size in zip(dims, jnp.shape(field), strict=True)
             ]
-            right = list(field.shape) == wanted and any(re.fullmatch(kind, str(field.dtype)) for kind in kinds)
+            right = list(field.shape) == expected and any(re.fullmatch(kind, str(field.dtype)) for kind in kinds)
         if not right:
             shape = ", ".join(str(known.get(dim, dim)) for dim in dims)
-            wanted = f"{_kind(kinds)} ({shape}{',' * (len(dims) == 1)})"
+            expected = f"{_kind(kinds)} ({shape}{',' * (len(dims) == 1)})"
             raise wrong(
-                part, function, f"{name} = {describe(field)}", wanted, f"give {kind.__name__}.{name} that shape"
+                part, function, f"{name} = {describe(field)}", expected, f"give {kind.__name__}.{name} that shape"
             )
 
 
 def check_like(part: str, function: Callable, value: PyTree, like: PyTree, what: str) -> None:
-    """Refuse what has another structure, other shapes or other types than it had before.
-
-    Args:
-        like: that it must be like.
+    """Refuse a value whose structure, shapes or types differ from those of ``like``.
 
     Raises:
         PartError: it is not.
     """
     if jax.tree.structure(value) != jax.tree.structure(like):
         same = type(value) is type(like) and not isinstance(value, tuple | list | dict)
-        found, wanted = ("other fields", "those that it had") if same else (describe(value), describe(like))
-        raise wrong(part, function, f"{what} {found}", wanted, "keep its structure, for steps follow one another")
+        actual, expected = ("other fields", "those that it had") if same else (describe(value), describe(like))
+        raise wrong(part, function, f"{what} {actual}", expected, "keep its structure, for steps follow one another")
     leaves = jax.tree_util.tree_leaves_with_path(value)
     for (path, new), old in zip(leaves, jax.tree.leaves(like), strict=True):
         if jnp.shape(new) != jnp.shape(old) or jnp.result_type(new) != jnp.result_type(old):
-            found, wanted = f"{what}{jax.tree_util.keystr(path)} {describe(new)}", describe(old)
-            raise wrong(part, function, found, wanted, "keep shape and type, for steps follow one another")
+            actual, expected = f"{what}{jax.tree_util.keystr(path)} {describe(new)}", describe(old)
+            raise wrong(part, function, actual, expected, "keep shape and type, for steps follow one another")
 
 
 def describe(value: Any) -> str:
-    """What a value is, in a few words.
-
-    Returns:
-        Such as "float32 (2,)", "None" or "a list of 2".
-    """
+    """A value in a few words, such as "float32 (2,)", "None" or "a list of 2"."""
     if value is None:
         return "None"
     if isinstance(value, jax.Array | np.ndarray | np.generic | jax.ShapeDtypeStruct):
@@ -139,11 +124,11 @@ def describe(value: Any) -> str:
     return f"the class {value.__name__}" if isinstance(value, type) else f"a {type(value).__name__}"
 
 
-def wrong(part: str, function: Callable, found: str, wanted: str, cure: str) -> PartError:
-    """The error about a function that gives something else than it should."""
+def wrong(part: str, function: Callable, actual: str, expected: str, cure: str) -> PartError:
+    """The error about a function with a wrong result."""
     plain = _plain(function)
-    missing = ", for a return is missing" if found.endswith("None") else ""
-    return PartError(f"{part}: {_definition(plain)}{_name(plain)} gives {found}, not {wanted}{missing}; {cure}.")
+    missing = ", for a return is missing" if actual.endswith("None") else ""
+    return PartError(f"{part}: {_definition(plain)}{_name(plain)} gives {actual}, not {expected}{missing}; {cure}.")
 
 
 def _is_number(dtype: Any) -> bool:
@@ -152,15 +137,15 @@ def _is_number(dtype: Any) -> bool:
 
 @functools.cache
 def _fields(kind: type) -> tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...]:
-    """Name, letters of the shape, and patterns of the types of each field whose annotation has a shape."""
-    hints, found = typing.get_type_hints(kind), []
+    """Name, letters of the shape, and patterns of the types of each field with a shape in its annotation."""
+    hints, fields = typing.get_type_hints(kind), []
     for field in dataclasses.fields(kind):
         hint = (typing.get_args(hints[field.name]) or (hints[field.name],))[
             0
         ]  # arrays of jax, numpy and numpy's scalars
         if hasattr(hint, "dim_str") and type(None) not in typing.get_args(hints[field.name]):
-            found.append((field.name, tuple(hint.dim_str.split()), tuple(map(str, hint.dtypes))))
-    return tuple(found)
+            fields.append((field.name, tuple(hint.dim_str.split()), tuple(map(str, hint.dtypes))))
+    return tuple(fields)
 
 
 def _kind(patterns: tuple[str, ...]) -> str:
@@ -171,7 +156,7 @@ def _kind(patterns: tuple[str, ...]) -> str:
 
 
 def _plain(function: Any) -> Any:
-    """A user's function without what the package, or ``functools``, has put around it."""
+    """A user's function without wrappers of the package or of ``functools``."""
     while True:
         if isinstance(function, functools.partial):
             function = function.func
@@ -184,7 +169,7 @@ def _plain(function: Any) -> Any:
 
 
 def _code(function: Any) -> types.CodeType | None:
-    """The code of a function, of a method, or of what an object does when it is called."""
+    """The code of a function, of a method, or of an object's ``__call__``."""
     method = function.__init__ if isinstance(function, type) else getattr(type(function), "__call__")  # noqa: B004, B009
     for each in (function, getattr(function, "__func__", None), method):
         code = getattr(inspect.unwrap(each) if callable(each) else each, "__code__", None)
@@ -203,7 +188,7 @@ def _module(thing: Any) -> str:
 
 
 def _place(file: str, line: int) -> str:
-    """FILE:LINE, beginning in the current folder if it is there."""
+    """FILE:LINE, relative to the current folder if the file is in it."""
     try:
         near = os.path.relpath(file)
     except ValueError:  # another drive
@@ -212,7 +197,7 @@ def _place(file: str, line: int) -> str:
 
 
 def _definition(function: Any) -> str:
-    """Where a function begins, as a message has it."""
+    """The place of a function, to begin a message."""
     code = _code(function)
     return f"{_place(code.co_filename, code.co_firstlineno)}: " if code else ""
 
@@ -222,7 +207,7 @@ def _name(function: Any) -> str:
 
 
 def _innermost(error: BaseException, function: Any) -> tuple[str, int] | None:
-    """File and line of the innermost frame of the user's; None if there is none."""
+    """File and line of the innermost frame in the user's code; None if there is none."""
     code, place, trace = _code(function), None, error.__traceback__
     own = code.co_filename if code else None
     while trace is not None:
@@ -239,7 +224,7 @@ def _innermost(error: BaseException, function: Any) -> tuple[str, int] | None:
 
 
 def _explain(error: Exception, function: Any, arguments: str) -> str | None:
-    """Where, what and the cure, in one sentence; None if no code of a user's took part."""
+    """Place, reason and cure in one sentence; None if no code of the user took part."""
     place = _innermost(error, function)
     if place is None:
         if not _is_own(function):
@@ -250,7 +235,7 @@ def _explain(error: Exception, function: Any, arguments: str) -> str | None:
 
 
 def _other_arguments(error: Exception, function: Any, arguments: str) -> str | None:
-    """What a function takes instead of what it is called with."""
+    """The arguments of a function that is called with others."""
     number = len(arguments.split(", "))
     try:
         signature = inspect.signature(function)
@@ -258,15 +243,15 @@ def _other_arguments(error: Exception, function: Any, arguments: str) -> str | N
     except TypeError:
         if not callable(function):
             return None
-        taken = f"takes {str(signature).partition(' ->')[0]}"
-        return f"{_name(function)} {taken}, and is called with ({arguments}); give it those {number} arguments"
+        parameters = f"takes {str(signature).partition(' ->')[0]}"
+        return f"{_name(function)} {parameters}, and is called with ({arguments}); give it those {number} arguments"
     except ValueError:  # a builtin without a signature
         pass
     return None
 
 
 def _reason(error: Exception, line: str) -> str:
-    """What an exception means, with the cure; ``line`` is that of the program where it was raised."""
+    """The meaning of an exception, with the cure; ``line`` is the source line that raised it."""
     name, text = type(error).__name__, str(error)
     for kind, meaning in _MEANINGS.items():
         if name == kind:
@@ -296,7 +281,7 @@ def _concrete(error: Exception, line: str) -> str:
 
 
 def _attribute(error: Exception, line: str) -> str:
-    """A name that a value has not."""
+    """An attribute that a value does not have."""
     thing, name = getattr(error, "obj", None), str(getattr(error, "name", ""))
     if thing is None or not name:
         return f"AttributeError: {str(error).splitlines()[0][:MAX_TEXT].rstrip('.')}"

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from sean_jax import config, interrupts
 from sean_jax.config import COMMANDS, GROUPS, Config
 from sean_jax.errors import IncompleteError, InputError, PartError
+from sean_jax.messages import suggest
 from sean_jax.writing import atomic_file, broken, check_file, check_new_folder, contents
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def _main(words: list[str], traced: bool) -> int:
         print(_help())
         return 0 if words else WRONG
     if words[0] in GROUPS and words[1:2] in (["--help"], ["-h"]):
-        print(_group_help(words[0]))
+        print(_help(words[0]))
         return 0
     try:
         model = _model(words)
@@ -118,29 +119,26 @@ def _hinted(error: InputError, traced: bool) -> str:
     return f"{str(error).rstrip('.')} ({TRACEBACK} shows where it comes from)."
 
 
-def _help() -> str:
-    """The commands, a line each."""
-    summaries = {words.split()[0]: _summary(model.__doc__) for words, model in COMMANDS.items()} | GROUPS
-    width = max(map(len, summaries))
-    lines = [f"  {word:<{width}}  {summary}" for word, summary in summaries.items()]
-    head = "usage: sean COMMAND [OPTIONS]\n\nSocial robot navigation in JAX: simulate, measure, report.\n\ncommands:"
-    tail = f"For options: `sean COMMAND --help`; `sean --version` shows this version, {TRACEBACK} where an error is."
-    return "\n".join([head, *lines, "", tail])
-
-
-def _group_help(word: str) -> str:
-    """The commands of a group, a line each."""
-    name = {"train": "METHOD", "experiment": "EXPERIMENT"}[word]
-    commands = {words: model for words, model in COMMANDS.items() if words.split()[0] == word}
-    width = max(map(len, commands))
-    lines = [f"  sean {words:<{width}}  {_summary(model.__doc__)}" for words, model in commands.items()]
-    head = f"usage: sean {word} {name} [OPTIONS]\n\n{GROUPS[word]}\n"
-    return "\n".join([head, *lines, "", f"For options: `sean {word} {name} --help`."])
+def _words(group: str = "") -> dict[str, str]:
+    """The words that can follow ``sean``, or ``sean train`` of a group, with their summaries."""
+    start = f"{group} " if group else ""
+    commands = {name.removeprefix(start): model for name, model in COMMANDS.items() if name.startswith(start)}
+    return {name.split()[0]: _summary(model.__doc__) for name, model in commands.items()} | ({} if group else GROUPS)
 
 
 def _summary(text: str | None) -> str:
     """The first sentence of a text."""
     return " ".join((text or "").split()).partition(". ")[0].rstrip(".") + "."
+
+
+def _help(group: str = "") -> str:
+    """The commands, or those of a group, a line each."""
+    words, sean = _words(group), f"sean {group}".strip()
+    width = max(map(len, words))
+    lines = [f"  {word:<{width}}  {summary}" for word, summary in words.items()]
+    about = GROUPS.get(group, "Social robot navigation in JAX: simulate, measure, report.")
+    tail = f"For options: `{sean} COMMAND --help`; `sean --version` shows this version, {TRACEBACK} where an error is."
+    return "\n".join([f"usage: {sean} COMMAND [OPTIONS]\n\n{about}\n\ncommands:", *lines, "", tail])
 
 
 def _model(words: list[str]) -> type[Config]:
@@ -149,22 +147,13 @@ def _model(words: list[str]) -> type[Config]:
     Raises:
         InputError: there is no such command.
     """
-    from sean_jax.files.reading import suggest
-
-    first = list(dict.fromkeys(name.split()[0] for name in COMMANDS))
-    if words[0] not in first:
-        raise InputError(
-            f"'{words[0]}' is not one of {', '.join(first)}"
-            f"{suggest(words[0], first) or '; `sean --help` describes them.'}"
-        )
-    if words[0] not in GROUPS:
-        return COMMANDS[words[0]]
-    second = [name.split()[1] for name in COMMANDS if name.split()[0] == words[0]]
-    name = words[1] if len(words) > 1 else ""
-    if name in second:
-        return COMMANDS[f"{words[0]} {name}"]
-    cure = suggest(name, second) or f"; `sean {words[0]} --help` describes them."
-    raise InputError(f"{words[0]}: '{name}' is not one of {', '.join(second)}{cure}")
+    group = words[0] if words[0] in GROUPS else ""
+    name = " ".join(words[:2] if group else words[:1])
+    if name not in COMMANDS:
+        word, known = name.removeprefix(group).strip(), _words(group)
+        cure = suggest(word, known) or f"; `{f'sean {group}'.strip()} --help` describes them."
+        raise InputError(f"{group and f'{group}: '}'{word}' is not one of {', '.join(known)}{cure}")
+    return COMMANDS[name]
 
 
 def _read(model: type[Config], parsed: Any) -> Any:
@@ -386,7 +375,7 @@ def _doctor(options: config.DoctorConfig) -> int:
 
     table = Table(box=None, pad_edge=False, show_header=False)
     for finding in doctor.examine():
-        text = Text(finding.found)
+        text = Text(finding.value)
         if finding.cure:
             text.append(f"\n{finding.cure}", "bold yellow")
         table.add_row(Text(finding.what, "dim"), text)

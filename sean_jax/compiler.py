@@ -1,4 +1,4 @@
-"""Configuration of XLA by the command line, before JAX is imported. Settings of the user's stay as they are."""
+"""Configuration of XLA by the command line, before JAX is imported. The user's own settings are kept."""
 
 import importlib.metadata
 import os
@@ -9,10 +9,10 @@ LOOPS = "--xla_cpu_use_fusion_emitters"  # a flag of jaxlib 0.10; later versions
 
 
 def configure() -> None:
-    """Set the environment variables of JAX's compilation cache, and a flag of XLA.
+    """Set the environment variables of JAX's compilation cache, in the user's cache folder, and a flag of XLA.
 
-    Programs are cached in the user's cache folder. Loops for a CPU are emitted by the older of two emitters, which
-    compiles the step in two thirds of the time, to a program that is as fast.
+    The flag chooses the older of two emitters of loops for a CPU, which compiles the step in two thirds of the time, to
+    an equally fast program.
     """
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache.folder() / "xla"))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")

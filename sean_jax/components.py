@@ -1,8 +1,8 @@
-"""Parts of your own: ``my.py:thing`` of a description becomes the thing, and the record of a run can find it again.
+"""The user's own parts: ``my.py:thing`` becomes the thing, and its files are recorded with a run.
 
-What is executed are the bytes whose SHA-256 is recorded, never ``__pycache__``: a file is read together with all that
-its import statements find beside it (``Content``), and executed once for its content, so the same files give the same
-functions and nothing compiles anew. Importing this imports no JAX.
+The bytes whose SHA-256 is recorded are executed, never ``__pycache__``: a file is read with all neighbours that it
+imports (``Content``), and executed once for its content, so equal files give equal functions and nothing compiles
+again. This module imports no JAX.
 """
 
 import ast
@@ -30,7 +30,7 @@ PACKAGE = __name__.partition(".")[0]
 
 
 class Source(NamedTuple):
-    """A module of one's own, before it is executed."""
+    """A module of the user, before it is executed."""
 
     path: Path
     text: bytes | None  # of a folder without __init__.py none
@@ -39,7 +39,7 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Content:
-    """A file and all that its import statements find beside it, at any depth, as it was read."""
+    """A file and its neighbours that it imports, at any depth, as they were read."""
 
     file: Path  # absolute
     sources: Mapping[str, Source]  # name as it is imported -> module; the file's own is the first
@@ -57,7 +57,7 @@ class Content:
 
     @cached_property
     def root(self) -> str:
-        """The package that its modules are in, which no other file or content has."""
+        """Name of the package of its modules, which no other file or content has."""
         return f"sean_jax_part_{_sha256(f'{self.file}{self.digest}'.encode())[:16]}"
 
 
@@ -67,10 +67,7 @@ _reading_once = _trust = 0  # blocks of ``read_once`` and of ``trust`` that are 
 
 
 def resolve(component: Component, family: Mapping[str, Any], option: str) -> Any:
-    """The part that a description stands for.
-
-    Returns:
-        The part of the family, the thing of a file, or the value itself.
+    """The part that a component stands for: of the family, of a file, or the Python value itself.
 
     Raises:
         InputError: there is no such name, file or thing.
@@ -85,11 +82,11 @@ def resolve(component: Component, family: Mapping[str, Any], option: str) -> Any
 
 
 def load(part: OwnPart, option: str) -> Any:
-    """The thing of a file, or what it gives when it is called with the further options of the part.
+    """The thing of a file; with further options of the part, the result of calling it with them.
 
     Raises:
         InputError: a file names the part and is not trusted, there is no such file or name, or the file or the call
-            raised something.
+            raises an error.
     """
     _check_trust(part, option)
     module = _module(part.file, option)
@@ -107,9 +104,9 @@ def load(part: OwnPart, option: str) -> Any:
 
 @contextlib.contextmanager
 def trust() -> Iterator[None]:
-    """Within the block, code runs that only a file names, such as ``FILE.py:NAME`` in the config.json of an agent.
+    """Let code run that only a file names, such as ``FILE.py:NAME`` in the config.json of an agent, within the block.
 
-    Otherwise only such parts run as the user has named, on the command line or in Python.
+    Otherwise only parts run that the user names, on the command line or in Python.
     """
     global _trust
     _trust += 1
@@ -120,10 +117,10 @@ def trust() -> Iterator[None]:
 
 
 def check_trust(config: Config) -> None:
-    """Refuse what ``load`` would refuse of a description, before anything is made of it.
+    """Refuse parts that ``load`` would refuse, before anything is built.
 
     Raises:
-        InputError: a file names one of its parts, and is not trusted.
+        InputError: a file names one of the parts, and is not trusted.
     """
     for field, part in _parts(config):
         _check_trust(part, field)
@@ -140,7 +137,7 @@ def _check_trust(part: OwnPart, option: str) -> None:
 
 @contextlib.contextmanager
 def read_once() -> Iterator[None]:
-    """Within the block each file of one's own is read once, so that all of a command runs what its record names."""
+    """Read each of the user's files once within the block, so that a command runs what its record names."""
     global _reading_once
     _reading_once += 1
     try:
@@ -152,7 +149,7 @@ def read_once() -> Iterator[None]:
 
 
 def content(file: str | Path) -> Content:
-    """What a file and its neighbours hold now, or held when this command first read them.
+    """A file with its neighbours, as they are now, or as they were when this command first read them.
 
     Raises:
         FileError: a file cannot be read.
@@ -168,25 +165,19 @@ def content(file: str | Path) -> Content:
             for count in range(1, len(parts) + 1):
                 prefix = ".".join(parts[:count])
                 if prefix not in sources:
-                    found = _beside(path.parent, parts[:count])
-                    if found is None:
+                    source = _beside(path.parent, parts[:count])
+                    if source is None:
                         break
-                    sources[prefix] = found
+                    sources[prefix] = source
                     waiting.append(prefix)
-    made = Content(path, sources)
+    code = Content(path, sources)
     if _reading_once:
-        _READ[path] = made
-    return made
+        _READ[path] = code
+    return code
 
 
 def digest(file: Path, max_bytes: int = files.MAX_BYTES) -> str:
-    """What tells the bytes of a file from others: their SHA-256.
-
-    Args:
-        max_bytes: that it may have.
-
-    Returns:
-        64 hexadecimal digits.
+    """SHA-256 of a file of at most ``max_bytes``, as 64 hexadecimal digits.
 
     Raises:
         FileError: the file cannot be read.
@@ -195,28 +186,22 @@ def digest(file: Path, max_bytes: int = files.MAX_BYTES) -> str:
 
 
 def digests(config: Config) -> dict[str, str]:
-    """What tells the content of the files that a description takes parts from, and that those import beside them.
-
-    Returns:
-        The file as it is named there -> its SHA-256.
+    """File -> SHA-256, of the files of the options' parts and of their neighbours.
 
     Raises:
-        InputError: a file cannot be read; the message begins with the field that names it.
+        InputError: a file cannot be read; the message begins with the option that names it.
     """
-    found: dict[str, str] = {}
+    hashes: dict[str, str] = {}
     for field, part in _parts(config):
         try:
-            found |= _named(part.file, content(part.file))
+            hashes |= _named(part.file, content(part.file))
         except InputError as error:
             raise InputError(f"{field}: {error}") from None
-    return found
+    return hashes
 
 
 def by_content(config: Config) -> dict[str, Any]:
-    """What decides the results, with own files by their content: equal for copies of a file.
-
-    Returns:
-        As ``Config.identity``.
+    """As ``Config.identity``, with the user's files by their content: equal for copies of a file.
 
     Raises:
         FileError: a file cannot be read.
@@ -225,67 +210,54 @@ def by_content(config: Config) -> dict[str, Any]:
 
 
 def copy(folder: Path, config: Config) -> tuple[dict[str, str], dict[str, str]]:
-    """Copies of the files that a description takes parts from, as they were executed.
-
-    Args:
-        folder: they are put into its folder ``parts``, those of a second folder into ``parts/2``, ...
+    """Copy the files of the options' parts, as they were executed, into folder/parts, folder/parts/2, ...
 
     Returns:
-        File as it is named in the description -> its copy; copy -> SHA-256.
+        File in the options -> its copy; copy -> SHA-256.
     """
     copies: dict[str, str] = {}
     hashes: dict[str, str] = {}
     places: dict[Path, str] = {}
     for _, part in _parts(config):
-        held = content(part.file)
-        place = places.setdefault(held.file.parent, f"{PARTS}/{len(places) + 1}" if places else PARTS)
-        for source in held.sources.values():
+        code = content(part.file)
+        place = places.setdefault(code.file.parent, f"{PARTS}/{len(places) + 1}" if places else PARTS)
+        for source in code.sources.values():
             if source.text is not None:
-                to = folder / place / source.path.relative_to(held.file.parent)
+                to = folder / place / source.path.relative_to(code.file.parent)
                 to.parent.mkdir(parents=True, exist_ok=True)
                 writing.write(to, source.text)
-        copies[part.file] = f"{place}/{held.file.name}"
-        hashes |= _named(copies[part.file], held)
+        copies[part.file] = f"{place}/{code.file.name}"
+        hashes |= _named(copies[part.file], code)
     return copies, hashes
 
 
 def recorded(path: Path, data: Any, hashes: Any, key: str) -> Any:
-    """A description that a file holds, whose own parts are found from here: first beside that file.
+    """Saved options, with the paths of the user's files from here: first beside the file that holds the options.
 
     Args:
-        hashes: what it says of the content of own files, as ``digests`` and ``copy`` give it; None for nothing.
-
-    Returns:
-        The same with the files as they are named from here.
+        path: the file that holds them.
+        hashes: file -> SHA-256, as of ``digests`` and ``copy``; None for no check.
 
     Raises:
-        InputError: a file cannot be read, or is not what it was.
+        InputError: a file cannot be read, or has changed.
     """
     hashes = {} if hashes is None else hashes
     if not isinstance(hashes, dict):
         raise InputError(f"{path}: {key}: {hashes!r:.60} is no list of files; give file: digest lines, or none.")
     names = _files(data)
-    found = {name: path.parent / name for name in names}
-    found = {name: file if file.is_file() or not Path(name).is_file() else Path(name) for name, file in found.items()}
+    paths = {name: path.parent / name for name in names}
+    paths = {name: file if file.is_file() or not Path(name).is_file() else Path(name) for name, file in paths.items()}
     for name in names if hashes else ():
-        held = content(found[name])
-        for (inner, digest), file in zip(held.digests.items(), _named(name, held), strict=True):
+        code = content(paths[name])
+        for (inner, digest), file in zip(code.digests.items(), _named(name, code), strict=True):
             if hashes.get(file) != digest:
                 cure = f"restore it, or remove {key} from {path.name} to take all files as they are"
-                raise InputError(f"{found[name].parent / inner}: is not the file that {path} was made with; {cure}.")
-    return relocate(data, {name: str(file) for name, file in found.items()})
+                raise InputError(f"{paths[name].parent / inner}: is not the file that {path} was made with; {cure}.")
+    return relocate(data, {name: str(file) for name, file in paths.items()})
 
 
 def relocate(data: Any, place: Mapping[str, str]) -> Any:
-    """A description's JSON with its own files elsewhere.
-
-    Args:
-        data: as ``Config.model_dump`` gives it.
-        place: file as it is named there -> its new name.
-
-    Returns:
-        The same with the new names.
-    """
+    """Saved options with the user's files elsewhere: ``place`` has the new path of each."""
     if isinstance(data, list | tuple):
         return [relocate(each, place) for each in data]
     if isinstance(data, Mapping):
@@ -297,22 +269,22 @@ def relocate(data: Any, place: Mapping[str, str]) -> Any:
 
 
 def _files(data: Any) -> list[str]:
-    """The files of parts in a description's JSON, each once."""
+    """The files of the parts in saved options, each once."""
     if isinstance(data, str):
         return [data.rpartition(":")[0]] if is_own_part(data) else []
     values = data.values() if isinstance(data, Mapping) else data if isinstance(data, list | tuple) else ()
     return list(dict.fromkeys(file for value in values for file in _files(value)))
 
 
-def _named(file: str, held: Content) -> dict[str, str]:
-    """The digests of a content, by names as that of its file."""
-    _, *others = held.digests
+def _named(file: str, code: Content) -> dict[str, str]:
+    """The digests of a content, by paths beside ``file``."""
+    _, *others = code.digests
     names = [file, *((Path(file).parent / other).as_posix() for other in others)]
-    return dict(zip(names, held.digests.values(), strict=True))
+    return dict(zip(names, code.digests.values(), strict=True))
 
 
 def _parts(config: Config) -> Iterator[tuple[str, OwnPart]]:
-    """Each part of one's own with the field that has it; lists of names are texts with commas."""
+    """The option and the part, of each of the user's own parts; names are separated by commas."""
     for name in type(config).model_fields:
         value = getattr(config, name)
         for part in value if isinstance(value, tuple) else files.listed(value) if isinstance(value, str) else (value,):
@@ -327,7 +299,7 @@ def _sha256(data: bytes) -> str:
 
 
 def _bytes(path: Path) -> bytes:
-    """A file, or what another file of this command found there."""
+    """A file, as this command has read it already if it has."""
     for each in _READ.values():
         for source in each.sources.values():
             if source.path == path and source.text is not None:
@@ -349,7 +321,7 @@ def _beside(folder: Path, parts: list[str]) -> Source | None:
 
 
 def _is_installed(name: str) -> bool:
-    """Whether a name is that of a module, before which a folder without __init__.py counts for nothing."""
+    """Whether there is a module of this name; a folder without __init__.py does not come before it."""
     try:
         spec = importlib.util.find_spec(name)
     except ValueError:  # such as __main__
@@ -358,11 +330,11 @@ def _is_installed(name: str) -> bool:
 
 
 def _imported(name: str, sources: Mapping[str, Source]) -> Iterator[str]:
-    """The names that the import statements of a module ask for, in all its functions and branches."""
+    """The names in the import statements of a module, in all its functions and branches."""
     source = sources[name]
     try:
         tree = ast.parse(source.text or b"")
-    except (SyntaxError, ValueError):  # which is told when it is executed
+    except (SyntaxError, ValueError):  # an error in its execution reports it
         return
     package = name.split(".") if source.is_package else name.split(".")[:-1]
     for node in ast.walk(tree):
@@ -380,32 +352,32 @@ def _imported(name: str, sources: Mapping[str, Source]) -> Iterator[str]:
 def _module(name: str, option: str) -> ModuleType:
     """The executed file."""
     try:
-        held = content(name)
+        code = content(name)
     except InputError as error:
         raise InputError(f"{option}: {error}") from None
-    if held.root not in _LOADED:
+    if code.root not in _LOADED:
         if _FINDER not in sys.meta_path:
             sys.meta_path.insert(0, _FINDER)
-        _FINDER.contents[held.root] = held
+        _FINDER.contents[code.root] = code
         try:
-            _LOADED[held.root] = importlib.import_module(f"{held.root}.{next(iter(held.sources))}")
+            _LOADED[code.root] = importlib.import_module(f"{code.root}.{next(iter(code.sources))}")
         except (Exception, SystemExit) as error:
-            for each in [each for each in sys.modules if each.split(".")[0] == held.root]:
+            for each in [each for each in sys.modules if each.split(".")[0] == code.root]:
                 del sys.modules[each]
             raise InputError(f"{option}: {name} cannot be imported: {_reason(error)}") from error
-    return _LOADED[held.root]
+    return _LOADED[code.root]
 
 
 class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Makes the modules of contents. Their import statements find each other, and nothing else beside them."""
+    """Import of the modules of contents, which find each other and nothing else beside them."""
 
     def __init__(self) -> None:
         self.contents: dict[str, Content] = {}  # by root
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> ModuleSpec | None:
         root, _, name = fullname.partition(".")
-        held = self.contents.get(root)
-        source = held and (held.sources.get(name) if name else Source(held.file.parent, None, True))
+        code = self.contents.get(root)
+        source = code and (code.sources.get(name) if name else Source(code.file.parent, None, True))
         return source and importlib.util.spec_from_loader(fullname, self, is_package=source.is_package)
 
     def create_module(self, spec: ModuleSpec) -> None:
@@ -413,18 +385,18 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
     def exec_module(self, module: ModuleType) -> None:
         root, _, name = module.__name__.partition(".")
-        held = self.contents[root]
-        source = held.sources.get(name)
+        code = self.contents[root]
+        source = code.sources.get(name)
         if source is None or source.text is None:
             return
 
         def find(name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0) -> ModuleType:
-            """What an import statement means."""
+            """``__import__`` for the module."""
             top = name.partition(".")[0]
-            if level or top not in held.sources:
+            if level or top not in code.sources:
                 return builtins.__import__(name, globals, locals, fromlist, level)
-            found = builtins.__import__(f"{root}.{name}", globals, locals, fromlist, 0)
-            return found if fromlist else sys.modules[f"{root}.{top}"]
+            imported = builtins.__import__(f"{root}.{name}", globals, locals, fromlist, 0)
+            return imported if fromlist else sys.modules[f"{root}.{top}"]
 
         module.__file__ = str(source.path)
         vars(module)["__builtins__"] = vars(builtins) | {"__import__": find}
@@ -435,7 +407,7 @@ _FINDER = _Finder()
 
 
 def _reason(error: BaseException) -> str:
-    """The error in one sentence, with the line of the user's file."""
+    """The error as a sentence, with the line of the user's file."""
     line, trace = "", error.__traceback__
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename

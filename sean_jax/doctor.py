@@ -25,28 +25,24 @@ LOW_MEMORY, LOW_DISK = 4.0, 2.0  # GB
 
 
 class Finding(NamedTuple):
-    """Something that was looked at."""
+    """A fact about this machine."""
 
     what: str
-    found: str
+    value: str
     cure: str = ""  # what to do; "" if nothing is wrong
 
 
 def examine() -> list[Finding]:
-    """Look at this machine.
-
-    Returns:
-        What was found, in the order in which it matters.
-    """
-    found = [Finding(name, version) for name, version in versions().items()]
-    return [*found, *_extras(), *_devices(), *_machine(), _cache()]
+    """Facts about this machine, in order of importance."""
+    packages = [Finding(name, version) for name, version in versions().items()]
+    return [*packages, *_extras(), *_devices(), *_machine(), _cache()]
 
 
 def _extras() -> list[Finding]:
-    here = [extra for extra, module in EXTRAS.items() if importlib.util.find_spec(module.partition(".")[0])]
-    missing = [extra for extra in EXTRAS if extra not in here]
-    told = f"{', '.join(here) or 'none'}; without {', '.join(missing)}" if missing else ", ".join(here)
-    return [Finding("extras", told)]
+    present = [extra for extra, module in EXTRAS.items() if importlib.util.find_spec(module.partition(".")[0])]
+    missing = [extra for extra in EXTRAS if extra not in present]
+    text = f"{', '.join(present) or 'none'}; without {', '.join(missing)}" if missing else ", ".join(present)
+    return [Finding("extras", text)]
 
 
 def _devices() -> list[Finding]:
@@ -58,30 +54,30 @@ def _devices() -> list[Finding]:
         cure = "unset JAX_PLATFORMS, or set it to cpu"
         return [Finding("devices", f"JAX finds none: {str(error).splitlines()[0]}", cure)]
     kinds = dict.fromkeys(device.device_kind for device in devices)
-    told = ", ".join(f"{sum(d.device_kind == kind for d in devices)} x {kind}" for kind in kinds)
+    text = ", ".join(f"{sum(d.device_kind == kind for d in devices)} x {kind}" for kind in kinds)
     cure = ""
     if jax.default_backend() == "cpu" and (NVIDIA.exists() or shutil.which("nvidia-smi")):
-        asked = os.environ.get("JAX_PLATFORMS", "")
+        platforms = os.environ.get("JAX_PLATFORMS", "")
         cure = 'a GPU is here and JAX does not use it: pip install "sean_jax[cuda13]"'
-        if asked:
-            cure = f"a GPU is here and JAX_PLATFORMS={asked} keeps JAX from it: unset it"
+        if platforms:
+            cure = f"a GPU is here and JAX_PLATFORMS={platforms} keeps JAX from it: unset it"
     digits = f"{8 * jax.numpy.ones(()).dtype.itemsize} bits"
-    return [Finding("devices", f"{told} ({jax.default_backend()}), {digits}", cure)]
+    return [Finding("devices", f"{text} ({jax.default_backend()}), {digits}", cure)]
 
 
 def _machine() -> list[Finding]:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    found = [Finding("cores", str(cores), "" if cores > 1 else "compiling takes twice as long on one core")]
+    findings = [Finding("cores", str(cores), "" if cores > 1 else "compiling takes twice as long on one core")]
     if (memory := _memory()) is not None:
         cure = f"compiling takes up to {LOW_MEMORY:.0f} GB; close other programs" if memory < LOW_MEMORY else ""
-        found.append(Finding("free memory", f"{memory:.1f} GB", cure))
+        findings.append(Finding("free memory", f"{memory:.1f} GB", cure))
     free = shutil.disk_usage(Path.cwd()).free / 1e9
     cure = "results may not fit; free some, or choose another disk with --out" if free < LOW_DISK else ""
-    return [*found, Finding("free disk", f"{free:.1f} GB here", cure)]
+    return [*findings, Finding("free disk", f"{free:.1f} GB here", cure)]
 
 
 def _memory() -> float | None:
-    """GB of memory that programs can still take, where the system tells it."""
+    """Free memory in GB; None where the system does not tell."""
     try:
         lines = files.read_text(Path("/proc/meminfo")).splitlines()
         return next(float(line.split()[1]) / 1e6 for line in lines if line.startswith("MemAvailable"))

@@ -32,8 +32,9 @@ from sean_jax.config import (
     validate,
 )
 from sean_jax.errors import InputError
-from sean_jax.files.reading import listed
+from sean_jax.messages import listed
 
+LAST = ("seed", "out", "quiet")  # in the help
 SETTINGS = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
 
 
@@ -61,7 +62,7 @@ def parser(model: type[Config], configurable: bool = False, trust: bool = False)
     if configurable:
         text = "A config.yaml, such as sean run writes; flags override its values."
         fields.append(_field("config", Path | None, text, None))
-    for name, field in model.model_fields.items():
+    for name, field in sorted(model.model_fields.items(), key=lambda option: option[0] in LAST):
         family = family_of(field)
         text = " ".join((field.description or "").split())
         if family is not None:
@@ -257,7 +258,7 @@ def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
         family = family_of(field)
         several = family.singular is not None if family else Ellipsis in typing.get_args(_plain(field.annotation))
         if several and names.count(flag(name)) > 1:
-            raise InputError(f"{flag(name)} is given more than once; give it once, with all of its values.")
+            raise InputError(f"{flag(name)} is repeated; give it once, with all of its values.")
 
 
 def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:

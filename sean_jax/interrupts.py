@@ -1,4 +1,4 @@
-"""How long work is interrupted: SIGTERM, by which schedulers end a job, does what Ctrl-C does."""
+"""Interrupts of long work: SIGTERM, by which schedulers end a job, acts as Ctrl-C."""
 
 import atexit
 import contextlib
@@ -16,9 +16,9 @@ COMPILER_THREAD = "sean-compiler"  # name of a thread that compiles; nothing can
 
 
 def compile_in_thread(work: Callable[[], None]) -> threading.Thread:
-    """Begin work of XLA's compiler in a thread, for which the end of the interpreter waits.
+    """Run work of XLA's compiler in a thread; the interpreter waits for it before it exits.
 
-    An interpreter that ends unwinds the threads that are left, and XLA's C++ answers that with ``abort``.
+    An interpreter that exits unwinds its other threads, and XLA's C++ answers that with ``abort``.
     """
     atexit.unregister(_wait_for_compiler)
     atexit.register(_wait_for_compiler)  # as the last one, so before JAX frees what the compiler uses
@@ -28,11 +28,7 @@ def compile_in_thread(work: Callable[[], None]) -> threading.Thread:
 
 
 def is_compiling() -> bool:
-    """Whether a thread of ``compile_in_thread`` is at work.
-
-    Returns:
-        True if there is one.
-    """
+    """Whether a thread of ``compile_in_thread`` runs."""
     return any(thread.name == COMPILER_THREAD for thread in threading.enumerate())
 
 
@@ -46,13 +42,13 @@ def _wait_for_compiler() -> None:
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[list[int]]:
-    """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the main thread until the block ends.
+    """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the main thread within the block.
 
-    In a callback of ``weakref``, of which JAX's caches have many, or of the garbage collector, and in ``__del__``,
-    Python would print the exception and drop it: there it is put off. So it is until a loop of ``asyncio`` that the
-    block has begun is done: orbax reads and writes in one, and threads that it has left behind would complain of a
-    closed loop. A signal that is ignored, or that has a handler outside Python, is left alone. In other threads, where
-    no signal arrives, the block runs as it is.
+    Python prints and drops an exception in a callback of ``weakref``, of which JAX's caches have many, or of the
+    garbage collector, and in ``__del__``: there the interrupt is delayed. It is also delayed until a loop of
+    ``asyncio`` in the block has ended: orbax reads and writes in one, and its remaining threads would complain of a
+    closed loop. Signals that are ignored, or have a handler outside Python, are left alone. Other threads receive
+    no signals: there the block simply runs.
     """
     received: list[int] = []
     pending: list[int] = []
@@ -86,10 +82,10 @@ def interruptible() -> Iterator[list[int]]:
 
 @contextlib.contextmanager
 def unwrapped() -> Iterator[None]:
-    """Raise the block's KeyboardInterrupt as itself, where code in C made another exception of it.
+    """Raise the block's KeyboardInterrupt as itself, where code in C has turned it into another exception.
 
-    An interrupt can come while JAX's C++ compares two objects by their ``__eq__`` in Python; what is raised then is a
-    SystemError or ValueError, whose cause is the interrupt.
+    An interrupt can come while JAX's C++ compares two objects by their ``__eq__`` in Python; it raises a SystemError or
+    ValueError, whose cause is the interrupt.
 
     Raises:
         KeyboardInterrupt: the block was interrupted.
@@ -106,7 +102,7 @@ def unwrapped() -> Iterator[None]:
 
 
 def _has_to_wait(frame: FrameType | None, owner: FrameType) -> bool:
-    """Whether Python drops what is raised there, or an event loop is open in the block of the owner."""
+    """Whether Python would drop the exception there, or an event loop is open in the owner's block."""
     callbacks = [getattr(callback, "__code__", None) for callback in gc.callbacks]
     while frame is not None and frame is not owner:
         code = frame.f_code

@@ -1,6 +1,81 @@
-"""What messages about wrong values have in common."""
+"""Sentences about wrong values: what messages on options, files and Python arguments have in common."""
+
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+
+def listed(text: str | None) -> list[str]:
+    """The names in a text with commas between them; None has none."""
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
 
 
 def shorten(text: str, length: int = 60) -> str:
     """A text, cut to ``length`` characters."""
     return text if len(text) <= length else text[: length - 3] + "..."
+
+
+def suggest(word: str, choices: Iterable[str]) -> str:
+    """The end of a message about an unknown name: "; did you mean 'x'?", or nothing if no choice is like it."""
+    choices = [str(choice) for choice in choices]
+    lower = {choice.lower(): choice for choice in choices}
+    close = difflib.get_close_matches(str(word).lower()[:100], lower, n=1, cutoff=0.6)
+    return f"; did you mean '{lower[close[0]]}'?" if close else ""
+
+
+def unknown_name(option: str, name: str, choices: Iterable[str]) -> str:
+    """The sentence about an unknown name, with all choices and a suggestion."""
+    choices = list(choices)
+    return f"{option}: '{name}' is not one of {', '.join(choices)}{suggest(name, choices) or '.'}"
+
+
+_TEXTS = {
+    "float_type": "is not a number",
+    "int_type": "is not a whole number",
+    "int_from_float": "is not a whole number",
+    "string_type": "is not text; put it in quotes",
+    "string_too_short": "is too short a text",
+    "string_too_long": "is too long a text; {max_length:,} characters are allowed",
+    "bool_type": "is not true or false",
+    "bool_parsing": "is not true or false",
+    "path_type": "is not a path",
+    "list_type": "is not a list, such as [a, b]",
+    "tuple_type": "is not a list, such as [a, b]",
+    "dict_type": "is not a mapping, which has lines 'key: value'",
+    "model_type": "is not a mapping, which has lines 'key: value'",
+    "model_attributes_type": "is not a mapping, which has lines 'key: value'",
+    "finite_number": "is not a finite number",
+    "greater_than": "is not greater than {gt:g}",
+    "greater_than_equal": "is less than {ge:g}, the least allowed",
+    "less_than": "is not less than {lt:g}",
+    "less_than_equal": "is more than {le:g}, the most allowed",
+    "too_short": "has {actual_length} values, {min_length} are needed",
+    "too_long": "has {actual_length} values, {max_length} are allowed",
+}
+
+
+def error_clause(
+    error: Mapping[str, Any], choices: Iterable[object] = (), keys: Iterable[str] = (), hint: str = ""
+) -> str:
+    """One of the errors of a ``pydantic.ValidationError``, as a clause with the value and the cure.
+
+    Args:
+        choices: of a Literal.
+        keys: that a mapping may have, for an unknown key; a ``hint`` at the right one replaces their list.
+    """
+    kind, context = error["type"], error.get("ctx", {})
+    value = "an empty value" if error["input"] is None else shorten(repr(error["input"]))
+    if kind == "missing":
+        return "one value more is needed" if isinstance(error["loc"][-1], int) else "is missing; add it"
+    if kind == "extra_forbidden":
+        key, keys = str(error["loc"][-1]), list(keys)
+        cure = hint or suggest(key, keys) or f"; there are {', '.join(keys)}"
+        return f"{shorten(repr(key))} is not a known key{cure}"
+    if kind == "literal_error":
+        names = [str(choice) for choice in choices]
+        return f"{value} is not one of {', '.join(names)}{suggest(str(error['input']), names)}"
+    if kind == "value_error":
+        return str(context.get("error", error["msg"]))
+    if kind == "invalid_key":
+        return f"the key {shorten(repr(error['loc'][-1]))} is not text; put it in quotes"
+    return f"{value} {_TEXTS[kind].format(**context)}" if kind in _TEXTS else f"{value}: {error['msg']}"

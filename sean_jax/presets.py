@@ -1,6 +1,6 @@
-"""Presets of options: the conditions of another simulator, for all that a user does not say.
+"""Presets of options: the conditions of another simulator, for options that the user leaves out.
 
-Each entry is an option by the name that it has in ``make`` and on the command line, and may be given another value.
+Each entry is an option by its name in ``make`` and on the command line.
 """
 
 import math
@@ -37,14 +37,6 @@ PRESETS: dict[str, Preset] = {
 
 
 def usual(name: object, option: str, default: Any) -> Any:
-    """What an option is that nobody gave.
-
-    Args:
-        name: of a preset, or anything else for none.
-        default: without a preset.
-
-    Returns:
-        The preset's value if it has one, else the default.
-    """
+    """The default of an option under a preset; ``default`` if there is no such preset, or it lacks the option."""
     preset = PRESETS.get(name) if isinstance(name, str) else None
     return default if preset is None else preset.options.get(option, default)

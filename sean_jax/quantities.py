@@ -7,12 +7,10 @@ import math
 from numbers import Integral
 from typing import Annotated, Any
 
-import jax.core
-import jax.tree_util
-import numpy as np
 import pydantic
 
 from sean_jax.errors import InputError
+from sean_jax.messages import shorten
 
 MAX_COORDINATE = 10_000.0  # m from the origin, in x and in y
 MAX_FLOOR_SIDE = 4_000.0  # m
@@ -30,7 +28,7 @@ Degrees = Annotated[float, pydantic.Field(ge=-3600, le=3600)]
 
 
 def check_number(name: str, value: Any, minimum: float, maximum: float, unit: str = "") -> Any:
-    """Check that a value is a number in a range.
+    """The value, if it is a number in a range.
 
     Raises:
         InputError: it is no number, or out of range.
@@ -40,18 +38,19 @@ def check_number(name: str, value: Any, minimum: float, maximum: float, unit: st
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not minimum <= number <= maximum:
-        raise InputError(f"{name}: {short_repr(value)} must be from {minimum:,g} to {maximum:,g}{unit and ' ' + unit}.")
+        limits = f"{minimum:,g} to {maximum:,g}{unit and ' ' + unit}"
+        raise InputError(f"{name}: {shorten(repr(value))} must be from {limits}.")
     return value
 
 
 def check_integer(name: str, value: Any, minimum: int, maximum: int) -> int:
-    """Check that a value is a whole number in a range.
+    """The value, if it is a whole number in a range.
 
     Raises:
         InputError: it is no whole number, or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, Integral):
-        raise InputError(f"{name}: {short_repr(value)} must be a whole number from {minimum:,} to {maximum:,}.")
+        raise InputError(f"{name}: {shorten(repr(value))} must be a whole number from {minimum:,} to {maximum:,}.")
     return check_number(name, value, minimum, maximum)
 
 
@@ -61,17 +60,11 @@ def check_leaves(name: str, tree: Any) -> None:
     Raises:
         InputError: a number is not, in a sentence that names the leaf.
     """
+    import jax.core
+    import jax.tree_util
+    import numpy as np
+
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
         if not isinstance(leaf, jax.core.Tracer) and not (np.abs(np.asarray(leaf)) <= MAX_MAGNITUDE).all():
             where = f"{name}{jax.tree_util.keystr(path)}"
             raise InputError(f"{where}: {leaf} must be finite, and at most {MAX_MAGNITUDE:g}.")
-
-
-def short_repr(value: Any) -> str:
-    """A value as messages name it.
-
-    Returns:
-        Its ``repr``, cut to 60 letters.
-    """
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

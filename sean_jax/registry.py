@@ -1,6 +1,6 @@
 """Environments of reinforcement learning by name, as in MuJoCo Playground: ``registry.load(name, config_overrides=)``.
 
-A name such as Warehouse-Graph-JoinGroup-v0 is that of a place, of a pedestrian behavior and of a robot task. ``Mixed``
+A name such as Warehouse-Graph-JoinGroup-v0 has an environment, a pedestrian behavior and a robot task. ``Mixed``
 stands for the tasks that take turns in the paper's protocol (section V-B).
 """
 
@@ -44,16 +44,10 @@ ALL_ENVS = tuple(_OPTIONS)
 
 
 def get_default_config(name: str) -> EnvConfig:
-    """The description of an environment.
-
-    Args:
-        name: one of ``ALL_ENVS``.
-
-    Returns:
-        Its description; ``config.replace(people=20)`` is that of another.
+    """The options of an environment, one of ``ALL_ENVS``; ``config.replace(people=20)`` changes them.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is no such name.
     """
     if name not in _OPTIONS:
         hint = files.suggest(name, ALL_ENVS) or f"; there are {', '.join(ALL_ENVS)}."
@@ -62,15 +56,11 @@ def get_default_config(name: str) -> EnvConfig:
 
 
 def load(name: str, config: EnvConfig | None = None, config_overrides: Mapping[str, Any] | None = None) -> mdp.Env:
-    """An environment by its name.
+    """An environment by its name, one of ``ALL_ENVS``, without a pool of starts.
 
     Args:
-        name: one of ``ALL_ENVS``.
-        config: its description, if it is not that of the name.
-        config_overrides: field -> value, such as ``{"people": 20, "rewards.progress": 2.0}``.
-
-    Returns:
-        The environment, without a pool.
+        config: options other than those of the name.
+        config_overrides: option -> value, such as ``{"people": 20, "rewards.progress": 2.0}``.
 
     Raises:
         InputError: one sentence that names the value and the cure.
@@ -91,10 +81,7 @@ def load(name: str, config: EnvConfig | None = None, config_overrides: Mapping[s
 
 
 def build(config: EnvConfig) -> mdp.Env:
-    """The environment of a description; several tasks are drawn anew for each episode.
-
-    Returns:
-        The environment, without a pool.
+    """The environment of options, without a pool of starts; one of several tasks is drawn for each episode.
 
     Raises:
         InputError: one sentence that names the value and the cure.
@@ -109,10 +96,7 @@ def build(config: EnvConfig) -> mdp.Env:
 
 
 def check(config: EnvConfig) -> dict[str, Any]:
-    """Refuse what ``build`` would refuse, as far as it can be told in a moment: nothing is compiled or tabulated.
-
-    Returns:
-        Observations, rewards, terminations and randomization, as ``make_env`` takes them.
+    """Observations, rewards, terminations and randomization for ``make_env``; refuses options as ``assembly.check``.
 
     Raises:
         InputError: one sentence that names the value and the cure.
@@ -136,29 +120,26 @@ def check(config: EnvConfig) -> dict[str, Any]:
 
 
 def observation_terms(parts: Sequence[Component], option: str = "observations") -> observations.Terms:
-    """The terms of an observation.
-
-    Args:
-        parts: names in ``OBSERVATIONS``, or parts of a user's own.
+    """The terms of an observation: names in ``OBSERVATIONS``, or the user's own parts.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is no such name.
     """
-    found = {}
+    terms = {}
     for part in parts:
-        found[_name(part)] = components.resolve(part, observations.OBSERVATIONS, option)
-    return observations.as_terms(found) if found else ()
+        terms[_name(part)] = components.resolve(part, observations.OBSERVATIONS, option)
+    return observations.as_terms(terms) if terms else ()
 
 
 def _rewards(config: EnvConfig) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    terms: dict[str, Any] = {}
     for part in config.rewards:
         if isinstance(part, Named) and part.kind == "default":
-            found |= rewards.DEFAULT
+            terms |= rewards.DEFAULT
             continue
         term = components.resolve(part, {"default": None, **rewards.REWARDS}, "rewards")
-        found |= term if isinstance(term, dict) else {_name(part): term}
-    return found
+        terms |= term if isinstance(term, dict) else {_name(part): term}
+    return terms
 
 
 def _name(part: Any) -> str:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from sean_jax import calls, clock, prng
 from sean_jax import navigation as paths
-from sean_jax.base import Array, Groups, Moment, Observation, Pedestrians, RobotTask, Scenario, State, Trajectory
+from sean_jax.base import Array, Groups, Observation, Pedestrians, RobotTask, Scenario, Snapshot, State, Trajectory
 from sean_jax.geometry import length, rotate
 
 NOWHERE = 1e4  # m, where the robot is while people warm up
@@ -88,9 +88,9 @@ def _begin(
         timed_out=jnp.zeros((), bool),
     )
     state = classify(scenario, state)
-    now = moment(scenario, state)
+    now = snapshot(scenario, state)
     return replace(
-        state, metrics={name: calls.call("metrics", metric.init, "moment", now) for name, metric in scenario.metrics}
+        state, metrics={name: calls.call("metrics", metric.init, "snapshot", now) for name, metric in scenario.metrics}
     )
 
 
@@ -160,14 +160,14 @@ def move_robot(scenario: Scenario, state: State, action: Array) -> State:
 @jax.named_scope("classify")
 def classify(scenario: Scenario, state: State) -> State:
     """The state with the social situations (S,) that occur now. Source: section III-A."""
-    now = moment(scenario, state)
+    now = snapshot(scenario, state)
     return replace(state, situations=jnp.stack([holds(now, scenario.thresholds) for _, holds in scenario.situations]))
 
 
 @jax.named_scope("measure")
 def measure(scenario: Scenario, before: State, after: State) -> State:
     """``after`` with new metrics; they do not change once the episode has ended. Source: section IV-H."""
-    earlier, now = moment(scenario, before), moment(scenario, after)
+    earlier, now = snapshot(scenario, before), snapshot(scenario, after)
     done = before.completed | before.timed_out
     values = {
         name: calls.call("metrics", metric.update, "value, before, after", before.metrics[name], earlier, now)
@@ -194,10 +194,10 @@ def finish(scenario: Scenario, before: State, after: State) -> State:
     return replace(after, ticks_at_goal=ticks_at_goal, completed=completed, timed_out=timed_out)
 
 
-def moment(scenario: Scenario, state: State) -> Moment:
+def snapshot(scenario: Scenario, state: State) -> Snapshot:
     """What situations and metrics read of a state."""
     robot, task = state.robot, state.task
-    return Moment(
+    return Snapshot(
         people=state.pedestrians,
         position=robot.position,
         heading=robot.heading,

@@ -1,4 +1,4 @@
-"""Versions and fingerprints: what a run, a dataset or a network was made with."""
+"""Versions and fingerprints of the software and numbers behind a result."""
 
 import contextlib
 import hashlib
@@ -12,27 +12,20 @@ PACKAGES = ("sean-jax", "jax", "jaxlib", "flax", "optax", "mujoco", "mujoco-mjx"
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that results depend on.
-
-    Returns:
-        Name to version, without packages that are not installed; a checkout says its own.
-    """
+    """Name -> version, of Python and of the installed packages that results depend on; a checkout has its own."""
     own = sys.modules[__name__.partition(".")[0]].__version__
-    found = {"python": platform.python_version(), "sean-jax": own}
+    result = {"python": platform.python_version(), "sean-jax": own}
     for package in PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[package] = importlib.metadata.version(package)
-    return found
+            result[package] = importlib.metadata.version(package)
+    return result
 
 
 def version_mismatch(saved: Any) -> str | None:
-    """Compare saved versions with the current ones.
+    """The first difference from the current versions, such as "jax 0.9.0, not 0.10.0"; None if there is none.
 
     Args:
-        saved: a mapping as of ``versions``, from a file; anything else mismatches in nothing.
-
-    Returns:
-        The first difference in words, such as "jax 0.9.0, not 0.10.0"; None if all that both know are equal.
+        saved: as of ``versions``, from a file; anything but a mapping has no difference.
     """
     for name, version in versions().items() if isinstance(saved, Mapping) else ():
         if saved.get(name, version) != version:
@@ -41,11 +34,7 @@ def version_mismatch(saved: Any) -> str | None:
 
 
 def fingerprint(*trees: Any) -> str:
-    """A digest of all numbers in pytrees, such as scenarios and the parameters of policies.
-
-    Returns:
-        16 letters, equal for equal shapes, types and numbers.
-    """
+    """A digest of 16 letters of all shapes, types and numbers in pytrees, such as scenarios."""
     import jax
     import numpy as np
 

@@ -7,8 +7,8 @@ from sean_jax.metrics import METRICS
 ALL = tuple(METRICS.items())
 
 
-def init(moment, metrics=ALL):
-    return {name: metric.init(moment) for name, metric in metrics}
+def init(snapshot, metrics=ALL):
+    return {name: metric.init(snapshot) for name, metric in metrics}
 
 
 def update(values, before, after, metrics=ALL):
@@ -19,10 +19,10 @@ def compute(values, metrics=ALL):
     return {name: metric.compute(values[name]) for name, metric in metrics}
 
 
-def along(moments, metrics=ALL):
-    """Running values at the end of moments that are stacked along their first axis."""
+def along(snapshots, metrics=ALL):
+    """Running values at the end of snapshots that are stacked along their first axis."""
     first, before, after = (
-        jax.tree.map(lambda leaf, part=part: leaf[part], moments) for part in (0, slice(None, -1), slice(1, None))
+        jax.tree.map(lambda leaf, part=part: leaf[part], snapshots) for part in (0, slice(None, -1), slice(1, None))
     )
     step = lambda values, pair: (update(values, *pair, metrics), None)  # noqa: E731
     return jax.lax.scan(step, init(first, metrics), (before, after))[0]

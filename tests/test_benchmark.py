@@ -139,7 +139,7 @@ def test_results_are_ranked(ranked):
         (of("complete", False), "does not follow from its episodes"),
         (of("policy", "orca"), "orca of this package has another digest"),
         (of("policy", "ppo"), "ppo of this package has another digest"),
-        (of("policy", ["ppo"]), "policy: .* is not a text"),
+        (of("policy", ["ppo"]), "policy: .* is not text"),
         (of("scores", 3), "scores: 3 is not a mapping"),
         (of("protocol", 2), r"is of protocol 2 \(.*\), not 1"),
         (of("author", "somebody"), "'author' is not a known key"),

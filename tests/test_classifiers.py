@@ -8,19 +8,21 @@ import numpy as np
 import pytest
 
 from sean_jax import classifiers
-from sean_jax.base import Moment, Pedestrians
+from sean_jax.base import Pedestrians, Snapshot
 from sean_jax.classifiers import SITUATIONS, predicates
 
 NAMES = tuple(SITUATIONS)
 D, V, A = 2.4, 1.4, np.pi / 12
-classify = jax.jit(lambda moment: classifiers.classify(moment, classifiers.thresholds()))
+classify = jax.jit(lambda snapshot: classifiers.classify(snapshot, classifiers.thresholds()))
 
 
 def turned(degrees, length=1.0):
     return (length * np.cos(np.deg2rad(degrees)), length * np.sin(np.deg2rad(degrees)))
 
 
-def moment(agents=(), position=(0.0, 0.0), goal=(9.0, 0.0), start_group=-1, goal_group=-1, heading=(1.0, 0.0), slots=4):
+def snapshot(
+    agents=(), position=(0.0, 0.0), goal=(9.0, 0.0), start_group=-1, goal_group=-1, heading=(1.0, 0.0), slots=4
+):
     """A robot that looks along x, and agents (position, heading, speed along it, group); spare slots are absent."""
     spare = ((0.0, 0.1), (1.0, 0.0), 0.0, 0)  # would be down path and member of group 0, if it were there
     rows = [*agents, *[spare] * (slots - len(agents))]
@@ -37,7 +39,7 @@ def moment(agents=(), position=(0.0, 0.0), goal=(9.0, 0.0), start_group=-1, goal
         preferred_speed=jnp.ones(slots, number),
         robot_distance=jnp.zeros(slots, number),
     )
-    return Moment(
+    return Snapshot(
         people=people,
         position=jnp.asarray(position, number),
         heading=jnp.asarray(heading, number),
@@ -56,7 +58,7 @@ def moment(agents=(), position=(0.0, 0.0), goal=(9.0, 0.0), start_group=-1, goal
 
 
 def occurring(*args, **kwargs) -> set[str]:
-    flags = np.asarray(classify(moment(*args, **kwargs)))
+    flags = np.asarray(classify(snapshot(*args, **kwargs)))
     return {name for name, flag in zip(NAMES, flags, strict=True) if flag}
 
 
@@ -147,7 +149,7 @@ def test_crossing_needs_a_walker_and_down_path_does_not():
 
 
 def test_orientation_counts_not_velocity():
-    here = moment([((1.0, 0.0), AHEAD, 0.0, -1)])
+    here = snapshot([((1.0, 0.0), AHEAD, 0.0, -1)])
     sideways = replace(here.people, velocity=here.people.velocity.at[0].set(jnp.array([0.0, 1.5])))
     flags = dict(zip(NAMES, np.asarray(classify(replace(here, people=sideways))), strict=True))
     assert flags["down_path"] and not flags["cross_path"]
@@ -205,7 +207,7 @@ def test_zero_vectors_have_no_angle():
 
 
 def test_thresholds_can_be_chosen():
-    here = moment([((3.0, 0.0), turned(60), 1.0, -1)])
+    here = snapshot([((3.0, 0.0), turned(60), 1.0, -1)])
     wide = classifiers.thresholds(near=4.0, walking=0.5, angle=np.deg2rad(31))
     flags = dict(zip(NAMES, np.asarray(classifiers.classify(here, wide)), strict=True))
     assert flags["cross_path"] and not flags["down_path"] and not flags["empty"]
@@ -213,7 +215,7 @@ def test_thresholds_can_be_chosen():
 
 def test_jit_of_vmap_equals_a_loop_and_double_precision():
     random = np.random.default_rng(1)
-    moments, expected = [], []
+    snapshots, expected = [], []
     for _ in range(64):
         number = random.integers(0, 5)
         agents = [
@@ -222,7 +224,7 @@ def test_jit_of_vmap_equals_a_loop_and_double_precision():
             for _ in range(number)
         ]  # fmt: skip
         goal, groups = random.uniform(-0.5, 0.5, 2), random.integers(-1, 3, 2)
-        moments.append(moment(agents, (0.1, -0.2), goal, groups[0], groups[1]))
+        snapshots.append(snapshot(agents, (0.1, -0.2), goal, groups[0], groups[1]))
         flags = np.zeros(5, bool)
         for place, heading, speed, group in agents:
             if np.hypot(place[0] - 0.1, place[1] + 0.2) < D:
@@ -234,8 +236,8 @@ def test_jit_of_vmap_equals_a_loop_and_double_precision():
         flags[2] &= np.hypot(goal[0] - 0.1, goal[1] + 0.2) >= 0.2
         flags[4] = not flags[4]
         expected.append(flags)
-    together = jax.jit(jax.vmap(classify))(jax.tree.map(lambda *leaves: jnp.stack(leaves), *moments))
+    together = jax.jit(jax.vmap(classify))(jax.tree.map(lambda *leaves: jnp.stack(leaves), *snapshots))
     assert together.dtype == jnp.bool_ and together.shape == (64, 5)
-    np.testing.assert_array_equal(np.asarray(together), np.stack([classify(one) for one in moments]))
+    np.testing.assert_array_equal(np.asarray(together), np.stack([classify(one) for one in snapshots]))
     np.testing.assert_array_equal(np.asarray(together), np.stack(expected))
     assert np.stack(expected).any(0).all()

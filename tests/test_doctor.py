@@ -15,7 +15,7 @@ def by_name() -> dict[str, doctor.Finding]:
 def test_it_tells_versions_devices_and_folders(capsys):
     found = by_name()
     assert {"python", "jax", "numpy", "extras", "devices", "cores", "free disk", "cache"} <= set(found)
-    assert "cpu" in found["devices"].found
+    assert "cpu" in found["devices"].value
     assert cli.main(["doctor"]) == 0
     said = capsys.readouterr().out
     assert "jaxlib" in said and "free disk" in said
@@ -35,10 +35,10 @@ def test_a_gpu_that_jax_does_not_use_is_told(monkeypatch, tmp_path, asked):
 
 def test_a_cache_that_cannot_be_written_is_told(monkeypatch, tmp_path):
     monkeypatch.setattr(cache, "folder", lambda: tmp_path / "cache")
-    assert "empty" in by_name()["cache"].found and not by_name()["cache"].cure
+    assert "empty" in by_name()["cache"].value and not by_name()["cache"].cure
     (tmp_path / "cache" / "xla").mkdir(parents=True)
     (tmp_path / "cache" / "xla" / "program").write_bytes(b"0" * 2_000_000)
-    assert "1 compiled programs, 2 MB" in by_name()["cache"].found
+    assert "1 compiled programs, 2 MB" in by_name()["cache"].value
     monkeypatch.setattr(doctor.os, "access", lambda *_: False)
     assert "XDG_CACHE_HOME" in by_name()["cache"].cure
 
@@ -54,5 +54,5 @@ def test_little_memory_or_disk_is_told(monkeypatch):
 
 def test_extras_that_are_missing_are_named(monkeypatch):
     monkeypatch.setattr(doctor.importlib.util, "find_spec", lambda name: None)
-    assert by_name()["extras"].found.startswith("none; without learning, lerobot")
+    assert by_name()["extras"].value.startswith("none; without learning, lerobot")
     assert Path(doctor.__file__).name == "doctor.py"

@@ -50,14 +50,14 @@ def glide(scenario, state):
 # --- a situation ---
 
 
-def watched(moment, thresholds):
+def watched(snapshot, thresholds):
     """Somebody near looks at the robot, to within the angle A."""
 
     def holds(agent):
-        toward = cosine(agent.heading, moment.position - agent.position)
-        return near(moment.position, agent.position, thresholds.near) & (toward >= jnp.cos(thresholds.angle))
+        toward = cosine(agent.heading, snapshot.position - agent.position)
+        return near(snapshot.position, agent.position, thresholds.near) & (toward >= jnp.cos(thresholds.angle))
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
 # --- a metric ---
@@ -216,7 +216,7 @@ def test_recipes_name_what_is_added_here_and_no_other_way():
     """Sections 'Add a ...', signatures and dicts are those used in this file; no call that registers anything."""
     titles = set(re.findall(r"^## Add an? (.+)$", RECIPES, re.M))
     assert {"force", "situation", "task", "metric", "robot", "environment", "behavior or a policy"} <= titles
-    calls = ("pair(self, pair)", "person(self, crowd)", "name(moment, thresholds)", "policy(scenario, state, key)",
+    calls = ("pair(self, pair)", "person(self, crowd)", "name(snapshot, thresholds)", "policy(scenario, state, key)",
              "move(scenario, state)", "build(place, people)", "reset(scenario, key)",
              "direct(scenario, state, key)")  # fmt: skip
     families = ("PRESETS", "SITUATIONS", "METRICS", "TASKS", "BEHAVIORS", "POLICIES", "MODELS")

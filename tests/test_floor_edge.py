@@ -18,7 +18,7 @@ from sean_jax.geometry import from_box, to_edge
 from sean_jax.policies import POLICIES
 from sean_jax.policies.expert import obstacle_rate
 from sean_jax.policies.social_costmap import cell_costs
-from sean_jax.scenario import moment, reset
+from sean_jax.scenario import reset, snapshot
 
 FLOOR = -6.0, -5.0, 6.0, 5.0
 SETTINGS = "name: plaza\nfloor: [-6, -5, 6, 5]\npeople: 6\n"
@@ -105,7 +105,7 @@ def test_a_robot_stays_on_the_floor_and_sees_no_edge(scenarios):
         state = reset(scenario, key)
         drive = jnp.asarray([2.0, 0.0], jnp.float32)
         last = jax.lax.fori_loop(0, 300, lambda _, state: sean_jax.scenario.move_robot(scenario, state, drive), state)
-        return last, dict(scenario.metrics)["min_distance_to_obstacles"].init(moment(scenario, last))
+        return last, dict(scenario.metrics)["min_distance_to_obstacles"].init(snapshot(scenario, last))
 
     found = []
     for scenario in scenarios:

@@ -14,7 +14,7 @@ import pytest
 
 import sean_jax
 from sean_jax import classifiers, episodes, geometry, metrics, navigation, sensors, social_forces
-from sean_jax.base import Moment, Obstacles, Pedestrians, Policy
+from sean_jax.base import Obstacles, Pedestrians, Policy, Snapshot
 from sean_jax.classifiers import more_situations, predicates
 from sean_jax.geometry import build_obstacle_grid
 from sean_jax.metrics import proximity
@@ -322,11 +322,11 @@ def test_distances_that_classifiers_and_metrics_read(room, kind):
     scenario = room[0]
     limit = classifiers.thresholds()
 
-    def moment(at) -> Moment:
-        return sean_jax.scenario.moment(scenario, state_of(room, at))
+    def snapshot(at) -> Snapshot:
+        return sean_jax.scenario.snapshot(scenario, state_of(room, at))
 
     def read(at, _):
-        now = moment(at)
+        now = snapshot(at)
         gap = now.people.position[0] - now.position
         if kind == "situations":
             first, second, cross = more_situations._crossing(now.position, now.heading, *_pose(now.people, 0))

@@ -17,18 +17,18 @@ from sean_jax.evaluation import results
 from sean_jax.metrics import Metric, as_metric
 
 X = [0.0, 1.0, 3.0, 2.0, 2.0, -1.0, 4.0, 0.5]  # m, of the robot at ticks 0, 1, ...
-MOMENTS = [at(tick, (x, 0.0), situations=(0,) if tick % 2 else (2,)) for tick, x in enumerate(X)]
+SNAPSHOTS = [at(tick, (x, 0.0), situations=(0,) if tick % 2 else (2,)) for tick, x in enumerate(X)]
 ODD, EVEN = X[1::2], X[2::2]  # positions after steps in situation 0 and in situation 2
 
 
-def place(moment):
+def place(snapshot):
     """Where the robot is."""
-    return moment.position[0]
+    return snapshot.position[0]
 
 
-def right(moment):
+def right(snapshot):
     """The robot is more than 1.5 m to the right."""
-    return moment.position[0] > 1.5
+    return snapshot.position[0] > 1.5
 
 
 def distance(before, after):
@@ -36,10 +36,10 @@ def distance(before, after):
     return jnp.abs(after.position[0] - before.position[0])
 
 
-def measured(metric: Metric, moments=MOMENTS) -> np.ndarray:
-    value = metric.init(moments[0])
+def measured(metric: Metric, snapshots=SNAPSHOTS) -> np.ndarray:
+    value = metric.init(snapshots[0])
     update = jax.jit(metric.update)
-    for before, after in zip(moments[:-1], moments[1:], strict=True):
+    for before, after in zip(snapshots[:-1], snapshots[1:], strict=True):
         value = update(value, before, after)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(value)), "a state holds finite numbers"
     return np.asarray(metric.compute(value))
@@ -58,7 +58,7 @@ CASES = {
     "mean": (metrics.mean(lambda before, after: place(after)), columns(*map(np.mean, (X[1:], ODD, EVEN)), np.nan)),
     "minimum": (metrics.minimum(place), columns(-1.0, -1.0, 0.0, np.nan)),
     "maximum": (metrics.maximum(place), columns(4.0, 2.0, 4.0, np.nan)),
-    "maximum, not split": (metrics.maximum(lambda moment: -place(moment), by_situation=False), 1.0),
+    "maximum, not split": (metrics.maximum(lambda snapshot: -place(snapshot), by_situation=False), 1.0),
     "minimum, not split": (metrics.minimum(place, by_situation=False), -1.0),
     "final": (metrics.final(place), 0.5),
 }
@@ -73,7 +73,7 @@ def test_each_constructor_by_hand(name):
 
 def test_vmap_and_scan_equal_a_loop():
     chosen = tuple((name, metric) for name, (metric, _) in CASES.items())
-    sequence = jax.tree.map(lambda *leaves: jnp.stack(leaves), *MOMENTS)
+    sequence = jax.tree.map(lambda *leaves: jnp.stack(leaves), *SNAPSHOTS)
     both = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf[::-1]]), dataclasses.replace(sequence))
 
     @jax.jit
@@ -82,18 +82,18 @@ def test_vmap_and_scan_equal_a_loop():
         return metric_values.compute(metric_values.along(sequence, chosen), chosen)
 
     for name, value in run(both).items():
-        for one, moments in zip(value, (MOMENTS, MOMENTS[::-1]), strict=True):
-            np.testing.assert_allclose(one, measured(CASES[name][0], moments), rtol=1e-6, err_msg=name)
+        for one, snapshots in zip(value, (SNAPSHOTS, SNAPSHOTS[::-1]), strict=True):
+            np.testing.assert_allclose(one, measured(CASES[name][0], snapshots), rtol=1e-6, err_msg=name)
 
 
 def test_events_of_each_person_count_and_can_be_chosen():
     """Three people cross x = 0 to the right, one of them twice; only those above y = 0 are of interest."""
     paths = np.array([[(-1, 1), (1, 1), (-1, 1), (1, 1)], [(-1, -1), (-1, -1), (1, -1), (1, -1)], [(1, 2)] * 4], float)
-    moments = [at(tick, people=paths[:, tick]) for tick in range(4)]
-    crossed = lambda moment: moment.people.position[:, 0] > 0  # noqa: E731
-    above = lambda moment: moment.people.position[:, 1] > 0  # noqa: E731
-    assert measured(metrics.count_onsets(crossed), moments)[0] == 3
-    assert measured(metrics.count_onsets(crossed, above), moments)[0] == 2
+    snapshots = [at(tick, people=paths[:, tick]) for tick in range(4)]
+    crossed = lambda snapshot: snapshot.people.position[:, 0] > 0  # noqa: E731
+    above = lambda snapshot: snapshot.people.position[:, 1] > 0  # noqa: E731
+    assert measured(metrics.count_onsets(crossed), snapshots)[0] == 3
+    assert measured(metrics.count_onsets(crossed, above), snapshots)[0] == 2
 
 
 def test_a_function_is_a_metric():
@@ -110,7 +110,7 @@ def test_a_function_is_a_metric():
     own = as_metric(Metric(place, lambda value, before, after: value + 1.0, lambda value: value), "steps_and_start")
     assert own.title == "steps and start" and own.definition and own.headline
     assert as_metric(own, "steps_and_start") is own
-    with_default = as_metric(lambda moment, limit=1.5: moment.position[0] > limit, "of_one_moment")
+    with_default = as_metric(lambda snapshot, limit=1.5: snapshot.position[0] > limit, "of_one_moment")
     np.testing.assert_array_equal(measured(with_default), measured(time))
 
 
@@ -119,9 +119,12 @@ def test_a_function_is_a_metric():
     [
         (lambda: as_metric(right, "seconds"), "'seconds' is a column of episodes.csv already"),
         (lambda: as_metric([3], "three"), r"three is \[3\]; give a Metric"),
-        (lambda: as_metric(lambda: 0.0, "none"), "give a Metric, a condition moment -> bool, or an amount"),
-        (lambda: measured(as_metric(place)), r"place\(moment\) gives float32 \(\), not \(\) bool; for numbers take"),
-        (lambda: measured(metrics.minimum(lambda moment: moment.position)), r"gives an array \(2,\), not one number"),
+        (lambda: as_metric(lambda: 0.0, "none"), "give a Metric, a condition snapshot -> bool, or an amount"),
+        (lambda: measured(as_metric(place)), r"place\(snapshot\) gives float32 \(\), not \(\) bool; for numbers take"),
+        (
+            lambda: measured(metrics.minimum(lambda snapshot: snapshot.position)),
+            r"gives an array \(2,\), not one number",
+        ),
     ],
 )
 def test_what_is_no_metric_is_refused_in_one_sentence(call, words):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sean_jax import metrics
-from sean_jax.base import Moment, Pedestrians
+from sean_jax.base import Pedestrians, Snapshot
 from sean_jax.metrics import metric
 
 PEOPLE, SITUATIONS, STEP = 3, 5, 0.1
@@ -31,8 +31,8 @@ EVENTS = [f"{limit}_{who}" for limit in ("intimate", "personal", "collision")
           for who in ("robot_on_person", "person_on_robot")]  # fmt: skip
 
 
-def at(tick=0, position=(0, 0), velocity=(0, 0), people=(), situations=(), goal=(0, 0), geodesic=1.0) -> Moment:
-    """A moment with up to three people; the others are absent, and stand where the robot is."""
+def at(tick=0, position=(0, 0), velocity=(0, 0), people=(), situations=(), goal=(0, 0), geodesic=1.0) -> Snapshot:
+    """A snapshot with up to three people; the others are absent, and stand where the robot is."""
     occurring = np.zeros(SITUATIONS, bool)
     occurring[list(situations)] = True
     persons = Pedestrians(
@@ -46,7 +46,7 @@ def at(tick=0, position=(0, 0), velocity=(0, 0), people=(), situations=(), goal=
         preferred_speed=np.ones(PEOPLE, np.float32),
         robot_distance=np.zeros(PEOPLE, np.float32),
     )
-    here = Moment(
+    here = Snapshot(
         people=persons,
         position=np.array(position, np.float32),
         heading=np.array([1.0, 0.0], np.float32),
@@ -65,10 +65,10 @@ def at(tick=0, position=(0, 0), velocity=(0, 0), people=(), situations=(), goal=
     return jax.device_put(here)
 
 
-def measure(moments: list[Moment]) -> dict[str, np.ndarray]:
-    """The metrics over a sequence of moments, by the package."""
-    values = metric_values.init(moments[0])
-    for before, after in zip(moments[:-1], moments[1:], strict=True):
+def measure(snapshots: list[Snapshot]) -> dict[str, np.ndarray]:
+    """The metrics over a sequence of snapshots, by the package."""
+    values = metric_values.init(snapshots[0])
+    for before, after in zip(snapshots[:-1], snapshots[1:], strict=True):
         values = update(values, before, after)
     return {name: np.asarray(value) for name, value in compute(values).items()}
 
@@ -122,8 +122,8 @@ def test_time_not_moving():
     assert found["path_length"][0] == pytest.approx(0.147 + 0.24, rel=1e-4)
 
 
-def timed(ticks: np.ndarray, step: float) -> Moment:
-    """Moments that differ in their tick alone, stacked."""
+def timed(ticks: np.ndarray, step: float) -> Snapshot:
+    """Snapshots that differ in their tick alone, stacked."""
     here = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(ticks), *leaf.shape)), at())
     return replace(here, tick=jnp.asarray(ticks, jnp.int32), time_step=step)
 
@@ -154,7 +154,7 @@ def test_time_not_moving_adds_up_at_any_time_step(step):
 def test_samples_are_the_first_ticks_at_or_after_whole_seconds(step):
     decimal = Fraction(str(step))
     passed = [math.floor(decimal * tick) - math.floor(decimal * (tick - 1)) > 0 for tick in range(1, 201)]
-    look = jax.jit(jax.vmap(lambda moment: (metric.second_has_passed(moment), metric.time_since_sample(moment))))
+    look = jax.jit(jax.vmap(lambda snapshot: (metric.second_has_passed(snapshot), metric.time_since_sample(snapshot))))
     by, since = look(timed(np.arange(1, 201), step))
     assert np.asarray(by).tolist() == passed
     ticks = np.flatnonzero(passed) + 1
@@ -188,8 +188,8 @@ def test_one_person_met_twice():
 )
 def test_fault(velocity, who):
     for limit, distance in (("personal", 1.1), ("intimate", 0.4), ("collision", 0.3)):
-        moments = [at(0, people=[(2.0, 0.0)]), at(1, velocity=velocity, people=[(distance, 0.0)])]
-        found = measure(moments)
+        snapshots = [at(0, people=[(2.0, 0.0)]), at(1, velocity=velocity, people=[(distance, 0.0)])]
+        found = measure(snapshots)
         for name in EVENTS:
             reached = {"personal": 1.2, "intimate": 0.45, "collision": 0.37}[name.split("_")[0]] > distance
             assert found[name][0] == float(reached and name.endswith(who)), (limit, name)
@@ -222,7 +222,7 @@ def test_each_person_counts_and_absent_people_do_not():
 
 
 def test_split_by_situation():
-    """Amounts count for every situation of the moment at which they are counted, and once overall."""
+    """Amounts count for every situation of the snapshot at which they are counted, and once overall."""
     way = along((0, 0), (4, 0))  # 80 steps
     occurring = [(0,) if tick <= 40 else (1, 4) for tick in range(81)]
     people = [[(2.05, 1.0)]] * 81
@@ -296,15 +296,15 @@ def wander(seed: int, steps: int = 153):
     ]
 
 
-def as_moment(tick: int, now: dict) -> Moment:
+def as_snapshot(tick: int, now: dict) -> Snapshot:
     one = at(tick, now["position"], now["velocity"], now["people"], np.flatnonzero(now["situations"]), now["goal"], 3.0)
     return replace(one, people=replace(one.people, present=jnp.asarray(now["present"])))
 
 
 def test_random_paths_equal_a_plain_loop_and_vmap_equals_a_loop():
     sequences = [wander(seed) for seed in range(3)]
-    moments = [[as_moment(tick, now) for tick, now in enumerate(sequence)] for sequence in sequences]
-    found = [measure(sequence) for sequence in moments]
+    snapshots = [[as_snapshot(tick, now) for tick, now in enumerate(sequence)] for sequence in sequences]
+    found = [measure(sequence) for sequence in snapshots]
     seen = np.zeros(len(EVENTS))
     for ours, sequence in zip(found, sequences, strict=True):
         theirs = by_loop(sequence)
@@ -314,7 +314,7 @@ def test_random_paths_equal_a_plain_loop_and_vmap_equals_a_loop():
         seen += [theirs[name][0] for name in EVENTS]
     assert (seen > 2).all()
     together = jax.tree.map(
-        lambda *leaves: jnp.stack(leaves), *[jax.tree.map(lambda *x: jnp.stack(x), *m) for m in moments]
+        lambda *leaves: jnp.stack(leaves), *[jax.tree.map(lambda *x: jnp.stack(x), *m) for m in snapshots]
     )
 
     def run(sequence):

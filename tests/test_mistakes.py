@@ -154,12 +154,12 @@ def direct(scenario, state, key):
 def reset(scenario, key):
 """
 PARTS = {  # option of make, text, line and words
-    "metric: text": ("metrics", "def part(moment):\n    return 'near'", 1, "gives str 'near'"),
+    "metric: text": ("metrics", "def part(snapshot):\n    return 'near'", 1, "gives str 'near'"),
     "metric: if": ("metrics", "def part(before, after):\n    return 1.0 if after.tick > 3 else 0.0", 2, "jnp.where"),
-    "metric: numpy": ("metrics", "def part(moment):\n    return np.linalg.norm(moment.position) < 1", 2, "jnp"),
-    "situation: number": ("situations", "def part(moment):\n    return moment.tick", 1, r"gives int32 \(\), not bool"),
-    "situation: all": ("situations", "def part(moment):\n    return moment.people.present", 1, r" \(4,\), not bool"),
-    "situation: none": ("situations", "def part(moment, thresholds):\n    moment.tick > 3", 1, "return is missing"),
+    "metric: numpy": ("metrics", "def part(snapshot):\n    return np.linalg.norm(snapshot.position) < 1", 2, "jnp"),
+    "situation: number": ("situations", "def part(at):\n    return at.tick", 1, r"gives int32 \(\), not bool"),
+    "situation: all": ("situations", "def part(at):\n    return at.people.present", 1, r" \(4,\), not bool"),
+    "situation: none": ("situations", "def part(snapshot, thresholds):\n    snapshot.tick > 3", 1, "return is missing"),
     "force: one part": ("forces", FORCE + "        return pair.dx", 5, r"gives .*, not \(fx, fy\)"),
     "force: if": ("forces", FORCE + "        return (1.0, 0.0) if pair.dx > 0 else (0.0, 0.0)", 6, "jnp.where"),
     "force: none": ("forces", FORCE + "        pair.dx * self.size", 5, "gives None"),

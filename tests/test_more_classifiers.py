@@ -13,7 +13,7 @@ import pytest
 
 import sean_jax
 from sean_jax import classifiers
-from sean_jax.base import Moment, Obstacles, Pedestrians
+from sean_jax.base import Obstacles, Pedestrians, Snapshot
 from sean_jax.classifiers import MORE_SITUATIONS, SEAN2_SITUATIONS, SITUATIONS
 
 D, V, A = 2.4, 0.4, np.pi / 12
@@ -21,13 +21,13 @@ SLOTS = 7
 
 
 @jax.jit
-def sean2(moment):
-    return classifiers.classify(moment, classifiers.sean2_thresholds(), tuple(SEAN2_SITUATIONS.items()))
+def sean2(snapshot):
+    return classifiers.classify(snapshot, classifiers.sean2_thresholds(), tuple(SEAN2_SITUATIONS.items()))
 
 
 @jax.jit
-def more(moment):
-    return classifiers.classify(moment, classifiers.thresholds(), tuple(MORE_SITUATIONS.items()))
+def more(snapshot):
+    return classifiers.classify(snapshot, classifiers.thresholds(), tuple(MORE_SITUATIONS.items()))
 
 
 def turned(degrees, length=1.0):
@@ -51,7 +51,7 @@ def boxes(*rows) -> Obstacles:
 FAR_AWAY = boxes((90, 90, 1, 1), (90, 80, 1, 1))
 
 
-def moment(people=(), heading=AHEAD, speed=0.5, obstacles=FAR_AWAY, start=(9, 9), goal=(9, 0), groups=(-1, -1)):
+def snapshot(people=(), heading=AHEAD, speed=0.5, obstacles=FAR_AWAY, start=(9, 9), goal=(9, 0), groups=(-1, -1)):
     """A robot at the origin; people are (position, heading, speed); spare slots are absent and stand right ahead."""
     rows = [*people, *[((0.5, 0.0), AHEAD, 0.5)] * (SLOTS - len(people))]
     places, headings, speeds = (np.array(part, np.float32) for part in zip(*rows, strict=True))
@@ -67,7 +67,7 @@ def moment(people=(), heading=AHEAD, speed=0.5, obstacles=FAR_AWAY, start=(9, 9)
         preferred_speed=jnp.ones(SLOTS, number),
         robot_distance=jnp.zeros(SLOTS, number),
     )
-    return Moment(
+    return Snapshot(
         people=persons,
         position=jnp.zeros(2, number),
         heading=jnp.asarray(heading, number),
@@ -87,12 +87,12 @@ def moment(people=(), heading=AHEAD, speed=0.5, obstacles=FAR_AWAY, start=(9, 9)
 
 
 def by_sean2(*args, **kwargs) -> set[str]:
-    flags = np.asarray(sean2(moment(*args, **kwargs)))
+    flags = np.asarray(sean2(snapshot(*args, **kwargs)))
     return {name for name, flag in zip(SEAN2_SITUATIONS, flags, strict=True) if flag}
 
 
 def beyond(*args, **kwargs) -> set[str]:
-    flags = np.asarray(more(moment(*args, **kwargs)))
+    flags = np.asarray(more(snapshot(*args, **kwargs)))
     return {name for name, flag in zip(MORE_SITUATIONS, flags, strict=True) if flag}
 
 
@@ -110,7 +110,7 @@ def test_sean2_down_path_is_walked_either_way():
 
 
 def test_sean2_goes_by_motion_and_not_by_orientation():
-    here = moment([((1, 0), AHEAD, 0.5)], heading=LEFT, speed=0.0)
+    here = snapshot([((1, 0), AHEAD, 0.5)], heading=LEFT, speed=0.0)
     assert by_sean2([((1, 0), AHEAD, 0.5)], heading=LEFT, speed=0.0) == {"cross_path"}  # stands: its heading
     sideways = replace(here, velocity=jnp.array([0.3, 0.0]))
     assert {name for name, flag in zip(SEAN2_SITUATIONS, sean2(sideways), strict=True) if flag} == {"down_path"}
@@ -129,14 +129,14 @@ def test_sean2_groups_need_anybody_near_and_the_robot_near_the_place():
 
 def test_sean2_equals_double_precision_and_vmap():
     random = np.random.default_rng(3)
-    moments, expected = [], []
+    snapshots, expected = [], []
     for _ in range(60):
         people = [
             (tuple(random.uniform(-3, 3, 2)), turned(random.uniform(-180, 180)), random.uniform(0.2, 0.7))
             for _ in range(random.integers(0, 4))
         ]
         heading, goal, groups = turned(random.uniform(-180, 180)), random.uniform(-3, 3, 2), random.integers(-1, 2, 2)
-        moments.append(moment(people, heading=heading, goal=goal, start=-goal, groups=groups))
+        snapshots.append(snapshot(people, heading=heading, goal=goal, start=-goal, groups=groups))
         near = [person for person in people if math.hypot(*person[0]) < D]
         angles = [math.degrees(math.acos(min(1, max(-1, np.dot(heading, person[1]))))) for person in near]
         walks = [person[2] > V for person in near]
@@ -150,7 +150,7 @@ def test_sean2_equals_double_precision_and_vmap():
                 not near,
             ]
         )
-    together = jax.vmap(sean2)(jax.tree.map(lambda *leaves: jnp.stack(leaves), *moments))
+    together = jax.vmap(sean2)(jax.tree.map(lambda *leaves: jnp.stack(leaves), *snapshots))
     np.testing.assert_array_equal(np.asarray(together), expected)
     assert np.any(expected, 0).all() and not np.all(expected, 0).any()
 
@@ -242,13 +242,13 @@ def test_narrow_passage():
 
 
 def test_beyond_under_vmap_equals_a_loop():
-    moments = [
-        moment([((1.5, 0.3), AHEAD, 0.25), ((3.0, 0.5), BACK, 0.5)]),
-        moment([((-2.0, 3.55), AHEAD, 0.5)], heading=LEFT, obstacles=boxes((-3.0, 2.0, 2.2, 1.5), (90, 90, 1, 1))),
-        moment(),
+    snapshots = [
+        snapshot([((1.5, 0.3), AHEAD, 0.25), ((3.0, 0.5), BACK, 0.5)]),
+        snapshot([((-2.0, 3.55), AHEAD, 0.5)], heading=LEFT, obstacles=boxes((-3.0, 2.0, 2.2, 1.5), (90, 90, 1, 1))),
+        snapshot(),
     ]
-    together = jax.vmap(more)(jax.tree.map(lambda *leaves: jnp.stack(leaves), *moments))
-    np.testing.assert_array_equal(np.asarray(together), np.stack([more(one) for one in moments]))
+    together = jax.vmap(more)(jax.tree.map(lambda *leaves: jnp.stack(leaves), *snapshots))
+    np.testing.assert_array_equal(np.asarray(together), np.stack([more(one) for one in snapshots]))
     assert together.dtype == jnp.bool_ and np.asarray(together).sum() == 3
 
 
@@ -266,10 +266,10 @@ def test_make_takes_sets_of_situations(scenario):
             sean_jax.make(situations=wrong)
 
 
-def close(moment):
+def close(snapshot):
     """Somebody is within 1 m: a situation that needs no thresholds."""
-    gap = moment.people.position - moment.position[None, :]
-    return (((gap * gap).sum(1) < 1.0) & moment.people.present).any()
+    gap = snapshot.people.position - snapshot.position[None, :]
+    return (((gap * gap).sum(1) < 1.0) & snapshot.people.present).any()
 
 
 def test_a_function_is_a_situation():
@@ -277,12 +277,12 @@ def test_a_function_is_a_situation():
     mine = classifiers.as_situation(close, "close")
     rules = (("empty", SITUATIONS["empty"]), ("close", mine))
     look = jax.jit(lambda here: classifiers.classify(here, classifiers.thresholds(), rules))
-    assert look(moment([((0.9, 0), LEFT, 0.0)])).tolist() == [False, True]
-    assert look(moment([((1.1, 0), LEFT, 0.0)])).tolist() == [False, False]
+    assert look(snapshot([((0.9, 0), LEFT, 0.0)])).tolist() == [False, True]
+    assert look(snapshot([((1.1, 0), LEFT, 0.0)])).tolist() == [False, False]
     assert classifiers.as_situation(close, "close") == mine, "or a scenario made again would be compiled again"
     assert hash(classifiers.as_situation(close, "close")) == hash(mine) and classifiers.as_situation(mine) is mine
-    near = classifiers.as_situation(lambda moment, thresholds: close(moment) & (thresholds.near > 1.0), "near")
-    assert near(moment([((0.9, 0), LEFT, 0.0)]), classifiers.thresholds())
+    near = classifiers.as_situation(lambda snapshot, thresholds: close(snapshot) & (thresholds.near > 1.0), "near")
+    assert near(snapshot([((0.9, 0), LEFT, 0.0)]), classifiers.thresholds())
     assert classifiers.as_situation(SITUATIONS["empty"], "empty") is SITUATIONS["empty"]
 
 
@@ -293,11 +293,11 @@ def test_a_function_is_a_situation():
         (lambda: classifiers.as_situation(7, "seven"), "seven is 7; give a function"),
         (lambda: classifiers.as_situation(lambda: True, "nothing"), "give a function"),
         (
-            lambda: classifiers.as_situation(lambda here: here.people.present, "all")(moment(), None),
+            lambda: classifiers.as_situation(lambda here: here.people.present, "all")(snapshot(), None),
             r"gives bool \(7,\), not bool \(\)",
         ),
         (
-            lambda: classifiers.as_situation(lambda here: here.position[0], "x")(moment(), None),
+            lambda: classifiers.as_situation(lambda here: here.position[0], "x")(snapshot(), None),
             r"gives float32 \(\), not bool \(\)",
         ),
     ],
@@ -379,7 +379,7 @@ def test_figure_of_the_documentation_shows_what_it_says():
     examples = runpy.run_path(str(file))
     assert set(examples["EXAMPLES"]) == set(MORE_SITUATIONS)
     for name, example in examples["EXAMPLES"].items():
-        flags = np.asarray(more(examples["moment"](*example)))
+        flags = np.asarray(more(examples["snapshot"](*example)))
         assert {other for other, flag in zip(MORE_SITUATIONS, flags, strict=True) if flag} == {name}
     assert set(examples["PAPER"]) == set(classifiers.SITUATIONS)
     for name, example in examples["PAPER"].items():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import shortest_paths as oracle
 from test_metrics import ROBOT_RADIUS, SITUATIONS, STEP, along, at, measure, wander
-from test_metrics import as_moment as of_wander
+from test_metrics import as_snapshot as of_wander
 
 import sean_jax
 from sean_jax import environment, metrics, navigation
@@ -25,13 +25,13 @@ def driven(way, headings=None, speed=0.5, **others):
     """The metrics along positions every 0.1 s, headings and velocities along the way unless given."""
     way = np.array(way, float)
     step = np.diff(way, axis=0, prepend=[way[0] - (way[1] - way[0])])
-    moments = []
+    snapshots = []
     for tick, position in enumerate(way):
         here = at(tick, position, step[tick] / STEP, **others)
         size = np.linalg.norm(step[tick])
-        ahead = headings[tick] if headings is not None else step[tick] / size if size else moments[-1].heading
-        moments.append(replace(here, heading=jnp.asarray(ahead, jnp.float32)))
-    return measure(moments)
+        ahead = headings[tick] if headings is not None else step[tick] / size if size else snapshots[-1].heading
+        snapshots.append(replace(here, heading=jnp.asarray(ahead, jnp.float32)))
+    return measure(snapshots)
 
 
 def test_straight_path_is_perfect():
@@ -56,12 +56,12 @@ def test_detour_along_three_sides_of_a_square():
     assert found["path_irregularity"] == pytest.approx(1.5 * np.pi, rel=1e-5)
     assert found["success_by_path_length"] == pytest.approx(1 / 3, rel=1e-5)
     assert found["success_by_time"] == pytest.approx(1 / 3, rel=1e-5)
-    moments = [
+    snapshots = [
         replace(at(k, p, **others), path_rotation=jnp.float32(0.5), robot_top_speed=jnp.float32(1.0))
         for k, p in enumerate(way)
     ]
     turned = [replace(here, heading=jnp.asarray((np.cos(0.1 * k), np.sin(0.1 * k)), jnp.float32)) for k, here
-              in enumerate(moments)]  # fmt: skip
+              in enumerate(snapshots)]  # fmt: skip
     found = measure(turned)
     assert found["path_irregularity"] == pytest.approx(12.0 - 0.5, rel=1e-4)  # 1 rad/s for 12 s, 0.5 of which it had to
     assert found["success_by_time"] == pytest.approx(2.0 / 12.0, rel=1e-4)
@@ -77,8 +77,8 @@ def test_turning_less_than_the_shortest_path_is_not_irregular():
 def test_success_needs_the_last_position_in_the_goal_radius(radius, reached):
     way = along((0, 0), (4, 0), (2.9, 0))  # through the goal and 1.1 m back
     goal_radius = None if radius is None else jnp.float32(radius)
-    moments = [replace(at(k, p, goal=(4, 0), geodesic=4.0), goal_radius=goal_radius) for k, p in enumerate(way)]
-    found = measure(moments)
+    snapshots = [replace(at(k, p, goal=(4, 0), geodesic=4.0), goal_radius=goal_radius) for k, p in enumerate(way)]
+    found = measure(snapshots)
     assert found["reached_goal"] == reached
     assert found["success_by_path_length"] == pytest.approx(reached * 4.0 / 5.1, rel=1e-5)
     assert found["success_by_time"] == pytest.approx(reached * 4.0 / 5.1, rel=1e-5)
@@ -204,8 +204,8 @@ def test_static_obstacles():
     touching = 1.5 - ROBOT_RADIUS - 0.005
     way = along((0, -0.5), (touching, -0.5), (touching, 0.5), (1.0, 0.5), (touching, 0.5))
     occurring = [(0,) if k < 30 else (3,) for k in range(len(way))]
-    moments = [replace(at(k, p, situations=occurring[k]), obstacles=boxes) for k, p in enumerate(way)]
-    found = measure(moments)
+    snapshots = [replace(at(k, p, situations=occurring[k]), obstacles=boxes) for k, p in enumerate(way)]
+    found = measure(snapshots)
     np.testing.assert_array_equal(found["collision_with_obstacle"], [2, 1, 0, 0, 1, 0])
     assert found["min_distance_to_obstacles"][0] == pytest.approx(ROBOT_RADIUS + 0.005, abs=1e-4)
     assert np.isnan(found["min_distance_to_obstacles"][2])
@@ -250,7 +250,7 @@ def test_rotation_of_the_shortest_path_equals_that_of_a_graph_search(scenario):
 def test_an_episode_fills_a_moment_with_all_that_metrics_read(scenario):
     """The rotation of the path, the goal radius, the top speed and the obstacles are those of the scenario."""
     state = jax.jit(lambda key: sean_jax.reset(scenario, key))(jax.random.key(0))
-    here = scenario_module.moment(scenario, state)
+    here = scenario_module.snapshot(scenario, state)
     assert float(here.path_rotation) == float(state.task.path_rotation) >= 0.0
     assert float(here.goal_radius) == pytest.approx(1.2) and float(here.robot_top_speed) == pytest.approx(0.5)
     nearest = float(environment.clearance(scenario.environment, here.position[None, :])[0])
@@ -285,11 +285,11 @@ def test_example_of_the_documentation_runs():
     exec(block.split("scenario = ")[0], space)
     own = tuple((name, metrics.as_metric(metric, name)) for name, metric in space["own"].items())
     turned = [(np.cos(0.1 * k), np.sin(0.1 * k)) for k in range(31)]
-    moments = [at(k, (0.1 * k, 0.0), people=[(1.5, 0.2)]) for k in range(31)]
-    moments = [replace(one, heading=jnp.asarray(ahead, jnp.float32))
-               for one, ahead in zip(moments, turned, strict=True)]  # fmt: skip
-    values = metric_values.init(moments[0], own)
-    for before, after in zip(moments[:-1], moments[1:], strict=True):
+    snapshots = [at(k, (0.1 * k, 0.0), people=[(1.5, 0.2)]) for k in range(31)]
+    snapshots = [replace(one, heading=jnp.asarray(ahead, jnp.float32))
+               for one, ahead in zip(snapshots, turned, strict=True)]  # fmt: skip
+    values = metric_values.init(snapshots[0], own)
+    for before, after in zip(snapshots[:-1], snapshots[1:], strict=True):
         values = metric_values.update(values, before, after, own)
     found = metric_values.compute(values, own)
     assert found["rotation"][0] == pytest.approx(3.0, rel=1e-4) and found["times_too_close"][0] == 1.0

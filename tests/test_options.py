@@ -396,6 +396,27 @@ def test_names_of_other_projects_lead_to_an_option():
     assert used == set(config.ALIASES)
 
 
+def test_former_names_of_options_are_refused_and_read_in_saved_ones():
+    for word, model in COMMANDS.items():
+        known = [field.name for field in dataclasses.fields(flags.parser(model))]
+        for old, new in config.RENAMED.items():
+            if new in known and old not in known:
+                with pytest.raises(InputError, match=f"^{flags.flag(old)}: .* it is called '{flags.flag(new)}' now."):
+                    flags.parse(word.split()[0], model, [f"{flags.flag(old)}=3"])
+    permanent = {"kind": "graph", "members": "permanent"}
+    for values, text in (
+        ({"places": "mesh"}, "'places' is not a known key; it is called 'goal_sampling' now."),
+        ({"members": "permanent"}, "'members' is not a known key; it is called 'group_membership' now."),
+        ({"behavior": permanent}, "behavior: 'members' is not a known key; it is called 'group_membership' now."),
+    ):
+        with pytest.raises(InputError) as caught:
+            config.validate(RunConfig, values)
+        assert str(caught.value) == text
+    saved = config.validate(RunConfig, {"places": "mesh", "behavior": permanent}, source=Path("config.yaml"))
+    assert saved == RunConfig(goal_sampling="mesh", behavior=config.GraphBehavior(group_membership="permanent"))
+    assert config.present_names({"task": {"kind": "my.py:thing", "places": 3}})["task"]["places"] == 3
+
+
 def test_numbers_of_numpy_are_numbers():
     asked = ScenarioConfig(people=np.int64(5), time_limit=np.float32(2.5), task_distance=(np.float64(1), 2))
     assert asked.people == 5 and asked.time_limit == 2.5 and type(asked.people) is int

@@ -477,7 +477,7 @@ def test_the_schema_of_config_yaml_names_every_option(capsys):
 
 
 def test_more_situations_than_can_be_counted_are_refused():
-    many = {f"situation_{k}": lambda moment: moment.tick > 0 for k in range(21)}
+    many = {f"situation_{k}": lambda snapshot: snapshot.tick > 0 for k in range(21)}
     with pytest.raises(InputError, match="situations: 21 are more than 20; give fewer"):
         sean_jax.make("lab", people=2, dynamics="twin", task="random_ab_nav", situations=many)
 

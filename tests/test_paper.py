@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import networkx
 import numpy as np
 import pytest
-from test_classifiers import AHEAD, BACK, LEFT, NAMES, moment, occurring, turned
+from test_classifiers import AHEAD, BACK, LEFT, NAMES, occurring, snapshot, turned
 
 import sean_jax
 from sean_jax import classifiers, files, metrics
@@ -306,7 +306,7 @@ def one_walker(scenario, places):
     """People at those places, the first walking along +x and the second along -x."""
     number = jnp.float32
     facing = jnp.array([[1.0, 0.0], [-1.0, 0.0]], number)
-    two = jax.tree.map(lambda leaf: leaf[:2], sean_jax.base.Pedestrians(*moment().people.__dict__.values()))
+    two = jax.tree.map(lambda leaf: leaf[:2], sean_jax.base.Pedestrians(*snapshot().people.__dict__.values()))
     return dataclasses.replace(
         two, position=jnp.array(places, number), velocity=1.3 * facing, heading=facing, desired_velocity=1.3 * facing,
         preferred_speed=jnp.full(2, 1.3, number), group=jnp.full(2, -1, jnp.int32), present=jnp.ones(2, bool),

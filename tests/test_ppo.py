@@ -454,7 +454,7 @@ def test_what_the_critic_alone_sees_never_reaches_the_actor(several):
         (["--sweep", "width=3,4"], "'width' cannot be swept"),
         (["--sweep", "clip=0.1,many"], "sweep: clip=0.1,many must be numbers"),
         (["--sweep", "clip=0.1,7"], "sweep: clip=0.1,7 must be numbers"),
-        (["--sweep", "clip=0.1", "--sweep", "entropy=0"], "--sweep is given more than once; give it once"),
+        (["--sweep", "clip=0.1", "--sweep", "entropy=0"], "--sweep is repeated; give it once"),
         (["--sweep", "rewards.time=inf"], "sweep: rewards.time=inf must be numbers"),
         (["--sweep", "rewards.tine=1"], "rewards: 'tine' is not one of progress"),
         (["--critic", "depth"], "critic: depth is an image"),
@@ -484,7 +484,7 @@ def test_analytic_gradients_are_those_of_differences():
         bias = parameters["params"][last]["bias"]
         parameters["params"][last]["bias"] = bias.at[0].add(change)
         acting = replace(agent, parameters=parameters)
-        return shac._loss((env,), network, acting, agent, rows, 4, jax.random.key(4), jnp.asarray(0.99))[0]
+        return shac._actor_loss((env,), network, acting, agent, rows, 4, jax.random.key(4), jnp.asarray(0.99))[0]
 
     found = jax.jit(jax.grad(lost))(0.3)
     step = 1e-3  # at 1e-2 limits of the robot come in between

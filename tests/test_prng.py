@@ -78,7 +78,7 @@ def still(scenario):
         robot=robot,
         move=lambda scenario, state: state.pedestrians,
         metrics=(),
-        situations=(("never", lambda moment, thresholds: jnp.zeros((), bool)),),
+        situations=(("never", lambda snapshot, thresholds: jnp.zeros((), bool)),),
         people=people,
         time_limit=0.2,
     )

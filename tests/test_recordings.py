@@ -1,4 +1,4 @@
-"""Recorded people: readers, motion from noisy positions, moments, and groups found in annotated recordings."""
+"""Recorded people: readers, motion from noisy positions, snapshots, and groups found in annotated recordings."""
 
 import jax
 import jax.numpy as jnp
@@ -145,21 +145,21 @@ def crossing(tmp_path):
     return recordings.read_csv(write(tmp_path / "crossing.csv", "\n".join(lines) + "\n"), seconds=0.4)
 
 
-def classify(moments, name="paper"):
+def classify(snapshots, name="paper"):
     values, situations = classifiers.thresholds(), tuple(classifiers.SITUATION_SETS[name].items())
-    flags = jax.jit(jax.vmap(lambda one: classifiers.classify(one, values, situations)))(moments)
+    flags = jax.jit(jax.vmap(lambda one: classifiers.classify(one, values, situations)))(snapshots)
     return {name: np.asarray(flags)[:, k] for k, (name, _) in enumerate(situations)}
 
 
 def test_a_person_plays_the_robot(tmp_path):
     tracks = crossing(tmp_path)
     group = jnp.full((11, 3), -1, jnp.int32).at[9:, 2].set(0).at[9:, 0].set(0).at[8, 2].set(2)
-    moments, recorded = jax.jit(lambda robot: recordings.moments_of(tracks, robot, group=group))(0)
-    assert recorded.all() and moments.position.shape == (11, 2)
-    np.testing.assert_allclose(moments.velocity, [[1.0, 0.0]] * 11, atol=1e-4)
-    np.testing.assert_allclose(moments.goal[0], [4.0, 0.0], atol=1e-4)
-    np.testing.assert_allclose(moments.geodesic, 4.0, atol=1e-4)
-    found = classify(moments)
+    snapshots, recorded = jax.jit(lambda robot: recordings.snapshots_of(tracks, robot, group=group))(0)
+    assert recorded.all() and snapshots.position.shape == (11, 2)
+    np.testing.assert_allclose(snapshots.velocity, [[1.0, 0.0]] * 11, atol=1e-4)
+    np.testing.assert_allclose(snapshots.goal[0], [4.0, 0.0], atol=1e-4)
+    np.testing.assert_allclose(snapshots.geodesic, 4.0, atol=1e-4)
+    found = classify(snapshots)
     t = np.arange(11) * 0.4
     np.testing.assert_array_equal(found["cross_path"], np.hypot(2 - t, 1.6 * (t - 2)) < 2.4)
     by = np.hypot(4.5 - t, 0.6) < 2.4
@@ -167,12 +167,12 @@ def test_a_person_plays_the_robot(tmp_path):
     at_goal = t > 3.81
     np.testing.assert_array_equal(found["join_group"], by & np.isin(np.arange(11), [8, 9, 10]) & ~at_goal)
     assert found["join_group"].any() and not found["leave_group"].any()  # at the start it stood with nobody
-    np.testing.assert_array_equal(moments.people.present[0], [False, True, True])
+    np.testing.assert_array_equal(snapshots.people.present[0], [False, True, True])
 
 
 def test_every_person_can_play_in_one_batch(tmp_path):
     tracks = crossing(tmp_path)
-    one = jax.jit(lambda robot: recordings.moments_of(tracks, robot))
+    one = jax.jit(lambda robot: recordings.snapshots_of(tracks, robot))
     together, recorded = jax.jit(jax.vmap(one))(jnp.arange(3))
     assert recorded.shape == (3, 11)
     alone, _ = one(1)
@@ -186,10 +186,10 @@ def test_a_path_among_recorded_people(tmp_path):
     wall = Obstacles(
         center=jnp.array([[4.5, -3.0]]), half_extent=jnp.ones((1, 2)), yaw=jnp.zeros(1), height=jnp.full(1, 2.0)
     )
-    moments = jax.jit(lambda path: recordings.moments_along(tracks, path, obstacles=wall))(path)
-    np.testing.assert_allclose(moments.heading, [[0.0, -1.0]] * 11, atol=1e-5)
-    assert moments.people.present.all() and (moments.goal_group == -1).all()
-    found = classify(moments, "more")
+    snapshots = jax.jit(lambda path: recordings.snapshots_along(tracks, path, obstacles=wall))(path)
+    np.testing.assert_allclose(snapshots.heading, [[0.0, -1.0]] * 11, atol=1e-5)
+    assert snapshots.people.present.all() and (snapshots.goal_group == -1).all()
+    found = classify(snapshots, "more")
     assert not found["narrow_passage"].any() and not found["join_group"].any()
     np.testing.assert_array_equal(
         found["empty"],

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int, TypeCheckError
 import sean_jax
 from sean_jax import geometry, navigation, sensors
 from sean_jax.base import Array
-from sean_jax.scenario import moment
+from sean_jax.scenario import snapshot
 
 
 @shapes.checked
@@ -50,7 +50,7 @@ def test_fields_of_states_and_scenarios(scenario):
     """Each letter is one number in all of a state; every field of a state that is an array names its shape."""
     state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
     assert shapes.check_fields(state) > 25
-    assert shapes.check_fields(moment(scenario, state)) > 20
+    assert shapes.check_fields(snapshot(scenario, state)) > 20
     assert shapes.check_fields(sean_jax.observe(scenario, state)) == 9
     assert shapes.check_fields(scenario.navigation) > 15
     assert shapes.check_fields(scenario.robot) > 15

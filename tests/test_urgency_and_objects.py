@@ -1,4 +1,4 @@
-"""Situations of urgency and of the configuration of objects, against loops in double precision over random moments."""
+"""Situations of urgency and of the configuration of objects, against double-precision loops over random snapshots."""
 
 import dataclasses
 import itertools
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sean_jax import classifiers
-from sean_jax.base import Moment, Obstacles, Pedestrians
+from sean_jax.base import Obstacles, Pedestrians, Snapshot
 from sean_jax.classifiers import more_situations
 
 NAMES = ("collision_course", "hurrying", "occlusion", "activity_space")
@@ -20,12 +20,12 @@ TOUCH = 0.16 + 0.2  # m, both radii
 
 
 @jax.jit
-def found(moments, values):
-    return jax.vmap(lambda one: classifiers.classify(one, values, RULES))(moments)
+def found(snapshots, values):
+    return jax.vmap(lambda one: classifiers.classify(one, values, RULES))(snapshots)
 
 
-def drawn(number: int, seed: int) -> Moment:
-    """Random moments; half of the people stand, one in five is absent, and boxes are turned and of many heights."""
+def drawn(number: int, seed: int) -> Snapshot:
+    """Random snapshots; half of the people stand, one in five is absent, and boxes are turned and of many heights."""
     random = np.random.default_rng(seed)
 
     def unit(*shape):
@@ -51,7 +51,7 @@ def drawn(number: int, seed: int) -> Moment:
         preferred_speed=np.ones((number, PEOPLE)),
         robot_distance=np.zeros((number, PEOPLE)),
     )
-    here = Moment(
+    here = Snapshot(
         people=people,
         position=np.where(random.random((number, 1)) < 0.5, robot, seen),  # or before the first person
         heading=own,
@@ -105,7 +105,7 @@ def hit(place, way, box) -> float:
     return min((t for t, u in (each for each in meets if each) if t > 0 and 0 <= u <= 1), default=math.inf)
 
 
-def in_double_precision(one: Moment) -> list[bool]:
+def in_double_precision(one: Snapshot) -> list[bool]:
     """The four situations by other ways: roots of a polynomial, and lines that cross the edges of boxes."""
     values = [False] * 4
     robot, heading, own = (np.asarray(part, float) for part in (one.position, one.heading, one.velocity))
@@ -146,34 +146,34 @@ def in_double_precision(one: Moment) -> list[bool]:
 
 
 def test_they_equal_loops_in_double_precision():
-    moments = drawn(1500, 0)
-    together = np.asarray(found(moments, classifiers.thresholds()))
-    singles = jax.device_get(moments)
+    snapshots = drawn(1500, 0)
+    together = np.asarray(found(snapshots, classifiers.thresholds()))
+    singles = jax.device_get(snapshots)
     expected = [in_double_precision(jax.tree.map(lambda leaf, k=k: leaf[k], singles)) for k in range(1500)]
     np.testing.assert_array_equal(together, expected)
     assert (together.sum(0) > 30).all() and (together.sum(0) < 900).all(), together.sum(0)
 
 
 def test_thresholds_are_leaves_that_widen_them():
-    moments, usual = drawn(300, 1), classifiers.thresholds()
-    before = np.asarray(found(moments, usual))
+    snapshots, usual = drawn(300, 1), classifiers.thresholds()
+    before = np.asarray(found(snapshots, usual))
     wider = {"imminent": 6.0, "hurry": 1.0, "hides": 0.5, "engaged": 5.0}
     for k, (name, value) in enumerate(wider.items()):
-        after = np.asarray(found(moments, dataclasses.replace(usual, **{name: jnp.asarray(value, jnp.float32)})))
+        after = np.asarray(found(snapshots, dataclasses.replace(usual, **{name: jnp.asarray(value, jnp.float32)})))
         assert (after[:, k] >= before[:, k]).all() and after[:, k].sum() > before[:, k].sum(), name
         others = [other for other in range(4) if other != k]
         np.testing.assert_array_equal(after[:, others], before[:, others])
 
 
-def person(moment: Moment, **fields) -> Moment:
-    """The first moment of a batch, with one person, whose fields are given, and the robot at the origin."""
-    one = jax.tree.map(lambda leaf: leaf[0], moment)
+def person(snapshot: Snapshot, **fields) -> Snapshot:
+    """The first snapshot of a batch, with one person, whose fields are given, and the robot at the origin."""
+    one = jax.tree.map(lambda leaf: leaf[0], snapshot)
     people = {name: getattr(one.people, name).at[0].set(jnp.asarray(value)) for name, value in fields.items()}
     people["present"] = jnp.arange(PEOPLE) < 1
     return dataclasses.replace(one, people=dataclasses.replace(one.people, **people), position=jnp.zeros(2))
 
 
-def holds(one: Moment) -> set[str]:
+def holds(one: Snapshot) -> set[str]:
     flags = np.asarray(found(jax.tree.map(lambda leaf: leaf[None], one), classifiers.thresholds()))[0]
     return {name for name, flag in zip(NAMES, flags, strict=True) if flag}
 
@@ -260,8 +260,8 @@ def test_they_are_registered_once():
 
 def test_nobody_and_degenerate_states():
     """Nobody present; person and robot at one place, at rest, without a heading, inside a box: no error, no NaN."""
-    moments = drawn(4, 4)
-    one = person(moments, position=(0.0, 0.0), velocity=(0.0, 0.0), heading=(0.0, 0.0), group=-1)
+    snapshots = drawn(4, 4)
+    one = person(snapshots, position=(0.0, 0.0), velocity=(0.0, 0.0), heading=(0.0, 0.0), group=-1)
     one = dataclasses.replace(one, velocity=jnp.zeros(2), heading=jnp.zeros(2), obstacles=box(0.0, 0.0, 1.0, 1.0))
     assert holds(one) == {"collision_course", "occlusion"}  # they touch, and a box stands on the point between
     nobody = dataclasses.replace(one, people=dataclasses.replace(one.people, present=jnp.zeros(PEOPLE, bool)))

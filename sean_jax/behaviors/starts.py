@@ -21,8 +21,8 @@ from sean_jax import environment as environments
 from sean_jax.base import Array, Environment, Groups, Pedestrians, Scenario
 from sean_jax.errors import InputError
 from sean_jax.geometry import length, signed_distances_on_host, unit
+from sean_jax.messages import shorten
 from sean_jax.navigation import CODE, Navigation, build_paths_to_goal, geodesic, inputs, segment_is_free
-from sean_jax.quantities import short_repr
 
 MIN_DISTANCE = 0.55  # m between two starts: bodies of 0.2 m and some room
 TRIES = 40  # candidates for each start that would fit
@@ -183,7 +183,7 @@ def count_walking_groups(people: int, shares: tuple[float, float]) -> WalkingGro
     two = isinstance(shares, (tuple, list)) and len(shares) == 2 and all(isinstance(share, Real) for share in shares)
     if not two or not (min(shares) >= 0 and sum(shares) <= 1 + 1e-6):
         clause = "must be two shares, each 0 or more, together 1 at most"
-        raise InputError(f"walking_groups: {short_repr(shares)} {clause}.")
+        raise InputError(f"walking_groups: {shorten(repr(shares))} {clause}.")
     in_pairs, in_triples = shares
     return WalkingGroups(int(people * in_pairs / 2 + 1e-6), int(people * in_triples / 3 + 1e-6))
 

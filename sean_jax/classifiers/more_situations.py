@@ -5,15 +5,15 @@ Robot Navigation Algorithms" (2023), Fig. 7, unless a source is named. That pape
 inequalities are ours. "Moving" is faster than 0.1 m/s, since standing agents are obstructions. ``ahead`` and ``aside``
 are the parts of a person's position along the robot's heading and to its left.
 
-Situations of objects read ``moment.obstacles``, W boxes, and never occur if that is None. They cost some W rays or N
-times W segments. Urgency is computed from positions and velocities; a deadline of the task is not part of a moment.
+Situations of objects read ``snapshot.obstacles``, W boxes, and never occur if that is None. They cost some W rays or N
+times W segments. Urgency is computed from positions and velocities; a deadline of the task is not part of it.
 """
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
-from sean_jax.base import Array, Moment, Obstacles, Pedestrians
+from sean_jax.base import Array, Obstacles, Pedestrians, Snapshot
 from sean_jax.classifiers.predicates import ahead_and_aside, any_person, cosine, near, walking
 from sean_jax.classifiers.situations import Situation, Thresholds
 from sean_jax.geometry import TINY, crosses_box, length, rotate
@@ -22,7 +22,7 @@ SAMPLES = 4  # places ahead, beside the robot's own, at which the width of its w
 FAR = 1e3  # m, length of a ray that hits nothing
 
 
-def overtaking(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def overtaking(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """The faster of robot and person passes the slower one in the same direction.
 
     Headings parallel within A, both moving, speeds at least ``gaining`` apart, |aside| < ``personal``, and the faster
@@ -30,25 +30,25 @@ def overtaking(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
     Source: Fig. 7 c and d.
     """
-    touch = moment.robot_radius + moment.person_radius
+    touch = snapshot.robot_radius + snapshot.person_radius
 
     def holds(agent: Pedestrians) -> Array:
-        ahead, aside = ahead_and_aside(moment.heading, agent.position - moment.position)
-        faster = _speed(moment.velocity) - _speed(agent.velocity)
+        ahead, aside = ahead_and_aside(snapshot.heading, agent.position - snapshot.position)
+        faster = _speed(snapshot.velocity) - _speed(agent.velocity)
         before = jnp.where(faster > 0, ahead, -ahead)  # distance of the slower one ahead of the faster one
         return (
-            _both_move(moment, agent, thresholds)
-            & (cosine(moment.heading, agent.heading) >= jnp.cos(thresholds.angle))
+            _both_move(snapshot, agent, thresholds)
+            & (cosine(snapshot.heading, agent.heading) >= jnp.cos(thresholds.angle))
             & (jnp.abs(faster) >= thresholds.gaining)
             & (jnp.abs(aside) < thresholds.personal)
             & (before > -touch)
             & (before < thresholds.reach)
         )
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def following(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def following(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """The robot walks behind a person, about as fast.
 
     Headings parallel within A, both moving, speeds less than ``gaining`` apart, |aside| < ``personal``, and the person
@@ -56,23 +56,23 @@ def following(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
     Source: Fig. 7 r.
     """
-    touch = moment.robot_radius + moment.person_radius
+    touch = snapshot.robot_radius + snapshot.person_radius
 
     def holds(agent: Pedestrians) -> Array:
-        ahead, aside = ahead_and_aside(moment.heading, agent.position - moment.position)
+        ahead, aside = ahead_and_aside(snapshot.heading, agent.position - snapshot.position)
         return (
-            _both_move(moment, agent, thresholds)
-            & (cosine(moment.heading, agent.heading) >= jnp.cos(thresholds.angle))
-            & (jnp.abs(_speed(moment.velocity) - _speed(agent.velocity)) < thresholds.gaining)
+            _both_move(snapshot, agent, thresholds)
+            & (cosine(snapshot.heading, agent.heading) >= jnp.cos(thresholds.angle))
+            & (jnp.abs(_speed(snapshot.velocity) - _speed(agent.velocity)) < thresholds.gaining)
             & (jnp.abs(aside) < thresholds.personal)
             & (ahead > touch)
             & (ahead < thresholds.reach)
         )
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def frontal_approach(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def frontal_approach(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """Robot and person come head on, and would pass close.
 
     Headings opposite within A, both moving, the person ahead, within ``reach``, and |aside| < ``personal``.
@@ -81,10 +81,10 @@ def frontal_approach(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     """
 
     def holds(agent: Pedestrians) -> Array:
-        ahead, aside = ahead_and_aside(moment.heading, agent.position - moment.position)
-        between = cosine(moment.heading, agent.heading)
+        ahead, aside = ahead_and_aside(snapshot.heading, agent.position - snapshot.position)
+        between = cosine(snapshot.heading, agent.heading)
         return (
-            _both_move(moment, agent, thresholds)
+            _both_move(snapshot, agent, thresholds)
             & (between >= -1.5)  # -2: no direction at all
             & (between <= -jnp.cos(thresholds.angle))
             & (jnp.abs(aside) < thresholds.personal)
@@ -92,10 +92,10 @@ def frontal_approach(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
             & (ahead < thresholds.reach)
         )
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def crowded(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def crowded(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """People stand or walk close together around the robot.
 
     Density of people on the disc of radius D around the robot of ``crowd`` or more: six people within 2.4 m. The disc
@@ -103,14 +103,14 @@ def crowded(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
     Source: Fig. 7 u and y.
     """
-    people = moment.people
-    gaps = people.position - moment.position[None, :]
+    people = snapshot.people
+    gaps = people.position - snapshot.position[None, :]
     inside = (gaps * gaps).sum(-1) < thresholds.near * thresholds.near
     number = (inside & people.present).sum().astype(float)
     return number >= thresholds.crowd * jnp.pi * thresholds.near * thresholds.near
 
 
-def blind_corner(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def blind_corner(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """Robot and person cannot see each other, and their ways meet behind the corner.
 
     Both moving and within 2 ``reach``; an obstacle at least ``hides`` high stands on the line between them; their
@@ -119,32 +119,32 @@ def blind_corner(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
     Source: Fig. 7 i.
     """
-    obstacles = moment.obstacles
+    obstacles = snapshot.obstacles
     if obstacles is None:
         return jnp.zeros((), bool)
     high = obstacles.height >= thresholds.hides
 
     def holds(agent: Pedestrians) -> Array:
-        by_robot, by_person, sine = _crossing(moment.position, moment.heading, agent.position, agent.heading)
-        place = moment.position + by_robot * moment.heading
+        by_robot, by_person, sine = _crossing(snapshot.position, snapshot.heading, agent.position, agent.heading)
+        place = snapshot.position + by_robot * snapshot.heading
         return (
-            walking(moment.velocity, thresholds.moving)
+            walking(snapshot.velocity, thresholds.moving)
             & walking(agent.velocity, thresholds.moving)
-            & near(moment.position, agent.position, 2 * thresholds.reach)
+            & near(snapshot.position, agent.position, 2 * thresholds.reach)
             & (jnp.abs(sine) > jnp.sin(thresholds.angle))
             & (by_robot > 0)
             & (by_robot < thresholds.reach)
             & (by_person > 0)
             & (by_person < thresholds.reach)
-            & (_blocks(obstacles, moment.position, agent.position) & high).any()
-            & ~_blocks(obstacles, moment.position, place).any()
+            & (_blocks(obstacles, snapshot.position, agent.position) & high).any()
+            & ~_blocks(obstacles, snapshot.position, place).any()
             & ~_blocks(obstacles, agent.position, place).any()
         )
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def narrow_passage(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def narrow_passage(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """A person is near in a hallway or doorway where two cannot pass without coming close.
 
     The way is narrow where obstacles to the left and right leave less than both radii and ``personal`` across: even
@@ -153,44 +153,44 @@ def narrow_passage(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
     Source: Fig. 7 j and k.
     """
-    obstacles = moment.obstacles
+    obstacles = snapshot.obstacles
     if obstacles is None:
         return jnp.zeros((), bool)
-    dx, dy = moment.heading[0], moment.heading[1]
+    dx, dy = snapshot.heading[0], snapshot.heading[1]
     left, right = jnp.stack([-dy, dx]), jnp.stack([dy, -dx])
-    free = _ray_length(obstacles, moment.position, moment.heading)
-    limit = moment.robot_radius + moment.person_radius + thresholds.personal
+    free = _ray_length(obstacles, snapshot.position, snapshot.heading)
+    limit = snapshot.robot_radius + snapshot.person_radius + thresholds.personal
 
     def narrow(ahead: Array) -> Array:
-        place = moment.position + ahead * moment.heading
+        place = snapshot.position + ahead * snapshot.heading
         width = _ray_length(obstacles, place, left) + _ray_length(obstacles, place, right)
         return (width < limit) & (ahead <= free)
 
     places = jnp.arange(SAMPLES + 1).astype(float) * (thresholds.personal / SAMPLES)
-    person_near = any_person(moment, lambda agent: near(moment.position, agent.position, thresholds.near))
+    person_near = any_person(snapshot, lambda agent: near(snapshot.position, agent.position, thresholds.near))
     return person_near & jax.vmap(narrow)(places).any()
 
 
-def occlusion(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def occlusion(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """A person is near, but an object in between hides robot and person from each other.
 
     Near(x_r, x_p) as in the paper, and an obstacle at least ``hides`` high on the line between them.
 
     Source: section VI, "the configuration of objects in the environment"; the inequalities are ours.
     """
-    obstacles = moment.obstacles
+    obstacles = snapshot.obstacles
     if obstacles is None:
         return jnp.zeros((), bool)
     high = obstacles.height >= thresholds.hides
 
     def holds(agent: Pedestrians) -> Array:
-        between = _blocks(obstacles, moment.position, agent.position) & high
-        return near(moment.position, agent.position, thresholds.near) & between.any()
+        between = _blocks(obstacles, snapshot.position, agent.position) & high
+        return near(snapshot.position, agent.position, thresholds.near) & between.any()
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def activity_space(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def activity_space(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """The robot is between a person and the object of their activity, or about to cross there.
 
     A person in no group stands and faces an obstacle, whose face in that direction is less than ``engaged`` away. The
@@ -201,19 +201,19 @@ def activity_space(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     Source: F. Lindner & C. Eschenbach, "Towards a Formalization of Social Spaces for Socially Aware Robots", COSIT
     2011; J. Rios-Martinez et al., "From Proxemics Theory to Socially-Aware Navigation: A Survey", 2015.
     """
-    obstacles = moment.obstacles
+    obstacles = snapshot.obstacles
     if obstacles is None:
         return jnp.zeros((), bool)
-    touch = moment.robot_radius + moment.person_radius
-    free = jnp.minimum(_ray_length(obstacles, moment.position, moment.heading), thresholds.personal)
-    moves = walking(moment.velocity, thresholds.moving)
+    touch = snapshot.robot_radius + snapshot.person_radius
+    free = jnp.minimum(_ray_length(obstacles, snapshot.position, snapshot.heading), thresholds.personal)
+    moves = walking(snapshot.velocity, thresholds.moving)
     solid = obstacles.height > 0.0
 
     def holds(agent: Pedestrians) -> Array:
         depth = _ray_length(obstacles, agent.position, agent.heading, solid)
-        ahead, aside = ahead_and_aside(agent.heading, moment.position - agent.position)
+        ahead, aside = ahead_and_aside(agent.heading, snapshot.position - agent.position)
         inside = (ahead > 0) & (ahead < depth) & (jnp.abs(aside) < touch)
-        by_robot, by_person, _ = _crossing(moment.position, moment.heading, agent.position, agent.heading)
+        by_robot, by_person, _ = _crossing(snapshot.position, snapshot.heading, agent.position, agent.heading)
         crosses = moves & (by_robot > 0) & (by_robot < free) & (by_person > 0) & (by_person < depth)
         return (
             ~walking(agent.velocity, thresholds.moving)
@@ -222,10 +222,10 @@ def activity_space(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
             & (inside | crosses)
         )
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def collision_course(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def collision_course(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """Robot and person would touch within seconds if both kept their velocities.
 
     The time to collision is at most ``imminent``: at some t from 0 to it, the centres are closer than the sum of the
@@ -234,20 +234,20 @@ def collision_course(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
     Source: I. Karamouzas, B. Skinner & S. Guy, "Universal Power Law Governing Pedestrian Interactions", Physical Review
     Letters 113, 2014: people react to collisions that are up to about 3 s away.
     """
-    touch = moment.robot_radius + moment.person_radius
+    touch = snapshot.robot_radius + snapshot.person_radius
 
     def holds(agent: Pedestrians) -> Array:
-        gap, relative = agent.position - moment.position, agent.velocity - moment.velocity
+        gap, relative = agent.position - snapshot.position, agent.velocity - snapshot.velocity
         square = (relative * relative).sum()
         still = square < TINY
         nearest = -(gap * relative).sum() / jnp.where(still, 1.0, square)  # s, when the centres are closest
         time = jnp.where(still, 0.0, jnp.clip(nearest, 0.0, thresholds.imminent))
         return near(gap + time * relative, jnp.zeros_like(gap), touch)
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def hurrying(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def hurrying(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """A person in a hurry comes the robot's way, from any side, so that it has to make way.
 
     The person is faster than ``hurry``, and the robot lies less than ``reach`` ahead and less than ``personal`` aside
@@ -259,7 +259,7 @@ def hurrying(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
 
     def holds(agent: Pedestrians) -> Array:
         # Both are times the speed, which may be zero and so is not divided by.
-        ahead, aside = ahead_and_aside(agent.velocity, moment.position - agent.position)
+        ahead, aside = ahead_and_aside(agent.velocity, snapshot.position - agent.position)
         square = (agent.velocity * agent.velocity).sum()
         return (
             walking(agent.velocity, thresholds.hurry)
@@ -268,11 +268,11 @@ def hurrying(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
             & (aside * aside < thresholds.personal * thresholds.personal * square)
         )
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def _both_move(moment: Moment, agent: Pedestrians, thresholds: Thresholds) -> Array:
-    return walking(moment.velocity, thresholds.moving) & walking(agent.velocity, thresholds.moving)
+def _both_move(snapshot: Snapshot, agent: Pedestrians, thresholds: Thresholds) -> Array:
+    return walking(snapshot.velocity, thresholds.moving) & walking(agent.velocity, thresholds.moving)
 
 
 def _speed(velocity: Array) -> Array:
@@ -337,7 +337,7 @@ OBJECT_SITUATIONS: dict[str, Situation] = {
     "occlusion": occlusion,
     "activity_space": activity_space,
 }
-"""Situations that do not occur without known obstacles: name -> (moment, thresholds) -> () bool"""
+"""Situations that do not occur without known obstacles: name -> (snapshot, thresholds) -> () bool"""
 
 MORE_SITUATIONS: dict[str, Situation] = {
     "overtaking": overtaking,
@@ -348,4 +348,4 @@ MORE_SITUATIONS: dict[str, Situation] = {
     "collision_course": collision_course,
     "hurrying": hurrying,
 }
-"""name -> (moment, thresholds) -> () bool"""
+"""name -> (snapshot, thresholds) -> () bool"""

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.base import Array, Moment, Pedestrians
+from sean_jax.base import Array, Pedestrians, Snapshot
 from sean_jax.geometry import TINY
 
 Scalar = Float[Array, ""] | float
@@ -55,6 +55,6 @@ def ahead_and_aside(heading: Float[Array, "2"], offset: Float[Array, "2"]) -> tu
     return ahead, heading[0] * offset[1] - heading[1] * offset[0]
 
 
-def any_person(moment: Moment, holds: Callable[[Pedestrians], Array]) -> Bool[Array, ""]:
+def any_person(snapshot: Snapshot, holds: Callable[[Pedestrians], Array]) -> Bool[Array, ""]:
     """Whether a predicate of a person, ``Pedestrians`` without the axis N, holds for at least one who is present."""
-    return (jax.vmap(holds)(moment.people) & moment.people.present).any()
+    return (jax.vmap(holds)(snapshot.people) & snapshot.people.present).any()

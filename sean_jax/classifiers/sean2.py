@@ -10,7 +10,7 @@ All five differ from the paper in three ways:
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.base import Array, Moment, Pedestrians
+from sean_jax.base import Array, Pedestrians, Snapshot
 from sean_jax.classifiers.predicates import any_person, cosine, near, walking
 from sean_jax.classifiers.situations import Situation, Thresholds, empty, thresholds
 
@@ -22,55 +22,55 @@ def sean2_thresholds() -> Thresholds:
     return thresholds(walking=0.4)
 
 
-def cross_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def cross_path(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (1) on directions of motion instead of orientations; the limits of the angle are not included."""
-    direction = robot_direction(moment)
+    direction = robot_direction(snapshot)
 
     def holds(agent: Pedestrians) -> Array:
         across = jnp.abs(cosine(direction, agent.velocity)) < jnp.sin(thresholds.angle)
-        return _nearby_walker(moment, agent, thresholds) & across
+        return _nearby_walker(snapshot, agent, thresholds) & across
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def down_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def down_path(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (2), but the agent must walk, and the opposite direction counts as well."""
-    direction = robot_direction(moment)
+    direction = robot_direction(snapshot)
 
     def holds(agent: Pedestrians) -> Array:
         between = cosine(direction, agent.velocity)
         # -2 means no direction, which must not count as the opposite one.
         along = (between >= -1.5) & (jnp.abs(between) > jnp.cos(thresholds.angle))
-        return _nearby_walker(moment, agent, thresholds) & along
+        return _nearby_walker(snapshot, agent, thresholds) & along
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def join_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def join_group(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (3), but for any agent near, member or not, and the robot must be within D of its goal, or at it."""
-    return _at_group(moment, moment.goal_group, moment.goal, thresholds)
+    return _at_group(snapshot, snapshot.goal_group, snapshot.goal, thresholds)
 
 
-def leave_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def leave_group(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (4), but for any agent near, member or not, and the robot must still be within D of its start."""
-    return _at_group(moment, moment.start_group, moment.start, thresholds)
+    return _at_group(snapshot, snapshot.start_group, snapshot.start, thresholds)
 
 
-def robot_direction(moment: Moment) -> Float[Array, "2"]:
+def robot_direction(snapshot: Snapshot) -> Float[Array, "2"]:
     """The robot's direction: its velocity [m/s], or its unit heading if it stands."""
-    moves = (moment.velocity * moment.velocity).sum() >= STILL * STILL
-    return jnp.where(moves, moment.velocity, moment.heading)
+    moves = (snapshot.velocity * snapshot.velocity).sum() >= STILL * STILL
+    return jnp.where(moves, snapshot.velocity, snapshot.heading)
 
 
 def _at_group(
-    moment: Moment, group: Int[Array, ""], place: Float[Array, "2"], thresholds: Thresholds
+    snapshot: Snapshot, group: Int[Array, ""], place: Float[Array, "2"], thresholds: Thresholds
 ) -> Bool[Array, ""]:
     """Somebody is near, and the robot is near a place [m] that belongs to a group."""
-    return ~empty(moment, thresholds) & (group >= 0) & near(moment.position, place, thresholds.near)
+    return ~empty(snapshot, thresholds) & (group >= 0) & near(snapshot.position, place, thresholds.near)
 
 
-def _nearby_walker(moment: Moment, agent: Pedestrians, thresholds: Thresholds) -> Bool[Array, ""]:
-    return near(moment.position, agent.position, thresholds.near) & walking(agent.velocity, thresholds.walking)
+def _nearby_walker(snapshot: Snapshot, agent: Pedestrians, thresholds: Thresholds) -> Bool[Array, ""]:
+    return near(snapshot.position, agent.position, thresholds.near) & walking(agent.velocity, thresholds.walking)
 
 
 SEAN2_SITUATIONS: dict[str, Situation] = {

@@ -1,8 +1,8 @@
 """The five social situations, equations (1)-(5) of section III-A, for a robot among people.
 
 Each equation is about one agent; a situation occurs when it holds for any of them. A situation is a function
-``(moment, thresholds) -> () bool`` of a ``base.Moment`` and ``Thresholds``. It reads arrays only, so it works for
-recordings as well. A user's situation may omit thresholds: ``as_situation`` takes ``moment -> () bool``, too.
+``(snapshot, thresholds) -> () bool`` of a ``base.Snapshot`` and ``Thresholds``. It reads arrays only, so it works for
+recordings as well. A user's situation may omit thresholds: ``as_situation`` takes ``snapshot -> () bool``, too.
 """
 
 import inspect
@@ -14,7 +14,7 @@ from flax import struct
 from jaxtyping import Bool, Float
 
 from sean_jax import calls
-from sean_jax.base import Array, Moment, Pedestrians
+from sean_jax.base import Array, Pedestrians, Snapshot
 from sean_jax.classifiers.predicates import (
     any_person,
     member,
@@ -46,7 +46,7 @@ class Thresholds:
 
 
 RESERVED = ("overall", "none")  # other rows of tables
-Situation = Callable[[Moment, Thresholds], Array]  # (moment, thresholds) -> () bool
+Situation = Callable[[Snapshot, Thresholds], Array]  # (snapshot, thresholds) -> () bool
 
 
 def thresholds(
@@ -72,55 +72,55 @@ def thresholds(
     return Thresholds(*(jnp.asarray(value, float) for value in values))
 
 
-def cross_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def cross_path(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (1): near a walking agent with an orientation perpendicular to the robot's."""
 
     def holds(agent: Pedestrians) -> Array:
         return (
-            near(moment.position, agent.position, thresholds.near)
+            near(snapshot.position, agent.position, thresholds.near)
             & walking(agent.velocity, thresholds.walking)
-            & perpendicular_trajectory(moment.heading, agent.heading, thresholds.angle)
+            & perpendicular_trajectory(snapshot.heading, agent.heading, thresholds.angle)
         )
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def down_path(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def down_path(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (2): near an agent with an orientation parallel to the robot's. As printed: it need not walk."""
 
     def holds(agent: Pedestrians) -> Array:
-        return near(moment.position, agent.position, thresholds.near) & parallel_trajectory(
-            moment.heading, agent.heading, thresholds.angle
+        return near(snapshot.position, agent.position, thresholds.near) & parallel_trajectory(
+            snapshot.heading, agent.heading, thresholds.angle
         )
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def join_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def join_group(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (3): near a member of the group that the goal belongs to, and not yet at the goal."""
 
     def holds(agent: Pedestrians) -> Array:
-        return near(moment.position, agent.position, thresholds.near) & member(agent.group, moment.goal_group)
+        return near(snapshot.position, agent.position, thresholds.near) & member(agent.group, snapshot.goal_group)
 
-    return any_person(moment, holds) & ~near(moment.position, moment.goal, thresholds.arrival)
+    return any_person(snapshot, holds) & ~near(snapshot.position, snapshot.goal, thresholds.arrival)
 
 
-def leave_group(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def leave_group(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (4): near a member of the group that the start belongs to."""
 
     def holds(agent: Pedestrians) -> Array:
-        return near(moment.position, agent.position, thresholds.near) & member(agent.group, moment.start_group)
+        return near(snapshot.position, agent.position, thresholds.near) & member(agent.group, snapshot.start_group)
 
-    return any_person(moment, holds)
+    return any_person(snapshot, holds)
 
 
-def empty(moment: Moment, thresholds: Thresholds) -> Bool[Array, ""]:
+def empty(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
     """Equation (5): no agent is near."""
 
     def holds(agent: Pedestrians) -> Array:
-        return near(moment.position, agent.position, thresholds.near)
+        return near(snapshot.position, agent.position, thresholds.near)
 
-    return ~any_person(moment, holds)
+    return ~any_person(snapshot, holds)
 
 
 SITUATIONS: dict[str, Situation] = {
@@ -130,20 +130,20 @@ SITUATIONS: dict[str, Situation] = {
     "leave_group": leave_group,
     "empty": empty,
 }
-"""The paper's five: name -> (moment, thresholds) -> () bool"""
+"""The paper's five: name -> (snapshot, thresholds) -> () bool"""
 
 PAPER = tuple(SITUATIONS.items())
 
 
 def classify(
-    moment: Moment, thresholds: Thresholds, situations: tuple[tuple[str, Situation], ...] = PAPER
+    snapshot: Snapshot, thresholds: Thresholds, situations: tuple[tuple[str, Situation], ...] = PAPER
 ) -> Bool[Array, " S"]:
-    """Whether each of S situations, by default the paper's five, occurs at a moment."""
-    return jnp.stack([holds(moment, thresholds) for _, holds in situations])
+    """Whether each of S situations, by default the paper's five, occurs at a snapshot."""
+    return jnp.stack([holds(snapshot, thresholds) for _, holds in situations])
 
 
 def as_situation(value: Callable, name: str = "") -> Situation:
-    """A user's function ``(moment, thresholds) -> () bool`` or ``moment -> () bool`` as a situation.
+    """A user's function ``(snapshot, thresholds) -> () bool`` or ``snapshot -> () bool`` as a situation.
 
     The result checks the function's values while the program is traced. The package's own situations are returned
     unchanged. Equal arguments give equal results, so nothing is compiled again.
@@ -162,8 +162,8 @@ def as_situation(value: Callable, name: str = "") -> Situation:
     number = sum(parameter.default is parameter.empty for parameter in parameters)
     if number not in (1, 2):
         raise InputError(
-            f"situations: {name or 'a situation'} is {value!r}; give a function (moment, thresholds) -> bool or "
-            "moment -> bool."
+            f"situations: {name or 'a situation'} is {value!r}; give a function (snapshot, thresholds) -> bool or "
+            "snapshot -> bool."
         )
     return _Situation(value, name or getattr(value, "__name__", repr(value)), number == 2)
 
@@ -176,9 +176,9 @@ class _Situation:
     name: str
     with_thresholds: bool
 
-    def __call__(self, moment: Moment, thresholds: Thresholds) -> Array:
-        names = "moment, thresholds" if self.with_thresholds else "moment"
-        arguments = (moment, thresholds) if self.with_thresholds else (moment,)
+    def __call__(self, snapshot: Snapshot, thresholds: Thresholds) -> Array:
+        names = "snapshot, thresholds" if self.with_thresholds else "snapshot"
+        arguments = (snapshot, thresholds) if self.with_thresholds else (snapshot,)
         value = calls.call("situations", self.function, names, *arguments)
         cure = "compare numbers, and reduce those of all people with any"
         calls.check_array("situations", self.function, value, bool, (), cure)

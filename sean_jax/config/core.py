@@ -25,8 +25,7 @@ from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from sean_jax.config.fields import Option, Text, check_once
 from sean_jax.errors import InputError
-from sean_jax.files.reading import listed, suggest
-from sean_jax.messages import shorten
+from sean_jax.messages import error_clause, listed, shorten, suggest
 
 OWN_PART = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
 
@@ -406,56 +405,29 @@ def validate(
         raise InputError(sentence(model, error.errors(include_url=False)[0], named)) from None
 
 
-_TYPES = {  # of pydantic's errors -> what the value should be
-    "string_type": "a text",
-    "tuple_type": "a list",
-    "dict_type": "a mapping",
-    "bool_type": "true or false",
-    "bool_parsing": "true or false",
-    "path_type": "a path",
-}
-
-
 def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], str] = str) -> str:
     """One of the errors of a ``pydantic.ValidationError`` as a sentence."""
     classes = {each.__name__: each for each in _component_classes(model)}
     path = [part for part in error["loc"] if part not in classes]
     owner = next((classes[part] for part in reversed(error["loc"]) if part in classes), model)
-    kind, context = error["type"], error.get("ctx", {})
+    kind, last = error["type"], str(error["loc"][-1]) if error["loc"] else ""
     place = ".".join(str(part) for part in path[1:] if isinstance(part, str))
     head = named(str(path[0])) if path else ""
     if place and place in owner.model_fields and named is not str:
         head, place = named(place), ""  # an option of a component is a flag of its own
-    value = shorten(repr(error["input"]))
-    if kind == "value_error":
-        text = str(context["error"])
-        if not path:
-            first, _, rest = text.partition(": ")
-            return f"{named(first)}: {rest}."
+    known, families = list(owner.model_fields), map(family_of, owner.model_fields.values())
+    beside = [option for family in families if family is not None for option in family.options()]
+    text = error_clause(error, _choices(owner, last), known, did_you_mean(last, [*known, *beside]))
+    if kind == "value_error" and not path:
+        head, _, text = text.partition(": ")
+        head = named(head)
     elif kind == "extra_forbidden":
-        known = list(owner.model_fields)
-        word = str(error["loc"][-1])
-        text = (
-            f"{shorten(repr(word))} is not a known key{did_you_mean(word, known) or '; there are ' + ', '.join(known)}"
-        )
         head, place = ("", "") if len(path) == 1 else (head, ".".join(map(str, path[1:-1])))
-    elif kind == "missing":
-        text = "is missing; add it"
-    elif kind == "literal_error":
-        choices = [str(each) for each in _choices(owner, error["loc"][-1])]
-        text = f"{value} is not one of {', '.join(choices)}{suggest(str(error['input']), choices)}"
-    elif kind == "too_short":
-        text = "names nothing; `sean list` shows what there is"
     elif kind == "invalid_key":
         head = "" if len(path) == 1 else head
-        text = f"the key {shorten(repr(error['loc'][-1]))} is not a text; put it in quotes"
-    elif kind in _TYPES:
-        text = f"{value} is not {_TYPES[kind]}"
-    elif kind in ("too_long", "string_too_long"):
-        text = f"{value} is too long; {context['max_length']:,} are the most"
-    else:
-        text = f"{value} cannot be; {error['msg'][0].lower()}{error['msg'][1:]}"
-    start = ": ".join(part for part in (f"{head}{'.' if head and place else ''}{place}",) if part)
+    elif kind == "too_short":
+        text = "names nothing; `sean list` shows what there is"
+    start = f"{head}{'.' if head and place else ''}{place}"
     end = "" if text.endswith(("?", ".")) else "."
     return f"{start}: {text}{end}" if start else f"{text}{end}"
 
@@ -465,7 +437,7 @@ def _component_classes(model: type[Config]) -> list[type[Component]]:
     return [OwnPart, Value, *(variant for family in families if family is not None for variant in family.variants)]
 
 
-def _choices(owner: type[Config], name: str | int) -> tuple[object, ...]:
-    field = owner.model_fields.get(str(name))
+def _choices(owner: type[Config], name: str) -> tuple[object, ...]:
+    field = owner.model_fields.get(name)
     kinds = [field.annotation, *typing.get_args(field.annotation)] if field is not None else []
     return next((typing.get_args(kind) for kind in kinds if typing.get_origin(kind) is Literal), ())

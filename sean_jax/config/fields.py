@@ -13,17 +13,15 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
-from sean_jax.files.reading import listed
-from sean_jax.messages import shorten
+from sean_jax.messages import listed, shorten
+from sean_jax.quantities import MAX_COORDINATE, MAX_DURATION, MAX_MAGNITUDE, MAX_PEOPLE, TIME_STEP_RANGE
 
-# The most that datasets and networks may hold: options go no further, and files with more are refused.
+# Limits of datasets and networks; files with more are refused.
 MAX_HOURS = 1e6
 MAX_SHARD = 100_000  # episodes in a shard
 MAX_SIDE = 4_096  # pixels of a depth image's side, and the width of a network
 MAX_PIXELS = 4_000_000  # of a depth image
 MAX_RATE = 1_000  # rows a second
-MAX_PEOPLE = 100_000
-DAY = 86_400.0  # s
 INFINITE = "inf"  # infinity in a file
 
 
@@ -114,12 +112,12 @@ Side = Annotated[int, Number(8, MAX_SIDE)]
 Width = Annotated[int, Number(1, MAX_SIDE)]
 Share = Annotated[float, Number(0.0, 1.0)]
 OpenShare = Annotated[float, Number(1e-6, 1 - 1e-6)]
-Duration = Annotated[float, Number(0.0, DAY, "s")]
-TimeLimit = Annotated[float, Number(0.1, DAY, "s")]
-TimeStep = Annotated[float, Number(0.001, 1.0, "s")]
+Duration = Annotated[float, Number(0.0, MAX_DURATION, "s")]
+TimeLimit = Annotated[float, Number(0.1, MAX_DURATION, "s")]
+TimeStep = Annotated[float, Number(*TIME_STEP_RANGE, "s")]
 Radius = Annotated[float, Number(0.01, 1_000.0, "m")]
-Distance = Annotated[float, Number(0.0, 10_000.0, "m")]
-DistanceOrInfinity = Annotated[float, Number(0.0, 10_000.0, "m", or_infinity=True)]
+Distance = Annotated[float, Number(0.0, MAX_COORDINATE, "m")]
+DistanceOrInfinity = Annotated[float, Number(0.0, MAX_COORDINATE, "m", or_infinity=True)]
 PoseNumber = Annotated[float, Number(-1e6, 1e6)]  # m or degrees
 Congestion = Annotated[float, Number(0.0, 1e6, "m2")]
 FrameRate = Annotated[float, Number(0.001, 1e4, "frames a second")]
@@ -129,7 +127,7 @@ Temperature = Annotated[float, Number(1e-3, 1e3, "m")]
 Hours = Annotated[float, Number(1e-6, MAX_HOURS, "h")]
 HoursOfMinutes = Annotated[float, Number(0.0166, MAX_HOURS, "h")]
 WalkingSpeed = Annotated[float, Number(0.0, 100.0, "m/s")]
-Threshold = Annotated[float, Number(-1e9, 1e9)]
+Threshold = Annotated[float, Number(-MAX_MAGNITUDE, MAX_MAGNITUDE)]
 Noise = Annotated[float, Number(1e-3, 1.0)]
 Delay = Annotated[int, Number(0, 1_000, "steps")]
 LearningRate = Annotated[float, Number(1e-12, 1.0)]

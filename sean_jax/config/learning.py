@@ -7,32 +7,11 @@ from typing import Annotated, ClassVar, Literal, Self
 
 import pydantic
 
+from sean_jax.config import fields
 from sean_jax.config.core import Component, Config, Family, Named
-from sean_jax.config.fields import (
-    MAX_PIXELS,
-    BatchSize,
-    Count,
-    Delay,
-    Dynamics,
-    EpisodeCount,
-    Hours,
-    LearningRate,
-    Names,
-    Noise,
-    OpenShare,
-    Option,
-    Out,
-    Quiet,
-    Rate,
-    Seed,
-    ShardSize,
-    Share,
-    Side,
-    Text,
-    Width,
-)
+from sean_jax.config.fields import Option
 from sean_jax.config.scenario import Part, ScenarioConfig
-from sean_jax.files.reading import listed
+from sean_jax.messages import listed
 
 OBSERVED = ("goal", "goal_heading", "path", "distance", "speeds", "time", "obstacles", "people")
 """The terms of an agent's observation, where none are named."""
@@ -54,31 +33,31 @@ class CollectConfig(ScenarioConfig):
     """Policy of the robot: a name, or a folder of `sean train`."""
     labels: Part | None = None
     """Policy whose commands are recorded in place of those of the driving policy."""
-    noise: Noise | None = None
+    noise: fields.Noise | None = None
     """Standard deviation of noise on the executed commands, as a share of the robot's limits, so that demonstrations
     show recovery from deviations. Commands are recorded without it."""
-    hours: Annotated[Hours, NO_EFFECT] = 1.0
+    hours: Annotated[fields.Hours, NO_EFFECT] = 1.0
     """Hours of demonstrations, divided equally among tasks, or among the five situations of handcrafted people."""
-    rate: Rate = 1
+    rate: fields.Rate = 1
     """Examples that begin in a second: 1, or another divisor of the control steps in a second. Images and positions
     within an example are a second apart at any rate."""
-    width: Side = 64
+    width: fields.Side = 64
     """Width of the depth images in pixels."""
-    height: Side = 48
+    height: fields.Side = 48
     """Height of the depth images in pixels."""
-    batch: Annotated[ShardSize | None, NO_EFFECT] = None
+    batch: Annotated[fields.ShardSize | None, NO_EFFECT] = None
     """Episodes that are simulated at once and stored in one file; by default chosen for the device and the hours."""
-    seed: Seed = 0
+    seed: fields.Seed = 0
     """The same seed gives the same demonstrations."""
-    out: Out = None
+    out: fields.Out = None
     """Folder of the dataset, runs/demonstrations-<environment>-<behavior>-<policy>-<seed> by default. A dataset of the
     same options is resumed."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
 
     @pydantic.model_validator(mode="after")
     def _check_recorded(self) -> "CollectConfig":
-        if self.width * self.height > MAX_PIXELS:
-            size = f"{self.width} times {self.height} are more than {MAX_PIXELS:,} pixels"
+        if self.width * self.height > fields.MAX_PIXELS:
+            size = f"{self.width} times {self.height} are more than {fields.MAX_PIXELS:,} pixels"
             raise ValueError(f"width: {size}; ask for fewer")
         if self.behavior.kind == "playback":
             raise ValueError("behavior: playback is not recorded; choose behavior graph, random or handcrafted")
@@ -107,7 +86,7 @@ class ImitationConfig(Config):
     """Folder of `sean collect`."""
     datasets: Annotated[tuple[Path, ...], NO_EFFECT] = ()
     """Folders of further datasets to learn from."""
-    part: tuple[Count, Count] = (1, 1)
+    part: tuple[fields.Count, fields.Count] = (1, 1)
     """Part of the dataset's episodes to learn from, and number of equal parts: 3 10 for the third of ten."""
     pretrained: Path | None = None
     """Folder of a training whose best network is trained further."""
@@ -115,28 +94,28 @@ class ImitationConfig(Config):
     """Give the network the current social situations as an input."""
     balance: bool = False
     """Sample examples so that all social situations are equally frequent."""
-    width: Width = 64
+    width: fields.Width = 64
     """Width of the encodings and hidden layers."""
-    batch: BatchSize = 1024
+    batch: fields.BatchSize = 1024
     """Examples in a step."""
-    learning_rate: LearningRate = 1e-3
+    learning_rate: fields.LearningRate = 1e-3
     """Learning rate of AdamW."""
-    weight_decay: Share = 0.01
+    weight_decay: fields.Share = 0.01
     """Weight decay of AdamW."""
-    patience: Annotated[Count, NO_EFFECT] = 50
+    patience: Annotated[fields.Count, NO_EFFECT] = 50
     """Epochs without a smaller validation loss after which training stops."""
-    epochs: Annotated[Count, NO_EFFECT] = 1000
+    epochs: Annotated[fields.Count, NO_EFFECT] = 1000
     """Largest number of epochs."""
-    validation: OpenShare = 0.1
+    validation: fields.OpenShare = 0.1
     """Share of the episodes for validation."""
-    device_memory_fraction: Annotated[Share, NO_EFFECT] = 0.6
+    device_memory_fraction: Annotated[fields.Share, NO_EFFECT] = 0.6
     """Share of the device's memory that a dataset may fill; a larger one is read from disk in each epoch."""
-    seed: Seed = 0
+    seed: fields.Seed = 0
     """The same seed gives the same network."""
-    out: Out = None
+    out: fields.Out = None
     """Folder for checkpoints and metrics, runs/imitation-<dataset>-<seed> by default. A training of the same options is
     resumed."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
 
     @pydantic.model_validator(mode="after")
     def _check_part(self) -> Self:
@@ -159,9 +138,9 @@ class DaggerConfig(ImitationConfig):
     """Imitation of an expert in the network's own states."""
     expert: Part = Named(kind="expert")
     """Policy that labels the states: a name, or FILE.py:NAME."""
-    rounds: Count = 5
+    rounds: fields.Count = 5
     """Networks after the one of the dataset alone."""
-    hours: Hours = 0.25
+    hours: fields.Hours = 0.25
     """Hours that each network drives."""
 
 
@@ -173,7 +152,7 @@ def _as_pair(value: object) -> object:
 class EnvConfig(ScenarioConfig):
     """A scenario as an environment of reinforcement learning: observations, rewards and terminations."""
 
-    dynamics: Dynamics = "twin"
+    dynamics: fields.Dynamics = "twin"
     observations: Observations = tuple(Named(kind=name) for name in OBSERVED)
     """Observations of the agent: terms of `sean list`, and further ones."""
     rewards: Rewards = (Named(kind="default"),)
@@ -182,7 +161,7 @@ class EnvConfig(ScenarioConfig):
     """Terminations besides completion and the time limit: collision, obstacle, intimate, and further ones."""
     randomization: Part | None = None
     """Randomization of each episode: behavior, how people behave; or a function (key, scenario) -> scenario."""
-    action_delay: Annotated[tuple[Delay, Delay], pydantic.BeforeValidator(_as_pair)] = (0, 0)
+    action_delay: Annotated[tuple[fields.Delay, fields.Delay], pydantic.BeforeValidator(_as_pair)] = (0, 0)
     """Least and largest delay of commands in control steps; drawn for each episode."""
 
     @pydantic.field_validator("action_delay")
@@ -201,64 +180,64 @@ class ReinforcementConfig(EnvConfig):
 
     method: Annotated[str, METHOD]
     """Method."""
-    environment: Names = "warehouse"
+    environment: fields.Names = "warehouse"
     """Physical environment: a name, or the folder of your own; several, separated by commas, share the scenarios, and
     one agent learns in all of them."""
     critic: Annotated[tuple[Component, ...], Family((Named,), "critic_term")] = ()
     """Observations of the critic alone, such as people: it does not drive, so it may see anything."""
-    scenarios: BatchSize = 64
+    scenarios: fields.BatchSize = 64
     """Scenarios that step in parallel, for each agent; on a GPU try 8192."""
-    steps: Count = 2_000_000
+    steps: fields.Count = 2_000_000
     """Scenario-steps of the whole training of an agent, over which the learning rate falls to 0."""
-    horizon: Count = 32
+    horizon: fields.Count = 32
     """Steps of each scenario between two updates."""
-    minibatches: Count = 8
+    minibatches: fields.Count = 8
     """Parts of the collected transitions, one for each step of the optimizer."""
-    learning_rate: LearningRate = 5e-4
+    learning_rate: fields.LearningRate = 5e-4
     """Initial learning rate of Adam."""
-    discount: Share = 0.99
+    discount: fields.Share = 0.99
     """Discount factor of a step."""
-    advantage_decay: Share = 0.95
+    advantage_decay: fields.Share = 0.95
     """Lambda of the generalized advantage estimate."""
-    width: Width = 256
+    width: fields.Width = 256
     """Width of the hidden layers."""
-    layers: Count = 2
+    layers: fields.Count = 2
     """Hidden layers of the actor and of the critic."""
     recurrent: bool = False
     """Give the network a memory, a gated recurrent unit."""
     bfloat16: bool = False
     """Store and encode images in half precision: faster on a GPU, slower on a CPU."""
-    noise: Noise | None = None
+    noise: fields.Noise | None = None
     """Initial standard deviation of actions, which are from -1 to 1; 0.5, or that of the pretrained agent, by
     default."""
-    pool: BatchSize = 1024
+    pool: fields.BatchSize = 1024
     """Starts of episodes that are drawn in advance, in each environment."""
     curriculum: Literal["none", "situations", "regret"] = "none"
     """Sampling of starts: none, uniform; situations, more of those situations in which the agent costs people most;
     regret, more of those starts in which it could do better, among people who behave differently in each episode."""
-    curriculum_every: Count = 20
+    curriculum_every: fields.Count = 20
     """Updates between two replacements of the least useful starts by a curriculum."""
     pretrained: Path | None = None
     """Folder of a training whose agent is trained further."""
     imitate: Part | None = None
     """Policy to imitate at first: a name, or the folder of a training, such as one of sean train dagger."""
-    seeds: Count = 1
+    seeds: fields.Count = 1
     """Agents that are trained side by side, with consecutive seeds."""
-    sweep: tuple[Text, ...] = ()
+    sweep: tuple[fields.Text, ...] = ()
     """Numbers in which agents differ, such as learning_rate=0.001,0.0003 or rewards.time=-0.1,-0.2; all combinations
     are trained side by side."""
-    evaluate_every: Annotated[Count, NO_EFFECT] = 50
+    evaluate_every: Annotated[fields.Count, NO_EFFECT] = 50
     """Updates between two evaluations, each with a checkpoint."""
-    evaluation_episodes: Annotated[EpisodeCount, NO_EFFECT] = 64
+    evaluation_episodes: Annotated[fields.EpisodeCount, NO_EFFECT] = 64
     """Episodes of an evaluation, in each environment; the agent takes the mean of its actions."""
-    seed: Seed = 0
+    seed: fields.Seed = 0
     """The same seed gives the same agent."""
-    out: Out = None
+    out: fields.Out = None
     """Folder for checkpoints and metrics, runs/METHOD-<environment>-<behavior>-<seed> by default. A training of the
     same options is resumed."""
     distributed: Annotated[bool, NO_EFFECT] = False
     """Join the other processes of this training, on one or more hosts, as SLURM and MPI start them."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
 
     @pydantic.model_validator(mode="after")
     def _check_numbers(self) -> Self:
@@ -335,11 +314,11 @@ class PPOConfig(ReinforcementConfig):
 
     method: Annotated[Literal["ppo"], METHOD] = "ppo"  # pyright: ignore
     """Proximal policy optimization."""
-    epochs: Count = 4
+    epochs: fields.Count = 4
     """Passes of an update through the collected transitions."""
-    clip: Share = 0.2
+    clip: fields.Share = 0.2
     """Largest change of an action's probability by an update."""
-    entropy: Share = 0.002
+    entropy: fields.Share = 0.002
     """Weight of the entropy of actions."""
 
 
@@ -349,13 +328,13 @@ class APGConfig(ReinforcementConfig):
 
     method: Annotated[Literal["apg"], METHOD] = "apg"  # pyright: ignore
     """Analytic policy gradients over short horizons."""
-    horizon: Count = 16
+    horizon: fields.Count = 16
     """Steps of each scenario between two updates, through which gradients are taken."""
-    critic_epochs: Count = 4
+    critic_epochs: fields.Count = 4
     """Passes of the critic through the collected transitions."""
     through_people: bool = False
     """Take gradients through people as well, who give way to the robot."""
-    target_share: Share = 0.2
+    target_share: fields.Share = 0.2
     """Step of the target critic towards the learned one in each update."""
 
 
@@ -377,7 +356,7 @@ class ExportConfig(Config):
     """Folder of `sean collect`, or for agent of `sean train ppo`."""
     out: Path
     """Folder to write; it must be new or empty."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
 
     @property
     def folder(self) -> Path:

@@ -1,33 +1,14 @@
-"""Options of a scenario (section IV-B): environment, pedestrian behavior, robot task and what belongs to them."""
+"""Options of a scenario (section IV-B), and of ``sean run``, ``replay`` and ``compare``."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pydantic
 
+from sean_jax.config import fields
 from sean_jax.config.core import Component, Config, Family, Named, OwnPart, Value, compact, with_defaults
-from sean_jax.config.fields import (
-    Congestion,
-    Distance,
-    DistanceOrInfinity,
-    Duration,
-    Dynamics,
-    EnvironmentName,
-    Option,
-    PeopleOrDefault,
-    PoseNumber,
-    Radius,
-    RecordingFormat,
-    RecordingRate,
-    RouteTemperature,
-    Routing,
-    Substeps,
-    Text,
-    Threshold,
-    TimeLimit,
-    TimeStep,
-    WalkingGroups,
-)
+from sean_jax.config.fields import Option
 from sean_jax.presets import PRESETS
 
 USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcrafted",)}
@@ -41,29 +22,29 @@ class GraphBehavior(Component):
     """People walk, gather and disperse on the environment's behavior graph."""
 
     kind: Literal["graph"] = "graph"
-    routing: Routing = "whole"
+    routing: fields.Routing = "whole"
     group_membership: Literal["turnover", "permanent"] = "turnover"
     """turnover: people join and leave groups; permanent: members stay in their group, as in SEAN 2.0's code."""
-    congestion_cost: Congestion = 0.0
+    congestion_cost: fields.Congestion = 0.0
     """How much people avoid crowded edges: an edge's cost is multiplied by 1 + congestion_cost * density (people/m2);
     try 10."""
-    temperature: RouteTemperature = 0.0
+    temperature: fields.RouteTemperature = 0.0
     """Softmax temperature in metres over the lengths of routes; 0: always the shortest route."""
-    walking_groups: WalkingGroups = (0.0, 0.0)
+    walking_groups: fields.WalkingGroups = (0.0, 0.0)
 
 
 class RandomBehavior(Component):
     """People walk from one random place to another."""
 
     kind: Literal["random"] = "random"
-    walking_groups: WalkingGroups = (0.0, 0.0)
+    walking_groups: fields.WalkingGroups = (0.0, 0.0)
 
 
 class HandcraftedBehavior(Component):
     """People walk the environment's handcrafted sets."""
 
     kind: Literal["handcrafted"] = "handcrafted"
-    sets: Text = "all"
+    sets: fields.Text = "all"
     """Sets to draw from: all, the name of a set, a situation; or COLLECTION, COLLECTION_SITUATION or COLLECTION_SET for
     a further collection of handcrafted.yaml, such as staged."""
 
@@ -72,19 +53,19 @@ class PlaybackBehavior(Component):
     """People walk as they were recorded."""
 
     kind: Literal["playback"] = "playback"
-    recording: Text | None = None
+    recording: fields.Text | None = None
     """A CSV file with the columns frame, id, x and y in metres."""
-    recording_format: RecordingFormat = None
-    frame_rate: RecordingRate = None
+    recording_format: fields.RecordingFormat = None
+    frame_rate: fields.RecordingRate = None
 
 
 class CustomTask(Component):
     """From a start of your own to a goal of your own."""
 
     kind: Literal["custom"] = "custom"
-    start: tuple[PoseNumber, ...] | None = None
+    start: tuple[fields.PoseNumber, ...] | None = None
     """x and y in metres, and optionally a heading in degrees."""
-    goal: tuple[PoseNumber, ...] | None = None
+    goal: tuple[fields.PoseNumber, ...] | None = None
     """x and y in metres, and optionally a heading in degrees."""
 
     @pydantic.field_validator("start", "goal")
@@ -111,7 +92,7 @@ Tasks = Annotated[tuple[Component, ...], Family((CustomTask, Named), several=Tru
 class ScenarioConfig(Config):
     """A physical environment, a pedestrian behavior and a robot task (section IV-B), and what belongs to them."""
 
-    environment: EnvironmentName = "warehouse"
+    environment: fields.EnvironmentName = "warehouse"
     preset: Annotated[Literal["sean2"] | None, Option(affects_results=False)] = None
     """Preset for the options that you leave out: sean2, as in SEAN 2.0."""
     behavior: BehaviorPart = GraphBehavior()
@@ -120,36 +101,36 @@ class ScenarioConfig(Config):
     """Robot task; several, separated by commas, take turns. By default join_group,leave_group with behavior graph,
     handcrafted with handcrafted, custom if a start and a goal are set, else random_ab_nav."""
     robot: RobotPart = Named(kind="kuri")
-    dynamics: Dynamics = "mjx"
-    people: PeopleOrDefault = None
+    dynamics: fields.Dynamics = "mjx"
+    people: fields.PeopleOrDefault = None
     model: Part = Named(kind="social_forces")
     """Model of how people move."""
     forces: Forces = (Named(kind=DEFAULT_FORCES),)
     """Social forces: the terms of a preset, and further ones."""
     situations: Situations = (Named(kind="paper"),)
     """Social situations to classify: a set, and further ones."""
-    thresholds: dict[str, Threshold] | None = None
+    thresholds: dict[str, fields.Threshold] | None = None
     """Thresholds of the situation classifiers that differ from those of the set."""
     metrics: Metrics = (Named(kind="all"),)
     """Metrics: all of the package, and further ones."""
     sensors: Sensors = ()
     """Sensors that a policy can read with sean_jax.sense."""
-    time_step: TimeStep = 0.1
+    time_step: fields.TimeStep = 0.1
     """Control step in seconds."""
-    time_limit: TimeLimit = 120.0
+    time_limit: fields.TimeLimit = 120.0
     """Longest duration of an episode in seconds."""
-    goal_radius: Radius = 1.2
+    goal_radius: fields.Radius = 1.2
     """Distance in metres within which the goal counts as reached (SEAN 2.0: 1.2)."""
-    hold_time: Duration = 5.0
+    hold_time: fields.Duration = 5.0
     """Seconds that the robot must stay there to complete the task (SEAN 2.0: 5)."""
-    task_distance: tuple[Distance, DistanceOrInfinity] = (4.0, 20.0)
+    task_distance: tuple[fields.Distance, fields.DistanceOrInfinity] = (4.0, 20.0)
     """Shortest and longest path in metres from start to goal; inf for no longest (SEAN 2.0: 0 inf)."""
     goal_sampling: Literal["uniform", "mesh"] = "uniform"
     """How free places are drawn, for goals of random people and for starts and goals of the robot: uniform over the
     floor, or mesh, as SEAN 2.0 draws points on its navigation mesh."""
-    substeps: Substeps | None = None
+    substeps: fields.Substeps | None = None
     """Steps of the social forces in a control step; by default as many as their stiffness needs."""
-    warm_up: Duration = 0.0
+    warm_up: fields.Duration = 0.0
     """Seconds for which people walk before a task begins, as in a crowd that lasts while tasks follow one another."""
 
     @pydantic.model_validator(mode="before")
@@ -185,3 +166,78 @@ class ScenarioConfig(Config):
     def identity(self) -> dict[str, Any]:
         """As of ``Config``, with the tasks that a default stands for."""
         return super().identity() | {"task": [compact(task.model_dump(mode="json")) for task in self.tasks]}
+
+
+class RunConfig(ScenarioConfig):
+    """Simulate a batch of episodes and write a table, a report and an animation. `sean list` names the choices."""
+
+    policy: Part = Named(kind="go_to_goal")
+    """Policy of the robot: a name, or a folder of `sean train` or `sean export agent`."""
+    episodes: fields.EpisodeCount = 64
+    """Number of episodes."""
+    seed: fields.Seed = 0
+    """The same seed gives the same episodes."""
+    batch: fields.BatchSize = 1024
+    """Largest number of episodes that are simulated at once."""
+    camera: Annotated[fields.Text | None, Option(affects_results=False)] = None
+    """Also write camera.gif, the first episode as first_person, third_person, overhead or depth sees it."""
+    trajectories: Literal["csv", "parquet"] | None = None
+    """Also write the frames of all episodes, robot and people, as trajectories.csv or .parquet."""
+    live: Annotated[bool, Option(affects_results=False)] = False
+    """Serve a page on this computer that plays the first episode during its simulation."""
+    name: Annotated[str, Option(affects_results=False)] = ""
+    """Name of the run, the end of the folder's name; by default the environment and the behavior."""
+    out: fields.Out = None
+    """Folder to write, runs/<date>-<time>-<name> by default: new, empty, or with an unfinished run of the same options,
+    which is resumed."""
+    quiet: fields.Quiet = False
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _drop_renderer(cls, data: object) -> object:
+        """Files of version 0.2 may name a renderer of camera.gif: rays, or one that is gone."""
+        if not isinstance(data, Mapping) or "renderer" not in data:
+            return data
+        if data["renderer"] not in (None, "rays"):
+            raise ValueError("renderer: there is only one, which draws camera.gif by rays; leave the option out")
+        return {name: value for name, value in data.items() if name != "renderer"}
+
+    @pydantic.model_validator(mode="after")
+    def _check_live(self) -> "RunConfig":
+        if self.live and self.quiet:
+            raise ValueError("live: its address is printed, which --quiet forbids; leave one of the two out")
+        return self
+
+    def folder(self, now: str) -> Path:
+        """The folder to write: ``out``, or one in runs/ whose name begins with ``now``."""
+        name = self.name or f"{Path(self.environment).name}-{Path(self.behavior.kind).stem}"
+        label = "".join(c if c.isalnum() or c in "-_." else "-" for c in name)
+        return self.out or Path("runs") / f"{now}-{label}"
+
+
+class ReplayConfig(Config):
+    """Write a page that plays episodes of a run, a dataset or a training, or tests of a validation. They are simulated
+    again with the options in the folder."""
+
+    folder: Annotated[Path, Option(positional=True)]
+    """Folder of `sean run`, `collect`, `train` or `validate`."""
+    episodes: Annotated[tuple[fields.EpisodeNumber, ...], pydantic.Field(min_length=1)] = (0,)
+    """Numbers of episodes, from 0: of a run as in episodes.csv, of a dataset in the order of their recording, of a
+    training those of its evaluations, which alternate between its environments."""
+    only: fields.Names | None = None
+    """Tests of a validation, separated by commas, such as rimea-6,imo-1; by default its first."""
+    out: Path | None = None
+    """File to write, replay.html in the folder by default."""
+    quiet: fields.Quiet = False
+
+
+class CompareConfig(Config):
+    """Compare two runs: differences in the episodes that both have, with intervals, and their replays side by side."""
+
+    first: Annotated[Path, Option(positional=True)]
+    """Folder of a run."""
+    second: Annotated[Path, Option(positional=True)]
+    """Folder of another run."""
+    out: Path | None = None
+    """Page to write, compare-FIRST-SECOND.html by default."""
+    quiet: fields.Quiet = False

@@ -6,31 +6,9 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import pydantic
 
+from sean_jax.config import fields
 from sean_jax.config.core import Config, Named
-from sean_jax.config.fields import (
-    Count,
-    Dynamics,
-    EnvironmentName,
-    EpisodeCount,
-    FrameRate,
-    HoursOfMinutes,
-    Minutes,
-    Names,
-    Option,
-    Out,
-    People,
-    PeopleOrDefault,
-    Quiet,
-    Rate,
-    RecordingFormat,
-    RecordingRate,
-    Routing,
-    Seed,
-    Temperature,
-    Text,
-    TimeLimit,
-    WalkingSpeed,
-)
+from sean_jax.config.fields import Option
 from sean_jax.config.scenario import DEFAULT_FORCES, RobotPart
 
 Preset = Annotated[
@@ -50,17 +28,17 @@ class ExperimentConfig(Config):
     """Experiment."""
     quick: bool = False
     """Ten minutes on a CPU: less time, fewer seeds and episodes, smaller images."""
-    environment: EnvironmentName = "warehouse"
-    people: PeopleOrDefault = None
+    environment: fields.EnvironmentName = "warehouse"
+    people: fields.PeopleOrDefault = None
     robot: RobotPart = Named(kind="kuri")
-    dynamics: Dynamics = "mjx"
-    time_limit: TimeLimit = 120.0
+    dynamics: fields.Dynamics = "mjx"
+    time_limit: fields.TimeLimit = 120.0
     """Longest duration of an episode in seconds."""
-    seed: Seed = 0
+    seed: fields.Seed = 0
     """The same seed gives the same results."""
-    out: Out = None
+    out: fields.Out = None
     """Folder for the results, runs/EXPERIMENT by default. An unfinished experiment of the same options is resumed."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -83,13 +61,13 @@ class SituationConfig(ExperimentConfig):
 
     QUICK = dict(hours=0.05, seeds=2)
 
-    policies: Names = "go_to_goal,social_costmap,expert"
+    policies: fields.Names = "go_to_goal,social_costmap,expert"
     """Policies of the robot, separated by commas."""
-    hours: HoursOfMinutes = 1.0
+    hours: fields.HoursOfMinutes = 1.0
     """Hours for each behavior, simulated as often as --seeds says."""
-    seeds: Count = 10
+    seeds: fields.Count = 10
     """Simulations of these hours, all drawn from --seed."""
-    speeds: Annotated[tuple[WalkingSpeed, ...], pydantic.Field(min_length=1)] = SPEEDS
+    speeds: Annotated[tuple[fields.WalkingSpeed, ...], pydantic.Field(min_length=1)] = SPEEDS
     """Walking thresholds V in m/s; the table uses the first."""
 
 
@@ -101,16 +79,16 @@ class Table1Config(SituationConfig):
 
     which: Annotated[Literal["table1"], Option(positional=True)] = "table1"  # pyright: ignore
     """Table I."""
-    policies: Names = "go_to_goal,social_costmap,expert"
+    policies: fields.Names = "go_to_goal,social_costmap,expert"
     """Policies of the robot, separated by commas; none for recordings alone."""
     preset: Preset = None
-    speeds: Annotated[tuple[WalkingSpeed, ...], pydantic.Field(min_length=1)] = SPEEDS
+    speeds: Annotated[tuple[fields.WalkingSpeed, ...], pydantic.Field(min_length=1)] = SPEEDS
     """Walking thresholds V in m/s; the table uses the first. With preset sean2 the slowest comes first by default."""
-    crowds: tuple[People, ...] = (10, 20, 40, 100)
+    crowds: tuple[fields.People, ...] = (10, 20, 40, 100)
     """Other numbers of people to try."""
-    recordings: Names | None = None
+    recordings: fields.Names | None = None
     """CSV files of recorded people, separated by commas; each person in turn plays the robot."""
-    frame_rate: FrameRate | None = None
+    frame_rate: fields.FrameRate | None = None
     """Frames a second of the recordings; by default those of their formats."""
 
     @classmethod
@@ -129,16 +107,16 @@ class AblationConfig(SituationConfig):
 class LearnedConfig(ExperimentConfig):
     """Options of experiments that train networks on demonstrations."""
 
-    demonstrator: Text = "expert"
+    demonstrator: fields.Text = "expert"
     """Policy that demonstrates."""
     preset: Preset = None
-    datasets: Count = 10
+    datasets: fields.Count = 10
     """Datasets of demonstrations, each for networks of its own."""
-    trainings: Count = 3
+    trainings: fields.Count = 3
     """Networks for each dataset, each with its own seed."""
-    episodes: EpisodeCount = 12_300
+    episodes: fields.EpisodeCount = 12_300
     """Episodes of each policy in each scenario, in equal shares for its networks."""
-    epochs: Count = 1000
+    epochs: fields.Count = 1000
     """Largest number of epochs of a training."""
 
 
@@ -150,9 +128,9 @@ class Figure4Config(LearnedConfig):
 
     which: Annotated[Literal["figure4"], Option(positional=True)] = "figure4"  # pyright: ignore
     """Figure 4."""
-    hours: HoursOfMinutes = 1.0
+    hours: fields.HoursOfMinutes = 1.0
     """Hours of demonstrations for each behavior."""
-    baselines: Annotated[Names, Option(affects_results=False)] = "move_base,ppo,ppo_depth,sensing_expert"
+    baselines: Annotated[fields.Names, Option(affects_results=False)] = "move_base,ppo,ppo_depth,sensing_expert"
     """Other policies in the same episodes, separated by commas, or none: names, folders of `sean train`, such as
     runs/dagger or runs/apg, or FILE.py:NAME. They can be added to a finished figure."""
 
@@ -165,18 +143,18 @@ class LearningCurveConfig(LearnedConfig):
 
     which: Annotated[Literal["learning_curve"], Option(positional=True)] = "learning_curve"  # pyright: ignore
     """Learning curve of policy G."""
-    demonstration_hours: Annotated[tuple[HoursOfMinutes, ...], pydantic.Field(min_length=1)] = (1.0, 10.0, 100.0)
+    demonstration_hours: Annotated[tuple[fields.HoursOfMinutes, ...], pydantic.Field(min_length=1)] = (1.0, 10.0, 100.0)
     """Hours of demonstrations. The networks of the first are compared with those of other rates, and with those that
     have the situations as an input."""
-    rates: tuple[Rate, ...] = (10,)
+    rates: tuple[fields.Rate, ...] = (10,)
     """Examples a second, besides one a second."""
-    updates: Count = 20_000
+    updates: fields.Count = 20_000
     """Largest number of steps of a network's optimizer; reached with 100 hours of data, smaller datasets stop early."""
-    datasets: Count = 3
+    datasets: fields.Count = 3
     """Datasets of demonstrations, each for networks of its own."""
-    trainings: Count = 1
+    trainings: fields.Count = 1
     """Networks for each dataset, each with its own seed."""
-    episodes: EpisodeCount = 4096
+    episodes: fields.EpisodeCount = 4096
     """Episodes of each policy in each scenario, in equal shares for its networks."""
 
 
@@ -193,16 +171,16 @@ class BenchmarkConfig(Config):
     """Compare a policy with all others on fixed tracks: a table by social situation and a result with a checksum. An
     unfinished folder is resumed."""
 
-    policy: Annotated[Text, Option(positional=True)]
+    policy: Annotated[fields.Text, Option(positional=True)]
     """Policy: a name, a folder of `sean train` or `sean export agent`, or FILE.py:NAME."""
     quick: bool = False
     """Minutes on a CPU, with few episodes: such a result shows whether a policy works, and is not ranked."""
-    episodes: EpisodeCount | None = None
+    episodes: fields.EpisodeCount | None = None
     """Episodes of each track, by default those of the protocol; a result with fewer is not ranked."""
-    out: Out = None
+    out: fields.Out = None
     """Folder for the result, runs/benchmark-POLICY by default. An unfinished benchmark of the same options is
     resumed."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
 
     @property
     def folder(self) -> Path:
@@ -216,18 +194,18 @@ class ValidateConfig(Config):
 
     quick: bool = False
     """Five minutes on a CPU: fewer seeds, and without the checks of a thousand people."""
-    only: Names | None = None
+    only: fields.Names | None = None
     """Checks, separated by commas; rimea-* stands for all whose names begin so. All by default."""
-    models: Names | None = None
+    models: fields.Names | None = None
     """Models of people, separated by commas: presets of forces, files of constants, pedestrian models, or FILE.py:NAME;
     by default the default forces."""
     data: Path | None = None
     """Folder of recordings; without it, checks that need them are skipped."""
     strict: Annotated[bool, Option(affects_results=False)] = False
     """Exit code 1 if a check fails."""
-    out: Out = None
+    out: fields.Out = None
     """Folder for the results, runs/validate by default. Its results of the same checks and models are kept."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
 
     @property
     def folder(self) -> Path:
@@ -240,24 +218,24 @@ class CalibrateConfig(Config):
 
     data: Path
     """Folder of recordings: scenes of ETH and UCY, runs of Juelich's corridors."""
-    forces: Text = DEFAULT_FORCES
+    forces: fields.Text = DEFAULT_FORCES
     """Start of the fit: a preset of social forces, or a YAML file of constants."""
-    fit: Names | None = None
+    fit: fields.Names | None = None
     """Constants to fit, separated by commas, such as repulsion.range; by default all that have bounds."""
-    leave_out: Names | None = None
+    leave_out: fields.Names | None = None
     """Scenes of prediction, separated by commas, for leave-one-out fits, each judged by the scene that it lacks; all by
     default, or none."""
-    steps: Count = 60
+    steps: fields.Count = 60
     """Steps of gradient descent."""
-    starts: Count = 1
+    starts: fields.Count = 1
     """Starts of each fit, side by side: the first from the constants given. On a GPU try 64."""
-    batch: Count = 8
+    batch: fields.Count = 8
     """Windows of each scene of prediction in a step; a sixteenth of that from corridors, at least one."""
-    seed: Seed = 0
+    seed: fields.Seed = 0
     """The same seed gives the same constants."""
-    out: Out = None
+    out: fields.Out = None
     """Folder for the results, runs/calibration by default."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
 
     @property
     def folder(self) -> Path:
@@ -268,29 +246,29 @@ class CalibrateConfig(Config):
 class FitGraphConfig(Config):
     """Propose a behavior graph for an environment, or fit one to recorded or simulated people."""
 
-    environment: Annotated[EnvironmentName, Option(positional=True)]
+    environment: Annotated[fields.EnvironmentName, Option(positional=True)]
     recording: Path | None = None
     """People to fit to: a CSV file with the columns frame, id, x and y in metres."""
-    recording_format: RecordingFormat = None
-    frame_rate: RecordingRate = None
+    recording_format: fields.RecordingFormat = None
+    frame_rate: fields.RecordingRate = None
     simulate: bool = False
     """Fit to people simulated on the environment's own graph, to test whether the fit recovers it."""
     propose: bool = False
     """Propose nodes and edges even if the environment has a graph; without people to fit to, do only that."""
     graph: Path | None = None
     """A graph.yaml with the nodes and edges; the environment's own by default."""
-    people: People | None = None
+    people: fields.People | None = None
     """Number of simulated people; the environment's own number by default."""
-    routing: Routing = "whole"
-    minutes: Minutes = 20.0
+    routing: fields.Routing = "whole"
+    minutes: fields.Minutes = 20.0
     """Minutes to simulate for the fit, and again for its test."""
-    temperature: Temperature = 0.25
+    temperature: fields.Temperature = 0.25
     """Softmax temperature in metres over the costs of routes."""
-    seed: Seed = 0
+    seed: fields.Seed = 0
     """The same seed gives the same results."""
-    out: Out = None
+    out: fields.Out = None
     """Folder to write, runs/graph-ENVIRONMENT by default; it must be new or empty. It is an environment of its own."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
 
     @pydantic.model_validator(mode="after")
     def _one_source(self) -> Self:

@@ -6,44 +6,31 @@ from typing import Annotated, Literal
 
 import pydantic
 
+from sean_jax.config import fields
 from sean_jax.config.core import Config, Named
-from sean_jax.config.fields import (
-    BatchSize,
-    Count,
-    Dynamics,
-    EnvironmentName,
-    Height,
-    Names,
-    Option,
-    Out,
-    People,
-    PeopleOrDefault,
-    Quiet,
-    Text,
-    TimingSeconds,
-)
+from sean_jax.config.fields import Option
 from sean_jax.config.scenario import RobotPart
-from sean_jax.files.reading import listed, suggest
+from sean_jax.messages import listed, suggest
 
 
 class BenchConfig(Config):
     """Measure speed on this machine and write it as a table, as JSON and as a picture."""
 
-    environment: EnvironmentName = "warehouse"
-    people: PeopleOrDefault = None
+    environment: fields.EnvironmentName = "warehouse"
+    people: fields.PeopleOrDefault = None
     robot: RobotPart = Named(kind="kuri")
-    dynamics: Dynamics = "mjx"
-    only: Names = "step,depth,images,pictures,crowd,compile,devices"
+    dynamics: fields.Dynamics = "mjx"
+    only: fields.Names = "step,depth,images,pictures,crowd,compile,devices"
     """Measurements, separated by commas."""
-    batches: tuple[BatchSize, ...] = ()
+    batches: tuple[fields.BatchSize, ...] = ()
     """Numbers of scenarios at once; by default 1 to 256 on a CPU and 1 to 65536 on a GPU."""
-    repeats: Count = 5
+    repeats: fields.Count = 5
     """Timings of each measurement, of which the median counts."""
-    seconds: TimingSeconds = 1.0
+    seconds: fields.TimingSeconds = 1.0
     """Approximate duration of one timing."""
-    out: Out = None
+    out: fields.Out = None
     """Folder to write, by default sean-bench-DATE-TIME."""
-    quiet: Quiet = False
+    quiet: fields.Quiet = False
 
     @pydantic.field_validator("only")
     @classmethod
@@ -71,9 +58,9 @@ class DrawConfig(Config):
     """The behavior graph, with its groups seated."""
     handcrafted: bool = False
     """The handcrafted sets, one panel each."""
-    sets: Text = "all"
+    sets: fields.Text = "all"
     """Which handcrafted sets, as in sean run."""
-    environment: Text | None = None
+    environment: fields.Text | None = None
     """Environment: a name, or the folder of your own; by default all of the package."""
     out: Path | None = None
     """File to write, such as sheet.png or sheet.svg; with several environments, the name of each is added."""
@@ -86,9 +73,9 @@ class ImportMapConfig(Config):
     """YAML file of the map."""
     out: Path
     """Folder to write; it must be new or empty. Its path then serves as --environment."""
-    people: People | None = None
+    people: fields.People | None = None
     """Default number of people; by default one for each 25 m2 of free floor."""
-    height: Height = 2.0
+    height: fields.Height = 2.0
     """Height of all obstacles in metres, which a map does not have."""
     unknown: Literal["obstacle", "free"] = "obstacle"
     """Meaning of the map's unknown cells."""

@@ -22,7 +22,6 @@ from sean_jax.files.reading import (
     MAX_DEPTH,
     MAX_RECORD,
     MAX_TABLE,
-    listed,
     open_file,
     read_arrays,
     read_bytes,
@@ -31,10 +30,8 @@ from sean_jax.files.reading import (
     read_text,
     sentence,
     short_name,
-    suggest,
-    unknown_name,
 )
-from sean_jax.messages import shorten
+from sean_jax.messages import error_clause, listed, suggest, unknown_name
 
 __all__ = [
     "MAX_BYTES",
@@ -119,41 +116,10 @@ def _sentence(loc: Location, clause: str) -> str:
 
 def _clause(error: Any, model: type[pydantic.BaseModel]) -> str:
     """A pydantic error as one clause that names the value and the cure."""
-    loc, kind = error["loc"], error["type"]
-    context = {key: f"{item:g}" if isinstance(item, float) else item for key, item in error.get("ctx", {}).items()}
-    value = "an empty value" if error["input"] is None else shorten(repr(error["input"]))
-    if kind == "missing":
-        return "one value more is needed" if isinstance(loc[-1], int) else "is missing; add it"
-    if kind == "extra_forbidden":
-        keys = [key for part in _types_at(model, loc[:-1]) for key in getattr(part, "model_fields", ())]
-        key = str(loc[-1])[:MAX_KEY]
-        return f"'{key}' is not a known key{suggest(key, keys) or '; there are ' + ', '.join(keys)}"
-    if kind == "literal_error":
-        choices = [c for part in _types_at(model, loc) if typing.get_origin(part) is Literal for c in part.__args__]
-        return f"{value} is not one of {', '.join(map(str, choices))}{suggest(str(error['input']), choices)}"
-    if kind == "value_error":
-        return str(context.get("error", error["msg"]))
-    templates = {
-        "float_type": "is not a number",
-        "int_type": "is not a whole number",
-        "int_from_float": "is not a whole number",
-        "string_type": "is not text; put it in quotes",
-        "string_too_short": "is too short a text",
-        "bool_type": "is not true or false",
-        "list_type": "is not a list, such as [a, b]",
-        "tuple_type": "is not a list, such as [a, b]",
-        "dict_type": "is not a mapping, which has lines 'key: value'",
-        "model_type": "is not a mapping, which has lines 'key: value'",
-        "model_attributes_type": "is not a mapping, which has lines 'key: value'",
-        "finite_number": "is not a finite number",
-        "greater_than": "is not greater than {gt}",
-        "greater_than_equal": "is less than {ge}, the least allowed",
-        "less_than": "is not less than {lt}",
-        "less_than_equal": "is more than {le}, the most allowed",
-        "too_short": "has {actual_length} values, {min_length} are needed",
-        "too_long": "has {actual_length} values, {max_length} are allowed",
-    }
-    return f"{value} {templates[kind].format(**context)}" if kind in templates else f"{value}: {error['msg']}"
+    loc = error["loc"]
+    keys = [key for part in _types_at(model, loc[:-1]) for key in getattr(part, "model_fields", ())]
+    choices = [c for part in _types_at(model, loc) if typing.get_origin(part) is Literal for c in part.__args__]
+    return error_clause(error, choices, keys)
 
 
 def _types_at(model: Any, loc: Location) -> list[Any]:

@@ -139,10 +139,8 @@ class _Scan:
             maximum = MAX_COUNTS.get((name, key), MAX_RESERVED if name == "size" and key != "memory" else None)
             if maximum is not None and any(not -1 <= number <= maximum for number in _numbers(value)):
                 raise _ElementError(f'{name} {key}="{shorten(value, 40)}" must be at most {maximum:,}')
-        if name == "size" and _bytes(attributes.get("memory", "")) > MAX_MEMORY:
-            raise _ElementError(
-                f'size memory="{shorten(attributes["memory"], 40)}" must be at most {MAX_MEMORY // 10**6}M'
-            )
+        if name == "size" and _bytes(memory := attributes.get("memory", "")) > MAX_MEMORY:
+            raise _ElementError(f'size memory="{shorten(memory, 40)}" must be at most {MAX_MEMORY // 10**6}M')
         self.elements += times
         if self.elements > MAX_ELEMENTS:
             raise _ElementError(f"makes more than {MAX_ELEMENTS:,} elements; use fewer")
@@ -209,13 +207,12 @@ def _numbers(value: str) -> list[float]:
 
 
 def _check_numbers(key: str, value: str) -> None:
+    text = f'{key}="{shorten(value, 40)}"'
     for number in _numbers(value):
         if not math.isfinite(number):
-            raise _ElementError(f'{key}="{shorten(value, 40)}" holds a number that is not finite; give one that is')
+            raise _ElementError(f"{text} holds a number that is not finite; give one that is")
         if abs(number) > MAX_MAGNITUDE:
-            raise _ElementError(
-                f'{key}="{shorten(value, 40)}" holds a number beyond {MAX_MAGNITUDE:g}; give a smaller one'
-            )
+            raise _ElementError(f"{text} holds a number beyond {MAX_MAGNITUDE:g}; give a smaller one")
 
 
 def _bytes(value: str) -> float:

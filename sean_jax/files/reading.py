@@ -6,18 +6,18 @@ before memory is used for it. Whatever another package raises about the content 
 
 import contextlib
 import csv
-import difflib
 import io
 import json
 import math
 import os
 import stat
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from sean_jax.errors import FileError, SeanError
+from sean_jax.messages import suggest
 
 MAX_BYTES = 2_000_000  # of a file that people write
 MAX_RECORD = 200_000_000  # of one text that this program writes: JSON, a log, a page
@@ -25,25 +25,6 @@ MAX_ARRAYS = 1_000_000_000  # of a .npz file that this program writes, and what 
 MAX_TABLE = 10_000_000_000  # of a table with a row for each episode or frame, which is read row by row
 MAX_LINE = 1_000_000  # characters of a line of a table
 MAX_DEPTH = 60  # of values within values
-
-
-def listed(text: str | None) -> list[str]:
-    """The names in a text, separated by commas; None has none."""
-    return [name.strip() for name in (text or "").split(",") if name.strip()]
-
-
-def suggest(word: str, choices: Iterable[str]) -> str:
-    """ "; did you mean 'x'?" with the choice most like a word, or nothing if none is like it."""
-    choices = [str(choice) for choice in choices]
-    lower = {choice.lower(): choice for choice in choices}
-    close = difflib.get_close_matches(str(word).lower()[:100], lower, n=1, cutoff=0.6)
-    return f"; did you mean '{lower[close[0]]}'?" if close else ""
-
-
-def unknown_name(option: str, name: str, choices: Iterable[str]) -> str:
-    """The message about an unknown name, with the option, the choices and a suggestion."""
-    choices = list(choices)
-    return f"{option}: '{name}' is not one of {', '.join(choices)}{suggest(name, choices) or '.'}"
 
 
 def short_name(path: Path) -> str:

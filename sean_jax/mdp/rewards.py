@@ -20,7 +20,7 @@ from sean_jax.base import Array, Scenario, State
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
 from sean_jax.metrics.proximity import PERSONAL
-from sean_jax.scenario import moment
+from sean_jax.scenario import snapshot
 
 Reward = Callable[[Scenario, State, State], Array]  # (scenario, before, after) -> () number of the step
 Potential = Callable[[Scenario, State], Array]  # (scenario, state) -> () number
@@ -151,7 +151,7 @@ class _Growth:
     metric: metrics.Metric
 
     def __call__(self, scenario: Scenario, before: State, after: State) -> Array:
-        then, now = moment(scenario, before), moment(scenario, after)
+        then, now = snapshot(scenario, before), snapshot(scenario, after)
         zero = self.metric.init(then)
         growth = self.metric.compute(self.metric.update(zero, then, now)) - self.metric.compute(zero)
         return growth.reshape(-1)[0]

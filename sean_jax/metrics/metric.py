@@ -1,10 +1,10 @@
 """What a metric is (section IV-H): a value that is updated step by step over a robot's task, in constant memory.
 
-Most metrics are one line, a constructor of this module around a function of a moment:
+Most metrics are one line, a constructor of this module around a function of a snapshot:
 
-    def close(moment):
-        x, y = (moment.people.position - moment.position[None, :]).T
-        return (moment.people.present & (length(x, y) < 0.6)).any()
+    def close(snapshot):
+        x, y = (snapshot.people.position - snapshot.position[None, :]).T
+        return (snapshot.people.present & (length(x, y) < 0.6)).any()
 
     time_close = duration(close, title="time close to people")
     times_close = count_onsets(close)
@@ -27,17 +27,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax import calls, clock
-from sean_jax.base import Array, Moment
+from sean_jax.base import Array, Snapshot
 from sean_jax.errors import InputError
 
 MEAN = "Mean over episodes."  # the definition of a metric that has none
-CURE = "give a Metric, a condition moment -> bool, or an amount (before, after) -> number."
+CURE = "give a Metric, a condition snapshot -> bool, or an amount (before, after) -> number."
 RESERVED = ("episode", "task", "completed", "timed_out", "seconds", "share")  # columns of every episodes.csv
 UNSET = float(np.finfo(np.float32).max)  # stands for no amount; finite, as everything in a state is
 
-Condition = Callable[[Moment], Array]  # moment -> () bool
-Quantity = Callable[[Moment], Array]  # moment -> () number
-Amount = Callable[[Moment, Moment], Array]  # (before, after) -> () number
+Condition = Callable[[Snapshot], Array]  # snapshot -> () bool
+Quantity = Callable[[Snapshot], Array]  # snapshot -> () number
+Amount = Callable[[Snapshot, Snapshot], Array]  # (before, after) -> () number
 
 
 # Equal by identity: metrics are hashed at each call of a compiled function, so that has to be quick.
@@ -49,7 +49,7 @@ class Metric:
     or an extreme over a situation that never occurred is NaN there, since no number would be true; sums are zero.
 
     Args:
-        init: ``moment -> value``, the running value, any pytree, before the first step.
+        init: ``snapshot -> value``, the running value, any pytree, before the first step.
         update: ``(value, before, after) -> value``, the running value one step later. It keeps shapes and types.
         compute: ``value -> array``, the figure so far.
         unit: "1" for pure numbers.
@@ -61,8 +61,8 @@ class Metric:
         headline: the table in the terminal has it; the report and episodes.csv have every metric.
     """
 
-    init: Callable[[Moment], PyTree]
-    update: Callable[[PyTree, Moment, Moment], PyTree]
+    init: Callable[[Snapshot], PyTree]
+    update: Callable[[PyTree, Snapshot, Snapshot], PyTree]
     compute: Callable[[PyTree], Array]
     unit: str = "1"
     title: str = ""
@@ -76,8 +76,8 @@ class Metric:
 def as_metric(value: Metric | Callable, name: str = "") -> Metric:
     """A ``Metric`` as it is, or a metric of a function; equal arguments give the same one, so nothing compiles again.
 
-    A function of one moment is a condition: the metric is the time [s] during which it holds. A function of two
-    moments, before and after a step, is an amount: the metric is its sum over the steps.
+    A function of one snapshot is a condition: the metric is the time [s] during which it holds. A function of two
+    snapshots, before and after a step, is an amount: the metric is its sum over the steps.
 
     Raises:
         InputError: it is none of these, or results have another column of that name.
@@ -98,7 +98,7 @@ def _as_metric(value: Metric | Callable, name: str) -> Metric:
 
 
 def _from_function(function: Callable, name: str) -> Metric:
-    """A metric of a function of one or two moments."""
+    """A metric of a function of one or two snapshots."""
     try:
         parameters = inspect.signature(function).parameters.values()
     except ValueError:  # a builtin without a signature
@@ -117,7 +117,7 @@ def duration(
 ) -> Metric:
     """Time [s] during which a condition holds, overall and in each situation: the steps at whose end it does."""
 
-    def update(value: Duration, before: Moment, after: Moment) -> Duration:
+    def update(value: Duration, before: Snapshot, after: Snapshot) -> Duration:
         weights = situation_weights(after)
         return value._replace(steps=value.steps + jnp.where(_truth(condition, after), weights, 0.0))
 
@@ -130,7 +130,7 @@ def share_of_time(
 ) -> Metric:
     """Share of the time, from 0 to 1, during which a condition holds, overall and in each situation."""
 
-    def update(value: Ratio, before: Moment, after: Moment) -> Ratio:
+    def update(value: Ratio, before: Snapshot, after: Snapshot) -> Ratio:
         weights = situation_weights(after)
         return Ratio(value.amount + jnp.where(_truth(condition, after), weights, 0.0), value.weight + weights)
 
@@ -150,11 +150,11 @@ def count_onsets(
     """How often a condition begins to hold, overall and in each situation: it holds after a step and not before it.
 
     Args:
-        condition: ``moment -> () bool``, or (N,) bool if each of N people counts by themselves.
-        among: of the same shape: the events that count, as of the moment after the step; all if None.
+        condition: ``snapshot -> () bool``, or (N,) bool if each of N people counts by themselves.
+        among: of the same shape: the events that count, as of the snapshot after the step; all if None.
     """
 
-    def update(value: Array, before: Moment, after: Moment) -> Array:
+    def update(value: Array, before: Snapshot, after: Snapshot) -> Array:
         onset = _truth(condition, after, ndim=None) & ~_truth(condition, before, ndim=None)
         if among is not None:
             onset = onset & _truth(among, after, ndim=None)
@@ -175,7 +175,7 @@ def total(
 ) -> Metric:
     """Sum over the steps of an amount ``(before, after) -> () number``, overall and in each situation."""
 
-    def update(value: Array, before: Moment, after: Moment) -> Array:
+    def update(value: Array, before: Snapshot, after: Snapshot) -> Array:
         return value + _number(amount, before, after) * situation_weights(after)
 
     text = _text(amount, title, definition)
@@ -193,7 +193,7 @@ def mean(
 ) -> Metric:
     """Mean over the steps of an amount ``(before, after) -> () number``, overall and in each situation."""
 
-    def update(value: Ratio, before: Moment, after: Moment) -> Ratio:
+    def update(value: Ratio, before: Snapshot, after: Snapshot) -> Ratio:
         weights = situation_weights(after)
         return Ratio(value.amount + _number(amount, before, after) * weights, value.weight + weights)
 
@@ -211,7 +211,7 @@ def minimum(
     digits: int = 2,
     headline: bool = True,
 ) -> Metric:
-    """Minimum of a quantity ``moment -> () number`` of all moments, the first included; () unless ``by_situation``."""
+    """Minimum of a quantity ``snapshot -> () number`` from the first snapshot on; () unless ``by_situation``."""
     return _extreme(quantity, jnp.minimum, UNSET, by_situation, unit, title, definition, digits, headline)
 
 
@@ -225,7 +225,7 @@ def maximum(
     digits: int = 2,
     headline: bool = True,
 ) -> Metric:
-    """Maximum of a quantity ``moment -> () number`` of all moments, the first included; () unless ``by_situation``."""
+    """Maximum of a quantity ``snapshot -> () number`` from the first snapshot on; () unless ``by_situation``."""
     return _extreme(quantity, jnp.maximum, -UNSET, by_situation, unit, title, definition, digits, headline)
 
 
@@ -239,10 +239,10 @@ def final(
     kind: Literal["number", "count", "share"] = "number",
     headline: bool = True,
 ) -> Metric:
-    """Value () of a quantity ``moment -> () number`` at the last moment."""
+    """Value () of a quantity ``snapshot -> () number`` at the end."""
 
-    def init(moment: Moment) -> Array:
-        return _number(quantity, moment)
+    def init(snapshot: Snapshot) -> Array:
+        return _number(quantity, snapshot)
 
     text = _text(quantity, title, definition)
     return Metric(
@@ -261,9 +261,9 @@ def _extreme(
     quantity: Quantity, choose: Callable, unset: float, by_situation: bool, unit: str, title: str, definition: str,
     digits: int, headline: bool,
 ) -> Metric:  # fmt: skip
-    def now(moment: Moment) -> Array:
-        value = _number(quantity, moment)
-        return jnp.where(situation_weights(moment) > 0.0, value, unset) if by_situation else value
+    def now(snapshot: Snapshot) -> Array:
+        value = _number(quantity, snapshot)
+        return jnp.where(situation_weights(snapshot) > 0.0, value, unset) if by_situation else value
 
     def compute(value: Array) -> Array:
         return jnp.where(value == unset, jnp.nan, value) if by_situation else value
@@ -281,27 +281,27 @@ def _text(function: Callable, title: str, definition: str) -> tuple[str, str]:
     return title, definition or (lines[0] if lines else "")
 
 
-def _truth(condition: Condition, moment: Moment, ndim: int | None = 0) -> Array:
+def _truth(condition: Condition, snapshot: Snapshot, ndim: int | None = 0) -> Array:
     """The condition's value, checked while the program is traced."""
-    value = calls.call("metrics", condition, "moment", moment)
+    value = calls.call("metrics", condition, "snapshot", snapshot)
     calls.check_array("metrics", condition, value, None, None, "compare numbers")
     value = jnp.asarray(value)
     if value.dtype != bool or value.ndim > (1 if ndim is None else ndim):
         expected = "() bool or (N,) bool" if ndim is None else "() bool"
         raise InputError(
-            f"metrics: {_name(condition)}(moment) gives {value.dtype} {value.shape}, not {expected}; for numbers take "
-            "metrics.total, mean, minimum, maximum or final."
+            f"metrics: {_name(condition)}(snapshot) gives {value.dtype} {value.shape}, not {expected}; for numbers "
+            "take metrics.total, mean, minimum, maximum or final."
         )
     return value
 
 
-def _number(function: Callable, *moments: Moment) -> Array:
+def _number(function: Callable, *snapshots: Snapshot) -> Array:
     """The function's value as a () float, checked while the program is traced."""
-    value = calls.call("metrics", function, "moment" if len(moments) == 1 else "before, after", *moments)
+    value = calls.call("metrics", function, "snapshot" if len(snapshots) == 1 else "before, after", *snapshots)
     calls.check_array("metrics", function, value, None, None, "give one number")
     value = jnp.asarray(value)
     if value.ndim:
-        arguments = "moment" if len(moments) == 1 else "before, after"
+        arguments = "snapshot" if len(snapshots) == 1 else "before, after"
         raise InputError(
             f"metrics: {_name(function)}({arguments}) gives an array {value.shape}, not one number (); reduce it with "
             "sum, min or mean."
@@ -330,24 +330,24 @@ class Ratio(NamedTuple):
     weight: Float[Array, " columns"]
 
 
-def situation_weights(moment: Moment) -> Float[Array, " columns"]:
+def situation_weights(snapshot: Snapshot) -> Float[Array, " columns"]:
     """(1 + S,) 1 overall, then 1 for each situation that occurs at that moment, else 0."""
-    return jnp.concatenate([jnp.ones(1, float), moment.situations.astype(float)])
+    return jnp.concatenate([jnp.ones(1, float), snapshot.situations.astype(float)])
 
 
-def zeros(moment: Moment) -> Float[Array, " columns"]:
+def zeros(snapshot: Snapshot) -> Float[Array, " columns"]:
     """(1 + S,) zeros, the initial value of a sum."""
-    return jnp.zeros_like(situation_weights(moment))
+    return jnp.zeros_like(situation_weights(snapshot))
 
 
-def zero_duration(moment: Moment) -> Duration:
+def zero_duration(snapshot: Snapshot) -> Duration:
     """The initial value of a time."""
-    return Duration(zeros(moment), jnp.asarray(moment.time_step, float))
+    return Duration(zeros(snapshot), jnp.asarray(snapshot.time_step, float))
 
 
-def zero_ratio(moment: Moment) -> Ratio:
+def zero_ratio(snapshot: Snapshot) -> Ratio:
     """The initial value of a ratio."""
-    return Ratio(zeros(moment), zeros(moment))
+    return Ratio(zeros(snapshot), zeros(snapshot))
 
 
 def in_seconds(value: Duration) -> Float[Array, " columns"]:
@@ -370,22 +370,24 @@ def identity(value: Array) -> Array:
 # --- samples at 1 Hz, as SEAN 2.0 takes them of the path ---
 
 
-def second_has_passed(moment: Moment) -> Bool[Array, ""]:
+def second_has_passed(snapshot: Snapshot) -> Bool[Array, ""]:
     """Whether a whole second has passed within the last step, when SEAN samples its path metrics.
 
     At 0.1 s that is every tenth tick; at 0.15 s the ticks 7, 14, 20, 27, ... of 1.05, 2.1, 3.0, 4.05 s.
     """
-    return _whole_seconds(moment, moment.tick) > _whole_seconds(moment, moment.tick - 1)
+    return _whole_seconds(snapshot, snapshot.tick) > _whole_seconds(snapshot, snapshot.tick - 1)
 
 
-def time_since_sample(moment: Moment) -> Float[Array, ""]:
+def time_since_sample(snapshot: Snapshot) -> Float[Array, ""]:
     """Time [s] since the last sample before this tick: 1 where seconds are whole steps, else about that."""
-    over, under = clock.events_per_tick(moment.time_step)
-    sampled = -((-_whole_seconds(moment, moment.tick - 1) * under) // over)  # the first tick at or after that second
-    return (moment.tick - sampled).astype(float) * moment.time_step
+    over, under = clock.events_per_tick(snapshot.time_step)
+    sampled = -(
+        (-_whole_seconds(snapshot, snapshot.tick - 1) * under) // over
+    )  # the first tick at or after that second
+    return (snapshot.tick - sampled).astype(float) * snapshot.time_step
 
 
-def _whole_seconds(moment: Moment, tick: Int[Array, ""]) -> Int[Array, ""]:
+def _whole_seconds(snapshot: Snapshot, tick: Int[Array, ""]) -> Int[Array, ""]:
     """Whole seconds that have passed at a tick, exact: a product in float32 would miss some."""
-    over, under = clock.events_per_tick(moment.time_step)
+    over, under = clock.events_per_tick(snapshot.time_step)
     return tick * over // under

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax.base import Array, Moment
+from sean_jax.base import Array, Snapshot
 from sean_jax.geometry import angle_between, length
 from sean_jax.metrics.metric import (
     Duration,
@@ -27,8 +27,8 @@ from sean_jax.metrics.metric import (
 )
 
 STILL = 0.05  # m/s: not moving is having moved no farther than 0.05 m in the last second (SEAN 2.0)
-GOAL_RADIUS = 1.2  # m, for moments that have none (SEAN 2.0)
-TOP_SPEED = 0.5  # m/s, for moments that have none (Kuri)
+GOAL_RADIUS = 1.2  # m, for snapshots that have none (SEAN 2.0)
+TOP_SPEED = 0.5  # m/s, for snapshots that have none (Kuri)
 
 
 # --- length, efficiency and standing, from positions at 1 Hz ---
@@ -43,11 +43,11 @@ class SampledPath(NamedTuple):
     geodesic: Float[Array, ""]  # m
 
 
-def _init_path(moment: Moment) -> SampledPath:
-    return SampledPath(moment.position, zeros(moment), zeros(moment), moment.geodesic)
+def _init_path(snapshot: Snapshot) -> SampledPath:
+    return SampledPath(snapshot.position, zeros(snapshot), zeros(snapshot), snapshot.geodesic)
 
 
-def _sample(value: SampledPath, after: Moment, moved: Array, amount: Array) -> SampledPath:
+def _sample(value: SampledPath, after: Snapshot, moved: Array, amount: Array) -> SampledPath:
     now = second_has_passed(after)
     return value._replace(
         position=jnp.where(now, after.position, value.position),
@@ -56,12 +56,12 @@ def _sample(value: SampledPath, after: Moment, moved: Array, amount: Array) -> S
     )
 
 
-def _moved(value: SampledPath, after: Moment) -> Array:
+def _moved(value: SampledPath, after: Snapshot) -> Array:
     gap = after.position - value.position
     return length(gap[0], gap[1])
 
 
-def _update_length(value: SampledPath, before: Moment, after: Moment) -> SampledPath:
+def _update_length(value: SampledPath, before: Snapshot, after: Snapshot) -> SampledPath:
     moved = _moved(value, after)
     return _sample(value, after, moved, moved)
 
@@ -74,7 +74,7 @@ def _efficiency(value: SampledPath) -> Array:
     return _length(value)[0] / jnp.maximum(value.geodesic, 1e-3)
 
 
-def _update_still(value: SampledPath, before: Moment, after: Moment) -> SampledPath:
+def _update_still(value: SampledPath, before: Snapshot, after: Snapshot) -> SampledPath:
     moved, passed = _moved(value, after), time_since_sample(after)
     return _sample(value, after, moved, jnp.where(moved <= STILL * passed, passed, 0.0))
 
@@ -128,15 +128,15 @@ class SampledRotation(NamedTuple):
     shortest: Float[Array, ""]  # rad
 
 
-def _init_rotation(moment: Moment) -> SampledRotation:
-    zero = jnp.zeros_like(moment.geodesic)
-    straight = jnp.abs(angle_between(moment.heading, moment.goal - moment.position))
+def _init_rotation(snapshot: Snapshot) -> SampledRotation:
+    zero = jnp.zeros_like(snapshot.geodesic)
+    straight = jnp.abs(angle_between(snapshot.heading, snapshot.goal - snapshot.position))
     return SampledRotation(
-        moment.heading, zero, zero, straight if moment.path_rotation is None else moment.path_rotation
+        snapshot.heading, zero, zero, straight if snapshot.path_rotation is None else snapshot.path_rotation
     )
 
 
-def _update_rotation(value: SampledRotation, before: Moment, after: Moment) -> SampledRotation:
+def _update_rotation(value: SampledRotation, before: Snapshot, after: Snapshot) -> SampledRotation:
     now = second_has_passed(after)
     turned = jnp.abs(angle_between(value.heading, after.heading))
     return value._replace(
@@ -161,7 +161,7 @@ path_irregularity = Metric(
 )
 """Rotation, left and right added up, in excess of that on the shortest path from the starting pose, at least 0.
 
-Sum of |angle from heading i to i + 1| at 1 Hz, minus ``Moment.path_rotation``, or minus the angle to the goal where no
+Sum of |angle from heading i to i + 1| at 1 Hz, minus ``Snapshot.path_rotation``, or the angle to the goal where no
 shortest path is known.
 """
 
@@ -169,18 +169,18 @@ shortest path is known.
 # --- the goal ---
 
 
-def _distance_to_goal(moment: Moment) -> Array:
-    gap = moment.goal - moment.position
+def _distance_to_goal(snapshot: Snapshot) -> Array:
+    gap = snapshot.goal - snapshot.position
     return length(gap[0], gap[1])
 
 
-def _at_goal(moment: Moment) -> Array:
+def _at_goal(snapshot: Snapshot) -> Array:
     """1 inside the goal radius, else 0."""
-    limit = GOAL_RADIUS if moment.goal_radius is None else moment.goal_radius
-    return jnp.where(_distance_to_goal(moment) <= limit, jnp.ones_like(moment.geodesic), 0.0)
+    limit = GOAL_RADIUS if snapshot.goal_radius is None else snapshot.goal_radius
+    return jnp.where(_distance_to_goal(snapshot) <= limit, jnp.ones_like(snapshot.geodesic), 0.0)
 
 
-def _always(moment: Moment) -> Array:
+def _always(snapshot: Snapshot) -> Array:
     return jnp.ones((), bool)
 
 
@@ -235,18 +235,18 @@ class Success(NamedTuple):
     top_speed: Float[Array, ""]  # m/s
 
 
-def _init_success(moment: Moment) -> Success:
-    known = moment.robot_top_speed
+def _init_success(snapshot: Snapshot) -> Success:
+    known = snapshot.robot_top_speed
     return Success(
-        reached=_at_goal(moment),
-        path=_init_path(moment),
-        time=zero_duration(moment),
-        geodesic=moment.geodesic,
-        top_speed=jnp.full_like(moment.geodesic, TOP_SPEED) if known is None else known,
+        reached=_at_goal(snapshot),
+        path=_init_path(snapshot),
+        time=zero_duration(snapshot),
+        geodesic=snapshot.geodesic,
+        top_speed=jnp.full_like(snapshot.geodesic, TOP_SPEED) if known is None else known,
     )
 
 
-def _update_success(value: Success, before: Moment, after: Moment) -> Success:
+def _update_success(value: Success, before: Snapshot, after: Snapshot) -> Success:
     return value._replace(
         reached=_at_goal(after),
         path=_update_length(value.path, before, after),
@@ -317,30 +317,30 @@ class Maximum(NamedTuple):
     known: Float[Array, ""]  # 1 once there is an acceleration, else 0
 
 
-def _acceleration(before: Moment, after: Moment) -> Array:
+def _acceleration(before: Snapshot, after: Snapshot) -> Array:
     return (after.velocity - before.velocity) / after.time_step
 
 
-def _speed(before: Moment, after: Moment) -> Array:
+def _speed(before: Snapshot, after: Snapshot) -> Array:
     return length(after.velocity[0], after.velocity[1])
 
 
-def _acceleration_size(before: Moment, after: Moment) -> Array:
+def _acceleration_size(before: Snapshot, after: Snapshot) -> Array:
     now = _acceleration(before, after)
     return length(now[0], now[1])
 
 
-def _jerk_size(before: Moment, after: Moment, value: MeanJerk | Maximum) -> Array:
+def _jerk_size(before: Snapshot, after: Snapshot, value: MeanJerk | Maximum) -> Array:
     """0 in the first step, before which no acceleration is known."""
     change = (_acceleration(before, after) - value.acceleration) / after.time_step
     return value.known * length(change[0], change[1])
 
 
-def _init_mean_jerk(moment: Moment) -> MeanJerk:
-    return MeanJerk(zero_ratio(moment), jnp.zeros_like(moment.velocity), jnp.zeros_like(moment.geodesic))
+def _init_mean_jerk(snapshot: Snapshot) -> MeanJerk:
+    return MeanJerk(zero_ratio(snapshot), jnp.zeros_like(snapshot.velocity), jnp.zeros_like(snapshot.geodesic))
 
 
-def _update_mean_jerk(value: MeanJerk, before: Moment, after: Moment) -> MeanJerk:
+def _update_mean_jerk(value: MeanJerk, before: Snapshot, after: Snapshot) -> MeanJerk:
     weights = situation_weights(after)
     return MeanJerk(
         jerk=Ratio(
@@ -354,11 +354,11 @@ def _update_mean_jerk(value: MeanJerk, before: Moment, after: Moment) -> MeanJer
 def _maximum(size: Callable, unit: str, title: str, definition: str) -> Metric:
     """Maximum of ``size(before, after, value)`` over the steps."""
 
-    def init(moment: Moment) -> Maximum:
-        zero = jnp.zeros_like(moment.geodesic)
-        return Maximum(zero, jnp.zeros_like(moment.velocity), zero)
+    def init(snapshot: Snapshot) -> Maximum:
+        zero = jnp.zeros_like(snapshot.geodesic)
+        return Maximum(zero, jnp.zeros_like(snapshot.velocity), zero)
 
-    def update(value: Maximum, before: Moment, after: Moment) -> Maximum:
+    def update(value: Maximum, before: Snapshot, after: Snapshot) -> Maximum:
         now = size(before, after, value)
         return Maximum(jnp.maximum(value.amount, now), _acceleration(before, after), jnp.ones_like(value.known))
 

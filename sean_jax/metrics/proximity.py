@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax.base import Array, Moment
+from sean_jax.base import Array, Snapshot
 from sean_jax.geometry import TINY, from_box, length, sum_vectors, unit
 from sean_jax.metrics.metric import Metric, count_onsets, duration, minimum, share_of_time, total
 
@@ -30,50 +30,50 @@ VISIBLE = 3.6  # m, the end of social distance [Hall]: people farther away do no
 # --- people ---
 
 
-def _intimate_limit(moment: Moment) -> Float[Array, ""]:
+def _intimate_limit(snapshot: Snapshot) -> Float[Array, ""]:
     """Intimate distance [m]."""
-    return jnp.full_like(moment.robot_radius, INTIMATE)
+    return jnp.full_like(snapshot.robot_radius, INTIMATE)
 
 
-def _personal_limit(moment: Moment) -> Float[Array, ""]:
+def _personal_limit(snapshot: Snapshot) -> Float[Array, ""]:
     """Personal distance [m]."""
-    return jnp.full_like(moment.robot_radius, PERSONAL)
+    return jnp.full_like(snapshot.robot_radius, PERSONAL)
 
 
-def _touch_limit(moment: Moment) -> Float[Array, ""]:
+def _touch_limit(snapshot: Snapshot) -> Float[Array, ""]:
     """Distance [m] at which the bodies of robot and person touch, with SEAN's margin of 1 cm."""
-    return moment.robot_radius + moment.person_radius + TOUCH
+    return snapshot.robot_radius + snapshot.person_radius + TOUCH
 
 
-def _squares(moment: Moment) -> Array:
+def _squares(snapshot: Snapshot) -> Array:
     """(N,) m2, squared distance from the robot to each person, infinite for those absent."""
-    gap = moment.people.position - moment.position[None, :]
-    return jnp.where(moment.people.present, (gap * gap).sum(1), jnp.inf)
+    gap = snapshot.people.position - snapshot.position[None, :]
+    return jnp.where(snapshot.people.present, (gap * gap).sum(1), jnp.inf)
 
 
-def _distance_to_people(moment: Moment) -> Array:
-    square = jnp.min(_squares(moment), initial=jnp.inf)
+def _distance_to_people(snapshot: Snapshot) -> Array:
+    square = jnp.min(_squares(snapshot), initial=jnp.inf)
     alone = ~jnp.isfinite(square)
     touching = square < TINY
     return jnp.where(alone, NONE, jnp.where(touching, 0.0, jnp.sqrt(jnp.where(alone | touching, 1.0, square))))
 
 
-def _robot_at_fault(moment: Moment) -> Array:
+def _robot_at_fault(snapshot: Snapshot) -> Array:
     """(N,) bool: the robot moves, and partly towards the person."""
-    toward = (moment.velocity[None, :] * (moment.people.position - moment.position[None, :])).sum(1) > 0.0
-    moving = (moment.velocity * moment.velocity).sum() > MOVING * MOVING
+    toward = (snapshot.velocity[None, :] * (snapshot.people.position - snapshot.position[None, :])).sum(1) > 0.0
+    moving = (snapshot.velocity * snapshot.velocity).sum() > MOVING * MOVING
     return toward & moving
 
 
-def _person_at_fault(moment: Moment) -> Array:
-    return ~_robot_at_fault(moment)
+def _person_at_fault(snapshot: Snapshot) -> Array:
+    return ~_robot_at_fault(snapshot)
 
 
-def _entries(limit: Callable[[Moment], Array], by_robot: bool, name: str, distance: float | None = None) -> Metric:
+def _entries(limit: Callable[[Snapshot], Array], by_robot: bool, name: str, distance: float | None = None) -> Metric:
     """Entries of people into the circle of that limit around the robot, by the fault of the robot or of the person."""
 
-    def inside(moment: Moment) -> Array:
-        return _squares(moment) <= limit(moment) ** 2
+    def inside(snapshot: Snapshot) -> Array:
+        return _squares(snapshot) <= limit(snapshot) ** 2
 
     whose = "robot on person" if by_robot else "person on robot"
     who = "the robot, by its own motion," if by_robot else "a person, by their own motion,"
@@ -119,17 +119,17 @@ min_distance_to_people = minimum(
 # --- obstacles ---
 
 
-def obstacle_distance(moment: Moment) -> Float[Array, ""]:
+def obstacle_distance(snapshot: Snapshot) -> Float[Array, ""]:
     """Distance [m] from the robot's centre to the nearest obstacle, negative inside; 1000 where none is known."""
-    if moment.obstacles is None:
-        return jnp.full_like(moment.geodesic, NONE)
-    x, y = moment.position[0], moment.position[1]
-    distances = jax.vmap(from_box, in_axes=(None, None, 0))(x, y, moment.obstacles)[0]
+    if snapshot.obstacles is None:
+        return jnp.full_like(snapshot.geodesic, NONE)
+    x, y = snapshot.position[0], snapshot.position[1]
+    distances = jax.vmap(from_box, in_axes=(None, None, 0))(x, y, snapshot.obstacles)[0]
     return jnp.min(distances, initial=NONE)
 
 
-def _touches_obstacle(moment: Moment) -> Array:
-    return obstacle_distance(moment) <= moment.robot_radius + TOUCH
+def _touches_obstacle(snapshot: Snapshot) -> Array:
+    return obstacle_distance(snapshot) <= snapshot.robot_radius + TOUCH
 
 
 collision_with_obstacle = count_onsets(
@@ -180,25 +180,25 @@ def collision_time(
     return jnp.where(outside <= 0.0, 0.0, jnp.where(meets, time, jnp.inf))
 
 
-def _gap(moment: Moment) -> tuple[Array, Array]:
+def _gap(snapshot: Snapshot) -> tuple[Array, Array]:
     """(N,) x and y [m] from the robot to each person."""
-    gap = moment.people.position - moment.position[None, :]
+    gap = snapshot.people.position - snapshot.position[None, :]
     return gap[:, 0], gap[:, 1]
 
 
-def _respects_space(moment: Moment) -> Array:
-    x, y = _gap(moment)
-    return ~((x * x + y * y < SPACE * SPACE) & moment.people.present).any()
+def _respects_space(snapshot: Snapshot) -> Array:
+    x, y = _gap(snapshot)
+    return ~((x * x + y * y < SPACE * SPACE) & snapshot.people.present).any()
 
 
-def _time_to_collision(moment: Moment) -> Array:
-    x, y = _gap(moment)
-    relative = moment.people.velocity - moment.velocity[None, :]
-    time = collision_time(x, y, relative[:, 0], relative[:, 1], moment.robot_radius + moment.person_radius)
-    return jnp.min(jnp.where(moment.people.present, time, HORIZON), initial=HORIZON)
+def _time_to_collision(snapshot: Snapshot) -> Array:
+    x, y = _gap(snapshot)
+    relative = snapshot.people.velocity - snapshot.velocity[None, :]
+    time = collision_time(x, y, relative[:, 0], relative[:, 1], snapshot.robot_radius + snapshot.person_radius)
+    return jnp.min(jnp.where(snapshot.people.present, time, HORIZON), initial=HORIZON)
 
 
-def _work(before: Moment, after: Moment) -> Array:
+def _work(before: Snapshot, after: Snapshot) -> Array:
     x, y = _gap(after)
     distance = length(x, y)
     push = jnp.where(after.people.present, STRENGTH * jnp.exp(-distance / RANGE), 0.0)
@@ -207,12 +207,12 @@ def _work(before: Moment, after: Moment) -> Array:
     return after.time_step * (robot + push.sum())
 
 
-def _is_looked_at(moment: Moment) -> Array:
-    x, y = _gap(moment)
+def _is_looked_at(snapshot: Snapshot) -> Array:
+    x, y = _gap(snapshot)
     distance = length(x, y)
-    heading = moment.people.heading
+    heading = snapshot.people.heading
     toward = -(heading[:, 0] * x + heading[:, 1] * y) >= LOOKING * distance
-    return (toward & (distance <= VISIBLE) & moment.people.present).any()
+    return (toward & (distance <= VISIBLE) & snapshot.people.present).any()
 
 
 personal_space_compliance = share_of_time(

@@ -1,4 +1,4 @@
-"""Recorded people: readers of trajectory files, motion from noisy positions, moments that classifiers can read.
+"""Recorded people: readers of trajectory files, motion from noisy positions, snapshots that classifiers can read.
 
 A recording serves as evidence for the situations of section III, which speak of positions, orientations and
 velocities "provided in simulation or estimated in the real world".
@@ -7,9 +7,9 @@ velocities "provided in simulation or estimated in the real world".
 from sean_jax.recordings.motion import (
     fit_motion,
     headings,
-    moments_along,
-    moments_of,
     motion_between_rows,
+    snapshots_along,
+    snapshots_of,
     windowed_mean,
 )
 from sean_jax.recordings.reading import (
@@ -30,8 +30,8 @@ __all__ = [
     "check_clock",
     "fit_motion",
     "headings",
-    "moments_along",
-    "moments_of",
+    "snapshots_along",
+    "snapshots_of",
     "motion_between_rows",
     "read",
     "read_companions",

@@ -1,9 +1,9 @@
-"""Motion in recordings (section III): velocities and headings from noisy positions, and moments for classifiers.
+"""Motion in recordings (section III): velocities and headings from noisy positions, and snapshots for classifiers.
 
 A straight line is fitted to each stretch of a track. SEAN 2.0 does the same for its classifiers, by ordinary least
-squares over a pedestrian's last poses. Here the stretch lies around the moment, so that nothing lags. In a moment one
-of the people, or a given path, plays the robot among the others. Moments have a leading axis T:
-``jax.vmap(holds, in_axes=(0, None))(moments, thresholds)`` classifies them all.
+squares over a pedestrian's last poses. Here the stretch lies around the time, so that nothing lags. In a snapshot one
+of the people, or a given path, plays the robot among the others. Snapshots have a leading axis T:
+``jax.vmap(holds, in_axes=(0, None))(snapshots, thresholds)`` classifies them all.
 """
 
 from dataclasses import replace
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from sean_jax.base import Array, Moment, Obstacles, Pedestrians
+from sean_jax.base import Array, Obstacles, Pedestrians, Snapshot
 from sean_jax.geometry import length
 from sean_jax.recordings.reading import Tracks
 
@@ -130,7 +130,7 @@ def _shifted(rows: Shaped[Array, "T ..."], shift: int, fill: float | bool) -> Sh
     return jnp.concatenate([rows[shift:], spare]) if shift > 0 else jnp.concatenate([spare, rows[:shift]])
 
 
-def moments_of(
+def snapshots_of(
     tracks: Tracks,
     robot: Int[Array, ""] | int,
     *,
@@ -139,8 +139,8 @@ def moments_of(
     obstacles: Obstacles | None = None,
     window: int = 2,
     still: float = 0.1,
-) -> tuple[Moment, Bool[Array, "T"]]:
-    """Moments (T, ...) with a recorded person as the robot, from the first recorded position to the last.
+) -> tuple[Snapshot, Bool[Array, "T"]]:
+    """Snapshots (T, ...) with a recorded person as the robot, from the first recorded position to the last.
 
     Args:
         robot: () int32 column of that person; may be traced.
@@ -151,7 +151,7 @@ def moments_of(
         still: m/s, below which the direction of motion is unknown.
 
     Returns:
-        Moments, and (T,) whether the robot was recorded; other moments are meaningless.
+        Snapshots, and (T,) whether the robot was recorded; other snapshots are meaningless.
     """
     index = jnp.asarray(robot, jnp.int32)
     everybody = jnp.arange(tracks.present.shape[1], dtype=jnp.int32)
@@ -159,10 +159,10 @@ def moments_of(
     recorded = tracks.present[:, index]
     others = replace(people, present=people.present & (everybody != index)[None, :])
     robot_motion = people.position[:, index], people.velocity[:, index], people.heading[:, index]
-    return _moments(tracks, others, group, group[:, index], *robot_motion, recorded, obstacles), recorded
+    return _snapshots(tracks, others, group, group[:, index], *robot_motion, recorded, obstacles), recorded
 
 
-def moments_along(
+def snapshots_along(
     tracks: Tracks,
     path: Float[Array, "T 2"],
     *,
@@ -171,17 +171,17 @@ def moments_along(
     obstacles: Obstacles | None = None,
     window: int = 2,
     still: float = 0.1,
-) -> Moment:
-    """Moments (T, ...) of a robot on a path (T, 2) [m] among recorded people, who ignore it. It is in no group.
+) -> Snapshot:
+    """Snapshots (T, ...) of a robot on a path (T, 2) [m] among recorded people, who ignore it. It is in no group.
 
-    Other arguments are those of ``moments_of``.
+    Other arguments are those of ``snapshots_of``.
     """
     people, group = _people(tracks, group, facing, window, still)
     present = jnp.ones((path.shape[0], 1), bool)
     _, velocity = fit_motion(path[:, None, :], present, tracks.time_step, window)
     heading = headings(velocity, present, still)[:, 0]
     nobody = jnp.full(path.shape[:1], -1, jnp.int32)
-    return _moments(tracks, people, group, nobody, path, velocity[:, 0], heading, present[:, 0], obstacles)
+    return _snapshots(tracks, people, group, nobody, path, velocity[:, 0], heading, present[:, 0], obstacles)
 
 
 def _people(
@@ -209,7 +209,7 @@ def _people(
     return people, tracks.group if group is None else group
 
 
-def _moments(
+def _snapshots(
     tracks: Tracks,
     people: Pedestrians,
     group: Int[Array, "T N"],
@@ -219,8 +219,8 @@ def _moments(
     heading: Float[Array, "T 2"],
     recorded: Bool[Array, "T"],
     obstacles: Obstacles | None,
-) -> Moment:
-    """Moments of a robot. ``group`` (T, N) and ``robot_group`` (T,) name groups anew in each row; start and goal stay.
+) -> Snapshot:
+    """Snapshots of a robot. ``group`` (T, N) and ``robot_group`` (T,) name groups anew in each row, not start and goal.
 
     People with whom the robot stood at its goal are ``GOAL_GROUP``, those at its start alone ``START_GROUP``, in every
     row in which they stand with anybody; one person cannot be both.
@@ -245,7 +245,7 @@ def _moments(
     if obstacles is not None:
         fields = (obstacles.center, obstacles.half_extent, obstacles.yaw, obstacles.height)
         boxes = Obstacles(*(always(field) for field in fields))
-    return Moment(
+    return Snapshot(
         people=replace(people, group=named),
         position=position,
         heading=heading,

@@ -30,7 +30,7 @@ from jaxtyping import Bool, Float, Int
 from sean_jax import calls, quantities
 from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot
 from sean_jax.errors import InputError
-from sean_jax.files import suggest
+from sean_jax.messages import shorten, suggest
 from sean_jax.social_forces.walking import Walking
 
 Force = tuple[Array, Array]  # x and y parts of accelerations [m/s2]: of one person, or (N,) of all
@@ -245,13 +245,13 @@ def collect(terms: Iterable[Term]) -> Forces:
     """
     if isinstance(terms, PairTerm | GatherTerm | PersonTerm) or not isinstance(terms, Iterable):
         raise InputError(
-            f"forces: {quantities.short_repr(terms)} must be the name of a preset or a list of terms, such as "
+            f"forces: {shorten(repr(terms))} must be the name of a preset or a list of terms, such as "
             "[*preset('helbing1995'), term]."
         )
     terms = tuple(terms)
     for term in terms:
         if isinstance(term, type) or not isinstance(term, Term):
-            text = quantities.short_repr(term)
+            text = shorten(repr(term))
             raise InputError(f"forces: {text} is no term; a term has a method 'pair', 'gather' or 'person'.")
         if not dataclasses.is_dataclass(term) or any(leaf is term for leaf in jax.tree.leaves(term)):
             raise InputError(f"forces: {type(term).__name__} must be a flax.struct.dataclass.")

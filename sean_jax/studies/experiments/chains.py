@@ -16,7 +16,7 @@ from sean_jax import devices, episodes, prng, runner
 from sean_jax.base import Array, Policy, Scenario, State
 from sean_jax.classifiers import Situation, classify
 from sean_jax.episodes import ResetPool
-from sean_jax.scenario import moment
+from sean_jax.scenario import snapshot
 
 MINUTE = 60  # s, of a block of the bootstrap
 LEAD = 1  # min at the start of each chain that are not counted, since all chains begin with a start of an episode
@@ -115,7 +115,7 @@ def _minute(more: tuple[tuple[str, Situation], ...], fixed: tuple, carry: tuple[
         state, ended = jax.lax.scan(tick, state, length=ticks)
         situations = state.situations
         if more:  # evaluated once a second, as often as they are read
-            situations = jnp.concatenate([situations, classify(moment(scenario, state), scenario.thresholds, more)])
+            situations = jnp.concatenate([situations, classify(snapshot(scenario, state), scenario.thresholds, more)])
         return state, (situations, ended.sum(0, dtype=jnp.int32))
 
     state, (flags, ended) = jax.lax.scan(second, state, length=MINUTE)

@@ -273,17 +273,17 @@ def count_recording(
 @functools.partial(jax.jit, static_argnums=0)
 def _flags(kind: str, people: People, robot: Array, rows: Array, speeds: Array) -> tuple[Array, Array]:
     """(V, K, 5) and (K, M) situations of a person who plays the robot, in K rows."""
-    moments, _ = recordings.moments_of(people.tracks, robot)
-    moments = jax.tree.map(lambda leaf: leaf[rows], moments)
+    snapshots, _ = recordings.snapshots_of(people.tracks, robot)
+    snapshots = jax.tree.map(lambda leaf: leaf[rows], snapshots)
     own = people.companions[robot]
     met = ~((people.companions == own) & (own >= 0))
-    others = dataclasses.replace(moments.people, present=moments.people.present & met[None, :])
-    moments = dataclasses.replace(moments, people=others)
+    others = dataclasses.replace(snapshots.people, present=snapshots.people.present & met[None, :])
+    snapshots = dataclasses.replace(snapshots, people=others)
     usual = classifiers.THRESHOLD_SETS[kind]()
 
     def at(situations: dict[str, Situation], speed: Array) -> Array:
         rules = functools.partial(classifiers.classify, situations=tuple(situations.items()))
-        return jax.vmap(rules, (0, None))(moments, dataclasses.replace(usual, walking=speed))
+        return jax.vmap(rules, (0, None))(snapshots, dataclasses.replace(usual, walking=speed))
 
     five = jax.vmap(functools.partial(at, classifiers.SITUATION_SETS[kind]))(speeds)
     return five, at(MORE_SITUATIONS, usual.walking)

@@ -34,7 +34,7 @@ from sean_jax.workspace import REMAKE, Workspace, identity
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from sean_jax.base import Array, Moment, Scenario
+    from sean_jax.base import Array, Scenario, Snapshot
     from sean_jax.classifiers import Situation, Thresholds
 
 SWEPT = "random", "graph"  # behaviors whose number of people can be chosen
@@ -191,8 +191,8 @@ def _at_speeds(scenario: Scenario, speeds: tuple[float, ...]) -> tuple:
     )
 
 
-def _at(holds: Callable, speed: float, moment: Moment, thresholds: Thresholds) -> Array:
-    return holds(moment, dataclasses.replace(thresholds, walking=jnp.asarray(speed, float)))
+def _at(holds: Callable, speed: float, snapshot: Snapshot, thresholds: Thresholds) -> Array:
+    return holds(snapshot, dataclasses.replace(thresholds, walking=jnp.asarray(speed, float)))
 
 
 def write(options: Table1Config, cells: list[Cell], swept: list[Cell], real: list[Recorded]) -> None:
