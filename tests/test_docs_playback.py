@@ -35,8 +35,8 @@ def test_the_example_runs(tmp_path, monkeypatch, capsys):
     first = (rows[0, 0] + 6.0) / 1.2  # s since the recording began
     np.testing.assert_allclose(rows, [[-6.0 + 1.2 * first, 0.0], [6.0 - first, 1.0]], atol=1e-3)
     assert 0.1 <= first <= 2.1, "the recording lasts for the whole episode"
-    measured = {name: float(np.ravel(value)[0]) for name, value in
-                names["metrics"].compute(names["values"], names["chosen"]).items()}  # fmt: skip
+    measured = {name: float(np.ravel(metric.compute(names["values"][name]))[0])
+                for name, metric in names["chosen"].items()}  # fmt: skip
     assert measured["path_length"] == pytest.approx(12.0, rel=0.02)
     assert 0.9 <= measured["min_distance_to_people"] <= 1.2
     assert list(names["shares"]) == [name for name, _ in names["scenario"].situations]
