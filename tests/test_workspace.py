@@ -62,9 +62,12 @@ def test_a_folder_is_resumed_by_the_same_command_alone(tmp_path):
 
 
 def test_unfinished_folders_of_earlier_versions_are_resumed(tmp_path):
-    """A run's identity had one level, and a fit's no parts."""
+    """A run's identity had one level and former names of options, and a fit's no parts."""
     config = RunConfig(seed=3)
     entries = {f"--{name.replace('_', '-')}": value for name, value in resume._identity(config)["options"].items()}
+    entries["--places"] = entries.pop("--goal-sampling")
+    entries["--behavior"] = dict(entries["--behavior"])
+    entries["--behavior"]["members"] = entries["--behavior"].pop("group_membership")
     place = tmp_path / "run" / resume.PLACE
     place.mkdir(parents=True)
     writing.write(tmp_path / "run" / resume.IDENTITY, entries | {"the version of python": versions()["python"]})
