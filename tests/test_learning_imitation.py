@@ -28,7 +28,7 @@ def test_a_learned_driver_completes_most_of_what_its_teacher_does(tmp_path):
     assert cli.main(["run", *small, *asked]) == 0
     summary = json.loads((tmp_path / "report" / "summary.json").read_text())
     assert summary["scenario"]["policy"] == Path(run).name and summary["episodes"] == 4
-    scenario = learning_data.protocol.streams(learning_data.options(time_limit=40.0))["join_group"]
+    scenario = learning_data.streams(learning_data.options(time_limit=40.0))["join_group"]
     keys = jax.random.split(jax.random.key(77), 64)  # episodes that nobody has seen
 
     def share(policy):
