@@ -20,7 +20,7 @@ import functools
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypedDict, Unpack
 
 import jax.numpy as jnp
 import numpy as np
@@ -112,41 +112,42 @@ def _from_function(function: Callable, name: str) -> Metric:
 # --- constructors of the common kinds ---
 
 
-def duration(
-    condition: Condition, *, title: str = "", definition: str = "", digits: int = 1, headline: bool = True
-) -> Metric:
+class Words(TypedDict, total=False):
+    """Fields of ``Metric`` that every constructor takes."""
+
+    title: str
+    definition: str
+    digits: int
+    headline: bool
+
+
+class WordsAndUnit(Words, total=False):
+    """Fields of ``Metric`` that the constructors for numbers take."""
+
+    unit: str
+
+
+def duration(condition: Condition, **words: Unpack[Words]) -> Metric:
     """Time [s] during which a condition holds, overall and in each situation: the steps at whose end it does."""
 
     def update(value: Duration, before: Snapshot, after: Snapshot) -> Duration:
         weights = situation_weights(after)
         return value._replace(steps=value.steps + jnp.where(_truth(condition, after), weights, 0.0))
 
-    text = _text(condition, title, definition)
-    return Metric(zero_duration, update, in_seconds, "s", *text, digits=digits, headline=headline)
+    return _metric(condition, zero_duration, update, in_seconds, unit="s", **{"digits": 1, **words})
 
 
-def share_of_time(
-    condition: Condition, *, title: str = "", definition: str = "", digits: int = 1, headline: bool = True
-) -> Metric:
+def share_of_time(condition: Condition, **words: Unpack[Words]) -> Metric:
     """Share of the time, from 0 to 1, during which a condition holds, overall and in each situation."""
 
     def update(value: Ratio, before: Snapshot, after: Snapshot) -> Ratio:
         weights = situation_weights(after)
         return Ratio(value.amount + jnp.where(_truth(condition, after), weights, 0.0), value.weight + weights)
 
-    text = _text(condition, title, definition)
-    return Metric(zero_ratio, update, ratio, "1", *text, digits=digits, kind="share", headline=headline)
+    return _metric(condition, zero_ratio, update, ratio, kind="share", **{"digits": 1, **words})
 
 
-def count_onsets(
-    condition: Condition,
-    among: Condition | None = None,
-    *,
-    title: str = "",
-    definition: str = "",
-    digits: int = 2,
-    headline: bool = True,
-) -> Metric:
+def count_onsets(condition: Condition, among: Condition | None = None, **words: Unpack[Words]) -> Metric:
     """How often a condition begins to hold, overall and in each situation: it holds after a step and not before it.
 
     Args:
@@ -160,107 +161,50 @@ def count_onsets(
             onset = onset & _truth(among, after, ndim=None)
         return value + jnp.where(onset, 1.0, 0.0).sum() * situation_weights(after)
 
-    text = _text(condition, title, definition)
-    return Metric(zeros, update, identity, "1", *text, digits=digits, kind="count", headline=headline)
+    return _metric(condition, zeros, update, identity, kind="count", **words)
 
 
-def total(
-    amount: Amount,
-    *,
-    unit: str = "1",
-    title: str = "",
-    definition: str = "",
-    digits: int = 2,
-    headline: bool = True,
-) -> Metric:
+def total(amount: Amount, **words: Unpack[WordsAndUnit]) -> Metric:
     """Sum over the steps of an amount ``(before, after) -> () number``, overall and in each situation."""
 
     def update(value: Array, before: Snapshot, after: Snapshot) -> Array:
         return value + _number(amount, before, after) * situation_weights(after)
 
-    text = _text(amount, title, definition)
-    return Metric(zeros, update, identity, unit, *text, digits=digits, headline=headline)
+    return _metric(amount, zeros, update, identity, **words)
 
 
-def mean(
-    amount: Amount,
-    *,
-    unit: str = "1",
-    title: str = "",
-    definition: str = "",
-    digits: int = 2,
-    headline: bool = True,
-) -> Metric:
+def mean(amount: Amount, **words: Unpack[WordsAndUnit]) -> Metric:
     """Mean over the steps of an amount ``(before, after) -> () number``, overall and in each situation."""
 
     def update(value: Ratio, before: Snapshot, after: Snapshot) -> Ratio:
         weights = situation_weights(after)
         return Ratio(value.amount + _number(amount, before, after) * weights, value.weight + weights)
 
-    text = _text(amount, title, definition)
-    return Metric(zero_ratio, update, ratio, unit, *text, digits=digits, headline=headline)
+    return _metric(amount, zero_ratio, update, ratio, **words)
 
 
-def minimum(
-    quantity: Quantity,
-    *,
-    by_situation: bool = True,
-    unit: str = "1",
-    title: str = "",
-    definition: str = "",
-    digits: int = 2,
-    headline: bool = True,
-) -> Metric:
+def minimum(quantity: Quantity, *, by_situation: bool = True, **words: Unpack[WordsAndUnit]) -> Metric:
     """Minimum of a quantity ``snapshot -> () number`` from the first snapshot on; () unless ``by_situation``."""
-    return _extreme(quantity, jnp.minimum, UNSET, by_situation, unit, title, definition, digits, headline)
+    return _extreme(quantity, jnp.minimum, UNSET, by_situation, words)
 
 
-def maximum(
-    quantity: Quantity,
-    *,
-    by_situation: bool = True,
-    unit: str = "1",
-    title: str = "",
-    definition: str = "",
-    digits: int = 2,
-    headline: bool = True,
-) -> Metric:
+def maximum(quantity: Quantity, *, by_situation: bool = True, **words: Unpack[WordsAndUnit]) -> Metric:
     """Maximum of a quantity ``snapshot -> () number`` from the first snapshot on; () unless ``by_situation``."""
-    return _extreme(quantity, jnp.maximum, -UNSET, by_situation, unit, title, definition, digits, headline)
+    return _extreme(quantity, jnp.maximum, -UNSET, by_situation, words)
 
 
 def final(
-    quantity: Quantity,
-    *,
-    unit: str = "1",
-    title: str = "",
-    definition: str = "",
-    digits: int = 2,
-    kind: Literal["number", "count", "share"] = "number",
-    headline: bool = True,
+    quantity: Quantity, *, kind: Literal["number", "count", "share"] = "number", **words: Unpack[WordsAndUnit]
 ) -> Metric:
     """Value () of a quantity ``snapshot -> () number`` at the end."""
 
     def init(snapshot: Snapshot) -> Array:
         return _number(quantity, snapshot)
 
-    text = _text(quantity, title, definition)
-    return Metric(
-        init,
-        lambda value, before, after: init(after),
-        identity,
-        unit,
-        *text,
-        digits=digits,
-        kind=kind,
-        headline=headline,
-    )
+    return _metric(quantity, init, lambda value, before, after: init(after), identity, kind=kind, **words)
 
 
-def _extreme(
-    quantity: Quantity, choose: Callable, unset: float, by_situation: bool, unit: str, title: str, definition: str,
-    digits: int, headline: bool,
-) -> Metric:  # fmt: skip
+def _extreme(quantity: Quantity, choose: Callable, unset: float, by_situation: bool, words: WordsAndUnit) -> Metric:
     def now(snapshot: Snapshot) -> Array:
         value = _number(quantity, snapshot)
         return jnp.where(situation_weights(snapshot) > 0.0, value, unset) if by_situation else value
@@ -268,17 +212,14 @@ def _extreme(
     def compute(value: Array) -> Array:
         return jnp.where(value == unset, jnp.nan, value) if by_situation else value
 
-    text = _text(quantity, title, definition)
-    return Metric(
-        now, lambda value, before, after: choose(value, now(after)), compute, unit, *text, digits=digits,
-        headline=headline,
-    )  # fmt: skip
+    return _metric(quantity, now, lambda value, before, after: choose(value, now(after)), compute, **words)
 
 
-def _text(function: Callable, title: str, definition: str) -> tuple[str, str]:
-    """Title and definition, the latter from the first line of the function's docstring if it is empty."""
-    lines = (inspect.getdoc(function) or "").splitlines() if inspect.isroutine(function) else []
-    return title, definition or (lines[0] if lines else "")
+def _metric(function: Callable, init: Callable, update: Callable, compute: Callable, **fields: Any) -> Metric:
+    """A metric with the first line of the function's docstring as its definition, if the fields have none."""
+    metric = Metric(init, update, compute, **fields)
+    text = inspect.getdoc(function) if inspect.isroutine(function) else None
+    return replace(metric, definition=text.splitlines()[0]) if text and not metric.definition else metric
 
 
 def _truth(condition: Condition, snapshot: Snapshot, ndim: int | None = 0) -> Array:

@@ -79,37 +79,13 @@ def _update_still(value: SampledPath, before: Snapshot, after: Snapshot) -> Samp
     return _sample(value, after, moved, jnp.where(moved <= STILL * passed, passed, 0.0))
 
 
-path_length = Metric(
-    _init_path,
-    _update_length,
-    _length,
-    unit="m",
-    title="path length",
-    definition="Distance that the robot travelled.",
-    digits=1,
-    headline=False,
-)
+path_length = Metric(_init_path, _update_length, _length)
 """Length of the path through the robot's positions at 1 Hz, ||p_i+1 - p_i|| summed."""
 
-path_efficiency = Metric(
-    _init_path,
-    _update_length,
-    _efficiency,
-    title="path efficiency",
-    definition="Travelled over shortest distance from start to goal, in completed episodes: 1 is a shortest path.",
-    completed_only=True,
-)
+path_efficiency = Metric(_init_path, _update_length, _efficiency)
 """Travelled over geodesic distance of the shortest path from start to goal: at least about 1, lower is better."""
 
-time_not_moving = Metric(
-    _init_path,
-    _update_still,
-    lambda value: value.amount,
-    unit="s",
-    title="time not moving",
-    definition="Time during which the robot stood.",
-    digits=1,
-)
+time_not_moving = Metric(_init_path, _update_still, lambda value: value.amount)
 """Time of the seconds in which the robot moved no farther than 0.05 m.
 
 Where seconds are no whole number of steps, the steps from one sample to the next count with their own time.
@@ -150,15 +126,7 @@ def _irregularity(value: SampledRotation) -> Array:
     return jnp.maximum(value.amount + value.since - value.shortest, 0.0)
 
 
-path_irregularity = Metric(
-    _init_rotation,
-    _update_rotation,
-    _irregularity,
-    unit="rad",
-    title="path irregularity",
-    definition="Rotation of the robot beyond that of the shortest path.",
-    headline=False,
-)
+path_irregularity = Metric(_init_rotation, _update_rotation, _irregularity)
 """Rotation, left and right added up, in excess of that on the shortest path from the starting pose, at least 0.
 
 Sum of |angle from heading i to i + 1| at 1 Hz, minus ``Snapshot.path_rotation``, or the angle to the goal where no
@@ -184,41 +152,16 @@ def _always(snapshot: Snapshot) -> Array:
     return jnp.ones((), bool)
 
 
-min_distance_to_goal = minimum(
-    _distance_to_goal,
-    by_situation=False,
-    unit="m",
-    title="minimum distance to goal",
-    definition="Distance from the robot to its goal when it was nearest.",
-    headline=False,
-)
+min_distance_to_goal = minimum(_distance_to_goal, by_situation=False)
 """Minimum distance to the goal in a straight line."""
 
-final_distance_to_goal = final(
-    _distance_to_goal,
-    unit="m",
-    title="final distance to goal",
-    definition="Distance from the robot to its goal at the end.",
-    headline=False,
-)
+final_distance_to_goal = final(_distance_to_goal)
 """Last distance to the goal in a straight line."""
 
-time_in_situation = duration(
-    _always,
-    title="time in situation",
-    definition="Duration of the episode, and time spent in each situation.",
-    headline=False,
-)
+time_in_situation = duration(_always)
 """Seconds of the episode and in each situation, from which the table makes shares of robot time."""
 
-reached_goal = final(
-    _at_goal,
-    title="ended at the goal",
-    definition="Episodes in which the robot's last position is within the goal radius.",
-    digits=1,
-    kind="share",
-    headline=False,
-)
+reached_goal = final(_at_goal)
 """1 if the last position is within the goal radius, else 0: SEAN's Completed, without the time to be held there."""
 
 
@@ -269,14 +212,7 @@ def _quotient(best: Array, actual: Array) -> Array:
     return jnp.where(none, 1.0, best / jnp.where(none, 1.0, larger))
 
 
-success_by_path_length = Metric(
-    _init_success,
-    _update_success,
-    _by_path_length,
-    title="success by path length (SPL)",
-    definition="Shortest over travelled distance if the robot ended at the goal, else 0.",
-    headline=False,
-)
+success_by_path_length = Metric(_init_success, _update_success, _by_path_length)
 """SPL, S L* / max(L, L*): S as ``reached_goal``, L the path length, L* the geodesic distance from start to goal.
 
 The goal counts as reached a radius before its centre, to which L* leads, so that 1 is a little easier than it seems.
@@ -284,14 +220,7 @@ The goal counts as reached a radius before its centre, to which L* leads, so tha
 Source: Anderson et al. (2018), On Evaluation of Embodied Navigation Agents.
 """
 
-success_by_time = Metric(
-    _init_success,
-    _update_success,
-    _by_time,
-    title="success by time (STL)",
-    definition="Time of the shortest path at top speed over the time taken if the robot ended at the goal, else 0.",
-    headline=False,
-)
+success_by_time = Metric(_init_success, _update_success, _by_time)
 """STL, S T* / max(T, T*): T the time taken [s], T* the time of the shortest path at the robot's top speed, L* / v.
 
 The iGibson social navigation challenge takes for T* the time of an ORCA robot that is alone, which is a little more.
@@ -351,7 +280,7 @@ def _update_mean_jerk(value: MeanJerk, before: Snapshot, after: Snapshot) -> Mea
     )
 
 
-def _maximum(size: Callable, unit: str, title: str, definition: str) -> Metric:
+def _maximum(size: Callable) -> Metric:
     """Maximum of ``size(before, after, value)`` over the steps."""
 
     def init(snapshot: Snapshot) -> Maximum:
@@ -362,44 +291,23 @@ def _maximum(size: Callable, unit: str, title: str, definition: str) -> Metric:
         now = size(before, after, value)
         return Maximum(jnp.maximum(value.amount, now), _acceleration(before, after), jnp.ones_like(value.known))
 
-    return Metric(init, update, lambda value: value.amount, unit, title, definition, headline=False)
+    return Metric(init, update, lambda value: value.amount)
 
 
-mean_speed = mean(_speed, unit="m/s", title="mean speed", definition="Mean speed of the robot.", headline=False)
+mean_speed = mean(_speed)
 """Mean of |v| over the steps."""
 
-mean_acceleration = mean(
-    _acceleration_size,
-    unit="m/s2",
-    title="mean acceleration",
-    definition="Mean acceleration of the robot, of its velocity vector, so that curves count.",
-    headline=False,
-)
+mean_acceleration = mean(_acceleration_size)
 """Mean of |v_k+1 - v_k| / dt over the steps: of the velocity vector, so that curves count."""
 
-mean_jerk = Metric(
-    _init_mean_jerk,
-    _update_mean_jerk,
-    lambda value: ratio(value.jerk),
-    unit="m/s3",
-    title="mean jerk",
-    definition="Mean rate of change of the robot's acceleration.",
-    headline=False,
-)
+mean_jerk = Metric(_init_mean_jerk, _update_mean_jerk, lambda value: ratio(value.jerk))
 """Mean of |a_k+1 - a_k| / dt over the steps from the second on, a as in ``mean_acceleration``."""
 
-max_speed = _maximum(
-    lambda before, after, value: _speed(before, after), "m/s", "maximum speed", "Maximum speed of the robot."
-)
+max_speed = _maximum(lambda before, after, value: _speed(before, after))
 """Maximum of |v| over the steps."""
 
-max_acceleration = _maximum(
-    lambda before, after, value: _acceleration_size(before, after),
-    "m/s2",
-    "maximum acceleration",
-    "Maximum acceleration of the robot, of its velocity vector.",
-)
+max_acceleration = _maximum(lambda before, after, value: _acceleration_size(before, after))
 """Maximum of |v_k+1 - v_k| / dt."""
 
-max_jerk = _maximum(_jerk_size, "m/s3", "maximum jerk", "Maximum rate of change of the robot's acceleration.")
+max_jerk = _maximum(_jerk_size)
 """Maximum of |a_k+1 - a_k| / dt."""

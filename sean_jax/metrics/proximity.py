@@ -69,50 +69,30 @@ def _person_at_fault(snapshot: Snapshot) -> Array:
     return ~_robot_at_fault(snapshot)
 
 
-def _entries(limit: Callable[[Snapshot], Array], by_robot: bool, name: str, distance: float | None = None) -> Metric:
-    """Entries of people into the circle of that limit around the robot, by the fault of the robot or of the person."""
-
-    def inside(snapshot: Snapshot) -> Array:
-        return _squares(snapshot) <= limit(snapshot) ** 2
-
-    whose = "robot on person" if by_robot else "person on robot"
-    who = "the robot, by its own motion," if by_robot else "a person, by their own motion,"
-    other = "a person" if by_robot else "the robot"
-    what = f"{who} touched {other}" if distance is None else f"{who} came within {distance} m of {other}"
-    return count_onsets(
-        inside,
-        _robot_at_fault if by_robot else _person_at_fault,
-        title=f"{name}, {whose}",
-        definition=f"Number of times that {what}.",
-    )
+def _entries(limit: Callable[[Snapshot], Array], fault: Callable[[Snapshot], Array]) -> Metric:
+    """Entries of people into the circle of that limit around the robot that are the fault of one side."""
+    return count_onsets(lambda snapshot: _squares(snapshot) <= limit(snapshot) ** 2, fault)
 
 
-intimate_robot_on_person = _entries(_intimate_limit, True, "intimate", INTIMATE)
+intimate_robot_on_person = _entries(_intimate_limit, _robot_at_fault)
 """Number of times that the moving robot came within 0.45 m of a person."""
 
-intimate_person_on_robot = _entries(_intimate_limit, False, "intimate", INTIMATE)
+intimate_person_on_robot = _entries(_intimate_limit, _person_at_fault)
 """Number of times that a person came within 0.45 m of the robot."""
 
-personal_robot_on_person = _entries(_personal_limit, True, "personal", PERSONAL)
+personal_robot_on_person = _entries(_personal_limit, _robot_at_fault)
 """Number of times that the moving robot came within 1.2 m of a person."""
 
-personal_person_on_robot = _entries(_personal_limit, False, "personal", PERSONAL)
+personal_person_on_robot = _entries(_personal_limit, _person_at_fault)
 """Number of times that a person came within 1.2 m of the robot."""
 
-collision_robot_on_person = _entries(_touch_limit, True, "collision")
+collision_robot_on_person = _entries(_touch_limit, _robot_at_fault)
 """Number of times that the moving robot touched a person."""
 
-collision_person_on_robot = _entries(_touch_limit, False, "collision")
+collision_person_on_robot = _entries(_touch_limit, _person_at_fault)
 """Number of times that a person touched the robot."""
 
-min_distance_to_people = minimum(
-    _distance_to_people,
-    by_situation=False,
-    unit="m",
-    title="minimum distance to people",
-    definition="Distance from the robot to the nearest person, when it was nearest.",
-    headline=False,
-)
+min_distance_to_people = minimum(_distance_to_people, by_situation=False)
 """Minimum distance from the robot's centre to a person's; 1000 where there is nobody."""
 
 
@@ -132,24 +112,13 @@ def _touches_obstacle(snapshot: Snapshot) -> Array:
     return obstacle_distance(snapshot) <= snapshot.robot_radius + TOUCH
 
 
-collision_with_obstacle = count_onsets(
-    _touches_obstacle,
-    title="collision with an obstacle",
-    definition="Number of times that the robot touched an obstacle.",
-    headline=False,
-)
+collision_with_obstacle = count_onsets(_touches_obstacle)
 """Times that the robot touched an obstacle, having touched none a step before: within its radius and 1 cm.
 
 SEAN's code also counts obstacles that come within 1.2 m and 0.45 m; this counts the body alone.
 """
 
-min_distance_to_obstacles = minimum(
-    obstacle_distance,
-    unit="m",
-    title="minimum distance to obstacles",
-    definition="Distance from the robot's centre to the surface of the nearest obstacle, when it was nearest.",
-    headline=False,
-)
+min_distance_to_obstacles = minimum(obstacle_distance)
 """Minimum distance from the robot's centre to the surface of an obstacle; 1000 where there is none."""
 
 
@@ -215,33 +184,16 @@ def _is_looked_at(snapshot: Snapshot) -> Array:
     return (toward & (distance <= VISIBLE) & snapshot.people.present).any()
 
 
-personal_space_compliance = share_of_time(
-    _respects_space,
-    title="personal space compliance",
-    definition="Share of the time in which everybody is 0.5 m or farther away from the robot.",
-    headline=False,
-)
+personal_space_compliance = share_of_time(_respects_space)
 """Share of the steps in which all people are 0.5 m or farther away, centre to centre (PSC)."""
 
-min_time_to_collision = minimum(
-    _time_to_collision,
-    unit="s",
-    title="minimum time to collision",
-    definition="Time until the robot would touch a person if both kept their velocities; at most 30 s.",
-    headline=False,
-)
+min_time_to_collision = minimum(_time_to_collision)
 """Minimum time until the robot and a person would touch, at most 30 s, if both kept their velocities.
 
 At each step the smallest t >= 0 with |d + v t| <= r_robot + r_person over all people, d and v relative.
 """
 
-social_work = total(
-    _work,
-    unit="m/s",
-    title="social-force work",
-    definition="Social forces between the robot and people, summed over time.",
-    headline=False,
-)
+social_work = total(_work)
 """Social-force work: dt (|sum_i f_i| + sum_i |f_i|) summed over the steps, on the robot and on all people, per mass.
 
 The robot and person i push each other with f = (V0 / sigma) exp(-d / sigma) = 7 m/s2 exp(-d / 0.3 m), d between
@@ -249,10 +201,5 @@ centres: the circular law of Helbing & Molnar (1995), whatever law moves the peo
 compared. A sum of force over time, which HuNavSim calls work.
 """
 
-time_looked_at = duration(
-    _is_looked_at,
-    title="time looked at",
-    definition="Time during which a person within 3.6 m faces the robot to within 5 degrees.",
-    headline=False,
-)
+time_looked_at = duration(_is_looked_at)
 """Time in which at least one person within 3.6 m faces the robot to within 5 degrees; obstacles hide nobody."""

@@ -203,7 +203,12 @@ class Forces:
 
 def term_name(term: object) -> str:
     """The name of a term among the forces: that of its class in lower case, such as ``robot_repulsion``."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", type(term).__name__).lower()
+    return class_name(type(term))
+
+
+def class_name(kind: type) -> str:
+    """The name of terms of a class."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
 
 
 def sum_pair_terms(terms: tuple[PairTerm, ...], pair: Pair) -> Force:
