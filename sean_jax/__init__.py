@@ -57,8 +57,7 @@ if TYPE_CHECKING:
     from sean_jax.evaluation import Evaluation, evaluate
     from sean_jax.mdp import Env, EnvState, make_env
     from sean_jax.metrics import METRICS, Metric, aggregate
-    from sean_jax.pedestrian_models import MODELS
-    from sean_jax.people import pedestrians_at
+    from sean_jax.pedestrian_models import MODELS, pedestrians_at
     from sean_jax.policies import POLICIES
     from sean_jax.replay import view
     from sean_jax.robots import ROBOTS
@@ -89,8 +88,7 @@ _PUBLIC = {
     "evaluation": "Evaluation evaluate",
     "mdp": "Env EnvState make_env",
     "metrics": "METRICS Metric aggregate",
-    "pedestrian_models": "MODELS",
-    "people": "pedestrians_at",
+    "pedestrian_models": "MODELS pedestrians_at",
     "policies": "POLICIES",
     "replay": "view",
     "robots": "ROBOTS",

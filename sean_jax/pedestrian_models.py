@@ -5,6 +5,7 @@ Guy, M. Lin & D. Manocha, "Reciprocal n-body collision avoidance", Robotics Rese
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +14,9 @@ from jaxtyping import Bool, Float, Int
 
 from sean_jax import social_forces
 from sean_jax.base import Array, Pedestrians, Scenario, State
+from sean_jax.errors import InputError
 from sean_jax.geometry import length, unit
-from sean_jax.social_forces.walking import turn
+from sean_jax.social_forces.forces import turn
 from sean_jax.social_forces.walls import distances, project_velocity
 
 HORIZON = 3.0  # s, without a collision with people and the robot; ours
@@ -27,6 +29,7 @@ PARALLEL = 1e-6  # sine of the angle below which two borders count as parallel
 TOLERANCE = 1e-5  # m/s
 FORBIDDEN = 1e6  # times what is above the top speed or violates a hard half-plane counts as a violation
 UNBOUNDED = -1e6  # m/s: c of a half-plane that holds every velocity
+PREFERRED_SPEED = 1.34  # m/s, Helbing & Molnar, Phys. Rev. E 51, 4282 (1995)
 
 
 def constant_velocity(scenario: Scenario, state: State) -> Pedestrians:
@@ -98,9 +101,8 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
     bound = jnp.concatenate([jnp.where(avoided, c, UNBOUNDED), rc[:, None], wall], 1)
     hard = jnp.arange(bound.shape[1]) >= others.shape[1] + 1
     desired, limit = people.desired_velocity, jnp.maximum(walking.speed_ratio * people.preferred_speed, 0.0)
-    x, y = jax.vmap(best_velocity, in_axes=(0, 0, 0, None, 0, 0, 0))(
-        normal_x, normal_y, bound, hard, desired[:, 0], desired[:, 1], limit
-    )
+    program = VelocityProgram(normal_x, normal_y, bound, hard, desired[:, 0], desired[:, 1], limit)
+    x, y = jax.vmap(best_velocity, in_axes=(VelocityProgram(0, 0, 0, None, 0, 0, 0),))(program)  # pyright: ignore[reportArgumentType]
     return walk(scenario, people, jnp.stack([x, y], -1))
 
 
@@ -149,56 +151,46 @@ def half_plane(
     return na * ex - nb * ey, na * ey + nb * ex, out
 
 
-def nearest(
-    nx: Float[Array, "M"],
-    ny: Float[Array, "M"],
-    c: Float[Array, "M"],
-    px: Float[Array, ""],
-    py: Float[Array, ""],
-    limit: Float[Array, ""],
-) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
-    """The velocity (x, y) [m/s] in all half-planes that is nearest to a preferred one, and whether there is one.
+class VelocityProgram(NamedTuple):
+    """The choice of a velocity v in M half-planes, n . v >= c, nearest to a preferred one."""
+
+    nx: Float[Array, "M"]
+    ny: Float[Array, "M"]
+    c: Float[Array, "M"]  # m/s, bounds
+    hard: Bool[Array, "M"]  # never violated; these must contain the zero velocity
+    px: Float[Array, ""]  # m/s, the preferred velocity
+    py: Float[Array, ""]
+    limit: Float[Array, ""]  # m/s, the top speed
+
+
+def nearest(program: VelocityProgram) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
+    """The velocity (x, y) [m/s] in all half-planes that is nearest to the preferred one, and whether there is one.
 
     It is the preferred one, or lies on the border of some half-plane. So there is one candidate for each border: the
     nearest point of its segment that the other half-planes allow. If there is none, (x, y) has no meaning.
-
-    Args:
-        c: m/s, bounds.
-        px, py: m/s, the preferred velocity.
-        limit: m/s, the top speed.
     """
+    nx, ny, c, _, px, py, limit = program
     speed = length(px, py)
     slower = jnp.where(speed > limit, limit / jnp.where(speed > limit, speed, 1.0), 1.0)
     free_x, free_y = px * slower, py * slower
     is_free = (nx * free_x + ny * free_y >= c - TOLERANCE).all()
 
-    x, y, away = _nearest_on_borders(nx, ny, c, px, py, limit)
+    lower, upper, possible = _border_segments(program)
+    t = jnp.clip(px * -ny + py * nx, lower, jnp.maximum(lower, upper))
+    x, y = c * nx - t * ny, c * ny + t * nx
+    away = jnp.where(possible, (x - px) ** 2 + (y - py) ** 2, jnp.inf)
     best = jnp.argmin(away)
     return jnp.where(is_free, free_x, x[best]), jnp.where(is_free, free_y, y[best]), is_free | (away[best] < jnp.inf)
 
 
-def _nearest_on_borders(
-    nx: Float[Array, "M"],
-    ny: Float[Array, "M"],
-    c: Float[Array, "M"],
-    px: Float[Array, ""],
-    py: Float[Array, ""],
-    limit: Float[Array, ""],
-) -> tuple[Float[Array, "M"], Float[Array, "M"], Float[Array, "M"]]:
-    """The nearest allowed point of each border to a preferred one, and the square of its distance; inf if none."""
-    lower, upper, possible = _border_segments(nx, ny, c, limit)
-    t = jnp.clip(px * -ny + py * nx, lower, jnp.maximum(lower, upper))
-    x, y = c * nx - t * ny, c * ny + t * nx
-    return x, y, jnp.where(possible, (x - px) ** 2 + (y - py) ** 2, jnp.inf)
-
-
 def _border_segments(
-    nx: Float[Array, "M"], ny: Float[Array, "M"], c: Float[Array, "M"], limit: Float[Array, ""]
+    program: VelocityProgram,
 ) -> tuple[Float[Array, "M"], Float[Array, "M"], Bool[Array, "M"]]:
     """The segment (from t, to t) of each border that other half-planes and top speed allow, and whether there is one.
 
     A point of border i is c n + t (-ny, nx).
     """
+    nx, ny, c, _, _, _, limit = program
     low, high = _chord(c, limit)
     # There, half-plane j is rate t >= rest.
     rate = ny[None, :] * nx[:, None] - nx[None, :] * ny[:, None]  # (i, j)
@@ -219,46 +211,27 @@ def _chord(c: Float[Array, "*M"], limit: Float[Array, ""]) -> tuple[Float[Array,
     return -half, half
 
 
-def best_velocity(
-    nx: Float[Array, "M"],
-    ny: Float[Array, "M"],
-    c: Float[Array, "M"],
-    hard: Bool[Array, "M"],
-    px: Float[Array, ""],
-    py: Float[Array, ""],
-    limit: Float[Array, ""],
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """As ``nearest``; if there is none, the velocity [m/s] whose largest violation of a half-plane is smallest.
-
-    ``hard`` half-planes are never violated; they must contain the zero velocity.
-    """
-    free_x, free_y, exists = nearest(nx, ny, c, px, py, limit)
-    program = (nx, ny, c, hard, px, py, limit)
+def best_velocity(program: VelocityProgram) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """As ``nearest``; if there is none, the velocity [m/s] whose largest violation of a half-plane is smallest."""
+    free_x, free_y, exists = nearest(program)
 
     def violation(i: Array, j: Array) -> Array:
-        nx, ny, c, hard, px, py, limit = jax.lax.stop_gradient(program)
-        x, y, opposite = _least_violating(i, j, nx, ny, c, hard, px, py, limit)
+        fixed = jax.lax.stop_gradient(program)
+        nx, ny, c, hard, _, _, limit = fixed
+        x, y, opposite = _least_violating(i, j, fixed)
         each = c - nx * x - ny * y
         forbidden = jnp.maximum(jnp.where(hard, each, UNBOUNDED).max(), length(x, y) - limit)
         largest = jnp.where(hard, UNBOUNDED, each).max() + FORBIDDEN * jnp.maximum(forbidden - TOLERANCE, 0.0)
         return largest - jnp.where(opposite, TOLERANCE, 0.0)  # other velocities are ends of the segment of these
 
-    first, second = (jnp.asarray(index, jnp.int32) for index in np.triu_indices(c.shape[0]))
+    first, second = (jnp.asarray(index, jnp.int32) for index in np.triu_indices(program.c.shape[0]))
     least = jnp.argmin(jax.vmap(violation)(first, second))
-    x, y, _ = _least_violating(first[least], second[least], *program)
+    x, y, _ = _least_violating(first[least], second[least], program)
     return jnp.where(exists, free_x, x), jnp.where(exists, free_y, y)
 
 
 def _least_violating(
-    i: Int[Array, ""],
-    j: Int[Array, ""],
-    nx: Float[Array, "M"],
-    ny: Float[Array, "M"],
-    c: Float[Array, "M"],
-    hard: Bool[Array, "M"],
-    px: Float[Array, ""],
-    py: Float[Array, ""],
-    limit: Float[Array, ""],
+    i: Int[Array, ""], j: Int[Array, ""], program: VelocityProgram
 ) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
     """The velocity with the least equal violation of half-planes i and j and no larger one of others; if i opposes j.
 
@@ -267,6 +240,7 @@ def _least_violating(
     equally good; the result is the one nearest to the preferred. If there is no such velocity, the result has no
     meaning. A hard half-plane is not violated, but met on its border.
     """
+    nx, ny, c, hard, px, py, limit = program
     i, j = jnp.where(hard[i], j, i), jnp.where(hard[i], i, j)
     # Half-plane k is violated by no more than i, where m . v >= b.
     mx, my = nx - jnp.where(hard, 0.0, nx[i]), ny - jnp.where(hard, 0.0, ny[i])
@@ -307,3 +281,64 @@ def _avoided(people: Pedestrians, others: Array) -> Array:
 
 MODELS = {"social_forces": social_forces.move, "constant_velocity": constant_velocity, "orca": orca}
 """name -> (scenario, state) -> Pedestrians one control step later"""
+
+
+def pedestrians_at(
+    position: Float[Array, "N 2"],
+    velocity: Float[Array, "N 2"] | None = None,
+    *,
+    goal: Float[Array, "N 2"] | Float[Array, "2"] | None = None,
+    desired_velocity: Float[Array, "N 2"] | None = None,
+    preferred_speed: Float[Array, "N"] | Float[Array, ""] | float | None = None,
+    heading: Float[Array, "N 2"] | None = None,
+    present: Bool[Array, "N"] | None = None,
+) -> Pedestrians:
+    """People at these positions, in no group, each walking alone. To direct them later, replace ``desired_velocity``.
+
+    People with a goal desire to walk straight to it at their preferred speed; people without one keep their velocity.
+
+    Args:
+        position: m.
+        velocity: m/s; the desired velocity if None.
+        goal: m, or (2,) one for all; excludes ``desired_velocity``.
+        desired_velocity: m/s.
+        preferred_speed: m/s, or one for all; if None, the speed of ``desired_velocity``, and 1.34 for people with a
+            goal or who stand (top speed is a multiple of it, so 0 would freeze them).
+        heading: unit vectors; if None, along the velocity, else along the desired one, else (1, 0).
+        present: all if None.
+
+    Raises:
+        InputError: both a goal and a desired velocity are given.
+    """
+    if goal is not None and desired_velocity is not None:
+        raise InputError("goal: a desired velocity is given as well; give one of the two.")
+    position = jnp.asarray(position, float)
+    number = position.shape[0]
+    if goal is not None:
+        speed = PREFERRED_SPEED if preferred_speed is None else preferred_speed
+        preferred_speed = jnp.broadcast_to(jnp.asarray(speed, float), (number,))
+        way = jnp.asarray(goal, float).reshape(-1, 2) - position
+        desired = jnp.stack(unit(way[:, 0], way[:, 1]), -1) * preferred_speed[:, None]
+    else:
+        desired = velocity if desired_velocity is None else desired_velocity
+        desired = jnp.zeros_like(position) if desired is None else jnp.asarray(desired, float)
+    velocity = desired if velocity is None else jnp.asarray(velocity, float)
+    if preferred_speed is None:
+        speed = length(desired[:, 0], desired[:, 1])
+        preferred_speed = jnp.where(speed > 0.0, speed, PREFERRED_SPEED)
+    if heading is None:
+        moves = ((velocity != 0.0).any(-1))[:, None]
+        along = jnp.where(moves, velocity, desired)
+        along = jnp.where((along != 0.0).any(-1)[:, None], along, jnp.asarray([[1.0, 0.0]], float))
+        heading = jnp.stack(unit(along[:, 0], along[:, 1]), -1)
+    return Pedestrians(
+        position=position,
+        velocity=velocity,
+        heading=jnp.asarray(heading, float),
+        desired_velocity=desired,
+        group=jnp.full(number, -1, jnp.int32),
+        walking_group=jnp.full(number, -1, jnp.int32),
+        present=jnp.ones(number, bool) if present is None else jnp.asarray(present, bool),
+        preferred_speed=jnp.broadcast_to(jnp.asarray(preferred_speed, float), (number,)),
+        robot_distance=jnp.zeros(number, float),
+    )

@@ -18,7 +18,7 @@ from sean_jax.base import Obstacles, Pedestrians, Policy, Snapshot
 from sean_jax.classifiers import more_situations, predicates
 from sean_jax.geometry import build_obstacle_grid
 from sean_jax.metrics import proximity
-from sean_jax.pedestrian_models import MODELS, best_velocity, half_plane
+from sean_jax.pedestrian_models import MODELS, VelocityProgram, best_velocity, half_plane
 from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.prediction import predict_people
 from sean_jax.policies.social_costmap import arc_trajectories, distance_to_path, inflation_cost, proxemic_cost
@@ -433,7 +433,7 @@ def test_best_velocity_among_half_planes():
     def taken(at, limit):
         normal, offset, wish = at
         offset = jnp.where(hard, -jnp.abs(offset), offset)
-        return jnp.stack(best_velocity(normal[:, 0], normal[:, 1], offset, hard, wish[0], wish[1], limit))
+        return jnp.stack(best_velocity(VelocityProgram(normal[:, 0], normal[:, 1], offset, hard, *wish, limit)))
 
     check(taken, at, jnp.float32(0.5))
 

@@ -12,7 +12,7 @@ from scipy.optimize import linprog, minimize
 
 import sean_jax
 from sean_jax.environment import clearance
-from sean_jax.pedestrian_models import MODELS, best_velocity, half_plane
+from sean_jax.pedestrian_models import MODELS, VelocityProgram, best_velocity, half_plane
 from sean_jax.policies import go_to_goal
 
 LIMIT = 1.7
@@ -32,7 +32,7 @@ def configurations(number, planes, seed, spread):
 
 def solve(normal, c, wanted, hard=None, limit=LIMIT):
     hard = np.broadcast_to(np.arange(c.shape[1]) >= c.shape[1] - 2 if hard is None else hard, c.shape)
-    run = jax.jit(jax.vmap(best_velocity, in_axes=(0, 0, 0, 0, 0, 0, None)))
+    run = jax.jit(jax.vmap(lambda *parts: best_velocity(VelocityProgram(*parts)), in_axes=(0, 0, 0, 0, 0, 0, None)))
     given = (jnp.asarray(part, jnp.float32) for part in (normal[..., 0], normal[..., 1], c))
     wanted = jnp.asarray(wanted, jnp.float32)
     return np.stack(run(*given, jnp.asarray(hard), wanted[:, 0], wanted[:, 1], jnp.float32(limit)), -1)
@@ -78,7 +78,7 @@ def test_between_two_who_come_from_opposite_sides_people_go_on_as_they_would_alo
     hard = jnp.zeros(3, bool)
     for third, wanted in ((-2.0, 0.8), (0.0, 0.5)):  # eased by 0.5 like the others
         bounds = jnp.asarray([0.4, 0.6, third], jnp.float32)
-        x, y = best_velocity(*normals.T, bounds, hard, jnp.float32(0.2), jnp.float32(0.8), jnp.float32(1.5))
+        x, y = best_velocity(VelocityProgram(*normals.T, bounds, hard, *jnp.float32([0.2, 0.8, 1.5])))
         np.testing.assert_allclose([x, y], [-0.1, wanted], atol=1e-3)
 
 
@@ -129,7 +129,7 @@ def test_faster_than_the_top_speed_is_out_of_reach_so_people_go_straight_away():
         mine = solve(normal, c, random.normal(size=(200, 2)) * 1.2, hard=False)
         np.testing.assert_allclose(mine, LIMIT * away, atol=1e-3)  # 3e-7 m/s of violation
     one = jnp.ones((1,), jnp.float32)
-    x, y = best_velocity(one, 0 * one, 4 * one, one < 0, 0 * one[0], 1.3 * one[0], 1.69 * one[0])
+    x, y = best_velocity(VelocityProgram(one, 0 * one, 4 * one, one < 0, 0 * one[0], 1.3 * one[0], 1.69 * one[0]))
     np.testing.assert_allclose([x, y], [1.69, 0], atol=1e-6)
 
 

@@ -11,8 +11,8 @@ import pytest
 from sean_jax import social_forces
 from sean_jax.bench import workload
 from sean_jax.social_forces import Crowd, Pair, model, neighbors
+from sean_jax.social_forces.forces import look_direction
 from sean_jax.social_forces.neighbors import sum_pairs
-from sean_jax.social_forces.walking import look_direction
 
 NUMBER = 303  # enough that neighbors are looked for, and no multiple of the blocks
 find = jax.jit(neighbors.find)

@@ -12,7 +12,7 @@ from test_inverse_graph import ring, yard
 
 import sean_jax
 from sean_jax import scenario as stages
-from sean_jax.behaviors import Place, graph_behavior, relaxation
+from sean_jax.behaviors import Place, graph_behavior, graph_choices
 from sean_jax.graph import rerouted
 from sean_jax.studies.inverse_graph.fitting import graph_yaml
 from sean_jax.studies.inverse_graph.measuring import begin_alone
@@ -71,7 +71,7 @@ def test_drawn_stays_have_the_chances_that_are_told():
     limits, width, dt = np.array([2.0, 5.0]), 0.4, 0.1
     chance = np.random.default_rng(0).random((2, 40_000)).astype(np.float32)
     rows = jnp.broadcast_to(jnp.asarray(limits, jnp.float32), (40_000, 2))
-    ticks, log_chance = jax.jit(relaxation.sample_stay, static_argnums=3)(
+    ticks, log_chance = jax.jit(graph_choices.sample_stay, static_argnums=3)(
         rows, jnp.asarray(chance), jnp.float32(width), dt
     )
     ticks, told = np.asarray(ticks), np.exp(np.asarray(log_chance))
@@ -83,21 +83,23 @@ def test_drawn_stays_have_the_chances_that_are_told():
         np.testing.assert_allclose(told[ticks == k], wanted[k], rtol=0.03)
     counted = np.bincount(ticks, minlength=90)[:90] / len(ticks)
     assert np.abs(np.cumsum(counted) - np.cumsum(np.concatenate([[counted[0]], wanted[1:]]))).max() < 0.015
-    cold, _ = relaxation.sample_stay(rows[:500], jnp.asarray(chance[:, :500]), jnp.float32(1e-6), dt)
+    cold, _ = graph_choices.sample_stay(rows[:500], jnp.asarray(chance[:, :500]), jnp.float32(1e-6), dt)
     assert np.abs(np.asarray(cold) - np.ceil((2.0 + 3.0 * chance[0, :500]) / dt - 1e-4)).max() <= 1
 
 
 def test_draws_by_scores_are_as_frequent_as_told_and_the_best_one_when_cold():
     score = jnp.asarray([[1.0, 2.5, np.inf, 1.4]], jnp.float32)
     chance = jnp.asarray(np.random.default_rng(1).random(20_000), jnp.float32)
-    logs = relaxation.log_chances(jnp.broadcast_to(score, (20_000, 4)), jnp.float32(0.7))
-    index, told = jax.jit(relaxation.sample)(logs, chance)
+    logs = graph_choices.log_chances(jnp.broadcast_to(score, (20_000, 4)), jnp.float32(0.7))
+    index, told = jax.jit(graph_choices.sample)(logs, chance)
     wanted = np.exp(-np.array([1.0, 2.5, np.inf, 1.4]) / 0.7)
     wanted /= wanted.sum()
     np.testing.assert_allclose(np.bincount(np.asarray(index), minlength=4) / 20_000, wanted, atol=0.01)
     np.testing.assert_allclose(np.exp(np.asarray(told)), wanted[np.asarray(index)], rtol=1e-4)
     assert (np.asarray(index) != 2).all()
-    cold = relaxation.sample(relaxation.log_chances(jnp.broadcast_to(score, (500, 4)), jnp.float32(1e-3)), chance[:500])
+    cold = graph_choices.sample(
+        graph_choices.log_chances(jnp.broadcast_to(score, (500, 4)), jnp.float32(1e-3)), chance[:500]
+    )
     assert (np.asarray(cold[0]) == 0).all()
 
 
@@ -107,7 +109,7 @@ def test_expectation_has_the_derivative_of_an_expected_value():
 
     def expected(p):
         values = jnp.where(heads, 5.0 * p, 1.0 + p**2)
-        return relaxation.expectation(values, jnp.where(heads, jnp.log(p), jnp.log(1.0 - p)))
+        return graph_choices.expectation(values, jnp.where(heads, jnp.log(p), jnp.log(1.0 - p)))
 
     value, slope = jax.value_and_grad(expected)(jnp.float32(0.3))
     np.testing.assert_allclose(value, 0.3 * 1.5 + 0.7 * 1.09, atol=0.01)
@@ -152,7 +154,7 @@ def test_gradients_with_a_temperature_are_finite_and_both_modes_agree(crowds):
     warm, keys = crowds[4, TEMPERATURE], jax.random.split(jax.random.key(1), 3)
 
     def expected(theta):
-        return relaxation.expectation(*jax.vmap(lambda key: episode(warm, theta, key, 60))(keys))
+        return graph_choices.expectation(*jax.vmap(lambda key: episode(warm, theta, key, 60))(keys))
 
     theta = jnp.zeros(4)
     backward = np.asarray(jax.jit(jax.grad(expected))(theta))

@@ -91,7 +91,7 @@ def test_numbers_are_those_of_sean(scenario):
         8.0 * 63 / 64
     )
     # The middles of the first and the last ray of a lidar are a degree apart, the first straight ahead.
-    fan = import_module("sean_jax.sensors.lidars").rays(sensors.lidar(scenario))
+    fan = cameras.lidar_rays(sensors.lidar(scenario))
     angle = np.rad2deg(np.arctan2(fan.direction[1], fan.direction[0])).reshape(-1)
     assert np.allclose(np.mod(angle + 0.5, 360.0) - 0.5, np.arange(360), atol=1e-3)
 
@@ -319,13 +319,13 @@ def test_lidar_in_a_room(scenario, state):
 
 def test_a_lidar_looks_where_its_site_is_turned(scenario, state):
     """Yaw shifts the angles of rays; pitch has those ahead meet the floor, and those behind nothing."""
-    lidars, yaw, pitch = import_module("sean_jax.sensors.lidars"), 1.1, 0.4
+    yaw, pitch = 1.1, 0.4
     c, s = np.cos(yaw), np.sin(yaw)
     plain_one = sensors.lidar(scenario, count=30, first=0.3, far=9.0)
     turned = dataclasses.replace(plain_one, axes=(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0))
     shifted = dataclasses.replace(plain_one, first=0.3 + yaw)
-    np.testing.assert_allclose(lidars.rays(turned).direction, lidars.rays(shifted).direction, atol=1e-6)
-    assert lidars.rays(turned).low == lidars.rays(plain_one).low
+    np.testing.assert_allclose(cameras.lidar_rays(turned).direction, cameras.lidar_rays(shifted).direction, atol=1e-6)
+    assert cameras.lidar_rays(turned).low == cameras.lidar_rays(plain_one).low
     c, s = np.cos(pitch), np.sin(pitch)
     axes = c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c
     down = dataclasses.replace(plain_one, first=0.0, origin=(0.1, 0.0, 0.5), axes=axes)

@@ -18,9 +18,8 @@ from jaxtyping import Bool, Float, Int
 from sean_jax import clock
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
-from sean_jax.behaviors import graph_choices, relaxation
-from sean_jax.behaviors.graph_choices import ARRIVED, Memory, Seats, of_seat, seats_of
-from sean_jax.behaviors.relaxation import Draws
+from sean_jax.behaviors import graph_choices
+from sean_jax.behaviors.graph_choices import ARRIVED, Draws, Memory, Seats, of_seat, seats_of
 from sean_jax.behaviors.starts import (
     Place,
     WalkingGroups,
@@ -59,7 +58,7 @@ class Tables:
     start_node: Int[Array, "P"]  # the node of each
     start_log_chance: Float[Array, "P"]  # log of its chance, relative to the others
     congestion_cost: Float[Array, ""] | None  # m2, see ``add_congestion_cost``; None: none
-    temperature: Float[Array, ""] | None  # m, see ``relaxation``; None: people take the cheapest way
+    temperature: Float[Array, ""] | None  # m, see ``graph_choices``; None: people take the cheapest way
     spawn_clusters: Int[Array, "C 3"]  # starts beside one another, for walking groups
     first_seats: tuple[int, ...] = struct.field(pytree_node=False)  # seats at which people start
     permanent: bool = struct.field(pytree_node=False)  # whether they stay there
@@ -262,7 +261,7 @@ def _direct(choose: Callable, scenario: Scenario, state: State, key: Array) -> S
     draws, before = None, memory
     if tables.temperature is not None:
         key, draw_key = jax.random.split(key)
-        draws = relaxation.draw(draw_key, tables.temperature, scenario.people, graph.seat_group.shape[0])
+        draws = graph_choices.draw(draw_key, tables.temperature, scenario.people, graph.seat_group.shape[0])
     chance = jax.random.uniform(key, (3, scenario.people), float)
     memory, free = _stay_or_leave(scenario, people, memory, chance[0], draws)
     seats = seats_of(memory, tables.patience, scenario.time_step)
@@ -313,7 +312,7 @@ def _stay_or_leave(
     new_stay = _stay(scenario, limits[:, 0] + chance * (limits[:, 1] - limits[:, 0]))
     if draws is not None:
         both = jnp.stack([chance, draws.stay])
-        new_stay, log_chance = relaxation.sample_stay(limits, both, draws.temperature, scenario.time_step)
+        new_stay, log_chance = graph_choices.sample_stay(limits, both, draws.temperature, scenario.time_step)
         memory = memory.with_choices(jnp.sum(jnp.where(sits_down, log_chance, 0.0)))
     new_stay = jnp.where(new_stay > 0, new_stay + of_seat(tables.patience, memory.seat), 0)
     leaves = rises | (sits_down & (new_stay == 0))  # at once, if the new stay takes no time
@@ -364,7 +363,7 @@ def _blend(
     gap = before.target - people.position
     distance = length(gap[:, 0], gap[:, 1])
     closer = jnp.sum(gap * people.velocity, axis=1) / jnp.maximum(distance, 1e-6) * scenario.time_step
-    share = relaxation.switched_share(distance, closer, ARRIVED)
+    share = graph_choices.switched_share(distance, closer, ARRIVED)
     turns = (before.stay == 0) & (before.target != memory.target).any(1)
     still = _desired_velocity(scenario.behavior.data, people, before, seats, jnp.ones_like(distance))
     share = jnp.where(turns & (distance < ARRIVED), share, 1.0)[:, None]

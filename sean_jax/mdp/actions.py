@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from sean_jax.base import Array, RobotModel
-from sean_jax.robots.limits import max_reverse_speed
+from sean_jax.robots.drive import max_reverse_speed
 
 
 def to_command(robot: RobotModel, action: Float[Array, "2"]) -> Float[Array, "2"]:

@@ -31,7 +31,7 @@ from sean_jax.policies.prediction import (
     predict_robot,
     to_world,
 )
-from sean_jax.robots.limits import max_reverse_speed
+from sean_jax.robots.drive import max_reverse_speed
 
 STEPS, TIME_STEP = 16, 0.2  # of a plan, and s of each: 3.2 s ahead
 KNOTS = 5  # commands of a plan, interpolated linearly

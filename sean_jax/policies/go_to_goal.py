@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from sean_jax.base import Array, Scenario, State
 from sean_jax.geometry import angle_between, length
-from sean_jax.robots.limits import clip_turn_rate
+from sean_jax.robots.drive import clip_turn_rate
 from sean_jax.scenario import observe
 
 TURN_GAIN = 2.0  # 1/s

@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 from sean_jax.base import Array, Observation, Scenario, State
 from sean_jax.geometry import angle_between, from_rectangle, length, nearby_obstacles
-from sean_jax.pedestrian_models import UNBOUNDED, best_velocity, half_plane
+from sean_jax.pedestrian_models import UNBOUNDED, VelocityProgram, best_velocity, half_plane
 from sean_jax.policies.prediction import nearest_people
-from sean_jax.robots.limits import clip_speeds, clip_turn_rate
+from sean_jax.robots.drive import clip_speeds, clip_turn_rate
 from sean_jax.scenario import observe
 
 POINT = 0.6  # of the radius: how far ahead of the axle the point lies
@@ -57,14 +57,10 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"]:
     c = jnp.where(near, nx * own_x + ny * own_y + out, UNBOUNDED)
 
     wall_x, wall = _obstacle_half_planes(scenario, state)
-    x, y = best_velocity(
-        jnp.concatenate([nx, wall_x]),
-        jnp.concatenate([ny, jnp.zeros_like(wall_x)]),
-        jnp.concatenate([c, wall]),
-        jnp.arange(c.shape[0] + wall.shape[0]) >= c.shape[0],
-        *wish,
-        model.max_speed,
-    )
+    nx, ny = jnp.concatenate([nx, wall_x]), jnp.concatenate([ny, jnp.zeros_like(wall_x)])
+    hard = jnp.arange(c.shape[0] + wall.shape[0]) >= c.shape[0]
+    bounds = jnp.concatenate([c, wall])
+    x, y = best_velocity(VelocityProgram(nx, ny, bounds, hard, *wish, model.max_speed))
     speed, turn = clip_speeds(model, x, y / lever)
     arrived = length(observation.goal[0], observation.goal[1]) < GOAL_TOLERANCE
     final = clip_turn_rate(model, TURN_GAIN * angle_between(_ahead(), observation.goal_heading))

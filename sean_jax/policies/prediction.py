@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from sean_jax.base import Array, Groups, Pedestrians, RobotModel, Scenario, State
 from sean_jax.geometry import rotate
-from sean_jax.robots.limits import limit_command
+from sean_jax.robots.drive import limit_command
 from sean_jax.social_forces import integrate
 
 ABSENT_DISTANCE = 1e3  # m, how far away absent people are placed

@@ -40,7 +40,7 @@ from sean_jax.devices import scalar
 from sean_jax.geometry import from_rectangle, length, nearby_obstacles, to_border
 from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal
 from sean_jax.policies.prediction import nearest_people, to_world
-from sean_jax.robots.limits import clip_turn_rate, reachable
+from sean_jax.robots.drive import clip_turn_rate, reachable
 
 MAX_PEOPLE = 10  # the nearest, on the maps
 CONTACT_COST = 253.0  # the disc of the robot touches something there

@@ -9,7 +9,8 @@ from sean_jax import files
 from sean_jax.base import RobotModel
 from sean_jax.environment import ENVS
 from sean_jax.errors import InputError
-from sean_jax.robots import description, mjx_dynamics
+from sean_jax.robots import description
+from sean_jax.robots import dynamics as physics
 from sean_jax.robots.drive import drive_kinematic, drive_mjx, drive_twin, physics_steps, place
 
 ROBOTS: dict[str, Path] = {path.stem: path for path in sorted((ENVS / "robots").glob("*.xml"))}
@@ -29,7 +30,7 @@ def load(robot: str | Path, dynamics: str = "mjx") -> RobotModel:
     """
     path = find(robot, dynamics)
     model, fields, mass = description.read(path)
-    data = mjx_dynamics.put(model, jnp.asarray(mass, fields["mass"].dtype)) if dynamics == "mjx" else ()
+    data = physics.mjx_data(model, jnp.asarray(mass, fields["mass"].dtype)) if dynamics == "mjx" else ()
     return RobotModel(**fields, data=data, name=path.stem, place=place, drive=DYNAMICS[dynamics])
 
 

@@ -20,9 +20,7 @@ from sean_jax import clock
 from sean_jax.base import Array, Robot, RobotModel, Scenario, State
 from sean_jax.errors import InputError
 from sean_jax.geometry import rotate, unit_vectors
-from sean_jax.robots import mjx_dynamics
-from sean_jax.robots.dynamics import Motion, Surroundings, kinematic_move, twin_substep
-from sean_jax.robots.limits import limit_command
+from sean_jax.robots.dynamics import Motion, Surroundings, kinematic_move, mjx_substep, twin_substep
 
 
 class DriveState(NamedTuple):
@@ -191,10 +189,66 @@ def _simulate_twin(steps: int, model: RobotModel, surroundings: Surroundings, mo
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _physics(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
     """The motion after that many physics steps of MJX."""
-    return _simulate(mjx_dynamics.substep, steps, model, surroundings, motion, targets)
+    return _simulate(mjx_substep, steps, model, surroundings, motion, targets)
 
 
 @_physics.defjvp
 def _physics_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple:
     values, changes = ((replace(model, data=()), *rest) for model, *rest in (primals, tangents))  # MJX's is constant
     return _physics(steps, *primals), jax.jvp(functools.partial(_simulate_twin, steps), values, changes)[1]
+
+
+# --- limits: top speeds, and speeds that a robot can reach in one step ---
+# As in the controllers of ROS, deceleration limits the fall of the speed along the heading, in braking and in speeding
+# up backward.
+
+
+class Reach(NamedTuple):
+    """The speeds that a robot can reach in one step, before its top speeds are taken into account."""
+
+    speed_min: Float[Array, "..."]  # m/s
+    speed_max: Float[Array, "..."]  # m/s
+    turn_rate_min: Float[Array, "..."]  # rad/s
+    turn_rate_max: Float[Array, "..."]  # rad/s
+
+
+def max_reverse_speed(model: RobotModel) -> Float[Array, ""]:
+    """Top speed backward [m/s], positive; the top speed ahead if the robot has no other backward."""
+    return model.max_speed if model.max_reverse_speed is None else model.max_reverse_speed
+
+
+def reachable(
+    model: RobotModel, speed: Float[Array, "*shape"], turn_rate: Float[Array, "*shape"], time_step: float
+) -> Reach:
+    """The speeds that the limits of acceleration allow one step [s] after a speed [m/s] and a turn rate [rad/s]."""
+    fall = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
+    change = model.max_turn_acceleration * time_step
+    return Reach(
+        speed - fall * time_step, speed + model.max_acceleration * time_step, turn_rate - change, turn_rate + change
+    )
+
+
+def clip_speeds(
+    model: RobotModel, speed: Float[Array, "*shape"], turn_rate: Float[Array, "*shape"]
+) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+    """Clip speeds [m/s] and turn rates [rad/s] to the robot's maxima."""
+    return jnp.clip(speed, -max_reverse_speed(model), model.max_speed), clip_turn_rate(model, turn_rate)
+
+
+def clip_turn_rate(model: RobotModel, turn_rate: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Clip turn rates [rad/s] to the robot's maximum."""
+    return jnp.clip(turn_rate, -model.max_turn_rate, model.max_turn_rate)
+
+
+def limit_command(
+    model: RobotModel,
+    speed: Float[Array, "*shape"],
+    turn_rate: Float[Array, "*shape"],
+    command: tuple[Float[Array, "*shape"], Float[Array, "*shape"]],
+    time_step: float,
+) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+    """Speed [m/s] and turn rate [rad/s] within all limits that are nearest to a command, after one step [s]."""
+    reach = reachable(model, speed, turn_rate, time_step)
+    ahead = jnp.clip(command[0], reach.speed_min, reach.speed_max)
+    turn = jnp.clip(command[1], reach.turn_rate_min, reach.turn_rate_max)
+    return clip_speeds(model, ahead, turn)

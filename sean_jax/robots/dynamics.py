@@ -1,12 +1,15 @@
-"""The physics of a robot without MuJoCo (Fig. 3): tyres and contacts, the closed-form twin, the kinematic robot.
+"""The physics of a robot (Fig. 3): tyres and contacts, the closed-form twin, the kinematic robot, the MJX robot.
 
 Generalised coordinates are x, y [m], yaw, left and right wheel angle [rad]. Impulses follow from predicted velocities
 (velocity-implicit). A force from the slip or the approach speed at the start of a step would overshoot and oscillate
 at time steps of practical size.
 """
 
+import contextlib
 import functools
+import io
 from collections.abc import Callable
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import jax
@@ -200,6 +203,8 @@ class Way(NamedTuple):
     sideways: Float[Array, ""]  # m/s to the left, from contacts
 
 
+# Reverse mode computes the way again rather than store it.
+@functools.partial(jax.checkpoint, static_argnums=0, prevent_cse=False)
 def kinematic_move(
     steps: int,
     model: RobotModel,
@@ -214,20 +219,6 @@ def kinematic_move(
     SEAN sets the velocity of the robot's body in each step of physics, and bodies in its way stop it. Here the way is
     the arc of these speeds in closed form, and contacts are those of the other robots (``touching``).
     """
-    # Reverse mode computes the way again rather than store it.
-    move = jax.checkpoint(functools.partial(_kinematic_move, steps), prevent_cse=False)
-    return move(model, surroundings, position, heading, speed, turn_rate)
-
-
-def _kinematic_move(
-    steps: int,
-    model: RobotModel,
-    surroundings: Surroundings,
-    position: Array,
-    heading: Array,
-    speed: Array,
-    turn_rate: Array,
-) -> Way:
     turn = model.time_step * turn_rate  # rad in a step of physics
     chord = speed * jnp.sinc(turn / (2.0 * jnp.pi))  # m/s, along the straight line between the ends of its arc
 
@@ -253,3 +244,58 @@ def _gap(model: RobotModel, surroundings: Surroundings, place: Array) -> Array:
     x, y = jax.lax.stop_gradient((place[0], place[1]))
     boxes = jax.lax.stop_gradient(surroundings.obstacles)
     return from_box(x, y, boxes)[0].min(initial=jnp.inf) - model.radius
+
+
+# --- the MJX robot: MuJoCo XLA computes mass matrix, bias and servo forces; the ground acts as an applied force ---
+# Only those stages of ``mjx.step`` run that a base without constraints needs: no collision, no solver (reverse mode
+# refuses its loop), no sensors, and no factorization, because loading has checked that the mass matrix is diagonal.
+
+
+@functools.cache
+def mjx() -> ModuleType:
+    """The module ``mujoco.mjx``. It is imported here because that takes a second and prints a message about Warp."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        import mujoco.mjx as module
+    return module
+
+
+def mjx_data(model: Any, mass: Float[Array, "5"]) -> tuple:
+    """``RobotModel.data`` of the MJX robot of a ``mujoco.MjModel``."""
+    return mjx().put_model(model, impl="jax"), mass
+
+
+def mjx_substep(
+    model: RobotModel,
+    surroundings: Surroundings,
+    time_left: Float[Array, ""],
+    motion: Motion,
+    targets: Float[Array, "2"],
+) -> Motion:
+    """One physics step by MJX; arguments as of ``twin_substep``."""
+    # MJX mixes ranks and dtypes on purpose; a caller may have forbidden that for its own code.
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        physics = _parametrized(model)
+        data = mjx().make_data(physics, impl="jax").replace(qpos=motion[0], qvel=motion[1], ctrl=targets)
+        for stage in ("kinematics", "com_pos", "crb", "transmission", "fwd_velocity", "fwd_actuation"):
+            data = getattr(mjx(), stage)(physics, data)
+        mass = jnp.diagonal(mjx().full_m(physics, data))
+        free = (data.qfrc_actuator + data.qfrc_passive - data.qfrc_bias) / mass
+        ground = impulse(model, surroundings, time_left, motion, data.qvel + model.time_step * free)
+        data = data.replace(qacc=free + ground / (model.time_step * mass))
+        data = mjx().euler(physics, data)
+        return data.qpos, data.qvel
+
+
+def _parametrized(model: RobotModel) -> Any:
+    """The MJX model with the parameters of the robot model, which may differ from those of its file.
+
+    An armature is an inertia added to one joint. It changes the mass matrix without changing the geometry.
+    """
+    physics, mass = model.data
+    gain, torque = model.servo_gain, model.servo_torque
+    return physics.replace(
+        dof_armature=physics.dof_armature + (diagonal(model) - mass),
+        actuator_gainprm=physics.actuator_gainprm.at[:, 0].set(gain),
+        actuator_biasprm=physics.actuator_biasprm.at[:, 2].set(-gain),
+        actuator_forcerange=jnp.broadcast_to(jnp.stack([-torque, torque]), physics.actuator_forcerange.shape),
+    )

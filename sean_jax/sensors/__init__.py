@@ -1,7 +1,6 @@
 """Sensors (section IV-F): depth, color from three views, and a lidar, on every robot, all from the same rays."""
 
-from sean_jax.sensors.cameras import Camera, camera, depth, focal_length, pixels_of_people
-from sean_jax.sensors.lidars import Lidar, lidar, scan
+from sean_jax.sensors.cameras import Camera, Lidar, camera, depth, focal_length, lidar, pixels_of_people, scan
 from sean_jax.sensors.pictures import CLASSES, Picture, render
 from sean_jax.sensors.readings import (
     SENSORS,

@@ -1,7 +1,8 @@
-"""Cameras (section IV-F): one depth sensor and three of color on every robot; depth images and visible people.
+"""Cameras and a lidar (section IV-F) on every robot: depth images, visible people, and distances all around.
 
 The defaults are SEAN 2.0's: 640 x 480 pixels, 60 degrees high, from 0.1 to 20 m; the overhead view is orthographic and
-6 m high. A camera is a fixed value. Its rays are made once and shared by all scenarios.
+6 m high; the lidar has 360 rays, from 0.12 to 3.5 m, in one plane. A camera or lidar is a fixed value. Its rays are
+made once and shared by all scenarios.
 """
 
 import dataclasses
@@ -20,6 +21,7 @@ from sean_jax.raycast import Rays, View, bundle, by_rows, distance, make_view, s
 OVERHEAD = "overhead"
 SEES_ROBOT = ("third_person", OVERHEAD)
 TILE = (8, 16)  # rows and columns of pixels of a tile, which share the bodies that they may meet
+SECTOR = 15  # rays of a tile, likewise
 
 
 @dataclasses.dataclass(frozen=True)
@@ -190,3 +192,70 @@ def pixels_of_people(scenario: Scenario, state: State, camera: Camera) -> Int[Ar
     boxes, cylinders, spheres, people = view.counts
     person = jnp.where(in_range, number - (boxes + cylinders + spheres), -1).reshape(-1)
     return (person[:, None] == jnp.arange(people, dtype=person.dtype)[None, :]).sum(0, dtype=jnp.int32)
+
+
+# --- a planar lidar: distances all around the robot, at one height ---
+
+
+@dataclasses.dataclass(frozen=True)
+class Lidar:
+    """A planar lidar on a robot."""
+
+    origin: tuple[float, ...]  # (3,) m in the robot's frame
+    count: int  # rays
+    first: float  # rad, of the first ray, counter-clockwise from x about z of the site
+    span: float  # rad, that the rays cover together, beginning with the first
+    near: float  # m, nearer bodies are invisible
+    far: float  # m, farther bodies are invisible
+    axes: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # (9,) of ``base.Mount``: level, ahead
+
+
+def lidar(
+    of: Scenario | RobotModel,
+    *,
+    count: int = 360,
+    first: float = 0.0,
+    span: float = 2 * np.pi,
+    near: float = 0.12,
+    far: float = 3.5,
+) -> Lidar:
+    """The lidar of a robot, or of a scenario's robot.
+
+    Args:
+        count: number of rays, ``span / count`` rad apart.
+        first: rad, direction of the first ray, counter-clockwise from straight ahead.
+        span: rad, that the rays cover together.
+        near, far: m, nothing nearer or farther is visible.
+
+    Raises:
+        InputError: the robot's file has no site 'lidar', there is no ray, or the range is empty.
+    """
+    robot = of.robot if isinstance(of, Scenario) else of
+    mount = next((mount for mount in robot.mounts if mount.name == "lidar"), None)
+    if mount is None:
+        raise InputError(f"lidar: the file of robot '{robot.name}' has no <site name=\"lidar\">; add one to its base.")
+    if count < 1:
+        raise InputError(f"count: {count} rays see nothing; give 1 or more.")
+    if not 0.0 <= near < far:
+        raise InputError(f"near, far: {near:g} and {far:g} m must be a lesser and a greater distance.")
+    return Lidar(mount.origin, count, first, span, near, far, mount.axes)
+
+
+@functools.lru_cache(maxsize=64)
+def lidar_rays(sensor: Lidar) -> Rays:
+    """The rays of a lidar."""
+    angle = sensor.first + sensor.span * np.arange(sensor.count) / sensor.count
+    direction = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
+    direction = direction @ np.asarray(sensor.axes).reshape(3, 3).T
+    return bundle(sensor.origin, direction[None], (1, SECTOR), sensor.far)
+
+
+@jax.named_scope("scan")
+def scan(scenario: Scenario, state: State, sensor: Lidar) -> Float[Array, "rays"]:
+    """Distances [m] along the rays of a lidar; ``sensor.far`` where nothing lies between ``near`` and ``far``.
+
+    Differentiable in the robot's pose and in people's positions.
+    """
+    fan = lidar_rays(sensor)
+    distances = by_rows(fan, distance(sensor_view(scenario, state, fan), fan))[0]
+    return jnp.where((distances >= sensor.near) & (distances <= sensor.far), distances, sensor.far)

@@ -23,8 +23,7 @@ from sean_jax import calls, clock, files
 from sean_jax.base import Array, RobotModel, Scenario, Sensor, State
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
-from sean_jax.sensors.cameras import Camera, camera, depth
-from sean_jax.sensors.lidars import Lidar, lidar, scan
+from sean_jax.sensors.cameras import Camera, Lidar, camera, depth, lidar, scan
 from sean_jax.sensors.pictures import render
 
 SensorLike = Sensor | str | Path
@@ -232,26 +231,12 @@ def _problems(settings: Settings) -> list[files.Problem]:
 
 def _from_settings(settings: Settings, robot: RobotModel) -> Sensor:
     errors = None if settings.errors is None else distance_errors(**settings.errors.model_dump())
+    others = {"kind", "name", "mount", "errors"}
+    fields = settings.model_dump(exclude=others, exclude_unset=True, exclude_none=True)
     if settings.kind == "lidar":
-        device = lidar(
-            robot,
-            count=settings.count,
-            first=math.radians(settings.first),
-            span=math.radians(settings.span),
-            near=0.12 if settings.near is None else settings.near,
-            far=3.5 if settings.far is None else settings.far,
-        )
-        return lidar_sensor(device, errors, settings.name or "lidar")
-    device = camera(
-        robot,
-        settings.mount or MOUNTS[settings.kind],
-        width=settings.width,
-        height=settings.height,
-        fovy=settings.fovy,
-        near=0.1 if settings.near is None else settings.near,
-        far=settings.far,
-        orthographic=settings.orthographic,
-    )
+        angles = {key: math.radians(fields[key]) for key in ("first", "span") if key in fields}
+        return lidar_sensor(lidar(robot, **fields | angles), errors, settings.name or "lidar")
+    device = camera(robot, settings.mount or MOUNTS[settings.kind], **fields)
     if settings.kind == "depth":
         return depth_sensor(device, errors, settings.name)
     return color_sensor(device, settings.name)

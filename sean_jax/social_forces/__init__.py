@@ -3,11 +3,10 @@
 A sum of terms (``forces``), each with its own parameters: ``[*preset("helbing1995"), mine]``.
 """
 
-from sean_jax.social_forces.forces import Crowd, Forces, GatherTerm, Pair, PairTerm, PersonTerm, Term
+from sean_jax.social_forces.forces import Crowd, Forces, GatherTerm, Pair, PairTerm, PersonTerm, Term, Walking
 from sean_jax.social_forces.model import draw_traits, integrate, move
 from sean_jax.social_forces.presets import PRESETS, build, preset
 from sean_jax.social_forces.terms import Cohesion, Evasion, GroupSpace, Headway, Repulsion, RobotRepulsion, Sidestep
-from sean_jax.social_forces.walking import Walking
 from sean_jax.social_forces.walls import SUBSTEP, Contact, Walls, longest_step, substeps
 
 __all__ = [

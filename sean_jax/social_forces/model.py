@@ -9,10 +9,20 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Float, Int
 
 from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot, Scenario, State
-from sean_jax.social_forces.forces import Crowd, Force, Forces, Pair, PersonTerm, force_of, gather, sum_pair_terms
+from sean_jax.social_forces.forces import (
+    Crowd,
+    Force,
+    Forces,
+    Pair,
+    PersonTerm,
+    force_of,
+    gather,
+    look_direction,
+    sum_pair_terms,
+    turn,
+)
 from sean_jax.social_forces.neighbors import ABSENT, MIN_PEOPLE, Neighbors, find, sum_pairs
 from sean_jax.social_forces.terms import Cohesion, Repulsion, RobotRepulsion
-from sean_jax.social_forces.walking import look_direction, turn
 from sean_jax.social_forces.walls import Contact, project_velocity
 
 SUMS = "pair sums"  # reverse mode keeps these of a step, beside the state; the rest is computed anew

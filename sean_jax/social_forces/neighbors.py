@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Int, PyTree
 from sean_jax.base import Array
 from sean_jax.devices import by_platform
 from sean_jax.geometry import sum_in_pairs
-from sean_jax.social_forces.linear import linear_call
+from sean_jax.gradients import linear_call
 
 ABSENT = 1e7  # all rows of a person who is not there: far from everybody, and of no group
 TURNS = 4  # others over whom each thread of a GPU sums first, if the law gives more than two numbers

@@ -21,8 +21,7 @@ import yaml
 from sean_jax import files
 from sean_jax.errors import FileError, InputError
 from sean_jax.social_forces import terms, walls
-from sean_jax.social_forces.forces import Forces, Term, class_name, collect
-from sean_jax.social_forces.walking import Walking
+from sean_jax.social_forces.forces import Forces, Term, Walking, class_name, collect
 
 TERMS: tuple[type, ...] = (
     Walking,

@@ -18,8 +18,7 @@ from jaxtyping import Float
 
 from sean_jax.base import Array
 from sean_jax.geometry import angle_between, length, sum_vectors, unit
-from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Pair, gather, sum_pair_terms
-from sean_jax.social_forces.walking import Walking
+from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Pair, Walking, gather, sum_pair_terms
 from sean_jax.social_forces.walls import Contact
 
 NEGLIGIBLE = 1e-4  # m/s2, of a push

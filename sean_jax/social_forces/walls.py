@@ -18,8 +18,7 @@ from jaxtyping import Float
 from sean_jax.base import Array, ObstacleGrid
 from sean_jax.devices import by_platform
 from sean_jax.geometry import from_rectangle, nearby_obstacles, sum_vectors
-from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Forces, Pair
-from sean_jax.social_forces.walking import Walking
+from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Forces, Pair, Walking
 
 SUBSTEP = 0.05  # s, at most: a tenth of the relaxation time
 NEIGHBORS = 6  # bodies that touch a body in the densest packing; they make its stiffest mode

@@ -1,9 +1,8 @@
 """Robot tasks (section IV-E): start and goal of the robot."""
 
-from sean_jax.tasks.custom import custom, poses
 from sean_jax.tasks.handcrafted_task import handcrafted, pair
 from sean_jax.tasks.random_tasks import busy_ab_nav, join_group, leave_group, random_ab_nav
-from sean_jax.tasks.task import Mixture, build_task, check_requirement, requirement, requires
+from sean_jax.tasks.task import Mixture, build_task, check_requirement, custom, poses, requirement, requires
 
 TASKS = {
     "join_group": join_group,

@@ -33,8 +33,7 @@ from sean_jax.config import DEFAULT_FORCES
 from sean_jax.errors import InputError
 from sean_jax.files import unknown_name
 from sean_jax.geometry import build_obstacle_grid, length
-from sean_jax.pedestrian_models import MODELS
-from sean_jax.people import pedestrians_at
+from sean_jax.pedestrian_models import MODELS, pedestrians_at
 from sean_jax.social_forces import PRESETS, SUBSTEP, Cohesion, Forces, Term, presets
 
 CONTROL_STEP = 0.1  # s, at most, in which a pedestrian model moves people
