@@ -174,15 +174,12 @@ def _separated(pu, pv, qu, qv, hu, hv, radius) -> Array:
 # ------------------------------------------------------------------ obstacles by cell
 
 
-def build_obstacle_grid(
-    obstacles: Obstacles, floor: Float[Array, "4"], cell: float = 1.0, reach: float = REACH
-) -> ObstacleGrid:
-    """Build, on the host, a grid that has for each cell all obstacles within reach of any of its points.
+def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: float = 1.0) -> ObstacleGrid:
+    """Build, on the host, a grid that has for each cell all obstacles within ``REACH`` of any of its points.
 
     Args:
         floor: (4,) m, x_min, y_min, x_max, y_max.
         cell: m, side of a cell; wider on a floor with more than ``MAX_CELLS`` of them.
-        reach: m.
 
     Raises:
         InputError: too many obstacles lie near one place to fit in memory.
@@ -198,10 +195,10 @@ def build_obstacle_grid(
     for i in range(count[0]):  # by column: large floors would need too much memory at once
         dx, dy = x[i] - center[:, 0], y[:, None] - center[:, 1]  # (W,), (Y, W)
         along, across = np.abs(cosine * dx + sine * dy) - half[:, 0], np.abs(cosine * dy - sine * dx) - half[:, 1]
-        near[i] = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0)) <= reach + cell / np.sqrt(2)
+        near[i] = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0)) <= REACH + cell / np.sqrt(2)
     rows_max = max(1, int(near.sum(-1).max(initial=0)))
     if count[0] * count[1] * rows_max > MAX_ROWS:
-        raise InputError(f"up to {rows_max} obstacles are within {reach:g} m of one place; use fewer and larger boxes.")
+        raise InputError(f"up to {rows_max} obstacles are within {REACH:g} m of one place; use fewer and larger boxes.")
     rows = np.zeros((*count, rows_max, 6))
     rows[..., 0], rows[..., 1], rows[..., 4] = FAR, FAR, 1.0
     table = np.concatenate([center, half, cosine[:, None], sine[:, None]], 1)

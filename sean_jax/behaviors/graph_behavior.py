@@ -6,7 +6,6 @@ over waypoints. A person at a seat stays for a random duration, and a successor 
 in SEAN 2.0's code, and with ``group_membership="permanent"`` people who start in a group stay there.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import jax
@@ -220,44 +219,26 @@ def _send_at_start(scenario: Scenario, people: Pedestrians, memory: Memory) -> M
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
     """People keep a goal until they are there, along the cheapest path to it, as in the paper."""
-    return _direct(_whole, scenario, state, key)
+    return _direct(True, scenario, state, key)
 
 
 def direct_edge_by_edge(scenario: Scenario, state: State, key: Array) -> State:
     """People choose anew at every node and walk one edge of the path, as in SEAN 2.0's code."""
-    return _direct(_edge, scenario, state, key)
+    return _direct(False, scenario, state, key)
 
 
 ROUTINGS = {"whole": direct, "edge": direct_edge_by_edge}
 """name -> ``direct`` of the behavior: people are bound to the whole path to a goal, or to one edge"""
 
 
-def _whole(
-    tables: Tables, people: Pedestrians, memory: Memory, seats: Seats, free: Array, chance: Array, draws: Draws | None
-) -> tuple[Memory, Float[Array, "N"]]:
-    """New goals, and the share of the preferred speed at which each person walks."""
-    arrival = graph_choices.arrival_times(tables.graph, tables.walk, people, memory)
-    memory = graph_choices.choose_whole(tables.graph, people, memory, seats, arrival, free, chance, draws)
-    return memory, graph_choices.pace(tables.graph, arrival, memory, seats)
-
-
-def _edge(
-    tables: Tables, people: Pedestrians, memory: Memory, seats: Seats, free: Array, chance: Array, draws: Draws | None
-) -> tuple[Memory, Float[Array, "N"]]:
-    """As ``_whole``."""
-    memory = graph_choices.choose_edge(tables.graph, people, memory, free, chance, draws)
-    return memory, jnp.ones_like(people.preferred_speed)
-
-
-def _direct(choose: Callable, scenario: Scenario, state: State, key: Array) -> State:
-    """Goals, hops and desired velocities. People who stand at a seat are members of its group."""
+def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
+    """Goals, hops and desired velocities, by whole paths or edge by edge. People at a seat are members of its group."""
     tables: Tables = scenario.behavior.data
     graph, people, memory = tables.graph, state.pedestrians, state.memory
     if tables.congestion_cost is not None:
         walking = people.present & (memory.stay == 0)
         density = edge_densities(graph, memory.origin, memory.hop, walking)
         graph = add_congestion_cost(graph, density, tables.congestion_cost)
-        tables = replace(tables, graph=graph)
     draws, before = None, memory
     if tables.temperature is not None:
         key, draw_key = jax.random.split(key)
@@ -265,7 +246,13 @@ def _direct(choose: Callable, scenario: Scenario, state: State, key: Array) -> S
     chance = jax.random.uniform(key, (3, scenario.people), float)
     memory, free = _stay_or_leave(scenario, people, memory, chance[0], draws)
     seats = seats_of(memory, tables.patience, scenario.time_step)
-    memory, pace = choose(tables, people, memory, seats, free, chance[1:], draws)
+    if whole:
+        arrival = graph_choices.arrival_times(graph, tables.walk, people, memory)
+        memory = graph_choices.choose_whole(graph, people, memory, seats, arrival, free, chance[1:], draws)
+        pace = graph_choices.pace(graph, arrival, memory, seats)
+    else:
+        memory = graph_choices.choose_edge(graph, people, memory, free, chance[1:], draws)
+        pace = jnp.ones_like(people.preferred_speed)
     if scenario.behavior.companions is not None:
         goal, hop, origin, target = follow_leaders(
             people.walking_group, memory.goal, memory.hop, memory.origin, memory.target

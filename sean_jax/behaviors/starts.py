@@ -69,7 +69,6 @@ def in_discs(
     radius: Float[Array, "M"],
     chance: Float[Array, "M"],
     avoid: list[tuple[np.ndarray, float]],
-    seed: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Starts (P, 2) [m] in discs, no two nearer than 0.55 m, by dart throwing on the host; and the disc (P,) of each.
 
@@ -82,7 +81,7 @@ def in_discs(
         chance: of each disc; discs with 0 get no starts.
         avoid: centre (2,) m and radius m of discs without starts.
     """
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     middle, size, odds = (np.asarray(values, float) for values in (center, radius, chance))
     number = np.ceil(TRIES * size**2 / MIN_DISTANCE**2).astype(int) * (odds > 0)
     if number.sum() > MAX_TRIES:  # larger discs share these by their areas
@@ -99,14 +98,12 @@ def in_discs(
     return spots[chosen], disc[chosen]
 
 
-def anywhere(
-    environment: Environment, navigation: Navigation, people: int, seed: int = 0, dense: bool = False
-) -> np.ndarray:
+def anywhere(environment: Environment, navigation: Navigation, people: int, dense: bool = False) -> np.ndarray:
     """Starts (P, 2) [m] all over the walkable floor, no two nearer than 0.55 m; one a person or more, if they fit.
 
     The navigation's free places are enough for most numbers of people. For more, the whole floor is filled.
     """
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     spots = np.asarray(navigation.places)
     chosen = choose_apart(spots, generator)
     if len(chosen) >= people and not dense:

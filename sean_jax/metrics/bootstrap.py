@@ -111,7 +111,7 @@ def resamples(episodes: int, seed: int = 0, count: int | None = None) -> np.ndar
     return draw.multinomial(episodes, np.full(episodes, 1 / episodes), size=count).astype(np.float32)
 
 
-def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | None = None) -> np.ndarray:
+def hierarchical_resamples(sizes: Sequence[int]) -> np.ndarray:
     """(R, E) float32 weights of episodes in resamples, where groups of episodes are random themselves.
 
     Networks that were trained with several seeds on several datasets are such groups. Only the outermost level with
@@ -122,17 +122,15 @@ def hierarchical_resamples(sizes: Sequence[int], seed: int = 0, count: int | Non
     Args:
         sizes: number of groups at each level, and last the number of episodes of each innermost group: (10, 3, 410).
             E is their product; the episodes of the first dataset's first seed come first.
-        count: R, as in ``resamples``.
 
     Source: D. Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981), for weights that are no counts.
     """
     number = math.prod(sizes)
-    if count is None:
-        count = int(np.clip(ENTRIES // number, MIN_RESAMPLES, RESAMPLES))
+    count = int(np.clip(ENTRIES // number, MIN_RESAMPLES, RESAMPLES))
     groups = next((size for size in sizes if size > 1), 1)
     if groups == 1:
         return np.ones((count, number), np.float32)
-    draw = np.random.default_rng(seed)
+    draw = np.random.default_rng(0)
     normal = draw.standard_normal((count, groups))
     student = (normal - normal.mean(1, keepdims=True)) * np.sqrt(groups / draw.chisquare(groups - 1, (count, 1)))
     return np.repeat(1.0 + student, number // groups, axis=1).astype(np.float32)

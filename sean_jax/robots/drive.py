@@ -97,18 +97,6 @@ def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "2"])
     return Robot(way.position, _turned(heading, step * turn_rate), way.speed, turn_rate, drive_state)
 
 
-def wheel_speeds(model: RobotModel, robot: Robot, action: Float[Array, "2"], time_step: float) -> Float[Array, "2"]:
-    """Target speeds [rad/s] of the left and the right wheel for the command nearest to an action within the limits.
-
-    Args:
-        robot: its actual speeds, against which acceleration is limited over one control step.
-        action: m/s and rad/s.
-        time_step: s, of control.
-    """
-    speed, turn_rate = limit_command(model, robot.speed, robot.turn_rate, (action[0], action[1]), time_step)
-    return _rolling(model, speed, turn_rate)
-
-
 def active_command(
     model: RobotModel, drive_state: DriveState, action: Float[Array, "2"], time_step: float
 ) -> tuple[Float[Array, "2"], Int[Array, ""]]:
@@ -126,7 +114,8 @@ def active_command(
 def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -> Robot:
     model, robot = scenario.robot, state.robot
     command, age = active_command(model, robot.drive_state, action, scenario.time_step)
-    targets = wheel_speeds(model, robot, command, scenario.time_step)
+    speeds = limit_command(model, robot.speed, robot.turn_rate, (command[0], command[1]), scenario.time_step)
+    targets = _rolling(model, *speeds)
     before = coordinates(model, robot)
     steps, surroundings = physics_steps(model, scenario.time_step), _surroundings(scenario, state)
     position, velocity = physics(steps, model, surroundings, before, targets)

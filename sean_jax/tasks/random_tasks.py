@@ -20,6 +20,7 @@ SNAP = 1.0  # m, by which a place may be off the ring (SEAN 2.0)
 GOALS = 4  # goals for which starts are rated
 ROOM = 0.1  # m, to obstacles beside the robot's radius
 CANDIDATES = 64
+CLUSTERS, ITERATIONS = 3, 10  # of k-means
 CLEAR = 1.0  # m from the nearest person
 DETOUR = 10.0  # cost of a metre too little or too much to walk over that of a metre off the wanted place
 
@@ -175,9 +176,9 @@ def _crowded(pedestrians: Pedestrians, spots: Float[Array, "C 2"]) -> Float[Arra
 
 
 def k_means(
-    points: Float[Array, "N 2"], counted: Bool[Array, "N"], start: Float[Array, "K 2"], iterations: int = 10
+    points: Float[Array, "N 2"], counted: Bool[Array, "N"], start: Float[Array, "K 2"]
 ) -> tuple[Float[Array, "K 2"], Int[Array, "N"]]:
-    """Centres [m] of clusters by Lloyd's iterations, and the labels of their last step, -1 for points not counted.
+    """Centres [m] of clusters by Lloyd's ``ITERATIONS``, and the labels of their last step, -1 for points not counted.
 
     Each point is labelled by the nearest centre, the first of equally near ones. Then each centre moves to the mean of
     its points; a centre without points stays. ``start`` [m] are the first centres.
@@ -191,21 +192,21 @@ def k_means(
         mean = total / jnp.maximum(size, 1.0)[:, None]
         return jnp.where(size[:, None] > 0.0, mean, centers), None
 
-    before = jax.lax.scan(once, start, length=iterations - 1)[0]
+    before = jax.lax.scan(once, start, length=ITERATIONS - 1)[0]
     after = once(before, None)[0]
     return after, jnp.where(counted, _labels(points, before), -1)
 
 
-def busiest(points: Float[Array, "N 2"], counted: Bool[Array, "N"], key: Array, number: int = 3) -> Int[Array, ""]:
+def busiest(points: Float[Array, "N 2"], counted: Bool[Array, "N"], key: Array) -> Int[Array, ""]:
     """The medoid of the largest cluster of people: the index of the one with the smallest sum of distances in it.
 
     The first centres are random people. If nobody is counted, it is any index. Source: section IV-E.
     """
     chance = jnp.where(counted, jax.random.uniform(key, counted.shape, float), -1.0)
     # With fewer points than clusters, the last point is the first centre of several, which then stay empty.
-    order = jnp.argsort(-chance)[jnp.minimum(jnp.arange(number), counted.shape[0] - 1)]
+    order = jnp.argsort(-chance)[jnp.minimum(jnp.arange(CLUSTERS), counted.shape[0] - 1)]
     _, label = k_means(points, counted, points[order])
-    size = (label[:, None] == jnp.arange(number, dtype=jnp.int32)[None, :]).sum(0, dtype=jnp.int32)
+    size = (label[:, None] == jnp.arange(CLUSTERS, dtype=jnp.int32)[None, :]).sum(0, dtype=jnp.int32)
     mine = label == jnp.argmax(size).astype(jnp.int32)
     gaps = points[:, None, :] - points[None, :, :]
     distance = jnp.sqrt((gaps * gaps).sum(-1))
