@@ -17,7 +17,8 @@ from quick import quick
 
 from sean_jax import environment, raycast
 from sean_jax.base import Solids
-from sean_jax.raycast import bodies, intersect, kernel
+from sean_jax.raycast import intersect, kernel
+from sean_jax.raycast.view import HEAD, HEAD_RADIUS, SHOULDER
 
 mujoco: Any = import_module("mujoco")  # Any, for it has no type stubs
 RADIUS = 0.2  # m, of people
@@ -31,13 +32,11 @@ def mujoco_hits(name, people, origin, directions, radius=RADIUS):
             geom.size = [0, 0, 0.1]
     below = 1.0  # m, of the capsule under the floor, so that only its upper end is round
     for index, (x, y) in enumerate(people):
-        half = (bodies.SHOULDER + below) / 2
+        half = (SHOULDER + below) / 2
         capsule, ball = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
-        place = [x, y, bodies.SHOULDER - half]
+        place = [x, y, SHOULDER - half]
         spec.worldbody.add_geom(name=f"body-{index}", type=capsule, size=[radius, half, 0], pos=place)
-        spec.worldbody.add_geom(
-            name=f"head-{index}", type=ball, size=[bodies.HEAD_RADIUS, 0, 0], pos=[x, y, bodies.HEAD]
-        )
+        spec.worldbody.add_geom(name=f"head-{index}", type=ball, size=[HEAD_RADIUS, 0, 0], pos=[x, y, HEAD])
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -125,7 +124,7 @@ def test_closed_forms():
     walked = np.sqrt(8) - RADIUS
     assert np.allclose(found[:7], [4, 5.01 - np.sqrt(2), 4.7, 4.5, 7.7, walked, 0.3], atol=1e-5)
     assert found[7] == raycast.MISS
-    high = fan([0, 0, bodies.HEAD], [1, 1, 0])
+    high = fan([0, 0, HEAD], [1, 1, 0])
     assert np.allclose(raycast.distance(seen_from(high, yard(), [(2.0, 2.0)]), high), np.sqrt(8) - 0.13, atol=1e-5)
 
 

@@ -4,8 +4,7 @@
 meets. ``surface`` gives distance and normal there.
 """
 
-from sean_jax.raycast.bodies import MISS, View, make_view
 from sean_jax.raycast.intersect import along, distance, search, surface
-from sean_jax.raycast.rays import Rays, bundle, by_rows
+from sean_jax.raycast.view import MISS, Rays, View, bundle, by_rows, make_view
 
 __all__ = ["MISS", "Rays", "View", "along", "bundle", "by_rows", "distance", "make_view", "search", "surface"]

@@ -18,8 +18,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Bool
 
 from sean_jax.base import Array
-from sean_jax.raycast.bodies import MISS, ground
-from sean_jax.raycast.rays import Beams, Rays
+from sean_jax.raycast.view import MISS, Beams, Rays, ground
 
 WIDTH = 128  # threads of a program, each of which has one ray
 HOPPER = 9.0  # compute capability of the oldest GPUs that the kernel was tried on
