@@ -38,6 +38,7 @@ from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph, annotation
 from sean_jax.graph.behavior_graph import add_congestion_cost, edge_densities
 from sean_jax.graph.formation import formation, reach
+from sean_jax.pedestrian_models import pedestrians_at
 from sean_jax.social_forces import draw_traits
 
 SEATED = 0.25  # m from a seat, where the walk ends and the stay begins
@@ -159,15 +160,12 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     present = present_people(scenario)
     if scenario.people_present is not None:
         seat = jnp.where(present, seat, -1)
-    pedestrians = Pedestrians(
-        position=position,
-        velocity=jnp.zeros_like(position),
-        heading=jnp.concatenate([seat_heading[first_seats], facing]),
-        desired_velocity=jnp.zeros_like(position),
+    preferred_speed = group_speeds(scenario, walking_group, preferred_speed)
+    heading = jnp.concatenate([seat_heading[first_seats], facing])
+    pedestrians = replace(
+        pedestrians_at(position, preferred_speed=preferred_speed, heading=heading, present=present),
         group=jnp.where(seat >= 0, of_seat(graph.seat_group, seat), -1),
         walking_group=walking_group,
-        present=present,
-        preferred_speed=group_speeds(scenario, walking_group, preferred_speed),
         robot_distance=robot_distance,
     )
     groups = Groups(center=center, radius=radius, opening=opening, present=jnp.ones(radius.shape, bool))

@@ -1,6 +1,6 @@
 """Shortest paths around obstacles, exact for discs: tables over the corners of inflated obstacles, looked up in jit."""
 
-from sean_jax.navigation.arcs import SLACK, segment_is_free
+from sean_jax.navigation.arcs import segment_is_free
 from sean_jax.navigation.next_corner_table import (
     CLOSE,
     NextCornerTable,
@@ -18,15 +18,13 @@ from sean_jax.navigation.shortest_paths import (
     path_rotation,
     plan,
 )
-from sean_jax.navigation.tables import CELL, CODE, MAX_CELLS, Navigation, build, inputs
+from sean_jax.navigation.tables import CELL, CODE, Navigation, build, inputs
 
 __all__ = [
     "CELL",
     "CLOSE",
     "CODE",
-    "MAX_CELLS",
     "PLACES",
-    "SLACK",
     "Navigation",
     "NextCornerTable",
     "build",
