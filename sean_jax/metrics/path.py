@@ -14,6 +14,7 @@ from sean_jax.metrics.metric import (
     Ratio,
     duration,
     final,
+    identity,
     in_seconds,
     mean,
     minimum,
@@ -230,18 +231,10 @@ The iGibson social navigation challenge takes for T* the time of an ORCA robot t
 # --- smoothness, from differences of the velocity ---
 
 
-class MeanJerk(NamedTuple):
-    """The sum of the jerk and its steps, and the acceleration in the last step."""
+class Smoothness(NamedTuple):
+    """A figure of the steps so far, and the acceleration in the last step."""
 
-    jerk: Ratio
-    acceleration: Float[Array, "2"]  # m/s2
-    known: Float[Array, ""]  # 1 once there is an acceleration, else 0
-
-
-class Maximum(NamedTuple):
-    """The maximum so far, and the acceleration in the last step."""
-
-    amount: Float[Array, ""]
+    figure: Array | Ratio
     acceleration: Float[Array, "2"]  # m/s2
     known: Float[Array, ""]  # 1 once there is an acceleration, else 0
 
@@ -259,39 +252,33 @@ def _acceleration_size(before: Snapshot, after: Snapshot) -> Array:
     return length(now[0], now[1])
 
 
-def _jerk_size(before: Snapshot, after: Snapshot, value: MeanJerk | Maximum) -> Array:
+def _jerk_size(before: Snapshot, after: Snapshot, value: Smoothness) -> Array:
     """0 in the first step, before which no acceleration is known."""
     change = (_acceleration(before, after) - value.acceleration) / after.time_step
     return value.known * length(change[0], change[1])
 
 
-def _init_mean_jerk(snapshot: Snapshot) -> MeanJerk:
-    return MeanJerk(zero_ratio(snapshot), jnp.zeros_like(snapshot.velocity), jnp.zeros_like(snapshot.geodesic))
+def _add_jerk(value: Smoothness, before: Snapshot, after: Snapshot) -> Ratio:
+    weights, (amount, weight) = situation_weights(after), value.figure
+    return Ratio(amount + _jerk_size(before, after, value) * weights, weight + value.known * weights)
 
 
-def _update_mean_jerk(value: MeanJerk, before: Snapshot, after: Snapshot) -> MeanJerk:
-    weights = situation_weights(after)
-    return MeanJerk(
-        jerk=Ratio(
-            value.jerk.amount + _jerk_size(before, after, value) * weights, value.jerk.weight + value.known * weights
-        ),
-        acceleration=_acceleration(before, after),
-        known=jnp.ones_like(value.known),
-    )
+def _smoothness(init: Callable, update: Callable, compute: Callable) -> Metric:
+    """A metric whose figure is updated with the acceleration before the step: ``update(value, before, after)``."""
+
+    def start(snapshot: Snapshot) -> Smoothness:
+        return Smoothness(init(snapshot), jnp.zeros_like(snapshot.velocity), jnp.zeros_like(snapshot.geodesic))
+
+    def step(value: Smoothness, before: Snapshot, after: Snapshot) -> Smoothness:
+        return Smoothness(update(value, before, after), _acceleration(before, after), jnp.ones_like(value.known))
+
+    return Metric(start, step, lambda value: compute(value.figure))
 
 
 def _maximum(size: Callable) -> Metric:
     """Maximum of ``size(before, after, value)`` over the steps."""
-
-    def init(snapshot: Snapshot) -> Maximum:
-        zero = jnp.zeros_like(snapshot.geodesic)
-        return Maximum(zero, jnp.zeros_like(snapshot.velocity), zero)
-
-    def update(value: Maximum, before: Snapshot, after: Snapshot) -> Maximum:
-        now = size(before, after, value)
-        return Maximum(jnp.maximum(value.amount, now), _acceleration(before, after), jnp.ones_like(value.known))
-
-    return Metric(init, update, lambda value: value.amount)
+    largest = lambda value, before, after: jnp.maximum(value.figure, size(before, after, value))  # noqa: E731
+    return _smoothness(lambda snapshot: jnp.zeros_like(snapshot.geodesic), largest, identity)
 
 
 mean_speed = mean(_speed)
@@ -300,7 +287,7 @@ mean_speed = mean(_speed)
 mean_acceleration = mean(_acceleration_size)
 """Mean of |v_k+1 - v_k| / dt over the steps: of the velocity vector, so that curves count."""
 
-mean_jerk = Metric(_init_mean_jerk, _update_mean_jerk, lambda value: ratio(value.jerk))
+mean_jerk = _smoothness(zero_ratio, _add_jerk, ratio)
 """Mean of |a_k+1 - a_k| / dt over the steps from the second on, a as in ``mean_acceleration``."""
 
 max_speed = _maximum(lambda before, after, value: _speed(before, after))
