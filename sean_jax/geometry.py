@@ -122,16 +122,18 @@ def signed_distances_on_host(
 ) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P"]]:
     """``signed_distances`` by numpy in double precision: nothing is compiled for a call that happens once."""
     points, floor = np.asarray(points, float), np.asarray(environment.floor, float)
-    boxes = environment.obstacles
+    parts = np.array_split(points, max(1, len(points) // HOST_BATCH))
+    to_boxes = [_distances_to_boxes(environment.obstacles, part).min(1, initial=np.inf) for part in parts]
+    return np.concatenate(to_boxes), np.minimum(points - floor[:2], floor[2:] - points).min(1)
+
+
+def _distances_to_boxes(boxes: Obstacles, points: np.ndarray) -> np.ndarray:
+    """(P, W) signed distances [m] from each box to the points (P, 2) [m], negative inside, by numpy."""
     center, half, yaw = (np.asarray(part, float) for part in (boxes.center, boxes.half_extent, boxes.yaw))
     cosine, sine = np.cos(yaw), np.sin(yaw)
-    to_boxes = []
-    for part in np.array_split(points, max(1, len(points) // HOST_BATCH)):
-        x, y = part[:, None, 0] - center[:, 0], part[:, None, 1] - center[:, 1]
-        u, v = np.abs(cosine * x + sine * y) - half[:, 0], np.abs(cosine * y - sine * x) - half[:, 1]
-        distance = np.hypot(np.maximum(u, 0.0), np.maximum(v, 0.0)) + np.minimum(np.maximum(u, v), 0.0)
-        to_boxes.append(distance.min(1, initial=np.inf))
-    return np.concatenate(to_boxes), np.minimum(points - floor[:2], floor[2:] - points).min(1)
+    x, y = points[:, None, 0] - center[:, 0], points[:, None, 1] - center[:, 1]
+    u, v = np.abs(cosine * x + sine * y) - half[:, 0], np.abs(cosine * y - sine * x) - half[:, 1]
+    return np.hypot(np.maximum(u, 0.0), np.maximum(v, 0.0)) + np.minimum(np.maximum(u, v), 0.0)
 
 
 def to_edge(environment: Environment, x: Array, y: Array) -> Array:
@@ -189,19 +191,17 @@ def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: fl
     count = np.maximum(1, np.ceil((upper - lower) / cell).astype(int))
     x = lower[0] + (np.arange(count[0]) + 0.5) * cell
     y = lower[1] + (np.arange(count[1]) + 0.5) * cell
-    center, half = np.asarray(obstacles.center, float), np.asarray(obstacles.half_extent, float)
-    cosine, sine = np.cos(np.asarray(obstacles.yaw, float)), np.sin(np.asarray(obstacles.yaw, float))
-    near = np.zeros((*count, len(center)), bool)
+    near = np.zeros((*count, len(np.asarray(obstacles.yaw))), bool)
     for i in range(count[0]):  # by column: large floors would need too much memory at once
-        dx, dy = x[i] - center[:, 0], y[:, None] - center[:, 1]  # (W,), (Y, W)
-        along, across = np.abs(cosine * dx + sine * dy) - half[:, 0], np.abs(cosine * dy - sine * dx) - half[:, 1]
-        near[i] = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0)) <= REACH + cell / np.sqrt(2)
+        column = np.stack([np.full_like(y, x[i]), y], -1)
+        near[i] = _distances_to_boxes(obstacles, column) <= REACH + cell / np.sqrt(2)
     rows_max = max(1, int(near.sum(-1).max(initial=0)))
     if count[0] * count[1] * rows_max > MAX_ROWS:
         raise InputError(f"up to {rows_max} obstacles are within {REACH:g} m of one place; use fewer and larger boxes.")
     rows = np.zeros((*count, rows_max, 6))
     rows[..., 0], rows[..., 1], rows[..., 4] = FAR, FAR, 1.0
-    table = np.concatenate([center, half, cosine[:, None], sine[:, None]], 1)
+    yaw = np.asarray(obstacles.yaw, float)[:, None]
+    table = np.concatenate([obstacles.center, obstacles.half_extent, np.cos(yaw), np.sin(yaw)], 1)
     for i, j in np.argwhere(near.any(-1)):
         index = np.flatnonzero(near[i, j])
         rows[i, j, : len(index)] = table[index]

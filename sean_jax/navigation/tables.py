@@ -16,6 +16,7 @@ from sean_jax import environment as environments
 from sean_jax.base import Array, Environment, Obstacles
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
+from sean_jax.geometry import signed_distances_on_host
 from sean_jax.navigation.arcs import (
     ANGLE,
     SLACK,
@@ -212,7 +213,6 @@ def find_arcs(environment: Environment, radius: float) -> CornerArcs:
     """
     boxes = environment.obstacles
     center, half, yaw = (np.asarray(part, float) for part in (boxes.center, boxes.half_extent, boxes.yaw))
-    floor = np.asarray(environment.floor, float)
     signs = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
     corner = (center[:, None] + _rotated(half[:, None] * signs, yaw[:, None])).reshape(-1, 2)
     middle = _rotated(np.broadcast_to(signs / np.sqrt(2), (len(yaw), 4, 2)), yaw[:, None]).reshape(-1, 2)
@@ -220,10 +220,7 @@ def find_arcs(environment: Environment, radius: float) -> CornerArcs:
     def free(index: np.ndarray, angle: np.ndarray) -> np.ndarray:
         """Whether the disc is clear at these angles, counter-clockwise, of the circles about those corners."""
         place = corner[index] + radius * _rotated(middle[index], angle)
-        u, v = np.moveaxis(_rotated(place[..., None, :] - center, -yaw), -1, 0)
-        over = np.hypot(np.maximum(np.abs(u) - half[:, 0], 0.0), np.maximum(np.abs(v) - half[:, 1], 0.0))
-        to_edge = np.minimum(place - floor[:2], floor[2:] - place).min(-1)
-        return np.minimum(over.min(-1, initial=np.inf), to_edge) >= radius - 1e-6
+        return np.minimum(*signed_distances_on_host(environment, place)) >= radius - 1e-6
 
     angles = np.linspace(-np.pi / 4, np.pi / 4, SAMPLES)
     index = np.arange(len(corner))
