@@ -232,10 +232,10 @@ def _problems(settings: Settings) -> list[files.Problem]:
 def _from_settings(settings: Settings, robot: RobotModel) -> Sensor:
     errors = None if settings.errors is None else distance_errors(**settings.errors.model_dump())
     others = {"kind", "name", "mount", "errors"}
-    fields = settings.model_dump(exclude=others, exclude_unset=True, exclude_none=True)
+    fields: dict[str, Any] = settings.model_dump(exclude=others, exclude_unset=True, exclude_none=True)
     if settings.kind == "lidar":
-        angles = {key: math.radians(fields[key]) for key in ("first", "span") if key in fields}
-        return lidar_sensor(lidar(robot, **fields | angles), errors, settings.name or "lidar")
+        fields |= {key: math.radians(fields[key]) for key in ("first", "span") if key in fields}
+        return lidar_sensor(lidar(robot, **fields), errors, settings.name or "lidar")
     device = camera(robot, settings.mount or MOUNTS[settings.kind], **fields)
     if settings.kind == "depth":
         return depth_sensor(device, errors, settings.name)
