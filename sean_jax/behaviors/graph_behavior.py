@@ -38,7 +38,6 @@ from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph, annotation
 from sean_jax.graph.behavior_graph import add_congestion_cost, edge_densities
 from sean_jax.graph.formation import formation, reach
-from sean_jax.pedestrian_models import pedestrians_at
 from sean_jax.social_forces import draw_traits
 
 SEATED = 0.25  # m from a seat, where the walk ends and the stay begins
@@ -160,12 +159,15 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     present = present_people(scenario)
     if scenario.people_present is not None:
         seat = jnp.where(present, seat, -1)
-    preferred_speed = group_speeds(scenario, walking_group, preferred_speed)
-    heading = jnp.concatenate([seat_heading[first_seats], facing])
-    pedestrians = replace(
-        pedestrians_at(position, preferred_speed=preferred_speed, heading=heading, present=present),
+    pedestrians = Pedestrians(
+        position=position,
+        velocity=jnp.zeros_like(position),
+        heading=jnp.concatenate([seat_heading[first_seats], facing]),
+        desired_velocity=jnp.zeros_like(position),
         group=jnp.where(seat >= 0, of_seat(graph.seat_group, seat), -1),
         walking_group=walking_group,
+        present=present,
+        preferred_speed=group_speeds(scenario, walking_group, preferred_speed),
         robot_distance=robot_distance,
     )
     groups = Groups(center=center, radius=radius, opening=opening, present=jnp.ones(radius.shape, bool))
@@ -244,12 +246,13 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
     chance = jax.random.uniform(key, (3, scenario.people), float)
     memory, free = _stay_or_leave(scenario, people, memory, chance[0], draws)
     seats = seats_of(memory, tables.patience, scenario.time_step)
+    choice = chance[1:]
     if whole:
         arrival = graph_choices.arrival_times(graph, tables.walk, people, memory)
-        memory = graph_choices.choose_whole(graph, people, memory, seats, arrival, free, chance[1:], draws)
+        memory = graph_choices.choose_whole(graph, people, memory, seats, arrival, free, choice, draws)
         pace = graph_choices.pace(graph, arrival, memory, seats)
     else:
-        memory = graph_choices.choose_edge(graph, people, memory, free, chance[1:], draws)
+        memory = graph_choices.choose_edge(graph, people, memory, free, choice, draws)
         pace = jnp.ones_like(people.preferred_speed)
     if scenario.behavior.companions is not None:
         goal, hop, origin, target = follow_leaders(

@@ -20,7 +20,6 @@ from sean_jax.graph.formation import formation
 from sean_jax.handcrafted import ALL, ARRIVED, Sets, annotation
 from sean_jax.handcrafted.sets import Ways
 from sean_jax.handcrafted.sets import build as build_sets
-from sean_jax.pedestrian_models import pedestrians_at
 from sean_jax.social_forces import draw_traits
 
 SETTLING = 0.5  # s, in which people who were pushed from a seat step back
@@ -89,11 +88,17 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     heading = jnp.where(walks[:, None], ahead, seat_heading)
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
     velocity = jnp.where(walks[:, None], preferred_speed[:, None] * heading, 0.0)
-    position = jnp.where(walks[:, None], place, seat_position)
-    pedestrians = pedestrians_at(
-        position, velocity, preferred_speed=preferred_speed, heading=heading, present=one.present
+    pedestrians = Pedestrians(
+        position=jnp.where(walks[:, None], place, seat_position),
+        velocity=velocity,
+        heading=heading,
+        desired_velocity=velocity,
+        group=jnp.where(stands, one.group, -1),
+        walking_group=jnp.full(people, -1, jnp.int32),
+        present=one.present,
+        preferred_speed=preferred_speed,
+        robot_distance=robot_distance,
     )
-    pedestrians = replace(pedestrians, group=jnp.where(stands, one.group, -1), robot_distance=robot_distance)
     there = one.capacity > 0
     formed = Groups(center=one.center, radius=radius[:groups], opening=opening[:groups], present=there)
     return pedestrians, formed, Memory(number, target, seat_position, seat_heading)

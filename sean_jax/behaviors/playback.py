@@ -17,7 +17,6 @@ from sean_jax import clock
 from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
 from sean_jax.behaviors.starts import Place, no_groups
 from sean_jax.errors import InputError
-from sean_jax.pedestrian_models import pedestrians_at
 from sean_jax.recordings import check_clock, motion_between_rows, read
 from sean_jax.social_forces import draw_traits
 
@@ -79,8 +78,18 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     first = jax.random.randint(begin_key, (), 0, latest + 1, jnp.int32)
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, scenario.people)
     position, velocity, heading, present = _at(motion, first)
-    people = pedestrians_at(position, velocity, preferred_speed=preferred_speed, heading=heading, present=present)
-    return replace(people, robot_distance=robot_distance), no_groups(), Memory(first)
+    people = Pedestrians(
+        position=position,
+        velocity=velocity,
+        heading=heading,
+        desired_velocity=velocity,
+        group=jnp.full(scenario.people, -1, jnp.int32),
+        walking_group=jnp.full(scenario.people, -1, jnp.int32),
+        present=present,
+        preferred_speed=preferred_speed,
+        robot_distance=robot_distance,
+    )
+    return people, no_groups(), Memory(first)
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:

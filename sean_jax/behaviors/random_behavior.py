@@ -34,7 +34,6 @@ from sean_jax.behaviors.starts import (
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
-from sean_jax.pedestrian_models import pedestrians_at
 from sean_jax.social_forces import draw_traits
 
 ARRIVED = 1.0  # m from the goal (SEAN 2.0)
@@ -103,14 +102,21 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     walking_group = leaders(scenario.behavior.companions, people)
     angle = jax.random.uniform(turn_key, (people,), float, 0.0, 2 * jnp.pi)
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
-    preferred_speed = group_speeds(scenario, walking_group, preferred_speed)
-    heading, present = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1), present_people(scenario)
-    pedestrians = pedestrians_at(
-        tables.start[chosen], preferred_speed=preferred_speed, heading=heading, present=present
+    position = tables.start[chosen]
+    pedestrians = Pedestrians(
+        position=position,
+        velocity=jnp.zeros_like(position),
+        heading=jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1),
+        desired_velocity=jnp.zeros_like(position),
+        group=jnp.full(people, -1, jnp.int32),
+        walking_group=walking_group,
+        present=present_people(scenario),
+        preferred_speed=group_speeds(scenario, walking_group, preferred_speed),
+        robot_distance=robot_distance,
     )
-    pedestrians = replace(pedestrians, walking_group=walking_group, robot_distance=robot_distance)
+    groups = no_groups()
     goal = paths.draw_places(tables.navigation, goal_key, people)
-    return pedestrians, no_groups(), Memory(*follow_leaders(walking_group, goal))
+    return pedestrians, groups, Memory(*follow_leaders(walking_group, goal))
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:

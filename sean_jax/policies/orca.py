@@ -58,8 +58,7 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"]:
 
     wall_x, wall = _obstacle_half_planes(scenario, state)
     nx, ny = jnp.concatenate([nx, wall_x]), jnp.concatenate([ny, jnp.zeros_like(wall_x)])
-    hard = jnp.arange(c.shape[0] + wall.shape[0]) >= c.shape[0]
-    bounds = jnp.concatenate([c, wall])
+    bounds, hard = jnp.concatenate([c, wall]), jnp.arange(c.shape[0] + wall.shape[0]) >= c.shape[0]
     x, y = best_velocity(VelocityProgram(nx, ny, bounds, hard, *wish, model.max_speed))
     speed, turn = clip_speeds(model, x, y / lever)
     arrived = length(observation.goal[0], observation.goal[1]) < GOAL_TOLERANCE
