@@ -38,6 +38,11 @@ class Scene:
     robot: tuple[tuple[float, float], tuple[float, float]] | None = None  # place [m] and velocity [m/s], constant
     seed: int = 0  # of what the simulation draws
 
+    def robot_path(self, time: np.ndarray) -> np.ndarray:
+        """(T, 2) m, where the robot is at times (T,) s; the origin without one."""
+        place, velocity = (np.asarray(part, float) for part in self.robot or ((0.0, 0.0), (0.0, 0.0)))
+        return place + np.asarray(time)[:, None] * velocity
+
 
 @dataclass(frozen=True)
 class Model:

@@ -6,7 +6,7 @@ no more than a small crowd.
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -23,18 +23,6 @@ BATCHES = 1, 4, 16, 64  # sizes to which numbers of scenes side by side are padd
 MAX_TOGETHER = 2048  # people in scenes side by side
 LARGE = 256  # people, from which scenes run one after the other
 SMALLER = 64, 256, 512, 1024, 2048  # sizes to which a large crowd shrinks
-
-
-@dataclass(frozen=True)
-class Moving:
-    """The positions of a robot that does not react, as a scene has it."""
-
-    place: tuple[float, float]  # m
-    velocity: tuple[float, float]  # m/s
-
-    def at(self, time: np.ndarray) -> np.ndarray:
-        """(T, 2) m at times (T,) s."""
-        return np.asarray(self.place) + np.asarray(time)[:, None] * np.asarray(self.velocity)
 
 
 def simulate(

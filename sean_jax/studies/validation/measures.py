@@ -5,14 +5,14 @@ Physica A 389, 1902 (2010).
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from sean_jax.recordings import Tracks
 from sean_jax.studies.scenes import Gate
-from sean_jax.studies.validation.check import Skipped
+from sean_jax.studies.validation.checks import Skipped
 
 LANE = 0.3  # m, people within that distance across a corridor walk in one lane
 SPEED_SPAN = 0.5  # s before and after, over which a speed is a difference of positions
@@ -113,17 +113,18 @@ def speeds(tracks: Tracks) -> np.ndarray:
     return np.where(present[1:] & present[:-1], step, np.nan)
 
 
-class AreaMeans(NamedTuple):
-    """Density and speed in an area, averaged over moments."""
-
-    density: float  # 1/m2
-    speed: float  # m/s; NaN if nobody is there
+def steps_along(x: np.ndarray, period: float) -> np.ndarray:
+    """(T - 1, N) m along x between moments, from positions (T, N) m in a periodic scene."""
+    step = np.diff(x, axis=0)
+    return step - period * np.round(step / period)
 
 
 def area_means(
     tracks: Tracks, floor: Bounds, area: Bounds, rows: slice = slice(None), period: float | None = None
-) -> AreaMeans:
-    """Voronoi density and speed in an area, means over moments; the speed over moments with somebody in the area.
+) -> tuple[float, float]:
+    """Voronoi density [1/m2] and speed [m/s] in an area, means over moments.
+
+    The speed is of moments with somebody in the area; NaN if nobody is ever there.
 
     Args:
         floor: to which cells are cut; people off it are left out.
@@ -138,7 +139,7 @@ def area_means(
     chosen = range(*rows.indices(len(tracks.present)))
     counted = table[on_floor & table.frame.isin(chosen)]
     if not len(counted):
-        return AreaMeans(0.0, float("nan"))
+        return 0.0, float("nan")
     speed = package.compute_individual_speed(
         traj_data=everybody,
         frame_step=max(1, round(SPEED_SPAN * frame_rate)),
@@ -155,7 +156,7 @@ def area_means(
     )
     density, speeds = (part.reset_index().set_index("frame") for part in (density, speeds))
     density, speeds = density.density.reindex(chosen, fill_value=0.0), speeds.speed.reindex(chosen)
-    return AreaMeans(float(density.mean()), float(speeds[density > 0.0].mean()))
+    return float(density.mean()), float(speeds[density > 0.0].mean())
 
 
 def lane_order(
@@ -183,24 +184,6 @@ def lane_order(
             near = np.abs(y[there, None] - y[None, there]) < width
             order[t] = np.mean((near @ direction[there] / near.sum(1)) ** 2)
     return order
-
-
-def single_file(
-    along: Float[np.ndarray, "T N"], velocity: Float[np.ndarray, "T N"], length: float
-) -> tuple[Float[np.ndarray, "T N"], Float[np.ndarray, "T N"]]:
-    """Density (T, N) 1/m and speed (T, N) m/s in a single file around a loop, in the order along it.
-
-    The density is that of Voronoi cells in one dimension: one over half the distance between both neighbors.
-
-    Args:
-        along: (T, N) m, position along the loop, whose length is in m.
-    """
-    along = np.asarray(along, float) % length
-    order = np.argsort(along, axis=1)
-    ahead = np.diff(np.take_along_axis(along, order, 1), axis=1, append=0.0)
-    ahead[:, -1] = length - ahead[:, :-1].sum(1)
-    cell = 0.5 * (ahead + np.roll(ahead, 1, axis=1))
-    return 1.0 / np.maximum(cell, 1e-6), np.take_along_axis(np.asarray(velocity, float), order, 1)
 
 
 def separation(
