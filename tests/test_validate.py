@@ -152,7 +152,9 @@ def test_speeds_and_densities_of_an_even_stream():
     tracks = tracks_of(np.stack([x, np.ones_like(x)], -1))
     assert guidelines.speed_in_squares(tracks, 26.0) == pytest.approx(0.9)
     assert guidelines.speed_in_zone(tracks, 26.0) == pytest.approx(0.9)
-    assert guidelines.density(tracks, (4.0, 0.0), (14.0, 2.0), (5.0, 35.0)) == pytest.approx(1.0, rel=0.02)
+    assert guidelines.density(tracks, (4.0, 0.0), (14.0, 2.0), np.linspace(0.0, 40.0, 9)) == pytest.approx(
+        1.0, rel=0.02
+    )
 
 
 def test_trajectories_for_pedpy_begin_anew_where_people_come_around():

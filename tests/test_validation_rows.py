@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sean_jax import social_forces
-from sean_jax.studies.prediction.benchmark import Scores
+from sean_jax.studies.prediction import Scores
 from sean_jax.studies.scenes import model
 from sean_jax.studies.validation import crowds, individuals
 from sean_jax.studies.validation.checks import CHECKS, CheckContext, Skipped
