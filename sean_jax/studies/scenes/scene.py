@@ -34,7 +34,7 @@ from sean_jax.files import unknown_name
 from sean_jax.geometry import build_obstacle_grid
 from sean_jax.social_forces import presets
 from sean_jax.social_forces.forces import Forces, Term
-from sean_jax.studies.scenes.walkers import NEVER, Gate, Point, Walkers, walkers_behavior
+from sean_jax.studies.scenes.walkers import AWAY, NEVER, Gate, Point, Walkers, padded_size, walkers_behavior
 
 THIN = 0.02  # m, thickness of a wall that is drawn as a segment
 THICK = 0.2  # m, of the walls around rooms and corridors, which lie outside them
@@ -151,7 +151,6 @@ def _grid(plan: np.ndarray, floor: Any) -> ObstacleGrid:
 # ------------------------------------------------------------------ scenes
 
 TIME_STEP = 0.1  # s
-AWAY = 1e3  # m, where the robot of a scene without one stands
 
 
 @dataclass(frozen=True)
@@ -270,7 +269,7 @@ def scenario_of(scene: Scene, moved_by: Model | None = None) -> Scenario:
         metrics=(),
         time_step=TIME_STEP,
         time_limit=NEVER,
-        people=behavior.people,
+        people=padded_size(len(scene.walkers.start)),
         substeps=social_forces.substeps(forces, TIME_STEP),
         task_name="",
     )

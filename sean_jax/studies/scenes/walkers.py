@@ -35,7 +35,7 @@ TRIES = 20_000  # places tried by ``spread`` at a time
 NEVER = 1e9  # s, entry time of padding
 PEOPLE = 16, 64, 128, 256, 512, 1024, 2048, 4096  # sizes to which crowds are padded
 GATES, LEGS = 32, 8  # sizes to which gates, and gates of one route, are padded
-AWAY = 1e3  # m, where nobody is
+AWAY = 1e3  # m, where absent people are, and the robot of a scene without one
 
 
 class Gate(NamedTuple):

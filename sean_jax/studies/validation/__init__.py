@@ -94,5 +94,6 @@ def _report(bar: Progress, number: int, name: str, share: float) -> None:
 
 
 def _print(console: "Console | None", *lines: str) -> None:
-    for line in lines if console is not None else ():
-        console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)
+    if console is not None:
+        for line in lines:
+            console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)
