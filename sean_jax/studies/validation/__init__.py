@@ -51,10 +51,8 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
             for model in models:
                 bar.start(check.name, len(selected))
                 bar.update(number, model.name)
-                row, test = (
-                    checks.load(folder, check, model, options),
-                    (check.function, str(check.arguments), model.name),
-                )
+                test = check.function, str(check.arguments), model.name
+                row = checks.load(folder, check, model, options)
                 if row is None:
                     if test in done:
                         row = replace(done[test], check=check.name, seconds=0.0)

@@ -33,8 +33,7 @@ def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
     gap = position - left
     behind = gap[..., 1] * ux - gap[..., 0] * uy  # (T, N) m
     along = gap[..., 0] * ux + gap[..., 1] * uy
-    there = present | np.concatenate([np.zeros((1, present.shape[1]), bool), present[:-1]])
-    step = (behind[:-1] <= 0.0) & (behind[1:] > 0.0) & there[1:] & present[:-1]
+    step = (behind[:-1] <= 0.0) & (behind[1:] > 0.0) & present[:-1]
     step &= (along[1:] > -0.5) & (along[1:] < wide + 0.5)
     first = np.where(step.any(0), step.argmax(0), -1)
     own = np.arange(position.shape[1])
@@ -50,17 +49,12 @@ def vanishing_times(tracks: Tracks) -> Float[np.ndarray, "N"]:
     return np.where(present.any(0) & ~present[-1], (last + 1) * tracks.time_step, np.inf)
 
 
-def flow(times: Float[np.ndarray, "N"], shares: tuple[float, float] = (0.2, 0.8)) -> float:
-    """The mean flow [people/s] between two of the crossing times (N,) s; NaN with fewer than 3 crossings.
-
-    Args:
-        times: inf of people who never cross.
-        shares: of all crossings, between which it is measured.
-    """
+def flow(times: Float[np.ndarray, "N"]) -> float:
+    """The mean flow [people/s] from 20 to 80 % of the crossing times (N,) s, inf of none; NaN with fewer than 3."""
     crossed = np.sort(times[np.isfinite(times)])
     if len(crossed) < 3:
         return float("nan")
-    first, last = (int(round(share * (len(crossed) - 1))) for share in shares)
+    first, last = (int(round(share * (len(crossed) - 1))) for share in (0.2, 0.8))
     return (last - first) / max(float(crossed[last] - crossed[first]), 1e-9)
 
 
