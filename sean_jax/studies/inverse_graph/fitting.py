@@ -212,7 +212,7 @@ LEARNING_RATE = 0.05
 STEPS = 600
 PARTS = 12  # progress is shown after each
 PLAIN = 2e-3  # by which factors are drawn to 1, and weights to one another, where there are no walks
-HELD = 0.5  # share of the time for which a group holds as many members as its capacity
+FULL_SHARE = 0.5  # of the time, for which a group has as many members as its capacity
 FEWEST_STAYS = 5  # for a distribution
 
 
@@ -237,7 +237,7 @@ def fit_flows(
     steps: int = STEPS,
     progress: Progress | None = None,
 ) -> GraphFit:
-    """Find the weights with which people walk as they were seen to walk.
+    """Find the weights with which people walk as was measured.
 
     What a graph is annotated with, apart from its nodes and edges, is not used: all edges begin with their lengths.
 
@@ -312,7 +312,7 @@ def _groups(measured: FlowMeasure) -> tuple[np.ndarray, np.ndarray]:
     """
     stays = [_limits(each) if len(each) >= FEWEST_STAYS else (np.nan, np.nan) for each in measured.stays]
     capacity = [
-        int(np.max(np.flatnonzero(np.cumsum(times[::-1])[::-1] >= HELD * measured.seconds), initial=0))
+        int(np.max(np.flatnonzero(np.cumsum(times[::-1])[::-1] >= FULL_SHARE * measured.seconds), initial=0))
         for times in measured.members
     ]
     return np.array(stays).reshape(-1, 2), np.array(capacity, int)

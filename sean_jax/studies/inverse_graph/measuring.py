@@ -224,8 +224,8 @@ def people_called(
         target = jnp.where(before.stay > 0, groups, group_of[before.goal])
         heads, same = target < groups, after.goal == before.goal
 
-        def counted(who: Bool[Array, "N"], group: Array) -> Array:
-            return jnp.zeros((count, groups + 1)).at[before.hop, group].add(who.astype(float))
+        def counted(people: Bool[Array, "N"], group: Array) -> Array:
+            return jnp.zeros((count, groups + 1)).at[before.hop, group].add(people.astype(float))
 
         return Calls(
             candidates=counted(onward & ~heads, target)[:, groups],
@@ -246,12 +246,12 @@ def _simulate(
     def one(state: State, _: None) -> tuple[State, PyTree]:
         before = state.memory
         state = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
-        seen = look(before, state.memory)
-        return replace(stages.move_pedestrians(scenario, state), tick=state.tick + 1), seen
+        observed = look(before, state.memory)
+        return replace(stages.move_pedestrians(scenario, state), tick=state.tick + 1), observed
 
     def row(state: State, _: None) -> tuple[State, tuple]:
-        state, seen = jax.lax.scan(one, state, length=every)
-        return state, (state.pedestrians.position, state.pedestrians.present, seen)
+        state, observed = jax.lax.scan(one, state, length=every)
+        return state, (state.pedestrians.position, state.pedestrians.present, observed)
 
     return jax.lax.scan(row, begin_alone(scenario, key), length=steps // every)[1]
 

@@ -160,8 +160,8 @@ def _needed(
 def _pieces(nodes: list[int], sights: list[np.ndarray], among: list[int] | None = None) -> list[list[int]]:
     """The nodes, or some among them, that are joined by sight, piece by piece."""
     own = np.arange(len(nodes)) if among is None else np.sort(among)
-    seen = np.array([sights[k][np.asarray(nodes)[own]] for k in own]).reshape(len(own), len(own))
-    number, label = connected_components(seen, directed=False)
+    visible = np.array([sights[k][np.asarray(nodes)[own]] for k in own]).reshape(len(own), len(own))
+    number, label = connected_components(visible, directed=False)
     return [own[label == piece].tolist() for piece in range(number)]
 
 

@@ -72,23 +72,23 @@ def read_windows(path: str | Path, clock: str = "social_gan") -> Windows:
     return windows
 
 
-def evaluate(model: Predictable, windows: Windows, seen: int = SEEN, chunk: int = 256, **options) -> Scores:
+def evaluate(model: Predictable, windows: Windows, chunk: int = 256, **options) -> Scores:
     """Predict the later moments of windows and compare.
 
     Args:
-        seen: observed moments; the others are predicted.
+        chunk: windows at a time.
         **options: of ``predict``.
     """
-    steps = windows.position.shape[1] - seen
+    steps = windows.position.shape[1] - SEEN
     parts = []
     for first in range(0, len(windows.position), chunk):
         some, there = (np.asarray(part[first : first + chunk]) for part in (windows.position, windows.present))
         missing = chunk - len(some) if len(windows.position) > chunk else 0  # one shape, compiled once
-        some = np.pad(some, ((0, missing), (0, 0), (0, 0), (0, 0)))[:, :seen]
+        some = np.pad(some, ((0, missing), (0, 0), (0, 0), (0, 0)))[:, :SEEN]
         there = np.broadcast_to(np.pad(there, ((0, missing), (0, 0)))[:, None], some.shape[:3])
         predicted = predict(model, jnp.asarray(some), windows.time_step, steps, present=jnp.asarray(there), **options)
         parts.append(np.asarray(predicted)[: chunk - missing])
-    return score(np.concatenate(parts), np.asarray(windows.position)[:, seen:], np.asarray(windows.present))
+    return score(np.concatenate(parts), np.asarray(windows.position)[:, SEEN:], np.asarray(windows.present))
 
 
 def score(

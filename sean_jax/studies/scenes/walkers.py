@@ -201,8 +201,8 @@ def walkers_behavior(
     table = np.zeros((GATES, 2, 2))
     table[:number] = np.asarray([tuple(gate) for gate in gates], float).reshape(-1, 2, 2)
     is_exit = np.isin(np.arange(GATES), np.asarray(exits, int))
-    companions = people.companion if (np.asarray(people.companion) >= 0).any() else None
-    size, late = padded_size(len(people.start)), bool((np.asarray(people.entry_time) > 0.0).any())
+    late = bool((np.asarray(people.entry_time) > 0.0).any())
+    size = padded_size(len(people.start))
     people = _padded(people, size)
     arrays = jax.device_put((people, table, is_exit, np.asarray(period, float)))
     arrays = jax.tree.map(lambda leaf: leaf.astype(float) if leaf.dtype.kind == "f" else leaf, arrays)
@@ -211,7 +211,7 @@ def walkers_behavior(
         name="walkers",
         reset=reset,
         direct=direct,
-        companions=None if companions is None else jnp.asarray(people.companion, jnp.int32),
+        companions=jnp.asarray(people.companion, jnp.int32) if (people.companion >= 0).any() else None,
         people=size,
     )
 

@@ -84,7 +84,7 @@ class CheckContext:
         """The folder of recordings.
 
         Raises:
-            Skipped: none is given.
+            Skipped: the command names none.
         """
         if self.data is None:
             raise Skipped("no recordings; give their folder with --data.")
@@ -269,10 +269,10 @@ def _part(folder: Path, check: Check, model: Model) -> Path:
 
 def _made_with(model: Model, options: ValidateConfig) -> dict[str, Any]:
     """All that affects a row."""
-    who = f"{getattr(model.move, '__module__', '')}.{getattr(model.move, '__qualname__', '')}"
+    move = f"{getattr(model.move, '__module__', '')}.{getattr(model.move, '__qualname__', '')}"
     terms = [f"{type(term).__module__}.{type(term).__name__}" for term in model.forces]  # own ones have their digest
     return {
-        "model": [who, *terms, fingerprint(model.forces)],
+        "model": [move, *terms, fingerprint(model.forces)],
         "quick": options.quick,
         "data": None if options.data is None else str(options.data),
         "code": _code(),

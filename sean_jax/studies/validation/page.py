@@ -54,8 +54,8 @@ HEIGHT = 2.0  # m, of walls in a replay; a plan has none
 def line(row: Row, checks: Sequence[Check], models: Sequence[Model]) -> str:
     """A row for the terminal; a single model is not named."""
     wide = max(len(check.name) for check in checks)
-    who = f"{row.model:<{max(len(each.name) for each in models)}}  " if len(models) > 1 else ""
-    return f"{row.check:<{wide}}  {who}{row.verdict:<7}  {row.reason or row.measured}"
+    model = f"{row.model:<{max(len(each.name) for each in models)}}  " if len(models) > 1 else ""
+    return f"{row.check:<{wide}}  {model}{row.verdict:<7}  {row.reason or row.measured}"
 
 
 def gate_lines(rows: Sequence[Row], model: Model) -> list[str]:
@@ -160,8 +160,8 @@ def trajectories(scene: Scene, tracks: Tracks) -> "Figure":
     from matplotlib.figure import Figure
 
     position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
-    seen = position[present]
-    lower, upper = (seen.min(0), seen.max(0)) if len(seen) else (np.zeros(2), np.ones(2))
+    places = position[present]
+    lower, upper = (places.min(0), places.max(0)) if len(places) else (np.zeros(2), np.ones(2))
     boxes = np.asarray(scene.walls).reshape(-1, 5)
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * boxes[:, None, 2:4]
     cosine, sine = np.cos(boxes[:, None, 4]), np.sin(boxes[:, None, 4])
@@ -320,10 +320,10 @@ def trajectory(scene: Scene, tracks: Tracks) -> Trajectory:
 
 def place(scene: Scene, frames: Trajectory) -> Environment:
     """The floor around a scene's people, with the walls near them."""
-    seen = np.asarray(frames.people)[np.asarray(frames.present)]
+    places = np.asarray(frames.people)[np.asarray(frames.present)]
     if scene.robot is not None:
-        seen = np.concatenate([seen, np.asarray(frames.position)])
-    lower, upper = (seen.min(0), seen.max(0)) if len(seen) else (np.zeros(2), np.ones(2))
+        places = np.concatenate([places, np.asarray(frames.position)])
+    lower, upper = (places.min(0), places.max(0)) if len(places) else (np.zeros(2), np.ones(2))
     walls = np.asarray(scene.walls, float).reshape(-1, 5)
     cosine, sine = np.abs(np.cos(walls[:, 4])), np.abs(np.sin(walls[:, 4]))
     reach = np.stack([walls[:, 2] * cosine + walls[:, 3] * sine, walls[:, 2] * sine + walls[:, 3] * cosine], 1)
