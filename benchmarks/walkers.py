@@ -183,7 +183,7 @@ def flow(left) -> float:
 def in_the_open(
     parameters: social_forces.Forces, size: int, number: int = 64, seconds: float = 40.0, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(T, N, 2) places and velocities and (N, 2) companions of walking groups of one size, each without others in the open.
+    """(T, N, 2) places and velocities and (N, 2) companions of walking groups of one size, each without other people.
 
     They start at random within 1.2 m of each other and walk along x; the first 10 s are left out.
     """
