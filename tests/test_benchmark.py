@@ -11,7 +11,7 @@ import pytest
 from sean_jax import cli, prng
 from sean_jax.config import BenchmarkConfig, CollectConfig
 from sean_jax.errors import IncompleteError, InputError
-from sean_jax.studies.experiments import benchmark
+from sean_jax.studies.experiments import benchmark, measures
 
 
 def test_the_protocol_is_frozen():
@@ -32,7 +32,7 @@ def test_the_protocol_is_frozen():
         assert asked.replace(**benchmark.TRACKS[track]) == asked
 
 
-def columns(random: np.random.Generator, number: int) -> benchmark.Columns:
+def columns(random: np.random.Generator, number: int) -> measures.Arrays:
     time = random.uniform(1.0, 9.0, (number, 6))
     time[:, 0] = random.uniform(20, 30, number)
     counts = {name: random.poisson(0.2, (number, 6)).astype(np.float32) for name in benchmark.COUNTED}
@@ -47,7 +47,7 @@ def test_figures_are_means_over_all_tracks():
     measured = {"a": columns(random, 300), "b": columns(random, 300)}
     found = benchmark.scores(measured)
     both = {name: np.concatenate([measured["a"][name], measured["b"][name]]) for name in measured["a"]}
-    good = [both["completed"][i] and not any(both[name][i, 0] for name in benchmark.ROBOTS_FAULT) for i in range(600)]
+    good = [both["completed"][i] and not any(both[name][i, 0] for name in measures.ROBOTS_FAULT) for i in range(600)]
     assert found.figures["polite"].mean == pytest.approx(100 * np.mean(good))
     assert found.figures["seconds"].mean == pytest.approx(both["seconds"].mean())
     whole = both["seconds"].sum()

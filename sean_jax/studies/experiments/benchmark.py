@@ -23,11 +23,12 @@ from sean_jax import assembly, components, environment, files, robots, writing
 from sean_jax.config import BenchmarkConfig, CollectConfig, Config, Number, OwnPart, RunConfig, Text, validate
 from sean_jax.errors import FileError, IncompleteError, InputError
 from sean_jax.learning.policy import AGENTS, check_policy, load_policy
-from sean_jax.metrics import METRICS, Estimate, aggregate, aggregate_ratio, bootstrap
+from sean_jax.metrics import METRICS, Estimate
 from sean_jax.policies import POLICIES
 from sean_jax.runner import Runner, even_batch
 from sean_jax.social_forces import preset
 from sean_jax.studies.experiments import Part, page, run_parts, shares
+from sean_jax.studies.experiments.measures import COUNTED, MEASURED, Arrays, Scores, scores, scores_by_track
 from sean_jax.versions import fingerprint, version_mismatch, versions
 from sean_jax.workspace import Workspace, identity
 
@@ -122,12 +123,12 @@ def run(options: BenchmarkConfig, console: Console | None = None) -> Path:
         work = dataclasses.replace(work, identity=work.identity | {"parts": parts})
         work.begin()
         jobs = [Part(track, functools.partial(_drive, work, options, track)) for track in TRACKS]
-        measured: dict[str, Columns] = run_parts(jobs, console, "benchmark")
+        measured: dict[str, Arrays] = run_parts(jobs, console, "benchmark")
         write(options, {track: measured[track] for track in TRACKS})
     return options.folder
 
 
-def _drive(work: Workspace, options: BenchmarkConfig, track: str, tell: Callable[[float], None]) -> Columns:
+def _drive(work: Workspace, options: BenchmarkConfig, track: str, tell: Callable[[float], None]) -> Arrays:
     """The columns of a track, from its file or simulated."""
     if (work.folder / f"{track}.npz").is_file():
         return read_track(work.folder, track, options.episodes or 1)
@@ -144,7 +145,7 @@ def _drive(work: Workspace, options: BenchmarkConfig, track: str, tell: Callable
     return columns
 
 
-def read_track(folder: Path, track: str, episodes: int) -> Columns:
+def read_track(folder: Path, track: str, episodes: int) -> Arrays:
     """The columns of a track with so many episodes, from its file: name -> (E,) or (E, 1 + S).
 
     Raises:
@@ -160,7 +161,7 @@ def read_track(folder: Path, track: str, episodes: int) -> Columns:
         raise IncompleteError(f"{file} is damaged ({text}); remove it, and the same command makes it again.") from error
 
 
-def check_columns(columns: Columns, episodes: int, limit: float) -> None:
+def check_columns(columns: Arrays, episodes: int, limit: float) -> None:
     """Refuse columns that no episodes of at most ``limit`` s can have.
 
     Raises:
@@ -192,78 +193,10 @@ def check_columns(columns: Columns, episodes: int, limit: float) -> None:
             raise ValueError(f"{name} must be whole numbers, of which no situation has more than the episode")
 
 
-# ------------------------------------------------------------------ scores
-
-RESAMPLES = 1_000
-ROBOTS_FAULT = "intimate_robot_on_person", "collision_robot_on_person", "collision_with_obstacle"
-COUNTED = (*ROBOTS_FAULT, "intimate_person_on_robot", "collision_person_on_robot")
-MEASURED = ("time_in_situation", *COUNTED, "time_not_moving", "path_efficiency")
-Columns = dict[str, np.ndarray]  # of the E episodes of a track: (E,), or (E, 1 + S) overall and by situation
-
-
-@dataclasses.dataclass(frozen=True)
-class Scores:
-    """The scores of a policy, over all tracks or on one; each number has its 95 % interval."""
-
-    FIGURES = {
-        "polite": "completed politely %",
-        "completed": "completed %",
-        "seconds": "s",
-        "intimate_robot_on_person": "within 0.45 m, by the robot",
-        "intimate_person_on_robot": "by people",
-        "collision_robot_on_person": "touched people",
-        "collision_with_obstacle": "touched obstacles",
-    }
-    figures: dict[str, Estimate]  # name of FIGURES -> () mean of an episode
-    shares: Estimate  # (S,) of the time in each situation
-    violations: Estimate  # (S,) times a minute, in each situation, that the robot came within 0.45 m of somebody
-
-
-def polite(columns: Columns) -> np.ndarray:
-    """(E,) bool, tasks that were completed without an intimate violation or a collision by the robot's fault."""
-    return columns["completed"] & ~np.any([_overall(columns[name]) > 0 for name in ROBOTS_FAULT], axis=0)
-
-
-def scores(measured: dict[str, Columns]) -> Scores:
-    """Scores over some tracks with equal weights; a resample draws as many episodes of each."""
-    each = list(measured.values())
-    sizes = [len(columns["completed"]) for columns in each]
-    weights = np.concatenate([bootstrap.resamples(size, seed, RESAMPLES) for seed, size in enumerate(sizes)], axis=1)
-
-    def joined(take: Callable[[Columns], np.ndarray]) -> np.ndarray:
-        return np.concatenate([np.asarray(take(columns), float) for columns in each])
-
-    def percent(take: Callable[[Columns], np.ndarray]) -> Estimate:
-        share = bootstrap.of_share(aggregate(joined(take), weights=weights))
-        return share._replace(mean=100.0 * share.mean, low=100.0 * share.low, high=100.0 * share.high)
-
-    figures = {"polite": percent(polite), "completed": percent(lambda columns: columns["completed"])}
-    for name in Scores.FIGURES:
-        if name not in figures:
-            figures[name] = aggregate(joined(lambda columns, name=name: _overall(columns[name])), weights=weights)
-    time = joined(lambda columns: columns["time_in_situation"])
-    events = joined(lambda columns: columns["intimate_robot_on_person"][:, 1:])
-    whole = np.repeat(time[:, :1], time.shape[1] - 1, axis=1)
-    return Scores(
-        figures,
-        aggregate_ratio(time[:, 1:], whole, weights=weights),
-        aggregate_ratio(events, time[:, 1:] / 60.0, weights=weights),
-    )
-
-
-def scores_by_track(measured: dict[str, Columns]) -> dict[str, Scores]:
-    """The scores on each track."""
-    return {track: scores({track: columns}) for track, columns in measured.items()}
-
-
-def _overall(values: np.ndarray) -> np.ndarray:
-    return values if values.ndim == 1 else values[:, 0]
-
-
 # ------------------------------------------------------------------ the result
 
 
-def write(options: BenchmarkConfig, measured: dict[str, Columns]) -> None:
+def write(options: BenchmarkConfig, measured: dict[str, Arrays]) -> None:
     """Write result.json and report.html.
 
     Raises:
@@ -285,7 +218,7 @@ def write(options: BenchmarkConfig, measured: dict[str, Columns]) -> None:
     writing.write(folder / REPORT, page.benchmark(options, scores(measured), scores_by_track(measured)))
 
 
-def _figures(measured: dict[str, Columns]) -> dict[str, Any]:
+def _figures(measured: dict[str, Arrays]) -> dict[str, Any]:
     """The entries of result.json that follow from the episodes."""
     by_track = {track: _as_json(each) for track, each in scores_by_track(measured).items()}
     return {"scores": _as_json(scores(measured)), "tracks": by_track}

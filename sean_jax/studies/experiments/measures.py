@@ -1,16 +1,17 @@
-"""The numbers of Figure 4 and of the learning curve (section V-C): measures with intervals, and claims about them."""
+"""Measures of Figure 4, of the learning curve (section V-C) and of the benchmark, with intervals, and claims."""
 
 import dataclasses
 import functools
 import itertools
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from sean_jax.flags import number
 from sean_jax.metrics import Estimate, aggregate, aggregate_ratio
-from sean_jax.metrics.bootstrap import hierarchical_resamples, of_share, with_estimate
+from sean_jax.metrics.bootstrap import hierarchical_resamples, of_share, resamples, with_estimate
 from sean_jax.studies.experiments import shares
 from sean_jax.studies.experiments.shares import BEHAVIORS
 
@@ -282,3 +283,71 @@ def comparisons(variants: tuple[Variant, ...]) -> list[tuple[Variant, Variant]]:
                 (each, as_many) for as_many in plain if each.rate > 1 and math.isclose(as_many.examples, each.examples)
             ]
     return pairs
+
+
+# ------------------------------------------------------------------ the benchmark
+
+SCORE_RESAMPLES = 1_000
+ROBOTS_FAULT = "intimate_robot_on_person", "collision_robot_on_person", "collision_with_obstacle"
+COUNTED = (*ROBOTS_FAULT, "intimate_person_on_robot", "collision_person_on_robot")
+MEASURED = ("time_in_situation", *COUNTED, "time_not_moving", "path_efficiency")
+Arrays = dict[str, np.ndarray]  # of the E episodes of a track: (E,), or (E, 1 + S) overall and by situation
+
+
+@dataclasses.dataclass(frozen=True)
+class Scores:
+    """The scores of a policy, over all tracks or on one; each number has its 95 % interval."""
+
+    FIGURES = {
+        "polite": "completed politely %",
+        "completed": "completed %",
+        "seconds": "s",
+        "intimate_robot_on_person": "within 0.45 m, by the robot",
+        "intimate_person_on_robot": "by people",
+        "collision_robot_on_person": "touched people",
+        "collision_with_obstacle": "touched obstacles",
+    }
+    figures: dict[str, Estimate]  # name of FIGURES -> () mean of an episode
+    shares: Estimate  # (S,) of the time in each situation
+    violations: Estimate  # (S,) times a minute, in each situation, that the robot came within 0.45 m of somebody
+
+
+def polite(columns: Arrays) -> np.ndarray:
+    """(E,) bool, tasks that were completed without an intimate violation or a collision by the robot's fault."""
+    return columns["completed"] & ~np.any([_overall(columns[name]) > 0 for name in ROBOTS_FAULT], axis=0)
+
+
+def scores(measured: dict[str, Arrays]) -> Scores:
+    """Scores over some tracks with equal weights; a resample draws as many episodes of each."""
+    each = list(measured.values())
+    sizes = [len(columns["completed"]) for columns in each]
+    weights = np.concatenate([resamples(size, seed, SCORE_RESAMPLES) for seed, size in enumerate(sizes)], axis=1)
+
+    def joined(take: Callable[[Arrays], np.ndarray]) -> np.ndarray:
+        return np.concatenate([np.asarray(take(columns), float) for columns in each])
+
+    def percent(take: Callable[[Arrays], np.ndarray]) -> Estimate:
+        share = of_share(aggregate(joined(take), weights=weights))
+        return share._replace(mean=100.0 * share.mean, low=100.0 * share.low, high=100.0 * share.high)
+
+    figures = {"polite": percent(polite), "completed": percent(lambda columns: columns["completed"])}
+    for name in Scores.FIGURES:
+        if name not in figures:
+            figures[name] = aggregate(joined(lambda columns, name=name: _overall(columns[name])), weights=weights)
+    time = joined(lambda columns: columns["time_in_situation"])
+    events = joined(lambda columns: columns["intimate_robot_on_person"][:, 1:])
+    whole = np.repeat(time[:, :1], time.shape[1] - 1, axis=1)
+    return Scores(
+        figures,
+        aggregate_ratio(time[:, 1:], whole, weights=weights),
+        aggregate_ratio(events, time[:, 1:] / 60.0, weights=weights),
+    )
+
+
+def scores_by_track(measured: dict[str, Arrays]) -> dict[str, Scores]:
+    """The scores on each track."""
+    return {track: scores({track: columns}) for track, columns in measured.items()}
+
+
+def _overall(values: np.ndarray) -> np.ndarray:
+    return values if values.ndim == 1 else values[:, 0]

@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from sean_jax.metrics import Estimate
-    from sean_jax.studies.experiments.benchmark import Scores
-    from sean_jax.studies.experiments.measures import Curve, Results
+    from sean_jax.studies.experiments.measures import Curve, Results, Scores
     from sean_jax.studies.experiments.shares import Recorded
 
 TEXTS = files.read_yaml(Path(__file__).with_name("captions.yaml"))[1]
