@@ -23,25 +23,7 @@ from sean_jax.quantities import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE
 
 ROBOT = -1  # the robot's id; people have the numbers 0 to N - 1
 MAX_SPEED = 10_000.0  # m/s
-COLUMNS = {
-    "episode": "number of the episode, from 0; left out of a single one",
-    "frame": "number of the step of control, from 0",
-    "time": "s, after that step: (frame + 1) times the time of a step",
-    "id": "-1 for the robot, 0 and more for people",
-    "x": "m",
-    "y": "m",
-    "vx": "m/s",
-    "vy": "m/s",
-    "heading_x": "unit vector of the way it faces",
-    "heading_y": "likewise",
-    "group": "conversational group of a person, -1 for none; -1 for the robot",
-    "goal_x": "m, of the robot; empty for people, as all that follows",
-    "goal_y": "m",
-    "command_speed": "m/s, the command that led here",
-    "command_turn_rate": "rad/s",
-    "active": "1 until the episode has ended",
-    "situation_NAME": "1 while that social situation holds",
-}
+COLUMNS: dict[str, str] = files.read_yaml(Path(__file__).with_suffix(".yaml"))[1]
 """Column of a table -> its meaning."""
 
 PERSON = ("x", "y", "vx", "vy", "heading_x", "heading_y")
@@ -399,20 +381,14 @@ def _csv_blocks(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
 
 
 def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
-    try:
-        if "_" in "".join(row):  # which Python allows in numbers
-            raise ValueError
-        return [float(cell) if cell else np.nan for cell in row]
-    except ValueError:
-        wrong = next(cell for cell in row if cell and not _is_number(cell))
-        raise FileError(f"{files.short_name(path)}: row {number}: {wrong[:40]!r} is no number; {CURE}.") from None
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        return float(cell) is not None and "_" not in cell
-    except ValueError:
-        return False
+    values = []
+    for cell in row:
+        try:
+            values.append(float(cell.replace("_", "no")) if cell else np.nan)  # Python allows "_" in numbers
+        except ValueError:
+            what = f"row {number}: {cell[:40]!r} is no number"
+            raise FileError(f"{files.short_name(path)}: {what}; {CURE}.") from None
+    return values
 
 
 def _header(path: Path, text: str | bytes) -> Header:

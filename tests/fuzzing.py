@@ -305,8 +305,7 @@ def batch(folder: Path) -> dict[str, bytes]:
     import numpy as np
 
     from sean_jax.config import RunConfig
-    from sean_jax.evaluation.accumulate import FinishedBatch, Totals
-    from sean_jax.evaluation.resume import RunFolder
+    from sean_jax.evaluation.batches import FinishedBatch, RunFolder, Totals
 
     counts = np.arange(6, dtype=np.int32).reshape(2, 3)
     both = Totals(counts, np.eye(2, dtype=np.int32), counts[:, :2], np.arange(4, dtype=np.int32), np.float32(0.1),
@@ -322,7 +321,7 @@ def load_batch(folder: Path) -> Any:
     import numpy as np
 
     from sean_jax.config import RunConfig
-    from sean_jax.evaluation.resume import PLACE, RunFolder
+    from sean_jax.evaluation.batches import PLACE, RunFolder
 
     (folder / PLACE).mkdir(exist_ok=True)
     shutil.copytree(folder, run := folder / "run", ignore=shutil.ignore_patterns(PLACE, "batch.npz"))

@@ -18,9 +18,9 @@ from sean_jax.config import (
     LearningCurveConfig,
     Table1Config,
 )
+from sean_jax.drawing.svg import svg
 from sean_jax.flags import command, number
 from sean_jax.pages import Cell, figure, note, section, table
-from sean_jax.report import svg
 from sean_jax.studies.experiments import pictures, shares
 from sean_jax.studies.experiments.measures import CURVE_MEASURES, MEASURES, comparisons
 from sean_jax.studies.experiments.shares import BEHAVIORS

@@ -9,9 +9,9 @@ import numpy as np
 from sean_jax import pages
 from sean_jax.config import ValidateConfig
 from sean_jax.drawing import colors
+from sean_jax.drawing.svg import svg
 from sean_jax.flags import command
 from sean_jax.recordings import Tracks
-from sean_jax.report import svg
 from sean_jax.studies.scenes import Model, Scene
 from sean_jax.studies.validation.check import FAILS, PASSES, SKIPPED, Check, Curve, Row
 from sean_jax.studies.validation.checks import GATES, matches

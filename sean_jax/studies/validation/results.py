@@ -12,8 +12,8 @@ from typing import Any
 
 from sean_jax import files, writing
 from sean_jax.config import ValidateConfig
+from sean_jax.drawing.svg import svg
 from sean_jax.flags import command
-from sean_jax.report import svg
 from sean_jax.studies.scenes import Model
 from sean_jax.studies.validation import page
 from sean_jax.studies.validation.check import FAILS, PASSES, SKIPPED, Check, CheckContext, Curve, Row, Skipped
