@@ -10,10 +10,11 @@ import datetime
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
+from rich.console import Console
+from rich.text import Text
 
 from sean_jax import assembly, components, interrupts, robots, sensors, trajectories, writing
 from sean_jax.base import Policy, PolicyLike, Scenario, Trajectory
@@ -38,9 +39,6 @@ from sean_jax.replay.live import Live, serve
 from sean_jax.runner import Callbacks, Runner
 from sean_jax.versions import fingerprint
 from sean_jax.writing import check_new_folder
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 __all__ = ["Evaluation", "evaluate", "run"]
 
@@ -98,7 +96,9 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
         path = _locked_folder(config, stack)
         folder = RunFolder(path, config)
         stack.enter_context(folder.explain_errors())
-        _print_unfinished_runs(console, config, path)
+        for other, episodes in unfinished_runs(config, path) if config.out is None else []:
+            text = f"{other} has {episodes} of {config.episodes} episodes of such a run; --out {other} resumes it"
+            console.print(Text(text, "dim"), soft_wrap=True)
         with console.status("preparing the scenario"):
             _check(config)
             inputs = saved.read_inputs(config)
@@ -106,7 +106,11 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
             policy = load_policy(config.policy, scenarios[0])
         folder.check_content(scenarios[0], policy)
         inputs = inputs._replace(fingerprint=fingerprint(scenarios[0], policy.params))
-        _print_title(console, scenarios, policy, config)
+        title = results.title(scenarios[0], [scenario.task_name for scenario in scenarios], config.episodes)
+        devices = f"{len(jax.devices())} × {jax.devices()[0].device_kind}"
+        about = f"{number(config.time_limit)} s each, policy {policy.name}, seed {config.seed}, on {devices}"
+        console.print(Text(title, "bold"), soft_wrap=True)
+        console.print(Text(about, "dim"), soft_wrap=True)
         if folder.episodes:
             console.print(f"[dim]going on after {folder.episodes} finished episodes[/]", highlight=False)
         live = None
@@ -260,14 +264,6 @@ def _locked_folder(config: RunConfig, stack: contextlib.ExitStack) -> Path:
         folder = config.folder(f"{now}-{attempt}")
 
 
-def _print_unfinished_runs(console: Console, config: RunConfig, folder: Path) -> None:
-    from rich.text import Text
-
-    for other, episodes in unfinished_runs(config, folder) if config.out is None else []:
-        text = f"{other} has {episodes} of {config.episodes} episodes of such a run; --out {other} resumes it"
-        console.print(Text(text, "dim"), soft_wrap=True)
-
-
 def _check(config: RunConfig) -> None:
     """Refuse wrong options before the scenario is built, which takes long."""
     if config.trajectories is not None:
@@ -279,12 +275,3 @@ def _check(config: RunConfig) -> None:
             sensors.camera(robots.load(config.robot.kind, "twin"), config.camera)
         except ValueError as error:
             raise InputError(str(error)) from error
-
-
-def _print_title(console: Console, scenarios: list[Scenario], policy: Policy, config: RunConfig) -> None:
-    from rich.text import Text
-
-    devices, tasks = jax.devices(), [scenario.task_name for scenario in scenarios]
-    console.print(Text(results.title(scenarios[0], tasks, config.episodes), "bold"), soft_wrap=True)
-    about = f"{number(config.time_limit)} s each, policy {policy.name}, seed {config.seed}"
-    console.print(Text(f"{about}, on {len(devices)} × {devices[0].device_kind}", "dim"), soft_wrap=True)
