@@ -125,11 +125,8 @@ def _parts(options: Figure4Config, work: Workspace, places: dict[str, list[Scena
     learners = {policy: learner(options, work, policy) for policy in (*LEARNED, BALANCED)}
     trainings, last = learning_parts(learners)
     every = {"learned": {policy: learner.loaders() for policy, learner in learners.items()}}  # they share programs
-    return [
-        *driving_parts(options, work, places, drivers),
-        *trainings,
-        *driving_parts(options, work, places, every, last),
-    ]
+    alike, learned = driving_parts(options, work, places, drivers), driving_parts(options, work, places, every, last)
+    return [*trainings, *alike, *learned]
 
 
 def _results(options: Figure4Config, outcomes: dict[str, Any]) -> Results:
