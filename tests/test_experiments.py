@@ -452,7 +452,7 @@ def test_ablation(tmp_path, monkeypatch):
     ]
     given += ["--policies", "go_to_goal", "--quiet", "--out", str(out)]
     assert cli.main(["experiment", "ablation", *given]) == 0
-    rows = [line.split(",") for line in (out / "table1.csv").read_text(encoding="utf-8").splitlines()[1:]]
+    rows = [line.split(",") for line in (out / "ablation.csv").read_text(encoding="utf-8").splitlines()[1:]]
     assert {row[0] for row in rows} == {"default", "goal_sampling", "sean2"} and {row[2] for row in rows} == set(
         BEHAVIORS
     )
@@ -463,8 +463,8 @@ def test_ablation(tmp_path, monkeypatch):
             flags[world, behavior] = flags.get((world, behavior), 0.0) + float(share)
     assert all(total == pytest.approx(1.0, abs=1e-4) for total in flags.values())
     text = (out / "report.html").read_text(encoding="utf-8")
-    assert all(world in text for world in ("goal_sampling", "sean2")) and (out / "table1.png").is_file()
-    before = (out / "table1.csv").read_bytes()
+    assert all(world in text for world in ("goal_sampling", "sean2")) and (out / "ablation.png").is_file()
+    before = (out / "ablation.csv").read_bytes()
     (out / "sean2-graph-go_to_goal.npz").unlink()
     assert cli.main(["experiment", "ablation", *given]) == 0
-    assert (out / "table1.csv").read_bytes() == before
+    assert (out / "ablation.csv").read_bytes() == before
