@@ -230,12 +230,12 @@ with open("people.csv", "w") as file:
 print(len(rows), "lines, such as", rows[0])
 
 # %% [markdown]
-# Your own file is read by the same line: `seconds` is the time from one frame number to the next. `read_eth_ucy` and
-# `read_juelich` know the clocks of those recordings. Positions are noisy, so velocities are those of lines fitted to a
-# few of them, and orientations are directions of motion.
+# Your own file is read by the same line. The formats `eth_ucy` and `juelich` have clocks of their own, so they need no
+# frame rate. Positions are noisy, so velocities are those of lines fitted to a few of them, and orientations are
+# directions of motion.
 
 # %%
-tracks = recordings.read_csv("people.csv", seconds=0.1)
+tracks = recordings.read("people.csv", frame_rate=10)
 path = trajectory.position[0, shown]  # any path (T, 2) can play the robot
 snapshots = recordings.snapshots_along(tracks, path, window=1)  # lines through three frames
 flags = np.asarray(jax.jit(jax.vmap(lambda snapshot: classifiers.classify(snapshot, thresholds)))(snapshots))

@@ -87,7 +87,7 @@ def read(
     columns serve one person after the other, so there are as few columns as people at once.
 
     Args:
-        recording_format: a key of ``READERS``; None: eth_ucy for a file with velocities, else frame_rate is needed.
+        recording_format: one of ``FORMATS``; None: eth_ucy for a file with velocities, else frame_rate is needed.
         frame_rate: frames a second; that of the format if None.
         time_step: s between rows; as far apart as a person's lines usually are if None.
 
@@ -96,52 +96,6 @@ def read(
     """
     recorded = read_lines(path, recording_format, frame_rate)
     return _arrange(recorded) if time_step is None else _sampled(recorded, time_step)
-
-
-def read_csv(path: str | Path, seconds: float = 1.0) -> Tracks:
-    """A recording with the columns frame, id (or ped_id), x, y (or x_m, y_m), in metres. Lines go to the nearest row.
-
-    Args:
-        seconds: s from one frame number to the next.
-
-    Raises:
-        FileError: one sentence that names the file, its line or column, and the cure.
-    """
-    return read(path, "csv", 1.0 / check_number("seconds", seconds, 1e-4, MAX_DURATION, "s"))
-
-
-def read_eth_ucy(path: str | Path) -> Tracks:
-    """ETH (Pellegrini et al. 2009) and UCY (Lerner et al. 2007) as CSV: a person has a line every 0.4 s.
-
-    In ETH some people's lines lie between those of others; they are moved by up to half a row. Raises FileError.
-    """
-    return read(path, "eth_ucy")
-
-
-def read_juelich(path: str | Path) -> Tracks:
-    """Corridor experiments of Forschungszentrum Juelich (HERMES 2009) as CSV: frames are 1/16 s. Raises FileError."""
-    return read(path, "juelich")
-
-
-def read_groups(path: str | Path, seconds: float = 1.0) -> Tracks:
-    """Annotated conversations (Cocktail Party, Coffee Break), also with facing (theta_rad) and group_id, -1 alone.
-
-    Args:
-        seconds: s between annotated frames (Cocktail Party: 5).
-
-    Raises:
-        FileError: one sentence that names the file, its line or column, and the cure.
-    """
-    recorded = read_lines(path, "groups", 1.0 / check_number("seconds", seconds, 1e-4, MAX_DURATION, "s"))
-    for name in ("facing", "group"):
-        if name not in recorded.values:
-            column = NAMES[name][0]
-            raise FileError(f"{short_name(Path(path))}: has no column {column}, which groups need.")
-    return _arrange(recorded)
-
-
-READERS = {"csv": read_csv, "eth_ucy": read_eth_ucy, "juelich": read_juelich, "groups": read_groups}
-"""name of a format -> path -> Tracks"""
 
 
 def read_companions(path: str | Path, tracks: Tracks) -> Int[np.ndarray, " N"]:

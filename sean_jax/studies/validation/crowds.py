@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sean_jax.recordings import Tracks, read_juelich
+from sean_jax.recordings import Tracks, read
 from sean_jax.studies.scenes import Gate, Scene, corridor, join, room, spread, walkers
 from sean_jax.studies.validation.check import CheckContext, CheckResult, Curve, result
 from sean_jax.studies.validation.measures import (
@@ -165,7 +165,7 @@ def _recorded_corridors(context: CheckContext) -> tuple[Curve, ...]:
     means_of = []
     for run, (first, last) in STEADY.items():
         for path in sorted((context.data / "juelich").glob(f"{run}*.csv"))[:1]:
-            tracks = read_juelich(path)
+            tracks = read(path, "juelich")
             begin, end = np.searchsorted(np.asarray(tracks.frame), (first, last))
             rows = slice(int(begin), int(end), 4)
             means_of.append(area_means(tracks, (0.0, -4.0, 1.8, 4.0), (0.0, -2.0, 1.8, 0.0), rows))
@@ -286,7 +286,7 @@ def _recorded_bottlenecks(context: CheckContext) -> tuple[Curve, ...]:
     for path in sorted((context.data / "juelich").glob("uo-*-180-*_4of16fps.csv")):
         width = int(path.name.split("_")[0].split("-")[3]) / 100
         if width < 1.8:  # else the corridor ends without a door
-            times = crossing_times(read_juelich(path), Gate((1.8 + 0.5, -4.0), (-0.5, -4.0)))
+            times = crossing_times(read(path, "juelich"), Gate((1.8 + 0.5, -4.0), (-0.5, -4.0)))
             runs.append((width, flow(times)))
     if not runs:
         return ()
@@ -405,6 +405,6 @@ def _recorded_lanes(context: CheckContext, until: float) -> tuple[Curve, ...]:
     if context.data is None:
         return ()
     return tuple(
-        Curve(f"recording {path.stem.split('_')[0]}", (0.0, until), (recorded_order(read_juelich(path)),) * 2, True)
+        Curve(f"recording {path.stem.split('_')[0]}", (0.0, until), (recorded_order(read(path, "juelich")),) * 2, True)
         for path in sorted((context.data / "juelich").glob("bo-360-*.csv"))
     )
