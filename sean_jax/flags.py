@@ -14,9 +14,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from sean_jax import presets
 from sean_jax.config import (
-    ALIASES,
     RENAMED,
     Component,
     Config,
@@ -25,10 +23,12 @@ from sean_jax.config import (
     Option,
     OwnPart,
     Value,
+    aliases,
     did_you_mean,
     family_of,
     gather,
     is_own_part,
+    usual,
     validate,
 )
 from sean_jax.errors import InputError
@@ -178,7 +178,7 @@ def read(
             for option in {name, family.singular} & words.keys():
                 words[option] = _own(words[option], family)
         if family is not None and family.singular is not None:
-            default = presets.usual(preset, name, ",".join(each.kind for each in field.default))
+            default = usual(preset, name, ",".join(each.kind for each in field.default))
             _add(data, name, default, words.pop(name, None), words.pop(family.singular, []))
     words = {name: value for name, value in words.items() if name not in switches}
     return validate(model, gather(model, words, data, flag), flag, source)
@@ -267,7 +267,7 @@ def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:
         name = word.split("=")[0].removeprefix("--").replace("-", "_")
         if not word.startswith("--") or name in (*known, "help"):
             continue
-        if RENAMED.get(name) in known or any(name in ALIASES.get(option, "").split() for option in known):
+        if RENAMED.get(name) in known or any(name in aliases().get(option, ()) for option in known):
             raise InputError(f"{word.split('=')[0]}: there is no such option{did_you_mean(name, known, flag)}")
 
 

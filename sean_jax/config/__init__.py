@@ -1,7 +1,6 @@
 """The options of every command, as pydantic models."""
 
 from sean_jax.config.core import (
-    ALIASES,
     OWN_PART,
     RENAMED,
     Component,
@@ -11,6 +10,7 @@ from sean_jax.config.core import (
     Named,
     OwnPart,
     Value,
+    aliases,
     did_you_mean,
     family_of,
     gather,
@@ -34,6 +34,7 @@ from sean_jax.config.learning import (
 )
 from sean_jax.config.scenario import (
     DEFAULT_FORCES,
+    PRESETS,
     USUAL_TASKS,
     CompareConfig,
     CustomTask,
@@ -44,6 +45,7 @@ from sean_jax.config.scenario import (
     ReplayConfig,
     RunConfig,
     ScenarioConfig,
+    usual,
 )
 from sean_jax.config.studies import (
     EXPERIMENTS,

@@ -12,7 +12,7 @@ import re
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import reduce
+from functools import cache, reduce
 from operator import or_
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -23,46 +23,12 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
+from sean_jax import files
 from sean_jax.config.fields import Option, Text, check_once
 from sean_jax.errors import InputError
 from sean_jax.messages import error_clause, listed, shorten, suggest
 
 OWN_PART = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
-
-ALIASES = {
-    "environment": "env env_id env_name world map",
-    "people": "num_people n_people humans num_humans human_num pedestrians num_pedestrians",
-    "time_step": "dt timestep",
-    "time_limit": "max_steps max_episode_steps episode_length max_episode_length",
-    "episodes": "num_episodes n_episodes eval_episodes",
-    "evaluation_episodes": "n_eval_episodes num_eval_episodes eval_episodes",
-    "evaluate_every": "eval_freq eval_interval eval_every",
-    "scenarios": "num_envs n_envs envs num_workers num_actors",
-    "steps": "total_timesteps timesteps num_timesteps max_timesteps total_steps",
-    "horizon": "n_steps num_steps rollout_length rollout_steps unroll_length",
-    "minibatches": "num_minibatches n_minibatches n_minibatch",
-    "batch": "batch_size minibatch_size num_envs n_envs",
-    "epochs": "n_epochs num_epochs update_epochs num_updates_per_batch",
-    "learning_rate": "lr",
-    "discount": "gamma discounting",
-    "advantage_decay": "gae_lambda lam gae",
-    "clip": "clip_range clip_coef clip_eps clip_epsilon clipping_epsilon",
-    "entropy": "ent_coef entropy_coef entropy_cost",
-    "width": "hidden_size hidden_dim hidden_units",
-    "layers": "num_layers n_layers",
-    "noise": "log_std_init init_std",
-    "pretrained": "checkpoint resume load load_path restore init_from",
-    "policy": "agent driver controller",
-    "rewards": "reward_fn",
-    "terminations": "termination_fn dones",
-    "randomization": "domain_randomization randomize",
-    "action_delay": "delay latency",
-    "seeds": "num_seeds n_seeds",
-    "out": "output output_dir out_dir log_dir logdir save_dir save_path",
-    "quiet": "silent",
-}
-"""Option -> names of it in other projects, for which it is proposed."""
-
 
 RENAMED = {
     "others": "baselines",
@@ -75,12 +41,18 @@ RENAMED = {
 """Former name of an option -> its name. The former one is refused, but read in saved descriptions."""
 
 
+@cache
+def aliases() -> dict[str, list[str]]:
+    """Option -> names of it in other projects, for which it is proposed."""
+    return files.read_yaml(Path(__file__).with_name("aliases.yaml"))[1]
+
+
 def did_you_mean(word: str, known: Iterable[str], named: Callable[[str], str] = str) -> str:
     """The end of a message about an unknown option: its new name, or the option that was probably meant."""
     known = list(known)
     if RENAMED.get(word) in known:
         return f"; it is called '{named(RENAMED[word])}' now."
-    alike = [name for name in known if word.lower() in ALIASES.get(name, "").split()]
+    alike = [name for name in known if word.lower() in aliases().get(name, ())]
     return f"; did you mean '{named(alike[0])}'?" if alike else suggest(named(word), map(named, known))
 
 

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from sean_jax import files
+from sean_jax.config import PRESETS
 
 DYNAMICS = {
     "mjx": "Rigid bodies move in MuJoCo's MJX, on wheels with tyres.",
@@ -64,14 +65,13 @@ def choices() -> Iterator[tuple[str, dict[str, str]]]:
         navigation,
         pedestrian_models,
         policies,
-        presets,
         robots,
         social_forces,
         tasks,
     )
     from sean_jax.learning.policy import AGENTS, describe_agent
 
-    yield "preset", {name: preset.summary for name, preset in presets.PRESETS.items()}
+    yield "preset", {name: preset.summary for name, preset in PRESETS.items()}
     yield "environment", {name: _environment(environment.find(name)) for name in environment.available()}
     yield "behavior", {name: _documented(value) for name, value in behaviors.BEHAVIORS.items()}
     yield "routing", {name: _documented(value) for name, value in behaviors.graph_behavior.ROUTINGS.items()}

@@ -91,7 +91,7 @@ class _Server(ThreadingHTTPServer):
 @contextlib.contextmanager
 def serve(scenario: Scenario, title: str) -> Iterator[Live]:
     """Serve the page on a free port of 127.0.0.1 until the block ends."""
-    page = replay.html(replay.awaited(scenario, title) | {"live": FRAMES}, linked=False).encode("utf-8")
+    page = replay.html(replay.of_scenario(scenario, [], title, live=FRAMES), linked=False).encode("utf-8")
 
     class Handler(BaseHTTPRequestHandler):
         timeout = PATIENCE
@@ -101,11 +101,11 @@ def serve(scenario: Scenario, title: str) -> Iterator[Live]:
             if self.headers.get("Host") not in allowed:  # a page elsewhere whose name was turned to this computer
                 self.send_error(403)
                 return
-            asked = urllib.parse.urlsplit(self.path)
-            first = urllib.parse.parse_qs(asked.query).get("from", ["0"])[0]
-            if asked.path == "/":
+            url = urllib.parse.urlsplit(self.path)
+            first = urllib.parse.parse_qs(url.query).get("from", ["0"])[0]
+            if url.path == "/":
                 self._answer(page, "text/html; charset=utf-8")
-            elif asked.path == f"/{FRAMES}" and first.isdecimal() and len(first) < 10:
+            elif url.path == f"/{FRAMES}" and first.isdecimal() and len(first) < 10:
                 self._answer(live.since(int(first)).encode("utf-8"), "application/json")
             else:
                 self.send_error(404)

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sean_jax import writing
-from sean_jax.config import AblationConfig, CollectConfig, with_defaults
+from sean_jax.config import PRESETS, AblationConfig, CollectConfig, with_defaults
 from sean_jax.learning.collection import check_collection, streams
-from sean_jax.presets import PRESETS
 from sean_jax.studies.experiments import page, pictures, shares, table1
 from sean_jax.studies.experiments.chains import Streams
 from sean_jax.studies.experiments.scheduler import Part, cached, run_parts
