@@ -166,9 +166,9 @@ def load_graph(folder: Path) -> Any:
 
 
 def load_handcrafted(folder: Path) -> Any:
-    from sean_jax.handcrafted import read, sets
+    from sean_jax.handcrafted import build, read
 
-    return sets.build(read(folder, lab()).sets)
+    return build(read(folder, lab()).sets)
 
 
 def load_environment(folder: Path) -> Any:

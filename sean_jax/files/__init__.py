@@ -33,30 +33,6 @@ from sean_jax.files.reading import (
 )
 from sean_jax.messages import error_clause, listed, suggest, unknown_name
 
-__all__ = [
-    "MAX_BYTES",
-    "MAX_DEPTH",
-    "MAX_RECORD",
-    "MAX_TABLE",
-    "FileError",
-    "Location",
-    "Problem",
-    "check_json",
-    "listed",
-    "load",
-    "open_file",
-    "read_arrays",
-    "read_bytes",
-    "read_json",
-    "read_rows",
-    "read_text",
-    "read_yaml",
-    "sentence",
-    "short_name",
-    "suggest",
-    "unknown_name",
-]
-
 MAX_ERRORS = 100  # of a file that a message names
 MAX_KEY = 60  # characters of a key in a message
 MAX_VALUES = 50_000  # in a file, with aliases expanded
