@@ -22,6 +22,7 @@ from sean_jax.files.reading import (
     MAX_DEPTH,
     MAX_RECORD,
     MAX_TABLE,
+    file_error,
     open_file,
     read_arrays,
     read_bytes,
@@ -196,7 +197,7 @@ def read_yaml(path: Path) -> tuple[yaml.Node, Any]:
         loader = _Loader(text)
         root = loader.get_single_node()
         if root is None:
-            raise FileError(f"{short_name(path)}:1:1: the file is empty.")
+            raise file_error(path, "the file is empty", 1, 1)
         _refuse_alias_bombs(path, root)
         _refuse_duplicate_keys(path, root)
         return root, loader.construct_document(root)
@@ -205,11 +206,11 @@ def read_yaml(path: Path) -> tuple[yaml.Node, Any]:
         place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
         start = f" that begins in line {error.context_mark.line + 1}" if error.context_mark else ""
         context = f"{error.context}{start}, " if error.context else ""
-        raise FileError(f"{short_name(path)}:{place}: is not YAML: {context}{_plain(error.problem)}.") from None
+        raise file_error(path, f"is not YAML: {context}{_plain(error.problem)}", place) from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         what = f"character {error.position} is not allowed in YAML"
-        raise FileError(f"{short_name(path)}:{line}: {what}; remove it.") from None
+        raise file_error(path, f"{what}; remove it", line) from None
     except (ValueError, OverflowError) as error:  # such as of "\UFFFFFFFF"
         if isinstance(error, FileError):
             raise

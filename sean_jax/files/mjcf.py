@@ -13,7 +13,7 @@ from xml.parsers import expat
 import numpy as np
 
 from sean_jax.errors import FileError
-from sean_jax.files.reading import MAX_DEPTH, read_bytes, read_text, short_name
+from sean_jax.files.reading import MAX_DEPTH, file_error, read_bytes, read_text, short_name
 from sean_jax.messages import shorten
 
 MAX_ELEMENTS = 10_000  # in all, those of a replicate as often as it makes them
@@ -54,17 +54,18 @@ def read(path: Path) -> Any:
         model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, RuntimeError, MemoryError) as error:
         cause = " ".join(str(error).split()).rstrip(".") or "it is too large"
-        raise FileError(f"{short_name(path)}: MuJoCo cannot read it: {cause}.") from None
+        raise file_error(path, f"MuJoCo cannot read it: {cause}") from None
     finally:
         mujoco.set_mju_user_warning(before)
     if warnings:
-        raise FileError(f"{short_name(path)}: MuJoCo warns of it: {' '.join(warnings[0].split()).rstrip('.')}.")
+        raise file_error(path, f"MuJoCo warns of it: {' '.join(warnings[0].split()).rstrip('.')}")
     for name in dir(model):
         value = None if name.startswith("_") else getattr(model, name)
         if isinstance(value, np.ndarray) and value.dtype.kind == "f" and not (np.abs(value) <= MAX_MAGNITUDE).all():
-            raise FileError(
-                f"{short_name(path)}: MuJoCo makes a number of it ({name}) that is not finite; look for numbers "
-                f"that are very large or very small."
+            raise file_error(
+                path,
+                f"MuJoCo makes a number of it ({name}) that is not finite; look for numbers "
+                f"that are very large or very small",
             )
     return model
 
@@ -94,7 +95,7 @@ class _Scan:
         above = [times]  # of each open element: how often its content is made
 
         def refuse(what: str) -> None:
-            raise FileError(f"{short_name(path)}:{parser.CurrentLineNumber}: {what}.")
+            raise file_error(path, what, parser.CurrentLineNumber)
 
         def begin(name: str, attributes: dict[str, str]) -> None:
             self.place = f"{short_name(path)}:{parser.CurrentLineNumber}"
