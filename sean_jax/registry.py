@@ -70,9 +70,8 @@ def load(name: str, config: EnvConfig | None = None, config_overrides: Mapping[s
     weights = {key: overrides.pop(key) for key in list(overrides) if key.startswith("rewards.")}
     for key in overrides:
         if key not in EnvConfig.model_fields:
-            raise InputError(
-                f"config_overrides: '{key}' is no field{files.suggest(key, EnvConfig.model_fields) or '.'}"
-            )
+            cure = files.suggest(key, EnvConfig.model_fields) or "."
+            raise InputError(f"config_overrides: '{key}' is no field{cure}")
     env = build(validate(EnvConfig, {**{key: getattr(config, key) for key in EnvConfig.model_fields}, **overrides}))
     if weights:
         changed = rewards.as_terms({key.removeprefix("rewards."): weight for key, weight in weights.items()})

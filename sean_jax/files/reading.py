@@ -33,7 +33,7 @@ def short_name(path: Path) -> str:
     return "/".join(part for part in (path.parent.name, path.name) if part)
 
 
-def file_error(path: Path | str, text: str, *place: int | str) -> FileError:
+def file_error(path: Path | str, text: str, *place: Any) -> FileError:
     """The error about a file: ``text`` without a full stop, at a line and a column if these are known."""
     return FileError(f"{':'.join([short_name(Path(path)), *map(str, place)])}: {text}.")
 
