@@ -165,7 +165,7 @@ def with_task(scenario: Scenario, task: Any) -> Scenario:
     if isinstance(task, CustomTask) and task.start and task.goal:
         scenario = dataclasses.replace(scenario, task_name=task.kind)
         return dataclasses.replace(scenario, task=tasks.poses(scenario, task.start, task.goal))
-    name, function = _name(task), components.resolve(task, tasks.TASKS, "task")
+    name, function = task.label, components.resolve(task, tasks.TASKS, "task")
     if not callable(function):
         raise InputError(f"task: {name} is no function (scenario, pedestrians, groups, memory, key) -> RobotTask.")
     scenario = dataclasses.replace(scenario, task=function, task_name=name)
@@ -310,7 +310,7 @@ def _situations(config: ScenarioConfig) -> tuple[tuple, classifiers.Thresholds]:
             name = part.kind
             chosen[name] = components.resolve(part, classifiers.SITUATION_SETS | known, "situations")
         else:
-            chosen[_name(part)] = classifiers.as_situation(components.resolve(part, {}, "situations"), _name(part))
+            chosen[part.label] = classifiers.as_situation(components.resolve(part, {}, "situations"), part.label)
     if not chosen:
         raise InputError("situations: there are none; give at least one, or a name like 'paper'.")
     if len(chosen) > MAX_SITUATIONS:
@@ -334,13 +334,8 @@ def _metrics(config: ScenarioConfig) -> tuple:
         elif isinstance(part, Named):
             chosen[part.kind] = components.resolve(part, {"all": None, **metrics.METRICS}, "metrics")
         else:
-            chosen[_name(part)] = metrics.as_metric(components.resolve(part, {}, "metrics"), _name(part))
+            chosen[part.label] = metrics.as_metric(components.resolve(part, {}, "metrics"), part.label)
     return tuple(chosen.items())
-
-
-def _name(part: Component) -> str:
-    """The name of a part in results."""
-    return part.name if isinstance(part, OwnPart | Value) else part.kind
 
 
 class _Any(dict):

@@ -33,7 +33,7 @@ class Source(NamedTuple):
     """A module of the user, before it is executed."""
 
     path: Path
-    text: bytes | None  # of a folder without __init__.py none
+    text: bytes | None  # None of a folder without __init__.py
     is_package: bool
 
 
@@ -300,11 +300,9 @@ def _sha256(data: bytes) -> str:
 
 def _bytes(path: Path) -> bytes:
     """A file, as this command has read it already if it has."""
-    for each in _READ.values():
-        for source in each.sources.values():
-            if source.path == path and source.text is not None:
-                return source.text
-    return files.read_bytes(path)
+    sources = [source for each in _READ.values() for source in each.sources.values()]
+    texts = [source.text for source in sources if source.path == path and source.text is not None]
+    return texts[0] if texts else files.read_bytes(path)
 
 
 def _beside(folder: Path, parts: list[str]) -> Source | None:

@@ -124,9 +124,7 @@ def observation_terms(parts: Sequence[Component], option: str = "observations") 
     Raises:
         InputError: there is no such name.
     """
-    terms = {}
-    for part in parts:
-        terms[_name(part)] = components.resolve(part, observations.OBSERVATIONS, option)
+    terms = {part.label: components.resolve(part, observations.OBSERVATIONS, option) for part in parts}
     return observations.as_terms(terms) if terms else ()
 
 
@@ -137,9 +135,5 @@ def _rewards(config: EnvConfig) -> dict[str, Any]:
             terms |= rewards.DEFAULT
             continue
         term = components.resolve(part, {"default": None, **rewards.REWARDS}, "rewards")
-        terms |= term if isinstance(term, dict) else {_name(part): term}
+        terms |= term if isinstance(term, dict) else {part.label: term}
     return terms
-
-
-def _name(part: Any) -> str:
-    return part.kind if isinstance(part, Named) else part.name

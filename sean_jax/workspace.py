@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import json
 import os
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
@@ -146,16 +147,10 @@ def difference(had: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
 
 def _entries(content: Mapping[str, Any]) -> dict[str, Any]:
     """The entries of all sections, by the names that messages use; values are as JSON gives them back."""
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for name, value in content.items():
-        found |= {LABELS[name](key): each for key, each in value.items()} if name in LABELS else {name: value}
-    return {name: _plain(value) for name, value in found.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _plain(each) for name, each in value.items()}
-    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
+        entries |= {LABELS[name](key): each for key, each in value.items()} if name in LABELS else {name: value}
+    return json.loads(json.dumps(entries))
 
 
 def value_text(value: Any) -> str:

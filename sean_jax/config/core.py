@@ -82,7 +82,7 @@ class Config(pydantic.BaseModel):
 
     def replace(self, **changes: object) -> Self:
         """The same options with other values, checked again."""
-        return type(self)(**{**_given(self), **changes})
+        return type(self)(**{**_set_fields(self), **changes})
 
     def identity(self) -> dict[str, Any]:
         """The fields that affect results, as JSON values: to be recorded, and compared when work is resumed."""
@@ -108,6 +108,11 @@ class Component(Config):
     """A part of a scenario or a run: its kind and its own options."""
 
     kind: Text
+
+    @property
+    def label(self) -> str:
+        """Its name in results."""
+        return getattr(self, "name", self.kind)
 
 
 class Named(Component):
@@ -294,8 +299,7 @@ def gather(
     return data | values
 
 
-def _given(description: Config) -> dict[str, Any]:
-    """The fields that were set."""
+def _set_fields(description: Config) -> dict[str, Any]:
     return {name: getattr(description, name) for name in description.model_fields_set}
 
 
@@ -323,7 +327,7 @@ def with_defaults(model: type[Config], data: Mapping[str, Any], defaults: Mappin
 def _as_mapping(part: Any) -> dict[str, Any] | None:
     """The kind and options of a component; None for anything else and for a Python value."""
     if isinstance(part, Component) and not isinstance(part, Value):
-        return {**_given(part), "kind": part.kind}
+        return {**_set_fields(part), "kind": part.kind}
     if isinstance(part, str):
         return {"kind": part}
     return dict(part) if isinstance(part, Mapping) else None

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from sean_jax.base import Array, Environment, Pedestrians, Robot, Scenario, State, Trajectory
 from sean_jax.drawing import colors, layers
-from sean_jax.errors import InputError
 from sean_jax.graph import BehaviorGraph
 from sean_jax.sensors import Camera, camera, depth, render
 from sean_jax.writing import check_file
@@ -28,6 +27,8 @@ FLAT_COLORS = 128  # of a picture from above: those of colors.py, and those betw
 MAX_SAMPLES = 24  # pictures from which the palette is made
 TAIL = 2.0  # s, of the line behind a person
 SUPERSAMPLING = 2  # a camera's pictures are rendered with this many times the pixels each way, then averaged
+RATE, SPEED = 5.0, 4.0  # pictures a second of a camera's film, and times as fast as it was
+LAST = 2.0  # s, for which the last picture is shown
 WIDTH, HEIGHT = 320, 240  # pixels, of a camera that is named
 
 
@@ -72,8 +73,6 @@ def video(
     path: Target,
     *,
     view: str | Camera = "first_person",
-    rate: float = 5.0,
-    speed: float = 4.0,
 ) -> None:
     """Write what a camera of the robot sees along one episode, frames (T, ...), as a GIF; the sensors' rays draw it.
 
@@ -81,7 +80,6 @@ def video(
         path: a path or a binary file.
         view: name of a camera, for pictures of 320 x 240 pixels, or a camera of ``sensors.camera``. Depth is shown
             in colors, blue near and red far.
-        rate: pictures a second.
 
     Raises:
         InputError: frames with a batch axis, an unknown camera, or a path that cannot be written.
@@ -90,14 +88,12 @@ def video(
 
     check(path)
     eye = camera(scenario, view, width=WIDTH, height=HEIGHT) if isinstance(view, str) else view
-    if not (rate > 0 and speed > 0):
-        raise InputError(f"rate, speed: {rate:g} pictures a second, {speed:g} times as fast, show nothing; give more.")
     frames = layers.one_episode(frames)
-    every = max(1, round(speed / rate / scenario.time_step))
+    every = max(1, round(SPEED / RATE / scenario.time_step))
     steps = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
     rendered = render_frames(jax.tree.map(lambda leaf: leaf[steps], frames), scenario, eye)
     pictures = [Image.fromarray(picture) for picture in rendered]
-    save(path, len(pictures), pictures.__getitem__, every * scenario.time_step / speed)
+    save(path, len(pictures), pictures.__getitem__, every * scenario.time_step / SPEED)
 
 
 def check(path: Target) -> None:
@@ -112,15 +108,13 @@ def save(
     picture: Callable[[int], Image.Image],
     pause: float,
     *,
-    last: float = 2.0,
     colors: int = COLORS,
 ) -> None:
     """Write a looping GIF with one palette, which covers rare colors too (a yellow shirt among shades of sky).
 
     Args:
         picture: gives the picture of an index (PIL, RGB); called twice for some.
-        pause: s, for which each picture is shown; rounded to hundredths.
-        last: s, for which the last picture is shown.
+        pause: s, for which each picture is shown, rounded to hundredths; the last one is shown for ``LAST``.
     """
     from PIL import Image
 
@@ -130,7 +124,7 @@ def save(
     images = [
         picture(index).convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE) for index in range(number)
     ]
-    pauses = [max(20, round(100 * pause) * 10)] * (number - 1) + [round(1000 * last)]
+    pauses = [max(20, round(100 * pause) * 10)] * (number - 1) + [round(1000 * LAST)]
     images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=pauses, loop=0, optimize=False)
 
 

@@ -206,21 +206,18 @@ def read_yaml(path: Path) -> tuple[yaml.Node, Any]:
         place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
         start = f" that begins in line {error.context_mark.line + 1}" if error.context_mark else ""
         context = f"{error.context}{start}, " if error.context else ""
-        raise file_error(path, f"is not YAML: {context}{_plain(error.problem)}", place) from None
+        unhashable = error.problem == "found unhashable key"
+        problem = "a key is a list or a mapping; write a word" if unhashable else error.problem
+        raise file_error(path, f"is not YAML: {context}{problem}", place) from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        what = f"character {error.position} is not allowed in YAML"
-        raise file_error(path, f"{what}; remove it", line) from None
+        raise file_error(path, f"character {error.position} is not allowed in YAML; remove it", line) from None
     except (ValueError, OverflowError) as error:  # such as of "\UFFFFFFFF"
         if isinstance(error, FileError):
             raise
         mark = loader.get_mark() if loader else None
-        place = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
-        raise FileError(f"{short_name(path)}{place}: is not YAML: {error}.") from None
-
-
-def _plain(problem: str | None) -> str:
-    return "a key is a list or a mapping; write a word" if problem == "found unhashable key" else str(problem)
+        place = (mark.line + 1, mark.column + 1) if mark else ()
+        raise file_error(path, f"is not YAML: {error}", *place) from None
 
 
 def _children(node: yaml.Node) -> list[yaml.Node]:
@@ -235,16 +232,16 @@ def _refuse_alias_bombs(path: Path, root: yaml.Node) -> None:
     pending = [(root, False)]
     while pending:
         node, is_done = pending.pop()
-        place = f"{short_name(path)}:{node.start_mark.line + 1}:{node.start_mark.column + 1}"
+        place = node.start_mark.line + 1, node.start_mark.column + 1
         if is_done:
             sizes[id(node)] = 1 + sum(sizes[id(child)] or 0 for child in _children(node))
             if (sizes[id(node)] or 0) > MAX_VALUES:
-                raise FileError(f"{place}: aliases unfold to more than {MAX_VALUES:,} values; write fewer.")
+                raise file_error(path, f"aliases unfold to more than {MAX_VALUES:,} values; write fewer", *place)
         elif id(node) not in sizes:
             sizes[id(node)] = None
             pending += [(node, True), *((child, False) for child in _children(node))]
         elif sizes[id(node)] is None:
-            raise FileError(f"{place}: an alias stands inside of its own anchor; remove it.")
+            raise file_error(path, "an alias stands inside of its own anchor; remove it", *place)
 
 
 def _refuse_duplicate_keys(path: Path, root: yaml.Node) -> None:

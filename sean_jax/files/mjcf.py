@@ -43,9 +43,7 @@ def read(path: Path) -> Any:
     Raises:
         FileError: one sentence that names the file, the line where there is one, and the cure.
     """
-    scan = _Scan(path)
-    scan.run(path, read_text(path, MAX_TEXT))
-    scan.check_assets()
+    sources(path)  # refuses elements and files
     mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
     warnings: list[str] = []
     before = mujoco.get_mju_user_warning()
@@ -62,11 +60,8 @@ def read(path: Path) -> Any:
     for name in dir(model):
         value = None if name.startswith("_") else getattr(model, name)
         if isinstance(value, np.ndarray) and value.dtype.kind == "f" and not (np.abs(value) <= MAX_MAGNITUDE).all():
-            raise file_error(
-                path,
-                f"MuJoCo makes a number of it ({name}) that is not finite; look for numbers "
-                f"that are very large or very small",
-            )
+            cure = "look for numbers that are very large or very small"
+            raise file_error(path, f"MuJoCo makes a number of it ({name}) that is not finite; {cure}")
     return model
 
 
@@ -116,17 +111,14 @@ class _Scan:
                 self.files.add(inner)
                 self.run(inner, included, (*including, path), above[-1])
 
-        def doctype(*_: Any) -> None:
-            refuse("has a document type, which MJCF does not; remove it")
-
         parser.StartElementHandler = begin
         parser.EndElementHandler = lambda _: above.pop()
-        parser.StartDoctypeDeclHandler = doctype
+        parser.StartDoctypeDeclHandler = lambda *_: refuse("has a document type, which MJCF does not; remove it")
         try:
             parser.Parse(content.encode("utf-8"), True)
         except expat.ExpatError as error:
-            place = f"{short_name(path)}:{error.lineno}:{error.offset + 1}"
-            raise FileError(f"{place}: is not XML: {expat.ErrorString(error.code)}.") from None
+            text = f"is not XML: {expat.ErrorString(error.code)}"
+            raise file_error(path, text, error.lineno, error.offset + 1) from None
 
     def element(self, name: str, attributes: dict[str, str], times: int) -> int:
         """Check an element; returns how often its content is made. Raises _ElementError."""
@@ -188,9 +180,8 @@ class _Scan:
         """Add pixels to the total; _ElementError if there are too many."""
         self.pixels += pixels
         if self.pixels > MAX_PIXELS:
-            raise _ElementError(
-                f"textures have more than {MAX_PIXELS // 10**6} million pixels in all; make them smaller"
-            )
+            size = f"more than {MAX_PIXELS // 10**6} million pixels in all"
+            raise _ElementError(f"textures have {size}; make them smaller")
 
 
 class _ElementError(Exception):

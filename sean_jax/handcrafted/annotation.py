@@ -238,9 +238,7 @@ def check_apart(here: files.Location, each: Set) -> Iterator[files.Problem]:
                 move = f"move one by {APART - gap:.2f} m or more"
                 yield place, f"leaves too little room to the group '{other}'; {move}"
     words = ["the loop" if walkers.start == "spread" else "where somebody starts" for walkers in each.walkers]
-    around = [
-        (points, 0.0, f"{word} of walkers[{i}]") for i, (word, points) in enumerate(zip(words, begins, strict=True))
-    ]
+    around = [(points, 0.0, f"{words[i]} of walkers[{i}]") for i, points in enumerate(begins)]
     around += [(center, size, f"the group '{name}'") for name, (center, size) in rings.items()]
     for (place, pose), (points, size, what) in product(_places(here, each), around):
         gap = _gap(points, np.array([pose[:2]])) - size
