@@ -203,22 +203,17 @@ def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
     mujoco.mj_kinematics(model, data)
     kind = [mujoco.mjtGeom(number).name.removeprefix("mjGEOM_").lower() for number in model.geom_type]
     solid = [index for index in range(model.ngeom) if model.geom_contype[index] or model.geom_conaffinity[index]]
+    names = {index: f"geom '{name}'" for index in solid if (name := model.geom(index).name)}
     clauses = {index: _refusal(model, data, index, kind[index]) for index in solid}
-    lines = [f"{files.short_name(path)}: {_geom_name(model, index)} {text}." for index, text in clauses.items() if text]
+    texts = [f"{names.get(k, f'the unnamed geom number {k + 1}')} {text}" for k, text in clauses.items() if text]
     boxes = [index for index in solid if kind[index] == "box"]
     if len(boxes) > MAX_OBSTACLES:
-        what = f"has {len(boxes)} boxes that can be touched; {MAX_OBSTACLES} are the most"
-        lines.append(f"{files.short_name(path)}: {what}.")
-    if lines:
-        raise FileError("\n".join(lines))
+        texts.append(f"has {len(boxes)} boxes that can be touched; {MAX_OBSTACLES} are the most")
+    if texts:
+        raise FileError("\n".join(str(files.file_error(path, text)) for text in texts))
     position, half, turn = data.geom_xpos[boxes], model.geom_size[boxes], data.geom_xmat[boxes]
     yaw, height = np.arctan2(turn[:, 3], turn[:, 0]), position[:, 2] + half[:, 2]
     return np.column_stack([position[:, :2], half[:, :2], yaw, height]), scenery_from_mjcf(model, data, boxes)
-
-
-def _geom_name(model: Any, index: int) -> str:
-    name = model.geom(index).name
-    return f"geom '{name}'" if name else f"the unnamed geom number {index + 1}"
 
 
 def _refusal(model: Any, data: Any, index: int, kind: str) -> str:

@@ -25,6 +25,7 @@ from sean_jax.config import (
     Value,
     aliases,
     did_you_mean,
+    families,
     family_of,
     gather,
     is_own_part,
@@ -161,13 +162,11 @@ def read(
     switches = {name for name, value in words.items() if value is False}  # which are off by default
     data = dict(base or {})
     preset = words.get("preset", data.get("preset"))
-    for name, field in model.model_fields.items():
-        family = family_of(field)
-        if family is not None:
-            for option in {name, family.singular} & words.keys():
-                words[option] = _own(words[option], family)
-        if family is not None and family.singular is not None:
-            default = usual(preset, name, ",".join(each.kind for each in field.default))
+    for name, family in families(model).items():
+        for option in {name, family.singular} & words.keys():
+            words[option] = _own(words[option], family)
+        if family.singular is not None:
+            default = usual(preset, name, ",".join(each.kind for each in model.model_fields[name].default))
             if name in words:
                 data[name] = words.pop(name)
             if added := words.pop(family.singular, []):

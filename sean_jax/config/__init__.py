@@ -19,6 +19,7 @@ from sean_jax.config.core import (
     Value,
     aliases,
     did_you_mean,
+    families,
     family_of,
     gather,
     is_own_part,

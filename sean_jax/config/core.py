@@ -265,6 +265,12 @@ def family_of(field: FieldInfo) -> Family | None:
     return next((mark for mark in (*field.metadata, *inside) if isinstance(mark, Family)), None)
 
 
+def families(model: type[Config]) -> dict[str, Family]:
+    """Field -> the family of components that it holds, without other fields."""
+    each = {name: family_of(field) for name, field in model.model_fields.items()}
+    return {name: family for name, family in each.items() if family is not None}
+
+
 # ------------------------------------------------------------------ from values to options
 
 
@@ -286,16 +292,14 @@ def gather(
         InputError: an option does not belong to the chosen component.
     """
     data, values = dict(base or {}), dict(values)
-    for name, field in model.model_fields.items():
-        family = family_of(field)
-        owners = {} if family is None else family.options()
-        options = {
-            option: values.pop(option) for option in owners if option in values and option not in model.model_fields
-        }
+    for name, family in families(model).items():
+        beside = [option for option in family.options() if option in values and option not in model.model_fields]
+        options = {option: values.pop(option) for option in beside}
         if name in values:
             data[name] = values.pop(name)
-        if options and family is not None:
-            data[name] = _with_options(name, data.get(name), field.get_default(), options, family, named)
+        if options:
+            default = model.model_fields[name].get_default()
+            data[name] = _with_options(name, data.get(name), default, options, family, named)
     return data | values
 
 
@@ -313,12 +317,10 @@ def with_defaults(model: type[Config], data: Mapping[str, Any], defaults: Mappin
         if option in model.model_fields:
             full.setdefault(option, value)
             continue
-        for name, field in model.model_fields.items():
-            family = family_of(field)
-            part = _as_mapping(full.get(name, field.get_default()))
-            if family is None or part is None or not isinstance(part.get("kind"), str) or is_own_part(part["kind"]):
-                continue
-            variant = family.variant(part["kind"])
+        for name, family in families(model).items():
+            part = _as_mapping(full.get(name, model.model_fields[name].get_default())) or {}
+            kind = part.get("kind")
+            variant = family.variant(kind) if isinstance(kind, str) and not is_own_part(kind) else None
             if variant is not None and option in variant.model_fields:
                 full[name] = {option: value, **part}
     return full
@@ -391,8 +393,8 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
     head = named(str(path[0])) if path else ""
     if place and place in owner.model_fields and named is not str:
         head, place = named(place), ""  # an option of a component is a flag of its own
-    known, families = list(owner.model_fields), map(family_of, owner.model_fields.values())
-    beside = [option for family in families if family is not None for option in family.options()]
+    known = list(owner.model_fields)
+    beside = [option for family in families(owner).values() for option in family.options()]
     text = error_clause(error, _choices(owner, last), known, did_you_mean(last, [*known, *beside]))
     if kind == "value_error" and not path:
         head, _, text = text.partition(": ")
@@ -409,8 +411,7 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
 
 
 def _component_classes(model: type[Config]) -> list[type[Component]]:
-    families = (family_of(field) for field in model.model_fields.values())
-    return [OwnPart, Value, *(variant for family in families if family is not None for variant in family.variants)]
+    return [OwnPart, Value, *(variant for family in families(model).values() for variant in family.variants)]
 
 
 def _choices(owner: type[Config], name: str) -> tuple[object, ...]:
