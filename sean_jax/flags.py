@@ -14,24 +14,10 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from sean_jax.config import (
-    RENAMED,
-    Component,
-    Config,
-    Described,
-    Family,
-    Option,
-    OwnPart,
-    Value,
-    aliases,
-    did_you_mean,
-    families,
-    family_of,
-    gather,
-    is_own_part,
-    usual,
-    validate,
-)
+from sean_jax.config import core
+from sean_jax.config.core import Config, Described, Family, OwnPart, Value, families, family_of
+from sean_jax.config.fields import Option
+from sean_jax.config.scenario import usual
 from sean_jax.errors import InputError
 from sean_jax.messages import listed
 
@@ -126,7 +112,7 @@ def _default(value: object) -> str:
     if value is None or value == () or value is False:
         return ""
     values = value if isinstance(value, tuple) else (value,)
-    return f" (default: {' '.join(each.kind if isinstance(each, Component) else number(each) for each in values)})"
+    return f" (default: {' '.join(each.kind if isinstance(each, core.Component) else number(each) for each in values)})"
 
 
 def _plain(kind: Any) -> Any:
@@ -174,15 +160,15 @@ def read(
                 several = listed(present) if isinstance(present, str) else present
                 data[name] = [*(several if isinstance(several, list) else [several]), *added]
     words = {name: value for name, value in words.items() if name not in switches}
-    return validate(model, gather(model, words, data, flag), flag, source)
+    return core.validate(model, core.gather(model, words, data, flag), flag, source)
 
 
 def _own(value: Any, family: Family) -> Any:
     """Components of flags; parts in the user's own files are marked as named by the user."""
     if not (family.several or family.singular):
-        return OwnPart(kind=value) if is_own_part(value) else value
+        return OwnPart(kind=value) if core.is_own_part(value) else value
     words = listed(value) if isinstance(value, str) else value
-    return [OwnPart(kind=word) if is_own_part(word) else word for word in words]
+    return [OwnPart(kind=word) if core.is_own_part(word) else word for word in words]
 
 
 def command(word: str, config: Config) -> str:
@@ -250,8 +236,8 @@ def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:
         name = word.split("=")[0].removeprefix("--").replace("-", "_")
         if not word.startswith("--") or name in (*known, "help"):
             continue
-        if RENAMED.get(name) in known or any(name in aliases().get(option, ()) for option in known):
-            raise InputError(f"{word.split('=')[0]}: there is no such option{did_you_mean(name, known, flag)}")
+        if core.RENAMED.get(name) in known or any(name in core.aliases().get(option, ()) for option in known):
+            raise InputError(f"{word.split('=')[0]}: there is no such option{core.did_you_mean(name, known, flag)}")
 
 
 def parse(

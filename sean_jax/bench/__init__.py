@@ -207,9 +207,8 @@ def compiling(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
     """Time tracing and compiling of the whole step of 64 scenarios, without and with a cache on the disk."""
     from jax.experimental.compilation_cache import compilation_cache
 
-    settings = {
-        name: getattr(jax.config, name) for name in ("jax_compilation_cache_dir", "jax_enable_compilation_cache")
-    }
+    names = "jax_compilation_cache_dir", "jax_enable_compilation_cache"
+    settings = {name: getattr(jax.config, name) for name in names}
     program = programs.stepping(scenario, 64, 10)
     with tempfile.TemporaryDirectory() as folder:
         jax.config.update("jax_enable_compilation_cache", True)

@@ -8,18 +8,14 @@ import pydantic
 
 from sean_jax.config import fields
 from sean_jax.config.core import (
-    OWN_PART,
     RENAMED,
     Component,
     Config,
-    Described,
     Family,
     Named,
     OwnPart,
     Value,
     aliases,
-    did_you_mean,
-    families,
     family_of,
     gather,
     is_own_part,
@@ -54,7 +50,6 @@ from sean_jax.config.scenario import (
     RobotPart,
     RunConfig,
     ScenarioConfig,
-    usual,
 )
 from sean_jax.config.studies import (
     EXPERIMENTS,

@@ -118,9 +118,7 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
     Returns:
         A matplotlib ``Figure``, or with ``animate`` a moving IPython ``Image``.
     """
-    frames = trajectory
-    while np.ndim(frames.active) > 1:
-        frames = jax.tree.map(lambda leaf: leaf[0], frames)
+    frames = layers.first_episode(trajectory)
     if scenario is None:
         environment, graph, names, time_step = empty_floor(frames), None, None, 0.1
     else:

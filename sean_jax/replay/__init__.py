@@ -27,7 +27,7 @@ import numpy as np
 from sean_jax import drawing, files, navigation, pages, writing
 from sean_jax.base import Environment, Scenario, Trajectory
 from sean_jax.drawing import colors
-from sean_jax.drawing.layers import one_episode, situation_names
+from sean_jax.drawing.layers import first_episode, one_episode, situation_names
 from sean_jax.errors import InputError
 from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
@@ -124,14 +124,9 @@ def plans(scenario: Scenario, frames: Trajectory) -> np.ndarray:
     """(T, K, 2) m, the remaining shortest path of an episode's frames (T, ...), once a second; beyond it, the goal."""
     every = max(1, round(1.0 / scenario.time_step))
     some = np.arange(0, len(frames.active), every)
-    table = scenario.navigation
-    if len(np.unique(np.asarray(frames.goal), axis=0)) > 1:
-        some_goals = np.asarray(frames.goal)[some]
-    else:
-        some_goals = np.broadcast_to(np.asarray(frames.goal)[:1], (len(some), 2))
     padded = 128 * -(-len(some) // 128)  # so that episodes of like length share a program
-    where = [np.resize(part, (padded, 2)) for part in (np.asarray(frames.position)[some], some_goals)]
-    points = np.asarray(_plans(table, *(jnp.asarray(part, float) for part in where)))[: len(some)]
+    where = [np.resize(np.asarray(part)[some], (padded, 2)) for part in (frames.position, frames.goal)]
+    points = np.asarray(_plans(scenario.navigation, *(jnp.asarray(part, float) for part in where)))[: len(some)]
     return np.repeat(points, every, axis=0)[: len(frames.active)]
 
 
@@ -358,9 +353,7 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
     picture = drawing.view(trajectory, scenario, animate)
     if animate:
         return picture
-    frames = trajectory
-    while np.ndim(frames.active) > 1:
-        frames = jax.tree.map(lambda leaf: leaf[0], frames)
+    frames = first_episode(trajectory)
     episode = Episode(frames, "episode")
     if scenario is None:
         return Replay(recording([episode], drawing.empty_floor(frames)), picture)
