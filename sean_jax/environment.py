@@ -140,10 +140,9 @@ def free_points(environment: Environment, radius: float, number: int, seed: int 
         missing -= len(batches[-1])
         tried += BATCH
         if tried >= 20 * BATCH and (number - missing) * 2000 < tried:
-            raise InputError(
-                f"environment '{environment.name}' has hardly any place where a disc of {radius:g} m is clear of "
-                f"obstacles ({number - missing} of {tried} tried); use a smaller radius."
-            )
+            text = f"has hardly any place where a disc of {radius:g} m is clear of obstacles"
+            tries = f"({number - missing} of {tried} tried); use a smaller radius."
+            raise InputError(f"environment '{environment.name}' {text} {tries}")
     return np.concatenate([np.zeros((0, 2), np.float32), *batches])
 
 
@@ -258,9 +257,8 @@ def scenery_from_mjcf(model: Any, data: Any, obstacles: list[int]) -> Scenery:
     shape = solids_from_mjcf(model, data, [*obstacles, *rest])
     floor, sky = _texture(model, "2d"), _texture(model, "skybox")
     sun = -model.light_dir[0] if model.nlight else np.array(SUN)
-    return _scenery(
-        shape, FLOOR if floor is None else (floor[0], floor[-1]), SKY if sky is None else (sky[0], sky[-1]), sun
-    )
+    floor, sky = FLOOR if floor is None else floor, SKY if sky is None else sky
+    return _scenery(shape, (floor[0], floor[-1]), (sky[0], sky[-1]), sun)
 
 
 def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:

@@ -175,9 +175,8 @@ def rectangles(occupied: np.ndarray, spare: int = 0) -> np.ndarray:
             boxes.append(box)
             covered[box[1] : box[3], box[0] : box[2]] += 1
             if len(boxes) > MAX_BOXES:
-                raise InputError(
-                    f"the map needs more than {MAX_BOXES} boxes; smooth its image, or lower its resolution."
-                )
+                cure = "smooth its image, or lower its resolution"
+                raise InputError(f"the map needs more than {MAX_BOXES} boxes; {cure}.")
     return np.array(_without_slivers(boxes, covered, spare), int).reshape(-1, 4)
 
 
