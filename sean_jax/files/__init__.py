@@ -76,14 +76,11 @@ def _validate(path: Path, data: Any, model: type[Model], checks: Iterable[Callab
         if not problems:
             return value
         problems, more = problems[:MAX_ERRORS], len(problems[MAX_ERRORS:])
-    if root is None:
-        messages = [f"{short_name(path)}: {_sentence(loc, clause)}" for loc, clause in problems]
-        raise FileError(_limited(path, messages, more))
     marked = []
     for loc, clause in problems:
-        keys, mark = _locate(root, loc, loc in unknown)
+        keys, mark = (loc, None) if root is None else _locate(root, loc, loc in unknown)
         marked.append((mark, _sentence(keys, clause)))
-    raise FileError(_by_position(path, marked, more))
+    raise _in_one(path, marked, more)
 
 
 def _sentence(loc: Location, clause: str) -> str:
@@ -246,7 +243,7 @@ def _refuse_alias_bombs(path: Path, root: yaml.Node) -> None:
 
 def _refuse_duplicate_keys(path: Path, root: yaml.Node) -> None:
     """Refuse equal keys of a mapping, of which YAML would silently take the last."""
-    problems: list[tuple[yaml.Mark, str]] = []
+    problems: list[tuple[yaml.Mark | None, str]] = []
     pending: list[tuple[Location, yaml.Node]] = [((), root)]
     visited = set()
     while pending:
@@ -266,25 +263,23 @@ def _refuse_duplicate_keys(path: Path, root: yaml.Node) -> None:
                 first.setdefault(name, here.line + 1)
                 pending.append(((*loc, name), value))
     if problems:
-        raise FileError(_by_position(path, problems))
+        raise _in_one(path, problems)
 
 
 # ------------------------------------------------------------------ positions
 
 
-def _by_position(path: Path, marked: list[tuple[yaml.Mark, str]], more: int = 0) -> str:
-    """Problems in the order of their positions in the file."""
-    marked = sorted(marked, key=lambda item: (item[0].line, item[0].column))
-    name = short_name(path)
-    return _limited(path, [f"{name}:{mark.line + 1}:{mark.column + 1}: {text}" for mark, text in marked], more)
-
-
-def _limited(path: Path, messages: list[str], more: int) -> str:
-    """The first messages, each once, and one line with the number of others."""
-    messages = list(dict.fromkeys(messages))
-    more += len(messages[MAX_ERRORS:])
-    tail = [f"{short_name(path)}: there are {more:,} more errors; mend these first."] if more else []
-    return "\n".join([*messages[:MAX_ERRORS], *tail])
+def _in_one(path: Path, problems: list[tuple[yaml.Mark | None, str]], more: int = 0) -> FileError:
+    """The first problems in the order of their positions, each once, and one line with the number of others."""
+    problems = sorted(problems, key=lambda problem: (problem[0].line, problem[0].column) if problem[0] else (0, 0))
+    name, texts = short_name(path), []
+    for mark, text in problems:
+        place = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
+        texts.append(f"{name}{place}: {text}")
+    texts = list(dict.fromkeys(texts))
+    more += len(texts[MAX_ERRORS:])
+    tail = [f"{name}: there are {more:,} more errors; mend these first."] if more else []
+    return FileError("\n".join([*texts[:MAX_ERRORS], *tail]))
 
 
 def _locate(root: yaml.Node, loc: Location, at_key: bool) -> tuple[Location, yaml.Mark]:
