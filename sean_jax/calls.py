@@ -62,7 +62,10 @@ def check_array(
     right = array and (shape is None or jnp.shape(value) == shape)
     if right:
         dtype = jnp.result_type(value)
-        right = jnp.issubdtype(dtype, {bool: np.bool_, float: np.floating}[kind]) if kind else _is_number(dtype)
+        number = jnp.issubdtype(dtype, np.number) and not jnp.issubdtype(dtype, np.complexfloating)
+        right = (
+            jnp.issubdtype(dtype, {bool: np.bool_, float: np.floating}[kind]) if kind else number or dtype == np.bool_
+        )
     if not right:
         expected = " ".join([KINDS.get(kind, "an array of numbers"), *([] if shape is None else [str(shape)])])
         raise wrong(part, function, describe(value), expected, cure)
@@ -88,7 +91,7 @@ def check_type(part: str, function: Callable, value: Any, kind: type, **sizes: i
             right = list(field.shape) == expected and any(re.fullmatch(kind, str(field.dtype)) for kind in kinds)
         if not right:
             shape = ", ".join(str(known.get(dim, dim)) for dim in dims)
-            expected = f"{_kind(kinds)} ({shape}{',' * (len(dims) == 1)})"
+            expected = re.sub(r"\W.*|\d+", "", kinds[-1]) + f" ({shape}{',' * (len(dims) == 1)})"
             actual, cure = f"{name} = {describe(field)}", f"give {kind.__name__}.{name} that shape"
             raise wrong(part, function, actual, expected, cure)
 
@@ -130,10 +133,6 @@ def wrong(part: str, function: Callable, actual: str, expected: str, cure: str) 
     return PartError(f"{part}: {_definition(plain)}{_name(plain)} gives {actual}, not {expected}{missing}; {cure}.")
 
 
-def _is_number(dtype: Any) -> bool:
-    return jnp.issubdtype(dtype, np.number) and not jnp.issubdtype(dtype, np.complexfloating) or dtype == np.bool_
-
-
 @functools.cache
 def _fields(kind: type) -> tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...]:
     """Name, letters of the shape, and patterns of the types of each field with a shape in its annotation."""
@@ -144,10 +143,6 @@ def _fields(kind: type) -> tuple[tuple[str, tuple[str, ...], tuple[str, ...]], .
         if hasattr(hint, "dim_str") and type(None) not in union:
             fields.append((field.name, tuple(hint.dim_str.split()), tuple(map(str, hint.dtypes))))
     return tuple(fields)
-
-
-def _kind(patterns: tuple[str, ...]) -> str:
-    return re.sub(r"\W.*|\d+", "", patterns[-1])
 
 
 # ------------------------------------------------------------------ whose function, and where

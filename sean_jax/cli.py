@@ -187,10 +187,11 @@ def _refuse_empty(arguments: list[str]) -> None:
 
 def _execute(word: str, options: Any) -> int:
     """The exit code of a command; results of resumable work until an error or Ctrl-C are kept."""
-    work = _DO[word]
+    from rich.console import Console
+
     try:
         with interrupts.unwrapped():
-            return work(options, _console(getattr(options, "quiet", False))) or 0
+            return _DO[word](options, Console(quiet=getattr(options, "quiet", False))) or 0
     except (OSError, KeyboardInterrupt) as error:
         if word not in RESUMABLE:
             raise
@@ -395,12 +396,6 @@ def _schema(options: config.SchemaConfig, console: "Console") -> None:
 _COMMANDS = _run, _collect, _train, _experiment, _export, _fit_graph, _calibrate, _draw, _replay, _compare
 _COMMANDS += _import_map, _benchmark, _bench, _validate, _doctor, _list, _schema
 _DO: dict[str, Any] = {command.__name__[1:].replace("_", "-"): command for command in _COMMANDS}
-
-
-def _console(quiet: bool) -> "Console":
-    from rich.console import Console
-
-    return Console(quiet=quiet)
 
 
 def _print(console: Any, what: str, where: Path | str) -> None:

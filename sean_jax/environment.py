@@ -271,7 +271,8 @@ def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
     colors: tuple[list, list, list] = [], [], []
     for index in geoms:
         place, size = data.geom_xpos[index], model.geom_size[index]
-        turn, shade = data.geom_xmat[index].reshape(3, 3), _color(model, index)
+        turn, material = data.geom_xmat[index].reshape(3, 3), model.geom_matid[index]
+        shade = model.geom_rgba[index] if material < 0 else model.mat_rgba[material]
         if shade[3] < 0.5:
             continue
         geom_type = kind(int(model.geom_type[index]))
@@ -297,12 +298,6 @@ def _scenery(shape: Solids, floor: ArrayLike = FLOOR, sky: ArrayLike = SKY, sun:
     towards = np.asarray(sun, float)
     looks = np.asarray(floor), np.asarray(SQUARE), np.asarray(sky)
     return Scenery(shape, *to_device((*looks, towards / np.linalg.norm(towards))))
-
-
-def _color(model: Any, index: int) -> np.ndarray:
-    """(4,) color of a geom: its material's, if it has one."""
-    material = model.geom_matid[index]
-    return model.geom_rgba[index] if material < 0 else model.mat_rgba[material]
 
 
 def _texture(model: Any, kind: str) -> np.ndarray | None:

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLUMNS, PANEL = 5, 3.2  # of a sheet, and inches of a panel's width
+TRAIL = 40.0  # s, length of people's trails
 PANEL_MARGIN = 2.0  # m, shown around the points of a set
 MIN_PANEL = 11.0  # m, shown from side to side at least
 MAX_CORNERS = 24  # of a path that is drawn
@@ -53,9 +54,7 @@ def top_down(
     situations: Sequence[str] | None = None,
     time_step: float = 0.1,
     robot_radius: float = layers.ROBOT_RADIUS,
-    trail: float = 40.0,
     width: float = 6.4,
-    title: str = "",
 ) -> Figure:
     """Draw an environment from above, and one episode: trails of people, their last positions, the robot's path.
 
@@ -64,19 +63,18 @@ def top_down(
         situations: names of the frames' situations; the paper's five, or numbers, if None.
         time_step: s, between two frames.
         robot_radius: m.
-        trail: s, length of people's trails.
 
     Raises:
         InputError: the frames have a batch axis, or another number of situations.
     """
-    figure, axes = layers.canvas(environment, width, title)
+    figure, axes = layers.canvas(environment, width, "")
     layers.draw_obstacles(axes, environment)
     if graph is not None:
         layers.draw_graph(axes, graph, alone=frames is None)
     if frames is not None:
         frames = layers.one_episode(frames)
         situations = layers.situation_names(frames, situations)
-        layers.draw_trails(axes, frames, round(trail / time_step))
+        layers.draw_trails(axes, frames, round(TRAIL / time_step))
         layers.draw_people(axes, frames)
         layers.draw_robot(axes, frames, situations, robot_radius)
     layers.draw_legend(axes, graph is not None, frames, situations or ())

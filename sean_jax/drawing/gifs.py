@@ -27,7 +27,7 @@ FLAT_COLORS = 128  # of a picture from above: those of colors.py, and those betw
 MAX_SAMPLES = 24  # pictures from which the palette is made
 TAIL = 2.0  # s, of the line behind a person
 SUPERSAMPLING = 2  # a camera's pictures are rendered with this many times the pixels each way, then averaged
-RATE, SPEED = 5.0, 4.0  # pictures a second of a camera's film, and times as fast as it was
+RATE, SPEED = 5.0, 4.0  # pictures a second of a camera's film; films are as many times faster than the episode
 LAST = 2.0  # s, for which the last picture is shown
 WIDTH, HEIGHT = 320, 240  # pixels, of a camera that is named
 
@@ -42,7 +42,6 @@ def animate(
     time_step: float = 0.1,
     robot_radius: float = layers.ROBOT_RADIUS,
     every: int = 5,
-    speed: float = 4.0,
     size: int = 640,
     title: str = "",
 ) -> None:
@@ -64,16 +63,10 @@ def animate(
     names = layers.situation_names(frames, situations)
     scene = _Scene(environment, frames, graph, names, time_step, robot_radius, size, title, every)
     steps = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
-    save(path, len(steps), lambda index: scene.picture(steps[index]), every * time_step / speed, colors=FLAT_COLORS)
+    save(path, len(steps), lambda index: scene.picture(steps[index]), every * time_step / SPEED, colors=FLAT_COLORS)
 
 
-def video(
-    frames: Trajectory,
-    scenario: Scenario,
-    path: Target,
-    *,
-    view: str | Camera = "first_person",
-) -> None:
+def video(frames: Trajectory, scenario: Scenario, path: Target, *, view: str | Camera = "first_person") -> None:
     """Write what a camera of the robot sees along one episode, frames (T, ...), as a GIF; the sensors' rays draw it.
 
     Args:
@@ -102,14 +95,7 @@ def check(path: Target) -> None:
         check_file(Path(path), (".gif",), "path")
 
 
-def save(
-    path: Target,
-    number: int,
-    picture: Callable[[int], Image.Image],
-    pause: float,
-    *,
-    colors: int = COLORS,
-) -> None:
+def save(path: Target, number: int, picture: Callable[[int], Image.Image], pause: float, colors: int = COLORS) -> None:
     """Write a looping GIF with one palette, which covers rare colors too (a yellow shirt among shades of sky).
 
     Args:
