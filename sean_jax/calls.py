@@ -62,10 +62,8 @@ def check_array(
     right = array and (shape is None or jnp.shape(value) == shape)
     if right:
         dtype = jnp.result_type(value)
-        number = jnp.issubdtype(dtype, np.number) and not jnp.issubdtype(dtype, np.complexfloating)
-        right = (
-            jnp.issubdtype(dtype, {bool: np.bool_, float: np.floating}[kind]) if kind else number or dtype == np.bool_
-        )
+        kinds = {bool: (np.bool_,), float: (np.floating,), None: (np.bool_, np.integer, np.floating)}[kind]
+        right = any(jnp.issubdtype(dtype, each) for each in kinds)
     if not right:
         expected = " ".join([KINDS.get(kind, "an array of numbers"), *([] if shape is None else [str(shape)])])
         raise wrong(part, function, describe(value), expected, cure)

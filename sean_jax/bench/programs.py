@@ -49,9 +49,8 @@ def measure(program: Program, repeats: int, seconds: float) -> dict[str, float]:
     compiling = time.perf_counter() - began
     memory = compiled.memory_analysis()
     # Donated arguments count once: the results lie where the arguments were.
-    size = sum(
-        leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(program.carried) if hasattr(leaf, "itemsize")
-    )
+    arrays = [leaf for leaf in jax.tree.leaves(program.carried) if hasattr(leaf, "itemsize")]
+    size = sum(leaf.size * leaf.dtype.itemsize for leaf in arrays)
     used = memory.temp_size_in_bytes + size if memory else float("nan")
     carried = jax.block_until_ready(compiled(*program.fixed, program.carried))
     began = time.perf_counter()
