@@ -1,7 +1,7 @@
-"""Tables in the user's cache folder: what takes seconds to build is built once for all processes.
+"""Tables in the user's cache folder: a table that takes seconds to build is built once for all processes.
 
-The key of a table is what it was built from, inputs and source code, never a name or a time: an edited file cannot
-leave an old table behind. If the folder cannot be read or written, tables are built again.
+The key of a table is a digest of its inputs and source code, never a name or a time, so a table is never older than
+the files it depends on. If the folder cannot be read or written, tables are built again.
 """
 
 import functools

@@ -1,7 +1,7 @@
 """Calls of functions that may be the user's: errors and wrong results become one sentence.
 
-The sentence names the part, the file and line of the innermost frame of the user's code, and the cure. It is made
-during tracing, before anything is compiled. Errors in the package's own functions are left alone.
+The sentence names the part, the file and line of the innermost frame of the user's code, and the cure. The error is
+raised during tracing, before anything is compiled. Errors in the package's own functions are left alone.
 """
 
 import dataclasses

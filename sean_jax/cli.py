@@ -186,7 +186,7 @@ def _refuse_empty(arguments: list[str]) -> None:
 
 
 def _execute(word: str, options: Any) -> int:
-    """The exit code of a command; results of resumable work until an error or Ctrl-C are kept."""
+    """The exit code of a command; resumable work keeps its finished parts after an error or Ctrl-C."""
     from rich.console import Console
 
     try:

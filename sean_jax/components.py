@@ -52,7 +52,7 @@ class Content:
 
     @cached_property
     def digest(self) -> str:
-        """What tells all of it from another content: 64 hexadecimal digits."""
+        """A digest of all files, 64 hexadecimal digits."""
         return _sha256(repr(self.digests).encode())
 
     @cached_property
@@ -104,9 +104,9 @@ def load(part: OwnPart, option: str) -> Any:
 
 @contextlib.contextmanager
 def trust() -> Iterator[None]:
-    """Let code run that only a file names, such as ``FILE.py:NAME`` in the config.json of an agent, within the block.
+    """Allow code that only a file names, such as ``FILE.py:NAME`` in the config.json of an agent, to run in the block.
 
-    Otherwise only parts run that the user names, on the command line or in Python.
+    Otherwise only code runs that the user names, on the command line or in Python.
     """
     global _trust
     _trust += 1

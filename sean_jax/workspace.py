@@ -1,4 +1,4 @@
-"""The folder of a long command: what it was begun with, its lock, and finished parts, which are not made again."""
+"""The folder of a long command: its identity, its lock, and its finished parts, which are not computed again."""
 
 import contextlib
 import dataclasses
@@ -26,7 +26,7 @@ LABELS = {"options": flag, "versions": VERSION.__add__, "parts": CONTENT.__add__
 class Workspace:
     """A folder that a long command fills part by part, and that the same command resumes.
 
-    The identity has all that decides the results, as JSON values: the sections ``options`` (field -> value),
+    The identity holds everything that affects the results, as JSON values: the sections ``options`` (field -> value),
     ``versions`` (package -> version) and ``parts`` (file of the user's own -> SHA-256), and single values by name.
     """
 
@@ -102,7 +102,7 @@ class Workspace:
 
 
 def identity(options: Config) -> dict[str, Any]:
-    """The identity of a command that its options, the versions and the user's own files decide."""
+    """The identity of a command: its options, the versions and the digests of the user's own files."""
     return {"options": options.identity(), "versions": versions(), "parts": components.digests(options)}
 
 

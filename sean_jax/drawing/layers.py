@@ -45,7 +45,7 @@ def first_episode(frames: Trajectory) -> Trajectory:
 
 
 def situation_names(frames: Trajectory, names: Sequence[str] | None) -> tuple[str, ...]:
-    """Names of the frames' S situations: those given, or the paper's five, or numbers if there are not five.
+    """Names of the frames' S situations: ``names``, or the paper's five, or numbers if there are not five.
 
     Raises:
         InputError: there are not S names.

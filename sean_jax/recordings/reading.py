@@ -54,10 +54,10 @@ MAX_STEPS = 1_000_000  # from the first moment to the last, likewise
 
 
 class Walk(NamedTuple):
-    """A person who is present from one row on, for some rows."""
+    """A person's positions in consecutive rows."""
 
     begin: int  # the first row
-    places: np.ndarray  # (K, 2) m, in that row and those that follow
+    places: np.ndarray  # (K, 2) m, in this row and the following rows
     person: int  # the file's number
 
 
@@ -277,7 +277,7 @@ def _seconds(
 
 
 def _check(recorded: Lines) -> None:
-    """Refuse people who are in two places at once, or faster than people are."""
+    """Refuse people in two places at once, and impossible speeds."""
     path, frame, person = recorded.path, recorded.values["frame"], recorded.person
     span = (frame.max() - frame.min()) * recorded.seconds
     if span > 7 * MAX_DURATION:

@@ -1,7 +1,7 @@
 """``sean run --live``: the replay page of the first episode while the run goes on, served to this computer alone.
 
-The page asks twice a second for what has come since. What was served is kept, so that a page that is opened later, or
-anew, begins at the first frame: an episode's frames, encoded, and no more.
+The page requests new frames twice a second. All encoded frames of the episode stay in memory, so a page that is opened
+later, or reloaded, begins at the first frame.
 """
 
 import contextlib
@@ -59,7 +59,7 @@ class Live:
 
 
 class _Server(ThreadingHTTPServer):
-    """A server whose connections are few, and end without a word in the terminal however the other side ends them."""
+    """A server with few connections, which prints nothing in the terminal when a browser ends one."""
 
     daemon_threads = True
 
