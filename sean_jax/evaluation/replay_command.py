@@ -23,9 +23,9 @@ from sean_jax.base import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import CollectConfig, ReplayConfig, RunConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import accumulate, results, saved
-from sean_jax.learning.collection import streams
+from sean_jax.learning.collection import load_driver, streams
 from sean_jax.learning.networks import CONFIG, read_method
-from sean_jax.learning.policy import disturbed, labelled, load_folder, load_policy, read_options
+from sean_jax.learning.policy import load_folder, load_policy, read_options
 from sean_jax.progress import progress
 from sean_jax.runner import Callbacks, Record, Runner
 from sean_jax.versions import fingerprint, version_mismatch
@@ -171,11 +171,7 @@ def _of_dataset(folder: Path, numbers: list[int]) -> Source:
     _check(numbers, size * len(manifest["shards"]), folder)
     parts = streams(config)
     names, scenarios = list(parts), list(parts.values())
-    policy = load_policy(config.policy, scenarios[0])
-    if config.noise is not None:
-        policy = disturbed(policy, config.noise)
-    if config.labels is not None:
-        policy = labelled(policy, load_policy(config.labels, scenarios[0], "labels"))
+    policy = load_driver(config, scenarios[0])
     now = fingerprint(scenarios[0], [scenario.behavior for scenario in scenarios], policy.params)
     cause = _cause(manifest.get("versions"), manifest.get("content", ""), now)
     every = round(1.0 / scenarios[0].time_step) // config.rate

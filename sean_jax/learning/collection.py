@@ -31,7 +31,7 @@ from sean_jax.errors import InputError
 from sean_jax.flags import command, number
 from sean_jax.learning.dataset import Dataset, EpisodeBatch, stream_seconds
 from sean_jax.learning.examples import Row, row
-from sean_jax.learning.policy import check_policy, disturbed, label, labelled, load_policy
+from sean_jax.learning.policy import check_policy, label, labelled, load_policy
 from sean_jax.progress import progress
 from sean_jax.runner import Callbacks, Record, Runner, not_finite
 from sean_jax.versions import fingerprint, versions
@@ -211,16 +211,19 @@ def collect(config: CollectConfig, console: Console | Callable[[float], None] | 
             return _collect(config, console)
 
 
+def load_driver(config: CollectConfig, scenario: Scenario) -> Policy:
+    """The policy that drives, ``labelled`` if the options have labels or noise."""
+    driver = load_policy(config.policy, scenario)
+    if config.labels is None and config.noise is None:
+        return driver
+    return labelled(driver, config.labels and load_policy(config.labels, scenario, "labels"), config.noise)
+
+
 def _collect(config: CollectConfig, console: Console | Callable[[float], None] | None) -> Dataset:
     """Record in a folder that this process has locked."""
     parts = streams(config)
     scenarios = list(parts.values())
-    policy, command_of = load_policy(config.policy, scenarios[0]), None
-    if config.noise is not None:
-        policy, command_of = disturbed(policy, config.noise), label
-    if config.labels is not None:
-        policy = labelled(policy, load_policy(config.labels, scenarios[0], "labels"))
-        command_of = label
+    policy = load_driver(config, scenarios[0])
     try:
         camera = sensors.camera(scenarios[0], "depth", width=config.width, height=config.height)
     except ValueError as error:
@@ -235,7 +238,8 @@ def _collect(config: CollectConfig, console: Console | Callable[[float], None] |
             f"{data.folder} was begun with --batch {data.batch}, which does not spread evenly over {mesh.size} devices"
         )
         raise InputError(f"{text}; choose another --out.")
-    record = row_record(scenarios[0], camera, command_of, config.rate)
+    is_labelled = config.labels is not None or config.noise is not None
+    record = row_record(scenarios[0], camera, label if is_labelled else None, config.rate)
     runner = Runner(scenarios, policy, data.batch, "collect", record, mesh)
     target_rows = config.rate * stream_seconds(config.hours, len(parts))
     total = target_rows * len(parts) // config.rate

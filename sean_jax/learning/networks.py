@@ -70,6 +70,12 @@ def check_supported(folder: Path, saved: dict[str, Any]) -> None:
         raise InputError(f"{text}; train it anew, or use an earlier version.")
 
 
+def named_leaves(tree: Any) -> dict[str, Any]:
+    """The leaves of a pytree by their paths, such as statistics/mean."""
+    leaves, _ = jax.tree.flatten_with_path(tree)
+    return {jax.tree_util.keystr(path, simple=True, separator="/"): leaf for path, leaf in leaves}
+
+
 def read_method(folder: Path) -> str:
     """The word after ``sean train`` that made a folder; imitation if its config.json does not say.
 

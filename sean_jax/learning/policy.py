@@ -7,8 +7,6 @@ range is wider, in 32. All policies run under ``jit`` and ``vmap``.
 """
 
 import functools
-import io
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -46,6 +44,7 @@ from sean_jax.learning.networks import (
     check_supported,
     init_agent,
     init_weights,
+    named_leaves,
     read_method,
     read_network,
 )
@@ -95,11 +94,9 @@ def load_folder(folder: Path | str, scenario: Scenario) -> Policy:
     if isinstance(folder, str) and folder in AGENTS:
         folder = _agent_folder(folder, "folder")
     folder = Path(folder)
-    if is_packed(folder):
-        return agent_policy(*load_packed(folder, scenario), name=folder.name)
-    if read_method(folder) in ("imitation", "dagger"):
+    if not is_packed(folder) and read_method(folder) in ("imitation", "dagger"):
         return load_imitation(folder, scenario)
-    return agent_policy(*load_trained(folder, scenario), name=folder.name)
+    return agent_policy(*load_agent(folder, scenario), name=folder.name)
 
 
 def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, option: str = "policy") -> None:
@@ -204,50 +201,66 @@ def agent_network(options: ReinforcementConfig, space: Dict) -> ActorCritic:
     return ActorCritic(options.width, options.layers, images, options.recurrent, hidden, options.bfloat16)
 
 
-def agent_outline(options: ReinforcementConfig, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
-    """The network, shapes and types of the agent, and the actor's observation terms.
+def load_agent(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
+    """The best agent of a training, or a packed agent: the network, the agent, and the terms of its observation.
 
     Raises:
-        InputError: the scenario lacks something that the agent sees.
+        InputError: there is no agent, a file cannot be read, or the scenario lacks something that the agent sees.
+        IncompleteError: the checkpoint cannot be read.
     """
-    actor_terms, private = agent_terms(options)
-    everything = (*actor_terms, *private)
+    options = read_options(folder)
     shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), scenario)
-    space = observations.space(everything, scenario, shapes)
-    actor_critic = agent_network(options, space)
-    return (
-        actor_critic,
-        jax.eval_shape(lambda: init_agent(actor_critic, everything, space, jax.random.key(0))),
-        actor_terms,
-    )
+    try:
+        actor_terms, private = agent_terms(options)
+        terms = (*actor_terms, *private)
+        space = observations.space(terms, scenario, shapes)
+    except InputError as error:
+        raise InputError(f"{folder / CONFIG}: {error}") from None
+    network = agent_network(options, space)
+    outline = jax.eval_shape(lambda: init_agent(network, terms, space, jax.random.key(0)))
+    read = _read_packed if is_packed(folder) else _read_best
+    return network, read(folder, options, outline), actor_terms
 
 
-def check_sizes(folder: Path, options: ReinforcementConfig, saved: PyTree, expected: Agent) -> None:
-    """Refuse an agent with arrays of other sizes than a scenario's observations need.
+def _read_packed(folder: Path, options: ReinforcementConfig, outline: Agent) -> Agent:
+    """The agent of weights.npz in 32 bits."""
+    arrays = files.read_arrays(folder / WEIGHTS, MAX_WEIGHTS_BYTES, "get the file anew")
+    for name, value in arrays.items():
+        if value.dtype.kind != "f" or not np.isfinite(value).all():
+            raise InputError(f"{folder / WEIGHTS}: {name[:60]} has a number that is not finite; pack the agent anew.")
+    _check_sizes(folder, options, {name: value.shape for name, value in arrays.items()}, outline)
+    leaves = [jnp.asarray(arrays[name], jnp.float32) for name in named_leaves(outline)]
+    return jax.tree.unflatten(jax.tree.structure(outline), leaves)
 
-    Args:
-        saved: name -> shape, as of ``agent_shapes``.
 
-    Raises:
-        InputError: the shapes differ.
-    """
-    shapes = agent_shapes(expected)
+def _read_best(folder: Path, options: ReinforcementConfig, outline: Agent) -> Agent:
+    """The best agent of the checkpoints of a training."""
+    from sean_jax.learning.trainer import Checkpoints  # which needs the extra "learning"
+
+    checkpoints = Checkpoints(folder)
+    saved = {name: shape for name, shape in checkpoints.shapes("best").items() if name.startswith("agent/")}
+    _check_sizes(folder, options, {name[6:]: shape[1:] for name, shape in saved.items()}, outline)
+    count, shape = len(options.agents), jax.ShapeDtypeStruct
+    agents = jax.tree.map(lambda leaf: shape((count, *leaf.shape), leaf.dtype), outline)
+    best = checkpoints.best("best", Best(agents, shape((count,), jnp.float32), shape((count,), jnp.int32)))  # pyright: ignore
+    chosen = int(np.argmax(best.value))
+    return jax.tree.map(lambda part: part[chosen], best.agent)
+
+
+def _check_sizes(folder: Path, options: ReinforcementConfig, saved: dict[str, tuple], outline: Agent) -> None:
+    """Refuse arrays, name -> shape, of other sizes than a scenario's observations need."""
+    shapes = {name: tuple(leaf.shape) for name, leaf in named_leaves(outline).items()}
     if saved == shapes:
         return
     mean = f"{STATISTICS}mean"
-    learned, shown = (name.get(mean, (0,))[0] for name in (saved, shapes))
-    what = f"{learned} numbers, and this scenario shows {shown}"
-    if learned == shown:
+    learned, present = (name.get(mean, (0,))[0] for name in (saved, shapes))
+    what = f"{learned} numbers, and this scenario shows {present}"
+    if learned == present:
         what = "images of another size than this scenario's"
-    named = ", ".join(part.kind for part in options.observations)
+    terms = ", ".join(part.kind for part in options.observations)
     raise InputError(
-        f"{folder}: its agent sees {what} ({named}); make the scenario with what it was trained in (its {CONFIG})."
+        f"{folder}: its agent sees {what} ({terms}); make the scenario with what it was trained in (its {CONFIG})."
     )
-
-
-def agent_shapes(agent: PyTree) -> dict[str, tuple[int, ...]]:
-    """Name, such as statistics/mean, and shape of each array of an agent, or of its outline."""
-    return {name: tuple(leaf.shape) for name, leaf in _leaves_by_path(agent).items()}
 
 
 def save_agent(folder: Path, agent: Agent, config: dict[str, Any]) -> None:
@@ -257,35 +270,13 @@ def save_agent(folder: Path, agent: Agent, config: dict[str, Any]) -> None:
         InputError: a number is not finite, or too large for 16 bits.
     """
     packed = {}
-    for name, leaf in _leaves_by_path(agent).items():
+    for name, leaf in named_leaves(agent).items():
         kind = np.float32 if name.startswith(STATISTICS) else np.float16
         if not (np.abs(leaf) <= np.finfo(kind).max).all():
             raise InputError(f"{name} of the agent has a number that 16 bits cannot hold; train it anew.")
         packed[name] = np.asarray(leaf, kind)
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **packed)
-    writing.write(folder / WEIGHTS, stream.getvalue())
-    writing.write(folder / CONFIG, json.dumps(config, indent=1) + "\n")
-
-
-def load_packed(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
-    """A packed agent: the network, the agent in 32 bits, and the terms of its observation.
-
-    Raises:
-        InputError: its observations are not of the sizes of the scenario's, or a file cannot be read.
-    """
-    options = read_options(folder)
-    try:
-        actor_critic, expected, terms = agent_outline(options, scenario)
-    except InputError as error:
-        raise InputError(f"{folder / CONFIG}: {error}") from None
-    arrays = files.read_arrays(folder / WEIGHTS, MAX_WEIGHTS_BYTES, "get the file anew")
-    for name, value in arrays.items():
-        if value.dtype.kind != "f" or not np.isfinite(value).all():
-            raise InputError(f"{folder / WEIGHTS}: {name[:60]} has what is no finite number; pack the agent anew.")
-    check_sizes(folder, options, {name: value.shape for name, value in arrays.items()}, expected)
-    leaves = [jnp.asarray(arrays[name], jnp.float32) for name in _leaves_by_path(expected)]
-    return actor_critic, jax.tree.unflatten(jax.tree.structure(expected), leaves), terms
+    writing.write_arrays(folder / WEIGHTS, packed)
+    writing.write(folder / CONFIG, config)
 
 
 def describe_agent(folder: Path) -> str:
@@ -296,12 +287,6 @@ def describe_agent(folder: Path) -> str:
     return f"Agent of reinforcement learning, trained{trained} in {', '.join(options.environments)}; it sees {sees}."
 
 
-def _leaves_by_path(agent: PyTree) -> dict[str, Any]:
-    """The leaves by their paths."""
-    leaves, _ = jax.tree.flatten_with_path(agent)
-    return {jax.tree_util.keystr(path, simple=True, separator="/"): leaf for path, leaf in leaves}
-
-
 @struct.dataclass
 class Best:
     """The agents that did best in an evaluation so far."""
@@ -309,27 +294,6 @@ class Best:
     agent: Agent  # (A, ...)
     value: Float[Array, "A"]  # return in that evaluation
     update: Int[Array, "A"]  # after which it was
-
-
-def load_trained(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
-    """The best agent of a training: the network, the agent, and the terms of its observation.
-
-    Raises:
-        InputError: there is no checkpoint, or the agent learned from observations of another size.
-        IncompleteError: the checkpoint cannot be read.
-    """
-    from sean_jax.learning.trainer import Checkpoints  # which needs the extra "learning"
-
-    options, checkpoints = read_options(folder), Checkpoints(folder)
-    network, one, terms = agent_outline(options, scenario)
-    count = len(options.agents)
-    saved = {name: shape for name, shape in checkpoints.shapes("best").items() if name.startswith("agent/")}
-    check_sizes(folder, options, {name[6:]: shape[1:] for name, shape in saved.items()}, one)
-    shape = jax.ShapeDtypeStruct
-    several = jax.tree.map(lambda leaf: shape((count, *leaf.shape), leaf.dtype), one)
-    best = checkpoints.best("best", Best(several, shape((count,), jnp.float32), shape((count,), jnp.int32)))  # pyright: ignore
-    chosen = int(np.argmax(best.value))
-    return network, jax.tree.map(lambda part: part[chosen], best.agent), terms
 
 
 def pack(folder: Path | str, out: Path | str) -> Path:
@@ -348,7 +312,7 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     if is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
     components.check_trust(options)
-    _, agent, _ = load_trained(folder, registry.build(options.per_environment[0]).scenario)
+    _, agent, _ = load_agent(folder, registry.build(options.per_environment[0]).scenario)
     facts = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
     with writing.atomic_folder(out) as target:
         copies, hashes = components.copy(target, options)
@@ -528,83 +492,61 @@ def _apply_agent(
 # ------------------------------------------------------------------ labels
 
 
-@struct.dataclass
-class LabelledState:
-    """What both remember of an episode, and the latest label."""
-
-    driver: PyTree
-    labeller: PyTree
-    label: Float[Array, "2"]  # m/s, rad/s
-
-
-def labelled(driver: PolicyLike, labeller: PolicyLike) -> Policy:
-    """A policy that drives, with another one that labels: its command is recorded instead.
-
-    Source: S. Ross et al., "A reduction of imitation learning and structured prediction to no-regret online learning",
-    AISTATS 2011.
-    """
-    both = as_policy(driver), as_policy(labeller)
-    return Policy(params=both, name=both[0].name, init=_init_labelled, apply=_apply_labelled)
-
-
-def label(state: State) -> Float[Array, "2"]:
-    """The label (2,) [m/s, rad/s] of the step that led to a state, of a ``labelled`` or ``disturbed`` policy."""
-    return state.policy_state.label
-
-
-def _init_labelled(scenario: Scenario, params: tuple[Policy, Policy], state: State) -> LabelledState:
-    driver, labeller = (policy.init(scenario, policy.params, state) for policy in params)
-    return LabelledState(driver, labeller, jnp.zeros(2, float))
-
-
-def _apply_labelled(
-    scenario: Scenario, params: tuple[Policy, Policy], state: State, key: Array
-) -> tuple[Float[Array, "2"], LabelledState]:
-    (driver, labeller), memory = params, state.policy_state
-    of_driver, of_labeller = replace(state, policy_state=memory.driver), replace(state, policy_state=memory.labeller)
-    label_key = jax.random.fold_in(key, 1)
-    command, driving = episodes.command(scenario, driver, of_driver, key)
-    label, labelling = episodes.command(scenario, labeller, of_labeller, label_key)
-    return command, LabelledState(driving, labelling, label)
-
-
 NOISE_TIME = 0.5  # s, for which the noise of commands stays about the same: shorter ones hardly move the robot
 
 
 @struct.dataclass
-class DisturbedState:
-    """What the driver remembers of an episode, the noise, and the latest command without it."""
+class LabelledState:
+    """What driver and labeller remember of an episode, the noise, and the latest label."""
 
     driver: PyTree
+    labeller: PyTree  # None without a labeller
     noise: Float[Array, "2"]  # of the robot's limits, in standard deviations
     label: Float[Array, "2"]  # m/s, rad/s
 
 
-def disturbed(driver: PolicyLike, deviation: float) -> Policy:
-    """A policy whose commands reach the robot with noise; the commands without it are the labels.
+def labelled(driver: PolicyLike, labeller: PolicyLike | None = None, deviation: float | None = None) -> Policy:
+    """A policy whose label is recorded instead of its command: the command of another policy, or that without noise.
 
     Args:
-        deviation: of the noise, as a share of the top speed and of the greatest turn rate.
+        labeller: whose command is the label; None: the driver, before the noise.
+        deviation: of the noise with which commands reach the robot, as a share of the top speed and of the greatest
+            turn rate; None: no noise.
 
-    Source: M. Laskey et al., "DART: Noise injection for robust imitation learning", CoRL 2017.
+    Source: S. Ross et al., "A reduction of imitation learning and structured prediction to no-regret online learning",
+    AISTATS 2011; M. Laskey et al., "DART: Noise injection for robust imitation learning", CoRL 2017.
     """
-    one = as_policy(driver)
-    params = one, jnp.asarray(deviation, float)
-    return Policy(params=params, name=one.name, init=_init_disturbed, apply=_apply_disturbed)
+    policy = as_policy(driver)
+    noise = None if deviation is None else jnp.asarray(deviation, float)
+    params = policy, noise, None if labeller is None else as_policy(labeller)
+    return Policy(params=params, name=policy.name, init=_init_labelled, apply=_apply_labelled)
 
 
-def _init_disturbed(scenario: Scenario, params: tuple[Policy, Array], state: State) -> DisturbedState:
-    driver, _ = params
-    return DisturbedState(driver.init(scenario, driver.params, state), jnp.zeros(2, float), jnp.zeros(2, float))
+def label(state: State) -> Float[Array, "2"]:
+    """The label (2,) [m/s, rad/s] of the step that led to a state, of a ``labelled`` policy."""
+    return state.policy_state.label
 
 
-def _apply_disturbed(
-    scenario: Scenario, params: tuple[Policy, Array], state: State, key: Array
-) -> tuple[Float[Array, "2"], DisturbedState]:
-    (driver, deviation), memory = params, state.policy_state
+def _init_labelled(scenario: Scenario, params: tuple, state: State) -> LabelledState:
+    driver, _, labeller = params
+    memory = None if labeller is None else labeller.init(scenario, labeller.params, state)
+    return LabelledState(driver.init(scenario, driver.params, state), memory, jnp.zeros(2, float), jnp.zeros(2, float))
+
+
+def _apply_labelled(
+    scenario: Scenario, params: tuple, state: State, key: Array
+) -> tuple[Float[Array, "2"], LabelledState]:
+    (driver, deviation, labeller), memory = params, state.policy_state
+    other_key = jax.random.fold_in(key, 1)
     command, driving = episodes.command(scenario, driver, replace(state, policy_state=memory.driver), key)
-    stays = math.exp(-scenario.time_step / NOISE_TIME)
-    fresh = jax.random.normal(jax.random.fold_in(key, 1), (2,), memory.noise.dtype)
-    noise = stays * memory.noise + math.sqrt(1.0 - stays * stays) * fresh
-    limits = jnp.stack([scenario.robot.max_speed, scenario.robot.max_turn_rate]).astype(command.dtype)
-    return command + deviation * limits * noise, DisturbedState(driving, noise, command)
+    label, labelling, noise = command, None, memory.noise
+    if deviation is not None:
+        stays = math.exp(-scenario.time_step / NOISE_TIME)
+        fresh = jax.random.normal(other_key, (2,), noise.dtype)
+        noise = stays * noise + math.sqrt(1.0 - stays * stays) * fresh
+        limits = jnp.stack([scenario.robot.max_speed, scenario.robot.max_turn_rate]).astype(command.dtype)
+        command = command + deviation * limits * noise
+    if labeller is not None:
+        labelling_state = replace(state, policy_state=memory.labeller)
+        label, labelling = episodes.command(scenario, labeller, labelling_state, other_key)
+    return command, LabelledState(driving, labelling, noise, label)

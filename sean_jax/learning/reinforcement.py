@@ -40,10 +40,8 @@ from sean_jax.learning.policy import (
     agent_policy,
     agent_terms,
     check_policy,
-    is_packed,
-    load_packed,
+    load_agent,
     load_policy,
-    load_trained,
     read_options,
 )
 from sean_jax.learning.rollouts import EnvBatch
@@ -329,8 +327,7 @@ def _first_agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.E
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     if options.pretrained is None:
         return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
-    folder = options.pretrained
-    agent = (load_packed if is_packed(folder) else load_trained)(folder, scenario)[1]
+    agent = load_agent(options.pretrained, scenario)[1]
     return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), agent)
 
 

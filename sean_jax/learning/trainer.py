@@ -29,7 +29,7 @@ from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, L
 from sean_jax import files, writing
 from sean_jax.config import present_names
 from sean_jax.errors import IncompleteError, InputError, SeanError
-from sean_jax.learning.networks import CONFIG, check_supported
+from sean_jax.learning.networks import CONFIG, check_supported, named_leaves
 from sean_jax.workspace import CONTENT, read_identity, refuse_difference, refuse_others
 
 METRICS, CURVE = "metrics.jsonl", "curve.png"
@@ -358,8 +358,7 @@ class Checkpoints:
             where = self.folder / "checkpoints" / str(step)
             with _explained(where):
                 tree = ocp.PyTreeCheckpointHandler().metadata(where / STATE).tree[part]  # pyright: ignore
-                leaves, _ = jax.tree.flatten_with_path(tree)
-                return {jax.tree_util.keystr(at, simple=True, separator="/"): tuple(leaf.shape) for at, leaf in leaves}
+                return {name: tuple(leaf.shape) for name, leaf in named_leaves(tree).items()}
 
         return self._read_best(read)
 
@@ -399,11 +398,11 @@ class Checkpoints:
 
 def _digests(state: Any) -> dict[str, str]:
     """Field of a state -> SHA-256 of its arrays; {} if this process has only a share of them."""
-    leaves, _ = jax.tree_util.tree_flatten_with_path(state)
-    if any(isinstance(leaf, jax.Array) and not leaf.is_fully_addressable for _, leaf in leaves):
+    leaves = named_leaves(state)
+    if any(isinstance(leaf, jax.Array) and not leaf.is_fully_addressable for leaf in leaves.values()):
         return {}
     digests: dict[str, Any] = {}
-    for name, leaf in sorted((jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in leaves):
+    for name, leaf in sorted(leaves.items()):
         array = np.ascontiguousarray(leaf)
         digest = digests.setdefault(name.partition("/")[0], hashlib.sha256())
         digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
@@ -479,7 +478,3 @@ def write_config(folder: Path, config: dict[str, Any]) -> None:
     except OSError as error:
         why = writing.reason(error)
         raise InputError(f"cannot write {folder}: {why}; choose another folder with --out.") from error
-
-
-def _text(value: Any) -> str:
-    return {True: "on", False: "off"}[value] if isinstance(value, bool) else str(value)
