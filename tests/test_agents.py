@@ -91,7 +91,7 @@ def test_damaged_weights_are_told(lab, tmp_path):
     weights = folder / WEIGHTS
     for wrong in (np.array(["a"]), np.array([np.nan])):
         np.savez(weights, **{"statistics/mean": wrong})
-        with pytest.raises(InputError, match="statistics/mean has what is no finite number"):
+        with pytest.raises(InputError, match="statistics/mean has a number that is not finite"):
             learning.load(folder, lab)
     weights.write_bytes((AGENTS["ppo"] / WEIGHTS).read_bytes()[:-5000])
     with pytest.raises(FileError, match="ppo/weights.npz: is damaged; get the file anew"):

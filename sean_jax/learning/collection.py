@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -29,18 +29,14 @@ from sean_jax.base import Array, Policy, Scenario, State
 from sean_jax.config import MAX_PIXELS, CollectConfig, HandcraftedBehavior, OwnPart, Value, present_names
 from sean_jax.errors import InputError
 from sean_jax.flags import command, number
+from sean_jax.learning import dataset
 from sean_jax.learning.dataset import Dataset, EpisodeBatch, stream_seconds
 from sean_jax.learning.examples import Row, row
 from sean_jax.learning.policy import check_policy, label, labelled, load_policy
-from sean_jax.progress import progress
+from sean_jax.progress import ProgressLike, progress
 from sean_jax.runner import Callbacks, Record, Runner, not_finite
-from sean_jax.versions import fingerprint, versions
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-from sean_jax.learning import dataset
 from sean_jax.scenario import reset, step
+from sean_jax.versions import fingerprint, versions
 from sean_jax.workspace import CONTENT, refuse_difference, refuse_others
 
 # ------------------------------------------------------------------ schedule of streams
@@ -192,7 +188,7 @@ MIN_BATCH = 32  # at a high rate, where larger batches would fill the memory wit
 # ------------------------------------------------------------------ sean collect
 
 
-def collect(config: CollectConfig, console: Console | Callable[[float], None] | None = None) -> Dataset:
+def collect(config: CollectConfig, console: ProgressLike = None) -> Dataset:
     """Record until every stream has its time. What was committed stays, whatever is raised.
 
     Args:
@@ -219,7 +215,7 @@ def load_driver(config: CollectConfig, scenario: Scenario) -> Policy:
     return labelled(driver, config.labels and load_policy(config.labels, scenario, "labels"), config.noise)
 
 
-def _collect(config: CollectConfig, console: Console | Callable[[float], None] | None) -> Dataset:
+def _collect(config: CollectConfig, console: ProgressLike) -> Dataset:
     """Record in a folder that this process has locked."""
     parts = streams(config)
     scenarios = list(parts.values())

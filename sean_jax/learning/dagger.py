@@ -9,7 +9,6 @@ Source: S. Ross, G. Gordon & J. Bagnell, "A reduction of imitation learning and 
 online learning", AISTATS 2011, with networks that drive by themselves from the first round on.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
-from rich.console import Console
 
 from sean_jax import components, episodes, mdp, writing
 from sean_jax.base import Array, Policy
@@ -39,13 +37,14 @@ from sean_jax.learning.rollouts import (
     step,
 )
 from sean_jax.learning.trainer import check_config, write_config
+from sean_jax.progress import ProgressLike
 from sean_jax.versions import versions
 
 UPDATES = 100  # of ``clone``
 EPOCHS = 4
 
 
-def train(options: DaggerConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
+def train(options: DaggerConfig, console: ProgressLike = None) -> TrainState:
     """Train networks in rounds, or resume that; the state of the last, whose best weights ``learning.load`` reads.
 
     Args:

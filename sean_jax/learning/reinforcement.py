@@ -22,7 +22,6 @@ import numpy as np
 from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int, PyTree
-from rich.console import Console
 
 from sean_jax import components, devices, mdp, prng, registry, writing
 from sean_jax.base import Array, Policy, Scenario
@@ -47,7 +46,7 @@ from sean_jax.learning.policy import (
 from sean_jax.learning.rollouts import EnvBatch
 from sean_jax.learning.trainer import Loop, Report, check_config
 from sean_jax.mdp import rewards
-from sean_jax.progress import progress
+from sean_jax.progress import ProgressLike, progress
 from sean_jax.scenario import reset, results
 from sean_jax.versions import versions
 
@@ -78,7 +77,7 @@ class Programs(NamedTuple):
     refill: Callable  # (envs, state) -> state with other starts; donates the state
 
 
-def train(options: ReinforcementConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
+def train(options: ReinforcementConfig, console: ProgressLike = None) -> TrainState:
     """Train agents, or resume their training; the state then. ``learning.load`` reads the best agent from the folder.
 
     Args:
@@ -246,7 +245,7 @@ def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Arr
 
 def _train(
     options: ReinforcementConfig,
-    console: Console | Callable[[float], None] | None,
+    console: ProgressLike,
     scenarios: tuple[Scenario, ...],
     envs: tuple[mdp.Env, ...],
     network: ActorCritic,
