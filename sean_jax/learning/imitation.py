@@ -1,9 +1,9 @@
 """``sean train imitation``: learn to drive from demonstrations, with checkpoints (section V-C).
 
 The losses of the local planner and of the velocity controller have equal weight. AdamW minimizes their sum, epoch by
-epoch, until the validation loss stops falling. An epoch is one compiled call after the shuffle: a scan over batches, then
-a scan over the validation batches, with the dataset on the device. The shuffle depends on (seed, epoch) alone, so the same
-command continues from the latest checkpoint after an interruption and ends with the same weights.
+epoch, until the validation loss stops falling. An epoch is one compiled call after the shuffle: a scan over batches,
+then a scan over the validation batches, with the dataset on the device. The shuffle depends on (seed, epoch) alone, so
+the same command continues from the latest checkpoint after an interruption and ends with the same weights.
 """
 
 import contextlib
