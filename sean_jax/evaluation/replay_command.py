@@ -25,7 +25,7 @@ from sean_jax.errors import InputError
 from sean_jax.evaluation import accumulate, results, saved
 from sean_jax.learning.collection import load_driver, streams
 from sean_jax.learning.networks import CONFIG, read_method
-from sean_jax.learning.policy import load_folder, load_policy, read_options
+from sean_jax.learning.policy import load, load_policy, read_options
 from sean_jax.progress import progress
 from sean_jax.runner import Callbacks, Record, Runner
 from sean_jax.versions import fingerprint, version_mismatch
@@ -220,7 +220,7 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
     record = accumulate.record(scenario, 1)
     return Source(
         scenarios=[scenario],
-        policy=load_folder(folder, scenario),
+        policy=load(folder, scenario),
         use="evaluation",  # whose i-th key of a split is that of a number
         seed=options.seed,
         record=_until_terminated(record, mdp_env.ends) if mdp_env.terminations else record,
@@ -245,7 +245,7 @@ def _of_imitation(folder: Path) -> Source:
     names, scenarios = list(parts), list(parts.values())
     return Source(
         scenarios=scenarios,
-        policy=load_folder(folder, scenarios[0]),
+        policy=load(folder, scenarios[0]),
         use="evaluation",
         seed=config.seed,
         record=accumulate.record(scenarios[0], 1),

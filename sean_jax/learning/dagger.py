@@ -20,11 +20,10 @@ import optax
 from sean_jax import components, episodes, mdp, writing
 from sean_jax.base import Array, Policy
 from sean_jax.config import CollectConfig, DaggerConfig, ImitationConfig, ReinforcementConfig
-from sean_jax.flags import command
 from sean_jax.learning import collection, imitation, ppo
 from sean_jax.learning.dataset import Dataset, open_dataset
 from sean_jax.learning.imitation import TrainState
-from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, update_statistics
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput
 from sean_jax.learning.policy import check_policy
 from sean_jax.learning.rollouts import (
     EnvBatch,
@@ -35,10 +34,10 @@ from sean_jax.learning.rollouts import (
     optimize,
     reset_envs,
     step,
+    with_statistics,
 )
-from sean_jax.learning.trainer import check_config, write_config
+from sean_jax.learning.trainer import check_config, method_config, write_config
 from sean_jax.progress import ProgressLike
-from sean_jax.versions import versions
 
 UPDATES = 100  # of ``clone``
 EPOCHS = 4
@@ -58,7 +57,8 @@ def train(options: DaggerConfig, console: ProgressLike = None) -> TrainState:
     """
     first = open_dataset(options.dataset)
     components.check_trust(_collect_options(options, first, 1))
-    config = _config(options, first)
+    data = {"fingerprint": first.fingerprint(), "command": first.manifest["command"]}
+    config = method_config(options, dataset=data)
     imitation.prepare(_train_options(options, [options.dataset, *options.datasets], options.pretrained, options.folder))
     check_policy(options.expert, _collect_options(options, first, 1), "expert")
     resumes = check_config(options.folder, config)
@@ -103,26 +103,15 @@ def _part_of_progress(console: Any, part: int, rounds: int) -> Any:
     return lambda share: console((part + share) / (2 * rounds + 1))
 
 
-def _config(options: DaggerConfig, first: Dataset) -> dict[str, Any]:
-    return {
-        "command": command("train", options),
-        "method": options.method,
-        **options.identity(),
-        "parts": components.digests(options),
-        "dataset": {"fingerprint": first.fingerprint(), "command": first.manifest["command"]},
-        "versions": versions(),
-    }
-
-
 # ------------------------------------------------------------------ before reinforcement learning
 
 
 def clone(
     options: ReinforcementConfig,
-    envs: tuple[mdp.Env, ...],
     network: ActorCritic,
-    agent: Agent,
+    envs: tuple[mdp.Env, ...],
     teachers: tuple[Policy, ...],
+    agent: Agent,
     key: Array,
 ) -> tuple[Agent, Array]:
     """The agent after it has learned to act as ``teachers`` do, and the mean squared errors of actions (UPDATES,).
@@ -152,14 +141,29 @@ def clone(
     rate = jnp.asarray(options.learning_rate, jnp.float32)
     how = Optimization(ppo.OPTIMIZER, rate, EPOCHS, options.minibatches)
 
+    def label(env: mdp.Env, teacher: Policy, before: mdp.EnvState) -> tuple[Array, mdp.EnvState]:
+        state = before.simulation
+        policy_key = jax.random.fold_in(state.streams.policy, state.tick)
+        command, memory = episodes.command(env.scenario, teacher, state, policy_key)
+        after = replace(before, simulation=replace(state, policy_state=memory))
+        return mdp.to_action(env.scenario.robot, command).astype(jnp.float32), after
+
     def update(carry: tuple[Agent, optax.OptState, EnvBatch], number: Array) -> tuple[tuple, Array]:
         agent, optimizer, batch = carry
         memory, turn = batch.memory, jax.random.fold_in(key, number)
-        alone = number >= UPDATES // 2
-        batch, steps = _labelled_rollout(envs, network, agent, teachers, batch, options.horizon, turn, alone)
+
+        def one(batch: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
+            output = forward(network, agent, envs[0].observations, batch)
+            each = [jax.vmap(label, (None, None, 0))(*part) for part in zip(envs, teachers, batch.envs, strict=True)]
+            labels, states = merge_envs([actions for actions, _ in each]), tuple(after for _, after in each)
+            action = jnp.where(number >= UPDATES // 2, output.mean, labels)
+            next_key = jax.random.fold_in(turn, tick)
+            batch, steps = step(envs, network, agent, replace(batch, envs=states), output, action, next_key)
+            return batch, steps._replace(action=labels, info={})
+
+        batch, steps = jax.lax.scan(one, batch, jnp.arange(options.horizon, dtype=jnp.int32))
         agent, optimizer, error = optimize(how, _action_error, network, agent, optimizer, (steps,), memory, turn)
-        statistics = update_statistics(agent.statistics, steps.vector.reshape(-1, steps.vector.shape[-1]))
-        return (replace(agent, statistics=statistics), optimizer, batch), error
+        return (with_statistics(agent, steps), optimizer, batch), error
 
     carry = agent, ppo.init(agent), batch
     (agent, _, _), errors = jax.lax.scan(update, carry, jnp.arange(UPDATES, dtype=jnp.int32))
@@ -170,34 +174,3 @@ def _action_error(output: NetworkOutput, steps: Transition) -> tuple[Array, Arra
     """Mean squared error of actions, as the loss and for the log."""
     error = ((output.mean - steps.action) ** 2).mean()
     return error, error
-
-
-def _labelled_rollout(
-    envs: tuple[mdp.Env, ...],
-    network: ActorCritic,
-    agent: Agent,
-    teachers: tuple[Policy, ...],
-    batch: EnvBatch,
-    steps: int,
-    key: Array,
-    alone: Array,
-) -> tuple[EnvBatch, Transition]:
-    """Transitions with the teacher's actions, while the teacher drives, or the agent if ``alone`` () bool."""
-
-    def label(env: mdp.Env, teacher: Policy, before: mdp.EnvState) -> tuple[Array, mdp.EnvState]:
-        state = before.simulation
-        policy_key = jax.random.fold_in(state.streams.policy, state.tick)
-        command, memory = episodes.command(env.scenario, teacher, state, policy_key)
-        after = replace(before, simulation=replace(state, policy_state=memory))
-        return mdp.to_action(env.scenario.robot, command).astype(jnp.float32), after
-
-    def one(batch: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
-        output = forward(network, agent, envs[0].observations, batch)
-        each = [jax.vmap(label, (None, None, 0))(*part) for part in zip(envs, teachers, batch.envs, strict=True)]
-        labels, states = merge_envs([actions for actions, _ in each]), tuple(after for _, after in each)
-        action = jnp.where(alone, output.mean, labels)
-        turn = jax.random.fold_in(key, tick)
-        batch, transition = step(envs, network, agent, replace(batch, envs=states), output, action, turn)
-        return batch, transition._replace(action=labels, info={})
-
-    return jax.lax.scan(one, batch, jnp.arange(steps, dtype=jnp.int32))

@@ -33,7 +33,6 @@ from sean_jax.errors import FileError, IncompleteError, InputError
 from sean_jax.learning.examples import POINTS, Recording, Row
 from sean_jax.quantities import MAX_DURATION
 
-LOOSE = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
 Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
 Positive = Annotated[int, pydantic.Field(ge=1, le=MAX_SHARD)]
 Side = Annotated[int, pydantic.Field(ge=1, le=MAX_SIDE)]  # pixels
@@ -43,19 +42,21 @@ Names = Annotated[list[str], pydantic.Field(max_length=1_000)]
 # ------------------------------------------------------------------ manifest
 
 
-class Camera(pydantic.BaseModel):
-    """Size of the depth images."""
+class Keys(pydantic.BaseModel):
+    """The keys of a file of JSON that are read; other keys are for people."""
 
-    model_config = LOOSE
+    model_config = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
+
+
+class Camera(Keys):
+    """Size of the depth images."""
 
     width: Side
     height: Side
 
 
-class Shard(pydantic.BaseModel):
+class Shard(Keys):
     """A batch of episodes."""
-
-    model_config = LOOSE
 
     stream: Count
     lengths: list[Count]  # rows
@@ -63,18 +64,14 @@ class Shard(pydantic.BaseModel):
     bytes: dict[str, Annotated[int, pydantic.Field(ge=0, lt=2**62)]]  # of the file of each field
 
 
-class Robot(pydantic.BaseModel):
+class Robot(Keys):
     """The robot that was driven."""
-
-    model_config = LOOSE
 
     name: str
 
 
-class Manifest(pydantic.BaseModel):
-    """The keys of dataset.json that are read; other keys are for people."""
-
-    model_config = LOOSE
+class Manifest(Keys):
+    """The content of dataset.json."""
 
     command: str
     options: dict[str, Any]
@@ -139,12 +136,12 @@ def create_arrays(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], 
     for name, (shape, kind) in fields.items():
         shard = [batch, rows, *shape]
         chunk = [1, *shard[1:]] if len(shape) > 1 and kind == "uint16" else shard
-        little = {"name": "bytes"} if kind == "bool" else {"name": "bytes", "configuration": {"endian": "little"}}
-        index = {"name": "bytes", "configuration": {"endian": "little"}}
+        little, checksum = {"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}
+        order = {"name": "bytes"} if kind == "bool" else little
         sharding = {
             "chunk_shape": chunk,
-            "codecs": [little, {"name": "zstd", "configuration": {"level": COMPRESSION}}, {"name": "crc32c"}],
-            "index_codecs": [index, {"name": "crc32c"}],
+            "codecs": [order, {"name": "zstd", "configuration": {"level": COMPRESSION}}, checksum],
+            "index_codecs": [little, checksum],
         }
         metadata = {
             "shape": [0, *shard[1:]],
@@ -402,7 +399,7 @@ class Dataset:
             IncompleteError: it cannot be written. What was committed before stays.
         """
         try:
-            writing.write(self.folder / MANIFEST, json.dumps(manifest, indent=1) + "\n")
+            writing.write(self.folder / MANIFEST, manifest)
         except OSError as error:
             reason = writing.reason(error)
             raise IncompleteError(f"{self.folder}: {reason}; what was committed before is as it was.") from error

@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pydantic
 from flax import linen as nn
 from flax import struct
 from flax.typing import VariableDict
@@ -30,7 +29,7 @@ from sean_jax import files
 from sean_jax.base import Array
 from sean_jax.config import MAX_PIXELS, METHODS
 from sean_jax.errors import FileError, InputError
-from sean_jax.learning.dataset import LOOSE, Names, Side
+from sean_jax.learning.dataset import Keys, Names, Side
 from sean_jax.learning.examples import MILLIMETRES, POINTS, SECONDS
 from sean_jax.mdp import observations
 from sean_jax.mdp.spaces import Dict
@@ -38,10 +37,8 @@ from sean_jax.mdp.spaces import Dict
 CONFIG = "config.json"  # the configuration of a network, beside its checkpoints
 
 
-class NetworkConfig(pydantic.BaseModel):
-    """The keys of config.json that are read."""
-
-    model_config = LOOSE
+class NetworkConfig(Keys):
+    """The content of config.json."""
 
     width: Side  # of encodings and hidden layers
     flags: bool  # whether the situations are an input

@@ -69,7 +69,7 @@ def load_policy(value: PolicyLike | Component | str, scenario: Scenario, option:
     """
     description = _description(value)
     if isinstance(description, Named) and description.kind not in POLICIES:
-        return load_folder(_agent_folder(description.kind, option), scenario)
+        return load(_agent_folder(description.kind, option), scenario)
     part = components.resolve(description, POLICIES, option)
     try:
         policy = as_policy(part)
@@ -80,7 +80,7 @@ def load_policy(value: PolicyLike | Component | str, scenario: Scenario, option:
     return policy
 
 
-def load_folder(folder: Path | str, scenario: Scenario) -> Policy:
+def load(folder: Path | str, scenario: Scenario) -> Policy:
     """The best policy of a training so far, a packed agent, or one that comes with the package.
 
     Args:

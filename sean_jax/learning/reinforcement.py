@@ -8,6 +8,7 @@ that ``jax.distributed`` has joined train together: scenarios are spread over th
 """
 
 import contextlib
+import functools
 import math
 import time
 import warnings
@@ -28,7 +29,6 @@ from sean_jax.base import Array, Policy, Scenario
 from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
-from sean_jax.flags import command
 from sean_jax.learning import curriculum as curricula
 from sean_jax.learning import dagger, ppo, rollouts, shac, trainer
 from sean_jax.learning.curriculum import Curriculum
@@ -44,11 +44,10 @@ from sean_jax.learning.policy import (
     read_options,
 )
 from sean_jax.learning.rollouts import EnvBatch
-from sean_jax.learning.trainer import Loop, Report, check_config
+from sean_jax.learning.trainer import Loop, Report, check_config, method_config
 from sean_jax.mdp import rewards
 from sean_jax.progress import ProgressLike, progress
 from sean_jax.scenario import reset, results
-from sean_jax.versions import versions
 
 REWARDS = "rewards."  # prefix of a sweep's numbers that are weights of rewards
 
@@ -91,7 +90,7 @@ def train(options: ReinforcementConfig, console: ProgressLike = None) -> TrainSt
     """
     with contextlib.ExitStack() as stack:
         stack.enter_context(components.read_once())
-        config = trainer.on_all_processes(lambda: _config(options))
+        config = trainer.on_all_processes(lambda: method_config(options, devices=len(jax.devices())))
         trainer.on_first_process(lambda: check_config(options.folder, config))  # refuses before anything is written
         scenarios, envs, network = trainer.on_all_processes(lambda: build(options))
         trainer.on_first_process(lambda: stack.enter_context(writing.folder_lock(options.folder)))
@@ -306,7 +305,9 @@ def _advance(
     number, log = int(state.update), jax.tree.map(np.asarray, log)
     if state.curriculum is not None and number % options.curriculum_every == 0:
         state = run.refill(envs, state)
-    _check_finite(log, number, options)
+    if not np.isfinite(log["train"]["loss"]).all():
+        where = f"the loss is not finite in update {number}; {options.folder} keeps the checkpoints until then"
+        raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
     steps, seconds = options.scenarios * options.horizon, time.time() - start
     rate = len(options.agents) * steps / seconds
     line: dict[str, Any] = {"epoch": number, "steps": number * steps, "seconds": seconds, "per_second": rate}
@@ -341,10 +342,8 @@ def _imitate(
     envs = tuple(replace(env, pool=None) for env in envs)
     keys = jnp.stack([prng.key("imitation", int(agent["seed"])) for agent in options.agents])
 
-    def one(envs: tuple, teachers: tuple, agent: Agent, key: Array) -> tuple[Agent, Array]:
-        return dagger.clone(options, envs, network, agent, teachers, key)
-
-    agents, errors = jax.jit(jax.vmap(one, (None, None, 0, 0)))(envs, teachers, agents, keys)
+    clone = jax.vmap(functools.partial(dagger.clone, options, network), (None, None, 0, 0))
+    agents, errors = jax.jit(clone)(envs, teachers, agents, keys)
     if not np.isfinite(np.asarray(errors)).all():
         raise FloatingPointError(f"imitate: what {teachers[0].name} does is not finite; choose another --imitate.")
     return agents
@@ -392,12 +391,6 @@ def _finite_means(values: dict[str, np.ndarray]) -> dict[str, float]:
     return {name: float(value.mean()) for name, value in finite.items() if value.size}
 
 
-def _check_finite(log: dict[str, Any], number: int, options: ReinforcementConfig) -> None:
-    if not np.isfinite(log["train"]["loss"]).all():
-        where = f"the loss is not finite in update {number}; {options.folder} keeps the checkpoints until then"
-        raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
-
-
 @jax.jit  # of arrays on the devices of other processes, an array of none is made only so
 def _encode(tree: PyTree) -> PyTree:
     """The state as checkpoints can hold it: keys as numbers, and one number for an empty array."""
@@ -407,17 +400,6 @@ def _encode(tree: PyTree) -> PyTree:
 def _decode(saved: PyTree, like: PyTree) -> PyTree:
     """The inverse of ``_encode``."""
     return prng.as_keys(jax.tree.map(lambda leaf, one: leaf if one.size else one, saved, like), like)
-
-
-def _config(options: ReinforcementConfig) -> dict[str, Any]:
-    return {
-        "command": command("train", options),
-        "method": options.method,
-        **options.identity(),
-        "parts": components.digests(options),
-        "devices": len(jax.devices()),
-        "versions": versions(),
-    }
 
 
 def _check_pretrained(options: ReinforcementConfig, folder: Path) -> None:

@@ -16,7 +16,15 @@ from jaxtyping import Bool, Float, PyTree
 
 from sean_jax import mdp
 from sean_jax.base import Array
-from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, apply, draw_action, log_density
+from sean_jax.learning.networks import (
+    ActorCritic,
+    Agent,
+    NetworkOutput,
+    apply,
+    draw_action,
+    log_density,
+    update_statistics,
+)
 from sean_jax.mdp import observations
 
 INFO_KEYS = ("rewards", "completed", "episode_return", "episode_length", "start", "situations")  # of a step's info
@@ -171,20 +179,26 @@ def unroll(network: ActorCritic, agent: Agent, transitions: Transition, memory: 
     return jax.lax.scan(one, memory, transitions)[1]
 
 
-def episode_means(transitions: Transition) -> dict[str, Array]:
-    """The number of episodes that ended in transitions (T, B), and their means, NaN if none did."""
+def with_statistics(agent: Agent, transitions: Transition) -> Agent:
+    """The agent whose statistics include the observations of transitions (T, B, ...)."""
+    vectors = transitions.vector.reshape(-1, transitions.vector.shape[-1])
+    return replace(agent, statistics=update_statistics(agent.statistics, vectors))
+
+
+def log_numbers(transitions: Transition) -> dict[str, dict[str, Array]]:
+    """Numbers for the log of transitions (T, B): how many episodes ended, their means, NaN if none did, and the means
+    of rewards.
+    """
     done = transitions.done.astype(jnp.float32)
     number = done.sum()
 
     def mean(values: Array) -> Array:
         return (values.astype(jnp.float32) * done).sum() / number
 
-    return {
-        "number": number,
-        "return": mean(transitions.info["episode_return"]),
-        "steps": mean(transitions.info["episode_length"]),
-        "completed": mean(transitions.info["completed"]),
-    }
+    info = transitions.info
+    names = {"return": "episode_return", "steps": "episode_length", "completed": "completed"}
+    episodes = {"number": number, **{name: mean(info[key]) for name, key in names.items()}}
+    return {"episodes": episodes, "rewards": {name: part.mean() for name, part in info["rewards"].items()}}
 
 
 # ------------------------------------------------------------------ minibatches

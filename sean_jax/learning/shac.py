@@ -23,17 +23,18 @@ from jaxtyping import PyTree
 from sean_jax import mdp
 from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.config import APGConfig
-from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, draw_action, update_statistics
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, draw_action
 from sean_jax.learning.rollouts import (
     EnvBatch,
     Optimization,
     Transition,
     advantages,
     apply_gradient,
-    episode_means,
     forward,
+    log_numbers,
     optimize,
     step,
+    with_statistics,
 )
 
 MAX_GRADIENT_NORM = 1.0
@@ -124,11 +125,9 @@ def update(
             "gradient": jnp.where(finite, norm, jnp.inf),
             "lost": 1.0 - finite.astype(jnp.float32),  # updates whose gradient was not finite
         },
-        "episodes": episode_means(transitions),
-        "rewards": {name: part.mean() for name, part in transitions.info["rewards"].items()},
+        **log_numbers(transitions),
     }
-    statistics = update_statistics(agent.statistics, transitions.vector.reshape(-1, transitions.vector.shape[-1]))
-    return replace(agent, statistics=statistics), Optimizers(actor, critic, target), batch, transitions, log
+    return with_statistics(agent, transitions), Optimizers(actor, critic, target), batch, transitions, log
 
 
 def _actor_loss(

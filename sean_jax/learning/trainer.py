@@ -26,10 +26,12 @@ import orbax.checkpoint as ocp
 from jax.experimental import multihost_utils
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
-from sean_jax import files, writing
-from sean_jax.config import present_names
+from sean_jax import components, files, writing
+from sean_jax.config import DaggerConfig, ReinforcementConfig, present_names
 from sean_jax.errors import IncompleteError, InputError, SeanError
+from sean_jax.flags import command
 from sean_jax.learning.networks import CONFIG, check_supported, named_leaves
+from sean_jax.versions import versions
 from sean_jax.workspace import CONTENT, read_identity, refuse_difference, refuse_others
 
 METRICS, CURVE = "metrics.jsonl", "curve.png"
@@ -443,6 +445,18 @@ def _retry(read: Callable[[], Result]) -> Result:
 # ------------------------------------------------------------------ configuration
 
 
+def method_config(options: DaggerConfig | ReinforcementConfig, **facts: Any) -> dict[str, Any]:
+    """The configuration of a folder of ``sean train``, with further facts that decide the result."""
+    return {
+        "command": command("train", options),
+        "method": options.method,
+        **options.identity(),
+        "parts": components.digests(options),
+        **facts,
+        "versions": versions(),
+    }
+
+
 def check_config(folder: Path, config: dict[str, Any]) -> bool:
     """Whether the folder holds a training of this configuration (JSON values) already.
 
@@ -474,7 +488,7 @@ def write_config(folder: Path, config: dict[str, Any]) -> None:
         InputError: the folder cannot be written.
     """
     try:
-        writing.write(folder / CONFIG, json.dumps(config, indent=1) + "\n")
+        writing.write(folder / CONFIG, config)
     except OSError as error:
         why = writing.reason(error)
         raise InputError(f"cannot write {folder}: {why}; choose another folder with --out.") from error

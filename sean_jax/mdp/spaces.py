@@ -1,4 +1,7 @@
-"""Spaces of observations and actions: a box of numbers, or a dict of boxes."""
+"""Spaces of observations and actions: a box of numbers, or a dict of boxes; actions from -1 to 1 as commands.
+
+An action of 0 is rest; 1 and -1 are the robot's top speeds ahead and backward.
+"""
 
 import dataclasses
 import math
@@ -8,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from sean_jax.base import Array
+from sean_jax.base import Array, RobotModel
+from sean_jax.robots.limits import max_reverse_speed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,3 +62,17 @@ class Dict:
     def size(self) -> int:
         """The number of numbers in a dict."""
         return sum(math.prod(box.shape) for _, box in self.spaces)
+
+
+def to_command(robot: RobotModel, action: Float[Array, "2"]) -> Float[Array, "2"]:
+    """The command (2,) [m/s, rad/s] of an action (2,), clipped to -1 to 1."""
+    ahead, turn = jnp.clip(action[0], -1.0, 1.0), jnp.clip(action[1], -1.0, 1.0)
+    top = jnp.where(ahead >= 0.0, robot.max_speed, max_reverse_speed(robot))
+    return jnp.stack([ahead * top, turn * robot.max_turn_rate])
+
+
+def to_action(robot: RobotModel, command: Float[Array, "2"]) -> Float[Array, "2"]:
+    """The action (2,) from -1 to 1 of a command (2,) [m/s, rad/s]; the inverse of ``to_command``."""
+    top = jnp.where(command[0] >= 0.0, robot.max_speed, max_reverse_speed(robot))
+    action = jnp.stack([command[0] / jnp.maximum(top, 1e-6), command[1] / jnp.maximum(robot.max_turn_rate, 1e-6)])
+    return jnp.clip(action, -1.0, 1.0)
