@@ -126,11 +126,6 @@ def social_cost(parts: Mapping[str, Float[Array, "*batch"]]) -> Float[Array, "*b
 # ------------------------------------------------------------------ in a trainer
 
 
-def plan(name: str) -> Plan | None:
-    """The plan of a trainer's option "none", "situations" or "regret", with its usual numbers; None for none."""
-    return None if name == "none" else Plan(name)  # pyright: ignore[reportArgumentType]
-
-
 def prepare(env: mdp.Env, name: str) -> mdp.Env:
     """An environment, without a pool, in which the plan of that name has something to vary: by regret, with
     ``mdp.randomize_behavior()`` unless it has its own randomization.
@@ -186,16 +181,16 @@ def init(env: mdp.Env, plan: Plan, key: Array, size: int, policy: PolicyLike | N
     Raises:
         InputError: a chosen situation is none of the scenario's.
     """
-    _check(env, plan)
-    number = len(env.scenario.situations)
+    names = [name for name, _ in env.scenario.situations]
+    for name, _ in plan.situations or ():
+        if name not in names:
+            hint = files.suggest(name, names) or "."
+            raise InputError(f"curriculum: situation '{name}' is not one of {', '.join(names)}{hint}")
     keys = jax.random.split(key, size)
     pool = env.draw_pool(keys)
-    none, unknown = jnp.zeros(size, jnp.float32), jnp.zeros(number, jnp.float32)
-    zero = jnp.zeros((), jnp.float32)
-    curriculum = Curriculum(
-        pool, keys, *_occurrences(env, plan, pool, policy), unknown, unknown, zero, zero, *([none] * 7)
-    )
-    return _weighed(env, plan, curriculum)
+    none, unknown, zero = (jnp.zeros(shape, jnp.float32) for shape in (size, len(names), ()))
+    record = unknown, unknown, zero, zero, *([none] * 7)
+    return _weighed(env, plan, Curriculum(pool, keys, *_occurrences(env, plan, pool, policy), *record))
 
 
 def observe(env: mdp.Env, plan: Plan, curriculum: Curriculum, record: Record) -> Curriculum:
@@ -371,14 +366,6 @@ def _shares(occurs: Float[Array, "K S"], seconds: Float[Array, "K"]) -> Float[Ar
 
 
 # ------------------------------------------------------------------ parts
-
-
-def _check(env: mdp.Env, plan: Plan) -> None:
-    known = [name for name, _ in env.scenario.situations]
-    for name, _ in plan.situations or ():
-        if name not in known:
-            hint = files.suggest(name, known) or "."
-            raise InputError(f"curriculum: situation '{name}' is not one of {', '.join(known)}{hint}")
 
 
 def _occurrences(env: mdp.Env, plan: Plan, pool: mdp.Pool, policy: PolicyLike | None) -> tuple[Array, Array]:

@@ -21,9 +21,10 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, UInt16
 
-from sean_jax import navigation, prng, sensors
+from sean_jax import prng, sensors
 from sean_jax.base import Array, Scenario, State
 from sean_jax.geometry import rotate
+from sean_jax.mdp import observations
 
 SECONDS = 5  # of depth images, and of the local plan
 POINTS = 10  # of the global plan
@@ -96,16 +97,8 @@ def depth_image(scenario: Scenario, state: State, camera: sensors.Camera) -> UIn
     return jnp.clip(jnp.round(MILLIMETRES * metres), 0.0, 65535.0).astype(jnp.uint16)
 
 
-def plan_ahead(scenario: Scenario, state: State, last_arc: Int[Array, "V"]) -> Float[Array, "10 2"]:
-    """The next points (10, 2) m of the shortest path to the goal, in the robot's frame.
-
-    Args:
-        last_arc: (V,) ``navigation.last_arc_to_goal`` of the goal of the task.
-    """
-    robot, task = state.robot, state.task
-    where = robot.position, task.goal, task.paths_to_goal, last_arc
-    ahead = navigation.plan(scenario.navigation, *where, points=POINTS, apart=SPACING) - robot.position[None, :]
-    return jnp.stack(rotate(ahead[:, 0], ahead[:, 1], robot.heading[0], -robot.heading[1]), -1)
+plan_ahead = functools.partial(observations.plan_ahead, POINTS, SPACING)
+"""(scenario, state, ``navigation.last_arc_to_goal`` of the goal) -> the global plan (10, 2) m in the robot's frame."""
 
 
 def example(recording: Recording, index: Int[Array, "*batch"], xp: ModuleType = jnp) -> Example:

@@ -31,7 +31,7 @@ from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 from sean_jax.learning import curriculum as curricula
 from sean_jax.learning import dagger, ppo, rollouts, shac, trainer
-from sean_jax.learning.curriculum import Curriculum
+from sean_jax.learning.curriculum import Curriculum, Plan
 from sean_jax.learning.networks import ActorCritic, Agent, init_agents, with_noise
 from sean_jax.learning.policy import (
     Best,
@@ -145,7 +145,8 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         for name in options.agents[0]
         if name != "seed"
     }
-    total, plan, (terms, _) = updates(options), curricula.plan(options.curriculum), agent_terms(options)
+    plan = None if options.curriculum == "none" else Plan(options.curriculum)
+    total, (terms, _) = updates(options), agent_terms(options)
     curriculum_keys = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
 
     def begin(envs: tuple[mdp.Env, ...], agents: Agent) -> TrainState:

@@ -13,7 +13,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float, PyTree
+from jaxtyping import Float, Int, PyTree
 
 from sean_jax import calls, files, navigation, sensors
 from sean_jax.base import Array, Scenario, State
@@ -181,11 +181,13 @@ def plan(points: int = 10, apart: float = 0.5) -> ObservationTerm:
     V-B). A term of (points, 2) m.
     """
     reach = points * apart
-    return ObservationTerm(functools.partial(_plan, points, apart), -reach, reach, prepare=_last_arc)
+    return ObservationTerm(functools.partial(plan_ahead, points, apart), -reach, reach, prepare=_last_arc)
 
 
-def _plan(points: int, apart: float, scenario: Scenario, state: State, last_arc: Array) -> Array:
-    """The next points of the shortest path: (points, 2) m."""
+def plan_ahead(
+    points: int, apart: float, scenario: Scenario, state: State, last_arc: Int[Array, "V"]
+) -> Float[Array, "points 2"]:
+    """The next points of the shortest path: (points, 2) m; ``last_arc`` is that of the goal."""
     where = state.robot.position, state.task.goal, state.task.paths_to_goal, last_arc
     ahead = navigation.plan(scenario.navigation, *where, points=points, apart=apart)
     return _in_frame(state, ahead - state.robot.position[None, :])
@@ -340,18 +342,13 @@ def begin(terms: Terms, scenario: Scenario, state: State, key: Array) -> tuple[d
     """
     prepared = {name: term.prepare(scenario, state) for name, term in terms}
     now = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
-    lines = {
-        name: jnp.broadcast_to(now[name][None], (term.readings, *now[name].shape))
-        for name, term in terms
-        if term.readings > 1
-    }
-    delays = {
-        name: jax.random.randint(jax.random.fold_in(key, number), (), term.delay[0], term.delay[1] + 1, jnp.int32)
-        for number, (name, term) in enumerate(terms)
-        if term.readings > 1
-    }
-    memory = prepared, lines, delays
-    return {name: _of_line(term, now[name], name, lines, delays) for name, term in terms}, memory
+    lines, delays = {}, {}
+    for number, (name, term) in enumerate(terms):
+        if term.readings > 1:
+            least, most = term.delay
+            lines[name] = jnp.broadcast_to(now[name][None], (term.readings, *now[name].shape))
+            delays[name] = jax.random.randint(jax.random.fold_in(key, number), (), least, most + 1, jnp.int32)
+    return {name: _of_line(term, now[name], name, lines, delays) for name, term in terms}, (prepared, lines, delays)
 
 
 def observe(terms: Terms, scenario: Scenario, state: State, memory: PyTree) -> tuple[dict[str, Array], PyTree]:
