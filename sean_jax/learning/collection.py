@@ -437,10 +437,8 @@ class Recorder:
         action = np.full(2, np.nan) if command is None else np.asarray(command, np.float64).reshape(2)
         new = bool(np.isfinite(action).all())
         self._command = np.where(new, action, self._command)
-        if (
-            int(self.state.tick) % steps_per_row(self.scenario, self.rate) == 0
-            and len(self._rows) < self.data.most_rows
-        ):
+        is_due = int(self.state.tick) % steps_per_row(self.scenario, self.rate) == 0
+        if is_due and len(self._rows) < self.data.most_rows:
             latest = jnp.asarray(self._command, float)
             self._rows.append(jax.tree.map(np.asarray, self._row(self.scenario, self.state, latest, self._last)))
         self.state = self._step(self.scenario, self.state, jnp.asarray(action, float))

@@ -48,7 +48,8 @@ def _export(data: Dataset, out: Path) -> None:
     tasks, schema = [name.replace("_", " ") for name in data.manifest["streams"]], _schema(_features(data))
     descriptions, everything, depths, index = [], [], np.zeros(2**16, np.int64), 0
     for number, first in enumerate(range(0, len(data.episodes), EPISODES_IN_FILE)):
-        where = dict(zip(("chunk_index", "file_index"), divmod(number, FORMAT["info"]["chunks_size"]), strict=True))
+        chunk, place = divmod(number, FORMAT["info"]["chunks_size"])
+        where = {"chunk_index": chunk, "file_index": place}
         file = out / _file("data", **where)
         file.parent.mkdir(parents=True, exist_ok=True)
         with pq.ParquetWriter(file, schema) as writer:  # a row group for each episode, as LeRobot writes them
