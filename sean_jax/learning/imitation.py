@@ -174,8 +174,12 @@ def init_state(
     )
 
 
-def programs(network: Network, options: ImitationConfig, mesh: Mesh) -> TrainPrograms:
-    """The compiled functions of a training, which donate the memory of the state."""
+def programs(network: Network, options: ImitationConfig, mesh: Mesh, padded: bool = False) -> TrainPrograms:
+    """The compiled functions of a training, which donate the memory of the state.
+
+    Args:
+        padded: whether the rows may fill whole batches with -1.
+    """
     optimizer = _optimizer(options)
     sharding = NamedSharding(mesh, PartitionSpec(devices.AXIS))
 
@@ -207,6 +211,8 @@ def programs(network: Network, options: ImitationConfig, mesh: Mesh) -> TrainPro
 
         def step(state: TrainState, index: Array) -> tuple[TrainState, Array]:
             after, sums = update(state, *gather(index))
+            if not padded:
+                return after, sums
             some = (index >= 0).any()  # of a batch of none, the optimizer would still move
             return jax.tree.map(lambda old, new: jnp.where(some, new, old), state, after), sums
 
@@ -475,7 +481,7 @@ def _stack_data(trainings: list[Training]) -> tuple[Recording, Array, Array, Arr
 
 def _ensemble_epoch(network: Network, options: ImitationConfig) -> Callable:
     """(states, best, over, seeds, recordings, training rows, validation rows, chances) -> (states, best, losses)."""
-    compiled = programs(network, options, devices.mesh(jax.devices()[:1]))
+    compiled = programs(network, options, devices.mesh(jax.devices()[:1]), padded=True)
 
     def one(
         state: TrainState, best: TrainState, over: Array, seed: Array, recording: Recording, rows: Array,
