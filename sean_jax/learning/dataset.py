@@ -348,7 +348,9 @@ class Dataset:
             array, done = np.empty((0, *shape), kind), 0
             for group in self._read_groups(episodes, sparse=name == "depth"):
                 first, last = min(one.number for one in group), max(one.number for one in group)
-                self._check_file(name, first // self.batch, len(shape) + 2)
+                shard = first // self.batch
+                if self._size(name, shard) != self.manifest["shards"][shard]["bytes"][name]:  # it would read as zeros
+                    raise IncompleteError(f"the file {self._file(name, shard)} is missing or damaged; {CURE}")
                 values = read_array(self.folder, name, first, last + 1)
                 expected = (last + 1 - first, self.most_rows, *shape)
                 if values.shape != expected or values.dtype != kind:
@@ -407,11 +409,10 @@ class Dataset:
 
     def damaged_shards(self) -> list[int]:
         """Find shards of which a file is missing or has another size than when it was written."""
-        dimensions = {name: len(shape) + 2 for name, (shape, _) in self.fields.items()}
         return [
             index
             for index, shard in enumerate(self.manifest["shards"])
-            if any(self._size(name, index, dimensions[name]) != size for name, size in shard["bytes"].items())
+            if any(self._size(name, index) != size for name, size in shard["bytes"].items())
         ]
 
     def _read_groups(self, episodes: Sequence[Episode], sparse: bool) -> list[list[Episode]]:
@@ -427,15 +428,12 @@ class Dataset:
         pairs = zip(groups, far_apart, strict=True)
         return [part for group, far in pairs for part in ([[one] for one in group] if far else [group])]
 
-    def _size(self, name: str, shard: int, dimensions: int) -> int:
-        file = shard_file(self.folder, name, shard, dimensions)
-        return file.stat().st_size if file.is_file() else -1
+    def _file(self, name: str, shard: int) -> Path:
+        return shard_file(self.folder, name, shard, len(self.fields[name][0]) + 2)
 
-    def _check_file(self, name: str, shard: int, dimensions: int) -> None:
-        """Raise for a missing file, which tensorstore would read as zeros."""
-        if self._size(name, shard, dimensions) != self.manifest["shards"][shard]["bytes"][name]:
-            file = shard_file(self.folder, name, shard, dimensions)
-            raise IncompleteError(f"the file {file} is missing or damaged; {CURE}")
+    def _size(self, name: str, shard: int) -> int:
+        file = self._file(name, shard)
+        return file.stat().st_size if file.is_file() else -1
 
 
 def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[int, ...], str]]:

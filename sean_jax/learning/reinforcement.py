@@ -76,6 +76,14 @@ class Programs(NamedTuple):
     refill: Callable  # (envs, state) -> state with other starts; donates the state
 
 
+class Setting(NamedTuple):
+    """What agents are trained with: for each environment the scenario of evaluations and its ``Env``; the network."""
+
+    scenarios: tuple[Scenario, ...]
+    envs: tuple[mdp.Env, ...]
+    network: ActorCritic
+
+
 def train(options: ReinforcementConfig, console: ProgressLike = None) -> TrainState:
     """Train agents, or resume their training; the state then. ``learning.load`` reads the best agent from the folder.
 
@@ -92,13 +100,13 @@ def train(options: ReinforcementConfig, console: ProgressLike = None) -> TrainSt
         stack.enter_context(components.read_once())
         config = trainer.on_all_processes(lambda: method_config(options, devices=len(jax.devices())))
         trainer.on_first_process(lambda: check_config(options.folder, config))  # refuses before anything is written
-        scenarios, envs, network = trainer.on_all_processes(lambda: build(options))
+        setting = trainer.on_all_processes(lambda: build(options))
         trainer.on_first_process(lambda: stack.enter_context(writing.folder_lock(options.folder)))
-        return _train(options, console, scenarios, envs, network, config)
+        return _train(options, console, setting, config)
 
 
-def build(options: ReinforcementConfig) -> tuple[tuple[Scenario, ...], tuple[mdp.Env, ...], ActorCritic]:
-    """For each environment the scenario of evaluations and the ``Env`` of the training, without a pool; the network.
+def build(options: ReinforcementConfig) -> Setting:
+    """The setting of a training, without pools.
 
     Raises:
         InputError: one sentence that names the value and the cure.
@@ -116,7 +124,7 @@ def build(options: ReinforcementConfig) -> tuple[tuple[Scenario, ...], tuple[mdp
     _check_alike(envs)
     network = agent_network(options, envs[0].observation_space)
     measured = tuple(env.scenario for env in envs)
-    return measured, tuple(replace(env, scenario=replace(env.scenario, metrics=())) for env in envs), network
+    return Setting(measured, tuple(replace(env, scenario=replace(env.scenario, metrics=())) for env in envs), network)
 
 
 def _check_alike(envs: Sequence[mdp.Env]) -> None:
@@ -243,15 +251,9 @@ def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Arr
 # ------------------------------------------------------------------ the training
 
 
-def _train(
-    options: ReinforcementConfig,
-    console: ProgressLike,
-    scenarios: tuple[Scenario, ...],
-    envs: tuple[mdp.Env, ...],
-    network: ActorCritic,
-    config: dict[str, Any],
-) -> TrainState:
-    """Train in a folder that this process has locked, or the first of those that train together."""
+def _train(options: ReinforcementConfig, console: ProgressLike, setting: Setting, config: dict[str, Any]) -> TrainState:
+    """Train in a folder that this process has locked, or the first of the processes that train together."""
+    scenarios, envs, network = setting
     resumes = trainer.on_first_process(lambda: check_config(options.folder, config))
     mesh, total = devices.mesh(), updates(options)
     if options.scenarios // len(envs) % mesh.size:
@@ -259,7 +261,7 @@ def _train(
         text += f" in {len(envs)} environments" if len(envs) > 1 else ""
         raise InputError(f"{text}; take a multiple.")
     run = programs(options, network, mesh)
-    agents, teachers = _first_agents(options, network, envs[0], scenarios[0]), ()
+    agents, teachers = _first_agents(options, setting), ()
     if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
         teachers = tuple(load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
     with progress(console if trainer.is_first_process() else None) as tell:
@@ -271,11 +273,11 @@ def _train(
         if teachers:
             assert options.imitate is not None
             tell.stage(f"imitating {options.imitate.kind}")
-            agents = _imitate(options, network, envs, teachers, agents)
+            agents = _imitate(options, setting, teachers, agents)
         if options.noise is not None:
             agents = with_noise(agents, options.noise)
         state = run.begin(envs, agents)
-        scenarios, envs = devices.replicate(mesh, (scenarios, envs))
+        setting = Setting(*devices.replicate(mesh, (scenarios, envs)), network)
 
         def place(state: TrainState) -> TrainState:
             """Scenarios on all devices, and all else on each."""
@@ -283,7 +285,7 @@ def _train(
             return replace(whole, rows=devices.split(mesh, state.rows, axis=1))
 
         loop = Loop(
-            advance=lambda state: _advance(options, run, scenarios, envs, state),
+            advance=lambda state: _advance(options, run, setting, state),
             is_over=lambda state: int(state.update) >= total,
             done=lambda state: int(state.update),
             place=place,
@@ -294,18 +296,14 @@ def _train(
 
 
 def _advance(
-    options: ReinforcementConfig,
-    run: Programs,
-    scenarios: tuple[Scenario, ...],
-    envs: tuple[mdp.Env, ...],
-    state: TrainState,
+    options: ReinforcementConfig, run: Programs, setting: Setting, state: TrainState
 ) -> tuple[TrainState, Report]:
     """An update, and an evaluation if it is due."""
     start = time.time()
-    state, log = run.update(envs, state)
+    state, log = run.update(setting.envs, state)
     number, log = int(state.update), jax.tree.map(np.asarray, log)
     if state.curriculum is not None and number % options.curriculum_every == 0:
-        state = run.refill(envs, state)
+        state = run.refill(setting.envs, state)
     if not np.isfinite(log["train"]["loss"]).all():
         where = f"the loss is not finite in update {number}; {options.folder} keeps the checkpoints until then"
         raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
@@ -315,7 +313,7 @@ def _advance(
     line |= {part: _finite_means(values) for part, values in log.items()}
     loss = None
     if number % options.evaluate_every == 0 or number == updates(options):
-        state, evaluation = _evaluate(run, scenarios, envs, state)
+        state, evaluation = _evaluate(run, setting, state)
         line |= evaluation
         loss = -float(np.sum(np.asarray(state.best.value)))
     episodes = line["episodes"]
@@ -323,8 +321,9 @@ def _advance(
     return state, Report(number, line, loss, f"update {number} · {note} · {rate:,.0f} steps/s")
 
 
-def _first_agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.Env, scenario: Scenario) -> Agent:
+def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
     """The agents before the first update, (A, ...)."""
+    (scenario, *_), (env, *_), network = setting
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     if options.pretrained is None:
         return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
@@ -332,29 +331,21 @@ def _first_agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.E
     return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), agent)
 
 
-def _imitate(
-    options: ReinforcementConfig,
-    network: ActorCritic,
-    envs: tuple[mdp.Env, ...],
-    teachers: tuple[Policy, ...],
-    agents: Agent,
-) -> Agent:
+def _imitate(options: ReinforcementConfig, setting: Setting, teachers: tuple[Policy, ...], agents: Agent) -> Agent:
     """The agents after they have learned from another policy, (A, ...)."""
-    envs = tuple(replace(env, pool=None) for env in envs)
     keys = jnp.stack([prng.key("imitation", int(agent["seed"])) for agent in options.agents])
 
-    clone = jax.vmap(functools.partial(dagger.clone, options, network), (None, None, 0, 0))
-    agents, errors = jax.jit(clone)(envs, teachers, agents, keys)
+    clone = jax.vmap(functools.partial(dagger.clone, options, setting.network), (None, None, 0, 0))
+    agents, errors = jax.jit(clone)(setting.envs, teachers, agents, keys)
     if not np.isfinite(np.asarray(errors)).all():
         raise FloatingPointError(f"imitate: what {teachers[0].name} does is not finite; choose another --imitate.")
     return agents
 
 
-def _evaluate(
-    run: Programs, scenarios: tuple[Scenario, ...], envs: tuple[mdp.Env, ...], state: TrainState
-) -> tuple[TrainState, dict[str, dict]]:
+def _evaluate(run: Programs, setting: Setting, state: TrainState) -> tuple[TrainState, dict[str, dict]]:
     """The state with its best agents, and the evaluation: means of all environments and agents, and, if there are
     several, of each environment and of each agent."""
+    scenarios, envs, _ = setting
     value, each = run.evaluate(scenarios, tuple(replace(env, pool=None) for env in envs), state.agent)
     value, each = jnp.asarray(value, jnp.float32), jax.tree.map(np.asarray, each)
     better = value > state.best.value

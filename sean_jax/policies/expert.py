@@ -153,17 +153,10 @@ def _progress(scenario: Scenario, params: ExpertParams, state: State, table: Cos
     return jnp.where(nearer, left, memory.distance_min), jnp.where(nearer, 0, memory.waiting_ticks + 1)
 
 
-def _arcs() -> np.ndarray:
-    """(A, KNOTS, 2) constant arcs, and turns on the spot after which the robot drives straight ahead."""
-    arcs = [np.tile([ahead, turn], (KNOTS, 1)) for ahead in ARC_SPEEDS for turn in ARC_TURN_RATES]
-    for turn in ARC_TURN_RATES:
-        turn_first = np.tile([1.0, 0.0], (KNOTS, 1))
-        turn_first[:2] = 0.0, turn
-        arcs.append(turn_first)
-    return np.stack(arcs)
-
-
-ARCS = _arcs()
+ARCS = np.stack([  # (A, KNOTS, 2): constant arcs, and turns on the spot after which the robot drives straight ahead
+    *(np.tile([ahead, turn], (KNOTS, 1)) for ahead in ARC_SPEEDS for turn in ARC_TURN_RATES),
+    *(np.array([(0.0, turn)] * 2 + [(1.0, 0.0)] * (KNOTS - 2)) for turn in ARC_TURN_RATES),
+])  # fmt: skip
 INTERPOLATION = np.stack([np.interp(np.arange(STEPS) * TIME_STEP, np.linspace(0, STEPS * TIME_STEP, KNOTS), one)
                           for one in np.eye(KNOTS)], -1)  # fmt: skip
 

@@ -413,13 +413,8 @@ def apply(
     wave = jax.lax.scan(lambda now, _: (sweep_wave(now, resistance, window.cell), None), wave, length=SWEEPS)[0]
     path, path_complete = _select(last, _global_path(state, window, wave), (memory.path, memory.path_complete))
     robot = state.robot
-    command, clear = best_command(
-        scenario,
-        params.local_planner,
-        robot,
-        *_local_map(scenario, params, state),
-        _local_path(path, robot.position),
-    )
+    window_and_costs, local_path = _local_map(scenario, params, state), _local_path(path, robot.position)
+    command, clear = best_command(scenario, params.local_planner, robot, *window_and_costs, local_path)
     command = jnp.where(path_complete, command, 0.0)
     command, waiting_ticks = _recover(scenario, params, memory.waiting_ticks, command, clear & path_complete)
     gap = state.task.goal - robot.position
