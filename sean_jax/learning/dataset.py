@@ -30,7 +30,8 @@ import pydantic
 from sean_jax import components, files, prng, writing
 from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, CollectConfig, validate
 from sean_jax.errors import FileError, IncompleteError, InputError
-from sean_jax.learning.examples import POINTS, Recording, Row
+from sean_jax.learning.examples import Recording, Row
+from sean_jax.mdp.observations import PLAN_POINTS
 from sean_jax.quantities import MAX_DURATION
 
 Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
@@ -440,7 +441,7 @@ def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[in
     """Name -> (shape, type) of the fields of ``examples.Row``, for depth images of height x width pixels."""
     return {
         "depth": ((height, width), "uint16"),
-        "plan": ((POINTS, 2), "float32"),
+        "plan": ((PLAN_POINTS, 2), "float32"),
         "pose": ((4,), "float32"),
         "velocity": ((2,), "float32"),
         "command": ((2,), "float32"),

@@ -24,11 +24,9 @@ from jaxtyping import Bool, Float, Int, UInt16
 from sean_jax import prng, sensors
 from sean_jax.base import Array, Scenario, State
 from sean_jax.geometry import rotate
-from sean_jax.mdp import observations
+from sean_jax.mdp.observations import plan_ahead
 
 SECONDS = 5  # of depth images, and of the local plan
-POINTS = 10  # of the global plan
-SPACING = 0.5  # m, minimum distance between two points of the global plan
 MILLIMETRES = 1000.0  # in a metre
 
 
@@ -95,10 +93,6 @@ def depth_image(scenario: Scenario, state: State, camera: sensors.Camera) -> UIn
     """A depth image (H, W) uint16 mm."""
     metres = sensors.depth(scenario, state, camera)
     return jnp.clip(jnp.round(MILLIMETRES * metres), 0.0, 65535.0).astype(jnp.uint16)
-
-
-plan_ahead = functools.partial(observations.plan_ahead, POINTS, SPACING)
-"""(scenario, state, ``navigation.last_arc_to_goal`` of the goal) -> the global plan (10, 2) m in the robot's frame."""
 
 
 def example(recording: Recording, index: Int[Array, "*batch"], xp: ModuleType = jnp) -> Example:

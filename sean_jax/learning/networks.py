@@ -30,7 +30,7 @@ from sean_jax.base import Array
 from sean_jax.config import MAX_PIXELS, METHODS
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.dataset import Keys, Names, Side
-from sean_jax.learning.examples import MILLIMETRES, POINTS, SECONDS
+from sean_jax.learning.examples import MILLIMETRES, SECONDS
 from sean_jax.mdp import observations
 from sean_jax.mdp.spaces import Dict
 
@@ -136,14 +136,14 @@ class Network(nn.Module):
         """Make the layers. Their names are those of the parameters in checkpoints."""
         self.merges = [nn.Dense(features) for _, features in PATCHES]
         self.seen = nn.Dense(self.width)
-        self.image_encoder = Encoder(self.width)
-        self.plan_encoder = Encoder(self.width)
-        self.local_encoder = Encoder(self.width)
-        self.flag_encoder = Encoder(self.width)
+        self.image_encoder = Perceptron(self.width, self.width)
+        self.plan_encoder = Perceptron(self.width, self.width)
+        self.local_encoder = Perceptron(self.width, self.width)
+        self.flag_encoder = Perceptron(self.width, self.width)
         self.planner_attention = Attention(len(self.planner_sources))
         self.controller_attention = Attention(len(self.controller_sources))
-        self.planner = Head(self.width, 2 * SECONDS)
-        self.controller = Head(self.width, 2)
+        self.planner = Perceptron(self.width, 2 * SECONDS)
+        self.controller = Perceptron(self.width, 2)
 
     def encode(self, image: UInt16[Array, "*batch H W"]) -> Float[Array, "*batch F"]:
         """Encodings of depth images (..., H, W) uint16 mm; a policy keeps them, so each image is encoded once."""
@@ -164,10 +164,10 @@ class Network(nn.Module):
         image, ahead = self.image_encoder(encodings.reshape(-1)), self.plan_encoder(plan.reshape(-1))
         flags = [self.flag_encoder(situations.astype(jnp.float32))] if self.flags else []
         context, planner_attention = self.planner_attention(jnp.stack([image, ahead, *flags]))
-        local_plan = self.planner(context).reshape(SECONDS, 2)
+        local_plan = self.planner(nn.relu(context)).reshape(SECONDS, 2)
         local = self.local_encoder(local_plan.reshape(-1))
         context, controller_attention = self.controller_attention(jnp.stack([image, local, ahead, *flags]))
-        return Decision(local_plan, self.controller(context), planner_attention, controller_attention)
+        return Decision(local_plan, self.controller(nn.relu(context)), planner_attention, controller_attention)
 
     def __call__(
         self, images: UInt16[Array, "5 H W"], plan: Float[Array, "10 2"], situations: Bool[Array, "S"]
@@ -190,15 +190,16 @@ def squares(values: Float[Array, "*batch H W C"], side: int) -> Float[Array, "*b
     return jnp.moveaxis(parts, -4, -3).reshape(*lead, rows, columns, side * side * channels)
 
 
-class Encoder(nn.Module):
-    """Two layers that map any vector to one of the width."""
+class Perceptron(nn.Module):
+    """One hidden layer and a linear output."""
 
     width: int
+    size: int
 
     @nn.compact
-    def __call__(self, values: Float[Array, "K"]) -> Float[Array, "width"]:
-        """The encoding (width,) of values (K,)."""
-        return nn.Dense(self.width)(nn.relu(nn.Dense(self.width)(values)))
+    def __call__(self, values: Float[Array, "K"]) -> Float[Array, "size"]:
+        """The output (size,) of values (K,)."""
+        return nn.Dense(self.size)(nn.relu(nn.Dense(self.width)(values)))
 
 
 class Attention(nn.Module):
@@ -217,21 +218,13 @@ class Attention(nn.Module):
         return shares @ normalized, shares
 
 
-class Head(nn.Module):
-    """One hidden layer and a linear output."""
-
-    width: int
-    size: int
-
-    @nn.compact
-    def __call__(self, values: Float[Array, "F"]) -> Float[Array, "size"]:
-        """The output (size,) of values (F,)."""
-        return nn.Dense(self.size)(nn.relu(nn.Dense(self.width)(nn.relu(values))))
-
-
 def init_weights(network: Network, situations: int, key: Array) -> Weights:
     """Weights before training, with a scale of 1."""
-    shapes = ((SECONDS, *network.image), jnp.uint16), ((POINTS, 2), jnp.float32), ((situations,), bool)
+    shapes = (
+        ((SECONDS, *network.image), jnp.uint16),
+        ((observations.PLAN_POINTS, 2), jnp.float32),
+        ((situations,), bool),
+    )
     parameters = network.init(key, *(jnp.zeros(*shape) for shape in shapes))
     return Weights(parameters, jnp.ones(2, jnp.float32))
 
@@ -244,10 +237,7 @@ def read_network(folder: Path, situations: list[str]) -> tuple[Network, int]:
     """
     if not os.path.lexists(folder / CONFIG):
         raise InputError(f"{folder} has no trained network; make one with `sean train imitation`.")
-    try:
-        config = read_network_config(folder / CONFIG)
-    except FileError as error:
-        raise InputError(str(error)) from None
+    config = read_network_config(folder / CONFIG)
     network = Network(config.width, config.flags, config.image)
     if network.flags and situations != config.situations:
         here = ", ".join(situations)
