@@ -42,7 +42,7 @@ from sean_jax.workspace import CONTENT, refuse_difference, refuse_others
 
 
 def check_collection(config: CollectConfig) -> None:
-    """Refuse everything that can be told before a scenario is made.
+    """Refuse options that cannot work, as far as no scenario is needed to know it.
 
     Raises:
         InputError: one sentence that names the value and the cure.

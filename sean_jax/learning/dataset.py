@@ -119,6 +119,7 @@ def _check_relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[fi
 
 
 COMPRESSION = 3  # of the zstd compression
+COMMITTED = "what was committed before is as it was."
 CURE = "remove the damaged file, and `sean collect` with the same options makes it anew."
 
 
@@ -163,7 +164,7 @@ def write_shard(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict
         IncompleteError: it cannot be written, for example because the disk is full.
     """
     writes = []
-    try:
+    with writing.explain_errors(folder, COMMITTED, _store_reason):
         for name, values in fields.items():
             array = _open_array(folder / name)
             first, last = shard * len(values), (shard + 1) * len(values)
@@ -173,8 +174,6 @@ def write_shard(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict
         for each in writes:
             each.result()
         return {name: shard_file(folder, name, shard, values.ndim).stat().st_size for name, values in fields.items()}
-    except (OSError, ValueError) as error:
-        raise IncompleteError(f"{folder}: {_store_reason(error)}; what was committed before is as it was.") from error
 
 
 def read_array(folder: Path, name: str, first: int, last: int) -> np.ndarray:
@@ -183,10 +182,8 @@ def read_array(folder: Path, name: str, first: int, last: int) -> np.ndarray:
     Raises:
         IncompleteError: a file is damaged.
     """
-    try:
+    with writing.explain_errors(folder / name, CURE, _store_reason):
         return np.asarray(_open_array(folder / name)[first:last].read().result())
-    except (OSError, ValueError) as error:
-        raise IncompleteError(f"{folder / name}: {_store_reason(error)}; {CURE}") from error
 
 
 def shard_file(folder: Path, name: str, shard: int, dimensions: int) -> Path:
@@ -401,11 +398,8 @@ class Dataset:
         Raises:
             IncompleteError: it cannot be written. What was committed before stays.
         """
-        try:
+        with writing.explain_errors(self.folder, COMMITTED):
             writing.write(self.folder / MANIFEST, manifest)
-        except OSError as error:
-            reason = writing.reason(error)
-            raise IncompleteError(f"{self.folder}: {reason}; what was committed before is as it was.") from error
         self.manifest = manifest
 
     def damaged_shards(self) -> list[int]:

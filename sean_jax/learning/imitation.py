@@ -99,7 +99,7 @@ class Training:
         return self.data.read(self.training, (field,))[field]
 
     def recording(self) -> Recording:
-        """All examples on the default device; those that train come first."""
+        """All examples on the default device: first the training examples."""
         return on_device(self.data.recording([*self.training, *self.validation]))
 
     def config(self) -> dict[str, Any]:

@@ -100,7 +100,7 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
 
 
 def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, option: str = "policy") -> None:
-    """Refuse what ``load_policy`` would refuse, as far as it can be told before a scenario is made.
+    """Refuse what ``load_policy`` refuses, as far as no scenario is needed to know it.
 
     Raises:
         InputError: one sentence that names the value and the cure.
@@ -362,8 +362,8 @@ class PolicyState:
 def network_policy(network: Network, weights: Weights, scenario: Scenario, name: str = "learned") -> Policy:
     """A policy of a network that imitates, for the robot of a scenario.
 
-    The policy state holds the encodings of the depth images of the last four seconds. The network receives those that
-    are 4, 3, 2, 1 and 0 s old, as in an example. After each step ``state.policy_state.decision`` has the local plan and
+    The policy state holds the encodings of the depth images of the last four seconds. The network receives the
+    encodings that are 4, 3, 2, 1 and 0 s old, as in an example. After each step ``state.policy_state.decision`` has the local plan and
     the attention, which SEAN displays too.
 
     Raises:

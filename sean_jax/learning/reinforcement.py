@@ -128,7 +128,7 @@ def build(options: ReinforcementConfig) -> Setting:
 
 
 def _check_alike(envs: Sequence[mdp.Env]) -> None:
-    """Refuse environments of one name, whose evaluations could not be told apart, and of other observation sizes."""
+    """Refuse environments of one name, whose evaluations would mix, and of other observation sizes."""
     names = [env.scenario.environment.name for env in envs]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"environment: {twice[0]} is listed more than once; list each once.")

@@ -193,7 +193,7 @@ REWARDS: dict[str, RewardTerm] = {
     "o_space": RewardTerm(step=_o_space, privileged=True),
     **{name: of_metric(name) for name, metric in metrics.METRICS.items() if metric.kind == "count"},
 }
-"""Terms of rewards by name; those that count have the names of the metrics that count the same."""
+"""Terms of rewards by name; a term that counts has the name of the metric that counts the same."""
 
 DEFAULT = {
     "progress": 1.0,
