@@ -412,7 +412,7 @@ def _offspring(
 
 
 def _put(curriculum: Curriculum, fresh: dict[str, Any], out: Array, order: Array, better: Array) -> Curriculum:
-    """The curriculum with ``fresh`` starts, in their order, in the slots ``out`` where they are ``better``, all (R,)."""
+    """The curriculum with ``fresh`` starts, in this order, in the slots ``out`` where they are better, all (R,)."""
     size = curriculum.keys.shape[0]
 
     def put(old: Array, new: Array) -> Array:

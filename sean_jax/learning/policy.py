@@ -363,8 +363,8 @@ def network_policy(network: Network, weights: Weights, scenario: Scenario, name:
     """A policy of a network that imitates, for the robot of a scenario.
 
     The policy state holds the encodings of the depth images of the last four seconds. The network receives the
-    encodings that are 4, 3, 2, 1 and 0 s old, as in an example. After each step ``state.policy_state.decision`` has the local plan and
-    the attention, which SEAN displays too.
+    encodings that are 4, 3, 2, 1 and 0 s old, as in an example. After each step ``state.policy_state.decision`` has the
+    local plan and the attention, which SEAN displays too.
 
     Raises:
         InputError: the robot has no depth camera.
