@@ -32,7 +32,7 @@ from sean_jax.errors import FileError, InputError
 from sean_jax.learning.dataset import Keys, Names, Side
 from sean_jax.learning.examples import MILLIMETRES, SECONDS
 from sean_jax.mdp import observations
-from sean_jax.mdp.spaces import Dict
+from sean_jax.mdp.spaces import Box
 
 CONFIG = "config.json"  # the configuration of a network, beside its checkpoints
 
@@ -349,7 +349,7 @@ class Agent:
     statistics: Statistics
 
 
-def init_agent(network: ActorCritic, terms: observations.Terms, space: Dict, key: Array) -> Agent:
+def init_agent(network: ActorCritic, terms: observations.Terms, space: dict[str, Box], key: Array) -> Agent:
     """The agent before training."""
     empty = {name: jnp.zeros(box.shape, jnp.float32) for name, box in space.items()}
     vector = observations.flatten(terms, empty).astype(jnp.float32)
@@ -360,7 +360,7 @@ def init_agent(network: ActorCritic, terms: observations.Terms, space: Dict, key
     return Agent(parameters, statistics)
 
 
-def init_agents(network: ActorCritic, terms: observations.Terms, space: Dict, keys: Array) -> Agent:
+def init_agents(network: ActorCritic, terms: observations.Terms, space: dict[str, Box], keys: Array) -> Agent:
     """Agents (A, ...) before training, of keys (A,), one after another.
 
     Under ``vmap`` their orthogonal matrices would be factorized in batches, and on a CPU of two cores jaxlib deadlocks

@@ -49,7 +49,7 @@ from sean_jax.learning.networks import (
     read_network,
 )
 from sean_jax.mdp import observations, to_command
-from sean_jax.mdp.spaces import Dict
+from sean_jax.mdp.spaces import Box
 from sean_jax.policies import POLICIES
 from sean_jax.scenario import reset
 from sean_jax.versions import versions
@@ -193,11 +193,11 @@ def agent_terms(options: ReinforcementConfig) -> tuple[observations.Terms, obser
     return actor_terms, private
 
 
-def agent_network(options: ReinforcementConfig, space: Dict) -> ActorCritic:
+def agent_network(options: ReinforcementConfig, space: dict[str, Box]) -> ActorCritic:
     """The network of a description."""
     actor_terms, private = agent_terms(options)
     images = tuple(name for name, term in actor_terms if term.image)
-    hidden = sum(math.prod(dict(space.items())[name].shape) for name, _ in private)
+    hidden = sum(math.prod(space[name].shape) for name, _ in private)
     return ActorCritic(options.width, options.layers, images, options.recurrent, hidden, options.bfloat16)
 
 

@@ -11,10 +11,10 @@ from sean_jax.mdp.randomization import (
     randomize_behavior,
 )
 from sean_jax.mdp.rewards import REWARDS, RewardTerm, in_situations, of_metric
-from sean_jax.mdp.spaces import Box, Dict, to_action, to_command
+from sean_jax.mdp.spaces import Box, to_action, to_command
 
 __all__ = [
     "OBSERVATIONS", "OBSERVED", "PARAMETERS", "RANDOMIZATIONS", "REWARDS", "TERMINATIONS", "BehaviorRandomization",
-    "Box", "Dict", "Env", "EnvState", "ObservationTerm", "Pool", "Randomization", "RewardTerm", "as_term", "delayed",
+    "Box", "Env", "EnvState", "ObservationTerm", "Pool", "Randomization", "RewardTerm", "as_term", "delayed",
     "flatten", "in_situations", "make_env", "of_metric", "randomize_behavior", "stacked", "to_action", "to_command",
 ]  # fmt: skip

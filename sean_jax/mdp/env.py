@@ -23,7 +23,7 @@ from sean_jax.mdp import rewards as rewarding
 from sean_jax.mdp.observations import ObservationLike
 from sean_jax.mdp.randomization import Randomization, RandomizationLike, as_randomization
 from sean_jax.mdp.rewards import RewardLike
-from sean_jax.mdp.spaces import Box, Dict, to_command
+from sean_jax.mdp.spaces import Box, to_command
 from sean_jax.scenario import reset, results, step
 
 CHANCES = 2**30  # parts of the total probability; their sums are exact, and 0 is never taken
@@ -78,7 +78,7 @@ class Env:
         return Box(-1.0, 1.0, (2,))
 
     @property
-    def observation_space(self) -> Dict:
+    def observation_space(self) -> dict[str, Box]:
         """A box for each term of the observation."""
         shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), self.scenario)
         return observing.space(self.observations, self.scenario, shapes)

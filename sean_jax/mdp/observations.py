@@ -19,7 +19,7 @@ from sean_jax import calls, files, navigation, sensors
 from sean_jax.base import Array, Scenario, State
 from sean_jax.errors import InputError
 from sean_jax.geometry import from_rectangle, length, nearby_obstacles, rotate
-from sean_jax.mdp.spaces import Box, Dict
+from sean_jax.mdp.spaces import Box
 
 NEAREST = 12  # people of the term "people"
 REACH = 8.0  # m, within which they are seen
@@ -341,12 +341,12 @@ def _of_line(term: ObservationTerm, now: Array, name: str, lines: dict, delays: 
     return part if term.stack else part[0]
 
 
-def space(terms: Terms, scenario: Scenario, state: State) -> Dict:
-    """The space of observations; ``state`` may be the shapes of one."""
+def space(terms: Terms, scenario: Scenario, state: State) -> dict[str, Box]:
+    """Name -> bounds and shape of each term; ``state`` may be the shapes of one."""
     shapes = jax.eval_shape(
         lambda scenario, state: begin(terms, scenario, state, jax.random.key(0))[0], scenario, state
     )
-    return Dict(tuple((name, Box(term.low, term.high, shapes[name].shape)) for name, term in terms))
+    return {name: Box(term.low, term.high, shapes[name].shape) for name, term in terms}
 
 
 def flatten(terms: Terms, observation: Mapping[str, Float[Array, "..."]]) -> Float[Array, "size"]:
