@@ -20,22 +20,12 @@ import optax
 from sean_jax import components, episodes, mdp, writing
 from sean_jax.base import Array, Policy
 from sean_jax.config import CollectConfig, DaggerConfig, ImitationConfig, ReinforcementConfig
-from sean_jax.learning import collection, imitation, ppo
+from sean_jax.learning import collection, imitation, ppo, rollouts
 from sean_jax.learning.dataset import Dataset, open_dataset
 from sean_jax.learning.imitation import TrainState
 from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput
 from sean_jax.learning.policy import check_policy
-from sean_jax.learning.rollouts import (
-    EnvBatch,
-    Optimization,
-    Transition,
-    forward,
-    merge_envs,
-    optimize,
-    reset_envs,
-    step,
-    with_statistics,
-)
+from sean_jax.learning.rollouts import EnvBatch, Optimization, Transition
 from sean_jax.learning.trainer import check_config, method_config, write_config
 from sean_jax.progress import ProgressLike
 
@@ -136,7 +126,7 @@ def clone(
         return replace(env, pool=replace(env.pool, states=with_memory(env, teacher, env.pool.states)))
 
     envs = tuple(map(with_pool, envs, teachers, pool_keys))
-    batch = reset_envs(envs, network, batch_key, options.scenarios)
+    batch = rollouts.reset_envs(envs, network, batch_key, options.scenarios)
     batch = replace(batch, envs=tuple(map(with_memory, envs, teachers, batch.envs)))
     rate = jnp.asarray(options.learning_rate, jnp.float32)
     how = Optimization(ppo.OPTIMIZER, rate, EPOCHS, options.minibatches)
@@ -153,17 +143,18 @@ def clone(
         memory, turn = batch.memory, jax.random.fold_in(key, number)
 
         def one(batch: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
-            output = forward(network, agent, envs[0].observations, batch)
+            output = rollouts.forward(network, agent, envs[0].observations, batch)
             each = [jax.vmap(label, (None, None, 0))(*part) for part in zip(envs, teachers, batch.envs, strict=True)]
-            labels, states = merge_envs([actions for actions, _ in each]), tuple(after for _, after in each)
+            labels, states = rollouts.merge_envs([actions for actions, _ in each]), tuple(after for _, after in each)
             action = jnp.where(number >= UPDATES // 2, output.mean, labels)
             next_key = jax.random.fold_in(turn, tick)
-            batch, steps = step(envs, network, agent, replace(batch, envs=states), output, action, next_key)
+            batch, steps = rollouts.step(envs, network, agent, replace(batch, envs=states), output, action, next_key)
             return batch, steps._replace(action=labels, info={})
 
         batch, steps = jax.lax.scan(one, batch, jnp.arange(options.horizon, dtype=jnp.int32))
-        agent, optimizer, error = optimize(how, _action_error, network, agent, optimizer, (steps,), memory, turn)
-        return (with_statistics(agent, steps), optimizer, batch), error
+        learner = network, agent, optimizer
+        agent, optimizer, error = rollouts.optimize(how, _action_error, *learner, (steps,), memory, turn)
+        return (rollouts.with_statistics(agent, steps), optimizer, batch), error
 
     carry = agent, ppo.init(agent), batch
     (agent, _, _), errors = jax.lax.scan(update, carry, jnp.arange(UPDATES, dtype=jnp.int32))

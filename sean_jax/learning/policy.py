@@ -32,22 +32,9 @@ from sean_jax.config import (
     validate,
 )
 from sean_jax.errors import InputError
+from sean_jax.learning import networks
 from sean_jax.learning.examples import SECONDS, depth_image, plan_ahead
-from sean_jax.learning.networks import (
-    CONFIG,
-    ActorCritic,
-    Agent,
-    Decision,
-    Network,
-    Weights,
-    apply,
-    check_supported,
-    init_agent,
-    init_weights,
-    named_leaves,
-    read_method,
-    read_network,
-)
+from sean_jax.learning.networks import CONFIG, ActorCritic, Agent, Decision, Network, Weights
 from sean_jax.mdp import observations, to_command
 from sean_jax.mdp.spaces import Box
 from sean_jax.policies import POLICIES
@@ -94,7 +81,7 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
     if isinstance(folder, str) and folder in AGENTS:
         folder = _agent_folder(folder, "folder")
     folder = Path(folder)
-    if not is_packed(folder) and read_method(folder) in ("imitation", "dagger"):
+    if not is_packed(folder) and networks.read_method(folder) in ("imitation", "dagger"):
         return load_imitation(folder, scenario)
     return agent_policy(*load_agent(folder, scenario), name=folder.name)
 
@@ -112,14 +99,14 @@ def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, op
             raise InputError(f"{option}: {description.kind} must be a Policy or a function (scenario, state, key).")
     elif description.kind not in POLICIES:
         folder = _agent_folder(description.kind, option)
-        method = read_method(folder)
+        method = networks.read_method(folder)
         if issubclass(METHODS[method], ReinforcementConfig):
             agent_terms(read_options(folder))
         if method != "imitation":
             return
         sets = [part.kind for part in config.situations if isinstance(part, Named)]
         if len(sets) == len(config.situations) == 1 and sets[0] in SITUATION_SETS:
-            read_network(folder, list(SITUATION_SETS[sets[0]]))
+            networks.read_network(folder, list(SITUATION_SETS[sets[0]]))
 
 
 def _description(value: Any) -> Component:
@@ -166,10 +153,10 @@ def read_options(folder: Path) -> ReinforcementConfig:
     """
     if not (folder / CONFIG).is_file():
         raise InputError(f"{folder} has no trained agent; make one with `sean train ppo --out {folder}`.")
-    saved, model = files.read_json(folder / CONFIG), METHODS[read_method(folder)]
+    saved, model = files.read_json(folder / CONFIG), METHODS[networks.read_method(folder)]
     if not issubclass(model, ReinforcementConfig):
         raise InputError(f"{folder} has a network that imitates, and no agent; train one with `sean train ppo`.")
-    check_supported(folder, saved)
+    networks.check_supported(folder, saved)
     options = {name: value for name, value in present_names(saved).items() if name in model.model_fields}
     options = components.recorded(folder / CONFIG, options, saved.get("parts"), "parts")
     try:
@@ -217,7 +204,7 @@ def load_agent(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, ob
     except InputError as error:
         raise InputError(f"{folder / CONFIG}: {error}") from None
     network = agent_network(options, space)
-    outline = jax.eval_shape(lambda: init_agent(network, terms, space, jax.random.key(0)))
+    outline = jax.eval_shape(lambda: networks.init_agent(network, terms, space, jax.random.key(0)))
     read = _read_packed if is_packed(folder) else _read_best
     return network, read(folder, options, outline), actor_terms
 
@@ -229,7 +216,7 @@ def _read_packed(folder: Path, options: ReinforcementConfig, outline: Agent) -> 
         if value.dtype.kind != "f" or not np.isfinite(value).all():
             raise InputError(f"{folder / WEIGHTS}: {name[:60]} has a number that is not finite; pack the agent anew.")
     _check_sizes(folder, options, {name: value.shape for name, value in arrays.items()}, outline)
-    leaves = [jnp.asarray(arrays[name], jnp.float32) for name in named_leaves(outline)]
+    leaves = [jnp.asarray(arrays[name], jnp.float32) for name in networks.named_leaves(outline)]
     return jax.tree.unflatten(jax.tree.structure(outline), leaves)
 
 
@@ -249,7 +236,7 @@ def _read_best(folder: Path, options: ReinforcementConfig, outline: Agent) -> Ag
 
 def _check_sizes(folder: Path, options: ReinforcementConfig, saved: dict[str, tuple], outline: Agent) -> None:
     """Refuse arrays, name -> shape, of other sizes than a scenario's observations need."""
-    shapes = {name: tuple(leaf.shape) for name, leaf in named_leaves(outline).items()}
+    shapes = {name: tuple(leaf.shape) for name, leaf in networks.named_leaves(outline).items()}
     if saved == shapes:
         return
     mean = f"{STATISTICS}mean"
@@ -270,7 +257,7 @@ def save_agent(folder: Path, agent: Agent, config: dict[str, Any]) -> None:
         InputError: a number is not finite, or too large for 16 bits.
     """
     packed = {}
-    for name, leaf in named_leaves(agent).items():
+    for name, leaf in networks.named_leaves(agent).items():
         kind = np.float32 if name.startswith(STATISTICS) else np.float16
         if not (np.abs(leaf) <= np.finfo(kind).max).all():
             raise InputError(f"{name} of the agent has a number that 16 bits cannot hold; train it anew.")
@@ -384,15 +371,15 @@ def load_imitation(folder: Path | str, scenario: Scenario) -> Policy:
     from sean_jax.learning.trainer import Checkpoints  # which needs the extra "learning"
 
     name, folder = Path(folder).name, _last_round(Path(folder))
-    network, situations = read_network(folder, [each for each, _ in scenario.situations])
-    shapes = jax.eval_shape(functools.partial(init_weights, network, situations), jax.random.key(0))
+    network, situations = networks.read_network(folder, [each for each, _ in scenario.situations])
+    shapes = jax.eval_shape(functools.partial(networks.init_weights, network, situations), jax.random.key(0))
     weights = Checkpoints(folder).best("weights", shapes)
     return network_policy(network, weights, scenario, name=name)
 
 
 def _last_round(folder: Path) -> Path:
     """The last network that ``sean train dagger`` has made in a folder; other folders as they are."""
-    if read_method(folder) != "dagger":
+    if networks.read_method(folder) != "dagger":
         return folder
     rounds = [each for each in folder.glob("round-*") if (each / "checkpoints").is_dir()]
     if not rounds:
@@ -484,7 +471,7 @@ def _apply_agent(
     vector = observations.flatten(params.terms, shown).astype(jnp.float32)
     vector = jnp.pad(vector, (0, params.network.private))  # the critic's, which is not used
     images = {name: shown[name].astype(params.network.image_dtype) for name in params.network.images}
-    output = apply(params.network, params.agent, vector, images, before.memory, before.start)
+    output = networks.apply(params.network, params.agent, vector, images, before.memory, before.start)
     after = AgentState(observed, output.memory, jnp.zeros((), bool))
     return to_command(scenario.robot, output.mean.astype(state.robot.position.dtype)), after
 

@@ -11,18 +11,9 @@ import optax
 from sean_jax import mdp
 from sean_jax.base import Array
 from sean_jax.config import PPOConfig
+from sean_jax.learning import rollouts
 from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, entropy, log_density
-from sean_jax.learning.rollouts import (
-    EnvBatch,
-    Optimization,
-    Transition,
-    advantages,
-    forward,
-    log_numbers,
-    optimize,
-    rollout,
-    with_statistics,
-)
+from sean_jax.learning.rollouts import EnvBatch, Optimization, Transition
 
 VALUE_WEIGHT = 0.5  # of the critic's loss
 MAX_GRADIENT_NORM = 0.5
@@ -54,9 +45,9 @@ def update(
         key: () typed PRNG key of this update.
     """
     memory = batch.memory
-    batch, transitions = rollout(envs, network, agent, batch, options.horizon, key)
-    last = forward(network, agent, envs[0].observations, batch)
-    advantage = advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
+    batch, transitions = rollouts.rollout(envs, network, agent, batch, options.horizon, key)
+    last = rollouts.forward(network, agent, envs[0].observations, batch)
+    advantage = rollouts.advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
     target = advantage + transitions.value
 
     def loss(output: NetworkOutput, steps: Transition, gain: Array, target: Array) -> tuple[Array, dict[str, Array]]:
@@ -80,7 +71,7 @@ def update(
 
     how = Optimization(OPTIMIZER, numbers["learning_rate"], options.epochs, options.minibatches)
     data = transitions._replace(info={}), advantage, target
-    agent, optimizer, losses = optimize(how, loss, network, agent, optimizer, data, memory, key)
+    agent, optimizer, losses = rollouts.optimize(how, loss, network, agent, optimizer, data, memory, key)
     explained = 1.0 - (target - transitions.value).var() / jnp.maximum(target.var(), EPSILON)
-    log = {"train": losses | {"explained_variance": explained}, **log_numbers(transitions)}
-    return with_statistics(agent, transitions), optimizer, batch, transitions, log
+    log = {"train": losses | {"explained_variance": explained}, **rollouts.log_numbers(transitions)}
+    return rollouts.with_statistics(agent, transitions), optimizer, batch, transitions, log
