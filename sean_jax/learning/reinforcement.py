@@ -31,18 +31,10 @@ from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 from sean_jax.learning import curriculum as curricula
 from sean_jax.learning import dagger, ppo, rollouts, shac, trainer
+from sean_jax.learning import policy as policies
 from sean_jax.learning.curriculum import Curriculum, Plan
 from sean_jax.learning.networks import ActorCritic, Agent, init_agents, with_noise
-from sean_jax.learning.policy import (
-    Best,
-    agent_network,
-    agent_policy,
-    agent_terms,
-    check_policy,
-    load_agent,
-    load_policy,
-    read_options,
-)
+from sean_jax.learning.policy import Best
 from sean_jax.learning.rollouts import EnvBatch
 from sean_jax.learning.trainer import Loop, Report, check_config, method_config
 from sean_jax.mdp import rewards
@@ -112,17 +104,17 @@ def build(options: ReinforcementConfig) -> Setting:
         InputError: one sentence that names the value and the cure.
     """
     if options.imitate is not None:
-        check_policy(options.imitate, options, "imitate")
+        policies.check_policy(options.imitate, options, "imitate")
     if options.pretrained is not None:
         _check_pretrained(options, options.pretrained)
     for config in options.per_environment:
         registry.check(config)
-    terms = sum(agent_terms(options), ())
+    terms = sum(policies.agent_terms(options), ())
     envs = [curricula.prepare(registry.build(config), options.curriculum) for config in options.per_environment]
     envs = [replace(env, observations=terms) for env in envs]
     rewards.reweighted(envs[0].rewards, _weights(options.agents[0]))  # refuses what is none of its terms
     _check_alike(envs)
-    network = agent_network(options, envs[0].observation_space)
+    network = policies.agent_network(options, envs[0].observation_space)
     measured = tuple(env.scenario for env in envs)
     return Setting(measured, tuple(replace(env, scenario=replace(env.scenario, metrics=())) for env in envs), network)
 
@@ -154,13 +146,13 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         if name != "seed"
     }
     plan = None if options.curriculum == "none" else Plan(options.curriculum)
-    total, (terms, _) = updates(options), agent_terms(options)
+    total, (terms, _) = updates(options), policies.agent_terms(options)
     curriculum_keys = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
 
     def begin(envs: tuple[mdp.Env, ...], agents: Agent) -> TrainState:
         def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, EnvBatch, Curriculum | None]:
             batch = rollouts.reset_envs(envs, network, jax.random.fold_in(key, 0), options.scenarios)
-            policy, start = agent_policy(network, agent, terms), jax.random.fold_in(start, 0)
+            policy, start = policies.agent_policy(network, agent, terms), jax.random.fold_in(start, 0)
             return method.init(agent), batch, plan and curricula.init(envs[0], plan, start, options.pool, policy)
 
         optimizer, batch, curriculum = jax.vmap(one)(agents, keys, curriculum_keys)
@@ -188,7 +180,7 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
 
     def refill(envs: tuple[mdp.Env, ...], state: TrainState) -> TrainState:
         def one(agent: Agent, curriculum: Curriculum | None, start: Array) -> Curriculum:
-            policy, key = agent_policy(network, agent, terms), jax.random.fold_in(start, state.update)
+            policy, key = policies.agent_policy(network, agent, terms), jax.random.fold_in(start, state.update)
             assert plan is not None and curriculum is not None
             return curricula.refill(envs[0], plan, curriculum, key, policy)
 
@@ -198,7 +190,7 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         episode_keys = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
 
         def one(agent: Agent) -> list[dict[str, Any]]:
-            policy = agent_policy(network, agent, terms)
+            policy = policies.agent_policy(network, agent, terms)
             each = zip(scenarios, envs, strict=True)
             return [_evaluate_policy(scenario, env, policy, episode_keys) for scenario, env in each]
 
@@ -263,7 +255,7 @@ def _train(options: ReinforcementConfig, console: ProgressLike, setting: Setting
     run = programs(options, network, mesh)
     agents, teachers = _first_agents(options, setting), ()
     if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
-        teachers = tuple(load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
+        teachers = tuple(policies.load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
     with progress(console if trainer.is_first_process() else None) as tell:
         tell.stage("drawing starts")
         key, draw = prng.key("training", options.seed), jax.jit(mdp.Env.with_pool, static_argnums=2)
@@ -327,7 +319,7 @@ def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     if options.pretrained is None:
         return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
-    agent = load_agent(options.pretrained, scenario)[1]
+    agent = policies.load_agent(options.pretrained, scenario)[1]
     return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), agent)
 
 
@@ -396,7 +388,7 @@ def _decode(saved: PyTree, like: PyTree) -> PyTree:
 
 def _check_pretrained(options: ReinforcementConfig, folder: Path) -> None:
     """Refuse an agent with other observations or of another size."""
-    saved, current = components.by_content(read_options(folder)), components.by_content(options)
+    saved, current = components.by_content(policies.read_options(folder)), components.by_content(options)
     for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16"):
         if saved[name] != current[name]:
             raise InputError(f"pretrained: {folder} has {name} {saved[name]}, not {current[name]}; ask for the same.")

@@ -22,15 +22,9 @@ from sean_jax.base import Array, Policy, Robot, Scenario, State
 from sean_jax.devices import parameter
 from sean_jax.geometry import from_rectangle, length, nearby_obstacles, to_border
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
+from sean_jax.policies import prediction
 from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal
-from sean_jax.policies.prediction import (
-    PeopleMotion,
-    RobotMotion,
-    nearest_people,
-    predict_people,
-    predict_robot,
-    to_world,
-)
+from sean_jax.policies.prediction import PeopleMotion, RobotMotion
 from sean_jax.robots.limits import max_reverse_speed
 
 STEPS, TIME_STEP = 16, 0.2  # of a plan, and s of each: 3.2 s ahead
@@ -94,7 +88,8 @@ def init(scenario: Scenario, params: ExpertParams, state: State) -> ExpertMemory
 
 def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) -> tuple[Float[Array, "2"], ExpertMemory]:
     """The command (2,) [m/s, rad/s] of the best plan, and the new memory."""
-    people = predict_people(scenario, nearest_people(state, MAX_PEOPLE), state.groups, STEPS, TIME_STEP)
+    nearest = prediction.nearest_people(state, MAX_PEOPLE)
+    people = prediction.predict_people(scenario, nearest, state.groups, STEPS, TIME_STEP)
     return plan(scenario, params, state, people, key)
 
 
@@ -178,10 +173,10 @@ def _simulate(scenario: Scenario, state: State, knots: Array, limits: tuple[Arra
     """The motion on the floor of plans (P, KNOTS, 2)."""
     commands = _commands(jnp.einsum("tk,pkc->tpc", jnp.asarray(INTERPOLATION), knots), limits)
     robot = state.robot
-    x, y, yaw, speed, turn = predict_robot(
+    x, y, yaw, speed, turn = prediction.predict_robot(
         scenario.robot, robot.speed, robot.turn_rate, (commands[..., 0], commands[..., 1]), TIME_STEP
     )
-    x, y = to_world(robot.position, robot.heading, x, y)
+    x, y = prediction.to_world(robot.position, robot.heading, x, y)
     return RobotMotion(x, y, yaw + jnp.arctan2(robot.heading[1], robot.heading[0]), speed, turn)
 
 
