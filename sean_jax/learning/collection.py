@@ -506,7 +506,8 @@ def record(recorder: Recorder, commands: Callable[[State], Any] | Iterable[Any],
         commands: a function of the state, or one command (2,) for each step. If they end midway, the last episode is
             committed as it is then.
     """
-    source = commands if callable(commands) else functools.partial(_next_command, iter(commands))
+    stream = iter(()) if callable(commands) else iter(commands)
+    source = commands if callable(commands) else lambda _: next(stream)
     for _ in range(episodes):
         state, ended = recorder.begin(), False
         while not (ended or bool(state.completed | state.timed_out)):
@@ -519,10 +520,6 @@ def record(recorder: Recorder, commands: Callable[[State], Any] | Iterable[Any],
         if ended:
             break
     return recorder.data
-
-
-def _next_command(commands: Any, state: State) -> Any:
-    return next(commands)
 
 
 def _begin_episode(scenario: Scenario, key: Array) -> tuple[State, Array]:
