@@ -1,6 +1,6 @@
 """Recorded scenes as windows: forces are fitted to predict their later moments from the first ones.
 
-Scenes are of two kinds. *Prediction*: ETH and UCY, people in the open who go on with their last velocity
+Scenes are of two kinds. *Prediction*: ETH and UCY, people in the open who keep their last velocity
 (``sean_jax.studies.prediction``). *Corridors*: unidirectional and bidirectional runs of Forschungszentrum Juelich
 (HERMES 2009), whose walls and walking direction are known; people who enter later are replayed.
 """
@@ -22,7 +22,7 @@ from sean_jax.studies.prediction import SEEN, TIME_STEP, read_windows
 RUN = re.compile(r"(uo|bo)-(\d{3})-(\d{3})-(\d{3})")  # direction, widths of entrance, corridor and exit in cm
 LENGTH = 8.0  # m, of a corridor, from y = -4 to 4
 CORRIDOR_STEP = 0.5  # s between moments
-CORRIDOR_SEEN, CORRIDOR_STEPS = 2, 6  # moments given, of which the last is the beginning, and moments compared
+CORRIDOR_SEEN, CORRIDOR_STEPS = 2, 6  # observed frames, the last of which is the start, and compared frames
 STRIDE = 4  # moments from the beginning of a window to the beginning of the next
 NEARBY = 1.0  # m beyond the ends, within which people are replayed
 APART = 40.0  # m between two runs, which lie side by side on one floor
@@ -38,7 +38,7 @@ class Scenes:
     seen: Float[np.ndarray, "B T N 2"]  # m
     known: Bool[np.ndarray, "B T N"]
     after: Float[np.ndarray, "B S N 2"]  # m, where people really were
-    counted: Bool[np.ndarray, "B S N"]  # who was observed then
+    counted: Bool[np.ndarray, "B S N"]  # people observed at that time
     scene: np.ndarray  # (B,) index of the window's scene among ``names``
     direction: Float[np.ndarray, "B N 2"] | None  # unit vector of the desired velocity where it is known
     others: Float[np.ndarray, "B moments M 2"] | None  # m, NaN where absent

@@ -80,7 +80,7 @@ WIDEST = 7.0  # points, of the arrow of the greatest flow
 def run(options: FitGraphConfig, console: "Console") -> list[str]:
     """Propose a graph, or fit one to people, and write it as an environment.
 
-    The folder holds graph.yaml beside the environment's own files, so that ``sean run --environment`` takes it, and, if
+    The folder holds graph.yaml and the environment's own files, so that ``sean run --environment`` takes it, and, if
     there were people, flows.png, flows.csv and fit.json.
 
     Raises:
@@ -300,6 +300,6 @@ def _report(graph: BehaviorGraph, fit: GraphFit) -> list[str]:
     lines = [f"preferred speed: {mean:.2f} m/s, standard deviation {deviation:.2f} m/s"] if np.isfinite(mean) else []
     for number, node in enumerate(np.asarray(graph.groups)):
         shortest, longest = fit.stay[number]
-        stays = f"stays of {shortest:.1f} to {longest:.1f} s" if np.isfinite(shortest) else "hardly any stay was seen"
+        stays = f"stays of {shortest:.1f} to {longest:.1f} s" if np.isfinite(shortest) else "hardly any stays"
         lines.append(f"group {graph.names[node]}: {stays}, {fit.capacity[number]} people")
     return lines
