@@ -269,7 +269,8 @@ def _train(options: ReinforcementConfig, console: ProgressLike, setting: Setting
         if options.noise is not None:
             agents = with_noise(agents, options.noise)
         state = run.begin(envs, agents)
-        setting = Setting(*devices.replicate(mesh, (scenarios, envs)), network)
+        scenarios, envs = devices.replicate(mesh, (scenarios, envs))
+        setting = Setting(scenarios, envs, network)
 
         def place(state: TrainState) -> TrainState:
             """Scenarios on all devices, and all else on each."""
