@@ -184,14 +184,12 @@ def rollout_autoreset(
     ``record`` sees the last step of an episode before the reset, so ``after`` tells how it ended; ``Trajectory.active``
     is true throughout.
     """
-    policy = as_policy(policy)
 
-    def one(before: State, _) -> tuple[State, PyTree]:
-        after, action = policy_step(scenario, policy, before)
-        following = autoreset(pool, after)
-        return following if between is None else between(following), record(before, after, action)
+    def following(after: State) -> State:
+        state = autoreset(pool, after)
+        return state if between is None else between(state)
 
-    return _scan(one, state, steps, checkpoint_every)
+    return simulate(scenario, policy, state, steps, record, checkpoint_every=checkpoint_every, between=following)
 
 
 def _scan(one: Callable, state: State, steps: int, checkpoint_every: int | None) -> tuple[State, PyTree]:

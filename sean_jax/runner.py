@@ -46,17 +46,8 @@ class Record(NamedTuple):
     command: Callable[[State], Array] | None = None
 
 
-def no_op(*arguments: PyTree) -> tuple:
-    """The ``init`` of a record that keeps nothing."""
-    return ()
-
-
-def no_rows(scenario: Scenario, before: State, after: State, actions: Array, active: Array, total: PyTree) -> tuple:
-    """The ``update`` of a record that keeps nothing."""
-    return (), ()
-
-
-NO_RECORD = Record(no_op, no_rows)
+NO_RECORD = Record(lambda *_: (), lambda *_: ((), ()))
+"""Keeps nothing."""
 
 
 @struct.dataclass

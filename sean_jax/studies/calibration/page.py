@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from sean_jax import pages
 from sean_jax.config import CalibrateConfig
 from sean_jax.drawing import colors
+from sean_jax.drawing.svg import svg
 from sean_jax.flags import command
-from sean_jax.report import svg
 from sean_jax.versions import versions
 
 SHADES = [*colors.SITUATION_COLORS.values()][:4] + [*colors.SPARE_COLORS]

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,16 +47,6 @@ COUNTINGS = {
 GROUPS = "join_group", "leave_group"  # unknown where groups are not annotated
 
 
-class Ordering(TypedDict):
-    """An ordering of the paper's table, tested."""
-
-    name: str
-    hard: bool  # expected with any policy
-    statement: str
-    holds: bool
-    share: float  # of the resamples in which it holds
-
-
 @dataclasses.dataclass
 class Shares:
     """Shares with one behavior and one policy: the estimate, followed by those of R bootstrap resamples."""
@@ -68,17 +58,26 @@ class Shares:
     def of(self, counting: str) -> np.ndarray:
         """The shares by one of ``COUNTINGS``, (1 + R, S) from 0 to 1; 0 where the divisor is 0."""
         flags = self.examples.sum(1)
-        whole = {
-            "flags": flags,
-            "flags_and_none": flags + self.none,
-            "examples": np.ones_like(flags),
-            "situated_examples": 1.0 - self.none,
-        }[counting]
+        by_counting = {"flags": flags, "flags_and_none": flags + self.none, "examples": np.ones_like(flags)}
+        whole = by_counting.get(counting, 1.0 - self.none)
         return self.examples / np.where(whole > 0, whole, 1.0)[:, None]
 
     def entropy(self) -> np.ndarray:
         """Normalised entropy of the shares, (1 + R,) from 0 to 1."""
         return normalised_entropy(self.examples)
+
+    def rows(self, *head: Any, known: Collection[str] = NAMES) -> list[tuple]:
+        """Rows of a table, after ``head``: counting, situation, share and interval, of the situations ``known``."""
+        return [row for name in COUNTINGS for row in interval_rows((*head, name), NAMES, self.of(name), known)]
+
+
+def interval_rows(
+    head: Sequence, names: Collection[str], samples: np.ndarray, known: Collection[str] | None = None
+) -> list[tuple]:
+    """Rows of a table, after ``head``: a name, its share and the interval, of the names ``known``, or of all."""
+    low, high = interval(samples)
+    values = zip(names, samples[0], low, high, strict=True)
+    return [(*head, *row) for row in values if known is None or row[0] in known]
 
 
 def count(flags: np.ndarray, seed: int = 0, streams: int = 1) -> Shares:
@@ -121,14 +120,21 @@ def interval(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return bootstrap.interval(samples[1:])
 
 
-def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[Ordering]:
-    """Test the orderings of the paper's table by one of ``COUNTINGS``. Source: Table I."""
+def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[dict[str, Any]]:
+    """Test the orderings of the paper's table by one of ``COUNTINGS``.
+
+    Returns:
+        For each its name, whether it is hard (expected with any policy), its statement, whether it holds, and the share
+        of the resamples in which it holds.
+
+    Source: Table I.
+    """
     r, h, g = (by_behavior[name].of(counting) for name in ("random", "handcrafted", "graph"))
     hr, hh, hg = (normalised_entropy(each) for each in (r, h, g))
     cross, down, join, leave, empty = range(5)
     groups = g[:, join] + g[:, leave]
-    close = np.abs(g[:, : down + 1] - r[:, : down + 1]) <= 0.25 * r[:, : down + 1]
-    share = h[:, : down + 1] / np.minimum(r, g)[:, : down + 1].clip(1e-9)
+    close = np.abs(g[:, :join] - r[:, :join]) <= 0.25 * r[:, :join]
+    share = h[:, :join] / np.minimum(r, g)[:, :join].clip(1e-9)
     statements = [
         ("T1", True, "entropy: graph above random and handcrafted", (hg > hr) & (hg > hh)),
         ("T2", True, "random: join and leave group never", (r[:, join] == 0) & (r[:, leave] == 0)),
@@ -149,6 +155,14 @@ def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[O
         {"name": name, "hard": hard, "statement": words, "holds": bool(holds[0]), "share": float(holds[1:].mean())}
         for name, hard, words, holds in statements
     ]
+
+
+def ordering_rows(by_behavior: dict[str, Shares], *head: Any) -> Iterator[tuple]:
+    """Rows of a table, after ``head``: the orderings by each of ``COUNTINGS``."""
+    for counting in COUNTINGS:
+        for row in orderings(by_behavior, counting):
+            name, hard, statement, holds, share = row.values()
+            yield (*head, counting, name, hard, f'"{statement}"', holds, f"{share:.4f}")
 
 
 def paper() -> dict[str, np.ndarray]:
@@ -181,6 +195,14 @@ class Cell:
     def further(self) -> Shares:
         """Shares of the situations beyond the paper's five."""
         return count(self.more, streams=self.streams)
+
+
+def by_policy(cells: Sequence[Cell], speed: int = 0) -> dict[str, dict[str, Shares]]:
+    """policy -> behavior -> shares of the paper's situations."""
+    return {
+        policy: {cell.behavior: cell.shares(speed) for cell in cells if cell.policy == policy}
+        for policy in dict.fromkeys(cell.policy for cell in cells)
+    }
 
 
 # ------------------------------------------------------------------ recorded
@@ -226,10 +248,9 @@ def read_recordings(paths: Sequence[str], frame_rate: float | None = None) -> di
     Raises:
         FileError: one sentence that names the file and the cure.
     """
-    people = {}
-    stems = [Path(path).stem for path in paths]
-    names = [stem if stems.count(stem) == 1 else path for stem, path in zip(stems, paths, strict=True)]
-    for name, path in zip(names, paths, strict=True):
+    people, stems = {}, [Path(path).stem for path in paths]
+    for stem, path in zip(stems, paths, strict=True):
+        name = stem if stems.count(stem) == 1 else path
         tracks = recordings.read(path, frame_rate=frame_rate)
         people[name] = People(tracks, np.full(tracks.present.shape[1], -1, np.int32))
         groups = Path(path).with_suffix(".groups.txt")

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 from sean_jax import writing
 from sean_jax.config import ValidateConfig
+from sean_jax.drawing.svg import svg
 from sean_jax.errors import InputError
 from sean_jax.progress import Progress, progress
-from sean_jax.report import svg
 from sean_jax.studies.validation import checks, page
 from sean_jax.studies.validation.checks import FAILS, PASSES, SKIPPED, Check, CheckContext, CheckResult, Row, Skipped
 from sean_jax.workspace import refuse_others

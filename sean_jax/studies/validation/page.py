@@ -15,11 +15,11 @@ from sean_jax import replay as player
 from sean_jax.base import Environment, Obstacles, Trajectory
 from sean_jax.config import ReplayConfig, ValidateConfig
 from sean_jax.drawing import colors
+from sean_jax.drawing.svg import svg
 from sean_jax.errors import InputError
 from sean_jax.files import listed
 from sean_jax.progress import progress
 from sean_jax.recordings import Tracks
-from sean_jax.report import svg
 from sean_jax.studies.scenes import Model, Scene
 from sean_jax.studies.validation.checks import (
     CHECKS,
