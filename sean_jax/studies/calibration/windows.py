@@ -56,7 +56,7 @@ def find(folder: str | Path) -> tuple[dict[str, Path], dict[str, Path]]:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise InputError(f"data: {folder} is no folder; give the one that holds the recordings.")
+        raise InputError(f"data: {folder} is no folder; give the folder of the recordings.")
     prediction, corridors = {}, {}
     for file in sorted(folder.rglob("*.csv")):
         if (match := RUN.match(file.stem)) is not None:

@@ -64,7 +64,7 @@ STARTS = 64  # of each stream and seed, from which its chains restart
 
 
 def run_table1(options: Table1Config, console: Console | None = None) -> Path:
-    """Simulate what the folder lacks, and write the report.
+    """Simulate the missing parts of the folder, and write the report.
 
     Raises:
         InputError: the options are wrong, or the folder holds another experiment.
@@ -165,7 +165,7 @@ def cell(
     Args:
         places: gives the streams of the protocol, with situations of one or several walking speeds.
         tell: called with the finished share.
-        more: names and functions of further situations. A file without them is made anew.
+        more: names and functions of further situations. A file without them is computed again.
 
     Raises:
         FileError: the file is damaged.
