@@ -468,9 +468,9 @@ def _lab_step() -> Any:
 
 
 def load_agent(folder: Path) -> Any:
-    from sean_jax.learning.policy import load_packed
+    from sean_jax.learning import policy
 
-    return load_packed(folder, _lab())[1]
+    return policy.load_agent(folder, _lab())[1]
 
 
 @functools.cache
