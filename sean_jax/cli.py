@@ -30,6 +30,7 @@ PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  
 LEARNING = ("optax", "orbax", "tensorstore")  # packages of the extra "learning"
 RESUMABLE = ("collect", "train", "experiment", "export", "calibrate", "benchmark", "validate")
 READERS = ("run", "collect", "train", "experiment", "export", "replay", "benchmark")  # may run code that a file names
+EXPERIMENTS = {"table1": "table1", "ablation": "table1", "figure4": "figure4", "learning_curve": "figure4"}  # -> module
 TRACEBACK = "--traceback"  # of any command
 WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, broken midway, Ctrl-C, SIGTERM
 
@@ -260,8 +261,9 @@ def _drive(folder: Path, trust: bool = False) -> str:
 
 
 def _experiment(options: config.ExperimentConfig, console: "Console") -> None:
-    experiment = import_module(f"sean_jax.studies.experiments.{options.which}")
-    _print(console, "report: ", experiment.run(options, console) / "report.html")
+    module = import_module(f"sean_jax.studies.experiments.{EXPERIMENTS[options.which]}")
+    folder = getattr(module, f"run_{options.which}")(options, console)
+    _print(console, "report: ", folder / "report.html")
 
 
 def _benchmark(options: config.BenchmarkConfig, console: "Console") -> None:
