@@ -98,7 +98,8 @@ def _write(path: Path, name: str, tables: Tables) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".", suffix=".unfinished", delete=False) as stream:
             unfinished = stream.name
-            np.savez_compressed(stream, **tables, name=np.array(name))
+            arrays: Any = dict(tables, name=np.array(name))
+            np.savez_compressed(stream, **arrays)
         os.replace(unfinished, path)
         _remove_oldest(path.parent)
     except OSError:

@@ -85,7 +85,7 @@ def progress(console: ProgressLike) -> Iterator[Progress]:
         console: shows a bar until the block ends, or prints a line now and then if it is no terminal; or a function
             that is called with the share that is done; or None.
     """
-    if not hasattr(console, "print"):
+    if console is None or not hasattr(console, "print"):
         yield Progress(console)  # pyright: ignore[reportArgumentType]
         return
     if not (console.is_terminal or console.is_jupyter):  # pyright: ignore[reportAttributeAccessIssue]
