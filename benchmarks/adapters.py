@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from sean_jax.adapters.gymnasium import make, make_vec
+from sean_jax.adapters.gymnasium import SocialNavigation, VectorSocialNavigation
 
 SEEN = ["goal", "path", "speeds", "people"]
 
@@ -35,7 +35,7 @@ def main() -> None:
     arguments.add_argument("--rows", nargs="+", type=int, default=[1, 16, 64])
     chosen = arguments.parse_args()
     action = np.array([0.5, 0.1], np.float32)
-    one = make(chosen.name, observations=SEEN)
+    one = SocialNavigation(chosen.name, observations=SEEN)
     one.reset(seed=0)
 
     def step() -> None:
@@ -45,7 +45,7 @@ def main() -> None:
 
     print(f"{chosen.name}: one environment {rate(step, chosen.seconds):8,.0f} steps/s")
     for rows in chosen.rows:
-        many = make_vec(chosen.name, rows, observations=SEEN)
+        many = VectorSocialNavigation(chosen.name, rows, observations=SEEN)
         many.reset(seed=0)
         actions = np.tile(action, (rows, 1))
         rates = rate(lambda many=many, actions=actions: many.step(actions), chosen.seconds)

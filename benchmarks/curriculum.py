@@ -26,7 +26,7 @@ import sean_jax
 from sean_jax import mdp, prng
 from sean_jax.errors import SeanError
 from sean_jax.learning import reinforcement
-from sean_jax.learning.policy import AGENTS, agent_policy, is_packed, load_packed, load_trained, read_options
+from sean_jax.learning.policy import AGENTS, agent_policy, load_agent, read_options
 from sean_jax.metrics import bootstrap
 
 VIOLATIONS = ("intimate_robot_on_person", "intimate_person_on_robot")
@@ -138,8 +138,7 @@ def mend(chosen: argparse.Namespace, console: Console) -> None:
     folder = folder if folder.exists() else AGENTS.get(chosen.agent, folder)
     options = read_options(folder)
     (scenario, *_), _, _ = reinforcement.build(options)
-    load = load_packed if is_packed(folder) else load_trained
-    network, given, observed = load(folder, scenario)
+    network, given, observed = load_agent(folder, scenario)
     trainings = {"none": [], chosen.curriculum: []}
     for kind, several in trainings.items():
         for seed in range(options.seed + 1, options.seed + 1 + chosen.seeds):

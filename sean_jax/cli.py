@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # that matplotlib writes
 LEARNING = ("optax", "orbax", "tensorstore")  # packages of the extra "learning"
 READERS = ("run", "collect", "train", "experiment", "export", "replay", "benchmark")  # may run code that a file names
+EXPERIMENTS = {"table1": "table1", "ablation": "table1", "figure4": "figure4", "learning_curve": "figure4"}  # -> module
 TRACEBACK = "--traceback"  # of any command
 WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, broken midway, Ctrl-C, SIGTERM
 
@@ -256,8 +257,9 @@ def _experiment(options: config.ExperimentConfig) -> int:
     def work(console: "Console") -> None:
         from importlib import import_module
 
-        experiment = import_module(f"sean_jax.studies.experiments.{options.which}")
-        _say(console, "report: ", experiment.run(options, console) / "report.html")
+        module = import_module(f"sean_jax.studies.experiments.{EXPERIMENTS[options.which]}")
+        folder = getattr(module, f"run_{options.which}")(options, console)
+        _say(console, "report: ", folder / "report.html")
 
     return _resumable(options, work)
 

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
 from jax import Array
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
@@ -52,6 +53,11 @@ def to_device(tree: PyTree) -> PyTree:
 def scalar(value: float) -> Any:  # a numpy array, for the fields of dataclasses whose arrays are those of jax
     """A () float parameter made at import, before the precision is known; programs use it in the default precision."""
     return np.asarray(value, float)
+
+
+def parameter(value: float) -> Any:
+    """A field of a dataclass whose default is the ``scalar`` of a value."""
+    return struct.field(default_factory=lambda: scalar(value))
 
 
 # ------------------------------------------------------------------ several devices

@@ -4,11 +4,13 @@ import contextlib
 import datetime
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+ProgressLike: TypeAlias = "Console | Callable[[float], None] | None"
+"""A console on which progress is shown, or a function that receives the share that is done."""
 
 INTERVAL = 10.0  # s between two plain lines, at least
 
@@ -83,7 +85,7 @@ class _Lines(Progress):
 
 
 @contextlib.contextmanager
-def progress(console: "Console | Callable[[float], None] | None") -> Iterator[Progress]:
+def progress(console: ProgressLike) -> Iterator[Progress]:
     """The progress of the block's work.
 
     Args:

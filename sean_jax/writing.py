@@ -13,11 +13,11 @@ import shutil
 import socket
 import stat
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from sean_jax.errors import InputError, WriteError
+from sean_jax.errors import IncompleteError, InputError, SeanError, WriteError
 
 try:
     import fcntl
@@ -189,6 +189,23 @@ def is_locked(folder: Path) -> bool:
     finally:
         os.close(descriptor)
     return False
+
+
+@contextlib.contextmanager
+def explain_errors(place: Path, rest: str, cause: Callable[[Exception], str] | None = None) -> Iterator[None]:
+    """An error of the system or of a package in the block becomes an ``IncompleteError``.
+
+    Args:
+        place: the file or folder that the message names.
+        rest: end of the message: what is left, or the cure.
+        cause: the words for an error; ``reason`` if None.
+    """
+    try:
+        yield
+    except SeanError:
+        raise
+    except (OSError, ValueError) as error:
+        raise IncompleteError(f"{place}: {(cause or reason)(error)}; {rest}") from error
 
 
 def reason(error: Exception) -> str:

@@ -305,8 +305,7 @@ def batch(folder: Path) -> dict[str, bytes]:
     import numpy as np
 
     from sean_jax.config import RunConfig
-    from sean_jax.evaluation.accumulate import FinishedBatch, Totals
-    from sean_jax.evaluation.resume import RunFolder
+    from sean_jax.evaluation.batches import FinishedBatch, RunFolder, Totals
 
     counts = np.arange(6, dtype=np.int32).reshape(2, 3)
     both = Totals(counts, np.eye(2, dtype=np.int32), counts[:, :2], np.arange(4, dtype=np.int32), np.float32(0.1),
@@ -322,7 +321,7 @@ def load_batch(folder: Path) -> Any:
     import numpy as np
 
     from sean_jax.config import RunConfig
-    from sean_jax.evaluation.resume import PLACE, RunFolder
+    from sean_jax.evaluation.batches import PLACE, RunFolder
 
     (folder / PLACE).mkdir(exist_ok=True)
     shutil.copytree(folder, run := folder / "run", ignore=shutil.ignore_patterns(PLACE, "batch.npz"))
@@ -418,12 +417,12 @@ def result(folder: Path) -> dict[str, bytes]:
 def load_result(folder: Path) -> Any:
     """What is changed has the checksum and the digests of the change, as an author would write them."""
     from sean_jax import components
-    from sean_jax.studies.experiments import benchmark, tracks
+    from sean_jax.studies.experiments import benchmark
 
     file = folder / "result.json"
     try:
         content = json.loads(file.read_bytes()) if file.is_file() else None
-        for track in tracks.TRACKS:
+        for track in benchmark.TRACKS:
             if content["files"].get(track) and (folder / f"{track}.npz").is_file():
                 content["files"][track] = components.digest(folder / f"{track}.npz")
         content["checksum"] = benchmark.checksum(content)
@@ -431,7 +430,7 @@ def load_result(folder: Path) -> Any:
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         pass  # it is read as it is
     found = benchmark.check(folder)
-    assert (found["policy"] != "orca") and found["episodes"] == 20 and found["tracks"].keys() == tracks.TRACKS.keys()
+    assert (found["policy"] != "orca") and found["episodes"] == 20 and found["tracks"].keys() == benchmark.TRACKS.keys()
     for name, figure in found["scores"]["figures"].items():
         assert figure["low"] <= figure["mean"] <= figure["high"], name
     benchmark.table(found)
@@ -469,9 +468,9 @@ def _lab_step() -> Any:
 
 
 def load_agent(folder: Path) -> Any:
-    from sean_jax.learning.policy import load_packed
+    from sean_jax.learning import policy
 
-    return load_packed(folder, _lab())[1]
+    return policy.load_agent(folder, _lab())[1]
 
 
 @functools.cache

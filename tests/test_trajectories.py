@@ -132,7 +132,7 @@ GOOD = f"{HEAD}\n{NAMED}\n{ROBOTS}\n{PERSONS}\n"
         ('"people": 1', '"people": 0', "id: 0 is none of the 0 people"),
         ('"people": 1', '"people": 99999999999999999999', "people: "),
         ('"time_step": 0.1', '"time_step": NaN', "time_step: nan is not a finite number"),
-        ('"time_step": 0.1', '"time_step": 0.2', "time: 0.1 is not that of its frame"),
+        ('"time_step": 0.1', '"time_step": 0.2', "time: 0.1 does not match its frame"),
         ('"situations": []', '"situations": ["a"]', "has no column situation_a"),
         (PERSONS, "0,0.1,0,3", "walk.csv:4: has 4 cells and there are 15 columns"),
         (",group,", ",gruop,", "has no column group"),

@@ -17,7 +17,7 @@ Source: M. Jiang, E. Grefenstette & T. Rocktaschel, "Prioritized level replay", 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -126,11 +126,6 @@ def social_cost(parts: Mapping[str, Float[Array, "*batch"]]) -> Float[Array, "*b
 # ------------------------------------------------------------------ in a trainer
 
 
-def plan(name: str) -> Plan | None:
-    """The plan of a trainer's option "none", "situations" or "regret", with its usual numbers; None for none."""
-    return None if name == "none" else Plan(name)  # pyright: ignore[reportArgumentType]
-
-
 def prepare(env: mdp.Env, name: str) -> mdp.Env:
     """An environment, without a pool, in which the plan of that name has something to vary: by regret, with
     ``mdp.randomize_behavior()`` unless it has its own randomization.
@@ -186,16 +181,14 @@ def init(env: mdp.Env, plan: Plan, key: Array, size: int, policy: PolicyLike | N
     Raises:
         InputError: a chosen situation is none of the scenario's.
     """
-    _check(env, plan)
-    number = len(env.scenario.situations)
-    keys = jax.random.split(key, size)
-    pool = env.draw_pool(keys)
-    none, unknown = jnp.zeros(size, jnp.float32), jnp.zeros(number, jnp.float32)
-    zero = jnp.zeros((), jnp.float32)
-    curriculum = Curriculum(
-        pool, keys, *_occurrences(env, plan, pool, policy), unknown, unknown, zero, zero, *([none] * 7)
-    )
-    return _weighed(env, plan, curriculum)
+    names = [name for name, _ in env.scenario.situations]
+    for name, _ in plan.situations or ():
+        if name not in names:
+            hint = files.suggest(name, names) or "."
+            raise InputError(f"curriculum: situation '{name}' is not one of {', '.join(names)}{hint}")
+    unknown, zero = (jnp.zeros(shape, jnp.float32) for shape in (len(names), ()))
+    starts = _draw(env, plan, policy, jax.random.split(key, size))
+    return _weighed(env, plan, Curriculum(**starts, cost=unknown, time=unknown, total_cost=zero, total_time=zero))
 
 
 def observe(env: mdp.Env, plan: Plan, curriculum: Curriculum, record: Record) -> Curriculum:
@@ -241,9 +234,9 @@ def observe(env: mdp.Env, plan: Plan, curriculum: Curriculum, record: Record) ->
 def refill(
     env: mdp.Env, plan: Plan, curriculum: Curriculum, key: Array, policy: PolicyLike | None = None
 ) -> Curriculum:
-    """The curriculum with new starts in the places of those that weigh least; jit it with ``plan`` static.
+    """The curriculum with new starts in the places of the starts with the least weight; jit it with ``plan`` static.
 
-    By situations, of these and of as many new ones those remain that weigh most. By regret, those with the least known
+    By situations, a new start replaces an old one only if it weighs more. By regret, the starts with the least known
     regret make room for mutations of the best and for new ones.
 
     Args:
@@ -265,22 +258,18 @@ def refill(
             mutates = jax.random.uniform(choice_key, (number,), float) < plan.mutated
             keys, parameters = _offspring(env, curriculum, keys, parent, mutates, mutation_key)
             guess = jnp.where(mutates, regret(curriculum)[parent], guess)
-    pool = env.draw_pool(keys, parameters)
-    occurs, seconds = _occurrences(env, plan, pool, policy)
-    none = jnp.zeros(number, jnp.float32)
-    fresh = replace(
-        curriculum, pool=pool, keys=keys, occurs=occurs, seconds=seconds, episodes=none, best=none, returns=none,
-        ended=none, gain=none, steps=none, guess=guess,
-    )  # fmt: skip
-    if plan.by == "situations":
-        value, offered = _values(env, plan, curriculum, fresh)
-        out = jnp.argsort(value)[:number]
-        better = jnp.sort(offered)[::-1] > value[out]  # the best that is offered for the worst that goes
-        order = jnp.argsort(-offered)
+    fresh = _draw(env, plan, policy, keys, parameters) | {"guess": guess}
+    if plan.by == "situations":  # all old and new starts in one pool
+        both = zip((curriculum.occurs, curriculum.seconds), (fresh["occurs"], fresh["seconds"]), strict=True)
+        share = _shares(*map(jnp.concatenate, both))
+        values = _by_situations(share, share.sum(0), situation_weights(env, plan, curriculum))
+        value, new_value = values[:size], values[size:]
+        out, order = jnp.argsort(value)[:number], jnp.argsort(-new_value)
+        better = jnp.sort(new_value)[::-1] > value[out]  # the best new start for the worst old one
     else:
-        known = _is_known(curriculum)
-        out = jnp.argsort(jnp.where(known, regret(curriculum), jnp.inf))[:number]
-        better, order = known[out], jnp.arange(number, dtype=jnp.int32)
+        is_known = _is_known(curriculum)
+        out = jnp.argsort(jnp.where(is_known, regret(curriculum), jnp.inf))[:number]
+        better, order = is_known[out], jnp.arange(number, dtype=jnp.int32)
     return _weighed(env, plan, _put(curriculum, fresh, out, order, better))
 
 
@@ -356,15 +345,6 @@ def _by_regret(plan: Plan, curriculum: Curriculum) -> Float[Array, "K"]:
     return weights / weights.sum()
 
 
-def _values(env: mdp.Env, plan: Plan, curriculum: Curriculum, fresh: Curriculum) -> tuple[Array, Array]:
-    """Weights (K,) of the starts and (R,) of the offered ones, all in one pool."""
-    occurs = jnp.concatenate([curriculum.occurs, fresh.occurs])
-    share = _shares(occurs, jnp.concatenate([curriculum.seconds, fresh.seconds]))
-    values = _by_situations(share, share.sum(0), situation_weights(env, plan, curriculum))
-    size = curriculum.seconds.shape[0]
-    return values[:size], values[size:]
-
-
 def _shares(occurs: Float[Array, "K S"], seconds: Float[Array, "K"]) -> Float[Array, "K S"]:
     overall = occurs.sum(0) / jnp.maximum(seconds.sum(), TINY)
     return (occurs + overall[None, :]) / (seconds + 1.0)[:, None]  # as of a second more
@@ -373,12 +353,15 @@ def _shares(occurs: Float[Array, "K S"], seconds: Float[Array, "K"]) -> Float[Ar
 # ------------------------------------------------------------------ parts
 
 
-def _check(env: mdp.Env, plan: Plan) -> None:
-    known = [name for name, _ in env.scenario.situations]
-    for name, _ in plan.situations or ():
-        if name not in known:
-            hint = files.suggest(name, known) or "."
-            raise InputError(f"curriculum: situation '{name}' is not one of {', '.join(known)}{hint}")
+def _draw(
+    env: mdp.Env, plan: Plan, policy: PolicyLike | None, keys: Array, randomization: PyTree = None
+) -> dict[str, Any]:
+    """The fields of a curriculum that have a row for each start, of new starts."""
+    pool = env.draw_pool(keys, randomization)
+    occurs, seconds = _occurrences(env, plan, pool, policy)
+    record = ("episodes", "best", "returns", "ended", "gain", "steps", "guess")
+    none = dict.fromkeys(record, jnp.zeros(keys.shape, jnp.float32))
+    return {"pool": pool, "keys": keys, "occurs": occurs, "seconds": seconds, **none}
 
 
 def _occurrences(env: mdp.Env, plan: Plan, pool: mdp.Pool, policy: PolicyLike | None) -> tuple[Array, Array]:
@@ -428,10 +411,8 @@ def _offspring(
     return jnp.where(mutates, curriculum.keys[parent], keys), jax.tree.map(select, moved, drawn)
 
 
-def _put(
-    curriculum: Curriculum, fresh: Curriculum, out: Int[Array, "R"], order: Int[Array, "R"], better: Bool[Array, "R"]
-) -> Curriculum:
-    """The curriculum with ``fresh`` starts, in their order, in the slots ``out`` where they are ``better``."""
+def _put(curriculum: Curriculum, fresh: dict[str, Any], out: Array, order: Array, better: Array) -> Curriculum:
+    """The curriculum with ``fresh`` starts, in this order, in the slots ``out`` where they are better, all (R,)."""
     size = curriculum.keys.shape[0]
 
     def put(old: Array, new: Array) -> Array:
@@ -440,15 +421,9 @@ def _put(
 
     number = curriculum.pool.states.start
     numbers = jnp.where(better, number[out] + size, number[out])
-    changed = jax.tree.map(put, _of_starts(curriculum), _of_starts(fresh))
-    states = replace(changed["pool"].states, start=number.at[out].set(numbers))
-    return replace(curriculum, **changed | {"pool": replace(changed["pool"], states=states)})
-
-
-def _of_starts(curriculum: Curriculum) -> dict[str, PyTree]:
-    """The fields that have a row for each start."""
-    names = ("pool", "keys", "occurs", "seconds", "episodes", "best", "returns", "ended", "gain", "steps", "guess")
-    return {name: getattr(curriculum, name) for name in names}
+    starts = jax.tree.map(put, {name: getattr(curriculum, name) for name in fresh}, fresh)
+    states = replace(starts["pool"].states, start=number.at[out].set(numbers))
+    return replace(curriculum, **starts | {"pool": replace(starts["pool"], states=states)})
 
 
 def _by_start(values: Float[Array, "T B C"], slot: Int[Array, "T B"], size: int) -> Float[Array, "K C"]:

@@ -30,10 +30,10 @@ import pydantic
 from sean_jax import components, files, prng, writing
 from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, CollectConfig, validate
 from sean_jax.errors import FileError, IncompleteError, InputError
-from sean_jax.learning.examples import POINTS, Recording, Row
+from sean_jax.learning.examples import Recording, Row
+from sean_jax.mdp.observations import PLAN_POINTS
 from sean_jax.quantities import MAX_DURATION
 
-LOOSE = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
 Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
 Positive = Annotated[int, pydantic.Field(ge=1, le=MAX_SHARD)]
 Side = Annotated[int, pydantic.Field(ge=1, le=MAX_SIDE)]  # pixels
@@ -43,19 +43,21 @@ Names = Annotated[list[str], pydantic.Field(max_length=1_000)]
 # ------------------------------------------------------------------ manifest
 
 
-class Camera(pydantic.BaseModel):
-    """Size of the depth images."""
+class Keys(pydantic.BaseModel):
+    """The keys of a file of JSON that are read; other keys are for people."""
 
-    model_config = LOOSE
+    model_config = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
+
+
+class Camera(Keys):
+    """Size of the depth images."""
 
     width: Side
     height: Side
 
 
-class Shard(pydantic.BaseModel):
+class Shard(Keys):
     """A batch of episodes."""
-
-    model_config = LOOSE
 
     stream: Count
     lengths: list[Count]  # rows
@@ -63,18 +65,14 @@ class Shard(pydantic.BaseModel):
     bytes: dict[str, Annotated[int, pydantic.Field(ge=0, lt=2**62)]]  # of the file of each field
 
 
-class Robot(pydantic.BaseModel):
+class Robot(Keys):
     """The robot that was driven."""
-
-    model_config = LOOSE
 
     name: str
 
 
-class Manifest(pydantic.BaseModel):
-    """The keys of dataset.json that are read; other keys are for people."""
-
-    model_config = LOOSE
+class Manifest(Keys):
+    """The content of dataset.json."""
 
     command: str
     options: dict[str, Any]
@@ -121,6 +119,7 @@ def _check_relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[fi
 
 
 COMPRESSION = 3  # of the zstd compression
+COMMITTED = "what was committed before is as it was."
 CURE = "remove the damaged file, and `sean collect` with the same options makes it anew."
 
 
@@ -139,12 +138,12 @@ def create_arrays(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], 
     for name, (shape, kind) in fields.items():
         shard = [batch, rows, *shape]
         chunk = [1, *shard[1:]] if len(shape) > 1 and kind == "uint16" else shard
-        little = {"name": "bytes"} if kind == "bool" else {"name": "bytes", "configuration": {"endian": "little"}}
-        index = {"name": "bytes", "configuration": {"endian": "little"}}
+        little, checksum = {"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}
+        order = {"name": "bytes"} if kind == "bool" else little
         sharding = {
             "chunk_shape": chunk,
-            "codecs": [little, {"name": "zstd", "configuration": {"level": COMPRESSION}}, {"name": "crc32c"}],
-            "index_codecs": [index, {"name": "crc32c"}],
+            "codecs": [order, {"name": "zstd", "configuration": {"level": COMPRESSION}}, checksum],
+            "index_codecs": [little, checksum],
         }
         metadata = {
             "shape": [0, *shard[1:]],
@@ -165,7 +164,7 @@ def write_shard(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict
         IncompleteError: it cannot be written, for example because the disk is full.
     """
     writes = []
-    try:
+    with writing.explain_errors(folder, COMMITTED, _store_reason):
         for name, values in fields.items():
             array = _open_array(folder / name)
             first, last = shard * len(values), (shard + 1) * len(values)
@@ -175,8 +174,6 @@ def write_shard(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict
         for each in writes:
             each.result()
         return {name: shard_file(folder, name, shard, values.ndim).stat().st_size for name, values in fields.items()}
-    except (OSError, ValueError) as error:
-        raise IncompleteError(f"{folder}: {_store_reason(error)}; what was committed before is as it was.") from error
 
 
 def read_array(folder: Path, name: str, first: int, last: int) -> np.ndarray:
@@ -185,10 +182,8 @@ def read_array(folder: Path, name: str, first: int, last: int) -> np.ndarray:
     Raises:
         IncompleteError: a file is damaged.
     """
-    try:
+    with writing.explain_errors(folder / name, CURE, _store_reason):
         return np.asarray(_open_array(folder / name)[first:last].read().result())
-    except (OSError, ValueError) as error:
-        raise IncompleteError(f"{folder / name}: {_store_reason(error)}; {CURE}") from error
 
 
 def shard_file(folder: Path, name: str, shard: int, dimensions: int) -> Path:
@@ -351,7 +346,9 @@ class Dataset:
             array, done = np.empty((0, *shape), kind), 0
             for group in self._read_groups(episodes, sparse=name == "depth"):
                 first, last = min(one.number for one in group), max(one.number for one in group)
-                self._check_file(name, first // self.batch, len(shape) + 2)
+                shard = first // self.batch
+                if self._size(name, shard) != self.manifest["shards"][shard]["bytes"][name]:  # it would read as zeros
+                    raise IncompleteError(f"the file {self._file(name, shard)} is missing or damaged; {CURE}")
                 values = read_array(self.folder, name, first, last + 1)
                 expected = (last + 1 - first, self.most_rows, *shape)
                 if values.shape != expected or values.dtype != kind:
@@ -401,20 +398,16 @@ class Dataset:
         Raises:
             IncompleteError: it cannot be written. What was committed before stays.
         """
-        try:
-            writing.write(self.folder / MANIFEST, json.dumps(manifest, indent=1) + "\n")
-        except OSError as error:
-            reason = writing.reason(error)
-            raise IncompleteError(f"{self.folder}: {reason}; what was committed before is as it was.") from error
+        with writing.explain_errors(self.folder, COMMITTED):
+            writing.write(self.folder / MANIFEST, manifest)
         self.manifest = manifest
 
     def damaged_shards(self) -> list[int]:
         """Find shards of which a file is missing or has another size than when it was written."""
-        dimensions = {name: len(shape) + 2 for name, (shape, _) in self.fields.items()}
         return [
             index
             for index, shard in enumerate(self.manifest["shards"])
-            if any(self._size(name, index, dimensions[name]) != size for name, size in shard["bytes"].items())
+            if any(self._size(name, index) != size for name, size in shard["bytes"].items())
         ]
 
     def _read_groups(self, episodes: Sequence[Episode], sparse: bool) -> list[list[Episode]]:
@@ -430,22 +423,19 @@ class Dataset:
         pairs = zip(groups, far_apart, strict=True)
         return [part for group, far in pairs for part in ([[one] for one in group] if far else [group])]
 
-    def _size(self, name: str, shard: int, dimensions: int) -> int:
-        file = shard_file(self.folder, name, shard, dimensions)
-        return file.stat().st_size if file.is_file() else -1
+    def _file(self, name: str, shard: int) -> Path:
+        return shard_file(self.folder, name, shard, len(self.fields[name][0]) + 2)
 
-    def _check_file(self, name: str, shard: int, dimensions: int) -> None:
-        """Raise for a missing file, which tensorstore would read as zeros."""
-        if self._size(name, shard, dimensions) != self.manifest["shards"][shard]["bytes"][name]:
-            file = shard_file(self.folder, name, shard, dimensions)
-            raise IncompleteError(f"the file {file} is missing or damaged; {CURE}")
+    def _size(self, name: str, shard: int) -> int:
+        file = self._file(name, shard)
+        return file.stat().st_size if file.is_file() else -1
 
 
 def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[int, ...], str]]:
     """Name -> (shape, type) of the fields of ``examples.Row``, for depth images of height x width pixels."""
     return {
         "depth": ((height, width), "uint16"),
-        "plan": ((POINTS, 2), "float32"),
+        "plan": ((PLAN_POINTS, 2), "float32"),
         "pose": ((4,), "float32"),
         "velocity": ((2,), "float32"),
         "command": ((2,), "float32"),

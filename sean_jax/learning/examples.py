@@ -21,13 +21,12 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, UInt16
 
-from sean_jax import navigation, prng, sensors
+from sean_jax import prng, sensors
 from sean_jax.base import Array, Scenario, State
 from sean_jax.geometry import rotate
+from sean_jax.mdp.observations import plan_ahead
 
 SECONDS = 5  # of depth images, and of the local plan
-POINTS = 10  # of the global plan
-SPACING = 0.5  # m, minimum distance between two points of the global plan
 MILLIMETRES = 1000.0  # in a metre
 
 
@@ -94,18 +93,6 @@ def depth_image(scenario: Scenario, state: State, camera: sensors.Camera) -> UIn
     """A depth image (H, W) uint16 mm."""
     metres = sensors.depth(scenario, state, camera)
     return jnp.clip(jnp.round(MILLIMETRES * metres), 0.0, 65535.0).astype(jnp.uint16)
-
-
-def plan_ahead(scenario: Scenario, state: State, last_arc: Int[Array, "V"]) -> Float[Array, "10 2"]:
-    """The next points (10, 2) m of the shortest path to the goal, in the robot's frame.
-
-    Args:
-        last_arc: (V,) ``navigation.last_arc_to_goal`` of the goal of the task.
-    """
-    robot, task = state.robot, state.task
-    where = robot.position, task.goal, task.paths_to_goal, last_arc
-    ahead = navigation.plan(scenario.navigation, *where, points=POINTS, apart=SPACING) - robot.position[None, :]
-    return jnp.stack(rotate(ahead[:, 0], ahead[:, 1], robot.heading[0], -robot.heading[1]), -1)
 
 
 def example(recording: Recording, index: Int[Array, "*batch"], xp: ModuleType = jnp) -> Example:

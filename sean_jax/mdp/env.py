@@ -20,11 +20,10 @@ from sean_jax.config import OBSERVED
 from sean_jax.errors import InputError
 from sean_jax.mdp import observations as observing
 from sean_jax.mdp import rewards as rewarding
-from sean_jax.mdp.actions import to_command
 from sean_jax.mdp.observations import ObservationLike
 from sean_jax.mdp.randomization import Randomization, RandomizationLike, as_randomization
 from sean_jax.mdp.rewards import RewardLike
-from sean_jax.mdp.spaces import Box, Dict
+from sean_jax.mdp.spaces import Box, to_command
 from sean_jax.scenario import reset, results, step
 
 CHANCES = 2**30  # parts of the total probability; their sums are exact, and 0 is never taken
@@ -79,7 +78,7 @@ class Env:
         return Box(-1.0, 1.0, (2,))
 
     @property
-    def observation_space(self) -> Dict:
+    def observation_space(self) -> dict[str, Box]:
         """A box for each term of the observation."""
         shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), self.scenario)
         return observing.space(self.observations, self.scenario, shapes)
@@ -156,14 +155,12 @@ class Env:
             observation, memory = observing.observe(self.observations, scenario, after, state.observed)
         terminated = jnp.stack([after.completed, *self.ends(scenario, before, after)]).any()
         truncated = after.timed_out & ~terminated
-        state = EnvState(
+        state = replace(
+            state,
             simulation=after,
-            randomization=state.randomization,
-            start=state.start,
             observed=memory,
             potentials=potentials,
             commands=commands,
-            late=state.late,
             episode_return=state.episode_return + reward,
             episode_length=state.episode_length + 1,
         )

@@ -223,10 +223,8 @@ def _share(name: str, low: float, high: float, value: Array) -> Array:
     return (value - low) / (high - low)
 
 
-def randomize_behavior(
-    bounds: Mapping[str, tuple[float, float]] | None = None, **further: tuple[float, float]
-) -> BehaviorRandomization:
-    """People who behave differently in each episode: how many, how fast, how far from others and from the robot.
+def randomize_behavior(**bounds: tuple[float, float]) -> BehaviorRandomization:
+    """People behave differently in each episode: how many, how fast, how far from others and from the robot.
 
     Numbers are factors of what the scenario has: ``randomize_behavior(speed=(0.5, 2.0))``. They are drawn evenly
     between their bounds, most of them in the logarithm.
@@ -237,12 +235,7 @@ def randomize_behavior(
     Raises:
         InputError: there is no parameter of a name, or bounds are impossible.
     """
-    ranges = {**(bounds or {}), **further}
-    if bounds is None and not further:
-        ranges = {name: (each.low, each.high) for name, each in PARAMETERS.items()}
-    if not ranges:
-        raise InputError(f"randomize_behavior: there is no parameter; give some of {', '.join(PARAMETERS)}.")
-    checked = []
+    ranges = bounds or {name: (each.low, each.high) for name, each in PARAMETERS.items()}
     for name, (low, high) in ranges.items():
         if name not in PARAMETERS:
             hint = files.suggest(name, PARAMETERS) or "."
@@ -251,8 +244,7 @@ def randomize_behavior(
         if not least <= low <= high <= most or not abs(low) + abs(high) < float("inf"):
             limits = f"{least:g} to {most:g}"
             raise InputError(f"randomize_behavior: {name} {low:g} to {high:g} must be a range within {limits}.")
-        checked.append((name, float(low), float(high)))
-    return BehaviorRandomization(tuple(checked))
+    return BehaviorRandomization(tuple((name, float(low), float(high)) for name, (low, high) in ranges.items()))
 
 
 RANDOMIZATIONS: Mapping[str, Randomization] = MappingProxyType({"behavior": randomize_behavior()})

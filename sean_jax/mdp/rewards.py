@@ -125,7 +125,7 @@ def _o_space(scenario: Scenario, before: State, after: State) -> Array:
     return jnp.where(other, depth, 0.0).sum() * scenario.time_step
 
 
-def of_metric(name: str, metric: metrics.Metric | None = None, weight: float = 1.0) -> RewardTerm:
+def of_metric(name: str) -> RewardTerm:
     """How much a metric grows in a step: a term for whatever is counted or summed. It is privileged, for metrics read
     all people.
 
@@ -135,13 +135,11 @@ def of_metric(name: str, metric: metrics.Metric | None = None, weight: float = 1
     Raises:
         InputError: there is no metric of that name.
     """
-    if metric is None:
-        if name not in metrics.METRICS:
-            known = ", ".join(metrics.METRICS)
-            hint = files.suggest(name, metrics.METRICS) or "."
-            raise InputError(f"rewards: '{name}' is no metric, of {known}{hint}")
-        metric = metrics.METRICS[name]
-    return RewardTerm(step=_Growth(metric), weight=weight, privileged=True, definition=metric.definition)
+    if name not in metrics.METRICS:
+        hint = files.suggest(name, metrics.METRICS) or "."
+        raise InputError(f"rewards: '{name}' is no metric, of {', '.join(metrics.METRICS)}{hint}")
+    metric = metrics.METRICS[name]
+    return RewardTerm(step=_Growth(metric), privileged=True, definition=metric.definition)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,7 +193,7 @@ REWARDS: dict[str, RewardTerm] = {
     "o_space": RewardTerm(step=_o_space, privileged=True),
     **{name: of_metric(name) for name, metric in metrics.METRICS.items() if metric.kind == "count"},
 }
-"""Terms of rewards by name; those that count have the names of the metrics that count the same."""
+"""Terms of rewards by name; a term that counts has the name of the metric that counts the same."""
 
 DEFAULT = {
     "progress": 1.0,
