@@ -151,7 +151,7 @@ GOOD = f"{HEAD}\n{NAMED}\n{ROBOTS}\n{PERSONS}\n"
         ("0,0.1,0,", "1,0.2,0,", "2 rows lack one of the robot"),
         ("0,0.1,-1,", "1,0.2,-1,", "2 rows lack one of the robot"),
         ("0,0.1,-1,", "99999999,10000000,-1,", "2 rows are too few for 1 episodes of 100,000,000 frames with 1 people"),
-        (PERSONS, f"{PERSONS}\n{PERSONS}", "3 rows have somebody twice"),
+        (PERSONS, f"{PERSONS}\n{PERSONS}", "3 rows have a person twice"),
         (",5,5,0,0,1", ",5,5,0,0,2", "row 1: active: 2 is not 0 or 1"),
         (",5,5,0,0,1", ",5,,0,0,1", "row 1: goal_y: nothing is not"),
         (",,,,,", ",,,,,1", "row 2: active: 1 stands in the row of a person"),
