@@ -21,8 +21,8 @@ import jax
 import numpy as np
 
 import sean_jax
-from sean_jax import sensors
-from sean_jax.bench import cases, programs
+from sean_jax import bench, sensors
+from sean_jax.bench import programs
 from sean_jax.bench.programs import Program
 from sean_jax.raycast import kernel
 
@@ -52,7 +52,7 @@ def busy_host() -> Iterator[int]:
 
 def compare(scenario: Any) -> None:
     """Print how far the images of the two forms are apart."""
-    camera = sensors.camera(scenario, "depth", width=cases.IMAGE[0], height=cases.IMAGE[1])
+    camera = sensors.camera(scenario, "depth", width=bench.IMAGE[0], height=bench.IMAGE[1])
     keys = jax.random.split(jax.random.key(0), COMPARED)
     states = jax.jit(jax.vmap(sean_jax.reset, (None, 0)))(scenario, keys)
     images = []
@@ -98,7 +98,7 @@ def main() -> None:
     print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, {chosen.environment}, {chosen.people} people")
     compare(scenario)
     timed = {
-        batch: programs.stepping(scenario, batch, min(cases.turns(batch), 100), cases.IMAGE) for batch in chosen.batches
+        batch: programs.stepping(scenario, batch, min(bench.turns(batch), 100), bench.IMAGE) for batch in chosen.batches
     }
     compiled: dict[tuple[int, str], Future] = {}
     with ThreadPoolExecutor() as pool:  # XLA compiles them side by side

@@ -1,7 +1,7 @@
-"""Tables in the user's cache folder: what takes seconds to build is built once for all processes.
+"""Tables in the user's cache folder: a table that takes seconds to build is built once for all processes.
 
-The key of a table is what it was built from, inputs and source code, never a name or a time: an edited file cannot
-leave an old table behind. If the folder cannot be read or written, tables are built again.
+The key of a table is a digest of its inputs and source code, never a name or a time, so a table is never older than
+the files it depends on. If the folder cannot be read or written, tables are built again.
 """
 
 import functools
@@ -80,10 +80,10 @@ def _source(code: tuple[str, ...]) -> str:
 
 
 def _read(path: Path, name: str) -> Tables | None:
-    """The arrays of a file that was written completely, under that name; None without one."""
+    """The arrays of an intact file that was written under that name; None without one."""
     try:
         tables = files.read_arrays(path)
-        if str(tables.pop("name", "")) != f"{name} {_digest(tables)}":
+        if str(tables.pop("name", "")) != name:
             return None
         os.utime(path)  # the oldest are removed first
     except (FileError, OSError):
@@ -98,8 +98,7 @@ def _write(path: Path, name: str, tables: Tables) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".", suffix=".unfinished", delete=False) as stream:
             unfinished = stream.name
-            arrays: Any = dict(tables, name=np.array(f"{name} {_digest(tables)}"))
-            np.savez_compressed(stream, **arrays)
+            np.savez_compressed(stream, **tables, name=np.array(name))
         os.replace(unfinished, path)
         _remove_oldest(path.parent)
     except OSError:
@@ -107,15 +106,6 @@ def _write(path: Path, name: str, tables: Tables) -> None:
     finally:
         if unfinished is not None:
             Path(unfinished).unlink(missing_ok=True)
-
-
-def _digest(tables: Tables) -> str:
-    """Digest of the names, kinds, shapes and numbers."""
-    digest = hashlib.sha256()
-    for name in sorted(tables):
-        array = np.ascontiguousarray(tables[name])
-        digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
-    return digest.hexdigest()[:32]
 
 
 def _remove_oldest(tables: Path) -> None:

@@ -51,7 +51,7 @@ def to_device(tree: PyTree) -> PyTree:
 
 
 def scalar(value: float) -> Any:  # a numpy array, for the fields of dataclasses whose arrays are those of jax
-    """A () float parameter made at import, before the precision is known; programs use it in the default precision."""
+    """A () float parameter of a module-level table; programs use it in the default precision, unknown at import."""
     return np.asarray(value, float)
 
 

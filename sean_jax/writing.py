@@ -94,7 +94,7 @@ def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
 def folder_lock(folder: Path) -> Iterator[None]:
     """Make and lock a folder, or the folder that a symbolic link leads to, until the block ends.
 
-    If the folder is empty at the end, the folders that were made are removed.
+    If the folder is empty at the end, the new folders are removed.
 
     Raises:
         WriteError: another process holds the lock, or the folder cannot be written.
@@ -102,9 +102,9 @@ def folder_lock(folder: Path) -> Iterator[None]:
     folder = Path(os.path.realpath(folder))
     if os.path.exists(folder) and not os.path.isdir(folder):
         raise WriteError(f"{folder} is a file, give the name of a folder with --out.")
-    made = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
+    missing = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
     if os.path.isdir(folder) and _names(folder) == [LOCK]:
-        made = [folder]  # left by a process that was killed
+        missing = [folder]  # left by a process that was killed
     lock = folder / LOCK
     try:
         descriptor = None
@@ -117,7 +117,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
             f"{folder} is being written by {_holder(lock)}; wait until it is done, or choose another folder with --out."
         ) from None
     except OSError as error:
-        _remove_empty(made)
+        _remove_empty(missing)
         raise WriteError(f"cannot write {folder}: {reason(error)}; choose another folder with --out.") from error
     try:
         since = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M:%S %z")
@@ -128,7 +128,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):
             lock.unlink()
         os.close(descriptor)
-        _remove_empty(made)
+        _remove_empty(missing)
 
 
 @contextlib.contextmanager
@@ -151,15 +151,15 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
     try:
         with folder_lock(unfinished):
             _check_vacant(folder)
-            made = unfinished / "whole"
-            shutil.rmtree(made, ignore_errors=True)
-            made.mkdir()
+            whole = unfinished / "whole"
+            shutil.rmtree(whole, ignore_errors=True)
+            whole.mkdir()
             try:
-                yield made
+                yield whole
                 _check_vacant(folder, remove=True)
-                made.rename(folder)
+                whole.rename(folder)
             finally:
-                shutil.rmtree(made, ignore_errors=True)
+                shutil.rmtree(whole, ignore_errors=True)
     finally:
         with contextlib.suppress(OSError):
             unfinished.rmdir()
@@ -222,7 +222,7 @@ def broken(error: OSError) -> str:
 
 
 def _lock(file: Path) -> int:
-    """An exclusively locked descriptor of a file, which is made if it is missing.
+    """An exclusively locked descriptor of a file, which is created if it is missing.
 
     Raises BlockingIOError if another process keeps the lock, WriteError for a link or anything but a regular file,
     through which another file would be overwritten, and OSError if the file cannot be opened.

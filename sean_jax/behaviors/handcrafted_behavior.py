@@ -17,9 +17,8 @@ from sean_jax.behaviors.starts import Place
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
 from sean_jax.graph.formation import formation
-from sean_jax.handcrafted import ALL, ARRIVED, Sets, annotation
-from sean_jax.handcrafted.sets import Ways
-from sean_jax.handcrafted.sets import build as build_sets
+from sean_jax.handcrafted import ALL, ARRIVED, Sets, Ways, annotation
+from sean_jax.handcrafted import build as build_sets
 from sean_jax.social_forces import draw_traits
 
 SETTLING = 0.5  # s, in which people who were pushed from a seat step back

@@ -50,7 +50,7 @@ def build(
     Args:
         people: None, or the most people in a frame.
         recording: a CSV file with the columns frame, id, x and y in metres.
-        recording_format: a key of ``recordings.READERS``; detected if None.
+        recording_format: one of ``recordings.FORMATS``; detected if None.
         frame_rate: frames a second; that of the format if None.
 
     Raises:

@@ -144,9 +144,10 @@ class DaggerConfig(ImitationConfig):
     """Hours that each network drives."""
 
 
-def _as_pair(value: object) -> object:
-    """A number as the least and the most."""
-    return (value, value) if isinstance(value, Integral) else value
+Delays = Annotated[
+    tuple[fields.Delay, fields.Delay],
+    pydantic.BeforeValidator(lambda value: (value, value) if isinstance(value, Integral) else value),
+]
 
 
 class EnvConfig(ScenarioConfig):
@@ -161,7 +162,7 @@ class EnvConfig(ScenarioConfig):
     """Terminations besides completion and the time limit: collision, obstacle, intimate, and further ones."""
     randomization: Part | None = None
     """Randomization of each episode: behavior, how people behave; or a function (key, scenario) -> scenario."""
-    action_delay: Annotated[tuple[fields.Delay, fields.Delay], pydantic.BeforeValidator(_as_pair)] = (0, 0)
+    action_delay: Delays = (0, 0)
     """Least and largest delay of commands in control steps; drawn for each episode."""
 
     @pydantic.field_validator("action_delay")

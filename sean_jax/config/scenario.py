@@ -1,6 +1,8 @@
 """Options of a scenario (section IV-B), and of ``sean run``, ``replay`` and ``compare``."""
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -9,13 +11,46 @@ import pydantic
 from sean_jax.config import fields
 from sean_jax.config.core import Component, Config, Family, Named, OwnPart, Value, compact, with_defaults
 from sean_jax.config.fields import Option
-from sean_jax.presets import PRESETS
 
 USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcrafted",)}
 """behavior -> its robot tasks in the paper's protocol (section V-B); with other behaviors it is random_ab_nav."""
 
 DEFAULT_FORCES = "calibrated"
 """The social forces of people, where none are named."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """The conditions of another simulator, for options that the user leaves out."""
+
+    summary: str  # for ``sean list``
+    options: dict[str, Any]  # option -> value; one of a component holds where that component is chosen
+
+
+PRESETS: dict[str, Preset] = {
+    "sean2": Preset(
+        "The world of SEAN 2.0 as its public files have it, in place of this package's defaults.",
+        {
+            "routing": "edge",  # INavigable.cs: people choose anew at each node
+            "group_membership": "permanent",  # GroupNavNode.cs: who starts in a group stays
+            "forces": "sean2",  # SFAgent.cs and Parameters.cs
+            "situations": "sean2",  # SituationRuleBased.cs, with V = 0.4 m/s as in its prefab
+            "goal_sampling": "mesh",  # Navmesh.cs
+            "task_distance": (0.0, math.inf),  # RandomABNav.cs: independent start and goal
+            "dynamics": "kinematic",  # VelocityController.cs
+            "warm_up": 120.0,  # tasks follow one another in one lasting crowd, which is older than a task
+            "goal_radius": 1.2,  # Tasks.prefab: completionDistance
+            "hold_time": 5.0,  # Tasks.prefab: debounceTimeoutSec
+            "time_limit": 120.0,  # Tasks.prefab
+        },
+    ),
+}
+
+
+def usual(name: object, option: str, default: Any) -> Any:
+    """The default of an option under a preset; ``default`` if there is no such preset, or it lacks the option."""
+    preset = PRESETS.get(name) if isinstance(name, str) else None
+    return default if preset is None else preset.options.get(option, default)
 
 
 class GraphBehavior(Component):

@@ -28,6 +28,7 @@ import numpy as np
 from sean_jax import devices, episodes, files, prng, runner, writing
 from sean_jax.classifiers import MORE_SITUATIONS, classify
 from sean_jax.config import (
+    PRESETS,
     AblationConfig,
     CollectConfig,
     ExperimentConfig,
@@ -42,7 +43,6 @@ from sean_jax.files import listed
 from sean_jax.flags import number
 from sean_jax.learning.collection import check_collection, streams
 from sean_jax.learning.policy import check_policy, load_policy
-from sean_jax.presets import PRESETS
 from sean_jax.scenario import snapshot
 from sean_jax.studies.experiments import Part, cached, page, pictures, run_parts, shares, write_csv
 from sean_jax.studies.experiments.shares import BEHAVIORS, Cell, Recorded, interval_rows, ordering_rows
