@@ -1,4 +1,4 @@
-"""Steps a second of one Gymnasium environment, and of many that step together.
+"""Steps per second of one Gymnasium environment, and of a vector environment.
 
 python benchmarks/adapters.py
 python benchmarks/adapters.py --rows 1 64 --name Lab-Random-RandomAbNav-v0
@@ -15,7 +15,7 @@ SEEN = ["goal", "path", "speeds", "people"]
 
 
 def rate(step, seconds: float, turns: int = 5) -> float:
-    """Calls a second: the best of some turns."""
+    """Calls per second: the best of several runs."""
     step()
     best = 0.0
     for _ in range(turns):
@@ -31,7 +31,7 @@ def main() -> None:
     """Print the table."""
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--name", default="Warehouse-Graph-Mixed-v0")
-    arguments.add_argument("--seconds", type=float, default=1.0, help="of each of five turns")
+    arguments.add_argument("--seconds", type=float, default=1.0, help="of each of five runs")
     arguments.add_argument("--rows", nargs="+", type=int, default=[1, 16, 64])
     chosen = arguments.parse_args()
     action = np.array([0.5, 0.1], np.float32)

@@ -1,4 +1,4 @@
-"""From options to a scenario (section IV-B): ``make``; refuses what does not exist and what does not fit together."""
+"""From options to a scenario (section IV-B): ``make``; refuses unknown names and impossible combinations."""
 
 import contextlib
 import dataclasses
@@ -298,7 +298,7 @@ def _forces(config: ScenarioConfig) -> social_forces.Forces:
 
 
 def _situations(config: ScenarioConfig) -> tuple[tuple, classifiers.Thresholds]:
-    """((name, function), ...), and thresholds: those of the first set, with changes by the options."""
+    """((name, function), ...), and thresholds: the first set's, with changes by the options."""
     known = {name: function for each in classifiers.SITUATION_SETS.values() for name, function in each.items()}
     chosen: dict[str, Any] = {}
     usual = None

@@ -48,7 +48,7 @@ def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build
             results would depend on which of the two ran first.
         build: runs if there is no table, or if it cannot be read.
     """
-    import jax.numpy as jnp  # here, for the command line sets up jax's own cache beside this one before it is imported
+    import jax.numpy as jnp  # here, for the command line configures jax's own cache before it is imported
 
     digest = hashlib.sha256(f"{kind} {jnp.result_type(float)} {_source(code)}".encode())
     for value in inputs:
@@ -70,7 +70,7 @@ def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build
 
 @functools.cache
 def _source(code: tuple[str, ...]) -> str:
-    """Digest of source files, and of those in folders, of the package."""
+    """Digest of source files and folders of the package."""
     digest = hashlib.sha256()
     for part in code:
         path = PACKAGE / part

@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: the words after ``sean``; those of the process if None.
+        arguments: the words after ``sean``; sys.argv if None.
 
     Returns:
         The exit code: 0, 2 for bad input, 1 for work that broke midway, 130 for Ctrl-C and 143 for SIGTERM.
@@ -134,7 +134,7 @@ def _summary(text: str | None) -> str:
 
 
 def _help(group: str = "") -> str:
-    """The commands, or those of a group, a line each."""
+    """The commands, or the commands of a group, a line each."""
     words, sean = _words(group), f"sean {group}".strip()
     width = max(map(len, words))
     lines = [f"  {word:<{width}}  {summary}" for word, summary in words.items()]

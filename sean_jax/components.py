@@ -25,7 +25,7 @@ from sean_jax import files, writing
 from sean_jax.config import Component, Config, OwnPart, Value, is_own_part
 from sean_jax.errors import InputError
 
-PARTS = "parts"  # folder beside a description with the files of one's own parts
+PARTS = "parts"  # folder beside a description with the user's files
 PACKAGE = __name__.partition(".")[0]
 
 
@@ -62,12 +62,12 @@ class Content:
 
 
 _LOADED: dict[str, ModuleType] = {}  # root -> the executed file
-_READ: dict[Path, Content] = {}  # what was read within ``read_once``
+_READ: dict[Path, Content] = {}  # contents read within ``read_once``
 _reading_once = _trust = 0  # blocks of ``read_once`` and of ``trust`` that are open
 
 
 def resolve(component: Component, family: Mapping[str, Any], option: str) -> Any:
-    """The part that a component stands for: of the family, of a file, or the Python value itself.
+    """The part of a component: from the family, from a file, or the Python value itself.
 
     Raises:
         InputError: there is no such name, file or thing.
@@ -277,7 +277,7 @@ def _files(data: Any) -> list[str]:
 
 
 def _named(file: str, code: Content) -> dict[str, str]:
-    """The digests of a content, by paths beside ``file``."""
+    """The digests of a content, by paths relative to ``file``."""
     _, *others = code.digests
     names = [file, *((Path(file).parent / other).as_posix() for other in others)]
     return dict(zip(names, code.digests.values(), strict=True))

@@ -1,4 +1,4 @@
-"""``sean doctor``: versions, devices and folders, and what is slow or missing on this machine."""
+"""``sean doctor``: versions, devices and folders, and cures for slow or missing parts of this machine."""
 
 import importlib.util
 import os
@@ -76,7 +76,7 @@ def _machine() -> list[Finding]:
 
 
 def _memory() -> float | None:
-    """Free memory in GB; None where the system does not tell."""
+    """Free memory in GB; None if unknown."""
     try:
         lines = files.read_text(Path("/proc/meminfo")).splitlines()
         return next(float(line.split()[1]) / 1e6 for line in lines if line.startswith("MemAvailable"))

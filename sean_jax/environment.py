@@ -25,7 +25,7 @@ ENVS: Path = next((path for path in (HERE / "envs", HERE.parent / "envs") if pat
 
 SETTINGS, SCENE = "environment.yaml", "scene.xml"
 ANNOTATIONS = "graph.yaml", "handcrafted.yaml"  # which some behaviors read
-TILT_TOLERANCE = 1e-4  # how far from 1 the cosine of a box's tilt may be
+TILT_TOLERANCE = 1e-4  # maximum deviation of the cosine of a box's tilt from 1
 MAX_BOTTOM = 0.05  # m above the floor, for the bottom of a box
 MAX_SEAM = 0.01  # m, between boxes side by side that cover an edge of the floor
 EDGE_DEPTH = 10.0  # m, half the depth of an edge of the floor: so deep that its other side is never nearer

@@ -133,7 +133,7 @@ def _image(image: Path) -> tuple[np.ndarray, np.ndarray]:
         raise files.file_error(image, f"has more than {MAX_CELLS // 10**6} million cells; {SIZE_CURE}") from None
     except UnidentifiedImageError:
         raise files.file_error(image, f"is no image that can be read; give {FORMAT_NAMES}") from None
-    except Exception as error:  # Pillow's decoders raise whatever a damaged file makes them stumble over
+    except Exception as error:  # Pillow's decoders raise many types of errors for damaged files
         raise files.file_error(image, f"is no image that can be read ({error}); give {FORMAT_NAMES}") from None
 
 

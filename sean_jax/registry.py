@@ -1,7 +1,7 @@
 """Environments of reinforcement learning by name, as in MuJoCo Playground: ``registry.load(name, config_overrides=)``.
 
 A name such as Warehouse-Graph-JoinGroup-v0 has an environment, a pedestrian behavior and a robot task. ``Mixed``
-stands for the tasks that take turns in the paper's protocol (section V-B).
+means the tasks of the paper's protocol in turn (section V-B).
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ TASKS = {
     "random": ("random_ab_nav",),
     "handcrafted": ("handcrafted",),
 }
-"""behavior -> the tasks of names; mixed stands for the usual ones in turn."""
+"""behavior -> the tasks of names; mixed means the default tasks in turn."""
 
 
 def _word(name: str) -> str:
@@ -59,7 +59,7 @@ def load(name: str, config: EnvConfig | None = None, config_overrides: Mapping[s
     """An environment by its name, one of ``ALL_ENVS``, without a pool of starts.
 
     Args:
-        config: options other than those of the name.
+        config: options besides the options of the name.
         config_overrides: option -> value, such as ``{"people": 20, "rewards.progress": 2.0}``.
 
     Raises:

@@ -35,7 +35,7 @@ def atomic_file(file: Path) -> Iterator[BinaryIO]:
     """A stream whose content becomes the file when the block ends; after an error or a kill the file is as before.
 
     Raises:
-        WriteError: another process writes the file, or its temporary name is that of a link.
+        WriteError: another process writes the file, or its temporary name is a link.
     """
     temporary = file.with_name(f".{file.name}.new")
     try:
@@ -254,7 +254,7 @@ def _lock(file: Path) -> int:
 
 
 def _check_vacant(folder: Path, remove: bool = False) -> None:
-    """Refuse a folder that is not empty or is being written; ``remove`` it with what a killed process left there."""
+    """Refuse a folder that is not empty or is being written; ``remove`` deletes what a kill left there."""
     if not folder.is_dir():
         return
     with folder_lock(folder):

@@ -79,7 +79,7 @@ def test_noise_that_depends_on_the_state_is_refused(lab, tmp_path):
     config = json.loads((AGENTS["ppo"] / "config.json").read_text())
     save_agent(tmp_path, learning.load("ppo", lab).params.agent, config | {"careful": True})
     for refused in (lambda: learning.load(tmp_path, lab), lambda: check_config(tmp_path, config)):
-        with pytest.raises(InputError, match="the option careful, which this version does not know; train it anew"):
+        with pytest.raises(InputError, match="the option careful, which this version does not know; train it again"):
             refused()
 
 
@@ -94,7 +94,7 @@ def test_damaged_weights_are_told(lab, tmp_path):
         with pytest.raises(InputError, match="statistics/mean has a number that is not finite"):
             learning.load(folder, lab)
     weights.write_bytes((AGENTS["ppo"] / WEIGHTS).read_bytes()[:-5000])
-    with pytest.raises(FileError, match="ppo/weights.npz: is damaged; get the file anew"):
+    with pytest.raises(FileError, match="ppo/weights.npz: is damaged; get the file again"):
         learning.load(folder, lab)
     bomb = io.BytesIO()
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -274,7 +274,7 @@ def test_both_readers_take_marks_cases_and_any_order(tmp_path):
 )
 def test_manifests_and_configurations(tmp_path, content, words):
     write(tmp_path, {"dataset.json": content, "config.json": content})
-    with pytest.raises(InputError, match="restore it or collect anew"):
+    with pytest.raises(InputError, match="restore it or collect again"):
         open_dataset(tmp_path)
     assert words in refusal(tmp_path, "dataset.json")
     refusal(tmp_path, "config.json")

@@ -1,4 +1,4 @@
-"""Interfaces of other projects to the same environments: Gymnasium, gymnax, Brax, each imported when asked for."""
+"""Interfaces of other projects to the same environments: Gymnasium, gymnax, Brax, each imported at first use."""
 
 from collections.abc import Hashable, Mapping
 from typing import Any

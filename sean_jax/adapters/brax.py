@@ -53,7 +53,7 @@ class SocialNavigation(base.Env):
         return base.State(state, self._shown(observation), zero, zero, metrics, {"truncation": zero})
 
     def step(self, state: base.State, action: Array) -> base.State:
-        """The state after a step of control, with all keys of ``metrics`` and ``info`` that it had."""
+        """The state after a control step, with all keys of ``metrics`` and ``info`` of the previous state."""
         after, observation, reward, terminated, truncated, info = self.env.advance(state.pipeline_state, action)
         parts = {f"reward/{name}": part.astype(jnp.float32) for name, part in info["rewards"].items()}
         metrics = state.metrics | parts | {"completed": info["completed"].astype(jnp.float32)}

@@ -1,6 +1,6 @@
 """Gymnasium's interface; once this is imported, Gymnasium's ``make`` and ``make_vec`` know the environments, too.
 
-Names are those of ``registry.ALL_ENVS`` after ``sean/``, as in ``gymnasium.make("sean/Lab-Random-RandomAbNav-v0")``.
+Names are ``sean/`` and a name of ``registry.ALL_ENVS``, as in ``gymnasium.make("sean/Lab-Random-RandomAbNav-v0")``.
 Episode ``n`` after ``reset(seed=s)`` is drawn from ``fold_in(key(s), n)``, and row ``k`` of a vector environment has
 the seed ``s + k``: so it is equal to a single environment of that seed. Observations are dicts of numpy arrays.
 """
@@ -27,7 +27,7 @@ MAX_RECENT = 8  # environments whose compiled programs are remembered
 
 
 class _Packing:
-    """A pytree as one array per type of number: a call with a hundred arrays takes three times as long as a step."""
+    """A pytree as one array per type of number: a call with a hundred arrays takes three times the time of a step."""
 
     def __init__(self, like: PyTree):
         self.leaves, self.structure = jax.tree.flatten(like)
@@ -103,7 +103,7 @@ def _programs(env: mdp.Env, rows: bool) -> _Programs:
 
 
 class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
-    """One scenario; an episode that has ended waits for ``reset``."""
+    """One scenario; after its end an episode waits for ``reset``."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
 
@@ -177,7 +177,7 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
 
 class VectorSocialNavigation(VectorEnv):
-    """Many scenarios that step together; where an episode has ended, the same step or the next one begins another."""
+    """Many scenarios that step together; when an episode ends, the same or the next step starts another."""
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
 

@@ -1,6 +1,6 @@
 """gymnax's interface (version 1): ``reset`` and ``step`` of one environment, with ``EnvParams`` beside the state.
 
-Once this is imported, ``gymnax.make("sean/Lab-Random-RandomAbNav-v0")`` makes those of ``registry.ALL_ENVS``, too.
+Once this is imported, ``gymnax.make("sean/Lab-Random-RandomAbNav-v0")`` makes ``registry.ALL_ENVS``, too.
 Observations are dicts, or with ``flat=True`` vectors, which gymnax's ``FlattenObservationWrapper`` needs. gymnax's own
 ``step`` computes a whole reset each time; this one takes the starts of ``Env.with_pool``, if it has them.
 """

@@ -21,7 +21,7 @@ from sean_jax.handcrafted import ALL, ARRIVED, Sets, Ways, annotation
 from sean_jax.handcrafted import build as build_sets
 from sean_jax.social_forces import draw_traits
 
-SETTLING = 0.5  # s, in which people who were pushed from a seat step back
+SETTLING = 0.5  # s, in which people return to a seat after a push
 
 
 class Memory(NamedTuple):
@@ -44,7 +44,7 @@ def build(place: Place, people: int | None = None, *, sets: str = ALL) -> Behavi
             ``all``.
 
     Raises:
-        InputError: there is no such file or no such set, the file has a mistake, a number of people is given, or there
+        InputError: an unknown file or set, a mistake in the file, a number of people, or there
             is no way from a waypoint to the next one.
     """
     chosen = annotation.read(place.folder, place.environment).chosen(sets)

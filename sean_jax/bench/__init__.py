@@ -30,7 +30,7 @@ from sean_jax.versions import versions
 
 __all__ = ["run"]
 
-IMAGE = 64, 48  # pixels of the image that goes with a step
+IMAGE = 64, 48  # pixels of the image of a step
 SIZES = (16, 12), (32, 24), (64, 48), (160, 120), (320, 240), (640, 480)
 CROWDS = 62, 200, 1000, 10_000  # people
 HEAD = f"{'part':<9}{'B':>7}{'people':>8}{'pixels':>9}{'devices':>8}{'per second':>13}  {'of':<27}{'us a call':>11}" + (
@@ -49,7 +49,7 @@ class Row:
     pixels: int  # of an image, 0 for none
     devices: int
     per_second: float  # units; for the part "compile" the seconds themselves
-    microseconds: float  # of one turn of the whole batch
+    microseconds: float  # of one call for the whole batch
     compile_seconds: float
     scenario_bytes: float  # state and temporary memory of one scenario
 
@@ -154,7 +154,7 @@ def on_cpu() -> bool:
 
 
 def batches(options: BenchConfig) -> tuple[int, ...]:
-    """Sizes of the batches: those of the options, or the usual ones of the device."""
+    """Sizes of the batches: from the options, or the default of the device."""
     return options.batches or ((1, 16, 64, 256) if on_cpu() else (1, 64, 1024, 8192, 32768, 65536))
 
 
@@ -288,7 +288,7 @@ def picture(rows: list[Row], setup: dict[str, Any]) -> Figure:
     """Plot throughput by batch, the cost of an agent-step by people, and the cost of an image by pixels.
 
     Args:
-        rows: of the table; a panel without rows says so.
+        rows: of the table; a panel without rows is labelled.
     """
     with matplotlib.rc_context({"font.size": 9, "axes.edgecolor": colors.MUTED, "svg.fonttype": "none"}):
         figure = Figure(figsize=(12.5, 4.2), layout="constrained", facecolor="white")

@@ -137,7 +137,7 @@ class ImportMapConfig(Config):
 
 
 class DoctorConfig(Config):
-    """Show versions, devices and folders of this machine, and what is slow or missing."""
+    """Show versions, devices and folders of this machine, and cures for slow or missing parts."""
 
 
 class ListConfig(Config):
@@ -152,7 +152,7 @@ GROUPS = {
     "train": "Train a network, by imitation or by reinforcement learning.",
     "experiment": "Reproduce Table I or Figure 4 of the paper, or vary them.",
 }
-"""Word of the command line that needs a second one -> its summary."""
+"""Word of the command line that needs a second word -> its summary."""
 
 COMMANDS: dict[str, type[Config]] = {
     "run": RunConfig,

@@ -2,7 +2,7 @@
 
 An option is one field of a class in ``sean_jax.config``. Flags and help, ``config.yaml``, manifests, the JSON Schema
 and the keywords of ``make`` derive from it. A component (behavior, task, robot, policy, ...) has a ``kind`` and options
-of its own: ``{kind: graph, routing: edge}``, or ``GraphBehavior(routing="edge")``. Where a kind can stand,
+of that kind: ``{kind: graph, routing: edge}``, or ``GraphBehavior(routing="edge")``. Where a kind can stand,
 ``my.py:thing`` can stand (``components`` loads it), or in Python the part itself.
 
 Nothing in this package imports JAX or numpy, so that the command line answers at once.
@@ -57,7 +57,7 @@ def did_you_mean(word: str, known: Iterable[str], named: Callable[[str], str] = 
 
 
 def present_names(options: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Saved options, and those of their components, under their names of today."""
+    """Saved options and options of their components, under their present names."""
 
     def inside(value: Any) -> Any:
         return present_names(value) if isinstance(value, Mapping) and not is_own_part(value.get("kind")) else value
@@ -120,7 +120,7 @@ class Named(Component):
 
 
 class OwnPart(Component):
-    """Your own part, ``FILE.py:NAME``. With further keys, NAME is called with them and gives the part."""
+    """Your own part, ``FILE.py:NAME``. With other keys, NAME is called with them and returns the part."""
 
     model_config = pydantic.ConfigDict(extra="allow")
 
@@ -166,7 +166,7 @@ class Value(Component):
 
 @dataclass(frozen=True)
 class Family:
-    """The components that a field can hold; the command line offers their options beside it."""
+    """The components that a field can hold; the command line also has their options."""
 
     variants: tuple[type[Component], ...]
     singular: str | None = None  # the option that adds one component to a field of several
@@ -225,7 +225,7 @@ class Family:
 
     @property
     def kinds(self) -> list[str]:
-        """The kinds that have a class of their own."""
+        """The kinds with their own class."""
         return [variant.model_fields["kind"].default for variant in self.variants if _is_one_kind(variant)]
 
     def variant(self, kind: str) -> type[Component] | None:
@@ -255,7 +255,7 @@ def _is_one_kind(variant: type[Component]) -> bool:
 
 
 def is_own_part(kind: object) -> bool:
-    """Whether a kind stands for a part in a file, ``FILE.py:NAME``."""
+    """Whether a kind names a part in a file, ``FILE.py:NAME``."""
     return isinstance(kind, str) and OWN_PART.fullmatch(kind) is not None
 
 
@@ -308,7 +308,7 @@ def _set_fields(description: Config) -> dict[str, Any]:
 
 
 def with_defaults(model: type[Config], data: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of ``model`` with other defaults; those of a component hold where that component is chosen."""
+    """Fields of ``model`` with other defaults; defaults of a component apply if it is chosen."""
     full = dict(data)
     behavior = _as_mapping(full.get("behavior")) or {}
     for option, value in defaults.items():
@@ -338,7 +338,7 @@ def _as_mapping(part: Any) -> dict[str, Any] | None:
 def _with_options(
     name: str, chosen: Any, default: object, options: dict[str, object], family: Family, named: Callable[[str], str]
 ) -> Any:
-    """A component with the options that stand beside it."""
+    """A component with its separate options."""
     if isinstance(chosen, OwnPart):
         return chosen.model_copy(update=options)
     if family.several:
@@ -392,7 +392,7 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
     place = ".".join(str(part) for part in path[1:] if isinstance(part, str))
     head = named(str(path[0])) if path else ""
     if place and place in owner.model_fields and named is not str:
-        head, place = named(place), ""  # an option of a component is a flag of its own
+        head, place = named(place), ""  # an option of a component is a separate flag
     known = list(owner.model_fields)
     beside = [option for family in families(owner).values() for option in family.options()]
     text = error_clause(error, _choices(owner, last), known, did_you_mean(last, [*known, *beside]))

@@ -21,7 +21,7 @@ MAX_HOURS = 1e6
 MAX_SHARD = 100_000  # episodes in a shard
 MAX_SIDE = 4_096  # pixels of a depth image's side, and the width of a network
 MAX_PIXELS = 4_000_000  # of a depth image
-MAX_RATE = 1_000  # rows a second
+MAX_RATE = 1_000  # rows per second
 INFINITE = "inf"  # infinity in a file
 
 

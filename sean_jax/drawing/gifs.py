@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Target = str | os.PathLike[str] | BinaryIO  # where a GIF is written
 COLORS = 255  # of the palette: one of GIF's 256 stays free, to mark pixels that have not changed
-FLAT_COLORS = 128  # of a picture from above: those of colors.py, and those between them at smooth edges
+FLAT_COLORS = 128  # of a picture from above: colors.py, and the colors between them at smooth edges
 MAX_SAMPLES = 24  # pictures from which the palette is made
 TAIL = 2.0  # s, of the line behind a person
 SUPERSAMPLING = 2  # a camera's pictures are rendered with this many times the pixels each way, then averaged
@@ -67,7 +67,7 @@ def animate(
 
 
 def video(frames: Trajectory, scenario: Scenario, path: Target, *, view: str | Camera = "first_person") -> None:
-    """Write what a camera of the robot sees along one episode, frames (T, ...), as a GIF; the sensors' rays draw it.
+    """Render one episode, frames (T, ...), from a camera of the robot as a GIF, with the sensors' rays.
 
     Args:
         path: a path or a binary file.
@@ -227,7 +227,7 @@ class _Scene:
                 x += draw.textlength(label, font=font) + font.size
 
     def _length(self, draw: ImageDraw.ImageDraw, names: list, font: ImageFont.FreeTypeFont) -> float:
-        """Pixels that the names of situations need beside each other."""
+        """Width in pixels of the names of situations in one row."""
         return sum(draw.textlength(name.replace("_", " "), font=font) + font.size for name, _ in names) - font.size
 
 

@@ -137,7 +137,7 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
 
 
 def _cause(versions: Any, then: str, now: str) -> str:
-    """Why an episode differs, by the versions and the fingerprints of scenario and policy then and now."""
+    """The cause of a different episode: versions and fingerprints of scenario and policy then and now."""
     if (other := version_mismatch(versions)) is not None:
         return f"it was made with {other}"
     if not then:
@@ -209,7 +209,7 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
     return Source(
         scenarios=[scenario],
         policy=load(folder, scenario),
-        use="evaluation",  # whose i-th key of a split is that of a number
+        use="evaluation",  # its i-th key of a split is the key of number i
         seed=options.seed,
         turn=lambda number: 0,
         names=[scenario.task_name],

@@ -47,7 +47,7 @@ def load(path: Path | str, model: type[Model], *checks: Callable[[Model], Iterab
     """Read a YAML file into a pydantic model.
 
     Args:
-        *checks: give problems of relations between fields, once each field by itself is right.
+        *checks: give problems of relations between fields, once each single field is right.
 
     Raises:
         FileError: the file cannot be read, or its content is wrong.
@@ -224,7 +224,7 @@ def _children(node: yaml.Node) -> list[yaml.Node]:
 
 
 def _refuse_alias_bombs(path: Path, root: yaml.Node) -> None:
-    """Count values with aliases expanded: a few lines of aliases can stand for billions of values."""
+    """Count values with aliases expanded: a few lines of aliases can expand to billions of values."""
     sizes: dict[int, int | None] = {}  # None while a node is being counted
     pending = [(root, False)]
     while pending:

@@ -16,13 +16,13 @@ from sean_jax.errors import FileError
 from sean_jax.files.reading import MAX_DEPTH, file_error, read_bytes, read_text, short_name
 from sean_jax.messages import shorten
 
-MAX_ELEMENTS = 10_000  # in all, those of a replicate as often as it makes them
+MAX_ELEMENTS = 10_000  # in all, with all copies of replicates
 MAX_JOINTS = 100
 MAX_PIXELS = 25_000_000  # of all textures and height fields together
 MAX_FOLDERS = 30  # that <compiler> names for meshes and textures
 MAX_TEXT = 10_000_000  # bytes
 MAX_ASSET = 50_000_000  # bytes of a mesh or an image
-MAX_MAGNITUDE = 1e10  # of a number; MuJoCo's own bound of what a simulation may hold
+MAX_MAGNITUDE = 1e10  # of a number; MuJoCo's own bound
 # (element, attribute) -> its maximum; MuJoCo allocates as much
 MAX_COUNTS = {
     ("replicate", "count"): 1_000,
@@ -80,14 +80,14 @@ class _Scan:
         self.folder = path.parent
         self.elements = self.joints = self.pixels = 0
         self.folders = {""}  # that <compiler> names, before or after the assets in them
-        self.assets: list[tuple[str, list[str], int]] = []  # "file:line", files that make one asset, how often
+        self.assets: list[tuple[str, list[str], int]] = []  # "file:line", files of one asset, number of copies
         self.files: set[Path] = set()  # that are read besides it
         self.place = ""  # "file:line" of the current element
 
     def run(self, path: Path, content: str, including: tuple[Path, ...] = (), times: int = 1) -> None:
         """Check the text of a file, its content made ``times``; FileError if it is not XML or an element is refused."""
         parser = expat.ParserCreate("utf-8")
-        above = [times]  # of each open element: how often its content is made
+        above = [times]  # of each open element: number of copies of its content
 
         def refuse(what: str) -> None:
             raise file_error(path, what, parser.CurrentLineNumber)
@@ -121,7 +121,7 @@ class _Scan:
             raise file_error(path, text, error.lineno, error.offset + 1) from None
 
     def element(self, name: str, attributes: dict[str, str], times: int) -> int:
-        """Check an element; returns how often its content is made. Raises _ElementError."""
+        """Check an element; returns the number of copies of its content. Raises _ElementError."""
         if name == "robot":
             raise _ElementError("is URDF and not MJCF; write it as MJCF, as envs/robots/kuri.xml is")
         if name in REFUSED:

@@ -22,7 +22,7 @@ from sean_jax.messages import suggest
 
 MAX_BYTES = 2_000_000  # of a file that people write
 MAX_RECORD = 200_000_000  # of one text that this program writes: JSON, a log, a page
-MAX_ARRAYS = 1_000_000_000  # of a .npz file that this program writes, and what it unpacks to
+MAX_ARRAYS = 1_000_000_000  # of a .npz file of this program, packed and unpacked
 MAX_TABLE = 10_000_000_000  # of a table with a row for each episode or frame, which is read row by row
 MAX_LINE = 1_000_000  # characters of a line of a table
 MAX_DEPTH = 60  # of values within values
@@ -44,7 +44,7 @@ def open_file(path: Path | str, max_bytes: int = MAX_BYTES) -> Iterator[BinaryIO
     path = Path(path)
     with contextlib.ExitStack() as stack:
         try:
-            # Without O_NONBLOCK a pipe would be waited for until somebody writes.
+            # Without O_NONBLOCK opening a pipe would wait for a writer.
             descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
             status = os.fstat(descriptor)
             if not stat.S_ISREG(status.st_mode):
@@ -82,10 +82,10 @@ def _too_large(path: Path, size: int, max_bytes: int) -> FileError:
 
 @contextlib.contextmanager
 def sentence(path: Path | str, cure: str) -> Iterator[None]:
-    """Turn whatever another package raises in this block about a file's content into a ``FileError``.
+    """Turn another package's errors about a file's content in this block into a ``FileError``.
 
     Args:
-        cure: the end of the sentence, such as ``get it anew``.
+        cure: the end of the sentence, such as ``get it again``.
     """
     try:
         yield
@@ -223,7 +223,7 @@ def read_arrays(
 
 
 def _check_array(packed: Any, size: int) -> None:
-    """ValueError unless an array is as large as its head says, for which numpy makes room."""
+    """ValueError unless an array has the size of its header, for which numpy allocates memory."""
     import numpy as np
 
     version = np.lib.format.read_magic(packed)

@@ -43,7 +43,7 @@ class Sets:
     goal_heading: Float[Array, "S 5 2"]  # unit vector
     goal_group: Int[Array, "S 5"]  # likewise
     waypoint: Float[Array, "S L K 2"]  # m
-    waypoints: Int[Array, "S L"]  # how many a loop has
+    waypoints: Int[Array, "S L"]  # number of waypoints of a loop
     walked: Float[Array, "S L K"]  # m, along the loop from its first waypoint to the end of each leg; inf for padding
     center: Float[Array, "S G 2"]  # m
     capacity: Int[Array, "S G"]  # people of a group, 0 for padding
@@ -160,7 +160,7 @@ def _row(each: Set, people: int, groups: int, loops: int, corners: int) -> dict[
 
 
 def _poses(word: str, poses: list, names: list[str], center: np.ndarray) -> dict[str, np.ndarray]:
-    """Places, headings and groups of five poses; where one is in a group, the group's centre stands for the place."""
+    """Places, headings and groups of five poses; the place of a pose in a group is the group's center."""
     index = [names.index(pose) if isinstance(pose, str) else -1 for pose in poses]
     place = [center[k] if k >= 0 else np.array(pose[:2]) for k, pose in zip(index, poses, strict=True)]
     angle = np.deg2rad([0.0 if isinstance(pose, str) else pose[2] for pose in poses])

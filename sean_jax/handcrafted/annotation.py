@@ -32,7 +32,7 @@ POSE_CLEARANCE = 0.3  # m, from the robot's poses to obstacles and to the floor'
 APART = 0.6  # m, from people to others of another loop or group and to the robot's poses
 SPACING = 0.55  # m, between people who start on one loop, wherever on it they are
 MAX_LOOP = 1_000.0  # m
-STRIDE = 0.1  # m, between the points that stand for a loop where distances are measured
+STRIDE = 0.1  # m, between the points of a loop at which distances are measured
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
 Place = tuple[Coordinate, Coordinate]  # m
 Situation = Literal["empty", "join_group", "leave_group", "down_path", "cross_path"]
@@ -51,7 +51,7 @@ Poses = Annotated[list[Pose], pydantic.Field(min_length=POSES, max_length=POSES)
 
 
 class Walkers(pydantic.BaseModel):
-    """People who walk a closed loop of waypoints without end, and start spread along it or at its waypoints.
+    """People who walk a closed loop of waypoints, and start spread along it or at its waypoints.
 
     People who start at waypoints take the shortest way to the next one, so the straight way may be blocked.
     """
@@ -155,7 +155,7 @@ def read(folder: Path, environment: Environment) -> Annotation:
 
 def check(annotation: Annotation) -> Iterator[files.Problem]:
     """Mistakes in the fields of an annotation, wherever its places lie."""
-    group_names = {ALL, *get_args(Situation)}  # each stands for several sets
+    group_names = {ALL, *get_args(Situation)}  # each names several sets
     for collection in annotation.further:
         if collection in group_names or collection in annotation.sets:
             yield ("further", collection), f"'{collection}' stands for other sets; give the collection another name"
@@ -315,7 +315,7 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
 
 
 def _legs(loop: list[tuple[float, float]], both: bool) -> Iterator[tuple[int, tuple]]:
-    """(waypoint, (from, to, description)): ways to the next waypoint, also of people who turn a metre early."""
+    """(waypoint, (from, to, description)): lines to the next waypoint, also if people turn a metre early."""
     count = len(loop)
     corners = np.array(loop, float)
     for k in range(count):
@@ -336,7 +336,7 @@ def _blocked(environment: Environment, ends: Float[Array, "L 2 2"]) -> Bool[Arra
 
 
 def _max_people(points: np.ndarray, people: int) -> int:
-    """The most of so many people who can start evenly spread along a traced loop, wherever the first one starts."""
+    """Maximum number, at most this many, of people spread along a traced loop, for any position of the first."""
     step = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=-1)
     along = np.concatenate([[0.0], np.cumsum(step)])
     closed = np.concatenate([points, points[:1]])

@@ -3,8 +3,8 @@
 The paper's schedule: random people have one task for all the time; handcrafted people each of the five situations for
 a fifth of it; the Behavior Graph half of it joining groups and half of it leaving them. A part of the time is a stream
 of episodes. Episode ``i`` is drawn from ``fold_in(prng.key("collect", seed), i)`` alone. Committed shards
-are never lost: after a kill, or for more hours, the same command goes on with the next shard, and makes lost ones anew.
-The result is the same, to the byte, as that of one run. A shard is written while the next one is simulated.
+are never lost: after a kill, or for more hours, the same command continues with the next shard, and repeats lost ones.
+The result is the same, to the byte, as of one run. A shard is written while the next one is simulated.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def streams(config: CollectConfig) -> dict[str, Scenario]:
     """Name of a stream -> its scenario; scenarios differ only in leaves and task.
 
     Raises:
-        InputError: one sentence for what does not exist or go together.
+        InputError: unknown names, or impossible combinations.
     """
     scenarios = [replace(scenario, metrics=()) for scenario in assembly.build(config)]  # not needed here
     first = scenarios[0]
@@ -83,7 +83,7 @@ def _only(scenario: Scenario, situation: str) -> Scenario:
 def next_stream(recorded: list[int], target_rows: int) -> int | None:
     """The index of the stream with the fewest recorded rows; None when each has ``wanted`` rows.
 
-    It does not depend on ``wanted`` otherwise, so a dataset that is made longer later equals one made at once.
+    It does not depend on ``wanted`` otherwise, so a dataset extended later equals a dataset recorded at once.
     """
     shortest = min(range(len(recorded)), key=lambda stream: (recorded[stream], stream))
     return None if recorded[shortest] >= target_rows else shortest
@@ -95,16 +95,16 @@ def next_stream(recorded: list[int], target_rows: int) -> int | None:
 def row_record(
     scenario: Scenario, camera: sensors.Camera, command: Callable[[State], Array] | None = None, rate: int = 1
 ) -> Record:
-    """The record of a ``Runner`` that keeps rows, ``rate`` a second.
+    """The record of a ``Runner`` that stores ``rate`` rows per second.
 
     Args:
-        command: the command that is recorded, from the state after a step; that of the policy if None.
+        command: the recorded command, from the state after a step; the policy's if None.
     """
     return Record(_init_rows, functools.partial(_update_rows, camera), steps_per_row(scenario, rate), command)
 
 
 def steps_per_row(scenario: Scenario, rate: int) -> int:
-    """Steps of control from one row to the next; ``rate`` rows a second divide the steps in a second."""
+    """Control steps from one row to the next; ``rate`` rows per second divide the steps per second."""
     return round(1.0 / scenario.time_step) // rate
 
 
@@ -140,7 +140,7 @@ def simulate_shard(
 
 
 def _put_rows(arrays: dict[str, np.ndarray], rows: Row, active: np.ndarray, begin: int, most: int) -> np.ndarray:
-    """Put rows (C, B, ...) from row ``begin`` on into arrays (B, most, ...); how many each episode has, (B,)."""
+    """Put rows (C, B, ...) from row ``begin`` on into arrays (B, most, ...); number of rows of each episode, (B,)."""
     end = min(begin + len(active), most)
     active = active[: end - begin].T
     for field in dataclasses.fields(Row):  # pyright: ignore[reportArgumentType]
@@ -175,7 +175,7 @@ def _update_rows(
     return (last, latest), (rows, active)
 
 
-TYPICAL = 30.0  # s, of an episode: batches are sized so that no stream gets much more than it needs
+TYPICAL = 30.0  # s, of an episode: batches are sized so that no stream gets many more rows than it needs
 MAX_BATCH, MAX_BATCH_CPU = 1024, 32  # episodes at once
 MIN_BATCH = 32  # at a high rate, where larger batches would fill the memory with their images
 
@@ -184,7 +184,7 @@ MIN_BATCH = 32  # at a high rate, where larger batches would fill the memory wit
 
 
 def collect(config: CollectConfig, console: ProgressLike = None) -> Dataset:
-    """Record until every stream has its time. What was committed stays, whatever is raised.
+    """Record until every stream has its time. Committed shards are kept if an error is raised.
 
     Args:
         console: shows the progress; a function receives the share that is done.
@@ -282,7 +282,7 @@ def _open(config: CollectConfig, parts: dict[str, Scenario], policy: Policy, cam
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder that holds something else than a dataset, or what a kill at the very beginning left of one.
+    """Refuse a folder without a dataset, or with the remains of a dataset that was killed at its start.
 
     Raises:
         InputError: it holds something else.
@@ -333,7 +333,7 @@ def _command(config: CollectConfig, batch: int) -> str:
 
 
 def scenario_facts(scenario: Scenario, camera: sensors.Camera, policy: str, rate: int = 1) -> dict[str, Any]:
-    """A manifest's entries about a scenario and its policy; ``rate`` in rows a second."""
+    """A manifest's entries about a scenario and its policy; ``rate`` in rows per second."""
     image = {"width": camera.width, "height": camera.height, "fovy": camera.fovy, "far": camera.far}
     limits = {"max_speed": float(scenario.robot.max_speed), "max_turn_rate": float(scenario.robot.max_turn_rate)}
     return {
@@ -367,7 +367,7 @@ def _batch_size(config: CollectConfig, parts: int) -> int:
 class Recorder:
     """Demonstrations from any source of commands, outside ``jit``: a joystick, a web page, a planner, a list.
 
-    Episodes of one scenario go one after the other into a dataset like those of ``sean collect``, new or resumed; each
+    Episodes of one scenario are appended to a dataset as of ``sean collect``, new or resumed; each
     is a shard. ``state = recorder.begin()``, then ``state = recorder.step(command)`` for each step of control, then
     ``recorder.commit()`` or ``recorder.discard()``.
     """
@@ -388,7 +388,7 @@ class Recorder:
         Args:
             driver: a word for the manifest about the source of the commands.
             seed: episode ``i`` is drawn from ``fold_in(prng.key("record", seed), i)``.
-            rate: rows a second, a divisor of the steps of control in a second.
+            rate: rows per second, a divisor of the control steps per second.
 
         Raises:
             InputError: the folder holds something else, the images are too large, or the rate is no divisor.
@@ -396,7 +396,7 @@ class Recorder:
         if width * height > MAX_PIXELS:
             raise InputError(f"width: {width} times {height} are more than {MAX_PIXELS:,} pixels; ask for fewer.")
         if (steps := round(1.0 / scenario.time_step)) % rate:
-            raise InputError(f"rate: {rate} rows a second do not divide its {steps} steps; choose a divisor.")
+            raise InputError(f"rate: {rate} rows per second do not divide its {steps} steps; choose a divisor.")
         folder = Path(folder)
         self.scenario, self.seed, self.rate = scenario, seed, rate
         self.camera = sensors.camera(scenario, "depth", width=width, height=height)
@@ -414,7 +414,7 @@ class Recorder:
         """A new episode; one that was not committed is forgotten.
 
         Args:
-            key: () typed PRNG key of the episode, such as that of another program's episode; by default of the
+            key: () typed PRNG key of the episode, such as of another program's episode; by default of the
                 recorder's own stream, which no other episodes have.
         """
         self.discard()

@@ -1,11 +1,11 @@
-"""A curriculum: from which starts episodes begin, so that what an agent does worst occurs more often.
+"""A curriculum: starts of episodes are drawn so that the agent's worst situations occur more often.
 
 ``Env.with_pool`` takes all starts equally often. A curriculum has a pool whose weights follow the agent's own record:
 
 - ``situations``: a situation weighs as much as the agent costs people in it, per second, and a start as much as it
   leads to such situations. Starts that seldom do so make room for new ones that do so more.
-- ``regret``: a start weighs by how much better the agent has already done from it than it usually does. Starts with low
-  regret make room for new ones and for mutations of the best: the same start among people who behave a little
+- ``regret``: a start weighs by the agent's best return from it minus its mean return. Starts with low
+  regret are replaced by new starts and mutations of the best starts: the same start among people who behave a little
   differently (``mdp.randomize_behavior``).
 
 All functions are pure and of fixed shapes. A ``Curriculum`` is a pytree of arrays with everything that the rest depends
@@ -30,7 +30,7 @@ from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 
 SOCIAL = ("personal_space", "o_space", "personal_", "intimate_", "collision_")
-"""Beginnings of the names of rewards whose negative part is what an agent costs people."""
+"""Prefixes of rewards whose negative part is the cost that an agent causes to people."""
 FEW_EPISODES = 2  # from one start, before its regret is known
 PRIOR = 5.0  # s, for which a situation that has not been met counts as costly as all together
 TINY = 1e-9
@@ -44,13 +44,13 @@ class Plan:
     Args:
         by: "situations" or "regret".
         situations: weights of chosen situations, such as ``(("join_group", 1.0),)``; None: their cost.
-        temperature: the weight of a situation is its cost to the power of 1 / temperature, and that of a start its rank
+        temperature: the weight of a situation is its cost to the power of 1 / temperature, of a start its rank
             by regret to the power of -1 / temperature. Low: the worst alone; high: all alike.
         floor: share of the episodes that begin anywhere in the pool.
         replaced: share of the pool that is replaced at most at a time.
         mutated: share of the replacements, by regret, that are mutations of the best.
         ahead: s, simulated from a start to see which situations occur.
-        memory: share of the record that is kept at each observation.
+        memory: decay factor of the record at each observation.
     """
 
     by: Literal["situations", "regret"] = "situations"
@@ -241,7 +241,7 @@ def refill(
 
     Args:
         key: () typed PRNG key, another one each time.
-        policy: as of ``init``.
+        policy: as in ``init``.
     """
     size = curriculum.keys.shape[0]
     number = int(plan.replaced * size)
@@ -277,7 +277,7 @@ def refill(
 
 
 def situation_weights(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Float[Array, "S"]:
-    """The shares (S,) of situations in what the weights aim at; they add up to 1."""
+    """The target shares (S,) of situations; they add up to 1."""
     names = [name for name, _ in env.scenario.situations]
     if plan.situations is not None:
         chosen = dict(plan.situations)
@@ -289,7 +289,7 @@ def situation_weights(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Float
 
 
 def occurrences(curriculum: Curriculum) -> Float[Array, "K S"]:
-    """Shares (K, S) of the time in each situation, from each start; those of all starts where nothing is known."""
+    """Shares (K, S) of the time in each situation, from each start; the shares of all starts for unknown starts."""
     return _shares(curriculum.occurs, curriculum.seconds)
 
 
@@ -317,7 +317,7 @@ def _mean_regret(curriculum: Curriculum) -> Array:
 
 
 def _weighed(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Curriculum:
-    """With the weights that follow from what is known, in the pool."""
+    """The curriculum with updated weights in its pool."""
     if plan.by == "regret":
         weights = _by_regret(plan, curriculum)
     else:
@@ -347,7 +347,7 @@ def _by_regret(plan: Plan, curriculum: Curriculum) -> Float[Array, "K"]:
 
 def _shares(occurs: Float[Array, "K S"], seconds: Float[Array, "K"]) -> Float[Array, "K S"]:
     overall = occurs.sum(0) / jnp.maximum(seconds.sum(), TINY)
-    return (occurs + overall[None, :]) / (seconds + 1.0)[:, None]  # as of a second more
+    return (occurs + overall[None, :]) / (seconds + 1.0)[:, None]  # with one second more
 
 
 # ------------------------------------------------------------------ parts
@@ -427,7 +427,7 @@ def _put(curriculum: Curriculum, fresh: dict[str, Any], out: Array, order: Array
 
 
 def _by_start(values: Float[Array, "T B C"], slot: Int[Array, "T B"], size: int) -> Float[Array, "K C"]:
-    """Sums by start, of whole numbers: those of floats would depend on the order in which a GPU adds them."""
+    """Sums by start, of whole numbers: sums of floats would depend on the order of additions on a GPU."""
     rows = values.reshape(-1, values.shape[-1])
     part = jnp.maximum(jnp.abs(rows).sum(0), TINY) / WHOLE
     whole = jnp.round(rows / part[None, :]).astype(jnp.int32)

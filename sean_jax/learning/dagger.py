@@ -42,8 +42,8 @@ def train(options: DaggerConfig, console: ProgressLike = None) -> TrainState:
     Raises:
         InputError: the options are impossible, or the folder holds something else.
         WriteError: another process works in the folder.
-        IncompleteError: a file is damaged or cannot be written. What was finished stays.
-        FloatingPointError: a number is not finite. What was finished stays.
+        IncompleteError: a file is damaged or cannot be written. Finished parts are kept.
+        FloatingPointError: a number is not finite. Finished parts are kept.
     """
     first = open_dataset(options.dataset)
     components.check_trust(_collect_options(options, first, 1))
@@ -87,7 +87,7 @@ def _train_options(options: DaggerConfig, data: list[Path], before: Path | None,
 
 
 def _part_of_progress(console: Any, part: int, rounds: int) -> Any:
-    """A function that maps the share of a part to the share of the whole; a console as it is."""
+    """A function that maps the share of a part to the share of the whole; a console is unchanged."""
     if console is None or hasattr(console, "print"):
         return console
     return lambda share: console((part + share) / (2 * rounds + 1))

@@ -1,7 +1,7 @@
 """A dataset of demonstrations (section V-B): a manifest, and arrays in sharded zarr (version 3) through tensorstore.
 
-The manifest ``dataset.json`` says what was recorded and how. It is replaced as a whole after each shard, and what it
-does not name does not exist. Each stream uses as many seconds of its episodes as were asked for. Datasets may come from
+The manifest ``dataset.json`` has the content and the options. It is replaced as a whole after each shard, and what it
+does not name does not exist. Each stream uses the requested seconds of its episodes. Datasets may come from
 other people: a manifest that this version would not write is refused, with the key that is wrong, before memory of the
 sizes in it is allocated.
 
@@ -79,7 +79,7 @@ class Manifest(Keys):
     hours: Annotated[float, pydantic.Field(gt=0, le=MAX_HOURS)]
     batch: Positive
     seconds: Annotated[int, pydantic.Field(ge=1, le=MAX_DURATION)]  # of an episode, at most
-    rate: Annotated[float, pydantic.Field(ge=1, le=MAX_RATE)] = 1.0  # rows a second, a whole number
+    rate: Annotated[float, pydantic.Field(ge=1, le=MAX_RATE)] = 1.0  # rows per second, a whole number
     streams: Annotated[Names, pydantic.Field(min_length=1)]
     situations: Names
     camera: Camera
@@ -88,7 +88,7 @@ class Manifest(Keys):
 
 
 def check_manifest(path: Path, data: Any, fields: tuple[str, ...]) -> None:
-    """Refuse the content of a dataset.json that cannot be that of a dataset with these fields.
+    """Refuse the content of a dataset.json that no dataset with these fields can have.
 
     Raises:
         FileError: names the key.
@@ -119,8 +119,8 @@ def _check_relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[fi
 
 
 COMPRESSION = 3  # of the zstd compression
-COMMITTED = "what was committed before is as it was."
-CURE = "remove the damaged file, and `sean collect` with the same options makes it anew."
+COMMITTED = "committed shards are unchanged."
+CURE = "remove the damaged file, and `sean collect` with the same options records it again."
 
 
 # ------------------------------------------------------------------ arrays in the store
@@ -247,13 +247,13 @@ class Dataset:
 
     folder: Path
     manifest: dict[str, Any]  # the content of dataset.json
-    part: tuple[int, int] = (1, 1)  # which of how many equal parts of the episodes is read; (3, 10) is the third of ten
+    part: tuple[int, int] = (1, 1)  # number of the part, and number of equal parts; (3, 10) is the third of ten
 
     def description(self) -> CollectConfig:
         """The options of ``sean collect`` that recorded it, with the files of own parts as they lie from here.
 
         Raises:
-            InputError: something else made the dataset, or a file is not what it was.
+            InputError: another program wrote the dataset, or a file has changed.
         """
         file, options = self.folder / MANIFEST, self.manifest["options"]
         if not self.manifest["command"].startswith("sean collect"):
@@ -272,7 +272,7 @@ class Dataset:
 
     @property
     def rate(self) -> int:
-        """Rows a second; 1 where the manifest does not say."""
+        """Rows per second; 1 without an entry in the manifest."""
         return int(self.manifest.get("rate", 1))
 
     @property
@@ -353,7 +353,7 @@ class Dataset:
                 expected = (last + 1 - first, self.most_rows, *shape)
                 if values.shape != expected or values.dtype != kind:
                     sizes = f"{values.shape} {values.dtype}, but by {MANIFEST} they are {expected} {kind}"
-                    message = f"{self.folder / name}: the values are {sizes}; restore {MANIFEST} or collect anew."
+                    message = f"{self.folder / name}: the values are {sizes}; restore {MANIFEST} or collect again."
                     raise IncompleteError(message)
                 if done == 0:  # allocate only once the sizes in the manifest are confirmed
                     array = np.empty((total, *shape), kind)
@@ -382,7 +382,7 @@ class Dataset:
             shard: index of a damaged shard that it replaces; the next new one if None.
 
         Raises:
-            IncompleteError: it cannot be written. What was committed before stays.
+            IncompleteError: it cannot be written. Shards that were committed before are kept.
         """
         index = len(self.manifest["shards"]) if shard is None else shard
         sizes = write_shard(self.folder, index, batch.rows)
@@ -396,7 +396,7 @@ class Dataset:
         """Replace the manifest.
 
         Raises:
-            IncompleteError: it cannot be written. What was committed before stays.
+            IncompleteError: it cannot be written. Shards that were committed before are kept.
         """
         with writing.explain_errors(self.folder, COMMITTED):
             writing.write(self.folder / MANIFEST, manifest)
@@ -448,7 +448,7 @@ def create_dataset(folder: Path, manifest: dict[str, Any]) -> Dataset:
 
     Args:
         folder: does not exist, or is empty.
-        manifest: content of dataset.json, but for the format and the shards.
+        manifest: content of dataset.json without the format and the shards.
 
     Raises:
         InputError: the folder cannot be written.
@@ -480,12 +480,12 @@ def open_dataset(folder: Path | str, part: tuple[int, int] = (1, 1)) -> Dataset:
         manifest = files.read_json(file)
         version = manifest.get("format") if isinstance(manifest, dict) else None
         if isinstance(version, int) and version != FORMAT:
-            raise InputError(f"{file} has format {version}, but this version reads {FORMAT}; collect anew.")
+            raise InputError(f"{file} has format {version}, but this version reads {FORMAT}; collect again.")
         check_manifest(file, manifest, tuple(fields(1, 1, 1)))
     except FileError as error:
         lines = str(error).splitlines()
         others = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
-        message = f"{lines[0].rstrip('.')}{others}; {file} cannot be read: restore it or collect anew."
+        message = f"{lines[0].rstrip('.')}{others}; {file} cannot be read: restore it or collect again."
         raise InputError(message) from None
     return Dataset(folder, manifest, part)
 
@@ -522,7 +522,7 @@ def stream_seconds(hours: float, number: int) -> int:
 
 
 class ConcatDataset(Dataset):
-    """Datasets of equal cameras, situations and rate, read as one; folder and manifest are those of the first."""
+    """Datasets of equal cameras, situations and rate, read as one; folder and manifest are the first dataset's."""
 
     def __init__(self, parts: list[Dataset]):
         super().__init__(parts[0].folder, parts[0].manifest)
@@ -534,7 +534,7 @@ class ConcatDataset(Dataset):
         return [dataclasses.replace(each, source=n) for n, part in enumerate(self.parts) for each in part.episodes]
 
     def fingerprint(self) -> str:
-        """16 hexadecimal digits of everything that decides the examples; those of the dataset if it is the only one."""
+        """16 hexadecimal digits of everything that affects the examples; the dataset's own if it is the only one."""
         prints = [part.fingerprint() for part in self.parts]
         return prints[0] if len(prints) == 1 else hashlib.sha256(" ".join(prints).encode()).hexdigest()[:16]
 
@@ -562,7 +562,7 @@ def open_datasets(folders: Sequence[Path], part: tuple[int, int] = (1, 1)) -> Co
             if theirs != ours:
                 raise InputError(f"{other.folder} has {name} {theirs}, and {first.folder} {ours}; collect the same.")
         if other.rate != first.rate:
-            rates = f"{other.folder} has {other.rate} examples a second, and {first.folder} {first.rate}"
+            rates = f"{other.folder} has {other.rate} examples per second, and {first.folder} {first.rate}"
             raise InputError(f"{rates}; collect with the same --rate.")
     return ConcatDataset([first, *others])
 

@@ -1,6 +1,6 @@
 """Rows and examples of demonstrations (section V-B), and the order in which examples are learned.
 
-A **row** is recorded once a second, or at a higher rate. An **example** is made of several rows a second apart, so that
+A **row** is recorded once a second, or at a higher rate. An **example** consists of rows one second apart, so that
 the store holds a depth image once and not five times.
 
 The paper's example has 5 depth images, a local plan of 5 points of the expert's most recent trajectory, 10 points of
@@ -54,7 +54,7 @@ class Recording:
 
 @struct.dataclass
 class Example:
-    """What the network receives and what it learns to answer, at one row."""
+    """Inputs and targets of the network at one row."""
 
     images: Array  # (5, H, W) uint16 mm, oldest first, present last; before the episode's first row, that row's image
     plan: Array  # (10, 2) m, global plan in the robot's frame
@@ -144,7 +144,7 @@ class Loader:
     """Shuffled batches of examples of a dataset that does not fit in the memory of the device.
 
     It shuffles the episodes, and the examples within a window of some episodes, so that few episodes are in memory at a
-    time. The order depends on (seed, epoch) alone, so a token of two numbers says where to resume.
+    time. The order depends on (seed, epoch) alone, so a token of two numbers is the position.
     """
 
     dataset: Any  # Dataset
@@ -225,7 +225,7 @@ def balanced_probabilities(situations: Bool[np.ndarray, "R S"]) -> Float[np.ndar
     """Probabilities (R,) float32 under which all social situations (R, S) of examples are equally frequent.
 
     The paper suggests to train more on situations in which a policy does badly. Situations overlap, so an example
-    cannot be drawn for one of them alone: each turn scales the probability of an example by how much its situations are
+    cannot be drawn for one of them alone: each pass scales the probability of an example by how much its situations are
     short of an equal share. An example in several situations counts for each of them in equal parts. Examples in no
     situation keep their share, and situations that never occur are left out.
 

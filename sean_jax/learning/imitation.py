@@ -44,7 +44,7 @@ DEFAULT_MEMORY = 4e9  # bytes, for a device that does not report its memory
 
 @struct.dataclass
 class TrainState:
-    """Everything that the rest of a training depends on. The field names are those of the checkpoints on disk."""
+    """The state of a training. The field names are the names in checkpoints on disk."""
 
     weights: Weights
     optimizer: optax.OptState
@@ -156,7 +156,7 @@ def prepare(options: ImitationConfig) -> Training:
 
 
 def command_scale(commands: Float[np.ndarray | Array, "R 2"]) -> Float[Array, "2"]:
-    """The standard deviation (2,) of commands (R, 2) [m/s, rad/s]: what a command of 1 from the network means."""
+    """The standard deviation (2,) of commands (R, 2) [m/s, rad/s], the unit of the network's commands."""
     return jnp.maximum(jnp.std(jnp.asarray(commands), 0), MIN_COMMAND_SCALE)
 
 
@@ -365,10 +365,10 @@ MAX_NETWORKS = 32  # in one program; fewer if their datasets fill the memory
 
 
 def train_ensemble(several: Sequence[ImitationConfig], console: ProgressLike = None) -> list[TrainState]:
-    """Train networks of one kind side by side; the state of each after its last epoch.
+    """Train networks of one kind in parallel; the state of each after its last epoch.
 
     One program makes an epoch of all of them, so a GPU that one small network leaves idle is filled. Each stops by its
-    own validation loss. A folder is that of ``train`` afterwards; what is killed midway begins anew.
+    own validation loss. The folders are as of ``train``; a killed training starts again.
 
     Args:
         several: they may differ in dataset, seed and folder.
@@ -381,7 +381,7 @@ def train_ensemble(several: Sequence[ImitationConfig], console: ProgressLike = N
         FloatingPointError: a loss is not finite; nothing of the networks that were trained together is written.
     """
     if several[0].pretrained is not None:
-        raise InputError("pretrained: networks side by side begin from nothing; train this one by itself.")
+        raise InputError("pretrained: networks trained in parallel have none; train this network alone.")
     trainings = [prepare(options) for options in several]
     _check_alike(trainings)
     size, states = min(MAX_NETWORKS, _networks_at_once(trainings)), []
@@ -403,7 +403,7 @@ def _check_alike(trainings: list[Training]) -> None:
     for one in alike[1:]:
         for name in one:
             if one[name] != alike[0][name]:
-                raise InputError(f"{name}: {one[name]} beside {alike[0][name]}; networks side by side have the same.")
+                raise InputError(f"{name}: {one[name]} and {alike[0][name]}; networks in parallel have the same.")
     if any(each.data.rate != first.data.rate for each in trainings):
         raise InputError("dataset: the datasets have different rates; collect all with the same --rate.")
     if any(each.network != first.network for each in trainings):
@@ -415,7 +415,7 @@ def _networks_at_once(trainings: list[Training]) -> int:
     largest = max(each.data.example_count * each.data.row_bytes for each in trainings)
     number = int(trainings[0].options.device_memory_fraction * _memory() // max(largest, 1))
     if number < 1:
-        raise InputError("dataset: it does not fit on the device; train each network by itself.")
+        raise InputError("dataset: it does not fit on the device; train each network alone.")
     return number
 
 
@@ -503,7 +503,7 @@ def _ensemble_epoch(network: Network, options: ImitationConfig) -> Callable:
 
 def _write_folder(folder: Path, config: dict, state: TrainState, best: TrainState, epochs: list, index: int) -> None:
     """The folder of a training that has ended."""
-    shutil.rmtree(folder / "checkpoints", ignore_errors=True)  # of one that was trained otherwise and killed
+    shutil.rmtree(folder / "checkpoints", ignore_errors=True)  # of a killed training with other options
     write_config(folder, config)
     checkpoints = Checkpoints(folder, writes=True)
     for one in (best, state) if int(best.epoch) < int(state.epoch) else (state,):

@@ -34,7 +34,7 @@ from sean_jax.learning.examples import MILLIMETRES, SECONDS
 from sean_jax.mdp import observations
 from sean_jax.mdp.spaces import Box
 
-CONFIG = "config.json"  # the configuration of a network, beside its checkpoints
+CONFIG = "config.json"  # the configuration of a network, in the folder of its checkpoints
 
 
 class NetworkConfig(Keys):
@@ -64,7 +64,7 @@ def check_supported(folder: Path, saved: dict[str, Any]) -> None:
     """InputError for an agent whose action noise depends on the state, an option that is gone."""
     if saved.get("careful"):
         text = f"{folder} has an agent with the option careful, which this version does not know"
-        raise InputError(f"{text}; train it anew, or use an earlier version.")
+        raise InputError(f"{text}; train it again, or use an earlier version.")
 
 
 def named_leaves(tree: Any) -> dict[str, Any]:
@@ -74,7 +74,7 @@ def named_leaves(tree: Any) -> dict[str, Any]:
 
 
 def read_method(folder: Path) -> str:
-    """The word after ``sean train`` that made a folder; imitation if its config.json does not say.
+    """The method of a folder of ``sean train``; imitation without an entry in its config.json.
 
     Raises:
         FileError: its config.json cannot be read, or names a method that is none.
@@ -110,7 +110,7 @@ class Weights:
     """The variables of a training."""
 
     parameters: VariableDict  # of the network
-    scale: Array  # (2,) m/s, rad/s: what a command of 1 from the network means
+    scale: Array  # (2,) m/s, rad/s: the unit of the network's commands
 
 
 class Network(nn.Module):
@@ -133,7 +133,7 @@ class Network(nn.Module):
         return ("image", "local_plan", "global_plan", *(("situations",) if self.flags else ()))
 
     def setup(self) -> None:
-        """Make the layers. Their names are those of the parameters in checkpoints."""
+        """Make the layers. Their names are the names of parameters in checkpoints."""
         self.merges = [nn.Dense(features) for _, features in PATCHES]
         self.seen = nn.Dense(self.width)
         self.image_encoder = Perceptron(self.width, self.width)
@@ -204,7 +204,7 @@ class Perceptron(nn.Module):
 
 class Attention(nn.Module):
     """Soft attention: shares that sum to 1 and depend on all encodings. Layer normalization brings these to one length,
-    so that a share says how much of the sum comes from its source.
+    so that a share is the part of the sum from its source.
     """
 
     sources: int

@@ -1,8 +1,8 @@
 """Policies by a name, a folder, FILE.py:NAME, or as a value; trained networks and agents that drive.
 
 Packed agents are small folders, ``config.json`` and ``weights.npz``, read with flax and numpy alone: ``sean export
-agent`` writes them, and those of the package lie in ``agents/``, with names that stand wherever that of a policy can.
-Weights are kept in 16 bits, which changes a command by about a thousandth; the statistics of the observation, whose
+agent`` writes them, and the package's agents are in ``agents/``, with names that work like names of policies.
+Weights are stored in 16 bits, which changes a command by about a thousandth; the statistics of the observation, whose
 range is wider, in 32. All policies run under ``jit`` and ``vmap``.
 """
 
@@ -175,7 +175,7 @@ def agent_terms(options: ReinforcementConfig) -> tuple[observations.Terms, obser
     private = registry.observation_terms(options.critic, "critic")
     for name, term in private:
         if term.image or name in dict(actor_terms):
-            why = "is an image" if term.image else "is what the actor sees already"
+            why = "is an image" if term.image else "is already an observation of the actor"
             raise InputError(f"critic: {name} {why}; choose another term.")
     return actor_terms, private
 
@@ -211,7 +211,7 @@ def load_agent(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, ob
 
 def _read_packed(folder: Path, options: ReinforcementConfig, outline: Agent) -> Agent:
     """The agent of weights.npz in 32 bits."""
-    arrays = files.read_arrays(folder / WEIGHTS, MAX_WEIGHTS_BYTES, "get the file anew")
+    arrays = files.read_arrays(folder / WEIGHTS, MAX_WEIGHTS_BYTES, "get the file again")
     for name, value in arrays.items():
         if value.dtype.kind != "f" or not np.isfinite(value).all():
             raise InputError(f"{folder / WEIGHTS}: {name[:60]} has a number that is not finite; pack the agent anew.")
@@ -246,7 +246,7 @@ def _check_sizes(folder: Path, options: ReinforcementConfig, saved: dict[str, tu
         what = "images of another size than this scenario's"
     terms = ", ".join(part.kind for part in options.observations)
     raise InputError(
-        f"{folder}: its agent sees {what} ({terms}); make the scenario with what it was trained in (its {CONFIG})."
+        f"{folder}: its agent sees {what} ({terms}); make the scenario with the options of its training (its {CONFIG})."
     )
 
 
@@ -260,14 +260,14 @@ def save_agent(folder: Path, agent: Agent, config: dict[str, Any]) -> None:
     for name, leaf in networks.named_leaves(agent).items():
         kind = np.float32 if name.startswith(STATISTICS) else np.float16
         if not (np.abs(leaf) <= np.finfo(kind).max).all():
-            raise InputError(f"{name} of the agent has a number that 16 bits cannot hold; train it anew.")
+            raise InputError(f"{name} of the agent has a number that 16 bits cannot hold; train it again.")
         packed[name] = np.asarray(leaf, kind)
     writing.write_arrays(folder / WEIGHTS, packed)
     writing.write(folder / CONFIG, config)
 
 
 def describe_agent(folder: Path) -> str:
-    """What a packed agent sees, and where and how long it was trained, in a sentence."""
+    """The observations and the training of a packed agent, in a sentence."""
     options, saved = read_options(folder), files.read_json(folder / CONFIG)
     sees, steps = ", ".join(part.kind for part in options.observations), saved.get("agent", {}).get("steps")
     trained = f" on {steps:,} steps" if isinstance(steps, int) else ""
@@ -286,7 +286,7 @@ class Best:
 def pack(folder: Path | str, out: Path | str) -> Path:
     """Write the best agent of a training into a new or empty folder ``out``.
 
-    Files of one's own that the training names, and what they import beside them, are copied into its ``parts``.
+    The user's files in the training's options, and the modules that they import, are copied into its ``parts``.
 
     Raises:
         InputError: there is no agent.
@@ -309,7 +309,7 @@ def pack(folder: Path | str, out: Path | str) -> Path:
 
 
 def _best_evaluation(folder: Path) -> dict[str, Any]:
-    """When the training found its best agent, and what the evaluation then said of all situations together."""
+    """Number of steps of the best agent, and its evaluation over all situations."""
     from sean_jax.learning.trainer import read_metrics
 
     evaluations = [
@@ -339,7 +339,7 @@ class PolicyParams:
 
 @struct.dataclass
 class PolicyState:
-    """What the policy remembers of an episode."""
+    """The memory of the policy."""
 
     encodings: Array  # (L, F) of the images of the last 4 s, newest first, one for each control step
     last_arc: Array  # (V,) int32, ``navigation.last_arc_to_goal``
@@ -362,7 +362,7 @@ def network_policy(network: Network, weights: Weights, scenario: Scenario, name:
 
 
 def load_imitation(folder: Path | str, scenario: Scenario) -> Policy:
-    """The policy with the lowest validation loss so far; of a training in rounds, that of the last round.
+    """The policy with the lowest validation loss so far; in a training in rounds, the policy of the last round.
 
     Raises:
         InputError: the folder has no trained network, or one that receives the flags of other social situations.
@@ -383,12 +383,12 @@ def _last_round(folder: Path) -> Path:
         return folder
     rounds = [each for each in folder.glob("round-*") if (each / "checkpoints").is_dir()]
     if not rounds:
-        raise InputError(f"{folder} has no trained network yet; go on with `sean train dagger`.")
+        raise InputError(f"{folder} has no trained network yet; resume it by `sean train dagger`.")
     return max(rounds, key=lambda each: int(each.name.rpartition("-")[2]))
 
 
 def _init_network(scenario: Scenario, params: PolicyParams, state: State) -> PolicyState:
-    """Begin an episode: the images before it are taken to be that of now."""
+    """Begin an episode: earlier images are replaced by the present image."""
     encoding = _encode_image(scenario, params, state)
     ticks = round(1.0 / scenario.time_step)
     network = params.network
@@ -440,7 +440,7 @@ class AgentParams:
 
 @struct.dataclass
 class AgentState:
-    """What the policy remembers of an episode."""
+    """The memory of the policy."""
 
     observed: PyTree  # of ``observations.observe``
     memory: Float[Array, "M"]  # of the network

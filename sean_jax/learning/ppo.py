@@ -40,7 +40,7 @@ def update(
     """The agent, optimizer and scenarios after a rollout and its epochs, the transitions, and numbers for the log.
 
     Args:
-        numbers: this agent's values of ``PPOConfig.SWEPT``; the learning rate is that of this update.
+        numbers: this agent's values of ``PPOConfig.SWEPT``; the learning rate is this update's.
         envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
     """

@@ -2,7 +2,7 @@
 
 An update is one compiled program: all scenarios take some steps, and the agent learns from them (``ppo``, ``shac``).
 Several environments share the scenarios equally, and the agent learns from all of them together. Agents of different
-seeds and numbers are trained side by side, along a leading axis A. All chance depends on (seed, update) and on the
+seeds and numbers are trained in parallel, along a leading axis A. All randomness depends on (seed, update) and on the
 states of the scenarios, which checkpoints hold, so a training that was stopped is resumed to the same curve. Processes
 that ``jax.distributed`` has joined train together: scenarios are spread over the devices of all of them.
 """
@@ -49,7 +49,7 @@ METHODS = {"ppo": ppo, "apg": shac}
 
 @struct.dataclass
 class TrainState:
-    """Everything on which the rest of a training depends. The field names are those of the checkpoints on disk."""
+    """The state of a training. The field names are the names in checkpoints on disk."""
 
     agent: Agent  # (A, ...)
     optimizer: PyTree  # (A, ...)
@@ -112,7 +112,7 @@ def build(options: ReinforcementConfig) -> Setting:
     terms = sum(policies.agent_terms(options), ())
     envs = [curricula.prepare(registry.build(config), options.curriculum) for config in options.per_environment]
     envs = [replace(env, observations=terms) for env in envs]
-    rewards.reweighted(envs[0].rewards, _weights(options.agents[0]))  # refuses what is none of its terms
+    rewards.reweighted(envs[0].rewards, _weights(options.agents[0]))  # refuses unknown terms
     _check_alike(envs)
     network = policies.agent_network(options, envs[0].observation_space)
     measured = tuple(env.scenario for env in envs)
@@ -227,7 +227,7 @@ def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Arr
             parts = rewards.of_step(env.rewards, scenario, before, after, then, now)
             total += jnp.where(going, jnp.stack(list(parts.values())).sum(), 0.0)
             ends = jnp.stack([after.completed, after.timed_out, *env.ends(scenario, before, after)])
-            if env.terminations:  # an episode that was completed or timed out stands still by itself
+            if env.terminations:  # completed and timed-out episodes are constant anyway
                 after = jax.tree.map(lambda old, new: jnp.where(going, new, old), before, after)
             return (after, now, total, going & ~ends.any()), None
 
@@ -371,7 +371,7 @@ def _by_situation(names: list[str], values: dict[str, np.ndarray]) -> dict[str, 
 
 
 def _finite_means(values: dict[str, np.ndarray]) -> dict[str, float]:
-    """Means over agents of finite numbers, as JSON has words for."""
+    """Means over agents of finite numbers, as JSON values."""
     finite = {name: value[np.isfinite(value)] for name, value in values.items()}
     return {name: float(value.mean()) for name, value in finite.items() if value.size}
 

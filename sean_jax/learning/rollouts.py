@@ -1,4 +1,4 @@
-"""Rollouts of many scenarios, advantages, and epochs of minibatches over what they gave.
+"""Rollouts of many scenarios, advantages, and epochs of minibatches over their transitions.
 
 Source: J. Schulman et al., "High-dimensional continuous control using generalized advantage estimation", ICLR 2016.
 """
@@ -30,7 +30,7 @@ class EnvBatch:
     envs: tuple[mdp.EnvState, ...]  # E times (B / E, ...)
     observation: dict[str, Array]  # (B, ...)
     memory: Float[Array, "B M"]  # of the network
-    start: Bool[Array, "B"]  # whether the observation is the first of an episode
+    start: Bool[Array, "B"]  # whether it is the first observation of an episode
 
 
 class Transition(NamedTuple):

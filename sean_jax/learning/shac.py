@@ -1,7 +1,7 @@
 """Short-horizon actor-critic: the actor follows derivatives of the reward through the simulator for some steps, and a
-critic values what follows.
+critic estimates the return after them.
 
-The derivative goes through the robot and its observations, and through people if asked for: a crowd makes it slower and
+The derivative goes through the robot and its observations, and optionally through people: a crowd makes it slower and
 noisier (docs/gradients.md). Rewards that count events have no derivative: the actor learns from potentials and smooth
 costs.
 
@@ -35,7 +35,7 @@ CRITIC = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scale_b
 
 @struct.dataclass
 class Optimizers:
-    """The state between updates beside the agent. Checkpoints have these field names."""
+    """The state between updates besides the agent. Checkpoints have these field names."""
 
     actor: optax.OptState
     critic: optax.OptState
@@ -73,7 +73,7 @@ def update(
     epochs; the transitions; and numbers for the log.
 
     Args:
-        numbers: this agent's values of ``APGConfig.SWEPT``; the learning rate is that of this update.
+        numbers: this agent's values of ``APGConfig.SWEPT``; the learning rate is this update's.
         envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
     """
@@ -134,7 +134,7 @@ def _actor_loss(
     """Minus the discounted reward of some steps and the value after them, divided by the steps; the scenarios then."""
     terms = envs[0].observations
 
-    @jax.checkpoint  # what a step needs on the way back is computed again
+    @jax.checkpoint  # a step is recomputed in the backward pass
     def one(carry: tuple[EnvBatch, Array], tick: Array) -> tuple[tuple[EnvBatch, Array], tuple[Array, Transition]]:
         batch, weight = carry
         action_key, next_key = jax.random.split(jax.random.fold_in(key, tick))

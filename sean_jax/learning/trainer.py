@@ -1,7 +1,7 @@
 """The loop that all trainings share, and their folder: configuration, checkpoints through orbax, and log.
 
 The latest and the best checkpoint are kept, and a half-written one is never read. If only the best were kept, orbax
-would delete the latest, and a training would start anew. The SHA-256 of each field of the state stands beside the loss,
+would delete the latest, and a training would restart. The SHA-256 of each field of the state stands beside the loss,
 since orbax restores arrays whose bytes were changed on disk.
 """
 
@@ -38,7 +38,7 @@ METRICS, CURVE = "metrics.jsonl", "curve.png"
 STATE, DIGESTS = "state", "sha256"
 RESERVE = 4_000_000  # bytes that must be free in addition to the size of a checkpoint
 UNCHANGED = "earlier checkpoints are as they were."  # how a message about a failed write ends
-CURE = "remove it to go on from an earlier one."
+CURE = "remove it to resume from an earlier checkpoint."
 ATTEMPTS = 10  # to read while a training replaces checkpoints
 
 Result = TypeVar("Result")
@@ -49,10 +49,10 @@ Tree = TypeVar("Tree")
 
 
 class Report(NamedTuple):
-    """What an epoch or update of a training tells its folder and its user."""
+    """The report of an epoch or update of a training."""
 
     number: int  # epochs or updates done
-    metrics: dict[str, Any]  # a line of metrics.jsonl, but for its time
+    metrics: dict[str, Any]  # a line of metrics.jsonl without its time
     loss: float | None  # by which checkpoints are compared; None: none is due
     note: str
 
@@ -90,7 +90,7 @@ def fit(folder: Path, config: dict[str, Any], state: Tree, loop: Loop, total: in
     try:
         while not loop.is_over(state):
             state, report = loop.advance(state)
-            if log is not None:  # before the checkpoint: what follows it is dropped at a restart
+            if log is not None:  # before the checkpoint: later lines are dropped at a restart
                 log.add(report.metrics | {"time": time.time()})
             if report.loss is not None:
                 checkpoints.save(loop.encode(state), report.number, report.loss)
@@ -153,7 +153,7 @@ def on_first_process(work: Callable[[], bool | None]) -> bool:
 
     Raises:
         InputError: process 0 refused.
-        SeanError: that of the work, in process 0.
+        SeanError: the error of the work, in process 0.
     """
     result = bool(on_all_processes(work if is_first_process() else lambda: False))
     return result if jax.process_count() == 1 else bool(multihost_utils.broadcast_one_to_all(np.asarray(result)))
@@ -250,7 +250,7 @@ def _points(lines: list[dict], part: str, name: str) -> tuple[list[float], list[
 
 @functools.cache
 def _mute_orbax() -> None:
-    """Print no traceback beside the error that is raised: of its tasks, and of threads that find its loop closed."""
+    """Print no traceback besides the raised error: of its tasks, and of threads that find its loop closed."""
     logging.getLogger("asyncio").addFilter(lambda record: "orbax" not in record.getMessage())
     hook = sys.unraisablehook
 

@@ -1,7 +1,7 @@
 """Observations of the agent: terms, each an array with bounds, in the robot's frame.
 
-A term is an ``ObservationTerm``, or a plain function (scenario, state) -> array without bounds of its own. An
-observation is a dict of terms: those of ``OBSERVATIONS`` by their names, and yours beside them. ``delayed`` delays a
+A term is an ``ObservationTerm``, or a plain function (scenario, state) -> array without bounds. An
+observation is a dict of terms: names of ``OBSERVATIONS``, and your own terms. ``delayed`` delays a
 term, and ``stacked`` gives its last readings together.
 """
 
@@ -22,7 +22,7 @@ from sean_jax.geometry import from_rectangle, length, nearby_obstacles, rotate
 from sean_jax.mdp.spaces import Box
 
 NEAREST = 12  # people of the term "people"
-REACH = 8.0  # m, within which they are seen
+REACH = 8.0  # m, range of the observation
 SURFACES, NEAR = 3, 3.0  # of obstacles of the term "obstacles"; and m, within which they are shown
 PLAN_POINTS, SPACING = 10, 0.5  # of the term "plan"; and m, at least, from one point to the next
 MAX_SPEED = 3.0  # m/s, of people in an observation
@@ -49,7 +49,7 @@ class ObservationTerm:
         delay: of readings in steps of control, (least, most), drawn for each episode.
         stack: number of readings of different steps in an observation, newest first, along a first axis; 0 for one
             without that axis.
-        people: whether it tells where people are, for tables of what agents know.
+        people: whether it contains positions of people, for tables of agents.
         image: whether it is a picture, (height, width) or with colors, which ``flatten`` leaves out.
     """
 
@@ -334,7 +334,7 @@ def _read(term: ObservationTerm, scenario: Scenario, state: State, prepared: PyT
 
 
 def _of_line(term: ObservationTerm, now: Array, name: str, lines: dict, delays: dict) -> Array:
-    """What an observation holds of a term."""
+    """The part of an observation for a term."""
     if name not in lines:
         return now[None] if term.stack == 1 else now
     part = jax.lax.dynamic_slice_in_dim(lines[name], delays[name], max(term.stack, 1), 0)

@@ -1,8 +1,8 @@
 """Rewards of the agent: terms, each a number of one step with a weight.
 
 A term is a ``RewardTerm``, or a plain function (scenario, before, after) -> number of weight 1. A reward is a dict of
-terms: those of ``REWARDS`` by their names, with the weight beside them, and yours. The reward of a step is the sum of
-weight times number. Terms that read what a robot's sensors cannot tell, such as where unseen people are, are
+terms: names of ``REWARDS`` with their weights, and your own terms. The reward of a step is the sum of
+weight times value. Terms that use what no sensor of a robot measures, such as hidden people, are
 ``privileged``: a simulator may use them to train, and a robot could not compute them.
 """
 
@@ -32,12 +32,12 @@ class RewardTerm:
 
     Args:
         step: ``(scenario, before, after) -> number`` of a step.
-        potential: ``(scenario, state) -> number``: the reward of a step is how much it grows. It is computed once a
-            step, and leaves the best policy as it is, but for the discount
+        potential: ``(scenario, state) -> number``: the reward of a step is its increase. It is computed once per
+            step, and does not change the optimal policy, except for the discount
             (A. Ng et al., "Policy invariance under reward transformations", ICML 1999).
         weight: factor of the number.
-        privileged: it reads what the robot's sensors cannot tell.
-        definition: one sentence; that of the function's docstring if empty.
+        privileged: it uses what the robot's sensors do not measure.
+        definition: one sentence; from the function's docstring if empty.
     """
 
     step: Reward | None = None
@@ -70,7 +70,7 @@ def _minus_distance(scenario: Scenario, state: State) -> Array:
 
 
 def _completed(scenario: Scenario, before: State, after: State) -> Array:
-    """One at the step with which the task is completed: the goal has been held."""
+    """One at the step that completes the task: the hold time has passed."""
     return (after.completed & ~before.completed).astype(float)
 
 
@@ -126,7 +126,7 @@ def _o_space(scenario: Scenario, before: State, after: State) -> Array:
 
 
 def of_metric(name: str) -> RewardTerm:
-    """How much a metric grows in a step: a term for whatever is counted or summed. It is privileged, for metrics read
+    """Increase of a metric in a step: a term for counts and sums. It is privileged, since metrics read
     all people.
 
     Args:

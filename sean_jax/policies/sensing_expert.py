@@ -1,9 +1,9 @@
 """sensing_expert: the expert's search with a robot's knowledge of people.
 
 ``expert`` knows all people, also behind walls and behind its back, and their goals. Networks that see a depth image
-(section V) cannot imitate what follows from that. This expert knows the people in its depth image, remembers them for a
+(section V) cannot imitate its consequences. This expert knows the people in its depth image, remembers them for a
 while after, and expects everybody to walk on at constant velocity. It knows the map, its pose and the goal, as a
-navigation stack does. Search and costs are those of ``expert``.
+navigation stack does. Search and costs are the same as in ``expert``.
 """
 
 from dataclasses import replace
@@ -72,7 +72,7 @@ def apply(
 
 @jax.named_scope("known_people")
 def known_people(scenario: Scenario, params: SensingParams, state: State, before: KnownPeople) -> KnownPeople:
-    """The known people: those in the depth image as they are, others from memory.
+    """The known people: exact for people in the depth image, others from memory.
 
     Positions and velocities of visible people are exact, and identities are never confused.
     """

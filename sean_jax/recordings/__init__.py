@@ -85,7 +85,7 @@ def motion_between_rows(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
 
     Runs on the host, in the precision of the positions. In a column, a row without anybody separates each person from
     the next, as in a sampled recording. An absent person has zero velocity and the heading of the next person; the
-    velocity in a person's first row is that of the second.
+    velocity in a person's first row equals the second row's.
     """
     position, present = np.asarray(tracks.position), np.asarray(tracks.present)
     velocity, heading = np.zeros_like(position), np.zeros_like(position)
@@ -129,7 +129,7 @@ def snapshots_of(
 
     Args:
         robot: () int32 column of that person; may be traced.
-        group: (T, N) int32 group of each person, -1 none; those of the recording if None. Without annotation,
+        group: (T, N) int32 group of each person, -1 none; the recording's if None. Without annotation,
             ``classifiers.o_space_groups`` of each row gives them.
 
     Returns:
@@ -192,7 +192,7 @@ def _snapshots(
     recorded: Bool[Array, "T"],
     obstacles: Obstacles | None,
 ) -> Snapshot:
-    """Snapshots of a robot. ``group`` (T, N) and ``robot_group`` (T,) name groups anew in each row, not start and goal.
+    """Snapshots of a robot. ``group`` (T, N) and ``robot_group`` (T,) name groups per row, except start and goal.
 
     People with whom the robot stood at its goal are ``GOAL_GROUP``, those at its start alone ``START_GROUP``, in every
     row in which they stand with anybody; one person cannot be both.

@@ -2,7 +2,7 @@
 
 The header of a CSV file names its columns, in any order and case: the number of the frame, the person, x and y in
 metres, and if known a velocity, a facing angle, and the group. Each format has its own clock: ETH counts 6 and UCY 10
-frames in the 0.4 s between a person's lines, Juelich counts sixteenths of a second. Lines become rows as far apart
+frames in the 0.4 s between a person's lines, Juelich has 16 frames per second. Lines become rows as far apart
 as in the file, or sampled at another time step, as playback needs them (section IV-D).
 """
 
@@ -41,12 +41,12 @@ MAX_LINES = 1_000_000
 MAX_FRAME = 2**31 - 1
 ROUNDING = 1e-9  # s, of times that are a frame number times the seconds of a frame
 LONGEST_GAP = 2.0  # s: a person without lines for longer has left and entered again
-MAX_MEAN_SPEED = 2.0  # m/s: people who walk are slower on average; known recordings have 0.5 to 1.4
+MAX_MEAN_SPEED = 2.0  # m/s: walking people are slower on average; known recordings have 0.5 to 1.4
 MAX_SPEED = 20.0  # m/s: nobody runs as fast
 CLOCK_TOLERANCE = 0.25  # share by which a clock may differ from the velocities in a file
 USUAL_SPEED = 1.3  # m/s
 ETH_STEP = 0.4  # s, between a person's lines in ETH and UCY
-JUELICH_RATE = 16.0  # frames a second
+JUELICH_RATE = 16.0  # frames per second
 FORMATS = ("csv", "eth_ucy", "juelich", "groups")
 MAX_CELLS = 10_000_000  # of times and people
 MAX_MOMENTS = 5_000_000  # of all people together, sampled at another time step
@@ -88,7 +88,7 @@ def read(
 
     Args:
         recording_format: one of ``FORMATS``; None: eth_ucy for a file with velocities, else frame_rate is needed.
-        frame_rate: frames a second; that of the format if None.
+        frame_rate: frames per second; the format's if None.
         time_step: s between rows; as far apart as a person's lines usually are if None.
 
     Raises:
@@ -135,7 +135,7 @@ class Lines:
     """R lines of a recording of P people, in the order of the file."""
 
     path: Path
-    values: dict[str, np.ndarray]  # of "frame", "x", "y" and whatever else the file has: (R,) float64
+    values: dict[str, np.ndarray]  # of "frame", "x", "y" and the other columns of the file: (R,) float64
     person: np.ndarray  # (R,) int, from 0 to P - 1
     number: np.ndarray  # (P,) int32 the file's number of each person; of names that are no numbers, their order
     line: np.ndarray  # (R,) int, in the file

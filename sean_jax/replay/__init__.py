@@ -254,7 +254,7 @@ def encode(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> dict[
 
 
 def _scale(values: np.ndarray, kind: str) -> tuple[float, float]:
-    """What a level is worth, and the value of level 0."""
+    """The scale of a level, and the value of level 0."""
     if kind == "place":
         inside = values.size == 0 or (values.min() > LOWEST and values.max() < LOWEST + LEVELS * CENTIMETRE)
         if inside:
@@ -290,7 +290,7 @@ def html(content: dict[str, Any], picture: str = "", linked: bool = True) -> str
     """A page with one player of a recording.
 
     Args:
-        picture: HTML that stands for it where there is no JavaScript.
+        picture: HTML for readers without JavaScript.
     """
     instead = f"<noscript>{picture or 'This page needs JavaScript.'}</noscript>"
     players = [("", element(content, linked=linked))]
@@ -338,7 +338,7 @@ class Replay:
 def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool = False) -> Any:
     """Show a trajectory (T, ...) in a notebook, with a timeline to play it; of a batch (B, T, ...) the first episode.
 
-    The behavior graph, the robot's camera and its planned path are drawn if the scenario is given. Without a scenario,
+    The behavior graph, the robot's camera and its planned path are drawn with a scenario. Without a scenario,
     people and robot are drawn on an empty floor.
 
     Returns:

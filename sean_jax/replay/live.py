@@ -1,4 +1,4 @@
-"""``sean run --live``: the replay page of the first episode while the run goes on, served to this computer alone.
+"""``sean run --live``: the replay page of the first episode during the run, served to this computer only.
 
 The page requests new frames twice a second. All encoded frames of the episode stay in memory, so a page that is opened
 later, or reloaded, begins at the first frame.

@@ -171,7 +171,7 @@ DOORS = 0.6, 0.7, 0.8, 0.9, 1.0, 1.2  # m
 PASSABLE, SWIFT = 0.7, 1.0  # m: from where on one gets through, and nearly as fast as outside
 SWIFT_SHARE = 0.8  # of the free speed
 FREE = 1.34  # m/s
-ASIDE = 0.0, 0.3, -0.3  # m, from the middle of the door, where somebody starts 4 m before it
+ASIDE = 0.0, 0.3, -0.3  # m, from the middle of the door, of a person who starts 4 m before it
 
 
 def before_door(width: float, start: np.ndarray, speed: np.ndarray | float, seconds: float, **more) -> Scene:
