@@ -34,7 +34,7 @@ SUFFIXES = (".csv", ".parquet")
 GROUP_ROWS = 2**18  # of a table, that Parquet stores together: episodes are gathered until they have as many
 BLOCK_ROWS = 2**16  # of a table, that are read at once
 MAX_ROWS = 10**8
-KEY = "sean_jax"  # of the header beside the columns
+KEY = "sean_jax"  # of the header
 CURE = "give a file that save_trajectory has written"
 LIMITS = {
     "frame": (0, 10**9),
@@ -45,11 +45,11 @@ LIMITS = {
     **{name: (-MAX_COORDINATE, MAX_COORDINATE) for name in ("x", "y", "goal_x", "goal_y")},
     **{name: (-MAX_SPEED, MAX_SPEED) for name in ("vx", "vy")},
 }
-"""Column -> least and most; commands are whatever the policy gave."""
+"""Column -> minimum and maximum; commands are unlimited."""
 
 
 class Header(pydantic.BaseModel):
-    """What a file holds beside the columns."""
+    """The metadata of a file."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
@@ -69,7 +69,7 @@ def save_trajectory(
     time_step: float = 0.1,
     situations: Sequence[str] | None = None,
 ) -> None:
-    """Write what a rollout recorded, without absent people: read again, they are at (0, 0).
+    """Write the record of a rollout, without absent people: loaded, they are at (0, 0).
 
     Args:
         trajectory: (T, ...) frames of an episode, or (E, T, ...) of several. Headings are unit vectors or zero,
@@ -179,7 +179,7 @@ def trajectory_writer(
 
 
 def join_trajectories(parts: Sequence[Path], path: Path) -> None:
-    """Write one file of several of the same format whose episodes follow one another.
+    """Write one file of several of the same format, with their episodes in order.
 
     Raises:
         WriteError: another process writes the file.
@@ -200,7 +200,7 @@ def _writer(path: Path) -> "type[_Csv] | type[_Parquet]":
 
 
 def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarray]:
-    """Columns of all rows: for each frame the robot's row, then those of the people present."""
+    """Columns of all rows: for each frame the robot's row, then rows of the people present."""
     episodes, steps = arrays["active"].shape
     present = np.concatenate([np.ones((episodes, steps, 1), bool), arrays["present"]], -1)
     episode, frame, column_of = np.nonzero(present)
@@ -272,7 +272,7 @@ def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, firs
     size = np.hypot(columns["heading_x"], columns["heading_y"])
     refuse(~((np.abs(size - 1.0) < 1e-3) | (size == 0.0)), "heading_x", "belongs to no unit vector")
     time = (columns["frame"] + 1.0) * header.time_step
-    refuse(~(np.abs(columns["time"] - time) <= 1e-6 * time), "time", "is not that of its frame")
+    refuse(~(np.abs(columns["time"] - time) <= 1e-6 * time), "time", "does not match its frame")
 
 
 def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Trajectory:
@@ -295,7 +295,7 @@ def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Traject
     present, group = np.zeros((episodes, steps, people), bool), np.full((episodes, steps, people), -1, np.int32)
     present[at_person], group[at_person] = True, table["group"][person]
     if driven.sum() + present.sum() < len(frame):
-        raise FileError(f"{what} have somebody twice in a frame; {CURE}.")
+        raise FileError(f"{what} have a person twice in a frame; {CURE}.")
 
     def of_robot(*columns: str) -> np.ndarray:
         values = np.zeros((episodes, steps, len(columns)), np.float32)

@@ -166,9 +166,9 @@ def load_graph(folder: Path) -> Any:
 
 
 def load_handcrafted(folder: Path) -> Any:
-    from sean_jax.handcrafted import read, sets
+    from sean_jax.handcrafted import build, read
 
-    return sets.build(read(folder, lab()).sets)
+    return build(read(folder, lab()).sets)
 
 
 def load_environment(folder: Path) -> Any:
@@ -188,7 +188,11 @@ def load_recording(folder: Path) -> Any:
     from sean_jax import recordings
 
     path, found = folder / "people.csv", []
-    readers: list = [*recordings.READERS.values(), lambda path: recordings.read(path, time_step=0.1)]
+    readers: list = [
+        lambda path, name=name: recordings.read(path, name, 1.0 if name == "csv" else None)
+        for name in recordings.FORMATS
+    ]
+    readers.append(lambda path: recordings.read(path, time_step=0.1))
     refused = None
     for reader in readers:  # who needs a column more may refuse, and the others read
         try:
@@ -468,9 +472,9 @@ def _lab_step() -> Any:
 
 
 def load_agent(folder: Path) -> Any:
-    from sean_jax.learning.policy import load_packed
+    from sean_jax.learning import policy
 
-    return load_packed(folder, _lab())[1]
+    return policy.load_agent(folder, _lab())[1]
 
 
 @functools.cache

@@ -241,9 +241,9 @@ def test_episodes_that_cannot_be_are_refused(name, change, text):
     benchmark.check_columns(good, 50, 120.1)
     with pytest.raises(ValueError, match=text):
         benchmark.check_columns(good | {name: np.asarray(change(good[name]))}, 50, 120.1)
-    with pytest.raises(ValueError, match=f"not those of a track: {name}"):
+    with pytest.raises(ValueError, match=f"not the columns of a track: {name}"):
         benchmark.check_columns({each: values for each, values in good.items() if each != name}, 50, 120.1)
-    with pytest.raises(ValueError, match="not those of a track: more"):
+    with pytest.raises(ValueError, match="not the columns of a track: more"):
         benchmark.check_columns(good | {"more": good["seconds"]}, 50, 120.1)
 
 

@@ -113,7 +113,7 @@ def test_drivers_that_share_a_batch_drive_as_each_alone(quiet):
 
 
 def test_scenarios_of_different_shapes_are_refused(quiet):
-    with pytest.raises(ValueError, match="they differ in more than leaves and task"):
+    with pytest.raises(ValueError, match="their static structure differs"):
         Runner([quiet, quiet.replace(people=3)], noisy, SIZE, "run")
     with pytest.raises(TypeError, match="must be a Policy or a function"):
         Runner(quiet, "nobody", SIZE, "run")  # pyright: ignore[reportArgumentType]

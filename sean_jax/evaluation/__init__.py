@@ -59,7 +59,7 @@ def evaluate(
         scenario: one, or several that take turns and differ in their task or in leaves alone.
         policy: a ``Policy``, a function (scenario, state, key) -> (2,) [m/s, rad/s], a name, the folder of a training,
             or FILE.py:NAME.
-        seed: equal seeds give equal episodes, those of ``sean run``.
+        seed: equal seeds give equal episodes, the episodes of ``sean run``.
         out: new or empty folder for the report and all results.
 
     Raises:

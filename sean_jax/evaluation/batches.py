@@ -47,7 +47,7 @@ class Totals:
     node: Array  # (B, N) int32 node that each person was at last, -1 before the first
     together: Array  # (2 ** S,) int32 steps per set of situations, situation s is bit s
     penetration: Array  # () m, deepest that a body was in an obstacle or off the floor, negative: closest to it
-    group_size: Array  # (G,) int32 most members seen in each group
+    group_size: Array  # (G,) int32 maximum number of members of each group
 
 
 @dataclasses.dataclass
@@ -288,7 +288,7 @@ class RunFolder:
 
     @contextlib.contextmanager
     def explain_errors(self) -> Iterator[None]:
-        """Add to each error of the block a sentence on the episodes that are kept, and remove half-written files."""
+        """Add to each error of the block a sentence on the finished episodes, and remove half-written files."""
         try:
             with interrupts.unwrapped():
                 yield
@@ -317,7 +317,7 @@ class RunFolder:
 
 
 def check_run_folder(folder: Path, locked: bool = False) -> None:
-    """Refuse a folder that is neither new nor an unfinished run's; what a killed process left there is removed.
+    """Refuse a folder that is neither new nor an unfinished run's; remains of a killed process are removed.
 
     Raises:
         InputError: the folder holds something else.
@@ -335,7 +335,7 @@ def check_run_folder(folder: Path, locked: bool = False) -> None:
 
 
 def unfinished_runs(config: RunConfig, beside: Path) -> list[tuple[Path, int]]:
-    """Folders beside one with an unfinished run of this description, and its episodes; without runs at work.
+    """Neighboring folders with an unfinished run of this description, and its episodes; without active runs.
 
     Empty folders of killed runs are removed. What cannot be read is left out.
     """
@@ -370,7 +370,7 @@ def _identity(config: RunConfig) -> dict[str, Any]:
 
 
 def _to_arrays(batch: FinishedBatch) -> dict[str, Any]:
-    """A batch as named arrays: its own, and those of its totals and frames as ``group:name``."""
+    """A batch as named arrays: its own, and its totals and frames as ``group:name``."""
     arrays = {name: getattr(batch, name) for name in ("completed", "timed_out", "steps", "seconds")}
     groups = {"metrics": batch.metrics, "tally": vars(batch.totals)}
     groups |= {f"frame{k}": vars(frame) for k, frame in enumerate(batch.frames)}
@@ -378,7 +378,7 @@ def _to_arrays(batch: FinishedBatch) -> dict[str, Any]:
 
 
 def _from_arrays(arrays: dict[str, np.ndarray], count: int) -> FinishedBatch:
-    """The batch of named arrays; raises ValueError or TypeError if they are not those of ``count`` episodes."""
+    """The batch of named arrays; raises ValueError or TypeError if they do not have ``count`` episodes."""
 
     def of(group: str) -> dict[str, Any]:
         return {name.split(":", 1)[1]: value for name, value in arrays.items() if name.startswith(f"{group}:")}

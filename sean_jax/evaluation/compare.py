@@ -174,7 +174,7 @@ def _difference(name: str, pair: list[np.ndarray], same: bool) -> Difference | N
 
 
 def summarize(first: SavedRun, second: SavedRun) -> str:
-    """What was compared, in two sentences or more."""
+    """The comparison in words."""
     number, options = paired(first, second), differing_options(first, second)
     rest = f"The runs differ in {', '.join(map(flag, options))}." if options else "The runs have equal options."
     rest += "".join(f" No replay of {each.name}: {each.no_replay}" for each in (first, second) if each.no_replay)

@@ -20,11 +20,11 @@ from sean_jax import (
     navigation,
     pedestrian_models,
     policies,
-    presets,
     robots,
     social_forces,
     tasks,
 )
+from sean_jax.config import PRESETS
 from sean_jax.learning.policy import AGENTS, describe_agent
 
 TEXTS = files.read_yaml(Path(__file__).with_suffix(".yaml"))[1]
@@ -57,7 +57,7 @@ def _print(console: Console, name: str, text: str) -> None:
 
 def choices() -> Iterator[tuple[str, dict[str, str]]]:
     """Each option and its {name: line}."""
-    yield "preset", {name: preset.summary for name, preset in presets.PRESETS.items()}
+    yield "preset", {name: preset.summary for name, preset in PRESETS.items()}
     yield "environment", {name: _environment(environment.find(name)) for name in environment.available()}
     yield "behavior", _lines(behaviors.BEHAVIORS)
     yield "routing", _lines(behaviors.graph_behavior.ROUTINGS)

@@ -23,9 +23,9 @@ from sean_jax.base import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import CollectConfig, ReplayConfig, RunConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import batches, results, saved
-from sean_jax.learning.collection import streams
+from sean_jax.learning.collection import load_driver, streams
 from sean_jax.learning.networks import CONFIG, read_method
-from sean_jax.learning.policy import disturbed, labelled, load_folder, load_policy, read_options
+from sean_jax.learning.policy import load, load_policy, read_options
 from sean_jax.progress import progress
 from sean_jax.runner import Callbacks, Record, Runner
 from sean_jax.versions import fingerprint, version_mismatch
@@ -137,7 +137,7 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
 
 
 def _cause(versions: Any, then: str, now: str) -> str:
-    """Why an episode differs, by the versions and the fingerprints of scenario and policy then and now."""
+    """The cause of a different episode: versions and fingerprints of scenario and policy then and now."""
     if (other := version_mismatch(versions)) is not None:
         return f"it was made with {other}"
     if not then:
@@ -165,11 +165,7 @@ def _of_dataset(folder: Path, numbers: list[int]) -> Source:
     _check(numbers, size * len(manifest["shards"]), folder)
     parts = streams(config)
     scenarios = list(parts.values())
-    policy = load_policy(config.policy, scenarios[0])
-    if config.noise is not None:
-        policy = disturbed(policy, config.noise)
-    if config.labels is not None:
-        policy = labelled(policy, load_policy(config.labels, scenarios[0], "labels"))
+    policy = load_driver(config, scenarios[0])
     now = fingerprint(scenarios[0], [scenario.behavior for scenario in scenarios], policy.params)
     cause = _cause(manifest.get("versions"), manifest.get("content", ""), now)
     every = round(1.0 / scenarios[0].time_step) // config.rate
@@ -212,8 +208,8 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
     scenario, mdp_env = scenarios[place], envs[place]
     return Source(
         scenarios=[scenario],
-        policy=load_folder(folder, scenario),
-        use="evaluation",  # whose i-th key of a split is that of a number
+        policy=load(folder, scenario),
+        use="evaluation",  # its i-th key of a split is the key of number i
         seed=options.seed,
         turn=lambda number: 0,
         names=[scenario.task_name],
@@ -237,7 +233,7 @@ def _of_imitation(folder: Path) -> Source:
     scenarios = list(parts.values())
     return Source(
         scenarios=scenarios,
-        policy=load_folder(folder, scenarios[0]),
+        policy=load(folder, scenarios[0]),
         use="evaluation",
         seed=config.seed,
         turn=lambda number: number % len(scenarios),

@@ -194,7 +194,7 @@ def write_all(
 ) -> None:
     """Write all files of an evaluation to an empty folder.
 
-    ``config`` and its input files are those of ``sean run``; an evaluation in Python, which no file repeats, has none.
+    ``config`` and its input files are from ``sean run``; an evaluation in Python, which no file repeats, has none.
     """
     packages = versions()
     about = {"scenario": evaluation.names(), "people": evaluation.scenario.people, "versions": packages}
@@ -227,7 +227,7 @@ def write_all(
 
 
 def outcome(completed: Any, seconds: float) -> str:
-    """How an episode of so many seconds ended, in words."""
+    """The end of an episode of a duration in seconds, in words."""
     return f"{'completed' if completed else 'not completed'} in {seconds:.1f} s"
 
 
@@ -349,7 +349,7 @@ def _checks(summary: dict[str, Any]) -> dict[str, str]:
     checks, timing = summary["checks"], summary["timing"]
     return {
         "deepest penetration of a person into an obstacle": f"{checks['largest_penetration_mm']:.3f} mm",
-        "most people seen in each group": ", ".join(map(str, checks["largest_groups"])) or "there are no groups",
+        "most people in each group": ", ".join(map(str, checks["largest_groups"])) or "there are no groups",
         "numbers that are not finite": str(checks["not_finite"]),
         "simulated": f"{summary['simulated_seconds']:,.0f} s of robot time, "
         f"{timing['simulated_seconds_per_second']:,.0f} s per second on {timing['device']}",

@@ -120,7 +120,7 @@ def print_table(
 def _blocks(widths: list[int], width: int) -> list[tuple[int, int]]:
     """(first, last) situation of each block of ``width`` characters.
 
-    ``widths`` are those of the columns: overall, in the first block, and the situations.
+    ``widths`` are the widths of the columns: overall, in the first block, and the situations.
     """
     overall, *situations = widths
     blocks, first, left = [], 0, width - overall - GAP

@@ -127,11 +127,11 @@ def losses(scenes: Scenes, rows: Int[Array, "W"], grid: ObstacleGrid | None, for
     """The errors of predictions of the windows ``rows`` (W,), ``EMPTY`` for none."""
     there = rows != EMPTY
     pick = lambda leaf: jnp.asarray(leaf)[jnp.maximum(rows, 0)]  # noqa: E731
-    seen, known, after, counted = map(pick, (scenes.seen, scenes.known, scenes.after, scenes.counted))
+    observed, known, after, counted = map(pick, (scenes.observed, scenes.known, scenes.after, scenes.counted))
     counted = counted & there[:, None, None]
     wish = None if scenes.direction is None else pick(scenes.direction) * habits.speed
     predicted = predict(
-        forces, seen, scenes.time_step, after.shape[1], present=known, walls=grid, desired_velocity=wish,
+        forces, observed, scenes.time_step, after.shape[1], present=known, walls=grid, desired_velocity=wish,
         others=None if scenes.others is None else pick(scenes.others), weights=habits.persistence[None],
         settled=habits.settled,
     )  # fmt: skip

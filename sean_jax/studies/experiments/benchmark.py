@@ -36,14 +36,14 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 RESULT, REPORT = "result.json", "report.html"
-MAX_BYTES = 10_000_000  # of what was measured on a track
+MAX_BYTES = 10_000_000  # of the measurements of a track
 
 # ------------------------------------------------------------------ the protocol
 
 VERSION = 1
 EPISODES = 8_400  # of each track; 100,800 of all
 SEED = 20_260  # of all episodes
-QUICK = 16  # episodes of each track that tell on a CPU whether a driver works
+QUICK = 16  # episodes of each track, enough on a CPU to see that a policy works
 
 CONTENT = "fe83b135db59a554"
 """The digest of all files and constants that the tracks of this version read."""
@@ -69,7 +69,7 @@ def description(track: str) -> CollectConfig:
 
 
 def protocol_digest() -> str:
-    """The digest, 16 letters, of all that the tracks read beside their options."""
+    """The digest, 16 letters, of all inputs of the tracks besides their options."""
     digest = hashlib.sha256()
     folders = [environment.find(place) for place in OPTIONS["people"]]
     read = [file for folder in folders for file in sorted(folder.iterdir()) if file.is_file()]
@@ -104,7 +104,7 @@ def run(options: BenchmarkConfig, console: Console | None = None) -> Path:
 
     Raises:
         InputError: there is no such policy, the folder holds something else, there are more episodes than the protocol
-            has, or this package is not that of the protocol.
+            has, or this package is not the protocol's.
         WriteError: another process writes in the folder.
         IncompleteError: a file in the folder is damaged.
         FloatingPointError: a number is not finite. Finished tracks stay.
@@ -171,7 +171,7 @@ def check_columns(columns: Arrays, episodes: int, limit: float) -> None:
     shapes |= dict.fromkeys(("completed", "seconds", "path_efficiency"), (episodes,))
     if columns.keys() != shapes.keys():
         other = ", ".join(sorted(columns.keys() ^ shapes.keys()))
-        raise ValueError(f"its columns are not those of a track: {other:.100}")
+        raise ValueError(f"its columns are not the columns of a track: {other:.100}")
     for name, values in columns.items():
         named = "bool" if name == "completed" else "float"
         if values.shape != shapes[name] or values.dtype.kind != named[0]:
@@ -327,7 +327,7 @@ def ranking(folders: list[Path]) -> list[dict[str, Any]]:
 
     Raises:
         InputError: ``check`` refuses a result, one is not complete, or two have the same policy or the same name.
-        IncompleteError: as of ``check``.
+        IncompleteError: as in ``check``.
     """
     results = [check(folder) for folder in folders]
     for folder, content in zip(folders, results, strict=True):

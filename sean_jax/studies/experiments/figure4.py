@@ -77,7 +77,7 @@ Drivers = Mapping[str, Sequence[Callable[["Scenario"], "Policy"]]]
 
 
 def run_figure4(options: Figure4Config, console: Console | None = None) -> Path:
-    """Collect, train and evaluate what the folder lacks, and write the report.
+    """Collect, train and evaluate the missing parts of the folder, and write the report.
 
     Raises:
         InputError: the options are wrong, or the folder holds another experiment.
@@ -100,7 +100,7 @@ def run_figure4(options: Figure4Config, console: Console | None = None) -> Path:
 
 
 def baselines(options: Figure4Config) -> list[str]:
-    """Other policies than those of the paper, N and E: names, folders or FILE.py:NAME, each once.
+    """Policies besides the paper's, N and E: names, folders or FILE.py:NAME, each once.
 
     Raises:
         InputError: one has the name of a column.
@@ -151,7 +151,7 @@ def collection(
 ) -> CollectConfig:
     """The demonstrations of all datasets together, since many episodes at once fill a GPU.
 
-    ``name`` is that of their folder, the behavior's by default.
+    ``name`` is the name of their folder, the behavior's by default.
 
     Raises:
         InputError: a value is out of range.
@@ -218,7 +218,7 @@ def _by_situation(policy: str, behavior: str, cells: Estimate) -> list[tuple]:
 
 @dataclasses.dataclass(frozen=True)
 class Learner:
-    """Networks with equal options, one for each dataset and seed; trained side by side, each in its own folder."""
+    """Networks with equal options, one for each dataset and seed; trained in parallel, each in its own folder."""
 
     name: str  # of their files
     work: Workspace  # of the experiment
@@ -422,7 +422,7 @@ def _group(flags: bool) -> str:
 
 
 def variants(options: LearningCurveConfig) -> tuple[Variant, ...]:
-    """The variants: each amount by itself, the first amount at other rates, and the first with flags."""
+    """The variants: each amount alone, the first amount at other rates, and the first with flags."""
     hours, first = sorted(set(options.demonstration_hours)), options.demonstration_hours[0]
     rates = (Variant(first, rate) for rate in options.rates)
     return tuple(dict.fromkeys([*map(Variant, hours), *rates, Variant(first, flags=True)]))

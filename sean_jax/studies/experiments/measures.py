@@ -36,7 +36,7 @@ FOUR = (*LEARNED, NAVIGATION)  # of the paper
 def episode_measures(columns: Columns) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """The ``MEASURES`` (E,) of episodes, and the violations (E, S) in each situation.
 
-    Violations and collisions are those of the robot and of people together.
+    Violations and collisions are by the robot and by people together.
     """
     values = {name: np.asarray(value, float) for name, value in columns.items()}
     violations = values[INTIMATE[0]] + values[INTIMATE[1]]
@@ -204,7 +204,7 @@ class Variant:
     """The demonstrations of networks, and whether the situations are an input."""
 
     hours: float
-    rate: int = 1  # examples a second
+    rate: int = 1  # examples per second
     flags: bool = False
 
     @property
@@ -272,7 +272,7 @@ def comparisons(variants: tuple[Variant, ...]) -> list[tuple[Variant, Variant]]:
     """The pairs of variants that are compared.
 
     These are each amount and the next smaller one; other rates and flags and the variant without them; and a rate and
-    the amount at one example a second with as many examples, if there is one.
+    the amount at one example per second with as many examples, if any.
     """
     plain = [each for each in variants if each.rate == 1 and not each.flags]
     pairs = [(more, less) for less, more in itertools.pairwise(plain)]
@@ -309,7 +309,7 @@ class Scores:
     }
     figures: dict[str, Estimate]  # name of FIGURES -> () mean of an episode
     shares: Estimate  # (S,) of the time in each situation
-    violations: Estimate  # (S,) times a minute, in each situation, that the robot came within 0.45 m of somebody
+    violations: Estimate  # (S,) approaches within 0.45 m of a person per minute, in each situation
 
 
 def polite(columns: Arrays) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Reports of the experiments: one self-contained HTML page each, with the paper's numbers beside ours."""
+"""Reports of the experiments: one self-contained HTML page each, with the paper's numbers and ours."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _estimates(value: Estimate, form: str = ".3f", scale: float = 1.0) -> list[C
 
 
 def _holds(row: dict[str, Any]) -> Cell:
-    """Whether a statement holds, and in how many of the resamples."""
+    """Whether a statement holds, and in which share of the resamples."""
     sure = row["share"] >= 0.975 or row["share"] <= 0.025
     return Cell(("" if sure else "perhaps ") + ("yes" if row["holds"] else "no"), f"{100 * row['share']:.1f} %")
 

@@ -139,7 +139,7 @@ def crowds(cells: list[Cell], swept: list[Cell]) -> Figure:
 
 
 def ablation(by_world: dict[str, list[Cell]]) -> Figure:
-    """By how many points each world moves the shares of flags of the first, means over the policies."""
+    """Change of the shares of flags in each world from the first, in points, means over the policies."""
     worlds = list(by_world)
 
     def mean(world: str, behavior: str) -> np.ndarray:

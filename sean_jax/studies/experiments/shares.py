@@ -2,7 +2,7 @@
 
 Examples are taken once a second, and each situation that holds is a flag of the example. Intervals come from the
 bootstrap of ``metrics.bootstrap`` over blocks of a minute (Kuensch 1989), because successive seconds are alike.
-Entropies are divided by ln 5, that of five equal shares; they are the same for all ways of counting.
+Entropies are divided by ln 5, the entropy of five equal shares; they are the same for all ways of counting.
 
 In a recording each person in turn plays the robot (section III), and every row in which the person is present is an
 example. Intervals are from a bootstrap over these persons. A robot walks alone; so where companions are annotated,
@@ -49,7 +49,7 @@ GROUPS = "join_group", "leave_group"  # unknown where groups are not annotated
 
 @dataclasses.dataclass
 class Shares:
-    """Shares with one behavior and one policy: the estimate, followed by those of R bootstrap resamples."""
+    """Shares with one behavior and one policy: the estimate, then R bootstrap resamples."""
 
     examples: np.ndarray  # (1 + R, S), of all examples; S is 5 for the paper's situations
     none: np.ndarray  # (1 + R,), of the examples in which no situation holds
@@ -83,7 +83,7 @@ def interval_rows(
 def count(flags: np.ndarray, seed: int = 0, streams: int = 1) -> Shares:
     """Shares of the situations and their bootstrap resamples, from flags (blocks, seconds, S) bool.
 
-    The blocks are those of ``streams`` of equal length, one after another; a resample draws equally many of each.
+    The blocks are ``streams`` of equal length, one after another; a resample draws equally many of each.
     """
     each = [seed + 1000 * stream for stream in range(streams)]
     drawn = [bootstrap.resamples(len(flags) // streams, seed, bootstrap.RESAMPLES) for seed in each]
@@ -106,7 +106,7 @@ def count_by_person(flags: np.ndarray, person: np.ndarray, seed: int = 0) -> Sha
 
 
 def normalised_entropy(shares: np.ndarray) -> np.ndarray:
-    """Entropy (...,) of shares (..., K), which need not add up to one, divided by that of equal shares.
+    """Entropy (...,) of shares (..., K), which need not add up to one, divided by the entropy of equal shares.
 
     It is from 0 to 1, and 0 if all shares are zero.
     """
@@ -213,10 +213,10 @@ class Recorded:
     """The examples of one recording."""
 
     name: str
-    person: np.ndarray  # (E,) int, the person who plays the robot
+    person: np.ndarray  # (E,) int, the person in place of the robot
     flags: np.ndarray  # (V, E, 5) bool
     more: np.ndarray  # (E, M) bool
-    known: frozenset[str]  # situations that the recording can tell
+    known: frozenset[str]  # situations that the recording can have
 
     @property
     def people(self) -> int:
@@ -293,7 +293,7 @@ def count_recording(
 
 @functools.partial(jax.jit, static_argnums=0)
 def _flags(kind: str, people: People, robot: Array, rows: Array, speeds: Array) -> tuple[Array, Array]:
-    """(V, K, 5) and (K, M) situations of a person who plays the robot, in K rows."""
+    """(V, K, 5) and (K, M) situations of a person in place of the robot, in K rows."""
     snapshots, _ = recordings.snapshots_of(people.tracks, robot)
     snapshots = jax.tree.map(lambda leaf: leaf[rows], snapshots)
     own = people.companions[robot]

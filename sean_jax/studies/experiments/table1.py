@@ -28,6 +28,7 @@ import numpy as np
 from sean_jax import devices, episodes, files, prng, runner, writing
 from sean_jax.classifiers import MORE_SITUATIONS, classify
 from sean_jax.config import (
+    PRESETS,
     AblationConfig,
     CollectConfig,
     ExperimentConfig,
@@ -42,7 +43,6 @@ from sean_jax.files import listed
 from sean_jax.flags import number
 from sean_jax.learning.collection import check_collection, streams
 from sean_jax.learning.policy import check_policy, load_policy
-from sean_jax.presets import PRESETS
 from sean_jax.scenario import snapshot
 from sean_jax.studies.experiments import Part, cached, page, pictures, run_parts, shares, write_csv
 from sean_jax.studies.experiments.shares import BEHAVIORS, Cell, Recorded, interval_rows, ordering_rows
@@ -64,7 +64,7 @@ STARTS = 64  # of each stream and seed, from which its chains restart
 
 
 def run_table1(options: Table1Config, console: Console | None = None) -> Path:
-    """Simulate what the folder lacks, and write the report.
+    """Simulate the missing parts of the folder, and write the report.
 
     Raises:
         InputError: the options are wrong, or the folder holds another experiment.
@@ -165,7 +165,7 @@ def cell(
     Args:
         places: gives the streams of the protocol, with situations of one or several walking speeds.
         tell: called with the finished share.
-        more: names and functions of further situations. A file without them is made anew.
+        more: names and functions of further situations. A file without them is computed again.
 
     Raises:
         FileError: the file is damaged.

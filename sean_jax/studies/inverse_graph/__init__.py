@@ -100,7 +100,7 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
             writing.write(folder / GRAPH, graph_yaml(words))
             return lines
         closed = options.recording is None
-        measured, held_out = _simulated(options, bar) if closed else _recorded(options, graph, bar)
+        measured, reference = _simulated(options, bar) if closed else _recorded(options, graph, bar)
         walks = float(measured.edges.sum())
         if walks < FEWEST:
             what = f"people walk {walks:.0f} times along edges of the graph, and {FEWEST} are the fewest to fit it to"
@@ -115,8 +115,8 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
             fit = fit_flows(graph, measured, closed, options.temperature, calls, progress=bar)
             writing.write(folder / GRAPH, graph_yaml(annotate(words, fit, closed, source)))
         flow = np.asarray(fit.flows.edges, float)
-        scale = held_out.flow.sum() / max(flow.sum(), 1e-30)
-        panels = {HELD_OUT: held_out.flow, "fitted to": measured.flow, "flow model": flow * scale}
+        scale = reference.flow.sum() / max(flow.sum(), 1e-30)
+        panels = {HELD_OUT: reference.flow, "fitted to": measured.flow, "flow model": flow * scale}
         if closed:
             again, _ = _episodes(_scenario(options, folder), options, ANEW, bar, "simulating the fit")
             panels["simulated anew"] = again.flow

@@ -160,11 +160,13 @@ def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"], 
     leaving = jnp.einsum("hvb,bh->hv", departures, source)
     walks = leaving[:, :, None] * onward  # (goal, node, next)
     arriving = jnp.diagonal(walks, axis1=0, axis2=2)  # (node before, node that was the goal)
-    given_up = jnp.einsum("huv,hv->uv", walks, gives_up)  # (node before, node)
-    free = jnp.sum(jnp.where(group[:, None, None], 0.0, walks), axis=0) + given_up  # of people without a group to go to
+    abandoned = jnp.einsum("huv,hv->uv", walks, gives_up)  # (node before, node)
+    free = (
+        jnp.sum(jnp.where(group[:, None, None], 0.0, walks), axis=0) + abandoned
+    )  # of people without a group to go to
     candidates = jnp.where(group[None, :], arriving, free)
     turns = jnp.einsum("huv,hv,hvw->uvw", walks, passes, onward)
-    turns = turns + (arriving + given_up)[:, :, None] * jnp.einsum("vh,hvw->vw", begins, onward)[None]
+    turns = turns + (arriving + abandoned)[:, :, None] * jnp.einsum("vh,hvw->vw", begins, onward)[None]
     turns = turns + candidates[:, :, None] * jnp.einsum("vh,hvw->vw", sent, onward)[None]
     all_turns = jnp.zeros((count + 1, count, count + 1)).at[:count, :, :count].set(turns)
     return Flows(jnp.sum(walks, axis=0), all_turns)

@@ -41,7 +41,7 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
     """
     selected, models = checks.select(options.only, options.quick), checks.models_of(options.models)
     if options.data is not None and not options.data.is_dir():
-        raise InputError(f"--data: {options.data} is no folder; give the one that holds the recordings.")
+        raise InputError(f"--data: {options.data} is no folder; give the folder of the recordings.")
     folder = options.folder
     refuse_others(folder, {checks.RESULTS, checks.PARTS, TABLE, REPORT})
     rows: list[Row] = []

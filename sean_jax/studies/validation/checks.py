@@ -237,7 +237,7 @@ def load(folder: Path, check: Check, model: Model, options: ValidateConfig) -> R
     """The row of an earlier run with the same code, versions and model; None without one, or if it was skipped."""
     try:
         content = files.read_json(_part(folder, check, model))
-        if content.pop("made_with") != _made_with(model, options) or content["verdict"] == SKIPPED:
+        if content.pop("made_with") != _provenance(model, options) or content["verdict"] == SKIPPED:
             return None
         content["curves"] = tuple(Curve(**curve) for curve in content["curves"])
         for name in ("axes", "pictures"):
@@ -250,7 +250,7 @@ def load(folder: Path, check: Check, model: Model, options: ValidateConfig) -> R
 def save(folder: Path, check: Check, model: Model, options: ValidateConfig, row: Row) -> None:
     """Keep a row."""
     (folder / PARTS).mkdir(exist_ok=True)
-    content = {"made_with": _made_with(model, options), **_finite(dataclasses.asdict(row))}
+    content = {"made_with": _provenance(model, options), **_finite(dataclasses.asdict(row))}
     writing.write(_part(folder, check, model), content)
 
 
@@ -267,7 +267,7 @@ def _part(folder: Path, check: Check, model: Model) -> Path:
     return folder / PARTS / f"{check.name}--{name}.json"
 
 
-def _made_with(model: Model, options: ValidateConfig) -> dict[str, Any]:
+def _provenance(model: Model, options: ValidateConfig) -> dict[str, Any]:
     """All that affects a row."""
     move = f"{getattr(model.move, '__module__', '')}.{getattr(model.move, '__qualname__', '')}"
     terms = [f"{type(term).__module__}.{type(term).__name__}" for term in model.forces]  # own ones have their digest
