@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 from quick import quick
 from test_raycast import mujoco_distances, mujoco_hits
@@ -27,7 +28,7 @@ PLACE, AHEAD = np.array([3.0, -2.0], np.float32), np.array([0.6, 0.8], np.float3
 
 @pytest.fixture(scope="module")
 def state(scenario):
-    return jax.jit(lambda key: sean_jax.reset(scenario, key))(jax.random.key(3))
+    return programs.reset(scenario, jax.random.key(3))
 
 
 def over_ground(ahead, left):
@@ -468,7 +469,7 @@ def test_errors_of_a_sensor_are_leaves(scenario, state):
     slope = jax.jit(jax.jacfwd(reading))(jnp.float32(0.01))
     assert np.isfinite(slope).all() and np.abs(slope).max() > 0.1
     _, gone, _ = small_suite(scenario, min_deviation=0.0, growth=0.0, drop_out=1.0)
-    assert (np.asarray(sensors.sense(scenario.replace(sensors=(gone,)), state)["lidar"]) == 3.5).all()
+    assert (np.asarray(jax.jit(sensors.sense)(scenario.replace(sensors=(gone,)), state)["lidar"]) == 3.5).all()
 
 
 def test_equal_sensors_are_equal_values(scenario):
